@@ -1,0 +1,60 @@
+"""multiarm: several robot arms hold one object.  Closed kinematic chains, exactly and fast.
+
+>>> import multiarm as ma
+>>> system = ma.compile_system(ma.load_scene("two_ur5_box.yaml"))
+>>> trajectory = ma.simulate(system, duration=5.0, accuracy=1e-6)
+>>> ma.replay(trajectory)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module, metadata
+from typing import TYPE_CHECKING, Any
+
+from multiarm.errors import MultiarmError
+
+if TYPE_CHECKING:
+    from multiarm.dynamics import Evaluation, evaluate
+    from multiarm.reporting import report
+    from multiarm.scene import Scene, load_scene
+    from multiarm.simulation import simulate
+    from multiarm.state import State
+    from multiarm.system import System, compile_system
+    from multiarm.trajectory import Trajectory, load_trajectory
+    from multiarm.viewer import replay
+
+# Public name -> module that has it.  Imported when first used, so that `import multiarm` is light.
+_HOMES = {
+    "Evaluation": "dynamics",
+    "Scene": "scene",
+    "State": "state",
+    "System": "system",
+    "Trajectory": "trajectory",
+    "compile_system": "system",
+    "evaluate": "dynamics",
+    "load_scene": "scene",
+    "load_trajectory": "trajectory",
+    "replay": "viewer",
+    "report": "reporting",
+    "simulate": "simulation",
+}
+
+__all__ = ["MultiarmError", *_HOMES]
+
+try:
+    __version__ = metadata.version("multiarm")
+except metadata.PackageNotFoundError:  # imported from a checkout that is not installed
+    __version__ = "0.0.0"
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'multiarm' has no attribute {name!r}")
+    # a submodule may have the function's name: keep the function
+    value = getattr(import_module(f"multiarm.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

@@ -1,0 +1,341 @@
+r"""Robot arms through Pinocchio: from a URDF to inertia, bias, Jacobian and tip motion.
+
+This is the only module of the dynamics that knows Pinocchio.  An arm is one reduced Pinocchio model:
+its tool appended, locked joints folded in, its base placed in the world.  It obeys
+
+.. math:: M(q)\,\ddot q + b(q, \dot q) = \tau + J^T f_m
+
+with ``b`` the Coriolis, centrifugal and gravity forces.
+
+For the time loop several arms share one larger model (:class:`ArmGroup`): two calls, ``crba`` in the
+world convention and ``nonLinearEffects``, then fill in everything that all of them need, and the
+kernels read it where Pinocchio keeps it, through a table of addresses.  Nothing is copied and no
+Python object is made inside a step.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from multiarm.errors import ModelError
+from multiarm.terms import ArmTerms
+
+# More arms a model mean fewer calls but a larger, mostly empty inertia matrix; fewer arms the
+# opposite.  The cost per arm is flat around eight.
+ARMS_PER_GROUP = 8
+
+# Columns of ArmGroup.pointers: addresses of float64 data, and the stride of M in numbers.
+M_AT, M_STRIDE, J_AT, BIAS_AT, GRAVITY_AT, POSE_AT, TWIST_AT, DRIFT_AT, POINTER_WIDTH = range(9)
+
+
+@dataclass(frozen=True)
+class ArmFiles:
+    """Where an arm comes from: URDFs, folders of their meshes, mounting and locked joints."""
+
+    urdf: Path
+    package_dirs: tuple[Path, ...]
+    base: np.ndarray
+    tip: str
+    locked: dict[str, float]
+    tool_urdf: Path | None = None
+    tool_package_dirs: tuple[Path, ...] = ()
+    mount: str | None = None
+    tool_placement: np.ndarray | None = None
+
+
+class Arm:
+    """One serial arm, base fixed in the world.
+
+    Attributes
+    ----------
+    name : str
+    model : pinocchio.Model
+        Tool appended, locked joints folded in, base placed; joints keep their URDF names.
+    joint_names : tuple of str
+        Movable joints from base to tip; all joint vectors are in this order, one number a joint
+        (an angle in rad also for continuous joints, metres for prismatic ones).
+    joint_units : dict joint -> "rad" or "m"
+    tip_joint : int
+        Pinocchio's number of the joint that carries the tip.
+    tip_rotation, tip_translation : ndarray, shapes (3, 3) and (3,)
+        The tip frame in that joint's frame.
+    position_limits : ndarray, shape (n, 2)
+        From the URDF; infinite for continuous joints.
+    effort_limits, velocity_limits : ndarray, shape (n,)
+        From the URDF; infinite where it gives none.
+    """
+
+    def __init__(self, name: str, files: ArmFiles, color: str | None = None):
+        self.name = name
+        self.files = files
+        self.color = color
+        self.model = _build_model(name, files)
+        self.dof = self.model.nv
+        self.joint_names = tuple(self.model.names[1:])
+        self.circular = np.array([j.nq == 2 for j in self.model.joints[1:]], dtype=bool)
+        if any(j.nv != 1 for j in self.model.joints[1:]):
+            raise ModelError(
+                f"arm '{name}': only revolute, continuous and prismatic joints are supported; "
+                f"lock the others (`lock: {{joint: value}}`)"
+            )
+        prismatic = [j.shortname().startswith("JointModelP") for j in self.model.joints[1:]]
+        self.joint_units = {
+            joint: "m" if slides else "rad"
+            for joint, slides in zip(self.joint_names, prismatic, strict=True)
+        }
+        tip = _frame_id(self.model, files.tip, name)
+        frame = self.model.frames[tip]
+        self.tip_frame_id = tip
+        self.tip_joint = frame.parentJoint
+        self.tip_rotation = frame.placement.rotation.copy()
+        self.tip_translation = frame.placement.translation.copy()
+        self._data = self.model.createData()
+        q_first = np.array([j.idx_q for j in self.model.joints[1:]], dtype=int)
+        lower = self.model.lowerPositionLimit[q_first]
+        upper = self.model.upperPositionLimit[q_first]
+        free = self.circular | (lower >= upper)
+        self.position_limits = np.column_stack(
+            [np.where(free, -np.inf, lower), np.where(free, np.inf, upper)]
+        )
+        self.effort_limits = _positive_or_infinite(self.model.effortLimit)
+        self.velocity_limits = _positive_or_infinite(self.model.velocityLimit)
+
+    def __repr__(self) -> str:
+        return f"Arm({self.name!r}, {self.dof} joints, tip {self.files.tip!r})"
+
+    def configuration(self, angles: np.ndarray) -> np.ndarray:
+        """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(nv,)``."""
+        angles = np.asarray(angles, dtype=float)
+        parts = []
+        for angle, circular in zip(angles, self.circular, strict=True):
+            parts += [np.cos(angle), np.sin(angle)] if circular else [angle]
+        return np.array(parts)
+
+    def terms(self, angles: np.ndarray, velocity: np.ndarray) -> ArmTerms:
+        """Everything the dynamics need of this arm at one state, as copies.
+
+        Parameters
+        ----------
+        angles, velocity : array-like, shape (n,)
+            Joint positions [rad or m] and velocities.
+
+        Returns
+        -------
+        ArmTerms
+        """
+        q, v = self.configuration(angles), np.array(velocity, dtype=float)
+        model, data = self.model, self._data
+        inertia = pin.crba(model, data, q, pin.Convention.WORLD)
+        inertia = np.triu(inertia) + np.triu(inertia, 1).T
+        bias = pin.nonLinearEffects(model, data, q, v).copy()
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        pin.updateFramePlacements(model, data)
+        tip, axes = self.tip_frame_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        jacobian = pin.computeFrameJacobian(model, data, q, tip, axes)
+        return ArmTerms(
+            M=inertia,
+            bias=bias,
+            J=np.array(jacobian).reshape(6, model.nv),
+            tip_position=data.oMf[tip].translation.copy(),
+            tip_rotation=data.oMf[tip].rotation.copy(),
+            tip_twist=pin.getFrameVelocity(model, data, tip, axes).vector.copy(),
+            drift=pin.getFrameClassicalAcceleration(model, data, tip, axes).vector.copy(),
+        )
+
+    def tip_pose(self, angles: np.ndarray) -> np.ndarray:
+        """Homogeneous pose ``X_WT``, shape (4, 4), of the tip in the world."""
+        pin.framesForwardKinematics(self.model, self._data, self.configuration(angles))
+        return self._data.oMf[self.tip_frame_id].homogeneous.copy()
+
+    def gravity_torque(self, angles: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+        """Joint torques that hold the unloaded arm still, shape (n,)."""
+        model = self.model.copy()
+        model.gravity.linear = np.asarray(gravity, dtype=float)
+        torque = pin.computeGeneralizedGravity(
+            model, model.createData(), self.configuration(angles)
+        )
+        return np.array(torque)
+
+    def visual_model(self) -> pin.GeometryModel:
+        """The URDF's visual geometry, placed consistently with :attr:`model`."""
+        return _build_visuals(self.name, self.files)
+
+
+class ArmGroup:
+    """Up to ``ARMS_PER_GROUP`` arms in one Pinocchio model, and where it keeps their terms.
+
+    ``update()`` computes the terms for the numbers in ``q`` and ``v``; ``pointers`` (arms, 8) says
+    where the kernels find them.
+    """
+
+    def __init__(self, arms: list[Arm], gravity: np.ndarray, with_gravity_torque: bool):
+        model = pin.Model()
+        for arm in arms:
+            model = pin.appendModel(model, named_with_prefix(arm), 0, pin.SE3.Identity())
+        model.gravity.linear = gravity
+        self.model, self.data = model, model.createData()
+        self.q = pin.neutral(model)
+        self.v = np.zeros(model.nv)
+        first_dof = np.cumsum([0] + [arm.dof for arm in arms])
+        self.q_slots = np.array([j.idx_q for j in model.joints[1:]], dtype=np.int64)
+        if not np.array_equal([j.idx_v for j in model.joints[1:]], np.arange(model.nv)):
+            raise ModelError("Pinocchio did not number the joints of several arms in order")
+        self.pointers = np.zeros((len(arms), POINTER_WIDTH), dtype=np.int64)
+        tips = [1 + int(d) - 1 + arm.tip_joint for arm, d in zip(arms, first_dof, strict=False)]
+        self._fill_pointers(first_dof[:-1], tips)
+        self._with_gravity_torque = with_gravity_torque
+
+    def bind(self, q: np.ndarray, v: np.ndarray) -> Callable[[], None]:
+        """Function without arguments that updates all terms from the arrays ``q`` and ``v``."""
+        model, data = self.model, self.data
+        crba, bias, world = pin.crba, pin.nonLinearEffects, pin.Convention.WORLD
+        gravity_torque = pin.computeGeneralizedGravity
+
+        def update() -> None:
+            crba(model, data, q, world)
+            bias(model, data, q, v)
+
+        def update_with_gravity_torque() -> None:
+            # first, because it leaves its own numbers in data.a_gf, which nonLinearEffects owns
+            gravity_torque(model, data, q)
+            crba(model, data, q, world)
+            bias(model, data, q, v)
+
+        return update_with_gravity_torque if self._with_gravity_torque else update
+
+    def potential_energy(self, q: np.ndarray) -> float:
+        """Potential energy of all links [J], zero at the world's origin."""
+        return pin.computePotentialEnergy(self.model, self.data, q)
+
+    def _fill_pointers(self, first_dof: np.ndarray, tips: list[int]) -> None:
+        """Read addresses once; check the memory layout that the kernels rely on."""
+        data, n = self.data, self.model.nv
+        pin.crba(self.model, data, self.q, pin.Convention.WORLD)
+        pin.nonLinearEffects(self.model, data, self.q, self.v)
+        pin.computeGeneralizedGravity(self.model, data, self.q)
+        _require_layout(data.M.strides == (8, 8 * n) or n == 1, "M is not stored by columns")
+        J = data.J
+        _require_layout(J.size == 6 * n and J.strides[0] == 8, "J is not stored by columns")
+        for row, (d, tip) in enumerate(zip(first_dof, tips, strict=True)):
+            d = int(d)
+            pose, twist, drift = data.oMi[tip], data.v[tip], data.a_gf[tip]
+            at = _address(pose.rotation)
+            _require_layout(_address(pose.translation) == at + 72, "SE3 is not [R, p]")
+            for motion in (twist, drift):
+                near = _address(motion.angular) == _address(motion.linear) + 24
+                _require_layout(near, "Motion is not [linear, angular]")
+            self.pointers[row] = (
+                _address(data.M) + 8 * (d * n + d),
+                n,
+                _address(J) + 8 * 6 * d,
+                _address(data.nle) + 8 * d,
+                _address(data.g) + 8 * d,
+                at,
+                _address(twist.linear),
+                _address(drift.linear),
+            )
+
+
+def group_arms(arms: list[Arm], gravity: np.ndarray, with_gravity_torque: bool) -> list[ArmGroup]:
+    """Split the arms into groups of at most ``ARMS_PER_GROUP``, as even as possible."""
+    count = -(-len(arms) // ARMS_PER_GROUP)
+    bounds = np.linspace(0, len(arms), count + 1).round().astype(int)
+    return [
+        ArmGroup(arms[a:b], gravity, with_gravity_torque)
+        for a, b in zip(bounds[:-1], bounds[1:], strict=True)
+    ]
+
+
+def _address(array: np.ndarray) -> int:
+    return array.__array_interface__["data"][0]
+
+
+def _require_layout(condition: bool, what: str) -> None:
+    if not condition:
+        raise ModelError(
+            f"this build of Pinocchio ({pin.__version__}) stores its data differently ({what}); "
+            f"install pin 4.x from PyPI"
+        )
+
+
+def _positive_or_infinite(values: np.ndarray) -> np.ndarray:
+    values = np.array(values, dtype=float)
+    return np.where((values > 0) & np.isfinite(values) & (values < 1e300), values, np.inf)
+
+
+def _frame_id(model: pin.Model, frame: str, arm: str) -> int:
+    if not model.existFrame(frame):
+        names = ", ".join(f.name for f in model.frames if f.type == pin.FrameType.BODY)
+        raise ModelError(f"arm '{arm}': no frame '{frame}'; links are {names}")
+    return model.getFrameId(frame)
+
+
+def _from_urdf(name: str, urdf: Path) -> pin.Model:
+    try:
+        return pin.buildModelFromUrdf(str(urdf))
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(f"arm '{name}': Pinocchio cannot read {urdf}: {error}") from error
+
+
+def _build_model(name: str, files: ArmFiles) -> pin.Model:
+    model, _ = _assemble(name, files, visuals=False)
+    return model
+
+
+def _build_visuals(name: str, files: ArmFiles) -> pin.GeometryModel:
+    _, geometry = _assemble(name, files, visuals=True)
+    return geometry
+
+
+def _assemble(name: str, files: ArmFiles, visuals: bool) -> tuple[pin.Model, pin.GeometryModel]:
+    """Robot, tool, locked joints, base: the model and (when asked for) its visual geometry."""
+    model = _from_urdf(name, files.urdf)
+    geometry = _geometry(model, files.urdf, files.package_dirs, visuals)
+    if files.tool_urdf is not None:
+        tool = _from_urdf(name, files.tool_urdf)
+        tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, visuals)
+        mount = _frame_id(model, files.mount, name)
+        placement = pin.SE3(files.tool_placement)
+        model, geometry = pin.appendModel(model, tool, geometry, tool_geometry, mount, placement)
+    if files.locked:
+        reference = pin.neutral(model)
+        ids = []
+        for joint, value in files.locked.items():
+            if not model.existJointName(joint):
+                raise ModelError(f"arm '{name}': no joint '{joint}' to lock")
+            ids.append(model.getJointId(joint))
+            at, size = model.joints[ids[-1]].idx_q, model.joints[ids[-1]].nq
+            reference[at : at + size] = [np.cos(value), np.sin(value)] if size == 2 else value
+        model, geometry = pin.buildReducedModel(model, geometry, ids, reference)
+    return pin.appendModel(
+        pin.Model(), model, pin.GeometryModel(), geometry, 0, pin.SE3(files.base)
+    )
+
+
+def _geometry(
+    model: pin.Model, urdf: Path, package_dirs: tuple[Path, ...], visuals: bool
+) -> pin.GeometryModel:
+    if not visuals:
+        return pin.GeometryModel()
+    folders = [str(p) for p in package_dirs]
+    try:
+        return pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.VISUAL, None, folders)
+    except (ValueError, RuntimeError) as error:
+        warnings.warn(f"no visual geometry from {urdf}: {error}", stacklevel=2)
+        return pin.GeometryModel()
+
+
+def named_with_prefix(arm: Arm) -> pin.Model:
+    """A copy of the arm's model whose joints and frames are named ``arm/...``."""
+    model = arm.model.copy()
+    for i in range(1, model.njoints):
+        model.names[i] = f"{arm.name}/{model.names[i]}"
+    for i in range(1, model.nframes):
+        model.frames[i].name = f"{arm.name}/{model.frames[i].name}"
+    return model

@@ -1,0 +1,221 @@
+r"""What a scene compiles to, in numbers: the answers that one wants before a long run.
+
+The parts (the object and all joints) have :math:`6 + \sum n_i` degrees of freedom.  The contacts
+take away as many as the stacked constraint matrix :math:`[W_o; W]` has rank,
+
+.. math:: \text{mobility} = 6 + \sum n_i - \operatorname{rank} [W_o; W],
+
+and contacts beyond the rank are redundant: their forces are not determined by the motion.  How near
+an arm is to a singular posture is its smallest relative pivot of :math:`K_i = W_i^T M_i^{-1} W_i`.
+
+Nothing here prints; the command ``multiarm check`` shows what :func:`inspect_system` returns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.dynamics import constraint_matrix, evaluate, failure_text
+from multiarm.equations import OK, update_kinematics
+from multiarm.errors import SolverError
+from multiarm.inspection import (
+    ArmFacts,
+    Carrying,
+    Freedom,
+    Inspection,
+    JointFacts,
+    ObjectFacts,
+    RunFacts,
+)
+from multiarm.programs import needs_gravity_torque
+from multiarm.scene import ArmSpec, ObjectSpec, RunSpec, Scene
+from multiarm.simulation import method_and_tolerance
+from multiarm.spatial import matrix_to_quaternion
+from multiarm.system import System
+
+__all__ = [
+    "active_effects",
+    "carrying_capacity",
+    "count_freedom",
+    "inspect_system",
+    "resolve_run",
+]
+
+# Singular values below this fraction of the largest count as zero; `Freedom` tells how clear the
+# cut is.
+RANK_TOLERANCE = 1e-9
+# Contacts whose part in a redundant combination is smaller than this do not belong to it.
+PART_TOLERANCE = 1e-7
+# Relative pivot below which an arm is called near singular: its contact directions are within about
+# half a degree of being dependent (the pivot is the squared sine of that angle).
+NEAR_SINGULAR = 1e-4
+# A weight whose unbalanced part is a smaller fraction than this is carried.
+CARRIED = 1e-6
+
+
+def inspect_system(system: System) -> Inspection:
+    """Describe a compiled system and judge its start.
+
+    Parameters
+    ----------
+    system : System
+
+    Raises
+    ------
+    SolverError
+        When the equations of motion cannot be solved at the start.
+    """
+    scene = system.scene
+    evaluation = evaluate(system)
+    return Inspection(
+        scene=scene.name,
+        gravity=None if scene.gravity is None else list(scene.gravity),
+        object=_object_facts(scene.object),
+        arms={name: _arm_facts(system, name, evaluation.conditioning) for name in system.arm_names},
+        joints=[
+            JointFacts(joint.arm, joint.kind, joint.name, _row_names(system, joint.arm))
+            for joint in sorted(scene.joints, key=lambda j: system.arm_names.index(j.arm))
+        ],
+        freedom=count_freedom(system),
+        effects=active_effects(scene),
+        control=scene.control.kind,
+        run=resolve_run(scene.run),
+        start=system.start_report,
+        position_residual=evaluation.position_residual,
+        velocity_residual=evaluation.velocity_residual,
+        residuals=evaluation.residuals,
+        carrying=carrying_capacity(system) if _carries(scene) else None,
+        warnings=scene.warnings,
+    )
+
+
+def count_freedom(system: System) -> Freedom:
+    """Degrees of freedom, constraints, their rank and the mobility at the start."""
+    _place_at_start(system)
+    matrix = constraint_matrix(system)  # (6 + n, N)
+    _, singular, vt = np.linalg.svd(matrix)
+    singular = singular / singular[0]
+    rank = int(np.sum(singular > RANK_TOLERANCE))
+    part = np.linalg.norm(vt[rank:], axis=0)  # (N,)
+    names = [f"{arm}: {row}" for arm in system.arm_names for row in _row_names(system, arm)]
+    return Freedom(
+        degrees_of_freedom=matrix.shape[0],
+        constraints=matrix.shape[1],
+        rank=rank,
+        mobility=matrix.shape[0] - rank,
+        redundant_rows=[n for n, p in zip(names, part, strict=True) if p > PART_TOLERANCE],
+        smallest_kept=float(singular[rank - 1]),
+        largest_dropped=float(singular[rank]) if rank < singular.size else None,
+    )
+
+
+def carrying_capacity(system: System) -> Carrying:
+    r"""How well contact forces can carry the object at rest: :math:`W_o \lambda = [-m g; 0]`."""
+    _place_at_start(system)
+    weight = np.zeros(6)
+    weight[:3] = -system.scene.object.mass * np.array(system.scene.gravity)
+    W_o = system.buffers.Wo.T  # (6, N)
+    reach = max(float(np.max(np.linalg.norm(W_o[3:], axis=0))), 1e-3)  # [m]
+    scale = np.array([1.0] * 3 + [1.0 / reach] * 3)  # moments as forces at that distance
+    forces = np.linalg.lstsq(scale[:, None] * W_o, scale * weight, rcond=RANK_TOLERANCE)[0]
+    left = W_o @ forces - weight
+    size = float(np.linalg.norm(weight))
+    return Carrying(
+        possible=float(np.linalg.norm(scale * left)) <= CARRIED * size,
+        force_residual=float(np.linalg.norm(left[:3])),
+        moment_residual=float(np.linalg.norm(left[3:])),
+        largest_force=float(np.max(np.abs(forces))),
+    )
+
+
+def active_effects(scene: Scene) -> list[str]:
+    """Names of the effects that the scene models; what is not here costs nothing."""
+    gravity = ["gravity"] if scene.gravity is not None and any(scene.gravity) else []
+    optional = type(scene.effects).model_fields
+    return gravity + [name for name in optional if getattr(scene.effects, name) is not None]
+
+
+def resolve_run(spec: RunSpec) -> RunFacts:
+    """The method and the tolerances that a run with these settings will have."""
+    integrator, tolerance = method_and_tolerance(spec)
+    return RunFacts(
+        duration=spec.duration,
+        integrator=integrator,
+        accuracy=spec.accuracy,
+        tolerance=tolerance,
+        step=spec.step,
+        stabilization=spec.stabilization.kind,
+        output_step=spec.output_step,
+        solver=spec.solver,
+    )
+
+
+def _object_facts(spec: ObjectSpec) -> ObjectFacts:
+    position, quaternion = _placement(spec.pose.matrix())
+    return ObjectFacts(
+        shape=_shape_words(spec),
+        mass=spec.mass,
+        inertia=spec.inertia_matrix().tolist(),
+        position=position,
+        quaternion_xyzw=quaternion,
+    )
+
+
+def _shape_words(spec: ObjectSpec) -> str:
+    shape = spec.shape
+    if shape.box is not None:
+        return f"box {' x '.join(f'{edge:g}' for edge in shape.box)} m"
+    if shape.sphere is not None:
+        return f"sphere of radius {shape.sphere:g} m"
+    if shape.cylinder is not None:
+        return f"cylinder of radius {shape.cylinder.radius:g} m, height {shape.cylinder.height:g} m"
+    return f"mesh {shape.mesh.file.name}"
+
+
+def _arm_facts(system: System, name: str, conditioning) -> ArmFacts:
+    spec, arm = system.scene.arms[name], system.arms[name]
+    position, quaternion = _placement(spec.base.matrix())
+    pivot = conditioning.get(name)
+    return ArmFacts(
+        robot=_model_name(spec),
+        urdf=str(arm.files.urdf),
+        tool=None if spec.tool is None else _model_name(spec.tool),
+        tip=spec.tip,
+        base_position=position,
+        base_quaternion_xyzw=quaternion,
+        joints=dict(arm.joint_units),
+        posture=system.initial_state().joint_positions[name].tolist(),
+        locked=dict(arm.files.locked),
+        conditioning=pivot,
+        verdict=None if pivot is None else ("good" if pivot >= NEAR_SINGULAR else "near singular"),
+    )
+
+
+def _model_name(spec: ArmSpec) -> str:
+    return spec.robot if spec.robot is not None else spec.urdf.name
+
+
+def _row_names(system: System, arm: str) -> list[str]:
+    return [contact.name for contact in system.contacts[arm]]
+
+
+def _placement(matrix: np.ndarray) -> tuple[list[float], list[float]]:
+    quaternion = matrix_to_quaternion(np.ascontiguousarray(matrix[:3, :3]))
+    return matrix[:3, 3].tolist(), np.asarray(quaternion).tolist()
+
+
+def _carries(scene: Scene) -> bool:
+    """Whether the control applies the torques that carry the object."""
+    control = scene.control
+    holds = control.kind == "harmonic" and control.hold
+    weighs = scene.gravity is not None and any(scene.gravity)
+    return weighs and (holds or needs_gravity_torque(scene))
+
+
+def _place_at_start(system: System) -> None:
+    """Bring the kinematics of the start into the system's buffers."""
+    system.set_state(0.0, system.initial_state())
+    status = update_kinematics(system.book())
+    if status != OK:
+        system.reraise()
+        raise SolverError(failure_text(system, status))

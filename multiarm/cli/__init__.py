@@ -1,0 +1,81 @@
+"""The command line: ``multiarm run``, ``check``, ``replay``, ``report`` and ``scaling``.
+
+Each command is a function in a module of its own; whatever is heavy is imported when a command
+runs, so that ``--help`` answers at once.  Exit codes: 0 all went well; 1 a run failed or was
+interrupted, its results up to there are saved; 2 something given was wrong, and is named.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+import multiarm
+from multiarm.cli.check import check
+from multiarm.cli.run import run
+from multiarm.cli.scaling import scaling
+from multiarm.cli.show import replay, report
+from multiarm.cli.terminal import print_error
+from multiarm.errors import MultiarmError
+
+__all__ = ["app", "main"]
+
+
+class _Commands(TyperGroup):
+    """All commands; the one place where an error on purpose becomes a message and exit code 2."""
+
+    def invoke(self, ctx: typer.Context) -> Any:
+        """Run a command; an exception that is not ours passes through."""
+        try:
+            return super().invoke(ctx)
+        except MultiarmError as error:
+            print_error(str(error))
+            raise typer.Exit(2) from None
+        except KeyboardInterrupt:
+            print_error("interrupted")
+            raise typer.Exit(1) from None
+
+
+app = typer.Typer(
+    name="multiarm",
+    cls=_Commands,
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_show_locals=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main() -> None:
+    """Run the command line; the entry point of the program."""
+    app(prog_name="multiarm")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"multiarm {multiarm.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _program(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Simulate several robot arms that hold one object: closed kinematic chains.
+
+    A scene is a YAML file that names arms, object, joints and control. Look at one with
+    **multiarm check**, simulate it with **multiarm run**, and see the result with
+    **multiarm replay** and **multiarm report**.
+
+    Exit codes: 0 done; 1 a run failed or was interrupted, its results up to there are saved; 2 bad
+    input, named in the message.
+    """
+
+
+for _command in (run, check, replay, report, scaling):
+    app.command()(_command)

@@ -1,0 +1,174 @@
+"""``multiarm check``: what a scene compiles to, before a long run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import RenderableType
+from rich.text import Text
+
+from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.terminal import columns, facts, number, output, print_warnings, vector
+
+if TYPE_CHECKING:
+    from multiarm.inspection import ArmFacts, Carrying, Freedom, Inspection, RunFacts
+
+__all__ = ["check"]
+
+
+def check(
+    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
+    json: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the same figures as JSON.", show_default="none", metavar="FILE.json"
+        ),
+    ] = None,
+) -> None:
+    """Show what a scene compiles to: arms, joints, freedom, settings, and how good its start is.
+
+    All faults of a scene are told together, each with its place and the alternatives; the exit
+    code is then 2.
+
+    The JSON has the keys scene, gravity, object, arms, joints, freedom, effects, control, run,
+    start, position_residual, velocity_residual, residuals, carrying, warnings; their meaning and
+    units are those of multiarm.inspection.Inspection. Numbers are finite, or null where there is
+    none.
+    """
+    check_targets({"--json": json}, source=scene)
+    from multiarm.scene import load_scene
+
+    loaded = load_scene(scene)
+    print_warnings(loaded.warnings)
+    from multiarm.checking import inspect_system
+    from multiarm.system import compile_system
+
+    inspection = inspect_system(compile_system(loaded))
+    if json is not None:
+        write_json(json, inspection.as_dict())
+    console = output()
+    for table in _tables(inspection):
+        console.print(table)
+
+
+def _tables(found: Inspection) -> list[RenderableType]:
+    return [
+        facts(found.scene, _general(found)),
+        *(facts(f"Arm {name}", _arm(arm)) for name, arm in found.arms.items()),
+        columns(
+            "Joints to the object",
+            ("arm", "kind", "rows", "contacts"),
+            [(j.name or j.arm, j.kind, str(len(j.rows)), ", ".join(j.rows)) for j in found.joints],
+        ),
+        facts("Freedom", _freedom(found.freedom)),
+        facts("Start", _start(found)),
+        facts("Run", _run(found.run)),
+    ]
+
+
+def _general(found: Inspection) -> dict[str, RenderableType]:
+    body = found.object
+    return {
+        "gravity": "none" if found.gravity is None else vector(found.gravity, "m/s^2"),
+        "object": f"{body.shape}, {number(body.mass, 'kg')}, at {vector(body.position, 'm')}",
+        "inertia": _inertia(body.inertia),
+        "effects": ", ".join(found.effects) or "none",
+        "control": found.control,
+    }
+
+
+def _inertia(matrix: list[list[float]]) -> str:
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix
+    products = f"; xy, xz, yz: {vector([xy, xz, yz])}" if any((xy, xz, yz)) else ""
+    return f"xx, yy, zz: {vector([xx, yy, zz])}{products} kg m^2"
+
+
+def _arm(arm: ArmFacts) -> dict[str, RenderableType]:
+    """One arm; its joints with their positions at the start."""
+    joints = zip(arm.joints.items(), arm.posture, strict=True)
+    base = arm.base_quaternion_xyzw
+    rows: dict[str, RenderableType] = {
+        "robot": f"{arm.robot} ({Path(arm.urdf).name})",
+        "base": f"at {vector(arm.base_position, 'm')}, quaternion xyzw {vector(base)}",
+        "joints": f"{len(arm.joints)}: "
+        + ", ".join(f"{joint} {vector([position], unit)}" for (joint, unit), position in joints),
+        "tip": arm.tip if arm.tool is None else f"{arm.tip}, of the tool {arm.tool}",
+        "posture": _posture(arm.conditioning, arm.verdict),
+    }
+    if arm.locked:
+        rows["locked"] = ", ".join(f"{joint} {value:g}" for joint, value in arm.locked.items())
+    return rows
+
+
+def _posture(conditioning: float | None, verdict: str | None) -> Text:
+    if verdict is None:
+        return Text("not judged by the dense solver", "dim")
+    return Text(f"{verdict} ({conditioning:.2g})", "green" if verdict == "good" else "bold yellow")
+
+
+def _freedom(freedom: Freedom) -> dict[str, RenderableType]:
+    kept, dropped = freedom.smallest_kept, freedom.largest_dropped
+    cut = f"smallest relative singular value {number(kept)}"
+    if dropped is not None:
+        cut += f", next {number(dropped)}"
+    rows: dict[str, RenderableType] = {
+        "degrees of freedom": f"{freedom.degrees_of_freedom} (6 of the object, one a joint)",
+        "constraints": f"{freedom.constraints}, of which {freedom.rank} are independent ({cut})",
+        "mobility": Text(str(freedom.mobility), "bold"),
+    }
+    if freedom.redundant_rows:
+        count = freedom.constraints - freedom.rank
+        text = f"{count} too many among: {', '.join(freedom.redundant_rows)}"
+        rows["redundant"] = Text(text, "yellow")
+    return rows
+
+
+def _start(found: Inspection) -> dict[str, RenderableType]:
+    start = found.start
+    rows: dict[str, RenderableType] = {
+        "gaps as written": _by_arm(start.gaps, "m"),
+        "gap rates as written": _by_arm(start.gap_rates, "m/s"),
+        "corrections": f"joints {number(start.joint_change)} rad or m, object "
+        f"{number(start.object_shift, 'm')} and {number(start.object_turn, 'rad')}, velocities "
+        f"{number(start.velocity_change)} m/s or rad/s",
+        "after assembly": f"gap {number(found.position_residual, 'm')}, "
+        f"rate {number(found.velocity_residual, 'm/s')}",
+        "residuals of the equations": f"arms {number(found.residuals.arm, 'N m')}, object "
+        f"{number(found.residuals.object, 'N')}, constraints "
+        f"{number(found.residuals.constraint, 'm/s^2')}",
+    }
+    if found.carrying is not None:
+        rows["weight of the object"] = _carrying(found.carrying)
+    return rows
+
+
+def _carrying(carrying: Carrying) -> Text:
+    if carrying.possible:
+        force = number(carrying.largest_force, "N")
+        return Text(f"can be carried; largest contact force {force}", "green")
+    return Text(
+        f"cannot be carried: {number(carrying.force_residual, 'N')} and "
+        f"{number(carrying.moment_residual, 'N m')} stay unbalanced; the object will fall or turn "
+        f"although the control holds it",
+        "bold yellow",
+    )
+
+
+def _run(run: RunFacts) -> dict[str, RenderableType]:
+    if run.step is not None:
+        steps = f"fixed step {number(run.step, 's')}"
+    else:
+        aim = "" if run.accuracy is None else f"accuracy {number(run.accuracy)} m or rad, "
+        steps = f"{aim}tolerance of a step {number(run.tolerance)}"
+    return {
+        "duration": f"{run.duration:g} s, a sample every {run.output_step:g} s",
+        "integrator": f"{run.integrator}, {steps}",
+        "stabilization": run.stabilization,
+        "solver": run.solver,
+    }
+
+
+def _by_arm(values: dict[str, float], unit: str) -> str:
+    return ", ".join(f"{arm} {number(value, unit)}" for arm, value in values.items())

@@ -1,0 +1,105 @@
+"""Files that commands read and write: looked at before the long work, written in one step."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from multiarm.errors import MultiarmError, TrajectoryError
+
+__all__ = ["check_targets", "open_result", "write_json"]
+
+
+def check_targets(targets: Mapping[str, Path | None], source: Path | None = None) -> None:
+    """See to it that every file can be written, before any work is done.
+
+    Parameters
+    ----------
+    targets : mapping of str to path or None
+        Option -> the file that it names; None where it was not given.
+    source : path, optional
+        The file that the command reads; it is never written to.
+
+    Raises
+    ------
+    MultiarmError
+        A folder is missing or closed, the place is not a file, or two options name one file.
+    """
+    taken = {} if source is None else {source.expanduser().resolve(): "the file that is read"}
+    for option, path in targets.items():
+        if path is None:
+            continue
+        target = path.expanduser().resolve()
+        if target in taken:
+            raise MultiarmError(f"{option}: '{path}' is {taken[target]}; name another file")
+        taken[target] = f"already written by {option}"
+        fault = _fault(target)
+        if fault:
+            raise MultiarmError(f"{option}: cannot write '{path}': {fault}")
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write figures as JSON, complete or not at all.
+
+    Raises
+    ------
+    MultiarmError
+        The file cannot be written.
+    """
+    from multiarm.trajectory import plain
+
+    target = path.expanduser().resolve()
+    partial = _beside(target)
+    text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False, indent=2)
+    try:
+        partial.write_text(text + "\n", encoding="utf-8")
+        partial.replace(target)
+    except OSError as error:
+        raise MultiarmError(f"--json: cannot write '{path}': {error.strerror}") from None
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def open_result(path: Path):
+    """Load the trajectory of a finished run.
+
+    Raises
+    ------
+    TrajectoryError
+        The file is no result; a scene is recognised and told apart.
+    """
+    if path.suffix.lower() in (".yaml", ".yml") and path.is_file():
+        raise TrajectoryError(
+            f"'{path}' is a scene, not the result of a run; first simulate it: "
+            f"multiarm run {path} --out {path.stem}.h5"
+        )
+    from multiarm.trajectory import load_trajectory
+
+    return load_trajectory(path.expanduser())
+
+
+def _fault(target: Path) -> str | None:
+    """Why a file cannot be written, with the remedy; None when it can."""
+    if not target.parent.is_dir():
+        return f"there is no folder '{target.parent}'; create it first"
+    if target.is_dir():
+        return "it is a folder; name a file in it"
+    if target.exists() and not target.is_file():
+        return "it is not an ordinary file; name one"
+    if target.exists() and not os.access(target, os.W_OK):
+        return "the file is write-protected; choose another name"
+    partial = _beside(target)
+    try:
+        partial.touch()
+        partial.unlink()
+    except OSError as error:
+        return f"{error.strerror}; choose a folder that you may write to"
+    return None
+
+
+def _beside(target: Path) -> Path:
+    """A temporary name in the same folder, so that the file can be moved in one step."""
+    return target.with_name(f".{target.name}.{os.getpid()}.part")

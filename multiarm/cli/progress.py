@@ -1,0 +1,97 @@
+"""A run as it is watched: a bar in simulated time."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
+from rich.text import Text
+from typing_extensions import Self
+
+__all__ = ["RunProgress", "kernels_are_cached"]
+
+COMPILING = "compiling kernels (only the first time on this machine)"
+
+
+def kernels_are_cached() -> bool:
+    """Whether the compiled loop is in Numba's cache, newer than its source."""
+    from multiarm import time_loop
+
+    source = Path(time_loop.__file__)
+    cache = Path(time_loop.advance.stats.cache_path)
+    changed = source.stat().st_mtime
+    indices = cache.glob(f"{source.stem}.{time_loop.advance.__name__}-*.nbi")
+    return any(index.stat().st_mtime >= changed for index in indices)
+
+
+class RunProgress:
+    """Shows how far a run is, on a terminal; elsewhere one line says when kernels are compiled.
+
+    Parameters
+    ----------
+    console : Console
+    duration : float
+        [s] of simulated time.
+    quiet : bool
+        Show nothing.
+
+    Attributes
+    ----------
+    compiling : bool
+        The kernels are not in the cache: the run begins by compiling them.
+    """
+
+    def __init__(self, console: Console, duration: float, quiet: bool) -> None:
+        self._console, self._duration, self._quiet = console, duration, quiet
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            _SimulatedTime(),
+            console=console,
+            transient=True,
+            disable=quiet or not console.is_terminal,
+        )
+        self._task = self._bar.add_task("preparing", total=None)
+        self._began: float | None = None
+        self.compiling = not kernels_are_cached()
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        if self.compiling:
+            self._bar.update(self._task, description=COMPILING)
+            if self._bar.disable and not self._quiet:
+                self._console.print(f"{COMPILING} ...", soft_wrap=True)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def advance(self, t: float) -> None:
+        """Show that the run has come to time ``t`` [s]."""
+        now = time.perf_counter()
+        if self._began is None:  # the first step has just been made: all kernels are compiled
+            self._began = now
+            self._bar.update(self._task, description="simulating", total=self._duration)
+        rate = t / (now - self._began) if now > self._began else None
+        self._bar.update(self._task, completed=t, rate=rate)
+
+
+class _SimulatedTime(ProgressColumn):
+    """``3.20 of 5.00 s, 24 x real time``."""
+
+    def render(self, task: Task) -> Text:
+        """Return the text of one moment; empty until the run has begun."""
+        if task.total is None:
+            return Text()
+        rate = task.fields.get("rate")
+        pace = "" if rate is None else f", {rate:.3g} x real time"
+        return Text(f"{task.completed:.4g} of {task.total:g} s{pace}", "cyan")

@@ -1,0 +1,280 @@
+"""``multiarm run``: simulate a scene, watch it, keep the result, say how good it is."""
+
+from __future__ import annotations
+
+import re
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.progress import RunProgress
+from multiarm.cli.show import serve_until_interrupt
+from multiarm.cli.summary import run_figures, summary_table
+from multiarm.cli.terminal import (
+    messages,
+    output,
+    print_error,
+    print_warnings,
+    print_written,
+)
+from multiarm.errors import SceneError
+
+if TYPE_CHECKING:
+    from multiarm.scene import Scene
+    from multiarm.trajectory import Trajectory
+
+__all__ = ["Integrator", "Solver", "Stabilization", "run"]
+
+OF_SCENE = "the scene's"
+METHOD, FILES = "How exactly", "Results"
+
+
+class Integrator(str, Enum):
+    """Methods with a fixed step, then those that choose their steps."""
+
+    semi_implicit_euler = "semi_implicit_euler"
+    rk4 = "rk4"
+    dopri5 = "dopri5"
+    dop853 = "dop853"
+
+
+class Stabilization(str, Enum):
+    """How the joints are kept closed."""
+
+    projection = "projection"
+    feedback = "feedback"
+    none = "none"
+
+
+class Solver(str, Enum):
+    """How one evaluation is solved."""
+
+    node = "node"
+    dense = "dense"
+
+
+def run(
+    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            help="Simulated time, in s.", show_default=OF_SCENE, metavar="S", rich_help_panel=METHOD
+        ),
+    ] = None,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(
+            help="Error of the whole run to aim at, in m and rad: chooses method and steps. "
+            "This and the next three options replace the scene's choice of all four.",
+            show_default=OF_SCENE,
+            metavar="A",
+            rich_help_panel=METHOD,
+        ),
+    ] = None,
+    integrator: Annotated[
+        Integrator | None,
+        typer.Option(
+            help="The first two have a fixed --step, the others choose their steps by "
+            "--accuracy or --tolerance.",
+            show_default=OF_SCENE,
+            rich_help_panel=METHOD,
+        ),
+    ] = None,
+    step: Annotated[
+        float | None,
+        typer.Option(
+            help="Fixed step, in s.", show_default=OF_SCENE, metavar="S", rich_help_panel=METHOD
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="Error of one step of dopri5 or dop853, in m, rad, m/s and rad/s.",
+            show_default=OF_SCENE,
+            metavar="T",
+            rich_help_panel=METHOD,
+        ),
+    ] = None,
+    stabilization: Annotated[
+        Stabilization | None,
+        typer.Option(
+            help="How the joints are kept closed.", show_default=OF_SCENE, rich_help_panel=METHOD
+        ),
+    ] = None,
+    output_step: Annotated[
+        float | None,
+        typer.Option(
+            help="Time between samples, in s.",
+            show_default=OF_SCENE,
+            metavar="S",
+            rich_help_panel=METHOD,
+        ),
+    ] = None,
+    solver: Annotated[
+        Solver | None,
+        typer.Option(
+            help="The node algorithm, or the whole linear system at once, for comparison and for "
+            "arms with too few joints.",
+            show_default=OF_SCENE,
+            rich_help_panel=METHOD,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="HDF5 file of the result; an earlier result there is replaced.",
+            show_default="SCENE's file name with .h5, in the current folder",
+            metavar="FILE.h5",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    replay: Annotated[
+        bool,
+        typer.Option("--replay", help="Show the motion in the browser.", rich_help_panel=FILES),
+    ] = False,
+    replay_html: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the motion to one HTML file.",
+            show_default="none",
+            metavar="FILE.html",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    report_html: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write a report with figures to one HTML file.",
+            show_default="none",
+            metavar="FILE.html",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    json: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the summary's figures as JSON.",
+            show_default="none",
+            metavar="FILE.json",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=FILES
+        ),
+    ] = False,
+) -> None:
+    """Simulate a scene and keep the result.
+
+    Ctrl-C ends the run in good order: what was simulated is kept. The exit code is 0 when the run
+    is completed, 1 when it failed or was interrupted, 2 when something given is wrong.
+
+    The JSON has the keys scene, status, message, samples, duration_s, steps, rejected_steps,
+    evaluations, wall_time_s, realtime_factor, error_estimate, position_drift_max_m,
+    velocity_drift_max_m_per_s, energy_balance_max_J, final_object_position,
+    final_object_quaternion_xyzw, contact_force_max_N (by arm), integrator, stabilization, solver,
+    accuracy, tolerance, compiled_kernels, and files (result, replay, report). Numbers are finite,
+    or null where there is none.
+    """
+    from multiarm.scene import load_scene
+    from multiarm.storage import writable_target
+
+    loaded = load_scene(scene)
+    print_warnings(loaded.warnings)
+    target = out if out is not None else Path(f"{scene.stem}.h5")
+    pages = {"replay": replay_html, "report": report_html}
+    check_targets(
+        {
+            "--out": target,
+            "--replay-html": replay_html,
+            "--report-html": report_html,
+            "--json": json,
+        },
+        source=scene,
+    )
+    writable_target(target)
+    options = {
+        "duration": duration,
+        "accuracy": accuracy,
+        "integrator": integrator,
+        "step": step,
+        "tolerance": tolerance,
+        "stabilization": stabilization,
+        "output_step": output_step,
+        "solver": solver,
+    }
+    options = {k: v.value if isinstance(v, Enum) else v for k, v in options.items()}
+    trajectory, compiled = _simulate(loaded, options, target, quiet)
+    figures = run_figures(loaded.name, trajectory, {"result": str(target)}, compiled)
+    if not quiet:
+        output().print(summary_table(figures))
+        print_written("result", target)
+    if trajectory.status != "completed":
+        print_error(f"the run {_ended(trajectory)}; the results up to there are in '{target}'")
+    figures["files"] |= _write_pages(trajectory, pages, quiet)
+    if json is not None:
+        write_json(json, figures)
+    if replay and len(trajectory):
+        serve_until_interrupt(trajectory, quiet=quiet)
+    if trajectory.status != "completed":
+        raise typer.Exit(1)
+
+
+def _simulate(
+    scene: Scene, options: dict[str, Any], target: Path, quiet: bool
+) -> tuple[Trajectory, bool]:
+    """Compile and simulate behind a progress bar; Ctrl-C ends the run, not the program.
+
+    Returns the trajectory, and whether kernels had to be compiled.
+    """
+    duration = options["duration"] if options["duration"] is not None else scene.run.duration
+    with RunProgress(messages(), duration, quiet) as progress:
+        from multiarm.simulation import simulate
+        from multiarm.system import compile_system
+
+        if options["solver"] is not None:  # the start is assembled by it too
+            changed = scene.run.model_copy(update={"solver": options["solver"]})
+            scene = scene.replace(run=changed)
+        system = compile_system(scene)
+        try:
+            trajectory = simulate(system, **options, out=target, progress=progress.advance)
+        except SceneError as error:
+            raise SceneError([_about_options(fault) for fault in error.faults]) from None
+        return trajectory, progress.compiling
+
+
+def _about_options(fault: str) -> str:
+    """A fault of the run's settings, told of the option that was typed."""
+
+    def option(place: re.Match) -> str:
+        return "--" + place[1].replace("_", "-") if place[1] else "the settings of the run"
+
+    return re.sub(r"^RunSpec(?:\.(\w+))?(?=:)", option, fault)
+
+
+def _write_pages(
+    trajectory: Trajectory, pages: dict[str, Path | None], quiet: bool
+) -> dict[str, str]:
+    """Write the pages that were asked for; returns their places."""
+    wanted = {what: path for what, path in pages.items() if path is not None}
+    if not len(trajectory):
+        print_warnings(f"there is no sample, so no {what} was written" for what in wanted)
+        return {}
+    import multiarm
+
+    for what, path in wanted.items():
+        write = multiarm.replay if what == "replay" else multiarm.report
+        write(trajectory, path)
+        if not quiet:
+            print_written(what, path)
+    return {what: str(path) for what, path in wanted.items()}
+
+
+def _ended(trajectory: Trajectory) -> str:
+    verb = "was interrupted" if trajectory.status == "interrupted" else "failed"
+    return f"{verb}: {trajectory.message}"

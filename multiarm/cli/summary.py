@@ -1,0 +1,88 @@
+"""The figures of a run: what its summary shows and its JSON holds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from multiarm.cli.terminal import STATUS_STYLES, facts, number, vector
+
+if TYPE_CHECKING:
+    from multiarm.trajectory import Trajectory
+
+__all__ = ["run_figures", "summary_table"]
+
+
+def run_figures(
+    name: str, trajectory: Trajectory, files: dict[str, str], compiled_kernels: bool
+) -> dict[str, Any]:
+    """Figures of a run under the keys that ``multiarm run --help`` lists.
+
+    Parameters
+    ----------
+    name : str
+        Of the scene.
+    trajectory : Trajectory
+    files : dict
+        What was written -> where.
+    compiled_kernels : bool
+        The wall time contains a first compilation.
+    """
+    keys = ("integrator", "stabilization", "solver", "accuracy", "tolerance")
+    counted = trajectory.statistics
+    return {
+        "scene": name,
+        **trajectory.summary(),
+        **{key: counted.get(key) for key in keys},
+        "compiled_kernels": compiled_kernels,
+        "files": files,
+    }
+
+
+def summary_table(figures: dict[str, Any]) -> Table:
+    """The figures of :func:`run_figures` as a table."""
+    status = figures["status"]
+    rows: dict[str, RenderableType] = {
+        "status": Text(status, STATUS_STYLES[status]),
+        "simulated": f"{number(figures['duration_s'], 's')}, {number(figures['samples'])} samples",
+        "method": _method(figures),
+        "steps": f"{number(figures['steps'])} ({number(figures['rejected_steps'])} rejected), "
+        f"{number(figures['evaluations'])} evaluations",
+        "wall time": _pace(figures),
+        "largest gap (position drift)": number(figures["position_drift_max_m"], "m"),
+        "largest gap rate (velocity drift)": number(figures["velocity_drift_max_m_per_s"], "m/s"),
+        "largest energy balance error": number(figures["energy_balance_max_J"], "J"),
+        "error": _error(figures),
+    }
+    if figures["final_object_position"] is not None:
+        rows["object at the end"] = vector(figures["final_object_position"], "m")
+    for arm, force in figures["contact_force_max_N"].items():
+        rows[f"largest contact force, {arm}"] = number(force, "N")
+    return facts(figures["scene"], rows)
+
+
+def _method(figures: dict[str, Any]) -> str:
+    tolerance = figures["tolerance"]
+    steps = "" if tolerance is None else f" (tolerance of a step {number(tolerance)})"
+    return (
+        f"{figures['integrator']}{steps}, stabilization {figures['stabilization']}, "
+        f"solver {figures['solver']}"
+    )
+
+
+def _error(figures: dict[str, Any]) -> str:
+    estimate, accuracy = figures["error_estimate"], figures["accuracy"]
+    asked = "" if accuracy is None else f"; asked accuracy {number(accuracy)}"
+    if estimate is None:
+        return f"not estimated: the step is fixed{asked}"
+    return f"about {number(estimate)} m or rad{asked} (an estimate: the steps' errors, summed)"
+
+
+def _pace(figures: dict[str, Any]) -> str:
+    pace = (
+        f"{number(figures['wall_time_s'], 's')}, {number(figures['realtime_factor'])} x real time"
+    )
+    return f"{pace}; kernels were compiled meanwhile" if figures["compiled_kernels"] else pace

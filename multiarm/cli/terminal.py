@@ -1,0 +1,99 @@
+"""What all commands print with: messages on stderr, tables on stdout, numbers in one style.
+
+Texts that come from users (names, paths, messages) are never read as markup.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from rich import box
+from rich.console import Console, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+__all__ = [
+    "STATUS_STYLES",
+    "columns",
+    "facts",
+    "messages",
+    "number",
+    "output",
+    "print_error",
+    "print_warnings",
+    "print_written",
+    "vector",
+]
+
+STATUS_STYLES = {"completed": "bold green", "interrupted": "bold yellow", "failed": "bold red"}
+
+
+def output() -> Console:
+    """Where results go: stdout."""
+    return Console(highlight=False)
+
+
+def messages() -> Console:
+    """Where errors, warnings and progress go: stderr."""
+    return Console(stderr=True, highlight=False)
+
+
+def print_error(text: str) -> None:
+    """Print ``error: text`` in red on stderr; lines stay whole."""
+    line = Text.assemble(("error: ", "bold red"), (text, "red"))
+    messages().print(line, soft_wrap=True)
+
+
+def print_warnings(texts: Iterable[str]) -> None:
+    """Print each text in yellow on stderr."""
+    console = messages()
+    for text in texts:
+        line = Text.assemble(("warning: ", "bold yellow"), (text, "yellow"))
+        console.print(line, soft_wrap=True)
+
+
+def print_written(what: str, path: Path) -> None:
+    """Say on stdout where something was written."""
+    output().print(Text.assemble(f"{what} written to ", (str(path), "green")), soft_wrap=True)
+
+
+def number(value: float | None, unit: str = "") -> str:
+    """Three digits and the unit: ``number(2.5e-9, "m")`` is ``2.5e-09 m``; a dash for None."""
+    if value is None:
+        return "-"
+    text = f"{value:,}" if isinstance(value, int) else f"{value:.3g}"
+    return f"{text} {unit}".rstrip()
+
+
+def vector(values: Sequence[float], unit: str = "", digits: int = 4) -> str:
+    """Comma-separated numbers and the unit; roundings of zero are shown as 0."""
+    largest = max((abs(value) for value in values), default=0.0)
+    shown = [0.0 if abs(value) < 1e-12 * max(largest, 1.0) else value for value in values]
+    return f"{', '.join(f'{value:.{digits}g}' for value in shown)} {unit}".rstrip()
+
+
+def facts(title: str, rows: dict[str, RenderableType]) -> Table:
+    """A table of two columns, what and how much; texts are shown as they are."""
+    table = Table(
+        title=Text(title, "bold"), box=box.SIMPLE_HEAD, show_header=False, title_justify="left"
+    )
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in rows.items():
+        table.add_row(Text(name), _as_text(value))
+    return table
+
+
+def columns(title: str, names: Sequence[str], rows: Iterable[Sequence[RenderableType]]) -> Table:
+    """A table with a heading for each column; texts are shown as they are."""
+    table = Table(title=Text(title, "bold"), box=box.SIMPLE_HEAD, title_justify="left")
+    for name in names:
+        table.add_column(Text(name), header_style="cyan", overflow="fold")
+    for row in rows:
+        table.add_row(*(_as_text(cell) for cell in row))
+    return table
+
+
+def _as_text(value: RenderableType) -> RenderableType:
+    return Text(value) if isinstance(value, str) else value

@@ -1,0 +1,190 @@
+r"""Control laws as compiled pieces: what the scene names becomes a short program over arrays.
+
+A program is a list of ``(code, offset)`` pairs; each code adds its torques to ``torque`` with the
+parameters found at ``offset``.  A scene without control has an empty program.
+
+* *harmonic*: :math:`\tau_j = \tau_{0j} + A_j \sin(2\pi f t + \psi_j)`; constant torques have no A.
+* *gravity compensation*: the torques that hold the whole system still where it is,
+  :math:`\tau_i = g_i(q_i) - W_i\lambda_i`, with the contact forces of least norm that carry the
+  object, :math:`W_o\lambda = [-m g; 0]` (thesis, 3.4 and 3.10 at rest).
+* *joint PD*: :math:`\tau = K_p (q_r(t) - q) + K_d (\dot q_r(t) - \dot q)`; the reference is a point
+  or a path of Chebyshev segments, smooth inside each segment.
+* *Python*: the user's function, through a callback.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from multiarm.lowlevel import allocating, call_back, inner, kernel
+from multiarm.plant import CALL_CONTROL, open_book
+
+HARMONIC, GRAVITY_COMPENSATION, JOINT_PD, PYTHON = 0, 1, 2, 3
+
+
+@kernel
+def add_harmonic(t, parameters, at, torque):
+    """``parameters[at:]``: frequency [Hz], then for every joint ``tau_0, A cos psi, A sin psi``."""
+    angle = 2.0 * math.pi * parameters[at] * t
+    sine, cosine = math.sin(angle), math.cos(angle)
+    for j in range(torque.size):
+        k = at + 1 + 3 * j
+        torque[j] += parameters[k] + parameters[k + 1] * sine + parameters[k + 2] * cosine
+
+
+def pack_harmonic(
+    frequency: float, constant: np.ndarray, amplitude: np.ndarray, phase: np.ndarray
+) -> np.ndarray:
+    """Parameters of :func:`add_harmonic`."""
+    columns = [constant, amplitude * np.cos(phase), amplitude * np.sin(phase)]
+    return np.concatenate([[frequency], np.column_stack(columns).ravel()])
+
+
+@kernel
+def path_point(t, parameters, at, joints, joint):
+    """Reference of one joint and its rate at time ``t``; before and after the path it rests.
+
+    ``parameters[at:]``: number of segments, coefficients a joint, the segments' bounds, then the
+    Chebyshev coefficients [segment, joint, coefficient], summed by Clenshaw's recurrence.
+    """
+    segments, width = int(parameters[at]), int(parameters[at + 1])
+    bounds = at + 2
+    table = bounds + segments + 1
+    s = 0
+    while s < segments - 1 and t >= parameters[bounds + s + 1]:
+        s += 1
+    begin, end = parameters[bounds + s], parameters[bounds + s + 1]
+    moving = begin <= t <= end
+    x = 2.0 * (min(max(t, begin), end) - begin) / (end - begin) - 1.0
+    first = table + (s * joints + joint) * width
+    # Clenshaw for the value (b) and for its derivative with respect to x (d)
+    b1 = b2 = d1 = d2 = 0.0
+    for k in range(width - 1, 0, -1):
+        d0 = 2.0 * b1 + 2.0 * x * d1 - d2
+        b0 = parameters[first + k] + 2.0 * x * b1 - b2
+        b2, b1, d2, d1 = b1, b0, d1, d0
+    value = parameters[first] + x * b1 - b2
+    slope = b1 + x * d1 - d2
+    return value, slope * 2.0 / (end - begin) if moving else 0.0
+
+
+def pack_path(bounds: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Parameters of :func:`path_point` from ``bounds`` (S + 1,), ``coefficients`` (S, n, width)."""
+    return np.concatenate(
+        [[coefficients.shape[0], coefficients.shape[2]], bounds, coefficients.ravel()]
+    )
+
+
+@kernel
+def add_joint_pd(t, angles, velocity, parameters, at, torque):
+    """``parameters[at:]``: stiffness and damping of every joint, then the path."""
+    n = torque.size
+    for j in range(n):
+        reference, rate = path_point(t, parameters, at + 2 * n, n, j)
+        torque[j] += parameters[at + j] * (reference - angles[j])
+        torque[j] += parameters[at + n + j] * (rate - velocity[j])
+
+
+@allocating
+def static_forces(Wo, weight, force):
+    r"""Write the contact forces of least norm with :math:`W_o \lambda = w` into ``force`` (N,).
+
+    ``Wo`` (N, 6) has one row a contact, ``weight`` is a wrench (6,).  ``W_o W_o^T`` is factored with diagonal pivoting; where it
+    has lost rank the remaining directions are left alone (a basic solution, exact whenever the
+    contacts can carry the wrench at all).
+    """
+    A = np.zeros((6, 6))
+    for k in range(Wo.shape[0]):
+        for i in range(6):
+            for j in range(6):
+                A[i, j] += Wo[k, i] * Wo[k, j]
+    scale = np.zeros(6)
+    for i in range(6):
+        scale[i] = 1.0 / math.sqrt(A[i, i]) if A[i, i] > 0.0 else 0.0
+    L = np.zeros((6, 6))
+    for i in range(6):
+        for j in range(6):
+            A[i, j] *= scale[i] * scale[j]
+    order = np.arange(6)
+    rank = 6
+    for k in range(6):
+        best = k
+        for i in range(k + 1, 6):
+            if A[order[i], order[i]] > A[order[best], order[best]]:
+                best = i
+        order[k], order[best] = order[best], order[k]
+        p = order[k]
+        if A[p, p] < 1e-12:
+            rank = k
+            break
+        L[p, k] = math.sqrt(A[p, p])
+        for i in range(k + 1, 6):
+            L[order[i], k] = A[order[i], p] / L[p, k]
+        for i in range(k + 1, 6):
+            for j in range(k + 1, 6):
+                A[order[i], order[j]] -= L[order[i], k] * L[order[j], k]
+    y = np.zeros(6)
+    x = np.zeros(6)
+    for k in range(rank):
+        p = order[k]
+        y[k] = scale[p] * weight[p]
+        for j in range(k):
+            y[k] -= L[p, j] * y[j]
+        y[k] /= L[p, k]
+    for k in range(rank - 1, -1, -1):
+        p = order[k]
+        s = y[k]
+        for i in range(k + 1, rank):
+            s -= L[order[i], k] * x[order[i]]
+        x[p] = s / L[p, k]
+    for k in range(Wo.shape[0]):
+        force[k] = 0.0
+        for i in range(6):
+            force[k] += Wo[k, i] * scale[i] * x[i]
+
+
+@inner
+def control_torques(t, angles, program, parameters, plant, buffers, work):
+    """Run the control program; the torques are left in ``buffers.torque``."""
+    torque = buffers.torque
+    torque[:] = 0.0
+    for k in range(program.shape[0]):
+        code, at = program[k, 0], program[k, 1]
+        if code == HARMONIC:
+            add_harmonic(t, parameters, at, torque)
+        elif code == JOINT_PD:
+            add_joint_pd(t, angles, buffers.v, parameters, at, torque)
+        elif code == GRAVITY_COMPENSATION:
+            add_gravity_compensation(plant, buffers, work, torque)
+        else:
+            call_back(plant.calls[CALL_CONTROL])
+
+
+@kernel
+def write_holding_torque(book):
+    """Write the torques that hold the configuration in the buffers into ``buffers.torque``.
+
+    Needs its kinematics and ``gravity_torque`` in the buffers.
+    """
+    plant, buffers, work = open_book(book)
+    buffers.torque[:] = 0.0
+    add_gravity_compensation(plant, buffers, work, buffers.torque)
+
+
+@inner
+def add_gravity_compensation(plant, buffers, work, torque):
+    """Torques that hold arms and object still where they are, see the module's text."""
+    weight, force = buffers.weight, buffers.static_force
+    for k in range(3):
+        weight[k] = -plant.object_mass[0] * plant.gravity[k]
+    static_forces(buffers.Wo, weight, force)
+    for i in range(plant.pointers.shape[0]):
+        d0, d1 = work.dofs[i], work.dofs[i + 1]
+        r0, r1 = work.rows[i], work.rows[i + 1]
+        for j in range(d1 - d0):
+            s = buffers.gravity_torque[d0 + j]
+            for a in range(r1 - r0):
+                s -= work.Y[i, j, a] * force[r0 + a]
+            torque[d0 + j] += s

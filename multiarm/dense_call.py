@@ -1,0 +1,44 @@
+"""The dense reference as a solver of the time loop: Python reads the same terms and solves them."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+
+import numpy as np
+
+from multiarm.node.dense import solve_dense
+from multiarm.node.regular import NodeWork
+from multiarm.plant import M_AT, M_STRIDE, Buffers
+
+
+def dense_call(pointers: np.ndarray, buffers: Buffers, work: NodeWork) -> Callable[[], None]:
+    """Function without arguments that solves for ``q_o, qdd, force`` in ``buffers``."""
+    dofs, rows = work.dofs, work.rows
+    arms = range(len(dofs) - 1)
+
+    def solve() -> None:
+        solution = solve_dense(
+            M_o=buffers.inertia,
+            h_o=buffers.h_o,
+            M=[inertia_view(pointers[i], dofs[i + 1] - dofs[i]) for i in arms],
+            h=[buffers.h[dofs[i] : dofs[i + 1]] for i in arms],
+            W_o=[buffers.Wo[rows[i] : rows[i + 1]].T for i in arms],
+            W=[work.Y[i, : dofs[i + 1] - dofs[i], : rows[i + 1] - rows[i]] for i in arms],
+            c=[buffers.c[rows[i] : rows[i + 1]] for i in arms],
+        )
+        buffers.q_o[:] = solution.object_acceleration
+        buffers.qdd[:] = np.concatenate(solution.joint_accelerations)
+        buffers.force[:] = np.concatenate(solution.contact_forces)
+
+    return solve
+
+
+def inertia_view(pointers: np.ndarray, n: int) -> np.ndarray:
+    """The arm's inertia as Pinocchio has it now, symmetric, copied, shape (n, n)."""
+    stride = int(pointers[M_STRIDE])
+    size = (n - 1) * stride + n
+    numbers = (ctypes.c_double * size).from_address(int(pointers[M_AT]))
+    flat = np.frombuffer(numbers, dtype=float)
+    lower = np.lib.stride_tricks.as_strided(flat, (n, n), (8 * stride, 8))
+    return np.tril(lower) + np.tril(lower, -1).T

@@ -1,0 +1,286 @@
+"""Accelerations and contact forces at one state, with their own proof.
+
+:func:`evaluate` is one evaluation as the time loop performs it, opened up for people: named results,
+contact matrices, and the residuals of all three equations, so that a result certifies itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from multiarm.contacts.kernel import (
+    AT,
+    BODY_WIDTH,
+    GAP,
+    GAP_BIAS,
+    GAP_RATE,
+    NORMAL,
+    contact_matrices,
+)
+from multiarm.contacts.records import TIP_RADIUS
+from multiarm.dense_call import inertia_view
+from multiarm.equations import CALLBACK_FAILED, OK, evaluate_buffers, update_kinematics
+from multiarm.errors import SolverError
+from multiarm.stabilization import PROJECTION_FAILED, project_velocities
+from multiarm.state import State
+from multiarm.system import System
+from multiarm.terms import ContactTerms
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What is left over when the result is put back into the equations (largest magnitude).
+
+    Attributes
+    ----------
+    arm : float
+        ``M q'' + b - tau - W lambda`` over all arms [N m, N].
+    object : float
+        ``M_o v_o' - h_o - W_o lambda`` [N, N m].
+    constraint : float
+        ``W_o^T v_o' + W^T q'' - c`` [m/s^2].
+    """
+
+    arm: float
+    object: float
+    constraint: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Result of one evaluation.
+
+    Attributes
+    ----------
+    time : float
+    state : State
+    object_acceleration : ndarray, shape (6,)
+        Acceleration of the centre of mass (classical) and angular acceleration, world axes.
+    joint_accelerations, joint_torques : mapping arm -> ndarray, shape (n_i,)
+        [rad/s^2, m/s^2]; torques of the control [N m, N].
+    contact_forces : mapping arm -> ndarray, shape (N_i,)
+        Magnitudes [N]; positive pushes the object along ``contact_normals``.
+    contact_forces_unique : mapping arm -> ndarray of bool, shape (N_i,)
+        Which of them the equations determine.
+    contact_points, contact_normals : mapping arm -> ndarray, shape (N_i, 3)
+        World axes; normals point into the object.
+    contact_terms : mapping arm -> ContactTerms
+    position_residual, velocity_residual : float
+        Largest gap [m] and gap rate [m/s].
+    residuals : Residuals
+    conditioning : mapping arm -> float
+        Smallest relative pivot of ``K = W^T M^-1 W``: how far the arm is from a singular posture
+        (1 at best; empty with the dense solver).
+    """
+
+    time: float
+    state: State
+    object_acceleration: np.ndarray
+    joint_accelerations: Mapping[str, np.ndarray]
+    joint_torques: Mapping[str, np.ndarray]
+    contact_forces: Mapping[str, np.ndarray]
+    contact_forces_unique: Mapping[str, np.ndarray]
+    contact_points: Mapping[str, np.ndarray]
+    contact_normals: Mapping[str, np.ndarray]
+    contact_terms: Mapping[str, ContactTerms] = field(repr=False)
+    position_residual: float
+    velocity_residual: float
+    residuals: Residuals
+    conditioning: Mapping[str, float]
+
+
+def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Evaluation:
+    """Accelerations and contact forces of a system at one state.
+
+    Parameters
+    ----------
+    system : System
+    t : float
+        Time, for the control [s].
+    state : State, optional
+        The start when left out.  It is taken as it is: nothing is projected.
+
+    Raises
+    ------
+    SolverError
+        When an arm's posture is singular.
+    ControlError
+        When a Python controller returns something unusable.
+    """
+    state = system.initial_state() if state is None else state.copy()
+    system.set_state(t, state)
+    status = evaluate_buffers(system.book(), 0.0, 0.0)
+    if status != OK:
+        system.reraise()
+        raise SolverError(failure_text(system, status))
+    b, layout = system.buffers, system.layout
+    forces, torques = b.force.copy(), b.torque.copy()
+    object_acceleration, qdd = b.q_o.copy(), b.qdd.copy()
+    pivots = (
+        {} if system.plant.dense[0] else dict(zip(layout.names, system.work.pivot, strict=False))
+    )
+    unique = _unique_forces(system)
+    residuals = _residuals(system, object_acceleration, qdd, forces)
+    terms = _contact_terms(system)
+    return Evaluation(
+        time=float(t),
+        state=state,
+        object_acceleration=object_acceleration,
+        joint_accelerations=layout.split_joints(qdd),
+        joint_torques=layout.split_joints(torques),
+        contact_forces=layout.split_contacts(forces),
+        contact_forces_unique=layout.split_contacts(unique),
+        contact_points={arm: term.points for arm, term in terms.items()},
+        contact_normals={arm: term.normals for arm, term in terms.items()},
+        contact_terms=terms,
+        position_residual=float(np.max(np.abs(b.contacts[:, GAP]))),
+        velocity_residual=float(np.max(np.abs(b.contacts[:, GAP_RATE]))),
+        residuals=residuals,
+        conditioning={arm: float(p) for arm, p in pivots.items()},
+    )
+
+
+def project_velocity(system: System, state: State) -> State:
+    """Project the velocities of a state on the constraints, in the inertia metric (thesis, 4.2).
+
+    The correction is the one that loses the least kinetic energy: an inelastic impact that closes
+    all gap rates.  Positions stay.
+    """
+    system.set_state(0.0, state)
+    status = update_kinematics(system.book())
+    if status == OK:
+        status = project_velocities(system.book())
+    if status != OK:
+        system.reraise()
+        raise SolverError(failure_text(system, status))
+    return system.get_state()
+
+
+def failure_text(system: System, status: int) -> str:
+    """What a status of the compiled code means, with the remedy."""
+    names = system.arm_names
+    if 0 <= status < len(names):
+        name = names[status]
+        rows = len(system.contacts[name])
+        return (
+            f"arm '{name}' cannot move along all {rows} of its joint's constraint directions "
+            f"(relative pivot {system.work.pivot[status]:.2g}): its posture is singular, or its "
+            f"{system.arms[name].dof} joints are too few; use `solver: dense`, another posture or "
+            f"a joint with fewer constraints"
+        )
+    if status == len(names):
+        return (
+            "the object's node matrix is not positive definite; check the object's mass and inertia "
+            "and that all numbers of the state are finite"
+        )
+    if status == PROJECTION_FAILED:
+        return (
+            "the state could not be projected back onto the joints; take smaller steps (a smaller "
+            "`accuracy` or `step`), or look for a motion that the joints cannot follow"
+        )
+    if status == CALLBACK_FAILED:
+        return "a callback failed"
+    return f"the evaluation failed (status {status})"
+
+
+def _residuals(system: System, q_o: np.ndarray, qdd: np.ndarray, force: np.ndarray) -> Residuals:
+    """Put the result back into the equations, with matrices that were not factored."""
+    plant, b, work = system.plant, system.buffers, system.work
+    h, h_o, c = b.h.copy(), b.h_o.copy(), b.c.copy()
+    update_kinematics(system.book())
+    arm = constraint = 0.0
+    on_object = b.inertia @ q_o - h_o - b.Wo.T @ force
+    for i in range(len(system.arm_names)):
+        d = slice(work.dofs[i], work.dofs[i + 1])
+        r = slice(work.rows[i], work.rows[i + 1])
+        W = work.Y[i, : d.stop - d.start, : r.stop - r.start]
+        M = inertia_view(plant.pointers[i], d.stop - d.start)
+        arm = max(arm, float(np.max(np.abs(M @ qdd[d] - h[d] - W @ force[r]))))
+        gap = b.Wo[r] @ q_o + W.T @ qdd[d] - c[r]
+        constraint = max(constraint, float(np.max(np.abs(gap), initial=0.0)))
+    return Residuals(arm, float(np.max(np.abs(on_object))), constraint)
+
+
+def _unique_forces(system: System) -> np.ndarray:
+    """Which contact forces are determined: all, when every arm's elimination succeeded."""
+    if not system.plant.dense[0]:
+        return np.ones(system.constraint_count, dtype=bool)
+    update_kinematics(system.book())
+    matrix = constraint_matrix(system)
+    _, singular, vt = np.linalg.svd(matrix)
+    rank = int(np.sum(singular > 1e-9 * singular[0]))
+    return np.linalg.norm(vt[rank:], axis=0) < 1e-7
+
+
+def constraint_matrix(system: System) -> np.ndarray:
+    """Stacked constraint matrix ``[W_o; W]`` at the kinematics in the buffers, (6 + n, N).
+
+    Columns and rows are scaled so that its singular values can be compared: joint and object
+    coordinates by the square root of their inertia, contacts to unit length.
+    """
+    b, work = system.buffers, system.work
+    matrix = np.zeros((6 + system.layout.joints, system.constraint_count))
+    scale = np.empty(6 + system.layout.joints)
+    matrix[:6] = b.Wo.T
+    scale[:6] = np.sqrt(np.diag(b.inertia))
+    for i in range(len(system.arm_names)):
+        d = slice(work.dofs[i], work.dofs[i + 1])
+        r = slice(work.rows[i], work.rows[i + 1])
+        n = d.stop - d.start
+        matrix[6 + d.start : 6 + d.stop, r] = work.Y[i, :n, : r.stop - r.start]
+        scale[6 + d.start : 6 + d.stop] = np.sqrt(
+            np.diag(inertia_view(system.plant.pointers[i], n))
+        )
+    matrix /= scale[:, None]
+    return matrix / np.linalg.norm(matrix, axis=0)
+
+
+def _contact_terms(system: System) -> dict[str, ContactTerms]:
+    """Contact matrices of every arm at the kinematics in the buffers."""
+    b = system.buffers
+    terms = {}
+    for i, name in enumerate(system.arm_names):
+        rows = range(system.layout.rows[i], system.layout.rows[i + 1])
+        tip = _tip_kinematics(system, name, b.arms[i])
+        columns = np.zeros((4, len(rows), 6))
+        for k, row in enumerate(rows):
+            contact_matrices(
+                system.plant.codes[row], system.plant.geometry[row], b.arms[i], b.body, tip,
+                *columns[:, k],
+            )  # fmt: skip
+        contacts = b.contacts[rows.start : rows.stop]
+        radius = system.plant.geometry[rows.start : rows.stop, TIP_RADIUS]
+        normals = contacts[:, NORMAL : NORMAL + 3].copy()
+        on_arm = np.where(system.plant.codes[rows.start : rows.stop, 1] == 0, 1.0, -1.0)
+        W_m, W_o, W_m_dot, W_o_dot = (column.T.copy() for column in columns)
+        terms[name] = ContactTerms(
+            W_m=W_m,
+            W_o=W_o,
+            W_m_dot=W_m_dot,
+            W_o_dot=W_o_dot,
+            c=-contacts[:, GAP_BIAS],
+            phi=contacts[:, GAP].copy(),
+            phi_dot=contacts[:, GAP_RATE].copy(),
+            points=contacts[:, AT : AT + 3] + (on_arm * radius)[:, None] * normals,
+            normals=normals,
+        )
+    return terms
+
+
+def _tip_kinematics(system: System, name: str, link: np.ndarray) -> np.ndarray:
+    """Kinematics of the tip frame from those of the link it is fixed to, a row of 24."""
+    arm = system.arms[name]
+    tip = np.zeros(BODY_WIDTH)
+    rotation = link[:9].reshape(3, 3)
+    offset = rotation @ arm.tip_translation
+    omega, alpha = link[15:18], link[21:24]
+    tip[:9] = (rotation @ arm.tip_rotation).ravel()
+    tip[9:12] = link[9:12] + offset
+    tip[12:15] = link[12:15] + np.cross(omega, offset)
+    tip[15:18] = omega
+    tip[18:21] = link[18:21] + np.cross(alpha, offset) + np.cross(omega, np.cross(omega, offset))
+    tip[21:24] = alpha
+    return tip

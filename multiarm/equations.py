@@ -1,0 +1,302 @@
+r"""The equations of motion of a compiled scene, evaluated in compiled code.
+
+One evaluation is: Pinocchio updates the terms of all arms (one callback), then for every arm the
+motion of its last link, its contact rows and the elimination of the node algorithm, then the
+object's 6 by 6 system and the accelerations.  Data flow, all in world axes:
+
+.. code-block:: text
+
+    positions, velocities -> Pinocchio -> M, b, J, link motion --+
+                          -> object     -> pose, inertia, bias --+-> contacts -> W_o, W, c, phi
+                          -> control, effects -> h                              |
+                                         accelerations, contact forces <- node <+
+
+The arrays are those of :mod:`multiarm.plant`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.contacts.kernel import (
+    ACCELERATION,
+    AT,
+    GAP,
+    GAP_BIAS,
+    GAP_RATE,
+    NORMAL,
+    ORIGIN_AT,
+    SPIN,
+    SPIN_RATE,
+    VELOCITY,
+    contact_kinematics,
+    relative_motion,
+)
+from multiarm.contacts.records import SURFACE_ON_OBJECT
+from multiarm.control import control_torques
+from multiarm.effects.program import apply_effects
+from multiarm.lowlevel import call_back, floats_at, inner, inner_inlined, kernel
+from multiarm.node.regular import eliminate, solve
+from multiarm.plant import (
+    BIAS_AT,
+    CALL_DENSE,
+    CALL_TERMS,
+    DRIFT_AT,
+    GRAVITY_AT,
+    J_AT,
+    M_AT,
+    M_STRIDE,
+    POSE_AT,
+    TWIST_AT,
+    open_book,
+)
+from multiarm.spatial import write_matrix
+
+# Results of an evaluation; k >= 0 means that the elimination failed at arm k (or at the object).
+OK, CALLBACK_FAILED = -1, -2
+
+
+@inner_inlined
+def fill_configuration(plant, buffers):
+    """Write Pinocchio's configuration from the joint positions."""
+    for j in range(buffers.angles.size):
+        slot = plant.q_slots[j]
+        if plant.circular[j] != 0:
+            buffers.q[slot] = np.cos(buffers.angles[j])
+            buffers.q[slot + 1] = np.sin(buffers.angles[j])
+        else:
+            buffers.q[slot] = buffers.angles[j]
+
+
+@inner_inlined
+def object_terms(plant, buffers):
+    """Pose, motion, inertia ``blkdiag(m I, R I R^T)`` and bias of the object (thesis, 3.2)."""
+    body, inertia, h_o = buffers.body, buffers.inertia, buffers.h_o
+    write_matrix(buffers.position[3:7], body)
+    for k in range(3):
+        body[ORIGIN_AT + k] = buffers.position[k]
+        body[VELOCITY + k] = buffers.twist[k]
+        body[SPIN + k] = buffers.twist[3 + k]
+    I = plant.object_inertia  # noqa: E741
+    for a in range(3):
+        t0 = body[3 * a] * I[0, 0] + body[3 * a + 1] * I[1, 0] + body[3 * a + 2] * I[2, 0]
+        t1 = body[3 * a] * I[0, 1] + body[3 * a + 1] * I[1, 1] + body[3 * a + 2] * I[2, 1]
+        t2 = body[3 * a] * I[0, 2] + body[3 * a + 1] * I[1, 2] + body[3 * a + 2] * I[2, 2]
+        inertia[a, a] = plant.object_mass[0]
+        for b in range(3):
+            inertia[3 + a, 3 + b] = t0 * body[3 * b] + t1 * body[3 * b + 1] + t2 * body[3 * b + 2]
+    w0, w1, w2 = body[SPIN], body[SPIN + 1], body[SPIN + 2]
+    l0 = inertia[3, 3] * w0 + inertia[3, 4] * w1 + inertia[3, 5] * w2
+    l1 = inertia[4, 3] * w0 + inertia[4, 4] * w1 + inertia[4, 5] * w2
+    l2 = inertia[5, 3] * w0 + inertia[5, 4] * w1 + inertia[5, 5] * w2
+    for k in range(3):
+        h_o[k] = plant.object_mass[0] * plant.gravity[k]
+    h_o[3] = w2 * l1 - w1 * l2
+    h_o[4] = w0 * l2 - w2 * l0
+    h_o[5] = w1 * l0 - w0 * l1
+
+
+@inner_inlined
+def link_motion(pointers, gravity, row):
+    """Motion of the link that carries an arm's tip, in world axes, from Pinocchio's own arrays.
+
+    Pinocchio gives twist and spatial acceleration in link axes, the latter with gravity taken off;
+    the classical acceleration of the origin is ``a + omega x v``.
+    """
+    pose = floats_at(pointers[POSE_AT], 12)
+    v = floats_at(pointers[TWIST_AT], 6)
+    a = floats_at(pointers[DRIFT_AT], 6)
+    l0 = a[0] + v[4] * v[2] - v[5] * v[1]
+    l1 = a[1] + v[5] * v[0] - v[3] * v[2]
+    l2 = a[2] + v[3] * v[1] - v[4] * v[0]
+    for k in range(3):
+        r0, r1, r2 = pose[k], pose[3 + k], pose[6 + k]  # stored by columns
+        row[3 * k], row[3 * k + 1], row[3 * k + 2] = r0, r1, r2
+        row[ORIGIN_AT + k] = pose[9 + k]
+        row[VELOCITY + k] = r0 * v[0] + r1 * v[1] + r2 * v[2]
+        row[SPIN + k] = r0 * v[3] + r1 * v[4] + r2 * v[5]
+        row[ACCELERATION + k] = r0 * l0 + r1 * l1 + r2 * l2 + gravity[k]
+        row[SPIN_RATE + k] = r0 * a[3] + r1 * a[4] + r2 * a[5]
+
+
+@inner_inlined
+def arm_rows(i, plant, buffers, work):
+    """Contact kinematics of arm ``i``, its rows of ``W_o`` and its ``W`` (into ``work.Y``)."""
+    d = work.dofs[i + 1] - work.dofs[i]
+    first = work.rows[i]
+    m = work.rows[i + 1] - first
+    J = floats_at(plant.pointers[i, J_AT], 6 * d)  # column by column
+    x0, x1, x2 = buffers.body[ORIGIN_AT], buffers.body[ORIGIN_AT + 1], buffers.body[ORIGIN_AT + 2]
+    Y, wrench = work.Y[i], buffers.wrench
+    arm, body, relative = buffers.arms[i], buffers.body, buffers.relative
+    seen_from = -1
+    for k in range(m):
+        row, geometry = buffers.contacts[first + k], plant.geometry[first + k]
+        kind, surface_body = plant.codes[first + k, 0], plant.codes[first + k, 1]
+        if surface_body == SURFACE_ON_OBJECT:
+            if seen_from != surface_body:
+                relative_motion(arm, body, relative)
+            contact_kinematics(kind, -1.0, geometry, arm, body, relative, row)
+        else:
+            if seen_from != surface_body:
+                relative_motion(body, arm, relative)
+            contact_kinematics(kind, 1.0, geometry, body, arm, relative, row)
+        seen_from = surface_body
+        e0, e1, e2 = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
+        p0, p1, p2 = row[AT], row[AT + 1], row[AT + 2]
+        Wo = buffers.Wo[first + k]
+        Wo[0], Wo[1], Wo[2] = e0, e1, e2
+        Wo[3] = (p1 - x1) * e2 - (p2 - x2) * e1
+        Wo[4] = (p2 - x2) * e0 - (p0 - x0) * e2
+        Wo[5] = (p0 - x0) * e1 - (p1 - x1) * e0
+        # the arm takes the opposite wrench; Pinocchio's Jacobian is about the world's origin
+        wrench[0, k], wrench[1, k], wrench[2, k] = -e0, -e1, -e2
+        wrench[3, k] = p2 * e1 - p1 * e2
+        wrench[4, k] = p0 * e2 - p2 * e0
+        wrench[5, k] = p1 * e0 - p0 * e1
+    for j in range(d):
+        j0, j1, j2 = J[6 * j], J[6 * j + 1], J[6 * j + 2]
+        j3, j4, j5 = J[6 * j + 3], J[6 * j + 4], J[6 * j + 5]
+        for k in range(m):
+            Y[j, k] = (
+                j0 * wrench[0, k]
+                + j1 * wrench[1, k]
+                + j2 * wrench[2, k]
+                + (j3 * wrench[3, k] + j4 * wrench[4, k] + j5 * wrench[5, k])
+            )
+
+
+@inner_inlined
+def load_inertia(i, plant, work):
+    """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.L``."""
+    d = work.dofs[i + 1] - work.dofs[i]
+    stride = plant.pointers[i, M_STRIDE]
+    M = floats_at(plant.pointers[i, M_AT], d * stride)
+    L = work.L[i]
+    for a in range(d):
+        for b in range(a + 1):
+            L[a, b] = M[a * stride + b]
+
+
+@kernel
+def update_kinematics(book):
+    """Pinocchio's terms, the object's, and all contact rows at the state in the buffers.
+
+    Leaves W in ``work.Y`` and the inertias in ``work.L``, ready for the elimination.  Returns ``OK``
+    or ``CALLBACK_FAILED``.
+    """
+    plant, buffers, work = open_book(book)
+    fill_configuration(plant, buffers)
+    call_back(plant.calls[CALL_TERMS])
+    if buffers.flag[0] != 0:
+        return CALLBACK_FAILED
+    object_terms(plant, buffers)
+    for i in range(plant.pointers.shape[0]):
+        link_motion(plant.pointers[i], plant.gravity, buffers.arms[i])
+        arm_rows(i, plant, buffers, work)
+        load_inertia(i, plant, work)
+    return OK
+
+
+@inner_inlined
+def right_hand_sides(plant, buffers, work, alpha, beta):
+    """Forces ``h`` from bias, control and effects, and ``c`` with feedback on the drift.
+
+    ``c = -phi''|_0 - 2 alpha phi' - beta^2 phi`` (thesis, 4.3 and Example 4.2).
+    """
+    h, v = buffers.h, buffers.v
+    for i in range(plant.pointers.shape[0]):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        bias = floats_at(plant.pointers[i, BIAS_AT], d)
+        for j in range(d):
+            h[d0 + j] = -bias[j]
+    power = 0.0
+    if plant.control.shape[0] > 0:
+        load_gravity_torque(plant, buffers, work)
+        control_torques(
+            buffers.time[0], buffers.angles, plant.control, plant.parameters, plant, buffers, work
+        )
+        for j in range(h.size):
+            h[j] += buffers.torque[j]
+            power += buffers.torque[j] * v[j]
+    power += apply_effects(plant.effects, plant.parameters, v, h)
+    buffers.power[0] = power
+    for k in range(buffers.c.size):
+        row = buffers.contacts[k]
+        buffers.c[k] = -(row[GAP_BIAS] + 2.0 * alpha * row[GAP_RATE] + beta * beta * row[GAP])
+
+
+@inner_inlined
+def load_gravity_torque(plant, buffers, work):
+    """Copy the joints' gravity forces; Pinocchio fills them only when the control asks for them."""
+    for i in range(plant.pointers.shape[0]):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        g = floats_at(plant.pointers[i, GRAVITY_AT], d)
+        for j in range(d):
+            buffers.gravity_torque[d0 + j] = g[j]
+
+
+@kernel
+def solve_constrained(book):
+    """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``buffers``.
+
+    Needs :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``, or the number of the
+    arm (or of the object, behind the arms) whose elimination failed.
+    """
+    plant, buffers, work = open_book(book)
+    if plant.dense[0] != 0:
+        call_back(plant.calls[CALL_DENSE])
+        return CALLBACK_FAILED if buffers.flag[0] != 0 else OK
+    failed = eliminate(work, buffers.Wo, buffers.inertia)
+    if failed >= 0:
+        return failed
+    solve(work, buffers.h_o, buffers.h, buffers.c, buffers.q_o, buffers.qdd, buffers.force)
+    return OK
+
+
+@kernel
+def evaluate_buffers(book, alpha, beta):
+    """Evaluate the state in the buffers; returns ``OK`` or what went wrong.
+
+    Reads ``time, position, angles, twist, v``; writes everything else.  ``alpha`` [1/s] and ``beta``
+    [1/s] are the gains of the drift feedback (0: none).
+    """
+    status = update_kinematics(book)
+    if status != OK:
+        return status
+    plant, buffers, work = open_book(book)
+    right_hand_sides(plant, buffers, work, alpha, beta)
+    if buffers.flag[0] != 0:
+        return CALLBACK_FAILED
+    return solve_constrained(book)
+
+
+@inner
+def kinetic_energy(plant, buffers, work):
+    """Kinetic energy of arms and object [J] at the state evaluated last."""
+    energy = 0.0
+    for i in range(plant.pointers.shape[0]):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        stride = plant.pointers[i, M_STRIDE]
+        M = floats_at(plant.pointers[i, M_AT], d * stride)
+        for a in range(d):
+            va = buffers.v[d0 + a]
+            energy += 0.5 * M[a * stride + a] * va * va
+            for b in range(a):
+                energy += M[a * stride + b] * va * buffers.v[d0 + b]
+    twist = buffers.twist
+    for a in range(6):
+        for b in range(6):
+            energy += 0.5 * twist[a] * buffers.inertia[a, b] * twist[b]
+    return energy
+
+
+@kernel
+def largest(contacts, column):
+    """Largest magnitude in one column of the contact kinematics (NaN stays NaN)."""
+    worst = 0.0
+    for k in range(contacts.shape[0]):
+        size = abs(contacts[k, column])
+        if not size <= worst:
+            worst = size
+    return worst

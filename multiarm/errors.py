@@ -1,0 +1,83 @@
+"""One exception per kind of trouble, each with a message that is complete in itself.
+
+Every error that multiarm raises on purpose derives from :class:`MultiarmError`. Its text names
+the place, what was wrong there and the remedy, so that a program can show ``str(error)`` as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+__all__ = [
+    "ControlError",
+    "GraspError",
+    "ModelError",
+    "MultiarmError",
+    "ReplayError",
+    "SceneError",
+    "SolverError",
+    "TrajectoryError",
+]
+
+
+class MultiarmError(Exception):
+    """Base class of all errors that multiarm raises on purpose."""
+
+
+class SceneError(MultiarmError):
+    """A scene cannot be used as it is written.
+
+    Parameters
+    ----------
+    faults : iterable of str, or str
+        Every fault found, each one complete: place, value, alternatives, remedy.
+    source : str, optional
+        Where the scene came from (a file name), named on the first line of the message.
+
+    Attributes
+    ----------
+    faults : list of str
+        The faults, one text each.
+    source : str or None
+        The file the scene came from, when it came from one.
+    """
+
+    def __init__(self, faults: Iterable[str] | str, source: str | None = None) -> None:
+        self.faults: list[str] = [faults] if isinstance(faults, str) else list(faults)
+        self.source = source
+        super().__init__(_scene_message(self.faults, source))
+
+    def __reduce__(self) -> tuple[type, tuple[list[str], str | None]]:
+        return type(self), (self.faults, self.source)
+
+
+class ModelError(MultiarmError):
+    """A robot description (URDF, meshes, inertias) cannot be turned into an arm."""
+
+
+class SolverError(MultiarmError):
+    """The equations of motion or the integration cannot be carried out as asked."""
+
+
+class ControlError(MultiarmError):
+    """A controller or an effect was given, or returned, something that cannot be applied."""
+
+
+class TrajectoryError(MultiarmError):
+    """A trajectory file cannot be written, read or interpreted."""
+
+
+class ReplayError(MultiarmError):
+    """A trajectory cannot be shown or exported."""
+
+
+class GraspError(MultiarmError):
+    """The contacts between the arms and the object do not hold the object as intended."""
+
+
+def _scene_message(faults: list[str], source: str | None) -> str:
+    if source is None and len(faults) == 1:
+        return faults[0]
+    count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
+    head = f"{source}: {count}" if source else f"the scene has {count}"
+    return "\n".join([f"{head}:", *(f"  {fault}" for fault in faults)])

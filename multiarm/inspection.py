@@ -1,0 +1,194 @@
+"""Records of what a scene compiles to: plain facts in named fields, ready for a table or for JSON.
+
+:func:`multiarm.checking.inspect_system` fills them in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from multiarm.assembly import StartReport
+from multiarm.dynamics import Residuals
+from multiarm.trajectory import plain
+
+__all__ = [
+    "ArmFacts",
+    "Carrying",
+    "Freedom",
+    "Inspection",
+    "JointFacts",
+    "ObjectFacts",
+    "RunFacts",
+]
+
+
+@dataclass(frozen=True)
+class ObjectFacts:
+    """The common object: words for its shape, mass [kg], inertia about the centre of mass in object
+    axes [kg m^2], start pose in the world [m].
+    """
+
+    shape: str
+    mass: float
+    inertia: list[list[float]]
+    position: list[float]
+    quaternion_xyzw: list[float]
+
+
+@dataclass(frozen=True)
+class ArmFacts:
+    """One arm.
+
+    Attributes
+    ----------
+    robot : str
+        Name of the robot, or of its URDF file.
+    urdf : str
+        The file itself.
+    tool : str or None
+        Name of the tool, or of its URDF file.
+    tip : str
+    base_position, base_quaternion_xyzw : list of float
+        Of the root link in the world [m].
+    joints : dict joint -> "rad" or "m"
+        Base to tip.
+    posture : list of float
+        At the (assembled) start [rad, m].
+    locked : dict joint -> float
+        Joints that are held fixed [rad, m].
+    conditioning : float or None
+        Smallest relative pivot at the start; None where the dense solver is used.
+    verdict : str or None
+        "good" or "near singular".
+    """
+
+    robot: str
+    urdf: str
+    tool: str | None
+    tip: str
+    base_position: list[float]
+    base_quaternion_xyzw: list[float]
+    joints: dict[str, str]
+    posture: list[float]
+    locked: dict[str, float]
+    conditioning: float | None
+    verdict: str | None
+
+
+@dataclass(frozen=True)
+class JointFacts:
+    """The joint of one arm to the object: its kind, its name, and the names of its contacts."""
+
+    arm: str
+    kind: str
+    name: str | None
+    rows: list[str]
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """How many ways the system can move at its start.
+
+    Attributes
+    ----------
+    degrees_of_freedom : int
+        Of the parts: 6 for the object, one a joint.
+    constraints, rank, mobility : int
+        Contacts, how many of them are independent, and what freedom is left.
+    redundant_rows : list of str
+        Contacts that depend on each other; empty when all are independent.
+    smallest_kept, largest_dropped : float or None
+        Relative singular values on both sides of the rank decision: far apart when it is clear.
+    """
+
+    degrees_of_freedom: int
+    constraints: int
+    rank: int
+    mobility: int
+    redundant_rows: list[str]
+    smallest_kept: float | None
+    largest_dropped: float | None
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """The settings that a run will have: times [s], tolerance of one step [m, rad; m/s, rad/s]."""
+
+    duration: float
+    integrator: str
+    accuracy: float | None
+    tolerance: float | None
+    step: float | None
+    stabilization: str
+    output_step: float
+    solver: str
+
+
+@dataclass(frozen=True)
+class Carrying:
+    """Whether the contacts can carry the object at rest.
+
+    Attributes
+    ----------
+    possible : bool
+    force_residual, moment_residual : float
+        What the best contact forces leave of the object's weight [N] and of its moment about the
+        centre of mass [N m].
+    largest_force : float
+        Largest of these contact forces [N].
+    """
+
+    possible: bool
+    force_residual: float
+    moment_residual: float
+    largest_force: float
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What a scene compiles to.
+
+    Attributes
+    ----------
+    scene : str
+    gravity : list of float or None
+        [m/s^2]; None where there is none.
+    object : ObjectFacts
+    arms : dict arm -> ArmFacts
+    joints : list of JointFacts
+    freedom : Freedom
+    effects : list of str
+        Effects that are modelled, gravity among them.
+    control : str
+    run : RunFacts
+    start : StartReport
+        How far the written start was off, and what was corrected.
+    position_residual, velocity_residual : float
+        Largest gap [m] and gap rate [m/s] of the assembled start.
+    residuals : Residuals
+        Of the equations of motion at the start.
+    carrying : Carrying or None
+        None where the control does not carry the object, or nothing has weight.
+    warnings : list of str
+    """
+
+    scene: str
+    gravity: list[float] | None
+    object: ObjectFacts
+    arms: dict[str, ArmFacts]
+    joints: list[JointFacts]
+    freedom: Freedom
+    effects: list[str]
+    control: str
+    run: RunFacts
+    start: StartReport
+    position_residual: float
+    velocity_residual: float
+    residuals: Residuals
+    carrying: Carrying | None
+    warnings: list[str]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain dictionaries and lists under the names above; what is not finite is None."""
+        return plain(asdict(self))

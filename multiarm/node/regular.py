@@ -1,0 +1,260 @@
+r"""The node algorithm: the object's acceleration first, then each arm on its own.
+
+The system (thesis, 4.9; :math:`\lambda = -\mu` is the physical contact force, positive = pushing)
+
+.. math::
+    M_o q_o = h_o + \sum_i W_{oi} \lambda_i, \qquad
+    M_i q_i = h_i + W_i \lambda_i, \qquad
+    W_{oi}^T q_o + W_i^T q_i = c_i
+
+is solved without ever assembling it.  With the Cholesky factor :math:`M_i = L_i L_i^T` of every arm,
+
+.. math::
+    Y_i = L_i^{-1} W_i, \quad K_i = Y_i^T Y_i = G_i G_i^T, \quad Z_i = G_i^{-1} W_{oi}^T, \quad
+    S = M_o + \sum_i Z_i^T Z_i
+
+is the *elimination*, which depends on the configuration only, and
+
+.. math::
+    y_i = L_i^{-1} h_i, \quad z_i = G_i^{-1}(c_i - Y_i^T y_i), \quad
+    q_o = S^{-1}\big(h_o + \sum_i Z_i^T z_i\big), \quad
+    \lambda_i = G_i^{-T}(z_i - Z_i q_o), \quad q_i = L_i^{-T}(y_i + Y_i \lambda_i)
+
+the *solution* for one right-hand side: accelerations, velocity projections and position corrections
+alike (thesis, 4.10 - 4.12).  The work grows linearly with the number of arms; ``S`` stays 6 by 6.
+
+It exists when every ``K_i`` is regular, that is when each arm can move along all of its own
+constraint directions.  The smallest pivot of ``K_i`` relative to its diagonal (the pivot after Jacobi
+scaling) measures how far that is from failing; it is returned, never repaired in silence.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.lowlevel import inlined, inner_inlined, kernel
+
+# Relative pivots below this mean: singular in double precision.
+PIVOT_TOLERANCE = 1e-13
+
+
+class NodeWork(NamedTuple):
+    """Arrays of the elimination.  ``n`` arms, at most ``d`` joints and ``m`` contacts an arm.
+
+    dofs, rows : int64 (n + 1,)
+        Where each arm's joints and contacts start in the stacked vectors.
+    L : (n, d, d), Y : (n, d, m), G : (n, m, m), Z : (n, m, 6)
+        Factors as in the module's text; the lower triangles of L and G, diagonals inverted.
+    S : (6, 6)
+        Cholesky factor of the node matrix, lower triangle, diagonal inverted.
+    y : (dofs[n],), z : (rows[n],)
+        Intermediate vectors of a solution.
+    pivot : (n + 1,)
+        Smallest relative pivot of each ``K_i``, and of ``S`` last.
+    """
+
+    dofs: np.ndarray
+    rows: np.ndarray
+    L: np.ndarray
+    Y: np.ndarray
+    G: np.ndarray
+    Z: np.ndarray
+    S: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    pivot: np.ndarray
+
+
+def make_work(dofs: list[int], rows: list[int]) -> NodeWork:
+    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
+    n, d, m = len(dofs), max(dofs), max(rows)
+    return NodeWork(
+        dofs=np.concatenate([[0], np.cumsum(dofs)]).astype(np.int64),
+        rows=np.concatenate([[0], np.cumsum(rows)]).astype(np.int64),
+        L=np.zeros((n, d, d)),
+        Y=np.zeros((n, d, m)),
+        G=np.zeros((n, m, m)),
+        Z=np.zeros((n, m, 6)),
+        S=np.zeros((6, 6)),
+        y=np.zeros(sum(dofs)),
+        z=np.zeros(sum(rows)),
+        pivot=np.ones(n + 1),
+    )
+
+
+@kernel
+def factor_in_place(A, n):
+    """Cholesky factor of ``A[:n, :n]`` into its lower triangle, the diagonal inverted.
+
+    Returns the smallest pivot relative to its diagonal entry; the factor is usable only when that is
+    positive (and not NaN).
+    """
+    smallest = 1.0
+    for j in range(n):
+        diagonal = A[j, j]
+        if not diagonal > 0.0:
+            return 0.0
+        pivot = diagonal
+        for k in range(j):
+            pivot -= A[j, k] * A[j, k]
+        relative = pivot / diagonal
+        if not relative > 0.0:
+            return relative if relative < 0.0 else 0.0
+        smallest = min(smallest, relative)
+        inverse = 1.0 / math.sqrt(pivot)
+        A[j, j] = inverse
+        for i in range(j + 1, n):
+            s = A[i, j]
+            for k in range(j):
+                s -= A[i, k] * A[j, k]
+            A[i, j] = s * inverse
+    return smallest
+
+
+@inner_inlined
+def eliminate_arm(i, work, Wo):
+    """Factor arm ``i`` and add its share to the node matrix.
+
+    On entry ``work.L[i]`` holds the arm's inertia (lower triangle), ``work.Y[i]`` its ``W`` (one
+    column a contact) and ``Wo`` (sum of rows, 6) the object's rows; on return the factors.
+    Returns the smallest relative pivot (0 when the arm is singular).
+    """
+    n = work.dofs[i + 1] - work.dofs[i]
+    first = work.rows[i]
+    m = work.rows[i + 1] - first
+    L, Y, G, Z, S = work.L[i], work.Y[i], work.G[i], work.Z[i], work.S
+    inertia_pivot = factor_in_place(L, n)
+    if not inertia_pivot > 0.0:
+        return inertia_pivot
+    for j in range(n):
+        for k in range(j):
+            factor = L[j, k]
+            for a in range(m):
+                Y[j, a] -= factor * Y[k, a]
+        inverse = L[j, j]
+        for a in range(m):
+            Y[j, a] *= inverse
+    for a in range(m):
+        for b in range(a + 1):
+            G[a, b] = 0.0
+    for j in range(n):
+        for a in range(m):
+            factor = Y[j, a]
+            for b in range(a + 1):
+                G[a, b] += factor * Y[j, b]
+    pivot = factor_in_place(G, m)
+    if not pivot > PIVOT_TOLERANCE:
+        return pivot
+    for a in range(m):
+        for k in range(6):
+            Z[a, k] = Wo[first + a, k]
+        for b in range(a):
+            factor = G[a, b]
+            for k in range(6):
+                Z[a, k] -= factor * Z[b, k]
+        inverse = G[a, a]
+        for k in range(6):
+            Z[a, k] *= inverse
+    for a in range(m):
+        for k in range(6):
+            factor = Z[a, k]
+            for l in range(k + 1):  # noqa: E741
+                S[k, l] += factor * Z[a, l]
+    return pivot
+
+
+@inlined
+def eliminate(work, Wo, object_inertia):
+    """Factor the whole system; returns -1, or the number of the arm (n: the object) that failed.
+
+    ``object_inertia`` (6, 6) is the object's M_o in world axes; the arms' data are on entry as in
+    :func:`eliminate_arm`.  The pivots are left in ``work.pivot``.
+    """
+    n = work.dofs.size - 1
+    for k in range(6):
+        for l in range(k + 1):  # noqa: E741
+            work.S[k, l] = object_inertia[k, l]
+    for i in range(n):
+        pivot = eliminate_arm(i, work, Wo)
+        work.pivot[i] = pivot
+        if not pivot > PIVOT_TOLERANCE:
+            return i
+    pivot = factor_in_place(work.S, 6)
+    work.pivot[n] = pivot
+    return -1 if pivot > 0.0 else n
+
+
+@inlined
+def solve(work, h_o, h, c, q_o, q, force):
+    """Solve the eliminated system for one right-hand side.
+
+    Parameters
+    ----------
+    h_o : (6,), h : (sum of joints,), c : (sum of rows,)
+        Right-hand sides, arms stacked.
+    q_o : (6,), q : (sum of joints,), force : (sum of rows,), written
+        Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
+    """
+    n = work.dofs.size - 1
+    S, y, z = work.S, work.y, work.z
+    for k in range(6):
+        q_o[k] = h_o[k]
+    for i in range(n):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+        L, Y, G, Z = work.L[i], work.Y[i], work.G[i], work.Z[i]
+        for a in range(m):
+            z[r0 + a] = c[r0 + a]
+        for j in range(d):
+            s = h[d0 + j]
+            for k in range(j):
+                s -= L[j, k] * y[d0 + k]
+            s *= L[j, j]
+            y[d0 + j] = s
+            for a in range(m):
+                z[r0 + a] -= Y[j, a] * s
+        for a in range(m):
+            s = z[r0 + a]
+            for b in range(a):
+                s -= G[a, b] * z[r0 + b]
+            s *= G[a, a]
+            z[r0 + a] = s
+            for k in range(6):
+                q_o[k] += Z[a, k] * s
+    for j in range(6):
+        s = q_o[j]
+        for k in range(j):
+            s -= S[j, k] * q_o[k]
+        q_o[j] = s * S[j, j]
+    for j in range(5, -1, -1):
+        s = q_o[j]
+        for k in range(j + 1, 6):
+            s -= S[k, j] * q_o[k]
+        q_o[j] = s * S[j, j]
+    for i in range(n):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+        L, Y, G, Z = work.L[i], work.Y[i], work.G[i], work.Z[i]
+        for a in range(m):
+            s = z[r0 + a]
+            for k in range(6):
+                s -= Z[a, k] * q_o[k]
+            force[r0 + a] = s
+        for a in range(m - 1, -1, -1):
+            s = force[r0 + a] * G[a, a]
+            force[r0 + a] = s
+            for b in range(a):
+                force[r0 + b] -= G[a, b] * s
+        for j in range(d):
+            s = y[d0 + j]
+            for a in range(m):
+                s += Y[j, a] * force[r0 + a]
+            q[d0 + j] = s
+        for j in range(d - 1, -1, -1):
+            s = q[d0 + j] * L[j, j]
+            q[d0 + j] = s
+            for k in range(j):
+                q[d0 + k] -= L[j, k] * s

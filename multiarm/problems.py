@@ -1,0 +1,81 @@
+"""Named systems with known properties, shared by tests, examples and benchmarks."""
+
+from __future__ import annotations
+
+import math
+
+from multiarm.scene import Scene
+
+# Start of every arm in the ring scene: tool0 is 0.55 m in front of its base.
+RING_POSTURE = (-0.23, -1.2776, 1.3374, 0.4754, 1.372, -0.1166)
+_REACH = 0.55
+
+
+def ring_of_arms(
+    arms: int = 2,
+    kind: str = "weld",
+    *,
+    duration: float = 1.0,
+    accuracy: float = 1e-6,
+    frequency: float = 4.0,
+) -> Scene:
+    """``arms`` UR5 arms around a disc: the scene of the scaling benchmark.
+
+    The bases stand on a circle of radius ``max(0.8, 0.25 / sin(pi / n))`` m and face inward; the disc
+    is 0.05 m thick, weighs 2.5 kg an arm, its centre of mass is 25 mm below the grips.  The torques
+    hold everything statically and add sinusoids of 3 N m (joints 1 - 3) and 1 N m (joints 4 - 6).
+    The equilibrium is unstable in open loop.
+
+    Parameters
+    ----------
+    arms : int
+        At least 2.
+    kind : str
+        Kind of all joints: weld, ball or revolute (about the tool's z axis).
+    duration, accuracy, frequency : float
+        [s], [m, rad], [Hz]
+    """
+    radius = max(0.8, 0.25 / math.sin(math.pi / arms))
+    names = [f"arm{i}" for i in range(arms)]
+    heading = {name: 2.0 * math.pi * i / arms for i, name in enumerate(names)}
+    height = _grip_height()
+    return Scene(
+        name=f"{arms} UR5 arms around a disc, {kind} joints",
+        gravity=[0.0, 0.0, -9.81],
+        object={
+            "shape": {"cylinder": {"radius": radius - _REACH, "height": 0.05}},
+            "mass": 2.5 * arms,
+            "pose": {"xyz": [0.0, 0.0, height - 0.025]},
+        },
+        arms={
+            name: {
+                "robot": "ur5",
+                "tip": "tool0",
+                "posture": list(RING_POSTURE),
+                "base": {
+                    "xyz": [-radius * math.cos(angle), -radius * math.sin(angle), 0.0],
+                    "rpy": [0.0, 0.0, angle],
+                },
+            }
+            for name, angle in heading.items()
+        },
+        joints=[{"arm": name, "kind": kind} for name in names],
+        control={
+            "kind": "harmonic",
+            "frequency": frequency,
+            "amplitude": {name: [3.0, 3.0, 3.0, 1.0, 1.0, 1.0] for name in names},
+            "phase": {name: [0.7 * i + 1.3 * j for j in range(6)] for i, name in enumerate(names)},
+        },
+        run={"duration": duration, "accuracy": accuracy},
+    )
+
+
+def _grip_height() -> float:
+    """Height of tool0 above the base in ``RING_POSTURE`` [m]."""
+    import numpy as np
+
+    from multiarm.arm import Arm, ArmFiles
+    from multiarm.scene import find_robot
+
+    arm = Arm("arm", ArmFiles(find_robot("ur5").urdf, (), np.eye(4), "tool0", {}))
+    return float(arm.tip_pose(np.array(RING_POSTURE))[2, 3])

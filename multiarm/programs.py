@@ -1,0 +1,261 @@
+"""What the scene names, turned into the programs of control and effects that the kernels run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from multiarm.assembly import follow_object
+from multiarm.control import (
+    GRAVITY_COMPENSATION,
+    HARMONIC,
+    JOINT_PD,
+    pack_harmonic,
+    pack_path,
+    write_holding_torque,
+)
+from multiarm.effects.program import JOINT_DAMPING
+from multiarm.equations import OK, update_kinematics
+from multiarm.errors import ControlError
+from multiarm.plant import Buffers
+from multiarm.scene import Pose, Scene, gain_vector
+from multiarm.state import Layout, State
+
+if TYPE_CHECKING:
+    from multiarm.arm import Arm
+    from multiarm.system import System
+
+ControlFunction = Callable[[float, State], Mapping[str, np.ndarray]]
+
+NO_PROGRAM = np.zeros((0, 2), dtype=np.int64)
+
+# Joint paths are interpolated in so many Chebyshev intervals a segment, doubled until the series has
+# converged to PATH_TOLERANCE [rad, m].
+PATH_INTERVALS = (16, 32, 64, 128)
+PATH_TOLERANCE = 1e-8
+
+
+class Program(NamedTuple):
+    """Pairs (code, offset), the numbers they refer to, and times where smoothness ends."""
+
+    codes: np.ndarray
+    parameters: np.ndarray
+    breakpoints: np.ndarray
+
+
+def needs_gravity_torque(scene: Scene) -> bool:
+    """Whether some part of the control needs the arms' gravity forces at every evaluation."""
+    control = scene.control
+    if scene.gravity is None:
+        return False
+    return control.kind == "gravity_compensation" or (
+        control.kind == "joint_pd" and control.gravity_compensation
+    )
+
+
+def effects_program(scene: Scene, arms: dict[str, Arm]) -> Program:
+    """Program of the effects that the scene names."""
+    codes, parameters = [], np.zeros(0)
+    damping = scene.effects.joint_damping
+    if damping is not None:
+        codes.append((JOINT_DAMPING, parameters.size))
+        parameters = np.concatenate([parameters, _stacked(damping, arms)])
+    return Program(_codes(codes), parameters, np.zeros(0))
+
+
+def control_program(system: System) -> Program:
+    """Program of the scene's control; its parameters follow those that the plant has already."""
+    builder = {
+        "none": lambda _: Program(NO_PROGRAM, np.zeros(0), np.zeros(0)),
+        "constant": _constant,
+        "gravity_compensation": _gravity_compensation,
+        "joint_pd": _joint_pd,
+        "harmonic": _harmonic,
+    }[system.scene.control.kind]
+    program = builder(system)
+    codes = program.codes.copy()
+    codes[:, 1] += system.plant.parameters.size
+    return program._replace(codes=codes)
+
+
+def control_call(function: ControlFunction, layout: Layout, buffers: Buffers):
+    """Function without arguments that writes the torques of a Python controller."""
+
+    def call() -> None:
+        state = State(
+            np.concatenate([buffers.position, buffers.angles]),
+            np.concatenate([buffers.twist, buffers.v]),
+            layout,
+        )
+        torques = function(float(buffers.time[0]), state)
+        _write_torques(torques, layout, buffers)
+
+    return call
+
+
+def _write_torques(torques, layout: Layout, buffers: Buffers) -> None:
+    if not isinstance(torques, Mapping):
+        raise ControlError(
+            f"the controller returned {type(torques).__name__}; return a dict arm -> torques"
+        )
+    views = layout.split_joints(buffers.torque)
+    for arm, values in torques.items():
+        if arm not in views:
+            raise ControlError(
+                f"the controller returned torques for an unknown arm {arm!r}; "
+                f"arms are {', '.join(views)}"
+            )
+        try:
+            vector = np.asarray(values, dtype=float)
+        except (TypeError, ValueError):
+            raise ControlError(
+                f"the controller's torques for arm {arm!r} are not numbers: {values!r}"
+            ) from None
+        if vector.shape != views[arm].shape:
+            raise ControlError(
+                f"the controller returned shape {vector.shape} for arm {arm!r}, "
+                f"expected {views[arm].shape}: one torque a joint"
+            )
+        if not np.all(np.isfinite(vector)):
+            raise ControlError(
+                f"the controller returned a torque that is not finite for arm {arm!r} at "
+                f"t = {buffers.time[0]:.6g} s: {vector.tolist()}"
+            )
+        views[arm][:] = vector
+
+
+def _constant(system: System) -> Program:
+    torques = _stacked(system.scene.control.torques, system.arms)
+    zero = np.zeros_like(torques)
+    return Program(_codes([(HARMONIC, 0)]), pack_harmonic(0.0, torques, zero, zero), np.zeros(0))
+
+
+def _gravity_compensation(system: System) -> Program:
+    codes = [(GRAVITY_COMPENSATION, 0)] if needs_gravity_torque(system.scene) else []
+    return Program(_codes(codes), np.zeros(0), np.zeros(0))
+
+
+def _harmonic(system: System) -> Program:
+    control, arms = system.scene.control, system.arms
+    hold = holding_torque(system) if control.hold else np.zeros(system.layout.joints)
+    parameters = pack_harmonic(
+        control.frequency, hold, _stacked(control.amplitude, arms), _stacked(control.phase, arms)
+    )
+    return Program(_codes([(HARMONIC, 0)]), parameters, np.zeros(0))
+
+
+def _joint_pd(system: System) -> Program:
+    control, arms = system.scene.control, system.arms
+    gains = np.concatenate([_stacked(control.stiffness, arms), _stacked(control.damping, arms)])
+    bounds, coefficients = _reference(system)
+    codes = [(JOINT_PD, 0)]
+    if needs_gravity_torque(system.scene):
+        codes.append((GRAVITY_COMPENSATION, 0))
+    parameters = np.concatenate([gains, pack_path(bounds, coefficients)])
+    return Program(_codes(codes), parameters, bounds if control.path else np.zeros(0))
+
+
+def _reference(system: System) -> tuple[np.ndarray, np.ndarray]:
+    """Segment bounds and Chebyshev coefficients of the joints' reference."""
+    start = system.initial_state()
+    path = system.scene.control.path
+    if path is None:
+        return np.array([0.0, 1.0]), start.position[None, 7:, None]
+    times = [waypoint.time for waypoint in path]
+    poses = [waypoint.matrix() for waypoint in path]
+    if times[0] > 0.0:
+        times.insert(0, 0.0)
+        poses.insert(0, system.scene.object.pose.matrix())
+    carrier = _rigidly_held(system)
+    segments, state = [], carrier.initial_state()
+    for k in range(len(times) - 1):
+        series, state = _segment(carrier, state, poses[k], poses[k + 1], k + 1)
+        segments.append(series)
+    width = max(series.shape[1] for series in segments)
+    padded = [np.pad(series, ((0, 0), (0, width - series.shape[1]))) for series in segments]
+    return np.array(times), np.array(padded)
+
+
+def _rigidly_held(system: System) -> System:
+    """The system with every tip fixed to the object where it is at the start.
+
+    Its motion is one that the joints allow, and it leaves nothing to chance: free motions of a joint
+    stay at rest.  Arms with fewer than six joints cannot hold rigidly; they keep their own joints.
+    """
+    from multiarm.system import compile_system
+
+    scene, start = system.scene, system.initial_state()
+    if all(joint.kind == "weld" for joint in scene.joints):
+        return system
+    joints = []
+    for joint in scene.joints:
+        rigid = system.arms[joint.arm].dof >= 6
+        joints.append({"arm": joint.arm, "kind": "weld"} if rigid else joint)
+    arms = {
+        name: spec.model_copy(update={"posture": tuple(start.joint_positions[name])})
+        for name, spec in scene.arms.items()
+    }
+    pose = {
+        "xyz": start.object_position.tolist(),
+        "quaternion_xyzw": start.object_quaternion_xyzw.tolist(),
+    }
+    body = scene.object.model_copy(update={"pose": Pose(**pose), "twist": None})
+    return compile_system(
+        scene.replace(joints=joints, arms=arms, object=body, control={"kind": "none"})
+    )
+
+
+def _segment(
+    system: System, start: State, begin: np.ndarray, end: np.ndarray, number: int
+) -> tuple[np.ndarray, State]:
+    """Chebyshev series (n, width) of the joints from one waypoint to the next, and the end state.
+
+    The object follows the quintic law of time that begins and ends at rest.  The nodes include both
+    ends, so that segments join without a jump.
+    """
+    for intervals in PATH_INTERVALS:
+        x = -np.cos(np.pi * np.arange(intervals + 1) / intervals)
+        s = 0.5 * (1.0 + x)
+        law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        angles, state = follow_object(system, start, begin, end, law, number)
+        series = np.polynomial.chebyshev.chebfit(x, angles, intervals).T
+        if np.max(np.abs(series[:, -4:])) < PATH_TOLERANCE:
+            return series, state
+    worst = int(np.argmax(np.max(np.abs(series[:, -4:]), axis=1)))
+    joint = [f"{arm}/{joint}" for arm, a in system.arms.items() for joint in a.joint_names][worst]
+    raise ControlError(
+        f"control.path: on the way to waypoint {number} the joints do not move smoothly "
+        f"(worst: {joint}); an arm passes a singular posture there, choose another path or posture"
+    )
+
+
+def holding_torque(system: System) -> np.ndarray:
+    """Constant joint torques that hold the whole system still at its start, shape (n,)."""
+    plant, buffers = system.plant, system.buffers
+    if not np.any(plant.gravity):
+        return np.zeros(system.layout.joints)
+    state = system.initial_state()
+    state.velocity[:] = 0.0
+    system.set_state(0.0, state)
+    if update_kinematics(system.book()) != OK:
+        system.reraise()
+    at = 0
+    for arm, angles in state.joint_positions.items():
+        torque = system.arms[arm].gravity_torque(angles, plant.gravity)
+        buffers.gravity_torque[at : at + torque.size] = torque
+        at += torque.size
+    write_holding_torque(system.book())
+    return buffers.torque.copy()
+
+
+def _stacked(values, arms: dict[str, Arm]) -> np.ndarray:
+    """One number per joint of all arms from a scene's gain, table or list."""
+    return np.concatenate(
+        [gain_vector(values, name, arm.joint_names) for name, arm in arms.items()]
+    )
+
+
+def _codes(pairs: list[tuple[int, int]]) -> np.ndarray:
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)

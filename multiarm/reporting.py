@@ -1,0 +1,262 @@
+"""The report of a run: one self-contained HTML page, to be read, mailed, printed and kept.
+
+The page answers in this order: did the run end well, how good is the result, what happened, and
+how can it be repeated. Figures are inline SVG whose ink follows the page's light or dark theme.
+Nothing is loaded from anywhere.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import warnings
+from collections.abc import Iterable
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib
+import yaml
+from matplotlib.figure import Figure
+
+from multiarm import plots
+from multiarm.errors import TrajectoryError
+from multiarm.reporting_style import CSS
+
+if TYPE_CHECKING:
+    from multiarm.trajectory import Trajectory
+
+SHOWN_EVENTS = 200
+NOTHING, TIMES = "\N{EN DASH}", "\N{MULTIPLICATION SIGN}"
+_CAPTIONS = {
+    "Object": "Centre of mass and orientation in world axes. The rotation vector is the axis of "
+    "the turn since the start times its angle.",
+    "Joint positions": "One panel per arm and unit; joints from base to tip.",
+    "Joint torques": "What the controller applied. Passive effects are not included.",
+    "Contact forces": "Along the contact normals; positive pushes the object.",
+    "Energy": "Work is that of control and effects since the start. What does not add up is "
+    "error of the integration.",
+    "Drift": "How far the contacts are from closing. Zeros are drawn at the bottom.",
+}
+_STATISTICS = {
+    "steps": "Steps",
+    "rejected_steps": "Rejected steps",
+    "evaluations": "Evaluations of the dynamics",
+    "wall_time_s": "Wall time [s]",
+    "realtime_factor": "Simulated time / wall time",
+    "error_estimate": "Error estimate",
+}
+_PREFIXES = ((1, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"), (1e-15, "f"))
+
+
+def report(trajectory: Trajectory, path: str | os.PathLike = "report.html") -> Path:
+    """Write the report of a run.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    path : path-like
+        The HTML file; replaced if it exists.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    TrajectoryError
+        The file cannot be written.
+    """
+    target = Path(path).expanduser()
+    page = render(trajectory)
+    try:
+        target.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise TrajectoryError(
+            f"cannot write '{path}': {os.strerror(error.errno or 0)}; "
+            "name a file in a folder that exists and that you may write to"
+        ) from error
+    return target
+
+
+def render(trajectory: Trajectory) -> str:
+    """The page as text."""
+    summary = trajectory.summary()
+    title = _scene_name(trajectory.scene_text)
+    parts = [
+        _header(title, summary),
+        _cards(summary),
+        *_figures(trajectory),
+        _table("How the run went", _statistics(trajectory, summary)),
+        _certificate(trajectory.certificate),
+        _events(trajectory.events),
+        _scene(trajectory.scene_text),
+        _footer(trajectory.provenance),
+    ]
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)} · multiarm report</title>\n<style>{CSS}</style>\n</head>\n"
+        f"<body>\n<main>\n{''.join(parts)}</main>\n</body>\n</html>\n"
+    )
+
+
+def quantity(value: float | None, unit: str) -> str:
+    """A number of three digits with the prefix that suits it: `quantity(2e-9, "m")` is `2 nm`."""
+    if value is None:
+        return NOTHING
+    value = float(f"{value:.3g}")  # 0.9999 m is 1 m, not 1000 mm
+    if value == 0 or abs(value) >= 1e4 or abs(value) < 1e-15:
+        return f"{value:.3g} {unit}"
+    scale, prefix = next(pair for pair in _PREFIXES if abs(value) >= pair[0])
+    return f"{value / scale:.4g} {prefix}{unit}"
+
+
+def _header(title: str, summary: dict[str, Any]) -> str:
+    status = summary["status"]
+    message = f"<p class='message'>{escape(summary['message'])}</p>" if summary["message"] else ""
+    return (
+        f"<header class='{status}'><p class='kicker'>multiarm · report of a run</p>"
+        f"<h1>{escape(title)}</h1><p class='status'><span>{status}</span></p>{message}</header>\n"
+    )
+
+
+def _cards(summary: dict[str, Any]) -> str:
+    forces = {arm: f for arm, f in summary["contact_force_max_N"].items() if f is not None}
+    arm = max(forces, key=lambda name: forces[name], default=None)
+    force = quantity(forces[arm] if arm else None, "N")
+    factor = summary["realtime_factor"]
+    wall, count = summary["wall_time_s"], _number(summary["samples"])
+    pace = NOTHING if wall is None else f"real time, in {quantity(wall, 's')}"
+    cards = [
+        ("Simulated", quantity(summary["duration_s"], "s"), f"{count} samples"),
+        ("Speed", NOTHING if factor is None else f"{factor:.3g} {TIMES}", pace),
+        ("Largest gap", quantity(summary["position_drift_max_m"], "m"),
+         f"rate {quantity(summary['velocity_drift_max_m_per_s'], 'm/s')}"),
+        ("Energy balance", quantity(summary["energy_balance_max_J"], "J"), "largest deviation"),
+        ("Largest contact force", force, f"arm {arm}" if arm else ""),
+    ]  # fmt: skip
+    items = "".join(
+        f"<li><h2>{name}</h2><p class='value'>{value}</p><p class='note'>{escape(note)}</p></li>"
+        for name, value, note in cards
+    )
+    return f"<ul class='cards'>{items}</ul>\n"
+
+
+def _figures(trajectory: Trajectory) -> Iterable[str]:
+    for number, (title, figure) in enumerate(plots.figures(trajectory).items()):
+        yield (
+            f"<section><h2>{title}</h2><figure>{_svg(figure, f'f{number}-')}"
+            f"<figcaption>{_CAPTIONS[title]}</figcaption></figure></section>\n"
+        )
+
+
+def _svg(figure: Figure, prefix: str) -> str:
+    """The figure as inline SVG: own names for its parts, ink and grid of the page's theme."""
+    buffer = io.StringIO()
+    with (
+        matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": prefix}),
+        warnings.catch_warnings(),
+    ):
+        # The page's fonts draw the names, whatever their script.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'(\sid="|url\(#|href="#)', rf"\g<1>{prefix}", text)
+    text = re.sub(r'(<svg [^>]*?)width="[^"]*" height="[^"]*"', r"\1", text)
+    text = re.sub(r"(font: [^;\"]*?)(?:'[^']*'|sans-serif)[^;\"]*", r"\1var(--font)", text)
+    return text.replace(plots.INK, "var(--ink)").replace(plots.GRID, "var(--grid)")
+
+
+def _statistics(trajectory: Trajectory, summary: dict[str, Any]) -> dict[str, Any]:
+    counted = trajectory.statistics
+    rows = {name: counted.get(key) for key, name in _STATISTICS.items() if key in counted}
+    rows |= {_words(key): value for key, value in counted.items() if key not in _STATISTICS}
+    rows["Object at the end, position [m]"] = summary["final_object_position"]
+    rows["Object at the end, quaternion x y z w"] = summary["final_object_quaternion_xyzw"]
+    for arm, force in summary["contact_force_max_N"].items():
+        rows[f"Largest contact force of {arm} [N]"] = force
+    return rows
+
+
+def _certificate(certificate: dict[str, Any] | None) -> str:
+    if certificate is None:
+        return ""
+    return _table("Certificate", {_words(key): value for key, value in certificate.items()})
+
+
+def _table(title: str, rows: dict[str, Any]) -> str:
+    body = "".join(
+        f"<tr><th scope='row'>{escape(name)}</th><td>{escape(_number(value))}</td></tr>"
+        for name, value in rows.items()
+    )
+    return f"<section><h2>{escape(title)}</h2><table>{body}</table></section>\n"
+
+
+def _events(events: list[dict[str, Any]]) -> str:
+    if not events:
+        return ""
+    items = "".join(
+        "<li>" + escape(", ".join(f"{k}: {_number(v)}" for k, v in event.items())) + "</li>"
+        for event in events[:SHOWN_EVENTS]
+    )
+    more = len(events) - SHOWN_EVENTS
+    rest = f"<p>… and {more} more, in the trajectory's <code>events</code>.</p>" if more > 0 else ""
+    return f"<section><h2>Events</h2><ol class='events'>{items}</ol>{rest}</section>\n"
+
+
+def _scene(text: str) -> str:
+    if not text.strip():
+        return ""
+    return (
+        "<section><details><summary>The scene, as it was run</summary>"
+        f"<pre>{escape(text)}</pre></details></section>\n"
+    )
+
+
+def _footer(provenance: dict[str, Any]) -> str:
+    flat: dict[str, Any] = {}
+    for key, value in provenance.items():
+        if key == "dependencies":
+            flat |= value
+        elif key != "scene":
+            flat[_words(key)] = value
+    items = "".join(
+        f"<div><dt>{escape(key)}</dt><dd>{escape(_number(value))}</dd></div>"
+        for key, value in flat.items()
+    )
+    return f"<footer><h2>Provenance</h2><dl>{items}</dl></footer>\n"
+
+
+def _scene_name(text: str) -> str:
+    """The name in the scene, which need not be loadable here: its robots may be elsewhere."""
+    try:
+        scene = yaml.safe_load(text)
+    except yaml.YAMLError:
+        scene = None
+    name = scene.get("name") if isinstance(scene, dict) else None
+    return str(name) if name else "A run without a name"
+
+
+def _words(key: str) -> str:
+    words = key.replace("_", " ")
+    return words[:1].upper() + words[1:]
+
+
+def _number(value: Any) -> str:
+    if value is None:
+        return NOTHING
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}".replace(",", "\u202f")
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list) and all(isinstance(item, int | float) for item in value):
+        return ", ".join(_number(item) for item in value)
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

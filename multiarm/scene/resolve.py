@@ -1,0 +1,276 @@
+"""From an arm as written to the chain of joints that moves it.
+
+The chain runs from the robot's root through the mount and the tool's root to the tip. Its movable
+joints, without the locked ones, carry the arm's coordinates: ONE number each. Joints beside the
+chain (fingers, say) are held fixed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from multiarm.errors import ModelError, SceneError
+from multiarm.scene.arm_spec import ArmSpec, ToolSpec
+from multiarm.scene.robots import find_robot, resolve_mesh, resolve_package_dirs
+from multiarm.scene.urdf import CHAIN_JOINTS, JointOutline, UrdfOutline, read_urdf
+from multiarm.scene.values import joint_value_faults, joint_vector
+from multiarm.scene.words import listed, place, unknown
+
+__all__ = ["Examination", "ResolvedArm", "examine_arm", "resolve_arm"]
+
+MAX_JOINTS = 16
+
+
+@dataclass(frozen=True)
+class ResolvedArm:
+    """Files, chain and start of one arm.
+
+    Attributes
+    ----------
+    urdf : Path
+        The robot's file.
+    package_dirs : tuple of Path
+        Where ``package://`` addresses of the robot are looked for, in order.
+    tool_urdf : Path or None
+        The tool's file.
+    tool_package_dirs : tuple of Path
+        The same for the tool.
+    joints : tuple of JointOutline, length n
+        The movable joints from base to tip.
+    posture, velocity : ndarray, shape (n,)
+        Start [rad] or [m], [rad/s] or [m/s].
+    locked : dict of str to float
+        Joints held fixed, of the robot and of the tool, with their positions.
+    """
+
+    urdf: Path
+    package_dirs: tuple[Path, ...]
+    tool_urdf: Path | None
+    tool_package_dirs: tuple[Path, ...]
+    joints: tuple[JointOutline, ...]
+    posture: np.ndarray
+    velocity: np.ndarray
+    locked: dict[str, float]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the movable joints from base to tip."""
+        return tuple(joint.name for joint in self.joints)
+
+
+@dataclass
+class Examination:
+    """What was found out about one arm; faults and warnings are pairs (place below it, text)."""
+
+    arm: ResolvedArm | None = None
+    joint_names: tuple[str, ...] | None = None
+    faults: list[tuple[tuple[str | int, ...], str]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def fault(self, *where: str | int, text: str) -> None:
+        """Note a fault."""
+        self.faults.append((where, text))
+
+
+def resolve_arm(spec: ArmSpec, folder: Path | str | None = None) -> ResolvedArm:
+    """Return files, chain and start of an arm.
+
+    Parameters
+    ----------
+    spec : ArmSpec
+        The arm as written.
+    folder : path, optional
+        Where relative paths start; the current folder by default.
+
+    Raises
+    ------
+    SceneError
+        Naming every fault.
+    """
+    found = examine_arm(spec.located(Path(folder or ".").resolve()))
+    if found.faults or found.arm is None:
+        raise SceneError([f"{place(where, 'arm')}: {text}" for where, text in found.faults])
+    return found.arm
+
+
+def examine_arm(spec: ArmSpec) -> Examination:
+    """Look at an arm whose paths are absolute, and note all faults and warnings."""
+    found = Examination()
+    robot = _outline(spec, found, ())
+    tool = _outline(spec.tool, found, ("tool",)) if spec.tool is not None else None
+    chain = _chain(spec, robot, tool, found)
+    if robot is None or (spec.tool is not None and tool is None):
+        return found
+    joints = {joint.name: joint for outline in (robot, tool) if outline for joint in outline.joints}
+    for name in spec.lock:
+        if name not in joints or not joints[name].movable:
+            movable = [joint.name for joint in joints.values() if joint.movable]
+            found.fault("lock", name, text=unknown("joint", name, movable))
+    if chain is None:
+        return found
+    free = _free_joints(spec, chain, found)
+    found.joint_names = tuple(joint.name for joint in free)
+    locked = _locked(spec, joints, free, found)
+    posture, velocity = _start(spec, free, found)
+    _note_missing_meshes(spec, robot, tool, found)
+    if not found.faults:
+        found.arm = ResolvedArm(
+            urdf=robot.path,
+            package_dirs=resolve_package_dirs(robot.path, spec.package_dirs),
+            tool_urdf=None if tool is None else tool.path,
+            tool_package_dirs=_tool_package_dirs(spec, tool),
+            joints=free,
+            posture=posture,
+            velocity=velocity,
+            locked=locked,
+        )
+    return found
+
+
+def _outline(
+    spec: ArmSpec | ToolSpec, found: Examination, where: tuple[str, ...]
+) -> UrdfOutline | None:
+    key = "urdf" if spec.robot is None else "robot"
+    try:
+        return read_urdf(spec.urdf if spec.robot is None else find_robot(spec.robot).urdf)
+    except (SceneError, ModelError) as error:
+        found.fault(*where, key, text=str(error))
+        return None
+
+
+def _chain(
+    spec: ArmSpec, robot: UrdfOutline | None, tool: UrdfOutline | None, found: Examination
+) -> list[JointOutline] | None:
+    """Return all joints from the robot's root to the tip, or None if they cannot be told."""
+    if spec.tool is None:
+        return _part(robot, spec.tip, found, "tip")
+    below = _part(robot, spec.tool.mount, found, "tool", "mount")
+    above = _part(tool, spec.tip, found, "tip")
+    if robot is None or tool is None:
+        return None
+    for noun, ours, theirs in (
+        ("joint", [j.name for j in robot.joints], [j.name for j in tool.joints]),
+        ("link", robot.links, tool.links),
+    ):
+        both = [name for name in theirs if name in ours]
+        if both:
+            text = f"tool and robot both have a {noun} named {listed(both)}; rename it in one URDF"
+            found.fault("tool", text=text)
+    return None if below is None or above is None else below + above
+
+
+def _part(
+    outline: UrdfOutline | None, link: str, found: Examination, *where: str
+) -> list[JointOutline] | None:
+    if outline is None:
+        return None
+    try:
+        return list(outline.chain(link))
+    except ModelError as error:
+        found.fault(*where, text=str(error))
+        return None
+
+
+def _free_joints(
+    spec: ArmSpec, chain: list[JointOutline], found: Examination
+) -> tuple[JointOutline, ...]:
+    free = tuple(joint for joint in chain if joint.movable and joint.name not in spec.lock)
+    for joint in free:
+        if joint.kind not in CHAIN_JOINTS:
+            text = (
+                f"joint {joint.name!r} on the way to {spec.tip!r} is {joint.kind}; arms move by "
+                f"{listed(CHAIN_JOINTS)} joints (or lock it: lock: {{{joint.name}: 0.0}})"
+            )
+            found.fault(text=text.replace("{", "(").replace("}", ")"))
+        if joint.mimic is not None:
+            found.fault(
+                text=f"joint {joint.name!r} on the way to {spec.tip!r} copies joint "
+                f"{joint.mimic.joint!r}; coupled joints are not supported, lock it or choose "
+                "another tip"
+            )
+    if not free:
+        found.fault("tip", text=f"no movable joint lies between the base and {spec.tip!r}")
+    if len(free) > MAX_JOINTS:
+        found.fault(
+            "tip",
+            text=f"{len(free)} movable joints lie between the base and {spec.tip!r}, at most "
+            f"{MAX_JOINTS} are possible; lock some",
+        )
+    return free
+
+
+def _locked(
+    spec: ArmSpec,
+    joints: dict[str, JointOutline],
+    free: tuple[JointOutline, ...],
+    found: Examination,
+) -> dict[str, float]:
+    """Return the position of every movable joint that is no coordinate of the arm."""
+    names = {joint.name for joint in free}
+    beside = [joint for joint in joints.values() if joint.movable and joint.name not in names]
+    locked = {joint.name: joint.neutral for joint in beside} | {
+        name: value for name, value in spec.lock.items() if name in joints
+    }
+    for joint in beside:
+        if joint.mimic is not None and joint.name not in spec.lock and joint.mimic.joint in locked:
+            source = locked[joint.mimic.joint]
+            locked[joint.name] = joint.mimic.multiplier * source + joint.mimic.offset
+    silently = [j.name for j in beside if j.name not in spec.lock and _leader(j) not in spec.lock]
+    if silently:
+        positions = ", ".join(f"{name}: {locked[name]:g}" for name in silently)
+        found.warnings.append(
+            f"joints beside the way to the tip are locked at {{{positions}}}; "
+            "'lock' chooses other positions"
+        )
+    return locked
+
+
+def _leader(joint: JointOutline) -> str | None:
+    return None if joint.mimic is None else joint.mimic.joint
+
+
+def _start(
+    spec: ArmSpec, free: tuple[JointOutline, ...], found: Examination
+) -> tuple[np.ndarray, np.ndarray]:
+    names = [joint.name for joint in free]
+    neutral = np.array([joint.neutral for joint in free])
+    vectors = []
+    for key, default in (("posture", neutral), ("velocity", np.zeros(len(free)))):
+        values = getattr(spec, key)
+        faults = joint_value_faults(values, names)
+        for where, text in faults:
+            found.fault(key, *where, text=text)
+        vectors.append(default if faults else joint_vector(values, names, default))
+    for joint, position in zip(free, vectors[0], strict=True):
+        if not joint.lower <= position <= joint.upper:
+            found.warnings.append(
+                f"posture of {joint.name!r} is {position:g}, outside its limits "
+                f"{joint.lower:g} to {joint.upper:g}"
+            )
+    return vectors[0], vectors[1]
+
+
+def _tool_package_dirs(spec: ArmSpec, tool: UrdfOutline | None) -> tuple[Path, ...]:
+    if tool is None or spec.tool is None:
+        return ()
+    return resolve_package_dirs(tool.path, spec.tool.package_dirs)
+
+
+def _note_missing_meshes(
+    spec: ArmSpec, robot: UrdfOutline, tool: UrdfOutline | None, found: Examination
+) -> None:
+    given = [(robot, spec.package_dirs)]
+    if tool is not None and spec.tool is not None:
+        given.append((tool, spec.tool.package_dirs))
+    for outline, explicit in given:
+        folders = resolve_package_dirs(outline.path, explicit)
+        missing = [m for m in outline.meshes if resolve_mesh(m, outline.path, folders) is None]
+        if missing:
+            found.warnings.append(
+                f"{len(missing)} of {len(outline.meshes)} meshes of {outline.path.name} are "
+                f"missing (first: {missing[0]}); the motion is not affected, the replay shows "
+                "stand-ins; 'package_dirs' says where to look"
+            )

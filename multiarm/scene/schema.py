@@ -1,0 +1,135 @@
+"""The scene: arms joined to one common object, what drives them, how the run is carried out.
+
+A :class:`Scene` that exists is valid: its numbers are physical, its arms, frames and joints exist.
+Whether it comes from YAML or is built in Python, all faults are told together in one SceneError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator
+from typing_extensions import Self
+
+from multiarm.errors import SceneError
+from multiarm.scene.arm_spec import ArmSpec
+from multiarm.scene.base import Spec
+from multiarm.scene.check import SceneParts, check
+from multiarm.scene.control import ControlSpec, EffectsSpec, NoControl, RunSpec
+from multiarm.scene.faults import explain
+from multiarm.scene.joints import JointSpec
+from multiarm.scene.object_spec import ObjectSpec
+from multiarm.scene.values import ArmName, Vec3
+from multiarm.scene.words import shown
+
+__all__ = ["Scene"]
+
+
+class Scene(Spec):
+    """Arms joined to one common object, what drives them, and how the run is carried out.
+
+    Parameters
+    ----------
+    folder : path, optional
+        Where relative paths start; the current folder by default.
+    **data
+        The attributes below, as instances or as plain tables and lists.
+
+    Attributes
+    ----------
+    name : str
+        A title.
+    gravity : 3 numbers, optional
+        [m/s^2], world axes. Absent: no gravity.
+    object : ObjectSpec
+        The common object.
+    arms : table of ArmSpec
+        By name.
+    joints : list of joints
+        One for each arm.
+    control, effects, run
+        What drives the arms, which optional physics is modelled, how the run is carried out.
+
+    Raises
+    ------
+    SceneError
+        Naming every fault.
+    """
+
+    name: str = "unnamed scene"
+    gravity: Vec3 | None = None
+    object: ObjectSpec = Field(description="the common object: shape, mass, pose")
+    arms: dict[ArmName, ArmSpec] = Field(description="a table 'name: {robot: ..., tip: ...}'")
+    joints: tuple[JointSpec, ...] = Field(description="a list of {arm: ..., kind: ...}")
+    control: ControlSpec = NoControl()
+    effects: EffectsSpec = EffectsSpec()
+    run: RunSpec = Field(default_factory=RunSpec)
+
+    _folder: Path = PrivateAttr(default_factory=Path.cwd)
+    _warnings: tuple[str, ...] = PrivateAttr(default=())
+
+    def __init__(self, /, folder: Path | str | None = None, **data: Any) -> None:
+        self._fill(data, folder)
+
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @classmethod
+    def from_mapping(cls, data: Mapping[str, Any], folder: Path | str | None = None) -> Self:
+        """Return the scene that ``data``, such as a parsed YAML file, describes."""
+        if not isinstance(data, Mapping):
+            keys = ", ".join(cls.model_fields)
+            raise SceneError(f"$: a scene is a table with the keys {keys}; got {shown(data)}")
+        scene = cls.__new__(cls)
+        scene._fill(data, folder)
+        return scene
+
+    @classmethod
+    def model_validate(cls, obj: Any, **_options: Any) -> Self:
+        """Return ``obj`` if it is a scene, else the scene that the mapping describes."""
+        return obj if isinstance(obj, cls) else cls.from_mapping(obj)
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a scene with some attributes replaced, validated anew."""
+        kept = {name: getattr(self, name) for name in type(self).model_fields}
+        return self.from_mapping({**kept, **changes}, self.folder)
+
+    @property
+    def folder(self) -> Path:
+        """The folder at which relative paths of this scene started."""
+        return self._folder
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is unusual but not wrong: locked joints, missing meshes, exceeded limits."""
+        return list(self._warnings)
+
+    def __eq__(self, other: Any) -> bool:
+        return isinstance(other, Scene) and self.model_dump() == other.model_dump()
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @field_validator("object", "arms", mode="after")
+    @classmethod
+    def _paths_are_absolute(cls, value: Any, info: ValidationInfo) -> Any:
+        folder = info.context["folder"]
+        if isinstance(value, ObjectSpec):
+            return value.located(folder)
+        return {name: arm.located(folder) for name, arm in value.items()}
+
+    def _fill(self, data: Mapping[str, Any], folder: Path | str | None) -> None:
+        folder = Path(folder or ".").expanduser().resolve()
+        faults: list[str] = []
+        try:
+            self.__pydantic_validator__.validate_python(
+                data, self_instance=self, context={"folder": folder}
+            )
+            parts = SceneParts.of(self.__dict__, folder)
+        except ValidationError as error:
+            faults = explain(error, type(self))
+            parts = SceneParts.of(data, folder)
+        found = check(parts)
+        if faults or found.faults:
+            raise SceneError([*faults, *found.faults])
+        self._folder, self._warnings = folder, tuple(found.warnings)

@@ -1,0 +1,179 @@
+"""Rotations, twists and wrenches: the conventions of the whole package in one place.
+
+* Vectors of six are ``[linear; angular]`` (twists) and ``[force; moment]`` (wrenches).
+* A quaternion is ``(x, y, z, w)``, of unit norm, and rotates body components into world
+  components: ``a_world = R(q) a_body``.
+* Small rotations act from the left, in world axes: ``retract(q, theta) = exp(theta) * q``.  An
+  angular velocity in world axes is then the rate of ``theta`` at ``theta = 0``.
+* ``skew(a) @ b == cross(a, b)``.
+
+Everything here is compiled, works on plain ``float64`` arrays and may be called from Python and
+from other kernels alike.  Functions that write into an argument say so and return nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from multiarm.lowlevel import allocating, kernel
+
+# Below this angle [rad] the closed forms lose digits to cancellation and their series are used.
+_SERIES_ANGLE = 1e-2
+
+
+@allocating
+def skew(a: np.ndarray) -> np.ndarray:
+    """Matrix ``S(a)``, shape (3, 3), with ``S(a) @ b = a x b``."""
+    s = np.zeros((3, 3))
+    s[0, 1], s[0, 2] = -a[2], a[1]
+    s[1, 0], s[1, 2] = a[2], -a[0]
+    s[2, 0], s[2, 1] = -a[1], a[0]
+    return s
+
+
+@kernel
+def write_matrix(quaternion: np.ndarray, rotation: np.ndarray) -> None:
+    """Write the rotation matrix of a unit quaternion (xyzw) into ``rotation[0:9]``, row by row."""
+    x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    rotation[0] = 1.0 - 2.0 * (y * y + z * z)
+    rotation[1] = 2.0 * (x * y - w * z)
+    rotation[2] = 2.0 * (x * z + w * y)
+    rotation[3] = 2.0 * (x * y + w * z)
+    rotation[4] = 1.0 - 2.0 * (x * x + z * z)
+    rotation[5] = 2.0 * (y * z - w * x)
+    rotation[6] = 2.0 * (x * z - w * y)
+    rotation[7] = 2.0 * (y * z + w * x)
+    rotation[8] = 1.0 - 2.0 * (x * x + y * y)
+
+
+@allocating
+def quaternion_to_matrix(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrix, shape (3, 3), of a unit quaternion ``xyzw``, shape (4,)."""
+    rotation = np.empty(9)
+    write_matrix(quaternion, rotation)
+    return rotation.reshape((3, 3))
+
+
+@allocating
+def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternion ``xyzw`` with ``w >= 0`` of a rotation matrix, shape (3, 3).
+
+    Shepperd's method: the largest of the four components is computed first, so that no division
+    is by a small number.
+    """
+    q = np.empty(4)
+    trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
+    largest = 3
+    best = trace
+    for i in range(3):
+        if rotation[i, i] > best:
+            best, largest = rotation[i, i], i
+    if largest == 3:
+        q[3] = 1.0 + trace
+        q[0] = rotation[2, 1] - rotation[1, 2]
+        q[1] = rotation[0, 2] - rotation[2, 0]
+        q[2] = rotation[1, 0] - rotation[0, 1]
+    else:
+        i = largest
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q[i] = 1.0 + 2.0 * rotation[i, i] - trace
+        q[j] = rotation[j, i] + rotation[i, j]
+        q[k] = rotation[k, i] + rotation[i, k]
+        q[3] = rotation[k, j] - rotation[j, k]
+    q /= math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    if q[3] < 0.0:
+        q = -q
+    return q
+
+
+@kernel
+def retract_into(base: np.ndarray, theta: np.ndarray, out: np.ndarray) -> None:
+    """Write ``exp(theta) * base`` into ``out[0:4]``, which may be ``base``; ``theta`` (3,) [rad]."""
+    angle_squared = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
+    angle = math.sqrt(angle_squared)
+    if angle < _SERIES_ANGLE:
+        scale = 0.5 - angle_squared * (1.0 / 48.0 - angle_squared / 3840.0)
+    else:
+        scale = math.sin(0.5 * angle) / angle
+    dw = math.cos(0.5 * angle)
+    dx, dy, dz = scale * theta[0], scale * theta[1], scale * theta[2]
+    x, y, z, w = base[0], base[1], base[2], base[3]
+    ox = dw * x + dx * w + dy * z - dz * y
+    oy = dw * y + dy * w + dz * x - dx * z
+    oz = dw * z + dz * w + dx * y - dy * x
+    ow = dw * w - dx * x - dy * y - dz * z
+    norm = 1.0 / math.sqrt(ox * ox + oy * oy + oz * oz + ow * ow)
+    out[0], out[1], out[2], out[3] = ox * norm, oy * norm, oz * norm, ow * norm
+
+
+@allocating
+def retract(base: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Unit quaternion ``exp(theta) * base``; ``theta`` (3,) is a rotation vector in world axes."""
+    out = np.empty(4)
+    retract_into(base, theta, out)
+    return out
+
+
+@allocating
+def difference(base: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """Rotation vector ``theta`` (3,), world axes [rad], with ``retract(base, theta) = quaternion``.
+
+    The shorter way round is taken: ``|theta| <= pi``.
+    """
+    x, y, z, w = -base[0], -base[1], -base[2], base[3]
+    a, b, c, d = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    rx = d * x + a * w + b * z - c * y
+    ry = d * y + b * w + c * x - a * z
+    rz = d * z + c * w + a * y - b * x
+    rw = d * w - a * x - b * y - c * z
+    if rw < 0.0:
+        rx, ry, rz, rw = -rx, -ry, -rz, -rw
+    sine = math.sqrt(rx * rx + ry * ry + rz * rz)
+    # atan2 keeps all digits at small and at large angles; 2 is the limit of angle / sine at zero
+    scale = 2.0 if sine == 0.0 else 2.0 * math.atan2(sine, rw) / sine
+    return np.array([scale * rx, scale * ry, scale * rz])
+
+
+@kernel
+def write_chart_rate(theta: np.ndarray, omega: np.ndarray, out: np.ndarray) -> None:
+    r"""Write the rate of ``theta`` for a body that turns with ``omega`` into ``out[0:3]``.
+
+    With ``R = exp(theta) R_0`` and ``R' = S(omega) R`` (world axes),
+
+    .. math:: \dot\theta = \omega - \tfrac12\,\theta\times\omega
+              + \gamma\,\theta\times(\theta\times\omega),\qquad
+              \gamma = \frac{1}{|\theta|^2} - \frac{\cot(|\theta|/2)}{2|\theta|}
+
+    (the inverse of the left differential of the exponential; E. Hairer, C. Lubich, G. Wanner,
+    Geometric Numerical Integration, III.4).  Regular for ``|theta| < 2 pi``.
+    """
+    square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
+    if square < _SERIES_ANGLE**2:
+        gamma = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
+    else:
+        angle = math.sqrt(square)
+        gamma = (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / square
+    cx = theta[1] * omega[2] - theta[2] * omega[1]
+    cy = theta[2] * omega[0] - theta[0] * omega[2]
+    cz = theta[0] * omega[1] - theta[1] * omega[0]
+    out[0] = omega[0] - 0.5 * cx + gamma * (theta[1] * cz - theta[2] * cy)
+    out[1] = omega[1] - 0.5 * cy + gamma * (theta[2] * cx - theta[0] * cz)
+    out[2] = omega[2] - 0.5 * cz + gamma * (theta[0] * cy - theta[1] * cx)
+
+
+@allocating
+def wrench_map(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    r"""Matrix ``X``, shape (6, 6), that moves a wrench from frame m to frame o (thesis, 3.11).
+
+    .. math:: X = \begin{bmatrix} R & 0 \\ S(x) R & R \end{bmatrix}
+
+    ``rotation`` (3, 3) turns m-components into o-components, ``translation`` (3,) is m's origin
+    seen from o, in o-axes.  Contact wrenches of the two bodies obey ``W_o = -X W_m``.
+    """
+    x = np.zeros((6, 6))
+    x[0:3, 0:3] = rotation
+    x[3:6, 0:3] = skew(translation) @ np.ascontiguousarray(rotation)
+    x[3:6, 3:6] = rotation
+    return x

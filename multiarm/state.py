@@ -1,0 +1,90 @@
+"""The state of a system: plain arrays with named views."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each arm's joints (``dofs``) and contacts (``rows``) are in stacked vectors."""
+
+    names: tuple[str, ...]
+    dofs: tuple[int, ...]
+    rows: tuple[int, ...]
+
+    @property
+    def joints(self) -> int:
+        """Number of joints of all arms."""
+        return self.dofs[-1]
+
+    @property
+    def contacts(self) -> int:
+        """Number of contacts of all arms."""
+        return self.rows[-1]
+
+    def split_joints(self, vector: np.ndarray) -> dict[str, np.ndarray]:
+        """Views ``arm -> vector[..., its joints]``."""
+        return self._split(vector, self.dofs)
+
+    def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:
+        """Views ``arm -> vector[..., its contacts]``."""
+        return self._split(vector, self.rows)
+
+    def _split(self, vector: np.ndarray, bounds: tuple[int, ...]) -> dict[str, np.ndarray]:
+        pairs = zip(self.names, bounds[:-1], bounds[1:], strict=True)
+        return {name: vector[..., a:b] for name, a, b in pairs}
+
+
+@dataclass(frozen=True)
+class State:
+    """Positions and velocities of object and arms.
+
+    Attributes
+    ----------
+    position : ndarray, shape (7 + n,)
+        Object's centre of mass [m], its quaternion (xyzw), joint positions [rad or m].
+    velocity : ndarray, shape (6 + n,)
+        Object's twist (world axes: velocity of the centre of mass, angular velocity), joint
+        velocities.
+    layout : Layout
+
+    The named attributes are views into these two arrays.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    layout: Layout = field(repr=False)
+
+    @property
+    def object_position(self) -> np.ndarray:
+        """Centre of mass in world axes, shape (3,) [m]."""
+        return self.position[:3]
+
+    @property
+    def object_quaternion_xyzw(self) -> np.ndarray:
+        """Orientation of the object, scalar last, shape (4,)."""
+        return self.position[3:7]
+
+    @property
+    def object_twist(self) -> np.ndarray:
+        """Velocity of the centre of mass and angular velocity, world axes, shape (6,)."""
+        return self.velocity[:6]
+
+    @property
+    def joint_positions(self) -> Mapping[str, np.ndarray]:
+        """Arm name -> joint positions, one number a joint, shape (n_i,)."""
+        return MappingProxyType(self.layout.split_joints(self.position[7:]))
+
+    @property
+    def joint_velocities(self) -> Mapping[str, np.ndarray]:
+        """Arm name -> joint velocities, shape (n_i,)."""
+        return MappingProxyType(self.layout.split_joints(self.velocity[6:]))
+
+    def copy(self) -> State:
+        """An independent copy."""
+        return State(self.position.copy(), self.velocity.copy(), self.layout)

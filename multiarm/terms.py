@@ -1,0 +1,96 @@
+"""Named arrays that the parts of the dynamics hand to each other."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class ArmTerms(NamedTuple):
+    r"""One arm at one state: ``M q'' + bias = tau + J^T f`` (thesis, 3.1, in joint space).
+
+    M : (n, n)
+        Joint-space inertia, symmetric.
+    bias : (n,)
+        Coriolis, centrifugal and gravity forces [N m or N].
+    J : (6, n)
+        Jacobian of the tip frame: world axes, at the tip's origin.
+    tip_position, tip_rotation : (3,), (3, 3)
+        Pose of the tip in the world.
+    tip_twist : (6,)
+        Velocity of the tip's origin and angular velocity, world axes.
+    drift : (6,)
+        Classical acceleration of the tip at ``q'' = 0``, i.e. ``dJ/dt q'``; without gravity.
+    """
+
+    M: np.ndarray
+    bias: np.ndarray
+    J: np.ndarray
+    tip_position: np.ndarray
+    tip_rotation: np.ndarray
+    tip_twist: np.ndarray
+    drift: np.ndarray
+
+
+class ObjectTerms(NamedTuple):
+    r"""The object at one state: ``I_o v_o' + h_o = f`` about its centre of mass, world axes (3.2).
+
+    inertia : (6, 6)
+        ``blkdiag(m I, R I R^T)``.
+    bias : (6,)
+        ``[-m g; omega x (R I R^T) omega]``; the acceleration is the classical one, so that there is
+        no ``m omega x v`` term.
+    """
+
+    inertia: np.ndarray
+    bias: np.ndarray
+
+
+class ContactTerms(NamedTuple):
+    r"""The contacts of one arm with the object at one state, one column (entry) a contact.
+
+    W_m, W_o : (6, N)
+        Wrenches on the gripper (about the tip frame's origin, its axes) and on the object (about
+        the centre of mass, object axes) for unit pushes; ``W_o = -X W_m`` (thesis, 3.11).
+    W_m_dot, W_o_dot : (6, N)
+        Their rates, component by component in the same axes.
+    c : (N,)
+        Right-hand side of the acceleration constraint ``W_o^T q_o + W^T q = c``, no feedback.
+    phi, phi_dot : (N,)
+        Gaps [m] (positive = apart) and their rates ``W_m^T v_m + W_o^T v_o`` [m/s].
+    points, normals : (N, 3)
+        Contact points (on the surface's side of the fingertip) [m] and unit normals pointing into
+        the object, world axes.
+    """
+
+    W_m: np.ndarray
+    W_o: np.ndarray
+    W_m_dot: np.ndarray
+    W_o_dot: np.ndarray
+    c: np.ndarray
+    phi: np.ndarray
+    phi_dot: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+
+
+class NodeSolution(NamedTuple):
+    """Solution of the constrained system for one right-hand side.
+
+    object_acceleration : (6,)
+        World axes, classical.
+    joint_accelerations : list of (n_i,)
+    contact_forces : list of (N_i,)
+        Physical magnitudes, positive = pushing (the thesis's ``mu`` with the sign turned).
+    unique : list of bool (N_i,)
+        Which contact forces the equations determine.
+    rank : int
+        Rank of the stacked constraint matrix.
+    """
+
+    object_acceleration: np.ndarray
+    joint_accelerations: list[np.ndarray]
+    contact_forces: list[np.ndarray]
+    unique: list[np.ndarray]
+    rank: int

@@ -1,0 +1,371 @@
+"""The loop over time, compiled: steps, error control, stabilisation, samples.
+
+There is one loop for all methods and scenes.  It enters Python only for Pinocchio's two calls (and a
+Python controller, when there is one), and returns to it when the block of samples is full, when its
+budget of evaluations is used up (progress, checkpoints and Ctrl-C live in Python), or at the end.
+Everything it must remember in between is in :class:`Clock`, so that it goes on where it left off.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.equations import (
+    CALLBACK_FAILED,
+    OK,
+    evaluate_buffers,
+    kinetic_energy,
+    largest,
+)
+from multiarm.integrators.stepper import (
+    error_estimate,
+    evaluate_slope,
+    interpolate,
+    load,
+    open_step,
+    prepare_dense,
+    run_stages,
+    store,
+    write_slope,
+)
+from multiarm.lowlevel import call_back, copy, inner, kernel
+from multiarm.plant import CALL_POTENTIAL, open_book
+from multiarm.stabilization import FEEDBACK_RATIO, project
+
+# Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
+FINISHED, BLOCK_FULL, BUDGET_USED = -10, -11, -12
+STEP_TOO_SMALL, NOT_FINITE, DIVERGED = -13, -14, -15
+
+# Step size control (Hairer, Norsett, Wanner, II.4 and IV.2).
+SAFETY, SHRINK, GROW = 0.9, 0.2, 6.0
+
+# Entries of Clock.real and Clock.counts.
+T, H, T_OLD, H_OLD, ERROR_OLD, ERROR_SUM, SMALLEST, LARGEST, REAL_WIDTH = range(9)
+STEPS, REJECTED, EVALUATIONS, PROJECTIONS, SAMPLE, BLOCK_FIRST, BREAK, CAUSE, COUNT_WIDTH = range(9)
+
+NONE, FEEDBACK, PROJECTION = 0, 1, 2
+
+
+class Settings(NamedTuple):
+    """How the run is carried out.
+
+    begin, end, sample_step : float
+        Times [s]; samples are taken every ``sample_step`` from ``begin``, and at ``end``.
+    samples : int
+        How many in all.
+    adaptive : bool
+    step : float
+        The fixed step, or the first one of an adaptive method [s].
+    position_tolerance, velocity_tolerance : float
+        Largest accepted error estimate of one step [m, rad] and [m/s, rad/s].
+    stabilization : int
+    alpha, beta : float
+        Gains of the feedback [1/s]; negative: ``FEEDBACK_RATIO / step``.
+    closed : float
+        Gap that counts as closed by projection [m].
+    apart : float
+        Gap at which the run is given up as diverged [m].
+    breakpoints : ndarray
+        Increasing times at which an adaptive method ends a step.
+    """
+
+    begin: float
+    end: float
+    sample_step: float
+    samples: int
+    adaptive: bool
+    step: float
+    position_tolerance: float
+    velocity_tolerance: float
+    stabilization: int
+    alpha: float
+    beta: float
+    closed: float
+    apart: float
+    breakpoints: np.ndarray
+
+
+class Clock(NamedTuple):
+    """What the loop remembers between calls.
+
+    real : (8,)
+        Time, next step, beginning and length of the step before, its error, the sum of the accepted
+        steps' error estimates [m, rad], smallest and largest step.
+    counts : int64 (8,)
+        Steps, rejected steps, evaluations, projections, next sample, the block's first sample, next
+        breakpoint, cause of the last rejection.
+    """
+
+    real: np.ndarray
+    counts: np.ndarray
+
+
+def make_clock(settings: Settings) -> Clock:
+    """A clock at the beginning of a run."""
+    real, count = np.zeros(REAL_WIDTH), np.zeros(COUNT_WIDTH, dtype=np.int64)
+    real[T], real[H], real[ERROR_OLD] = settings.begin, settings.step, 1.0
+    real[SMALLEST] = math.inf
+    count[CAUSE] = STEP_TOO_SMALL
+    return Clock(real, count)
+
+
+def sample_width(joints: int, contacts: int) -> int:
+    """Numbers a sample: see :func:`write_sample`."""
+    return 1 + 7 + joints + 6 + joints + joints + contacts + 5
+
+
+@kernel
+def gains(settings, h):
+    """Feedback gains of a step of length ``h``."""
+    if settings.stabilization != FEEDBACK:
+        return 0.0, 0.0
+    alpha = settings.alpha if settings.alpha >= 0.0 else FEEDBACK_RATIO / h
+    beta = settings.beta if settings.beta >= 0.0 else FEEDBACK_RATIO / h
+    return alpha, beta
+
+
+@inner
+def sample_time(settings, k):
+    """Time of sample ``k``."""
+    if k == settings.samples - 1:
+        return settings.end
+    return settings.begin + k * settings.sample_step
+
+
+@inner
+def write_sample(plant, buffers, work, t, work_done, row):
+    """One row of the block from an evaluated state: time, positions, velocities, torques, contact
+    forces, kinetic and potential energy, work, largest gap and gap rate.
+    """
+    n, m = buffers.angles.size, buffers.force.size
+    row[0] = t
+    copy(buffers.position, row[1:8])
+    copy(buffers.angles, row[8 : 8 + n])
+    copy(buffers.twist, row[8 + n : 14 + n])
+    copy(buffers.v, row[14 + n : 14 + 2 * n])
+    copy(buffers.torque, row[14 + 2 * n : 14 + 3 * n])
+    at = 14 + 3 * n
+    copy(buffers.force, row[at : at + m])
+    at += m
+    if plant.calls[CALL_POTENTIAL] != 0:
+        call_back(plant.calls[CALL_POTENTIAL])
+    row[at] = kinetic_energy(plant, buffers, work)
+    row[at + 1] = buffers.energy[1]
+    row[at + 2] = work_done
+    row[at + 3] = largest(buffers.contacts, GAP)
+    row[at + 4] = largest(buffers.contacts, GAP_RATE)
+
+
+@inner
+def emit_samples(book, method, step, clock, settings, block):
+    """Write the samples that are due up to now; returns a status (``OK``: all written)."""
+    plant, buffers, work = open_book(book)
+    real, count = clock.real, clock.counts
+    t = real[T]
+    rows = count[SAMPLE] - count[BLOCK_FIRST]
+    near = 1e-9 * max(real[H_OLD], 1e-12)
+    while count[SAMPLE] < settings.samples:
+        due = sample_time(settings, count[SAMPLE])
+        if due > t + near:
+            return OK
+        if rows >= block.shape[0]:
+            return BLOCK_FULL
+        alpha, beta = gains(settings, max(real[H_OLD], settings.step))
+        if due >= t - near:
+            load(step.z, step.base, buffers)
+            work_done = step.z[step.z.size - 1]
+        else:
+            interpolate(method, step, (due - real[T_OLD]) / real[H_OLD], step.z_stage)
+            load(step.z_stage, step.base_old, buffers)
+            work_done = step.z_stage[step.z.size - 1]
+            if settings.stabilization == PROJECTION:
+                status = project(book, settings.closed)
+                count[EVALUATIONS] += 2
+                if status != OK:
+                    return status
+        buffers.time[0] = due
+        status = evaluate_buffers(book, alpha, beta)
+        count[EVALUATIONS] += 1
+        if status != OK:
+            return status
+        write_sample(plant, buffers, work, due, work_done, block[rows])
+        if buffers.flag[0] != 0:
+            return CALLBACK_FAILED
+        rows += 1
+        count[SAMPLE] += 1
+    return OK
+
+
+@inner
+def planned_step(method, clock, settings):
+    """Length of the next step and the time at which it ends."""
+    real, count = clock.real, clock.counts
+    t = real[T]
+    if not settings.adaptive:
+        end = settings.begin + (count[STEPS] + 1) * settings.step
+        if end > settings.end - 1e-9 * settings.step:
+            end = settings.end
+        return end - t, end
+    stop = settings.end
+    breakpoints = settings.breakpoints
+    while count[BREAK] < breakpoints.size and breakpoints[count[BREAK]] <= t:
+        count[BREAK] += 1
+    if count[BREAK] < breakpoints.size:
+        stop = min(stop, breakpoints[count[BREAK]])
+    h = real[H]
+    if t + 1.01 * h >= stop:
+        return stop - t, stop
+    if t + 2.0 * h > stop:
+        h = 0.5 * (stop - t)  # two equal steps rather than a long and a tiny one
+    return h, t + h
+
+
+@inner
+def finite(vector):
+    """Whether all entries are finite."""
+    for i in range(vector.size):
+        if not math.isfinite(vector[i]):
+            return False
+    return True
+
+
+@inner
+def try_step(book, joints, method, step, clock, settings, h):
+    """Stages and error estimate of one step; returns (status, error in units of the tolerance)."""
+    real, count = clock.real, clock.counts
+    t = real[T]
+    alpha, beta = gains(settings, h)
+    copy(step.slope, step.k[0])
+    if settings.stabilization == FEEDBACK and settings.adaptive:
+        # the gains belong to this step's length, the slope at hand to another one's
+        status = evaluate_slope(book, t, step.z, step.base, alpha, beta, step.k[0])
+        count[EVALUATIONS] += 1
+        if status != OK:
+            return status, 0.0
+    status = run_stages(book, joints, method, step, t, h, alpha, beta)
+    count[EVALUATIONS] += method.stages - 1
+    if status != OK:
+        return status, 0.0
+    if not finite(step.z_new):
+        return NOT_FINITE, 0.0
+    if not settings.adaptive:
+        return OK, 0.0
+    if method.error[0, method.stages] != 0.0:
+        status = evaluate_slope(
+            book, t + h, step.z_new, step.base, alpha, beta, step.k[method.stages]
+        )
+        count[EVALUATIONS] += 1
+        if status != OK:
+            return status, 0.0
+    error = error_estimate(
+        method, step, h, settings.position_tolerance, settings.velocity_tolerance,
+        joints,
+    )  # fmt: skip
+    return (OK, error) if math.isfinite(error) else (NOT_FINITE, 0.0)
+
+
+@inner
+def complete_step(book, method, step, clock, settings, h, end):
+    """Stabilise the end of an accepted step, evaluate there, prepare its dense output."""
+    _, buffers, _ = open_book(book)
+    count = clock.counts
+    t = clock.real[T]
+    alpha, beta = gains(settings, h)
+    load(step.z_new, step.base, buffers)
+    if settings.stabilization == PROJECTION:
+        status = project(book, settings.closed)
+        count[PROJECTIONS] += 1
+        count[EVALUATIONS] += 2
+        if status != OK:
+            return status
+    buffers.time[0] = end
+    status = evaluate_buffers(book, alpha, beta)
+    count[EVALUATIONS] += 1
+    if status != OK:
+        return status
+    if not largest(buffers.contacts, GAP) <= settings.apart:
+        return DIVERGED
+    # the slope of the next step, in this chart for the dense output and in the next one for it
+    write_slope(step.z_new, buffers, step.k[method.stages])
+    step.z_stage[:] = 0.0
+    write_slope(step.z_stage, buffers, step.slope)
+    due = sample_time(settings, count[SAMPLE]) if count[SAMPLE] < settings.samples else math.inf
+    store(buffers, step.base_next, step.z_next)
+    step.z_next[step.z.size - 1] = step.z_new[step.z.size - 1]
+    if due < end - 1e-9 * h:
+        status = prepare_dense(book, method, step, t, h, alpha, beta)
+        count[EVALUATIONS] += max(0, method.A.shape[0] - method.stages - 1)
+        if status != OK:
+            return status
+    copy(step.z_next, step.z)
+    copy(step.base_next, step.base)
+    return OK
+
+
+@inner
+def next_length(method, h, error, error_old):
+    """PI controller for the next step from this step's error and the one before."""
+    order = 1.0 / (method.error_order + 1.0)
+    if error == 0.0:
+        return GROW * h
+    factor = SAFETY * error ** (-0.7 * order) * error_old ** (0.4 * order)
+    return h * min(GROW, max(SHRINK, factor))
+
+
+@kernel
+def advance(book, joints, arrays, method, clock, settings, block, budget):
+    """Integrate until the end, a full block, the budget of evaluations, or trouble.
+
+    ``book`` is the system's address book, ``arrays`` that of the method and its step.
+    ``block`` (samples, width) receives the samples from ``clock.counts[BLOCK_FIRST]`` on.  Returns the
+    reason.
+    """
+    method, step = open_step(arrays, method)
+    real, count = clock.real, clock.counts
+    limit = count[EVALUATIONS] + budget
+    while True:
+        status = emit_samples(book, method, step, clock, settings, block)
+        if status != OK:
+            return status
+        if real[T] >= settings.end:
+            return FINISHED
+        if count[EVALUATIONS] >= limit:
+            return BUDGET_USED
+        h, end = planned_step(method, clock, settings)
+        if not h > 8.0 * np.finfo(np.float64).eps * max(abs(real[T]), 1e-3):
+            return count[CAUSE]
+        status, error = try_step(book, joints, method, step, clock, settings, h)
+        if status == OK and error <= 1.0:
+            status = complete_step(book, method, step, clock, settings, h, end)
+            if status == OK:
+                accept(method, clock, settings, h, end, error)
+                continue
+        if status == CALLBACK_FAILED or not settings.adaptive:
+            return status
+        count[REJECTED] += 1
+        if status == OK:
+            count[CAUSE] = STEP_TOO_SMALL
+            real[H] = h * max(SHRINK, SAFETY * error ** (-1.0 / (method.error_order + 1.0)))
+        else:
+            count[CAUSE] = status
+            real[H] = 0.25 * h
+
+
+@inner
+def accept(method, clock, settings, h, end, error):
+    """Move the clock to the end of an accepted step."""
+    real, count = clock.real, clock.counts
+    if settings.adaptive:
+        proposal = next_length(method, h, error, real[ERROR_OLD])
+        # a step cut short by a breakpoint or the end says little about the one planned
+        real[H] = max(proposal, real[H]) if h < real[H] else proposal
+        real[ERROR_OLD] = max(error, 1e-4)
+        real[ERROR_SUM] += error * settings.position_tolerance
+    real[T_OLD], real[H_OLD], real[T] = real[T], h, end
+    real[SMALLEST] = min(real[SMALLEST], h)
+    real[LARGEST] = max(real[LARGEST], h)
+    count[STEPS] += 1

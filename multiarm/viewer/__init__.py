@@ -1,0 +1,133 @@
+"""Replays in the browser: a trajectory as a live Meshcat scene, or as one HTML file.
+
+    trajectory --filming--> Film --drawing--> Meshcat commands --page--> HTML file
+                                                              --server--> live viewer
+
+The film knows neither robots nor browsers; the drawing knows only the film.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from multiarm.errors import ReplayError
+
+if TYPE_CHECKING:
+    from meshcat import Visualizer
+
+    from multiarm.trajectory import Trajectory
+    from multiarm.viewer.film import Film
+
+__all__ = ["replay"]
+
+
+def replay(
+    trajectory: Trajectory,
+    path: str | os.PathLike | None = None,
+    *,
+    open_browser: bool = True,
+    fps: float = 30,
+    speed: float = 1.0,
+    meshes: bool = True,
+) -> Path | Visualizer:
+    """Show a trajectory in the browser.
+
+    Shown are the arms, each in its colour, the object, slightly translucent, the contacts with
+    their normals into the object, and the contact forces as arrows. A pushing arrow ends at its
+    contact, a pulling one, lighter, begins there; the longest stands for the largest force of the
+    run (a short spike far above the rest is drawn no longer, and the page gives its value). A run
+    that failed is shown up to where it came.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    path : path-like, optional
+        Write one HTML file, which needs no network, there. Absent: a live Meshcat server.
+    open_browser : bool
+        Open the live scene in the browser; a file is only written.
+    fps : float
+        Frames per second of the viewer; frames are samples of the trajectory.
+    speed : float
+        Seconds of the trajectory per second of the viewer.
+    meshes : bool
+        False shows simple bars in place of the robots' mesh files: a small file.
+
+    Returns
+    -------
+    Path or meshcat.Visualizer
+        The file written, or the live visualizer (its ``url()`` is where to look).
+
+    Raises
+    ------
+    ReplayError
+        The trajectory has no samples, the file cannot be written, or `fps` or `speed` is not a
+        number greater than 0.
+    """
+    for name, value in (("fps", fps), ("speed", speed)):
+        if not (math.isfinite(value) and value > 0):
+            raise ReplayError(f"{name} must be a number greater than 0, got {value}")
+    from multiarm.viewer.drawing import draw
+    from multiarm.viewer.filming import film_of
+
+    target = None if path is None else _target(path)
+    film = film_of(trajectory, fps=fps, speed=speed, meshes=meshes)
+    commands = draw(film, speed)
+    if target is None:
+        from multiarm.viewer.server import serve
+
+        visualizer = serve(commands)
+        if open_browser:
+            visualizer.open()
+        return visualizer
+    from multiarm.viewer.page import render
+
+    _write(target, render(commands, _facts(film, speed)))
+    return target
+
+
+def _facts(film: Film, speed: float) -> dict[str, Any]:
+    """Return what the page tells about a film beside the scene itself."""
+    from multiarm.viewer.camera import ASPECT
+    from multiarm.viewer.commands import hexadecimal
+
+    return {
+        "title": film.title,
+        "note": film.note,
+        "start": float(film.time[0]),
+        "speed": speed,
+        "aspect": ASPECT,
+        "legend": [[c.arm, f"#{hexadecimal(c.color):06x}"] for c in film.contacts],
+        "force_scale": film.force_scale,
+        "peak_force": film.peak_force,
+    }
+
+
+def _target(path: str | os.PathLike) -> Path:
+    """Return the path of the page; a folder that does not exist is found out before the work."""
+    target = Path(path)
+    if target.is_dir():
+        raise ReplayError(
+            f"cannot write the replay to {target}: it is a folder; name a file "
+            f"such as {target / 'replay.html'}"
+        )
+    if not target.parent.is_dir():
+        raise ReplayError(
+            f"cannot write the replay to {target}: there is no folder "
+            f"{target.parent}; create it first"
+        )
+    return target
+
+
+def _write(target: Path, page: str) -> None:
+    partial = target.with_name(f".{target.name}.partial")
+    try:
+        partial.write_text(page, encoding="utf-8")
+        partial.replace(target)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ReplayError(
+            f"cannot write the replay to {target}: {error.strerror}; choose another place"
+        ) from error

@@ -1,0 +1,200 @@
+"""Words of Meshcat's protocol: commands as plain data, with NumPy arrays as leaves.
+
+A command is a dictionary as the Meshcat viewer takes it. Typed arrays stay NumPy arrays until
+one of two encoders writes them: MessagePack for a live server (`live`), shared binary blocks for
+a page (`page`). Animations are written as whole tracks, not key by key.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+
+from multiarm.viewer.mesh import ShadedMesh
+
+Command = dict[str, Any]
+FOREVER = 10**9  # repetitions of an animation
+FRONT_SIDE, BOTH_SIDES = 0, 2  # of three.js
+
+_counter = itertools.count()
+
+
+def set_object(path: str, parts: dict[str, Any]) -> Command:
+    """Put an object, made by one of the functions below, at a path of the scene tree."""
+    data = {"metadata": {"version": 4.5, "type": "Object"}, "geometries": [], "materials": []}
+    return {"type": "set_object", "path": path, "object": {**data, **parts}}
+
+
+def set_property(path: str, name: str, value: Any) -> Command:
+    """Set a property of a node; ``path/<object>`` addresses the object at the node itself."""
+    return {"type": "set_property", "path": path, "property": name, "value": value}
+
+
+def set_animation(time: np.ndarray, tracks: dict[str, dict[str, np.ndarray]]) -> Command:
+    """Animate nodes: ``{path: {property: values (K, n)}}`` at instants `time`, shape (K,) [s]."""
+    stamps = time.astype(np.float32)
+    animations = []
+    for path, properties in tracks.items():
+        lowered = [
+            {
+                "name": f".{name}",
+                "type": "quaternion" if name == "quaternion" else "vector3",
+                "times": stamps,
+                "values": values.astype(np.float32).reshape(-1),
+            }
+            for name, values in properties.items()
+        ]
+        animations.append({"path": path, "clip": {"fps": 1, "name": "default", "tracks": lowered}})
+    options = {"play": True, "repetitions": FOREVER}
+    return {"type": "set_animation", "path": "", "animations": animations, "options": options}
+
+
+def mesh_object(mesh: ShadedMesh, *materials: dict[str, Any]) -> dict[str, Any]:
+    """Return a mesh; several materials are drawn one over the other."""
+    kind = np.uint16 if len(mesh.vertices) < 2**16 else np.uint32
+    index = mesh.triangles.reshape(-1).astype(kind)
+    geometry = _buffer_geometry(
+        {
+            "position": _attribute(mesh.vertices.astype(np.float32)),
+            "normal": _attribute(np.round(127 * mesh.normals).astype(np.int8)),
+            "color": _attribute(np.round(255 * mesh.colors).astype(np.uint8)),
+        }
+    )
+    geometry["data"]["index"] = {"type": _array_type(index), "array": index}
+    geometry["data"]["groups"] = [
+        {"start": 0, "count": len(index), "materialIndex": i} for i in range(len(materials))
+    ]
+    return _drawable("Mesh", geometry, list(materials))
+
+
+def line_object(points: np.ndarray, rgba: np.ndarray) -> dict[str, Any]:
+    """Return separate line segments through pairs of `points` (2 L, 3); `rgba` (2 L, 4), 0..1."""
+    geometry = _buffer_geometry(
+        {
+            "position": _attribute(points.astype(np.float32)),
+            "color": _attribute(np.round(255 * rgba).astype(np.uint8)),
+        }
+    )
+    return _drawable(
+        "LineSegments",
+        geometry,
+        [_material("LineBasicMaterial", transparent=True, vertexColors=True, depthWrite=False)],
+    )
+
+
+def shadow_catcher(side: float, opacity: float) -> dict[str, Any]:
+    """Return a square in the x-y plane that shows nothing but the shadows that fall on it."""
+    plane = {"uuid": _uuid(), "type": "PlaneGeometry", "width": side, "height": side}
+    return _drawable(
+        "Mesh",
+        plane,
+        [
+            _material(
+                "ShadowMaterial",
+                color=0x1B2A41,
+                opacity=opacity,
+                transparent=True,
+                depthWrite=False,
+            )
+        ],
+    )
+
+
+def shiny(color: np.ndarray, opacity: float = 1.0, layer: int = 0) -> dict[str, Any]:
+    """Return a plastic-like material; its colour multiplies the colours of the mesh.
+
+    Where surfaces coincide, as parts of a link often do, the higher `layer` is the one seen.
+    """
+    solid = opacity == 1
+    return _material(
+        "MeshPhongMaterial",
+        color=hexadecimal(color),
+        specular=0x2A2A2A if solid else 0x101010,
+        shininess=38,
+        vertexColors=True,
+        side=BOTH_SIDES if solid else FRONT_SIDE,
+        opacity=opacity,
+        transparent=not solid,
+        depthWrite=solid,
+        polygonOffset=True,
+        polygonOffsetUnits=-8 * layer,
+    )
+
+
+def flat(color: np.ndarray) -> dict[str, Any]:
+    """Return a material that keeps its colour in light and shade."""
+    return _material("MeshBasicMaterial", color=hexadecimal(color), vertexColors=True)
+
+
+def ghost(color: np.ndarray, opacity: float) -> dict[str, Any]:
+    """Return a material that shines faintly through whatever stands in front."""
+    return _material(
+        "MeshBasicMaterial",
+        color=hexadecimal(color),
+        vertexColors=True,
+        opacity=opacity,
+        transparent=True,
+        depthTest=False,
+        depthWrite=False,
+    )
+
+
+def light(kind: str, position: np.ndarray, intensity: float, **settings: Any) -> dict[str, Any]:
+    """Return a three.js light of the given `kind`."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = position
+    return {
+        "object": {
+            "uuid": _uuid(),
+            "type": kind,
+            "color": 0xFFFFFF,
+            "intensity": intensity,
+            "matrix": matrix.T.reshape(-1).tolist(),
+            **settings,
+        }
+    }
+
+
+def hexadecimal(color: np.ndarray) -> int:
+    """Return 0xRRGGBB of an sRGB colour in 0..1, shape (3,)."""
+    r, g, b = (int(c) for c in np.round(255 * np.clip(np.asarray(color, float), 0, 1)))
+    return r << 16 | g << 8 | b
+
+
+def _drawable(kind: str, geometry: Command, materials: list[Command]) -> dict[str, Any]:
+    names = [m["uuid"] for m in materials]
+    body = {
+        "uuid": _uuid(),
+        "type": kind,
+        "geometry": geometry["uuid"],
+        "material": names if len(names) > 1 else names[0],
+    }
+    return {"geometries": [geometry], "materials": materials, "object": body}
+
+
+def _buffer_geometry(attributes: dict[str, Any]) -> dict[str, Any]:
+    return {"uuid": _uuid(), "type": "BufferGeometry", "data": {"attributes": attributes}}
+
+
+def _attribute(values: np.ndarray) -> dict[str, Any]:
+    return {
+        "itemSize": values.shape[1],
+        "type": _array_type(values),
+        "array": values.reshape(-1),
+        "normalized": values.dtype.itemsize == 1,
+    }
+
+
+def _array_type(values: np.ndarray) -> str:
+    return values.dtype.name.capitalize() + "Array"
+
+
+def _material(kind: str, **properties: Any) -> dict[str, Any]:
+    return {"uuid": _uuid(), "type": kind, **properties}
+
+
+def _uuid() -> str:
+    """Return a name unique within this process; equal films still compress to equal pages."""
+    return f"multiarm-{next(_counter)}"

@@ -1,0 +1,248 @@
+"""Make a film of a trajectory: the only place where a replay meets robots and dynamics.
+
+Frames are samples of the trajectory, never interpolations between them, so that what is shown was
+computed. Link poses come from each arm's kinematics, contact points and normals from the system's
+own evaluation, contact forces from the trajectory.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import warnings
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from multiarm.dynamics import evaluate
+from multiarm.errors import ReplayError, SolverError
+from multiarm.system import compile_system
+from multiarm.viewer.film import Body, ContactTracks, Film, along, rotations
+from multiarm.viewer.mesh import Mesh, capsule, merge
+from multiarm.viewer.shapes import PLAIN, geometry_mesh, object_mesh
+
+if TYPE_CHECKING:
+    from multiarm.arm import Arm
+    from multiarm.dynamics import Evaluation
+    from multiarm.system import System
+    from multiarm.trajectory import Trajectory
+
+PALETTE = ("#4a80c9", "#f08a45", "#4fa36a", "#9b6bc2", "#d9596a", "#2fa3a8", "#d3a62f", "#7a8797")
+OBJECT_COLOR, OBJECT_OPACITY = np.array([0.94, 0.78, 0.60]), 0.5
+MOST_FRAMES = 6000
+
+
+def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -> Film:
+    """Return the film of a trajectory, up to wherever it got.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    fps : float
+        Frames per second of the viewer; not more than the samples there are.
+    speed : float
+        Seconds of the trajectory per second of the viewer.
+    meshes : bool
+        False shows simple bars in place of mesh files: a small page.
+
+    Raises
+    ------
+    ReplayError
+        The trajectory has no samples.
+    """
+    rows = frame_rows(trajectory.time, fps / speed)
+    system = compile_system(trajectory.scene)
+    colors = arm_colors(system)
+    bodies = [_object(trajectory, rows)]
+    cache: dict[tuple, Mesh] = {}
+    for name in system.arm_names:
+        arm, angles = system.arms[name], trajectory.joint_positions[name][rows]
+        bodies += _links(arm, angles, colors[name], meshes, cache)
+    bases = [spec.base.matrix()[2, 3] for spec in trajectory.scene.arms.values()]
+    note = "" if trajectory.status == "completed" else trajectory.message
+    return Film(
+        title=trajectory.scene.name,
+        time=trajectory.time[rows],
+        bodies=bodies,
+        contacts=_contacts(system, trajectory, rows, colors),
+        floor=float(min(bases)),
+        note=f"{trajectory.status}: {note}" if note else "",
+    )
+
+
+def frame_rows(time: np.ndarray, rate: float) -> np.ndarray:
+    """Return the indices of the samples nearest to a uniform `rate` [1/s], first and last too."""
+    if len(time) == 0:
+        raise ReplayError(
+            "the trajectory holds no samples: there is nothing to replay; "
+            "run the scene again and look at its message"
+        )
+    span = time[-1] - time[0]
+    count = int(np.ceil(span * rate - 1e-9)) + 1
+    if count > MOST_FRAMES:
+        warnings.warn(
+            f"the replay shows {MOST_FRAMES} of {count} frames, one every "
+            f"{span / MOST_FRAMES:.3g} s; replay a shorter run for finer motion",
+            stacklevel=3,
+        )
+        count = MOST_FRAMES
+    wanted = np.linspace(time[0], time[-1], count)
+    after = np.clip(np.searchsorted(time, wanted), 1, max(1, len(time) - 1))
+    after = np.minimum(after, len(time) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(wanted - time[before] < time[after] - wanted, before, after)
+    rows = np.unique(nearest)
+    return rows[np.diff(time[rows], prepend=-np.inf) > 0]
+
+
+def arm_colors(system: System) -> dict[str, np.ndarray]:
+    """Return a colour, sRGB (3,) in 0..1, for each arm: its own, or one of a palette."""
+    chosen = {name: spec.color for name, spec in system.scene.arms.items()}
+    return {
+        name: np.array(color[:3]) if color is not None else _palette_color(i)
+        for i, (name, color) in enumerate(chosen.items())
+    }
+
+
+def _palette_color(i: int) -> np.ndarray:
+    if i < len(PALETTE):
+        return np.array([int(PALETTE[i][k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    return np.array(colorsys.hsv_to_rgb(0.618034 * i % 1.0, 0.55, 0.8))  # hues far apart
+
+
+def _object(trajectory: Trajectory, rows: np.ndarray) -> Body:
+    spec = trajectory.scene.object
+    color, opacity = OBJECT_COLOR, OBJECT_OPACITY
+    if spec.color is not None:
+        color = np.array(spec.color[:3])
+        opacity = spec.color[3] if spec.color[3] < 1 else OBJECT_OPACITY
+    return Body(
+        "object",
+        object_mesh(spec),
+        trajectory.object_position[rows],
+        trajectory.object_quaternion_xyzw[rows],
+        color,
+        opacity,
+    )
+
+
+def _links(
+    arm: Arm, angles: np.ndarray, color: np.ndarray, meshes: bool, cache: dict[tuple, Mesh]
+) -> list[Body]:
+    """Return the links of an arm; those without a shape of their own get a stand-in."""
+    visuals = [item for item in arm.visual_model().geometryObjects if meshes or not item.meshPath]
+    parts = [
+        _Part(item.name, item.parentJoint, item.placement, _shared_mesh(item, cache))
+        for item in visuals
+    ]
+    parts += _stand_ins(arm, set(range(arm.model.njoints)) - {part.joint for part in parts})
+    poses = np.empty((len(parts), len(angles), 7))
+    data = arm.model.createData()
+    for k, row in enumerate(angles):
+        pin.forwardKinematics(arm.model, data, arm.configuration(row))
+        poses[:, k] = [pin.SE3ToXYZQUAT(data.oMi[p.joint] * p.placement) for p in parts]
+    names = _distinct([part.name.replace("/", "_") for part in parts])
+    return [
+        Body(f"arms/{arm.name}/{name}", part.mesh, pose[:, :3], pose[:, 3:], color)
+        for name, part, pose in zip(names, parts, poses, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A shape fixed to a joint's moving frame (joint 0: the world)."""
+
+    name: str
+    joint: int
+    placement: pin.SE3
+    mesh: Mesh
+
+
+def _shared_mesh(item: pin.GeometryObject, cache: dict[tuple, Mesh]) -> Mesh:
+    """Return the visual's mesh; the same file for two arms is read once."""
+    if not item.meshPath:
+        return geometry_mesh(item)
+    key = (item.meshPath, *item.meshScale, item.overrideMaterial, *item.meshColor)
+    if key not in cache:
+        cache[key] = geometry_mesh(item)
+    return cache[key]
+
+
+def _stand_ins(arm: Arm, joints: set[int]) -> list[_Part]:
+    """Return bars from each of the `joints` to what it carries: the next joint or the tip."""
+    model = arm.model
+    ends: dict[int, list[np.ndarray]] = {joint: [] for joint in range(model.njoints)}
+    for child in range(1, model.njoints):
+        ends[model.parents[child]].append(model.jointPlacements[child].translation)
+    ends[arm.tip_joint].append(arm.tip_translation)
+    base = arm.files.base[:3, 3]  # joint 0 is the world, where the arm begins at its base
+    starts = {joint: base if joint == 0 else np.zeros(3) for joint in joints}
+    reach = sum(np.linalg.norm(e - starts.get(j, base * (j == 0))) for j in ends for e in ends[j])
+    parts = []
+    for joint, start in starts.items():
+        bars = [
+            _bar(start, end, 0.03 * reach)
+            for end in ends[joint]
+            if np.linalg.norm(end - start) > 1e-3 * reach
+        ]
+        if bars:
+            parts.append(
+                _Part(
+                    f"{model.names[joint]}_bar",
+                    joint,
+                    pin.SE3.Identity(),
+                    merge(bars).painted(PLAIN),
+                )
+            )
+    return parts
+
+
+def _bar(start: np.ndarray, end: np.ndarray, radius: float) -> Mesh:
+    span = end - start
+    length = float(np.linalg.norm(span))
+    pose = np.eye(4)
+    pose[:3, :3] = rotations(along(span[None, None] / length)[0])[0]
+    pose[:3, 3] = (start + end) / 2
+    return capsule(radius, length).moved(pose)
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """Number the names that occur more than once: a node of the scene tree has one name."""
+    counts = Counter(names)
+    seen: Counter[str] = Counter()
+    result = []
+    for name in names:
+        seen[name] += 1
+        result.append(name if counts[name] == 1 else f"{name}_{seen[name]}")
+    return result
+
+
+def _contacts(
+    system: System, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
+) -> list[ContactTracks]:
+    moments = [_evaluation(system, trajectory, row) for row in rows]
+    return [
+        ContactTracks(
+            arm=name,
+            color=colors[name],
+            point=np.array([m.contact_points[name] for m in moments]),
+            normal=np.array([m.contact_normals[name] for m in moments]),
+            force=trajectory.contact_forces[name][rows],
+        )
+        for name in system.arm_names
+        if trajectory.contact_forces[name].shape[1]
+    ]
+
+
+def _evaluation(system: System, trajectory: Trajectory, row: int) -> Evaluation:
+    state = system.state(
+        object_position=trajectory.object_position[row],
+        object_quaternion_xyzw=trajectory.object_quaternion_xyzw[row],
+        joint_positions={name: trajectory.joint_positions[name][row] for name in system.arm_names},
+    )
+    try:
+        return evaluate(system, float(trajectory.time[row]), state)
+    except SolverError:  # a singular posture, such as may have ended the run, still has contacts
+        return evaluate(system.with_solver("dense"), float(trajectory.time[row]), state)

@@ -1,0 +1,82 @@
+"""Draw contacts: points, normals and forces.
+
+A contact force is an arrow outside the object, along the contact normal: pushing, its head
+touches the contact point; pulling, it starts there and points away, in a lighter colour. Its
+length is in proportion to the force, its width to the root of that, so that small forces stay
+visible. Marks that something hides shine through it faintly.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from multiarm.viewer import commands
+from multiarm.viewer.film import ContactTracks, Film, along
+from multiarm.viewer.mesh import Mesh, ShadedMesh, merge, revolve, shade, sphere
+from multiarm.viewer.script import Script
+
+NORMAL_COLOR = np.array([0.25, 0.28, 0.33])
+HAIR = 1e-4  # scale of what should not be seen: zero would make a matrix singular
+HEAD, WIDTH = 0.17, 0.02  # length of the head and radius of the shaft of an arrow of length 1
+
+
+class Marks:
+    """Shapes and sizes [m] of all marks of a film, in proportion to its size.
+
+    Parameters
+    ----------
+    film : Film
+    size : float
+        The film's size [m].
+    """
+
+    def __init__(self, film: Film, size: float) -> None:
+        self.longest = 0.17 * size  # arrow of the film's `force_scale`
+        self._film = film
+        body = float(np.linalg.norm(np.ptp(film.bodies[0].mesh.bounds(), axis=0)))
+        self._dot = sphere(min(0.006 * size, 0.05 * body))
+        normal = min(0.04 * size, 0.3 * body)
+        self._needle = arrow(normal, normal / 4, normal / 30).painted(NORMAL_COLOR)
+        full = arrow(self.longest, HEAD * self.longest, WIDTH * self.longest)
+        down = np.array([1.0, -1.0, -1.0])  # half a turn about x
+        to_tip = np.eye(4)
+        to_tip[2, 3] = -self.longest
+        self._push, self._pull = shade(full.moved(to_tip)), shade(full.scaled(down))
+
+    def draw(self, contacts: ContactTracks, script: Script) -> None:
+        """Draw the contacts of one arm."""
+        lengths = self._film.arrow_lengths(contacts)  # (K, N)
+        turns = along(contacts.normal)
+        mark = shade(merge([self._dot.painted(0.75 * contacts.color), self._needle]))
+        for i in range(contacts.point.shape[1]):
+            name = f"{contacts.arm}/{i + 1}"
+            script.put(f"contacts/{name}", _seen_through(mark, np.ones(3)))
+            script.move(f"contacts/{name}", contacts.point[:, i], turns[:, i])
+            push, pull = np.maximum(lengths[:, i], 0), np.maximum(-lengths[:, i], 0)
+            if push.any() or pull.any():
+                script.move(f"forces/{name}", contacts.point[:, i], turns[:, i])
+            _draw_force(f"forces/{name}/push", self._push, push, 0.9 * contacts.color, script)
+            _draw_force(f"forces/{name}/pull", self._pull, pull, (1 + contacts.color) / 2, script)
+
+
+def arrow(length: float, head: float, radius: float) -> Mesh:
+    """Return an arrow from the origin along z; `radius` is that of its shaft [m]."""
+    neck = length - head
+    return revolve([(0, 0), (radius, 0), (radius, neck), (3 * radius, neck), (0, length)])
+
+
+def _draw_force(
+    path: str, shape: ShadedMesh, length: np.ndarray, color: np.ndarray, script: Script
+) -> None:
+    """Draw an arrow of changing `length` (K,), 1 being the longest."""
+    if length.max() < HAIR:
+        return
+    script.put(path, _seen_through(shape, color))
+    width = np.sqrt(length)
+    script.set(path, "scale", np.maximum(np.column_stack([width, width, length]), HAIR))
+
+
+def _seen_through(shape: ShadedMesh, color: np.ndarray) -> dict[str, Any]:
+    return commands.mesh_object(shape, commands.shiny(color), commands.ghost(color, 0.38))

@@ -1,0 +1,223 @@
+"""Triangle meshes: the one form in which shapes reach the browser.
+
+Boxes, spheres and cylinders are meshes like those read from a file, so that one piece of code
+shades, tints, measures and sends them all. Solids of revolution share one generator: a profile
+(radius, height) turned about the z axis gives the cylinder, cone, sphere, capsule and arrow.
+
+Shading needs a normal per corner. Two faces around a vertex are smoothed together when the angle
+between them is below the crease angle, so that a tube looks round and the edges of a box stay
+sharp, whatever normals a file carries or lacks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+CREASE_ANGLE = np.deg2rad(40.0)  # [rad]
+SEGMENTS = 40  # around the axis of a solid of revolution
+WELD_DIGITS = 7  # vertices closer than about 1e-7 of the mesh's size are one vertex
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles in a body's frame.
+
+    Parameters
+    ----------
+    vertices : array, shape (V, 3)
+        Corner positions [m].
+    triangles : int array, shape (T, 3)
+        Indices into `vertices`, counter-clockwise seen from outside.
+    colors : array, shape (T, 3), optional
+        Colour of each triangle, sRGB in 0..1; absent: white.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    colors: np.ndarray | None = None
+
+    def bounds(self) -> np.ndarray:
+        """Return the eight corners of the axis-aligned bounding box, shape (8, 3) [m]."""
+        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        pick = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
+        return np.where(pick, high, low)
+
+    def moved(self, pose: np.ndarray) -> Mesh:
+        """Return the mesh under a homogeneous transform `pose`, shape (4, 4)."""
+        return Mesh(self.vertices @ pose[:3, :3].T + pose[:3, 3], self.triangles, self.colors)
+
+    def scaled(self, factors: np.ndarray) -> Mesh:
+        """Return the mesh scaled by `factors`, shape (3,); a mirror image keeps its outside."""
+        triangles = self.triangles if np.prod(factors) > 0 else self.triangles[:, ::-1]
+        return Mesh(self.vertices * factors, triangles, self.colors)
+
+    def painted(self, color: np.ndarray) -> Mesh:
+        """Return the mesh in one `color`, shape (3,), sRGB in 0..1."""
+        return Mesh(self.vertices, self.triangles, np.tile(color, (len(self.triangles), 1)))
+
+
+def box(lengths: ArrayLike) -> Mesh:
+    """Return a box with full side `lengths`, shape (3,) [m], centred at the origin."""
+    corners = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)]) - 0.5
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    return Mesh(corners * np.asarray(lengths, float), np.array(triangles))
+
+
+def cylinder(radius: float, height: float) -> Mesh:
+    """Return a cylinder along z, centred at the origin [m]."""
+    h = height / 2
+    return revolve([(0, -h), (radius, -h), (radius, h), (0, h)])
+
+
+def cone(radius: float, height: float) -> Mesh:
+    """Return a cone along z: base at -height/2, apex at +height/2 [m]."""
+    return revolve([(0, -height / 2), (radius, -height / 2), (0, height / 2)])
+
+
+def capsule(radius: float, length: float) -> Mesh:
+    """Return a capsule along z, centred; `length` [m] is that of the cylinder between the caps."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 2 * (SEGMENTS // 4) + 2)
+    shift = np.where(angle < 0, -length / 2, length / 2)
+    return revolve(np.column_stack([radius * np.cos(angle), radius * np.sin(angle) + shift]))
+
+
+def sphere(radius: float) -> Mesh:
+    """Return a sphere centred at the origin [m]."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, SEGMENTS // 2 + 1)
+    return revolve(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def revolve(profile: ArrayLike) -> Mesh:
+    """Turn a profile of (radius, height) points, bottom to top, shape (P, 2) [m], about z."""
+    points = np.asarray(profile, float)
+    turn = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+    around = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(SEGMENTS)])
+    rings = points[:, None, :1] * around + points[:, None, 1:] * [0, 0, 1]  # (P, S, 3)
+    ring, step = np.meshgrid(np.arange(len(points) - 1), np.arange(SEGMENTS), indexing="ij")
+    a = ring * SEGMENTS + step
+    b = ring * SEGMENTS + (step + 1) % SEGMENTS
+    c, d = a + SEGMENTS, b + SEGMENTS
+    triangles = np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
+    return without_slivers(Mesh(rings.reshape(-1, 3), triangles))
+
+
+def merge(meshes: list[Mesh]) -> Mesh:
+    """Return one mesh made of several; unpainted parts become white if any other is painted."""
+    starts = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
+    painted = any(m.colors is not None for m in meshes)
+    colors = [m.colors if m.colors is not None else np.ones(m.triangles.shape) for m in meshes]
+    return Mesh(
+        np.concatenate([m.vertices for m in meshes]),
+        np.concatenate([m.triangles + start for m, start in zip(meshes, starts, strict=True)]),
+        np.concatenate(colors) if painted else None,
+    )
+
+
+def without_slivers(mesh: Mesh) -> Mesh:
+    """Return the mesh without triangles of no area (they have no normal)."""
+    area = np.linalg.norm(_face_vectors(mesh), axis=1)
+    keep = area > 1e-12 * area.max(initial=0.0)
+    colors = None if mesh.colors is None else mesh.colors[keep]
+    return Mesh(mesh.vertices, mesh.triangles[keep], colors)
+
+
+def sharp_edges(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> np.ndarray:
+    """Return the edges at which the surface bends by more than `crease_angle` [rad], or ends.
+
+    Returns
+    -------
+    array, shape (E, 2, 3)
+        Both ends of each edge [m].
+    """
+    mesh = without_slivers(mesh)
+    faces = _face_vectors(mesh)
+    unit = faces / np.linalg.norm(faces, axis=1, keepdims=True)
+    welded = _welded(mesh)[mesh.triangles]  # (T, 3)
+    ends = np.stack([welded, np.roll(welded, -1, axis=1)], axis=-1).reshape(-1, 2)
+    corners = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], -1).reshape(-1, 2)
+    _, first, edge, count = np.unique(
+        np.sort(ends, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    edge, owner = edge.reshape(-1), np.repeat(np.arange(len(faces)), 3)
+    total = np.stack([np.bincount(edge, unit[owner, k]) for k in range(3)], axis=1)
+    # Two unit normals at an angle a add up to the length 2 cos(a / 2).
+    sharp = (count != 2) | (np.linalg.norm(total, axis=1) < 2 * np.cos(crease_angle / 2))
+    return mesh.vertices[corners[first[sharp]]]
+
+
+@dataclass(frozen=True)
+class ShadedMesh:
+    """Vertices ready for drawing, each with one normal and one colour.
+
+    Parameters
+    ----------
+    vertices, normals, colors : arrays, shape (V, 3)
+        Position [m], unit normal, sRGB colour in 0..1.
+    triangles : int array, shape (T, 3)
+    """
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    colors: np.ndarray
+    triangles: np.ndarray
+
+
+def shade(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> ShadedMesh:
+    """Give every corner its normal; corners that agree in all respects share a vertex.
+
+    The normal of a corner is the area-weighted mean of the normals of the faces around its vertex
+    which are inclined to the corner's own face by less than `crease_angle` [rad].
+    """
+    mesh = without_slivers(mesh)
+    normals = _corner_normals(mesh, crease_angle)  # (3 T, 3)
+    corners = mesh.vertices[mesh.triangles].reshape(-1, 3)
+    colors = np.ones(mesh.triangles.shape) if mesh.colors is None else mesh.colors
+    rows = np.hstack([corners, np.round(normals, 2), np.repeat(colors, 3, axis=0)])
+    _, first, index = np.unique(
+        rows.astype(np.float32), axis=0, return_index=True, return_inverse=True
+    )
+    # Numbering vertices by first use keeps neighbours together, which halves the compressed size.
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    first = first[order]
+    return ShadedMesh(
+        corners[first],
+        normals[first],
+        np.repeat(colors, 3, axis=0)[first],
+        rank[index.reshape(-1)].reshape(-1, 3),
+    )
+
+
+def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
+    faces = _face_vectors(mesh)  # (T, 3), twice the area times the normal
+    unit = faces / np.linalg.norm(faces, axis=1, keepdims=True)
+    vertex = _welded(mesh)[mesh.triangles].reshape(-1)  # (3 T,)
+    # All pairs (corner, neighbour) around a vertex, by blocks of corners sorted by vertex.
+    order = np.argsort(vertex, kind="stable")
+    starts = np.flatnonzero(np.diff(vertex[order], prepend=-1))
+    counts = np.diff(starts, append=len(order))
+    count = np.repeat(counts, counts)  # of each sorted corner's vertex
+    corner = np.repeat(order, count)
+    offset = np.arange(len(corner)) - np.repeat(np.cumsum(count) - count, count)
+    neighbour = order[np.repeat(np.repeat(starts, counts), count) + offset]
+    own, other = corner // 3, neighbour // 3
+    smooth = np.einsum("ij,ij->i", unit[own], unit[other]) > np.cos(crease_angle)
+    corner, other = corner[smooth], other[smooth]
+    total = np.stack([np.bincount(corner, faces[other, k], len(order)) for k in range(3)], axis=1)
+    return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+
+def _welded(mesh: Mesh) -> np.ndarray:
+    """Return a number for each vertex, shape (V,), equal for vertices at the same place."""
+    places = np.round(mesh.vertices / np.ptp(mesh.vertices, axis=0).max(), WELD_DIGITS)
+    return np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _face_vectors(mesh: Mesh) -> np.ndarray:
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)

@@ -1,0 +1,30 @@
+#!/usr/bin/env bash
+# Set up everything on a fresh machine (Debian or Ubuntu) and run all checks:
+# a virtual environment, Chromium for the browser tests, lint, types, tests, examples.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+if ! command -v chromium >/dev/null && ! command -v google-chrome >/dev/null; then
+    echo "== installing Chromium"
+    sudo=$([ "$(id -u)" = 0 ] || echo sudo)
+    $sudo apt-get update -qq
+    $sudo apt-get install -y -qq --no-install-recommends chromium
+fi
+
+environment=${MULTIARM_VENV:-.venv}
+echo "== installing multiarm into $environment"
+[ -d "$environment" ] || python3 -m venv "$environment"
+# shellcheck disable=SC1091
+. "$environment/bin/activate"
+python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+
+echo "== lint and types"
+ruff check .
+ruff format --check .
+mypy
+
+echo "== compiling the kernels (once)"
+python examples/01_two_ur5_box.py
+
+echo "== tests"
+python -m pytest -n 2 "$@"

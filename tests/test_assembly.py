@@ -1,0 +1,124 @@
+"""Claims about the start: put on the joints when it is near, refused with reasons when not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from mechanics import UR5_POSTURE, plain_gaps, scene_of, single_arm, ur5_pair
+from scipy.spatial.transform import Rotation
+
+import multiarm as ma
+from multiarm.errors import MultiarmError, SceneError
+
+
+def at_tip(name):
+    """Pose of an arm's tip in the object frame at the pair's start, as a scene writes it."""
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "weld"}))
+    scene = system.scene
+    X_OT = np.linalg.solve(
+        scene.object.pose.matrix(), system.arms[name].tip_pose(np.array(UR5_POSTURE))
+    )
+    return {
+        "xyz": X_OT[:3, 3],
+        "quaternion_xyzw": Rotation.from_matrix(X_OT[:3, :3]).as_quat(),
+    }
+
+
+def displaced(pose, shift, turn=(0.0, 0.0, 0.0)):
+    rotation = Rotation.from_quat(pose["quaternion_xyzw"]) * Rotation.from_rotvec(turn)
+    return {"xyz": (pose["xyz"] + shift).tolist(), "quaternion_xyzw": rotation.as_quat().tolist()}
+
+
+def test_a_start_without_placement_is_closed_as_written():
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "point_on_plane"}))
+    assert max(system.start_report.gaps.values()) < 1e-14
+    assert system.start_report.joint_change == 0.0
+    assert system.start_report.object_shift == 0.0
+    np.testing.assert_allclose(plain_gaps(system, system.initial_state()), 0.0, atol=1e-14)
+
+
+def test_a_near_start_is_closed_by_the_arms_alone_and_reported():
+    shift = np.array([0.004, -0.003, 0.002])
+    joint = {"kind": "weld", "at": displaced(at_tip("left"), shift, [0.02, 0.01, -0.03])}
+    system = ma.compile_system(ur5_pair(joint, {"kind": "weld"}))
+    start, report = system.initial_state(), system.start_report
+    np.testing.assert_allclose(plain_gaps(system, start), 0.0, atol=2e-14)
+    np.testing.assert_array_equal(start.object_position, [0, 0, 0.5])
+    np.testing.assert_allclose(start.joint_positions["right"], UR5_POSTURE, atol=1e-14)
+    change = np.abs(start.joint_positions["left"] - UR5_POSTURE)
+    assert report.joint_change == pytest.approx(change.max()) and 1e-3 < change.max() < 0.1
+    assert 1e-3 < report.gaps["left"] < 0.02 and report.gaps["right"] < 1e-12
+    assert report.object_shift == 0.0 and report.object_turn == 0.0
+
+
+def test_an_object_out_of_the_arms_reach_gives_way():
+    """A planar arm cannot lift its tip; the object comes down to it."""
+    body = {"shape": {"sphere": 0.2}, "mass": 1.0, "pose": {"xyz": [1.0, 0.2, 0.005]}}
+    arm = {"robot": "planar_3r", "tip": "tip", "posture": [0.4, -0.3, 0.2]}
+    plain = scene_of({"arm": arm}, [{"arm": "arm", "kind": "ball"}], run={"solver": "dense"})
+    tip = ma.compile_system(plain).arms["arm"].tip_pose(np.array(arm["posture"]))
+    at = (tip[:3, 3] - [1.0, 0.2, 0.0]).tolist()
+    joint = {"arm": "arm", "kind": "ball", "at": {"xyz": at}}
+    scene = scene_of({"arm": arm}, [joint], object=body, run={"solver": "dense"})
+    system = ma.compile_system(scene)
+    start = system.initial_state()
+    np.testing.assert_allclose(plain_gaps(system, start), 0.0, atol=1e-13)
+    assert system.start_report.object_shift > 1e-3
+
+
+def test_a_far_start_is_refused_with_all_gaps_and_a_remedy():
+    pose = at_tip("left")
+    left = {"kind": "weld", "at": displaced(pose, [0.5, 0.0, 0.0])}
+    right = {"kind": "weld", "at": displaced(at_tip("right"), [0.0, 0.4, 0.0])}
+    with pytest.raises(SceneError) as caught:
+        ma.compile_system(ur5_pair(left, right))
+    assert len(caught.value.faults) == 2
+    for name, fault in zip(("left", "right"), caught.value.faults, strict=True):
+        assert f"'{name}'" in fault and "gap of" in fault and "at" in fault
+
+
+def test_written_velocities_are_projected_with_the_least_change():
+    scene = ur5_pair({"kind": "weld"}, {"kind": "ball"})
+    twist = [0.1, 0.2, -0.1, 0.3, -0.2, 0.1]
+    moving = scene.replace(object=scene.object.model_copy(update={"twist": tuple(twist)}))
+    system = ma.compile_system(moving)
+    ev = ma.evaluate(system)
+    assert ev.velocity_residual < 1e-13
+    assert system.start_report.velocity_change > 0.01
+    assert system.start_report.gap_rates["left"] > 0.05
+    # the arms, at rest as written, hold the object back
+    assert 0.0 < np.linalg.norm(ev.state.object_twist[:3]) < np.linalg.norm(twist[:3])
+
+
+def test_consistent_velocities_are_kept(block_system):
+    assert block_system.start_report.velocity_change < 1e-12
+
+
+def test_a_singular_start_says_which_arm_and_what_to_do():
+    singular = [*UR5_POSTURE[:4], 0.0, 0.0]
+    scene = single_arm("ur5", "tool0", singular, {"kind": "weld"})
+    with pytest.raises(MultiarmError, match=r"arm 'arm' cannot move along all 6.*solver: dense"):
+        ma.compile_system(scene)
+
+
+def test_contacts_at_the_centre_of_a_sphere_are_refused_without_a_traceback():
+    """The gap of a point at the centre has no direction."""
+    contact = {"arm": {"point": [0, 0, 0]}, "object": {"sphere": {"radius": 0.01}}}
+    posture = [0.3, -0.6, 1.1, 0.4, 0.7, -0.2]
+    tip = ma.compile_system(single_arm("textbook_6r", "tool", posture, {"kind": "ball"}))
+    X = np.linalg.solve(tip.scene.object.pose.matrix(), tip.arms["arm"].tip_pose(np.array(posture)))
+    joint = {"kind": "contacts", "contacts": [contact], "at": {"xyz": X[:3, 3].tolist()}}
+    with pytest.raises(MultiarmError) as caught:
+        ma.compile_system(single_arm("textbook_6r", "tool", posture, joint))
+    assert "nan" not in str(caught.value).lower()
+
+
+def test_wound_up_joints_are_not_unwound():
+    """A continuous joint at 7 rad starts at 7 rad, though Pinocchio sees only cosine and sine."""
+    posture = [0.4, 2.9, 1.3, -2.0, 1.4, 7.0]
+    scene = single_arm("kinova", "j2s6s200_end_effector", posture, {"kind": "ball"})
+    start = ma.compile_system(scene).initial_state()
+    np.testing.assert_allclose(start.joint_positions["arm"], posture, atol=1e-14)
+    assert start.joint_positions["arm"][5] > 2 * math.pi

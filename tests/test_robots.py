@@ -1,0 +1,376 @@
+"""Claims about robots: every name loads, chains are right, our own models are physical."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from multiarm.errors import ModelError, SceneError
+from multiarm.scene import (
+    ArmSpec,
+    CornerGripperJoint,
+    Pose,
+    available_robots,
+    find_robot,
+    parse_scene,
+    read_urdf,
+    resolve_arm,
+    resolve_mesh,
+    resolve_package_dirs,
+)
+
+ROOT = Path(__file__).parents[1]
+OWN = ("planar_2r", "planar_3r", "textbook_6r", "corner_gripper")
+WORKED = json.loads((ROOT / "tests" / "data" / "worked_examples.json").read_text())["examples"]
+
+
+def arm(**changes: object) -> ArmSpec:
+    return ArmSpec(**{"robot": "panda", "tip": "panda_hand_tcp", **changes})
+
+
+def scene_of(spec: dict):
+    return parse_scene(
+        {
+            "object": {"shape": {"sphere": 0.1}, "mass": 1},
+            "arms": {"a": spec},
+            "joints": [{"arm": "a", "kind": "weld"}],
+        }
+    )
+
+
+def write_urdf(path: Path, body: str) -> Path:
+    path.write_text(f"<robot name='r'>{body}</robot>")
+    return path
+
+
+def chain_text(kinds: list[str], extra: str = "") -> str:
+    links = "".join(f"<link name='l{i}'/>" for i in range(len(kinds) + 1))
+    joints = "".join(
+        f"<joint name='j{i}' type='{kind}'><parent link='l{i}'/><child link='l{i + 1}'/>"
+        f"<axis xyz='0 0 1'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint>"
+        for i, kind in enumerate(kinds)
+    )
+    return links + joints + extra
+
+
+# --- by name -----------------------------------------------------------------------------------
+
+
+def test_own_robots_and_example_arms_are_available():
+    names = set(available_robots())
+    assert set(OWN) <= names
+    assert {"ur3", "ur5", "ur10", "panda", "kinova", "xarm7", "z1", "so100", "so101"} <= names
+
+
+@pytest.mark.parametrize("name", sorted(available_robots()))
+def test_every_robot_loads_and_its_usual_tip_ends_the_same_chain_as_in_pinocchio(name):
+    entry = find_robot(name)
+    outline = read_urdf(entry.urdf)
+    model = pin.buildModelFromUrdf(str(entry.urdf))
+    assert model.existFrame(entry.tip)
+    chain = [joint.name for joint in outline.chain(entry.tip) if joint.movable]
+    parent = model.frames[model.getFrameId(entry.tip, pin.FrameType.BODY)].parentJoint
+    assert chain == [model.names[i] for i in model.supports[parent] if i > 0]
+    limits = {joint.name: joint for joint in outline.joints}
+    for joint, joint_name in zip(model.joints[1:], list(model.names)[1:], strict=True):
+        if joint.nq == 1:
+            assert limits[joint_name].lower == model.lowerPositionLimit[joint.idx_q]
+            assert limits[joint_name].upper == model.upperPositionLimit[joint.idx_q]
+
+
+@pytest.mark.parametrize("name", sorted(available_robots()))
+def test_meshes_of_every_robot_are_found(name):
+    outline = read_urdf(find_robot(name).urdf)
+    folders = resolve_package_dirs(outline.path)
+    missing = [m for m in outline.meshes if resolve_mesh(m, outline.path, folders) is None]
+    assert missing == []
+
+
+def test_unknown_robot_names_alternatives():
+    with pytest.raises(SceneError, match="unknown robot 'ur6'; did you mean 'ur5'.*'urdf:'"):
+        find_robot("ur6")
+
+
+def test_without_example_robot_data_the_message_says_what_to_install(monkeypatch):
+    monkeypatch.setattr("multiarm.scene.robots._share_folder", lambda: None)
+    assert set(available_robots()) == set(OWN)
+    with pytest.raises(SceneError, match="pip install example-robot-data"):
+        find_robot("ur5")
+
+
+# --- chains ------------------------------------------------------------------------------------
+
+
+def test_fingers_beside_the_chain_are_locked_and_told():
+    scene = scene_of({"robot": "panda", "tip": "panda_hand_tcp"})
+    resolved = resolve_arm(scene.arms["a"])
+    assert resolved.joint_names == tuple(f"panda_joint{i}" for i in range(1, 8))
+    assert resolved.locked == {"panda_finger_joint1": 0.0, "panda_finger_joint2": 0.0}
+    (warning,) = scene.warnings
+    assert warning.startswith("$.arms.a: ")
+    assert "panda_finger_joint1" in warning
+
+
+def test_lock_chooses_positions_and_mimics_follow():
+    spec = {"robot": "panda", "tip": "panda_hand_tcp", "lock": {"panda_finger_joint1": 0.02}}
+    scene = scene_of(spec)
+    locked = resolve_arm(scene.arms["a"]).locked
+    assert locked == {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02}
+    assert scene.warnings == []
+
+
+def test_a_locked_joint_of_the_chain_is_no_coordinate():
+    resolved = resolve_arm(arm(lock={"panda_joint3": 0.3}, posture=[0, 1, -2, 0, 1, 0]))
+    assert "panda_joint3" not in resolved.joint_names
+    assert resolved.locked["panda_joint3"] == 0.3
+    np.testing.assert_array_equal(resolved.posture, [0, 1, -2, 0, 1, 0])
+
+
+def test_posture_defaults_to_the_position_nearest_to_zero_within_the_limits():
+    resolved = resolve_arm(arm(posture={"panda_joint2": 0.4}))
+    upper = resolved.joints[3].upper
+    assert upper < 0
+    np.testing.assert_array_equal(resolved.posture[:5], [0, 0.4, 0, upper, 0])
+    np.testing.assert_array_equal(resolved.velocity, np.zeros(7))
+
+
+def test_a_posture_outside_its_limits_is_a_warning():
+    scene = scene_of({"robot": "ur5", "tip": "tool0", "posture": {"elbow_joint": 9.0}})
+    assert any("'elbow_joint' is 9, outside its limits" in text for text in scene.warnings)
+
+
+@pytest.mark.parametrize("kind", ["planar", "floating"])
+def test_other_movable_joints_on_the_chain_are_refused(kind, tmp_path):
+    path = write_urdf(tmp_path / "arm.urdf", chain_text(["revolute", kind]))
+    with pytest.raises(SceneError, match=f"joint 'j1' on the way to 'l2' is {kind}"):
+        resolve_arm(ArmSpec(urdf=path, tip="l2"))
+    assert resolve_arm(ArmSpec(urdf=path, tip="l1")).joint_names == ("j0",)
+
+
+@pytest.mark.parametrize(("count", "accepted"), [(0, False), (1, True), (16, True), (17, False)])
+def test_chains_have_one_to_sixteen_joints(count, accepted, tmp_path):
+    kinds = (["revolute", "continuous", "prismatic"] * 6)[:count]
+    path = write_urdf(tmp_path / "arm.urdf", chain_text([*kinds, "fixed"]))
+    spec = ArmSpec(urdf=path, tip=f"l{count + 1}")
+    if accepted:
+        assert len(resolve_arm(spec).joints) == count
+    else:
+        with pytest.raises(SceneError, match="movable joint"):
+            resolve_arm(spec)
+
+
+def test_continuous_joints_have_no_limits(tmp_path):
+    path = write_urdf(tmp_path / "arm.urdf", chain_text(["continuous"]))
+    (joint,) = resolve_arm(ArmSpec(urdf=path, tip="l1", posture=[9.0])).joints
+    assert (joint.lower, joint.upper) == (-math.inf, math.inf)
+
+
+def test_a_tool_continues_the_chain():
+    spec = ArmSpec(
+        robot="textbook_6r", tip="corner", tool={"robot": "corner_gripper", "mount": "tool"}
+    )
+    resolved = resolve_arm(spec)
+    assert len(resolved.joints) == 6
+    assert resolved.tool_urdf == find_robot("corner_gripper").urdf
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"mount": "tol"}, r"arm\.tool\.mount: unknown link 'tol'; did you mean 'tool'"),
+        ({"robot": "corner_griper"}, r"arm\.tool\.robot: unknown robot 'corner_griper'; did you"),
+        ({"robot": "textbook_6r"}, "tool and robot both have a joint named"),
+    ],
+)
+def test_faults_of_tools_are_told(changes, expected):
+    tool = {"robot": "corner_gripper", "mount": "tool", **changes}
+    with pytest.raises(SceneError, match=expected):
+        resolve_arm(ArmSpec(robot="textbook_6r", tip="corner", tool=tool))
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("<robot", "not valid XML"),
+        ("<sdf/>", "not a URDF file: its root element is <sdf>"),
+        (
+            "<robot xmlns:xacro='http://ros.org/xacro'><xacro:macro name='a'/></robot>",
+            "xacro file; expand it first",
+        ),
+        ("<robot/>", "exactly one root link"),
+        ("<robot><link name='a'/><link name='b'/></robot>", "exactly one root link"),
+        ("<robot><link name='a'/><link name='a'/></robot>", "more than one link named 'a'"),
+        (
+            "<robot><link name='a'/><joint name='j' type='hinge'><parent link='a'/>"
+            "<child link='b'/></joint></robot>",
+            "unknown type 'hinge'",
+        ),
+        (
+            "<robot><link name='a'/><joint name='j' type='fixed'><parent link='a'/>"
+            "<child link='b'/></joint></robot>",
+            "unknown link 'b'",
+        ),
+        ("<robot><link/></robot>", "has no 'name'"),
+    ],
+)
+def test_broken_urdf_files_are_told(text, expected, tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    with pytest.raises(ModelError, match=expected):
+        read_urdf(path)
+
+
+def test_a_missing_urdf_is_a_fault_of_the_scene(tmp_path):
+    with pytest.raises(SceneError, match=r"\$\.arms\.a\.urdf: no URDF file at"):
+        scene_of({"urdf": str(tmp_path / "none.urdf"), "tip": "x"})
+
+
+def test_missing_meshes_are_a_warning(tmp_path):
+    visual = "<visual><geometry><mesh filename='package://nowhere/a.stl'/></geometry></visual>"
+    text = chain_text(["revolute"]).replace("<link name='l1'/>", f"<link name='l1'>{visual}</link>")
+    path = write_urdf(tmp_path / "arm.urdf", text)
+    scene = scene_of({"urdf": str(path), "tip": "l1"})
+    (warning,) = scene.warnings
+    assert "1 of 1 meshes" in warning
+    assert "package://nowhere/a.stl" in warning
+
+
+def test_packages_are_looked_for_in_the_promised_order(tmp_path, monkeypatch):
+    explicit, ros = tmp_path / "explicit", tmp_path / "ros"
+    urdf = tmp_path / "ws" / "pkg" / "urdf" / "arm.urdf"
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(ros))
+    address = "package://pkg/mesh.stl"
+    wanted = [explicit / "pkg", tmp_path / "ws" / "pkg", ros / "pkg"]
+    for folder in wanted:
+        folder.mkdir(parents=True)
+        (folder / "mesh.stl").write_text("solid")
+    for folder in wanted:
+        folders = resolve_package_dirs(urdf, (explicit,))
+        assert resolve_mesh(address, urdf, folders) == folder / "mesh.stl"
+        (folder / "mesh.stl").unlink()
+
+
+def test_an_explicit_folder_may_be_the_package_itself(tmp_path):
+    package = tmp_path / "elsewhere" / "pkg"
+    package.mkdir(parents=True)
+    (package / "mesh.stl").write_text("solid")
+    urdf = tmp_path / "robots" / "arm.urdf"
+    address = "package://pkg/mesh.stl"
+    assert resolve_mesh(address, urdf, resolve_package_dirs(urdf)) is None
+    assert resolve_mesh(address, urdf, resolve_package_dirs(urdf, (package,))) is not None
+
+
+def test_packages_named_as_in_ros_are_found_in_example_robot_data(tmp_path):
+    folders = resolve_package_dirs(tmp_path / "my_ur5.urdf")
+    address = "package://ur_description/meshes/ur5/visual/base.dae"
+    assert resolve_mesh(address, tmp_path / "my_ur5.urdf", folders) is not None
+
+
+# --- the project's own models ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_own_robots_are_physical_and_documented(name):
+    entry = find_robot(name)
+    assert (ROOT / "robots" / name / "SOURCE.md").read_text().count("BSD-3-Clause") == 1
+    model = pin.buildModelFromUrdf(str(entry.urdf))
+    bodies = [inertia for inertia in model.inertias if inertia.mass > 0]
+    assert bodies
+    for inertia in bodies:
+        low, middle, high = np.linalg.eigvalsh(inertia.inertia)
+        assert low > 0
+        assert low + middle >= high * (1 - 1e-9)
+    assert not read_urdf(entry.urdf).meshes
+
+
+def test_planar_arms_stay_in_their_plane():
+    for name, joints, reach in (("planar_2r", 2, 0.9), ("planar_3r", 3, 1.15)):
+        model = pin.buildModelFromUrdf(str(find_robot(name).urdf))
+        data = model.createData()
+        tip = model.getFrameId("tip")
+        pin.framesForwardKinematics(model, data, np.zeros(joints))
+        np.testing.assert_allclose(data.oMf[tip].translation, [reach, 0, 0], atol=1e-15)
+        pin.framesForwardKinematics(model, data, np.linspace(0.3, 1.0, joints))
+        assert data.oMf[tip].translation[2] == 0.0
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_textbook_arm_has_the_inertia_and_bias_of_the_worked_example(index):
+    example = WORKED["two_arm_block_system"]
+    model = pin.buildModelFromUrdf(str(find_robot("textbook_6r").urdf))
+    base = example["inputs"]["base"][index]
+    X_WB = pin.SE3(np.array(base["R"]), np.array(base["p"]))
+    model.jointPlacements[1] = X_WB * model.jointPlacements[1]
+    data = model.createData()
+    q, v = (np.array(example["inputs"][key][index]) for key in ("q", "qd"))
+    M = np.triu(pin.crba(model, data, q))
+    M = M + np.triu(M, 1).T
+    np.testing.assert_allclose(M, example["expected"][f"M{index}"], rtol=0, atol=1e-12)
+    nle = pin.nonLinearEffects(model, data, q, v)
+    np.testing.assert_allclose(nle, example["expected"]["nle"][index], rtol=0, atol=1e-12)
+    tool = model.frames[model.getFrameId("tool")].placement
+    np.testing.assert_array_equal(tool.translation, example["inputs"]["tool"])
+
+
+def test_corner_gripper_touches_the_corner_as_in_example_3_1():
+    model = pin.buildModelFromUrdf(str(find_robot("corner_gripper").urdf))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.zeros(0))
+    X_corner = data.oMf[model.getFrameId("corner")]
+    joint = CornerGripperJoint(arm="a")
+    expected = WORKED["example_3_1"]["inputs"]
+    np.testing.assert_array_equal(joint.points, expected["points_in_object_frame"])
+    for number, (point, outward) in enumerate(
+        zip(joint.points, expected["normals_on_gripper"], strict=True), start=1
+    ):
+        centre = X_corner.actInv(data.oMf[model.getFrameId(f"fingertip_{number}")].translation)
+        np.testing.assert_allclose(centre, np.add(point, np.multiply(0.01, outward)), atol=1e-15)
+    diagonal = X_corner.rotation @ np.ones(3) / np.sqrt(3)
+    np.testing.assert_allclose(diagonal, [0, 0, 1], atol=1e-15)
+    assert sum(inertia.mass for inertia in model.inertias) == pytest.approx(0.5)
+
+
+# --- the example scenes ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "examples" / "scenes").glob("*.yaml")), ids=lambda path: path.stem
+)
+def test_example_scenes_start_closed(path):
+    from multiarm.scene import load_scene
+
+    scene = load_scene(path)
+    assert scene.warnings == []
+    for joint in scene.joints:
+        if joint.at is None:
+            continue
+        X_WT = tip_pose(scene.arms[joint.arm])
+        X_OT = np.linalg.inv(scene.object.pose.matrix()) @ X_WT @ joint.at_tip.matrix()
+        gap = X_OT - joint.at.matrix()
+        if joint.kind == "ball":
+            gap = gap[:3, 3]
+        assert np.abs(gap).max() < 1e-9
+
+
+def tip_pose(spec: ArmSpec) -> np.ndarray:
+    resolved = resolve_arm(spec)
+    model = pin.buildModelFromUrdf(str(resolved.urdf))
+    if resolved.tool_urdf is not None:
+        tool = pin.buildModelFromUrdf(str(resolved.tool_urdf))
+        mount = model.getFrameId(spec.tool.mount)
+        model = pin.appendModel(model, tool, mount, pin.SE3(spec.tool.at.matrix()))
+    q = pin.neutral(model)
+    start = dict(zip(resolved.joint_names, resolved.posture, strict=True))
+    for name, position in {**resolved.locked, **start}.items():
+        q[model.joints[model.getJointId(name)].idx_q] = position
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return Pose.matrix(spec.base) @ data.oMf[model.getFrameId(spec.tip)].homogeneous
