@@ -1,7 +1,7 @@
 """Two UR5 arms, welded to a box, lift it and turn it.
 
-Shows the whole way: scene file, compiled system, one certified evaluation, a run to a named accuracy,
-the numbers that judge it, and the replay (``--replay FILE.html``).
+Shows the whole way: scene file, compiled system, one certified evaluation, a run to a named
+accuracy, the numbers that judge it, and the replay (``--replay FILE.html``).
 """
 
 from __future__ import annotations

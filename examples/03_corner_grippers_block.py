@@ -1,7 +1,7 @@
 """Two arms hold a block at opposite corners with four frictionless fingertips each.
 
-The eight contacts enclose the block; none of them pulls as long as the squeeze is large enough.  Here
-they are bilateral, so the sign of each force tells which fingertips would let go.
+The eight contacts enclose the block; none of them pulls as long as the squeeze is large enough.
+Here they are bilateral, so the sign of each force tells which fingertips would let go.
 """
 
 from __future__ import annotations

@@ -39,7 +39,21 @@ _HOMES = {
     "simulate": "simulation",
 }
 
-__all__ = ["MultiarmError", *_HOMES]
+__all__ = [
+    "Evaluation",
+    "MultiarmError",
+    "Scene",
+    "State",
+    "System",
+    "Trajectory",
+    "compile_system",
+    "evaluate",
+    "load_scene",
+    "load_trajectory",
+    "replay",
+    "report",
+    "simulate",
+]
 
 try:
     __version__ = metadata.version("multiarm")
@@ -50,7 +64,6 @@ except metadata.PackageNotFoundError:  # imported from a checkout that is not in
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'multiarm' has no attribute {name!r}")
-    # a submodule may have the function's name: keep the function
     value = getattr(import_module(f"multiarm.{_HOMES[name]}"), name)
     globals()[name] = value
     return value

@@ -1,16 +1,16 @@
 r"""Robot arms through Pinocchio: from a URDF to inertia, bias, Jacobian and tip motion.
 
-This is the only module of the dynamics that knows Pinocchio.  An arm is one reduced Pinocchio model:
-its tool appended, locked joints folded in, its base placed in the world.  It obeys
+This is the only module of the dynamics that knows Pinocchio.  An arm is one reduced Pinocchio
+model: its tool appended, locked joints folded in, its base placed in the world.  It obeys
 
 .. math:: M(q)\,\ddot q + b(q, \dot q) = \tau + J^T f_m
 
 with ``b`` the Coriolis, centrifugal and gravity forces.
 
-For the time loop several arms share one larger model (:class:`ArmGroup`): two calls, ``crba`` in the
-world convention and ``nonLinearEffects``, then fill in everything that all of them need, and the
-kernels read it where Pinocchio keeps it, through a table of addresses.  Nothing is copied and no
-Python object is made inside a step.
+For the time loop several arms share one larger model (:class:`ArmGroup`): two calls, ``crba`` in
+the world convention and ``nonLinearEffects``, then fill in everything that all of them need, and
+the kernels read it where Pinocchio keeps it, through a table of addresses.  Nothing is copied and
+no Python object is made inside a step.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -246,10 +247,7 @@ def group_arms(arms: list[Arm], gravity: np.ndarray, with_gravity_torque: bool) 
     """Split the arms into groups of at most ``ARMS_PER_GROUP``, as even as possible."""
     count = -(-len(arms) // ARMS_PER_GROUP)
     bounds = np.linspace(0, len(arms), count + 1).round().astype(int)
-    return [
-        ArmGroup(arms[a:b], gravity, with_gravity_torque)
-        for a, b in zip(bounds[:-1], bounds[1:], strict=True)
-    ]
+    return [ArmGroup(arms[a:b], gravity, with_gravity_torque) for a, b in pairwise(bounds)]
 
 
 def _address(array: np.ndarray) -> int:
@@ -298,6 +296,7 @@ def _assemble(name: str, files: ArmFiles, visuals: bool) -> tuple[pin.Model, pin
     model = _from_urdf(name, files.urdf)
     geometry = _geometry(model, files.urdf, files.package_dirs, visuals)
     if files.tool_urdf is not None:
+        assert files.mount is not None, "a tool has a mount"
         tool = _from_urdf(name, files.tool_urdf)
         tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, visuals)
         mount = _frame_id(model, files.mount, name)

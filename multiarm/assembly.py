@@ -14,7 +14,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import OK, update_kinematics
-from multiarm.errors import ControlError, MultiarmError, SceneError
+from multiarm.errors import ControlError, SceneError, SolverError
 from multiarm.plant import system_book
 from multiarm.spatial import difference, matrix_to_quaternion, retract
 from multiarm.stabilization import project_positions, project_velocities
@@ -29,7 +29,7 @@ CLOSE = 0.1
 CLOSED = 1e-14
 _LONGEST_JOINT_CHANGE = 0.3  # [rad, m] an iteration
 _ITERATIONS = 60
-# Steps between two nodes of a path: what an arm's free motions do on the way depends little on them.
+# Steps between two nodes of a path: an arm's free motions on the way depend little on them.
 _SUBSTEPS = 3
 
 
@@ -200,8 +200,8 @@ def _by_arm(system: System, column: int) -> dict[str, float]:
 def _too_far(far: dict[str, float], limit: float) -> list[str]:
     return [
         f"the start does not satisfy the joint of arm '{arm}': a gap of {gap:.4g} m is left, up to "
-        f"{limit:.3g} m is assembled; mend the posture, the base or `at` (or leave `at` out to join "
-        f"the object where the tip is)"
+        f"{limit:.3g} m is assembled; mend the posture, the base or `at` (or leave `at` out to "
+        f"join the object where the tip is)"
         for arm, gap in far.items()
     ]
 
@@ -214,4 +214,4 @@ def _explain(system: System, status: int) -> None:
     from multiarm.dynamics import failure_text
 
     system.reraise()
-    raise MultiarmError(failure_text(system, status))
+    raise SolverError(failure_text(system, status))

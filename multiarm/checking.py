@@ -28,7 +28,7 @@ from multiarm.inspection import (
     RunFacts,
 )
 from multiarm.programs import needs_gravity_torque
-from multiarm.scene import ArmSpec, ObjectSpec, RunSpec, Scene
+from multiarm.scene import ArmSpec, ObjectSpec, RunSpec, Scene, ToolSpec
 from multiarm.simulation import method_and_tolerance
 from multiarm.spatial import matrix_to_quaternion
 from multiarm.system import System
@@ -169,6 +169,7 @@ def _shape_words(spec: ObjectSpec) -> str:
         return f"sphere of radius {shape.sphere:g} m"
     if shape.cylinder is not None:
         return f"cylinder of radius {shape.cylinder.radius:g} m, height {shape.cylinder.height:g} m"
+    assert shape.mesh is not None, "a shape is one of four"
     return f"mesh {shape.mesh.file.name}"
 
 
@@ -191,8 +192,11 @@ def _arm_facts(system: System, name: str, conditioning) -> ArmFacts:
     )
 
 
-def _model_name(spec: ArmSpec) -> str:
-    return spec.robot if spec.robot is not None else spec.urdf.name
+def _model_name(spec: ArmSpec | ToolSpec) -> str:
+    if spec.robot is not None:
+        return spec.robot
+    assert spec.urdf is not None, "a model has a name or a file"
+    return spec.urdf.name
 
 
 def _row_names(system: System, arm: str) -> list[str]:

@@ -91,9 +91,9 @@ def add_joint_pd(t, angles, velocity, parameters, at, torque):
 def static_forces(Wo, weight, force):
     r"""Write the contact forces of least norm with :math:`W_o \lambda = w` into ``force`` (N,).
 
-    ``Wo`` (N, 6) has one row a contact, ``weight`` is a wrench (6,).  ``W_o W_o^T`` is factored with diagonal pivoting; where it
-    has lost rank the remaining directions are left alone (a basic solution, exact whenever the
-    contacts can carry the wrench at all).
+    ``Wo`` (N, 6) has one row a contact, ``weight`` is a wrench (6,).  ``W_o W_o^T`` is factored
+    with diagonal pivoting; where it has lost rank the remaining directions are left alone (a basic
+    solution, exact whenever the contacts can carry the wrench at all).
     """
     A = np.zeros((6, 6))
     for k in range(Wo.shape[0]):

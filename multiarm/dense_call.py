@@ -39,6 +39,6 @@ def inertia_view(pointers: np.ndarray, n: int) -> np.ndarray:
     stride = int(pointers[M_STRIDE])
     size = (n - 1) * stride + n
     numbers = (ctypes.c_double * size).from_address(int(pointers[M_AT]))
-    flat = np.frombuffer(numbers, dtype=float)
+    flat = np.frombuffer(memoryview(numbers), dtype=float)
     lower = np.lib.stride_tricks.as_strided(flat, (n, n), (8 * stride, 8))
     return np.tril(lower) + np.tril(lower, -1).T

@@ -1,7 +1,7 @@
 """Accelerations and contact forces at one state, with their own proof.
 
-:func:`evaluate` is one evaluation as the time loop performs it, opened up for people: named results,
-contact matrices, and the residuals of all three equations, so that a result certifies itself.
+:func:`evaluate` is one evaluation as the time loop performs it, opened up for people: named
+results, contact matrices, and the residuals of all three equations: a result certifies itself.
 """
 
 from __future__ import annotations
@@ -173,8 +173,8 @@ def failure_text(system: System, status: int) -> str:
         )
     if status == len(names):
         return (
-            "the object's node matrix is not positive definite; check the object's mass and inertia "
-            "and that all numbers of the state are finite"
+            "the object's node matrix is not positive definite; check the object's mass and "
+            "inertia and that all numbers of the state are finite"
         )
     if status == PROJECTION_FAILED:
         return (

@@ -182,8 +182,8 @@ def load_inertia(i, plant, work):
 def update_kinematics(book):
     """Pinocchio's terms, the object's, and all contact rows at the state in the buffers.
 
-    Leaves W in ``work.Y`` and the inertias in ``work.L``, ready for the elimination.  Returns ``OK``
-    or ``CALLBACK_FAILED``.
+    Leaves W in ``work.Y`` and the inertias in ``work.L``, ready for the elimination.  Returns
+    ``OK`` or ``CALLBACK_FAILED``.
     """
     plant, buffers, work = open_book(book)
     fill_configuration(plant, buffers)
@@ -240,8 +240,8 @@ def load_gravity_torque(plant, buffers, work):
 def solve_constrained(book):
     """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``buffers``.
 
-    Needs :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``, or the number of the
-    arm (or of the object, behind the arms) whose elimination failed.
+    Needs :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``, or the number of
+    the arm (or of the object, behind the arms) whose elimination failed.
     """
     plant, buffers, work = open_book(book)
     if plant.dense[0] != 0:
@@ -258,8 +258,8 @@ def solve_constrained(book):
 def evaluate_buffers(book, alpha, beta):
     """Evaluate the state in the buffers; returns ``OK`` or what went wrong.
 
-    Reads ``time, position, angles, twist, v``; writes everything else.  ``alpha`` [1/s] and ``beta``
-    [1/s] are the gains of the drift feedback (0: none).
+    Reads ``time, position, angles, twist, v``; writes everything else.  ``alpha`` [1/s] and
+    ``beta`` [1/s] are the gains of the drift feedback (0: none).
     """
     status = update_kinematics(book)
     if status != OK:

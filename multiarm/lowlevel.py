@@ -3,15 +3,18 @@
 Numba types plain integers, so that a table of addresses is ordinary data: kernels compiled once
 serve every scene, whatever arms it has.
 
-An *address book* is one integer vector that stands for many arrays.  Functions of the time loop hand
-it to each other instead of fifty arrays, and open it into views that are not reference counted; an
-evaluation costs half of what it does with the arrays as arguments.
+An *address book* is one integer vector that stands for many arrays.  Functions of the time loop
+hand it to each other instead of fifty arrays, and open it into views that are not reference
+counted; an evaluation costs half of what it does with the arrays as arguments.
 """
 
 from __future__ import annotations
 
 import ctypes
+import hashlib
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -19,17 +22,58 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
+
+def _source_stamp() -> str:
+    """Digest of the sources of all kernels.
+
+    Numba looks only at a kernel's own file to see whether its cached code is fresh; a kernel that
+    was compiled into another one from another file would stay as it was.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        source = path.read_bytes()
+        if b"multiarm.lowlevel" in source or path.name == "lowlevel.py":
+            digest.update(path.name.encode() + source)
+    return digest.hexdigest()
+
+
+_STAMP = _source_stamp()
+
+
+def _decorator(**options: Any) -> Callable:
+    """Numba's decorator whose cache is fresh as long as no kernel of the package has changed."""
+
+    def decorate(function: Callable) -> Any:
+        # as in NumPy, a division by zero gives inf or NaN, which the callers look for
+        dispatcher = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(
+            function
+        )
+        _cache_file(dispatcher)._source_stamp = _STAMP
+        return dispatcher
+
+    return decorate
+
+
 # Kernels that make no arrays are compiled without Numba's reference counting (`_nrt`): it would
 # count every slice they hand to each other, which doubles the cost of an evaluation.  `kernel` and
 # `inlined` may be called from Python too; `inner` and `inner_inlined` have no Python entry, which
 # saves most of the compile time of functions that take many arrays.
-_PLAIN = {"cache": True, "_nrt": False, "no_cfunc_wrapper": True}
-kernel = njit(**_PLAIN)
-inlined = njit(forceinline=True, **_PLAIN)
-inner = njit(no_cpython_wrapper=True, **_PLAIN)
-inner_inlined = njit(forceinline=True, no_cpython_wrapper=True, **_PLAIN)
+kernel = _decorator(_nrt=False)
+inlined = _decorator(_nrt=False, forceinline=True)
+inner = _decorator(_nrt=False, no_cpython_wrapper=True)
+inner_inlined = _decorator(_nrt=False, no_cpython_wrapper=True, forceinline=True)
 # For kernels that do make arrays; they must not return them to one of the other kind.
-allocating = njit(cache=True, _nrt=True, no_cfunc_wrapper=True)
+allocating = _decorator(_nrt=True)
+
+
+def is_cached(dispatcher: Any) -> bool:
+    """Whether fresh machine code of a kernel is in the cache."""
+    return bool(_cache_file(dispatcher)._load_index())
+
+
+def _cache_file(dispatcher: Any) -> Any:
+    """Where Numba keeps a kernel's code; Numba has no public name for it."""
+    return dispatcher._cache._cache_file
 
 
 def address_book(arrays: Sequence[np.ndarray]) -> np.ndarray:

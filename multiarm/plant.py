@@ -1,8 +1,8 @@
 """What a scene compiles to, and what an evaluation writes: plain arrays with names.
 
-:class:`Plant` holds the constants, :class:`Buffers` everything that one evaluation reads and writes.
-An address book (:func:`system_book`) stands for both, and for the node algorithm's arrays, in calls
-between the functions of the time loop.
+:class:`Plant` holds the constants, :class:`Buffers` everything that one evaluation reads and
+writes.  An address book (:func:`system_book`) stands for both, and for the node algorithm's arrays,
+in calls between the functions of the time loop.
 """
 
 from __future__ import annotations
@@ -66,10 +66,11 @@ class Buffers(NamedTuple):
     q : (pinocchio's,), v : (joints,)
         Arrays that Pinocchio reads.
     arms : (n, 24), body : (24,), relative : (15,)
-        Motion of the links that carry the tips, and of the object; one relative to the other (scratch).
+        Motion of the links that carry the tips, and of the object; scratch: one relative to the
+        other.
     contacts : (N, 15), Wo : (N, 6), wrench : (6, N)
-        Contact kinematics; the rows ``[e; (P - x_o) x e]``, world axes; the wrenches on one arm about
-        the world's origin (scratch).
+        Contact kinematics; the rows ``[e; (P - x_o) x e]``, world axes; the wrenches on one arm
+        about the world's origin (scratch).
     inertia : (6, 6), h_o : (6,), h : (joints,), c : (N,)
         The object's inertia and right-hand sides of the node system.
     q_o : (6,), qdd : (joints,), force : (N,)

@@ -21,10 +21,10 @@ def ring_of_arms(
 ) -> Scene:
     """``arms`` UR5 arms around a disc: the scene of the scaling benchmark.
 
-    The bases stand on a circle of radius ``max(0.8, 0.25 / sin(pi / n))`` m and face inward; the disc
-    is 0.05 m thick, weighs 2.5 kg an arm, its centre of mass is 25 mm below the grips.  The torques
-    hold everything statically and add sinusoids of 3 N m (joints 1 - 3) and 1 N m (joints 4 - 6).
-    The equilibrium is unstable in open loop.
+    The bases stand on a circle of radius ``max(0.8, 0.25 / sin(pi / n))`` m and face inward; the
+    disc is 0.05 m thick, weighs 2.5 kg an arm, its centre of mass is 25 mm below the grips.  The
+    torques hold everything statically and add sinusoids of 3 N m (joints 1 - 3) and 1 N m
+    (joints 4 - 6).  The equilibrium is unstable in open loop.
 
     Parameters
     ----------

@@ -21,6 +21,14 @@ from multiarm.equations import OK, update_kinematics
 from multiarm.errors import ControlError
 from multiarm.plant import Buffers
 from multiarm.scene import Pose, Scene, gain_vector
+from multiarm.scene.control import (
+    ConstantControl,
+    GravityCompensationControl,
+    HarmonicControl,
+    JointPDControl,
+    NoControl,
+    Waypoint,
+)
 from multiarm.state import Layout, State
 
 if TYPE_CHECKING:
@@ -31,8 +39,8 @@ ControlFunction = Callable[[float, State], Mapping[str, np.ndarray]]
 
 NO_PROGRAM = np.zeros((0, 2), dtype=np.int64)
 
-# Joint paths are interpolated in so many Chebyshev intervals a segment, doubled until the series has
-# converged to PATH_TOLERANCE [rad, m].
+# Joint paths are interpolated in so many Chebyshev intervals a segment, doubled until the series
+# has converged to PATH_TOLERANCE [rad, m].
 PATH_INTERVALS = (16, 32, 64, 128)
 PATH_TOLERANCE = 1e-8
 
@@ -67,14 +75,17 @@ def effects_program(scene: Scene, arms: dict[str, Arm]) -> Program:
 
 def control_program(system: System) -> Program:
     """Program of the scene's control; its parameters follow those that the plant has already."""
-    builder = {
-        "none": lambda _: Program(NO_PROGRAM, np.zeros(0), np.zeros(0)),
-        "constant": _constant,
-        "gravity_compensation": _gravity_compensation,
-        "joint_pd": _joint_pd,
-        "harmonic": _harmonic,
-    }[system.scene.control.kind]
-    program = builder(system)
+    match system.scene.control:
+        case ConstantControl() as control:
+            program = _constant(system, control)
+        case GravityCompensationControl():
+            program = _gravity_compensation(system)
+        case JointPDControl() as control:
+            program = _joint_pd(system, control)
+        case HarmonicControl() as control:
+            program = _harmonic(system, control)
+        case NoControl():
+            program = Program(NO_PROGRAM, np.zeros(0), np.zeros(0))
     codes = program.codes.copy()
     codes[:, 1] += system.plant.parameters.size
     return program._replace(codes=codes)
@@ -126,8 +137,8 @@ def _write_torques(torques, layout: Layout, buffers: Buffers) -> None:
         views[arm][:] = vector
 
 
-def _constant(system: System) -> Program:
-    torques = _stacked(system.scene.control.torques, system.arms)
+def _constant(system: System, control: ConstantControl) -> Program:
+    torques = _stacked(control.torques, system.arms)
     zero = np.zeros_like(torques)
     return Program(_codes([(HARMONIC, 0)]), pack_harmonic(0.0, torques, zero, zero), np.zeros(0))
 
@@ -137,8 +148,8 @@ def _gravity_compensation(system: System) -> Program:
     return Program(_codes(codes), np.zeros(0), np.zeros(0))
 
 
-def _harmonic(system: System) -> Program:
-    control, arms = system.scene.control, system.arms
+def _harmonic(system: System, control: HarmonicControl) -> Program:
+    arms = system.arms
     hold = holding_torque(system) if control.hold else np.zeros(system.layout.joints)
     parameters = pack_harmonic(
         control.frequency, hold, _stacked(control.amplitude, arms), _stacked(control.phase, arms)
@@ -146,10 +157,10 @@ def _harmonic(system: System) -> Program:
     return Program(_codes([(HARMONIC, 0)]), parameters, np.zeros(0))
 
 
-def _joint_pd(system: System) -> Program:
-    control, arms = system.scene.control, system.arms
+def _joint_pd(system: System, control: JointPDControl) -> Program:
+    arms = system.arms
     gains = np.concatenate([_stacked(control.stiffness, arms), _stacked(control.damping, arms)])
-    bounds, coefficients = _reference(system)
+    bounds, coefficients = _reference(system, control.path)
     codes = [(JOINT_PD, 0)]
     if needs_gravity_torque(system.scene):
         codes.append((GRAVITY_COMPENSATION, 0))
@@ -157,10 +168,9 @@ def _joint_pd(system: System) -> Program:
     return Program(_codes(codes), parameters, bounds if control.path else np.zeros(0))
 
 
-def _reference(system: System) -> tuple[np.ndarray, np.ndarray]:
+def _reference(system: System, path: tuple[Waypoint, ...] | None) -> tuple[np.ndarray, np.ndarray]:
     """Segment bounds and Chebyshev coefficients of the joints' reference."""
     start = system.initial_state()
-    path = system.scene.control.path
     if path is None:
         return np.array([0.0, 1.0]), start.position[None, 7:, None]
     times = [waypoint.time for waypoint in path]
@@ -181,8 +191,9 @@ def _reference(system: System) -> tuple[np.ndarray, np.ndarray]:
 def _rigidly_held(system: System) -> System:
     """The system with every tip fixed to the object where it is at the start.
 
-    Its motion is one that the joints allow, and it leaves nothing to chance: free motions of a joint
-    stay at rest.  Arms with fewer than six joints cannot hold rigidly; they keep their own joints.
+    Its motion is one that the joints allow, and it leaves nothing to chance: free motions of a
+    joint stay at rest.  Arms with fewer than six joints cannot hold rigidly; they keep their own
+    joints.
     """
     from multiarm.system import compile_system
 

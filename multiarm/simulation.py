@@ -25,6 +25,7 @@ from multiarm.integrators.stepper import (
     store,
 )
 from multiarm.integrators.tableaus import METHODS, Tableau
+from multiarm.interrupts import deferred_interrupt
 from multiarm.programs import ControlFunction
 from multiarm.scene import RunSpec, dump_scene
 from multiarm.scene.control import DEFAULT_ACCURACY
@@ -135,7 +136,7 @@ def simulate(
     out : path-like, optional
         HDF5 file that the samples are streamed to; memory then does not grow with the run.
     progress : callable, optional
-        Called with the simulated time now and then.
+        Called with the simulated time now and then; may raise ``KeyboardInterrupt`` to end the run.
 
     Returns
     -------
@@ -153,8 +154,8 @@ def simulate(
     """
     spec = _run_spec(
         system.scene.run,
-        dict(duration=duration, stabilization=stabilization, output_step=output_step),
-        dict(accuracy=accuracy, integrator=integrator, step=step, tolerance=tolerance),
+        {"duration": duration, "stabilization": stabilization, "output_step": output_step},
+        {"accuracy": accuracy, "integrator": integrator, "step": step, "tolerance": tolerance},
         solver,
     )
     system = system.with_solver(spec.solver)
@@ -265,10 +266,15 @@ def _drive(run: _Run, progress: Progress | None) -> tuple[str, str, float]:
     with deferred_interrupt() as interrupt:
         while True:
             ended = None
-            if interrupt.pressed:
-                ended = "interrupted", f"stopped by the user {_where(run)}"
-            elif reason == FINISHED:
+            try:
+                if progress is not None:
+                    progress(float(run.clock.real[T]))
+            except KeyboardInterrupt:  # the caller's way to end the run in good order
+                interrupt.pressed = True
+            if reason == FINISHED:
                 ended = "completed", "the run reached its end"
+            elif interrupt.pressed:
+                ended = "interrupted", f"stopped by the user {_where(run)}"
             elif reason not in (BUDGET_USED, BLOCK_FULL):
                 ended = _trouble(run, reason)
             due = time.perf_counter() >= next_checkpoint
@@ -280,8 +286,6 @@ def _drive(run: _Run, progress: Progress | None) -> tuple[str, str, float]:
                     next_checkpoint = time.perf_counter() + CHECKPOINT_INTERVAL
             except TrajectoryError as error:
                 ended = "failed", f"{_where(run)}: {error}"
-            if progress is not None:
-                progress(float(run.clock.real[T]))
             if ended:
                 return *ended, time.perf_counter() - started
             reason = advance_by(BUDGET)
@@ -317,8 +321,9 @@ def _trouble(run: _Run, reason: int) -> tuple[str, str]:
             return "failed", f"{where}: the controller raised {type(error).__name__}: {error}"
     if reason == STEP_TOO_SMALL:
         return "failed", (
-            f"{where}: the step became too small ({run.clock.real[H]:.2g} s) for the asked accuracy; "
-            f"loosen `accuracy`, or look for a discontinuous controller or a singular posture there"
+            f"{where}: the step became too small ({run.clock.real[H]:.2g} s) for the asked "
+            "accuracy; loosen `accuracy`, or look for a discontinuous controller or a singular "
+            "posture there"
         )
     if reason == DIVERGED:
         return "failed", (

@@ -90,7 +90,7 @@ def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
 
 @kernel
 def retract_into(base: np.ndarray, theta: np.ndarray, out: np.ndarray) -> None:
-    """Write ``exp(theta) * base`` into ``out[0:4]``, which may be ``base``; ``theta`` (3,) [rad]."""
+    """Write ``exp(theta) * base`` into ``out[0:4]``, may be ``base``; ``theta`` (3,) [rad]."""
     angle_squared = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
     angle = math.sqrt(angle_squared)
     if angle < _SERIES_ANGLE:

@@ -1,9 +1,9 @@
 r"""Keeping the state on the constraints: feedback on the gaps, and projection.
 
-*Feedback* adds :math:`-2\alpha\dot\varphi - \beta^2\varphi` to the constraint accelerations (thesis,
-4.3; J. Baumgarte, Comput. Methods Appl. Mech. Eng. 1, 1972).  The gains belong to the step: with
-:math:`\alpha = \beta` the linear stability limits of :math:`\alpha h` are ``FEEDBACK_LIMITS``, and
-``FEEDBACK_RATIO / h`` stays well inside all of them.
+*Feedback* adds :math:`-2\alpha\dot\varphi - \beta^2\varphi` to the constraint accelerations
+(thesis, 4.3; J. Baumgarte, Comput. Methods Appl. Mech. Eng. 1, 1972).  The gains belong to the
+step: with :math:`\alpha = \beta` the linear stability limits of :math:`\alpha h` are
+``FEEDBACK_LIMITS``, and ``FEEDBACK_RATIO / h`` stays well inside all of them.
 
 *Projection* moves the state onto the constraints after a step, in the metric of the inertia:
 
@@ -28,7 +28,7 @@ from multiarm.spatial import retract_into
 
 # alpha = beta = FEEDBACK_RATIO / step
 FEEDBACK_RATIO = 0.1
-# Largest alpha * step with alpha = beta for which phi'' + 2 alpha phi' + beta^2 phi = 0 stays bounded.
+# Largest alpha * step, alpha = beta, for which phi'' + 2 alpha phi' + beta^2 phi = 0 stays bounded.
 FEEDBACK_LIMITS = {
     "semi_implicit_euler": 2.0 * (math.sqrt(2.0) - 1.0),
     "explicit_euler": 2.0,

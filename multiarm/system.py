@@ -1,7 +1,7 @@
 """From a scene to a compiled system: arms, contacts, programs of control and effects, a start.
 
-A :class:`System` is frozen.  It owns the arrays that its evaluations write, so one system serves one
-thread; :meth:`System.with_control` and friends make siblings that share the robots.
+A :class:`System` is frozen.  It owns the arrays that its evaluations write, so one system serves
+one thread; :meth:`System.with_control` and friends make siblings that share the robots.
 """
 
 from __future__ import annotations
@@ -157,13 +157,25 @@ class System:
         return energy
 
     def set_state(self, t: float, state: State) -> None:
-        """Write a state into the buffers."""
+        """Write a state into the buffers.
+
+        Raises
+        ------
+        ModelError
+            For a state of a system with other arms.
+        """
+        if state.layout != self.layout:
+            raise ModelError(
+                f"this state belongs to a system with arms {', '.join(state.layout.names)} "
+                f"({state.layout.joints} joints), not to this one; make it with `system.state(...)`"
+            )
         b = self.buffers
         b.time[0] = t
         b.position[:] = state.position[:7]
         b.angles[:] = state.position[7:]
         b.twist[:] = state.velocity[:6]
         b.v[:] = state.velocity[6:]
+        b.torque[:] = 0.0  # another system's control may have left its torques here
 
     def get_state(self) -> State:
         """A copy of the state in the buffers."""

@@ -1,9 +1,10 @@
 """The loop over time, compiled: steps, error control, stabilisation, samples.
 
-There is one loop for all methods and scenes.  It enters Python only for Pinocchio's two calls (and a
-Python controller, when there is one), and returns to it when the block of samples is full, when its
-budget of evaluations is used up (progress, checkpoints and Ctrl-C live in Python), or at the end.
-Everything it must remember in between is in :class:`Clock`, so that it goes on where it left off.
+There is one loop for all methods and scenes.  It enters Python only for Pinocchio's two calls (and
+a Python controller, when there is one), and returns to it when the block of samples is full, when
+its budget of evaluations is used up (progress, checkpoints and Ctrl-C live in Python), or at the
+end.  Everything it must remember in between is in :class:`Clock`, so that it goes on where it left
+off.
 """
 
 from __future__ import annotations
@@ -227,7 +228,7 @@ def planned_step(method, clock, settings):
 @inner
 def finite(vector):
     """Whether all entries are finite."""
-    for i in range(vector.size):
+    for i in range(vector.size):  # noqa: SIM110  compiled code has no generators
         if not math.isfinite(vector[i]):
             return False
     return True
@@ -321,8 +322,8 @@ def advance(book, joints, arrays, method, clock, settings, block, budget):
     """Integrate until the end, a full block, the budget of evaluations, or trouble.
 
     ``book`` is the system's address book, ``arrays`` that of the method and its step.
-    ``block`` (samples, width) receives the samples from ``clock.counts[BLOCK_FIRST]`` on.  Returns the
-    reason.
+    ``block`` (samples, width) receives the samples from ``clock.counts[BLOCK_FIRST]`` on.  Returns
+    the reason.
     """
     method, step = open_step(arrays, method)
     real, count = clock.real, clock.counts

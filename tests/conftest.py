@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-import tempfile
-from pathlib import Path
-
 import pytest
 from hypothesis import settings
 
 # The first example of a test may have to compile kernels.
 settings.register_profile("multiarm", deadline=None)
 settings.load_profile("multiarm")
-
-# Numba renews a cached kernel when its own file changes, not when a kernel that it calls does. A
-# cache of its own for every state of the sources keeps the tests from running yesterday's code.
-_SOURCES = sorted((Path(__file__).parents[1] / "multiarm").rglob("*.py"))
-_TEXTS = [path.read_bytes() for path in _SOURCES]
-_KERNELS = b"".join(text for text in _TEXTS if b"njit" in text or b"multiarm.lowlevel" in text)
-_DIGEST = hashlib.sha256(_KERNELS).hexdigest()[:16]
-os.environ.setdefault("NUMBA_CACHE_DIR", f"{tempfile.gettempdir()}/multiarm-kernels-{_DIGEST}")
 
 
 @pytest.fixture

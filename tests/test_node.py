@@ -181,21 +181,21 @@ def test_numbers_that_are_not_finite_never_count_as_solved(value):
     assert solve_by_node(system).failed == -1
 
 
-def test_forces_between_redundant_contacts_are_shared_and_marked():
-    """A contact written twice changes no motion; its force is halved, and marked as not unique."""
+@pytest.mark.parametrize("lever", [1.0, 3.0, -0.2])
+def test_forces_between_redundant_contacts_are_of_least_norm_and_marked(lever):
+    """A contact repeated with another lever changes no motion: f_1 + lever f_2 = f, |f_i| least."""
     rng = np.random.default_rng(7)
     once = random_system(rng, [(6, 3), (5, 2)])
     twice = SimpleNamespace(**vars(once))
     for key in ("W_o", "W", "c"):
         first, second = getattr(once, key)
-        setattr(twice, key, [np.append(first, first[..., :1], axis=-1), second])
+        setattr(twice, key, [np.append(first, lever * first[..., :1], axis=-1), second])
     expected, found = by_dense(once), by_dense(twice)
     assert found.rank == 5
     np.testing.assert_allclose(found.x, expected.x, rtol=1e-10, atol=1e-12)
-    shared = expected.force.copy()
-    shared[0] /= 2
-    np.testing.assert_allclose(np.delete(found.force, 3), shared, rtol=1e-9, atol=1e-11)
-    assert found.force[3] == pytest.approx(shared[0], rel=1e-9)
+    shared = np.insert(expected.force, 3, 0.0)
+    shared[[0, 3]] = expected.force[0] * np.array([1.0, lever]) / (1.0 + lever**2)
+    np.testing.assert_allclose(found.force, shared, rtol=1e-9, atol=1e-11)
     assert found.unique.tolist() == [False, True, True, False, True, True]
 
 

@@ -92,7 +92,7 @@ def test_meshes_of_every_robot_are_found(name):
 
 
 def test_unknown_robot_names_alternatives():
-    with pytest.raises(SceneError, match="unknown robot 'ur6'; did you mean 'ur5'.*'urdf:'"):
+    with pytest.raises(SceneError, match=r"unknown robot 'ur6'; did you mean 'ur5'.*'urdf:'"):
         find_robot("ur6")
 
 

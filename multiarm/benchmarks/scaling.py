@@ -3,9 +3,9 @@
 Measured side by side in one process on one scene (:func:`multiarm.problems.ring_of_arms`), in short
 interleaved bursts of which the fastest counts: other programs on the machine can only slow a burst
 down.  *multiarm* is the evaluation as the time loop performs it: Pinocchio's two calls, contact
-kinematics, control, node algorithm, slope of the state.  *arm terms* are Pinocchio's two calls alone,
-*constraintDynamics* and *lcaba* Pinocchio's own closed-loop algorithms, *dense KKT* the reference of
-:mod:`multiarm.node.dense` in place of the node algorithm.
+kinematics, control, node algorithm, slope of the state.  *arm terms* are Pinocchio's two calls
+alone, *constraintDynamics* and *lcaba* Pinocchio's own closed-loop algorithms, *dense KKT* the
+reference of :mod:`multiarm.node.dense` in place of the node algorithm.
 """
 
 from __future__ import annotations
@@ -57,6 +57,7 @@ def run_scaling(
         ``exponents``: kind -> method -> slope of log cost over log number of arms.
         ``growth``: kind -> cost at the most arms over cost at the fewest.
     """
+    import scipy.linalg  # noqa: F401 - loaded before the limit, which binds loaded libraries only
     from threadpoolctl import threadpool_limits
 
     rows = []
@@ -78,15 +79,17 @@ def run_scaling(
 
 def print_scaling(result: dict[str, Any], console) -> None:
     """Print the table of :func:`run_scaling` to a rich console."""
+    from rich import box
     from rich.table import Table
 
     for kind in result["exponents"]:
         rows = [row for row in result["rows"] if row["kind"] == kind]
-        table = Table(title=f"one acceleration evaluation, {kind} joints, in microseconds")
+        title = f"one acceleration evaluation, {kind} joints, in microseconds"
+        table = Table(title=title, box=box.SIMPLE_HEAD, pad_edge=False)
         table.add_column("", no_wrap=True)
         for row in rows:
-            table.add_column(f"n = {row['arms']}", justify="right")
-        table.add_column("exponent", justify="right")
+            table.add_column(f"n={row['arms']}", justify="right", no_wrap=True)
+        table.add_column("slope", justify="right")
         table.add_column("error", justify="right")
         for method in METHODS:
             costs = [f"{row['microseconds'][method]:.1f}" for row in rows]
@@ -96,13 +99,13 @@ def print_scaling(result: dict[str, Any], console) -> None:
             shown = "" if slope is None else f"{slope:.2f}"
             style = "bold" if method == "multiarm" else None
             table.add_row(_TITLES[method], *costs, shown, worst, style=style)
-        ratios = [f"{row['ratio_to_best_peer']:.2f} x" for row in rows]
+        ratios = [f"{row['ratio_to_best_peer']:.2f}" for row in rows]
         table.add_row("best peer / ours", *ratios, "", "", style="green")
         console.print(table)
         if result["growth"][kind] is not None:
             console.print(
-                f"multiarm: cost at n = {rows[-1]['arms']} is {result['growth'][kind]:.1f} times that "
-                f"at n = {rows[0]['arms']}"
+                f"multiarm: cost at n = {rows[-1]['arms']} is {result['growth'][kind]:.1f} times "
+                f"that at n = {rows[0]['arms']}"
             )
 
 

@@ -26,7 +26,7 @@ __all__ = ["app", "main"]
 class _Commands(TyperGroup):
     """All commands; the one place where an error on purpose becomes a message and exit code 2."""
 
-    def invoke(self, ctx: typer.Context) -> Any:
+    def invoke(self, ctx: Any) -> Any:
         """Run a command; an exception that is not ours passes through."""
         try:
             return super().invoke(ctx)

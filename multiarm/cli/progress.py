@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from types import TracebackType
 
 from rich.console import Console
@@ -17,14 +16,11 @@ COMPILING = "compiling kernels (only the first time on this machine)"
 
 
 def kernels_are_cached() -> bool:
-    """Whether the compiled loop is in Numba's cache, newer than its source."""
-    from multiarm import time_loop
+    """Whether the compiled loop is in Numba's cache, as fresh as its source."""
+    from multiarm.lowlevel import is_cached
+    from multiarm.time_loop import advance
 
-    source = Path(time_loop.__file__)
-    cache = Path(time_loop.advance.stats.cache_path)
-    changed = source.stat().st_mtime
-    indices = cache.glob(f"{source.stem}.{time_loop.advance.__name__}-*.nbi")
-    return any(index.stat().st_mtime >= changed for index in indices)
+    return is_cached(advance)
 
 
 class RunProgress:

@@ -82,6 +82,7 @@ def serve_until_interrupt(
     import multiarm
 
     viewer = multiarm.replay(trajectory, fps=fps, speed=speed, open_browser=open_browser)
+    assert not isinstance(viewer, Path), "without a path the replay is live"
     try:
         if not quiet:
             line = Text.assemble("replay at ", (viewer.url(), "bold"), "; Ctrl-C ends it")

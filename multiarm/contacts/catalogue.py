@@ -1,9 +1,9 @@
 r"""The catalogue of joints: each kind is a function that returns contact records.
 
 Points sit on the arm, surfaces on the object; both joint frames coincide in the reference position.
-``X, Y, Z`` are the joint frame's axes, ``h = size / 2`` (thesis, 3.9.1 with its two omissions mended:
-the prismatic joint's second plane needs contacts apart along the slide, the universal joint's plane
-must contain the sphere's centre).
+``X, Y, Z`` are the joint frame's axes, ``h = size / 2`` (thesis, 3.9.1 with its two omissions
+mended: the prismatic joint's second plane needs contacts apart along the slide, the universal
+joint's plane must contain the sphere's centre).
 
 =================  ====  ==============================================================
 kind               rows  contacts

@@ -1,8 +1,8 @@
 r"""From contact records, poses and velocities to W, dW/dt, c and phi: one compiled kernel.
 
 A contact joins a point ``P`` carried by body A with a surface of body B (arm and object, either way
-round).  Everything is written in world axes, as seen by an observer who rides on B.  The motion of A
-relative to B is the same for all contacts of a joint (:func:`relative_motion`):
+round).  Everything is written in world axes, as seen by an observer who rides on B.  The motion of
+A relative to B is the same for all contacts of a joint (:func:`relative_motion`):
 
 .. math::
     V_0 &= \dot x_A - \dot x_B - \omega_B \times r_0, \qquad

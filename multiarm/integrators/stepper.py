@@ -9,8 +9,8 @@ with :math:`\dot\theta` from :func:`multiarm.spatial.write_chart_rate`.  Runge-K
 their order and their dense output in it (H. Munthe-Kaas, BIT 38, 1998); after the step the rotation
 goes into the full quaternion and the next chart begins at :math:`\theta = 0`.
 
-The last entry is the work of control and effects: a quadrature carried along for the energy balance,
-not part of the error norm.
+The last entry is the work of control and effects: a quadrature carried along for the energy
+balance, not part of the error norm.
 """
 
 from __future__ import annotations

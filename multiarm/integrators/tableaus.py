@@ -5,8 +5,8 @@ all.
 
 References
 ----------
-E. Hairer, S.P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., Springer 1993:
-RK4 (II.1), DOPRI5 (II.5, dense output II.6), DOP853 (II.10).
+E. Hairer, S.P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., Springer
+1993: RK4 (II.1), DOPRI5 (II.5, dense output II.6), DOP853 (II.10).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Tableau(NamedTuple):
         Strictly lower triangular; ``x`` further stages serve the dense output only.
     b : (s,), c : (s + x,)
     error : (2, s + 1)
-        Weights of the error estimates; the last belongs to the slope at the end of the step.  With two
-        rows the estimates are combined as ``e5^2 / sqrt(e5^2 + 0.01 e3^2)`` (Hairer's DOP853).
+        Weights of the error estimates; the last belongs to the slope at the end of the step.  With
+        two rows the estimates are combined as ``e5^2 / sqrt(e5^2 + 0.01 e3^2)`` (Hairer's DOP853).
     dense : (k, s + 1 + x)
         Dense output, see ``dense_kind``.
     dense_kind : int
-        ``HERMITE`` (cubic), ``POLYNOMIAL`` (rows: coefficients of powers of theta for every slope), or
-        ``NESTED`` (DOP853's nested form).
+        ``HERMITE`` (cubic), ``POLYNOMIAL`` (rows: coefficients of powers of theta for every slope),
+        or ``NESTED`` (DOP853's nested form).
     """
 
     name: str

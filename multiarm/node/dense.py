@@ -51,8 +51,9 @@ def solve_dense(
     sizes, rows = [m.shape[0] for m in M], [w.shape[1] for w in W]
     inertia = _block_diagonal([M_o, *M])
     constraint = _stack(W_o, W)
-    same = reaction is None or reaction_o is None
-    reactions = constraint if same else _stack(reaction_o, reaction)
+    reactions = constraint
+    if reaction is not None and reaction_o is not None:
+        reactions = _stack(reaction_o, reaction)
     size, count = inertia.shape[0], constraint.shape[1]
     matrix = np.zeros((size + count, size + count))
     matrix[:size, :size] = inertia

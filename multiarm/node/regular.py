@@ -7,7 +7,7 @@ The system (thesis, 4.9; :math:`\lambda = -\mu` is the physical contact force, p
     M_i q_i = h_i + W_i \lambda_i, \qquad
     W_{oi}^T q_o + W_i^T q_i = c_i
 
-is solved without ever assembling it.  With the Cholesky factor :math:`M_i = L_i L_i^T` of every arm,
+is solved without ever assembling it.  With every arm's Cholesky factor :math:`M_i = L_i L_i^T`,
 
 .. math::
     Y_i = L_i^{-1} W_i, \quad K_i = Y_i^T Y_i = G_i G_i^T, \quad Z_i = G_i^{-1} W_{oi}^T, \quad
@@ -24,8 +24,8 @@ the *solution* for one right-hand side: accelerations, velocity projections and 
 alike (thesis, 4.10 - 4.12).  The work grows linearly with the number of arms; ``S`` stays 6 by 6.
 
 It exists when every ``K_i`` is regular, that is when each arm can move along all of its own
-constraint directions.  The smallest pivot of ``K_i`` relative to its diagonal (the pivot after Jacobi
-scaling) measures how far that is from failing; it is returned, never repaired in silence.
+constraint directions.  The smallest pivot of ``K_i`` relative to its diagonal (the pivot after
+Jacobi scaling) measures how far that is from failing; it is returned, never repaired in silence.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ def make_work(dofs: list[int], rows: list[int]) -> NodeWork:
 def factor_in_place(A, n):
     """Cholesky factor of ``A[:n, :n]`` into its lower triangle, the diagonal inverted.
 
-    Returns the smallest pivot relative to its diagonal entry; the factor is usable only when that is
-    positive (and not NaN).
+    Returns the smallest pivot relative to its diagonal entry; the factor is usable only when that
+    is positive (and not NaN).
     """
     smallest = 1.0
     for j in range(n):

@@ -152,7 +152,7 @@ def _check_object(thing: ObjectSpec | None, findings: Findings) -> None:
 def _check_control(
     parts: SceneParts, joint_names: dict[str, tuple[str, ...] | None], findings: Findings
 ) -> None:
-    fields = {
+    fields: dict[type, tuple[str, ...]] = {
         ConstantControl: ("torques",),
         JointPDControl: ("stiffness", "damping"),
         HarmonicControl: ("amplitude", "phase"),

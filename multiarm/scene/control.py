@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -84,7 +85,7 @@ class JointPDControl(Spec):
         if self.path is not None and not path:
             raise fault("'path' is empty; list poses with their times or leave the key out")
         times = [waypoint.time for waypoint in path]
-        for number, (before, after) in enumerate(zip(times, times[1:], strict=False), start=1):
+        for number, (before, after) in enumerate(pairwise(times), start=1):
             if after <= before:
                 raise fault(
                     f"the times of 'path' must increase, but waypoint {number} comes at "

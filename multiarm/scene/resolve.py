@@ -135,7 +135,9 @@ def _outline(
 ) -> UrdfOutline | None:
     key = "urdf" if spec.robot is None else "robot"
     try:
-        return read_urdf(spec.urdf if spec.robot is None else find_robot(spec.robot).urdf)
+        path = spec.urdf if spec.robot is None else find_robot(spec.robot).urdf
+        assert path is not None, "a model has a name or a file"
+        return read_urdf(path)
     except (SceneError, ModelError) as error:
         found.fault(*where, key, text=str(error))
         return None

@@ -113,6 +113,7 @@ class Scene(Spec):
     @field_validator("object", "arms", mode="after")
     @classmethod
     def _paths_are_absolute(cls, value: Any, info: ValidationInfo) -> Any:
+        assert info.context is not None, "a scene is read with its folder"
         folder = info.context["folder"]
         if isinstance(value, ObjectSpec):
             return value.located(folder)

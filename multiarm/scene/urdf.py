@@ -177,8 +177,8 @@ def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
     where = f"{path}, joint {name!r}"
     if kind not in _KNOWN_JOINTS:
         raise ModelError(f"{where}: {unknown('type', kind, _KNOWN_JOINTS)}")
-    ends = [element.find(tag) for tag in ("parent", "child")]
-    if any(end is None for end in ends):
+    parent, child = element.find("parent"), element.find("child")
+    if parent is None or child is None:
         raise ModelError(f"{where}: needs <parent link=.../> and <child link=.../>")
     limit = element.find("limit")
     bounded = limit is not None and kind in ("revolute", "prismatic")
@@ -187,8 +187,8 @@ def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
     return JointOutline(
         name=name,
         kind=kind,
-        parent=_required(ends[0], "link", path),
-        child=_required(ends[1], "link", path),
+        parent=_required(parent, "link", path),
+        child=_required(child, "link", path),
         axis=_axis(text, where),
         lower=_number(limit, "lower", 0.0, where) if bounded else -math.inf,
         upper=_number(limit, "upper", 0.0, where) if bounded else math.inf,

@@ -111,7 +111,7 @@ def joint_value_faults(
     names = list(joint_names)
     if isinstance(values, Mapping):
         return [((j,), unknown("joint", j, names)) for j in values if j not in names]
-    if values is None or isinstance(values, Real) or len(values) == len(names):
+    if values is None or isinstance(values, (float, Real)) or len(values) == len(names):
         return []
     message = (
         f"{len(values)} values for {len(names)} movable joints; "
@@ -169,7 +169,7 @@ def _joint_values(value: Any) -> tuple[float, ...] | dict[str, float]:
 
 
 def _scalar_or_joint_values(value: Any) -> float | tuple[float, ...] | dict[str, float]:
-    if isinstance(value, (list, tuple, Mapping)) or isinstance(value, np.ndarray):
+    if isinstance(value, (list, tuple, Mapping, np.ndarray)):
         return _joint_values(value)
     return _real(value)
 

@@ -1,0 +1,286 @@
+"""Claims about the shape of the package: what may import what, and what `import multiarm` costs."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import multiarm as ma
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "multiarm"
+
+# From the bottom to the top. A room is a module or a package directly below `multiarm`; it imports
+# rooms of lower layers only, none of its own layer. "multiarm" is the public surface.
+LAYERS: tuple[tuple[str, ...], ...] = (
+    ("errors", "interrupts", "lowlevel", "reporting_style", "state", "terms"),
+    ("spatial", "channels", "outcome", "decimation"),
+    ("contacts", "effects", "node", "scene", "arm", "payload", "storage"),
+    ("plant", "problems", "trajectory"),
+    ("control", "dense_call", "sinks"),
+    ("equations",),
+    ("stabilization", "integrators"),
+    ("assembly", "time_loop"),
+    ("programs",),
+    ("system",),
+    ("dynamics",),
+    ("simulation", "inspection"),
+    ("checking", "plots", "viewer", "benchmarks"),
+    ("reporting",),
+    ("multiarm",),
+    ("cli",),
+    ("__main__",),
+)
+
+# Imports inside a function that point up, and why they may.
+EXCEPTIONS = {
+    ("programs", "system"): "a path is planned on a sibling system whose joints are rigid",
+    ("assembly", "dynamics"): "a failed start is told in the words of a failed evaluation",
+}
+
+# Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
+LIBRARIES: dict[str, tuple[str, ...]] = {
+    "coal": ("viewer.shapes",),
+    "h5py": ("storage",),
+    "llvmlite": ("lowlevel",),
+    "matplotlib": ("plots", "reporting", "benchmarks.scaling"),
+    "meshcat": ("viewer",),
+    "numba": ("lowlevel",),
+    "pinocchio": ("arm", "viewer", "benchmarks.peers"),
+    "pydantic": ("scene",),
+    "pydantic_core": ("scene",),
+    "rich": ("cli", "benchmarks.scaling"),
+    "scipy": ("node.dense",),
+    "threadpoolctl": ("benchmarks.scaling",),
+    "typer": ("cli",),
+    "typing_extensions": ("cli", "scene"),
+    "umsgpack": ("viewer",),
+    "yaml": ("reporting", "scene"),
+}
+
+HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydantic"}
+
+# What scripts written for this package rely on.
+PUBLIC_ATTRIBUTES = {
+    "Evaluation": "object_acceleration joint_accelerations contact_forces contact_forces_unique "
+    "contact_points contact_normals position_residual velocity_residual residuals",
+    "Scene": "name gravity object arms joints control effects run",
+    "State": "position velocity object_position object_quaternion_xyzw object_twist "
+    "joint_positions joint_velocities",
+    "System": "scene arm_names arms initial_state state",
+    "Trajectory": "time object_position object_quaternion_xyzw object_twist joint_positions "
+    "joint_velocities joint_torques contact_forces energy kinetic_energy potential_energy work "
+    "energy_balance position_drift velocity_drift status message certificate events statistics "
+    "provenance scene save arm_names",
+}
+PUBLIC_PARAMETERS = {
+    "compile_system": "scene",
+    "evaluate": "system t state",
+    "load_scene": "path",
+    "load_trajectory": "path",
+    "replay": "trajectory path open_browser fps speed",
+    "report": "trajectory path",
+    "simulate": "system duration state control accuracy integrator step stabilization "
+    "output_step solver out progress",
+}
+
+
+@dataclass(frozen=True)
+class Import:
+    """One import: dotted names without the leading ``multiarm.`` when it is ours."""
+
+    importer: str
+    imported: str
+    ours: bool
+    in_function: bool
+    for_types: bool
+
+    @property
+    def rooms(self) -> tuple[str, str]:
+        return self.importer.partition(".")[0], self.imported.partition(".")[0]
+
+
+@cache
+def modules() -> dict[str, ast.Module]:
+    """All modules by dotted name below the package; the package itself is "multiarm"."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        found[name or "multiarm"] = ast.parse(path.read_text(encoding="utf-8"), str(path))
+    return found
+
+
+@cache
+def imports() -> tuple[Import, ...]:
+    found = []
+    for name, tree in modules().items():
+        for node, in_function, for_types in import_nodes(tree):
+            for target, ours in targets(node):
+                found.append(Import(name, target, ours, in_function, for_types))
+    return tuple(found)
+
+
+def import_nodes(
+    node: ast.AST, in_function: bool = False, for_types: bool = False
+) -> Iterator[tuple[ast.Import | ast.ImportFrom, bool, bool]]:
+    """Every import below a node; whether it is in a function, and for the type checker only."""
+    for child in ast.iter_child_nodes(node):
+        inside = isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef))
+        typing = isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING"
+        if isinstance(child, (ast.Import, ast.ImportFrom)):
+            yield child, in_function, for_types
+        yield from import_nodes(child, in_function or inside, for_types or typing)
+
+
+def targets(node: ast.Import | ast.ImportFrom) -> Iterator[tuple[str, bool]]:
+    """What an import names, a module wherever it is one; and whether it is ours."""
+    if isinstance(node, ast.Import):
+        full = [alias.name for alias in node.names]
+    else:
+        assert node.level == 0 and node.module is not None, "imports are written in full here"
+        full = [f"{node.module}.{alias.name}" for alias in node.names]
+    for name in full:
+        top, _, below = name.partition(".")
+        if top != "multiarm":
+            yield top, False
+        elif isinstance(node, ast.ImportFrom) and below not in modules():
+            yield below.rpartition(".")[0] or "multiarm", True  # a name in a module
+        else:
+            yield below or "multiarm", True
+
+
+def in_fresh_python(code: str) -> list[str]:
+    """What code prints as JSON, in a process that has imported nothing."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def test_every_room_has_a_layer_and_every_layer_its_rooms():
+    rooms = {name.partition(".")[0] for name in modules()}
+    placed = [room for layer in LAYERS for room in layer]
+    assert set(placed) == rooms, "a module is new, or gone: give it a layer in LAYERS"
+    assert len(placed) == len(rooms)
+
+
+def test_imports_point_down():
+    level = {room: k for k, layer in enumerate(LAYERS) for room in layer}
+    faults = []
+    for found in imports():
+        above, below = found.rooms
+        # annotations only: nothing is imported when the program runs
+        if not found.ours or found.for_types or above == below:
+            continue
+        allowed = found.in_function and (above, below) in EXCEPTIONS
+        if level[below] >= level[above] and not allowed:
+            faults.append(f"{found.importer} -> {found.imported}")
+    assert faults == []
+
+
+def test_every_exception_is_used():
+    used = {found.rooms for found in imports() if found.ours and found.in_function}
+    assert used.issuperset(EXCEPTIONS)
+
+
+def test_modules_import_each_other_without_cycles():
+    graph: dict[str, set[str]] = {name: set() for name in modules()}
+    for found in imports():
+        if found.ours and not found.in_function and not found.for_types:
+            graph[found.importer].add(found.imported)
+    try:
+        order = list(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        pytest.fail(f"import cycle: {' -> '.join(error.args[1])}")
+    assert set(order) == set(modules())
+
+
+def test_node_sees_arrays_only():
+    seen = {found.rooms[1] for found in imports() if found.ours and found.rooms[0] == "node"}
+    assert seen <= {"node", "terms", "lowlevel"}
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_each_library_is_imported_where_it_is_expected_and_nowhere_else(library):
+    importers = {found.importer for found in imports() if found.imported == library}
+    homes = LIBRARIES[library]
+    unused = [h for h in homes if not any(i == h or i.startswith(f"{h}.") for i in importers)]
+    strangers = {i for i in importers if not any(i == h or i.startswith(f"{h}.") for h in homes)}
+    assert (strangers, unused) == (set(), [])
+
+
+def test_no_other_library_is_imported():
+    known = {*LIBRARIES, *sys.stdlib_module_names, "numpy"}
+    assert {found.imported for found in imports() if not found.ours} <= known
+
+
+@pytest.mark.parametrize(
+    ("code", "heavy"),
+    [
+        ("import multiarm", HEAVY | {"numpy", "yaml", "rich", "typer"}),
+        ("import multiarm; multiarm.load_scene", HEAVY - {"pydantic"}),
+        ("import multiarm; multiarm.load_trajectory", HEAVY),
+        ("import multiarm.cli", HEAVY),
+    ],
+    ids=["multiarm", "load_scene", "load_trajectory", "cli"],
+)
+def test_what_is_heavy_is_imported_late(code, heavy):
+    loaded = in_fresh_python(f"{code}; import json, sys; print(json.dumps(list(sys.modules)))")
+    assert "multiarm" in loaded
+    assert heavy.intersection(loaded) == set()
+
+
+def test_public_names_are_complete_and_sorted():
+    assert sorted(ma.__all__) == ma.__all__
+    assert set(ma.__all__) == {"MultiarmError", *PUBLIC_ATTRIBUTES, *PUBLIC_PARAMETERS}
+    assert set(ma.__all__) <= set(dir(ma))
+
+
+@pytest.mark.parametrize("order", ["sorted", "reversed"])
+def test_public_names_stay_functions_and_classes_after_all_modules_were_imported(order):
+    names = [f"multiarm.{name}" for name in modules() if name not in ("multiarm", "__main__")]
+    names = sorted(names, reverse=order == "reversed")
+    wrong = in_fresh_python(
+        "import importlib, inspect, json, multiarm\n"
+        f"for name in {names}: importlib.import_module(name)\n"
+        "kinds = {name: getattr(multiarm, name) for name in multiarm.__all__}\n"
+        "print(json.dumps([name for name, value in kinds.items()\n"
+        "    if not (inspect.isfunction(value) or inspect.isclass(value))]))"
+    )
+    assert wrong == []
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="has no attribute 'simulate_all'"):
+        ma.simulate_all  # noqa: B018
+
+
+@pytest.mark.parametrize("name", PUBLIC_ATTRIBUTES)
+def test_public_classes_have_the_promised_attributes(name):
+    kind = getattr(ma, name)
+    has = {*dir(kind), *inspect.get_annotations(kind)}
+    assert set(PUBLIC_ATTRIBUTES[name].split()) - has == set()
+
+
+@pytest.mark.parametrize("name", PUBLIC_PARAMETERS)
+def test_public_functions_have_the_promised_parameters(name):
+    has = inspect.signature(getattr(ma, name)).parameters
+    assert set(PUBLIC_PARAMETERS[name].split()) - set(has) == set()
+
+
+def test_every_module_opens_with_what_it_is_about():
+    silent = [name for name, tree in modules().items() if not ast.get_docstring(tree)]
+    assert silent == []

@@ -1,0 +1,133 @@
+"""Claims about what a newcomer sees first: the example scripts and the README's code."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shutil
+import sys
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from multiarm.scene import Scene
+from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+
+
+@pytest.fixture
+def printed(capsys, monkeypatch):
+    """Run the ``main()`` of an example, with these words on its command line; what it prints."""
+
+    def run(name: str, *words: object) -> str:
+        script = ROOT / "examples" / name
+        monkeypatch.setattr(sys, "argv", [str(script), *map(str, words)])
+        runpy.run_path(str(script))["main"]()
+        return capsys.readouterr().out
+
+    return run
+
+
+@pytest.fixture
+def workshop(tmp_path, monkeypatch) -> Path:
+    """A folder to work in that has the examples' scenes, like a checkout."""
+    shutil.copytree(ROOT / "examples" / "scenes", tmp_path / "examples" / "scenes")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def figures(pattern: str, text: str) -> list[tuple[float, ...]]:
+    """The numbers at every ``#`` of a pattern, wherever it is found in a text."""
+    found = re.findall(pattern.replace("#", rf"\s*({NUMBER})"), text)
+    assert found, f"{pattern!r} is not in {text!r}"
+    rows = [row if isinstance(row, tuple) else (row,) for row in found]
+    return [tuple(float(number) for number in row) for row in rows]
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.M | re.S)
+
+
+def assert_same_print(actual: str, expected: str) -> None:
+    """The same words, and the same numbers to the last digit that is expected."""
+    assert re.split(NUMBER, actual) == re.split(NUMBER, expected)
+    pairs = zip(re.findall(NUMBER, actual), re.findall(NUMBER, expected), strict=True)
+    for got, wanted in pairs:
+        mantissa, _, exponent = wanted.partition("e")
+        unit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+        assert abs(float(got) - float(wanted)) <= 0.51 * unit, f"{got} instead of {wanted}"
+
+
+def test_every_example_is_run_here():
+    scripts = {path.name for path in (ROOT / "examples").glob("*.py")}
+    assert scripts == set(re.findall(r'printed\(\s*"(\w+\.py)"', Path(__file__).read_text()))
+
+
+def test_two_ur5_box_lifts_the_box_without_gaps(printed, tmp_path):
+    text = printed("01_two_ur5_box.py", "--replay", tmp_path / "run.html")
+    assert "constraints 12," in text and "completed: " in text
+    assert max(figures("arm=#, object=#, constraint=#", text)[0]) < 1e-9
+    ((x, y, z),) = figures(r"ends at \(#, #, #\) m", text)
+    assert (x, y) == pytest.approx((0.0, 0.0), abs=1e-3)
+    assert z == pytest.approx(0.65, abs=1e-3)  # the path's last pose, up to the controller's error
+    ((gap, imbalance),) = figures("largest gap # m, energy balance # J", text)
+    assert 0.0 <= gap < 1e-10
+    assert 0.0 <= imbalance < 1e-4
+    ((left,), (right,)) = figures("largest contact force # N", text)
+    assert left == pytest.approx(right, rel=0.05)  # arms and grips are symmetric
+    assert (tmp_path / "run.html").stat().st_size > 10_000
+
+
+def test_three_panda_plate_converges_with_the_accuracy(printed):
+    text = printed("02_three_panda_plate.py")
+    rows = np.array(figures(r"(?m)^#\s+# +# s# m$", text))
+    accuracy, evaluations, _, distance = rows.T
+    np.testing.assert_array_equal(accuracy, [1e-3, 1e-5, 1e-7])
+    assert np.all(np.diff(evaluations) > 0)
+    assert np.all(distance < accuracy)
+
+
+def test_corner_grippers_block_names_every_fingertip(printed):
+    text = printed("03_corner_grippers_block.py")
+    assert text.startswith("completed: ")
+    for arm in ("left", "right"):
+        ranges = figures(rf"(?m)^{arm} +fingertip # on face [xyz]# N to# N$", text)
+        assert [row[0] for row in ranges] == [1, 2, 3, 4]
+        # the block weighs 147 N; no fingertip holds more
+        assert all(-147.0 < least <= largest < 147.0 for _, least, largest in ranges)
+    ((gap, end),) = figures("largest gap # m over # s", text)
+    assert 0.0 <= gap < 1e-10
+    assert end == 3.0
+
+
+def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
+    match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
+    assert match is not None, "the README shows Python and right below what it prints"
+    code, expected = match.groups()
+    assert sum(bool(line.strip()) for line in code.splitlines()) <= 10
+    exec(compile(code, "README.md", "exec"), {})
+    assert_same_print(capsys.readouterr().out, expected)
+    written = {path.name for path in workshop.iterdir() if path.is_file()}
+    assert written == set(re.findall(r'"([\w.]+\.(?:h5|html))"', code))
+
+
+def test_all_python_of_the_readme_runs_from_top_to_bottom(workshop):
+    names: dict[str, object] = {}
+    for code in blocks("python"):
+        exec(compile(code, "README.md", "exec"), names)
+    assert len(blocks("python")) >= 1
+
+
+def test_readme_names_all_kinds_of_joints_and_control_and_all_integrators():
+    joint = get_args(get_args(Scene.model_fields["joints"].annotation)[0])
+    control = get_args(Scene.model_fields["control"].annotation)
+    models = [model for part in (*joint, *control) for model in get_args(part) or (part,)]
+    kinds = [m.model_fields["kind"].default for m in models if hasattr(m, "model_fields")]
+    names = [*kinds, *ADAPTIVE_INTEGRATORS, *FIXED_STEP_INTEGRATORS]
+    assert len(names) > 15
+    assert [name for name in names if f"`{name}`" not in README] == []
