@@ -25,14 +25,11 @@ import numpy as np
 import pinocchio as pin
 
 from multiarm.errors import ModelError
-from multiarm.terms import ArmTerms
+from multiarm.terms import POINTER_WIDTH, ArmTerms
 
 # More arms a model mean fewer calls but a larger, mostly empty inertia matrix; fewer arms the
 # opposite.  The cost per arm is flat around eight.
 ARMS_PER_GROUP = 8
-
-# Columns of ArmGroup.pointers: addresses of float64 data, and the stride of M in numbers.
-M_AT, M_STRIDE, J_AT, BIAS_AT, GRAVITY_AT, POSE_AT, TWIST_AT, DRIFT_AT, POINTER_WIDTH = range(9)
 
 
 @dataclass(frozen=True)
@@ -171,8 +168,8 @@ class Arm:
 class ArmGroup:
     """Up to ``ARMS_PER_GROUP`` arms in one Pinocchio model, and where it keeps their terms.
 
-    ``update()`` computes the terms for the numbers in ``q`` and ``v``; ``pointers`` (arms, 8) says
-    where the kernels find them.
+    :meth:`bind` gives the function that updates the terms; ``pointers`` (arms, 8) says where the
+    kernels find them, see :mod:`multiarm.terms` for its columns.
     """
 
     def __init__(self, arms: list[Arm], gravity: np.ndarray, with_gravity_torque: bool):
@@ -188,7 +185,7 @@ class ArmGroup:
         if not np.array_equal([j.idx_v for j in model.joints[1:]], np.arange(model.nv)):
             raise ModelError("Pinocchio did not number the joints of several arms in order")
         self.pointers = np.zeros((len(arms), POINTER_WIDTH), dtype=np.int64)
-        tips = [1 + int(d) - 1 + arm.tip_joint for arm, d in zip(arms, first_dof, strict=False)]
+        tips = [int(d) + arm.tip_joint for arm, d in zip(arms, first_dof, strict=False)]
         self._fill_pointers(first_dof[:-1], tips)
         self._with_gravity_torque = with_gravity_torque
 

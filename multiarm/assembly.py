@@ -17,7 +17,7 @@ from multiarm.equations import OK, update_kinematics
 from multiarm.errors import ControlError, SceneError, SolverError
 from multiarm.plant import system_book
 from multiarm.spatial import difference, matrix_to_quaternion, retract
-from multiarm.stabilization import project_positions, project_velocities
+from multiarm.stabilization import PROJECTION_FAILED, project_positions, project_velocities
 
 if TYPE_CHECKING:
     from multiarm.state import State
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 # A start whose gaps are larger than this fraction of the object's or the arms' size is refused.
 CLOSE = 0.1
-# Gaps are closed to this fraction of the scene's size.
-CLOSED = 1e-14
 _LONGEST_JOINT_CHANGE = 0.3  # [rad, m] an iteration
 _ITERATIONS = 60
 # Steps between two nodes of a path: an arm's free motions on the way depend little on them.
@@ -60,15 +58,20 @@ class StartReport:
 
 
 def scene_size(system: System) -> float:
-    """A length that is typical of the scene [m]: how far its contacts are from the object."""
-    arms = system.buffers.contacts[:, :3] - system.buffers.position[:3]
-    return max(float(np.max(np.linalg.norm(arms, axis=1), initial=0.0)), 1e-3)
+    """A length that is typical of the scene [m]: of its lever arms, its object and its arms."""
+    buffers, plant = system.buffers, system.plant
+    levers = np.linalg.norm(buffers.contacts[:, :3] - buffers.position[:3], axis=1)
+    gyration = np.sqrt(np.trace(plant.object_inertia) / plant.object_mass[0])
+    bases = np.array([arm.files.base[:3, 3] for arm in system.arms.values()])
+    reach = np.linalg.norm(buffers.arms[:, 9:12] - bases, axis=1)
+    return float(max(np.max(levers, initial=0.0), gyration, np.max(reach)))
 
 
 def projection_tolerance(system: System) -> float:
-    """Gap [m] that counts as closed: a few roundings of the coordinates involved."""
-    reach = float(np.max(np.abs(system.buffers.contacts[:, :3]), initial=0.0))
-    return 100 * np.finfo(float).eps * max(reach, scene_size(system))
+    """Gap [m] that counts as closed: some roundings of the coordinates involved."""
+    bases = [np.max(np.abs(arm.files.base[:3, 3])) for arm in system.arms.values()]
+    far = max(float(np.max(np.abs(system.buffers.contacts[:, :3]), initial=0.0)), *bases, 0.0)
+    return 100 * np.finfo(float).eps * max(far, scene_size(system))
 
 
 def assemble(system: System, written: State) -> tuple[State, StartReport]:
@@ -163,6 +166,8 @@ def _close(system: System, written: State, gaps: dict[str, float]) -> State:
         if status == OK:
             return system.get_state()
         system.reraise()
+    if status != PROJECTION_FAILED:
+        _explain(system, status)
     raise SceneError(
         "the start does not satisfy the joints and could not be closed from there "
         f"(gaps {_listed(gaps)}); move the postures or `at` closer together, "

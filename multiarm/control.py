@@ -23,6 +23,9 @@ from multiarm.plant import CALL_CONTROL, open_book
 
 HARMONIC, GRAVITY_COMPENSATION, JOINT_PD, PYTHON = 0, 1, 2, 3
 
+# [m]; contacts whose lines all pass the centre of mass closer than this have no moments
+SHORTEST_LEVER = 1e-6
+
 
 @kernel
 def add_harmonic(t, parameters, at, torque):
@@ -100,15 +103,23 @@ def static_forces(Wo, weight, force):
         for i in range(6):
             for j in range(6):
                 A[i, j] += Wo[k, i] * Wo[k, j]
-    scale = np.zeros(6)
-    for i in range(6):
-        scale[i] = 1.0 / math.sqrt(A[i, i]) if A[i, i] > 0.0 else 0.0
+    # moments are measured at the longest lever arm, so that all rows are forces; a lever arm at
+    # rounding level must not be scaled up to a direction of its own
+    longest = SHORTEST_LEVER
+    for k in range(Wo.shape[0]):
+        longest = max(longest, math.sqrt(Wo[k, 3] ** 2 + Wo[k, 4] ** 2 + Wo[k, 5] ** 2))
+    scale = np.ones(6)
+    for i in range(3, 6):
+        scale[i] = 1.0 / longest
     L = np.zeros((6, 6))
     for i in range(6):
         for j in range(6):
             A[i, j] *= scale[i] * scale[j]
     order = np.arange(6)
     rank = 6
+    largest = 0.0
+    for i in range(6):
+        largest = max(largest, A[i, i])
     for k in range(6):
         best = k
         for i in range(k + 1, 6):
@@ -116,7 +127,7 @@ def static_forces(Wo, weight, force):
                 best = i
         order[k], order[best] = order[best], order[k]
         p = order[k]
-        if A[p, p] < 1e-12:
+        if not A[p, p] > 1e-12 * largest:
             rank = k
             break
         L[p, k] = math.sqrt(A[p, p])

@@ -7,9 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from multiarm.errors import SolverError
 from multiarm.node.dense import solve_dense
 from multiarm.node.regular import NodeWork
-from multiarm.plant import M_AT, M_STRIDE, Buffers
+from multiarm.plant import Buffers
+from multiarm.terms import M_AT, M_STRIDE
 
 
 def dense_call(pointers: np.ndarray, buffers: Buffers, work: NodeWork) -> Callable[[], None]:
@@ -18,10 +20,12 @@ def dense_call(pointers: np.ndarray, buffers: Buffers, work: NodeWork) -> Callab
     arms = range(len(dofs) - 1)
 
     def solve() -> None:
+        inertias = [inertia_view(pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
+        _require_usable(inertias, (buffers.h, buffers.c, buffers.h_o, work.Y))
         solution = solve_dense(
             M_o=buffers.inertia,
             h_o=buffers.h_o,
-            M=[inertia_view(pointers[i], dofs[i + 1] - dofs[i]) for i in arms],
+            M=inertias,
             h=[buffers.h[dofs[i] : dofs[i + 1]] for i in arms],
             W_o=[buffers.Wo[rows[i] : rows[i + 1]].T for i in arms],
             W=[work.Y[i, : dofs[i + 1] - dofs[i], : rows[i + 1] - rows[i]] for i in arms],
@@ -32,6 +36,19 @@ def dense_call(pointers: np.ndarray, buffers: Buffers, work: NodeWork) -> Callab
         buffers.force[:] = np.concatenate(solution.contact_forces)
 
     return solve
+
+
+def _require_usable(inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]) -> None:
+    if not all(np.all(np.isfinite(term)) for term in (*terms, *inertias)):
+        raise SolverError(
+            "the equations of motion are not finite; take smaller steps, or check the controller"
+        )
+    for number, inertia in enumerate(inertias, start=1):
+        if not np.all(np.diag(inertia) > 0.0):
+            raise SolverError(
+                f"a joint of arm {number} moves links without mass or inertia; give them some in "
+                f"the URDF, or lock the joint"
+            )
 
 
 def inertia_view(pointers: np.ndarray, n: int) -> np.ndarray:

@@ -22,8 +22,9 @@ from multiarm.contacts.kernel import (
 )
 from multiarm.contacts.records import TIP_RADIUS
 from multiarm.dense_call import inertia_view
-from multiarm.equations import CALLBACK_FAILED, OK, evaluate_buffers, update_kinematics
+from multiarm.equations import NOT_FINITE, OK, evaluate_buffers, update_kinematics
 from multiarm.errors import SolverError
+from multiarm.node.regular import NO_INERTIA
 from multiarm.stabilization import PROJECTION_FAILED, project_velocities
 from multiarm.state import State
 from multiarm.system import System
@@ -162,6 +163,11 @@ def project_velocity(system: System, state: State) -> State:
 def failure_text(system: System, status: int) -> str:
     """What a status of the compiled code means, with the remedy."""
     names = system.arm_names
+    if 0 <= status < len(names) and system.work.pivot[status] == NO_INERTIA:
+        return (
+            f"the inertia matrix of arm '{names[status]}' is not positive definite: a joint moves "
+            f"links without mass or inertia; give them some in the URDF, or lock the joint"
+        )
     if 0 <= status < len(names):
         name = names[status]
         rows = len(system.contacts[name])
@@ -181,8 +187,8 @@ def failure_text(system: System, status: int) -> str:
             "the state could not be projected back onto the joints; take smaller steps (a smaller "
             "`accuracy` or `step`), or look for a motion that the joints cannot follow"
         )
-    if status == CALLBACK_FAILED:
-        return "a callback failed"
+    if status == NOT_FINITE:
+        return "the state is not finite; take smaller steps, or check the controller"
     return f"the evaluation failed (status {status})"
 
 

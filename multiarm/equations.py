@@ -16,6 +16,8 @@ The arrays are those of :mod:`multiarm.plant`.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from multiarm.contacts.kernel import (
@@ -37,23 +39,12 @@ from multiarm.control import control_torques
 from multiarm.effects.program import apply_effects
 from multiarm.lowlevel import call_back, floats_at, inner, inner_inlined, kernel
 from multiarm.node.regular import eliminate, solve
-from multiarm.plant import (
-    BIAS_AT,
-    CALL_DENSE,
-    CALL_TERMS,
-    DRIFT_AT,
-    GRAVITY_AT,
-    J_AT,
-    M_AT,
-    M_STRIDE,
-    POSE_AT,
-    TWIST_AT,
-    open_book,
-)
+from multiarm.plant import CALL_DENSE, CALL_TERMS, open_book
 from multiarm.spatial import write_matrix
+from multiarm.terms import BIAS_AT, DRIFT_AT, GRAVITY_AT, J_AT, M_AT, M_STRIDE, POSE_AT, TWIST_AT
 
 # Results of an evaluation; k >= 0 means that the elimination failed at arm k (or at the object).
-OK, CALLBACK_FAILED = -1, -2
+OK, CALLBACK_FAILED, NOT_FINITE = -1, -2, -4
 
 
 @inner_inlined
@@ -297,6 +288,16 @@ def largest(contacts, column):
     worst = 0.0
     for k in range(contacts.shape[0]):
         size = abs(contacts[k, column])
-        if not size <= worst:
-            worst = size
+        if size != size:
+            return size
+        worst = max(worst, size)
     return worst
+
+
+@inner
+def finite(vector):
+    """Whether all entries are finite."""
+    for i in range(vector.size):  # noqa: SIM110  compiled code has no generators
+        if not math.isfinite(vector[i]):
+            return False
+    return True

@@ -22,6 +22,9 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
+# Folders whose every file has kernels, or constants that are compiled into them.
+_KERNEL_FOLDERS = ("contacts", "effects", "integrators", "node")
+
 
 def _source_stamp() -> str:
     """Digest of the sources of all kernels.
@@ -32,7 +35,7 @@ def _source_stamp() -> str:
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         source = path.read_bytes()
-        if b"multiarm.lowlevel" in source or path.name == "lowlevel.py":
+        if path.parent.name in _KERNEL_FOLDERS or b"lowlevel" in source or path.name == "terms.py":
             digest.update(path.name.encode() + source)
     return digest.hexdigest()
 

@@ -1,7 +1,7 @@
 """The common object: its inertia and bias in world axes, in readable form.
 
-The compiled counterpart is :func:`multiarm.equations.object_terms`; this one serves Python callers
-and the dense reference.
+The compiled counterpart is :func:`multiarm.equations.object_terms`; this one is the statement of
+the equation that it is tested against.
 """
 
 from __future__ import annotations

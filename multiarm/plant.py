@@ -15,11 +15,11 @@ from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.lowlevel import address_book, floats1, floats2, floats3, inner_inlined, ints1, ints2
 from multiarm.node.regular import NodeWork
 
-# Columns of Plant.pointers (multiarm.arm fills them).
-M_AT, M_STRIDE, J_AT, BIAS_AT, GRAVITY_AT, POSE_AT, TWIST_AT, DRIFT_AT = range(8)
-
 # Entries of Plant.calls.
 CALL_TERMS, CALL_CONTROL, CALL_DENSE, CALL_POTENTIAL = range(4)
+
+# Entry of Buffers.flag.
+BUSY = 1
 
 
 class Plant(NamedTuple):
@@ -81,8 +81,8 @@ class Buffers(NamedTuple):
         Wrench that carries the object, and the contact forces for it (gravity compensation).
     power : (1,), energy : (2,)
         Power of control and effects [W]; kinetic and potential energy [J] (at samples only).
-    flag : int64 (1,)
-        Raised by a callback that failed.
+    flag : int64 (2,)
+        Raised by a callback that failed; raised while a Python controller runs (``BUSY``).
     """
 
     time: np.ndarray
@@ -141,7 +141,7 @@ def make_buffers(arms: int, joints: int, rows: int, configuration: int) -> Buffe
         static_force=np.zeros(rows),
         power=np.zeros(1),
         energy=np.zeros(2),
-        flag=np.zeros(1, dtype=np.int64),
+        flag=np.zeros(2, dtype=np.int64),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from multiarm.errors import ModelError
 from multiarm.scene import Scene
 
 # Start of every arm in the ring scene: tool0 is 0.55 m in front of its base.
@@ -35,6 +36,10 @@ def ring_of_arms(
     duration, accuracy, frequency : float
         [s], [m, rad], [Hz]
     """
+    if arms < 2 or kind not in ("weld", "ball", "revolute"):
+        raise ModelError(
+            f"a ring has at least 2 arms and weld, ball or revolute joints, not {arms} and {kind!r}"
+        )
     radius = max(0.8, 0.25 / math.sin(math.pi / arms))
     names = [f"arm{i}" for i in range(arms)]
     heading = {name: 2.0 * math.pi * i / arms for i, name in enumerate(names)}

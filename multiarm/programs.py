@@ -18,8 +18,8 @@ from multiarm.control import (
 )
 from multiarm.effects.program import JOINT_DAMPING
 from multiarm.equations import OK, update_kinematics
-from multiarm.errors import ControlError
-from multiarm.plant import Buffers
+from multiarm.errors import ControlError, MultiarmError
+from multiarm.plant import BUSY, Buffers
 from multiarm.scene import Pose, Scene, gain_vector
 from multiarm.scene.control import (
     ConstantControl,
@@ -100,7 +100,15 @@ def control_call(function: ControlFunction, layout: Layout, buffers: Buffers):
             np.concatenate([buffers.twist, buffers.v]),
             layout,
         )
-        torques = function(float(buffers.time[0]), state)
+        buffers.flag[BUSY] = 1
+        try:
+            torques = function(float(buffers.time[0]), state)
+        except MultiarmError:
+            raise
+        except Exception as error:
+            raise ControlError(f"the controller raised {type(error).__name__}: {error}") from error
+        finally:
+            buffers.flag[BUSY] = 0
         _write_torques(torques, layout, buffers)
 
     return call
@@ -177,7 +185,7 @@ def _reference(system: System, path: tuple[Waypoint, ...] | None) -> tuple[np.nd
     poses = [waypoint.matrix() for waypoint in path]
     if times[0] > 0.0:
         times.insert(0, 0.0)
-        poses.insert(0, system.scene.object.pose.matrix())
+        poses.insert(0, _pose_of(start).matrix())
     carrier = _rigidly_held(system)
     segments, state = [], carrier.initial_state()
     for k in range(len(times) - 1):
@@ -208,13 +216,16 @@ def _rigidly_held(system: System) -> System:
         name: spec.model_copy(update={"posture": tuple(start.joint_positions[name])})
         for name, spec in scene.arms.items()
     }
-    pose = {
-        "xyz": start.object_position.tolist(),
-        "quaternion_xyzw": start.object_quaternion_xyzw.tolist(),
-    }
-    body = scene.object.model_copy(update={"pose": Pose(**pose), "twist": None})
+    body = scene.object.model_copy(update={"pose": _pose_of(start), "twist": None})
     return compile_system(
         scene.replace(joints=joints, arms=arms, object=body, control={"kind": "none"})
+    )
+
+
+def _pose_of(state: State) -> Pose:
+    """Pose of the object in a state."""
+    return Pose(
+        xyz=state.object_position.tolist(), quaternion_xyzw=state.object_quaternion_xyzw.tolist()
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import numpy as np
 from multiarm.assembly import projection_tolerance, scene_size
 from multiarm.channels import trajectory_channels
 from multiarm.dynamics import failure_text
-from multiarm.equations import CALLBACK_FAILED, OK
+from multiarm.equations import CALLBACK_FAILED, NOT_FINITE, OK
 from multiarm.errors import MultiarmError, SolverError, TrajectoryError
 from multiarm.integrators.stepper import (
     Method,
@@ -43,7 +44,6 @@ from multiarm.time_loop import (
     FINISHED,
     LARGEST,
     NONE,
-    NOT_FINITE,
     PROJECTION,
     PROJECTIONS,
     REJECTED,
@@ -100,6 +100,7 @@ def simulate(
     tolerance: float | None = None,
     stabilization: str | dict | None = None,
     output_step: float | None = None,
+    max_step: float | None = None,
     solver: str | None = None,
     state: State | None = None,
     control: ControlFunction | None = None,
@@ -128,6 +129,9 @@ def simulate(
         ``{"kind": "feedback", "alpha": ..., "beta": ...}`` sets the gains [1/s].
     output_step : float, optional
         Time between samples [s].
+    max_step : float, optional
+        Longest step of an adaptive method [s].  With a Python controller it is the time between
+        samples when left out, so that no sudden change of its torques is stepped over.
     solver : {"node", "dense"}, optional
     state : State, optional
         Where to begin; the scene's start when left out.
@@ -161,9 +165,25 @@ def simulate(
     system = system.with_solver(spec.solver)
     if control is not None:
         system = system.with_control(control)
-    run = _prepare(system, spec, state, MemorySink() if out is None else Hdf5Sink(Path(out)))
-    run.sink.open(_channels(system), provenance(dump_scene(system.scene)))
-    status, message, wall = _drive(run, progress)
+    python_control = control is not None or "control" in system.calls
+    if max_step is None:
+        max_step = spec.output_step if python_control else np.inf
+    sink = MemorySink() if out is None else Hdf5Sink(Path(out))
+    run = _prepare(system, spec, state, sink, max_step)
+    started = {
+        "control": "python function" if python_control else system.scene.control.kind,
+        "start": "scene" if state is None else "given state",
+    }
+    as_run = system.scene.model_copy(update={"run": spec})
+    run.sink.open(_channels(system), {**provenance(dump_scene(as_run)), **started})
+    try:
+        status, message, wall = _drive(run, progress)
+    except BaseException as error:
+        # not ours to handle, but what was simulated is kept
+        with suppress(TrajectoryError):
+            _flush(run)
+        run.sink.finish("failed", f"{_where(run)}: {error!r}", _statistics(run, spec, 0.0))
+        raise
     return run.sink.finish(status, message, _statistics(run, spec, wall))
 
 
@@ -178,7 +198,9 @@ def _run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None)
     return RunSpec(**data)
 
 
-def _prepare(system: System, spec: RunSpec, state: State | None, sink: Sink) -> _Run:
+def _prepare(
+    system: System, spec: RunSpec, state: State | None, sink: Sink, max_step: float
+) -> _Run:
     """Settings, arrays and the first evaluation."""
     name, tolerance = method_and_tolerance(spec)
     tableau = METHODS[name]
@@ -194,6 +216,7 @@ def _prepare(system: System, spec: RunSpec, state: State | None, sink: Sink) -> 
         samples=samples,
         adaptive=adaptive,
         step=float(spec.step) if spec.step is not None else 1e-3,
+        longest_step=_positive("max_step", max_step),
         position_tolerance=tolerance or 1.0,
         velocity_tolerance=tolerance or 1.0,
         stabilization=STABILIZATIONS[stabilization.kind],
@@ -220,6 +243,12 @@ def _prepare(system: System, spec: RunSpec, state: State | None, sink: Sink) -> 
     return _Run(
         system, tableau, method, step, settings, make_clock(settings), sink, np.zeros((rows, width))
     )
+
+
+def _positive(name: str, value: float) -> float:
+    if not value > 0.0:
+        raise SolverError(f"{name}: must be greater than 0, got {value!r}")
+    return float(value)
 
 
 def method_and_tolerance(spec: RunSpec) -> tuple[str, float | None]:
@@ -249,7 +278,10 @@ def _first_step(system: System, step: Step, settings: Settings, method: Method) 
     status = evaluate_slope(
         system.book(), trial, step.z + trial * step.slope, step.base, 0.0, 0.0, other
     )
-    second = np.max(np.abs(other - step.slope)[:-1] / scale) / trial if status == OK else 0.0
+    if status != OK:
+        system.forgive()  # the run itself will meet the trouble, and tell when
+        return float(trial)
+    second = np.max(np.abs(other - step.slope)[:-1] / scale) / trial
     worst = max(first, second)
     if worst == 0.0:
         return min(1e-2, settings.end)
@@ -318,7 +350,7 @@ def _trouble(run: _Run, reason: int) -> tuple[str, str]:
         except MultiarmError as error:
             return "failed", f"{where}: {error}"
         except Exception as error:
-            return "failed", f"{where}: the controller raised {type(error).__name__}: {error}"
+            return "failed", f"{where}: a callback raised {type(error).__name__}: {error}"
     if reason == STEP_TOO_SMALL:
         return "failed", (
             f"{where}: the step became too small ({run.clock.real[H]:.2g} s) for the asked "

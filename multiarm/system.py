@@ -1,7 +1,8 @@
 """From a scene to a compiled system: arms, contacts, programs of control and effects, a start.
 
 A :class:`System` is frozen.  It owns the arrays that its evaluations write, so one system serves
-one thread; :meth:`System.with_control` and friends make siblings that share the robots.
+one thread; the siblings that :meth:`System.with_control` and :meth:`System.with_solver` make share
+them.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ from multiarm.contacts.catalogue import joint_contacts, surface_offset
 from multiarm.contacts.records import Contact, pack
 from multiarm.control import PYTHON
 from multiarm.dense_call import dense_call
-from multiarm.errors import ModelError
+from multiarm.errors import ControlError, ModelError
 from multiarm.lowlevel import CallBack
 from multiarm.node.regular import NodeWork, make_work
 from multiarm.plant import (
+    BUSY,
     CALL_CONTROL,
     CALL_DENSE,
     CALL_POTENTIAL,
@@ -59,6 +61,10 @@ class System:
         How far the scene's start was from satisfying the joints, and what was corrected.
     breakpoints : ndarray
         Times at which the control is not smooth; steps end there.
+    plant, buffers, work : Plant, Buffers, NodeWork
+        What the kernels read and write.
+    calls : dict of str to CallBack
+        What they call in Python: terms, dense, potential, and control when that is in Python.
     """
 
     scene: Scene
@@ -72,7 +78,7 @@ class System:
     start_report: StartReport = field(repr=False)
     _start: State = field(repr=False)
     _groups: list[ArmGroup] = field(repr=False)
-    _calls: dict[str, CallBack] = field(repr=False)
+    calls: dict[str, CallBack] = field(repr=False)
 
     @property
     def arm_names(self) -> tuple[str, ...]:
@@ -125,7 +131,11 @@ class System:
         return state
 
     def with_control(self, control: ControlFunction) -> System:
-        """The same system driven by a Python function ``f(t, state) -> {arm: torques}``."""
+        """The same system driven by a Python function ``f(t, state) -> {arm: torques}``.
+
+        Arms that the function leaves out get no torque.  It may evaluate another system, compiled
+        for it, but not this one: the two share their arrays.
+        """
         call = CallBack(control_call(control, self.layout, self.buffers), self.buffers.flag)
         calls = self.plant.calls.copy()
         calls[CALL_CONTROL] = call.address
@@ -135,7 +145,7 @@ class System:
             self,
             plant=plant,
             breakpoints=np.zeros(0),
-            _calls={**self._calls, "control": call},
+            calls={**self.calls, "control": call},
         )
 
     def with_solver(self, solver: str) -> System:
@@ -163,6 +173,8 @@ class System:
         ------
         ModelError
             For a state of a system with other arms.
+        ControlError
+            When called from within a controller of this system.
         """
         if state.layout != self.layout:
             raise ModelError(
@@ -170,6 +182,11 @@ class System:
                 f"({state.layout.joints} joints), not to this one; make it with `system.state(...)`"
             )
         b = self.buffers
+        if b.flag[BUSY]:
+            raise ControlError(
+                "the controller evaluates the very system that it drives, whose arrays are in use; "
+                "compile a second one for it: `model = multiarm.compile_system(scene)`"
+            )
         b.time[0] = t
         b.position[:] = state.position[:7]
         b.angles[:] = state.position[7:]
@@ -187,8 +204,14 @@ class System:
     def reraise(self) -> None:
         """Raise what a callback ran into, and lower the flag."""
         self.buffers.flag[0] = 0
-        for call in self._calls.values():
+        for call in self.calls.values():
             call.reraise()
+
+    def forgive(self) -> None:
+        """Forget what a callback ran into, and lower the flag."""
+        self.buffers.flag[0] = 0
+        for call in self.calls.values():
+            call.error = None
 
     def _fill(self, views, given, what: str) -> None:
         for arm, values in (given or {}).items():
@@ -250,7 +273,7 @@ def compile_system(scene: Scene, control: ControlFunction | None = None) -> Syst
         start_report=StartReport(),
         _start=start,
         _groups=groups,
-        _calls=calls,
+        calls=calls,
     )
     if np.any(gravity):
         calls["potential"] = CallBack(_potential_call(system), buffers.flag)

@@ -6,6 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+# Columns of the table that says where Pinocchio keeps each arm's terms: addresses of float64 data
+# (inertia M and its stride in numbers, Jacobian, bias, gravity torque; pose, twist and drift of the
+# link that carries the tip).
+M_AT, M_STRIDE, J_AT, BIAS_AT, GRAVITY_AT, POSE_AT, TWIST_AT, DRIFT_AT, POINTER_WIDTH = range(9)
+
 
 class ArmTerms(NamedTuple):
     r"""One arm at one state: ``M q'' + bias = tau + J^T f`` (thesis, 3.1, in joint space).

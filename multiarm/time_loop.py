@@ -17,8 +17,10 @@ import numpy as np
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import (
     CALLBACK_FAILED,
+    NOT_FINITE,
     OK,
     evaluate_buffers,
+    finite,
     kinetic_energy,
     largest,
 )
@@ -39,7 +41,7 @@ from multiarm.stabilization import FEEDBACK_RATIO, project
 
 # Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
 FINISHED, BLOCK_FULL, BUDGET_USED = -10, -11, -12
-STEP_TOO_SMALL, NOT_FINITE, DIVERGED = -13, -14, -15
+STEP_TOO_SMALL, DIVERGED = -13, -14
 
 # Step size control (Hairer, Norsett, Wanner, II.4 and IV.2).
 SAFETY, SHRINK, GROW = 0.9, 0.2, 6.0
@@ -49,6 +51,9 @@ T, H, T_OLD, H_OLD, ERROR_OLD, ERROR_SUM, SMALLEST, LARGEST, REAL_WIDTH = range(
 STEPS, REJECTED, EVALUATIONS, PROJECTIONS, SAMPLE, BLOCK_FIRST, BREAK, CAUSE, COUNT_WIDTH = range(9)
 
 NONE, FEEDBACK, PROJECTION = 0, 1, 2
+
+# Times closer than this, relative to the run, are one.
+CLOSE_IN_TIME = 1e-12
 
 
 class Settings(NamedTuple):
@@ -61,6 +66,8 @@ class Settings(NamedTuple):
     adaptive : bool
     step : float
         The fixed step, or the first one of an adaptive method [s].
+    longest_step : float
+        Of an adaptive method [s].
     position_tolerance, velocity_tolerance : float
         Largest accepted error estimate of one step [m, rad] and [m/s, rad/s].
     stabilization : int
@@ -80,6 +87,7 @@ class Settings(NamedTuple):
     samples: int
     adaptive: bool
     step: float
+    longest_step: float
     position_tolerance: float
     velocity_tolerance: float
     stabilization: int
@@ -213,25 +221,17 @@ def planned_step(method, clock, settings):
         return end - t, end
     stop = settings.end
     breakpoints = settings.breakpoints
-    while count[BREAK] < breakpoints.size and breakpoints[count[BREAK]] <= t:
+    near = CLOSE_IN_TIME * (1.0 + settings.end)
+    while count[BREAK] < breakpoints.size and breakpoints[count[BREAK]] <= t + near:
         count[BREAK] += 1
-    if count[BREAK] < breakpoints.size:
-        stop = min(stop, breakpoints[count[BREAK]])
-    h = real[H]
+    if count[BREAK] < breakpoints.size and breakpoints[count[BREAK]] < stop - near:
+        stop = breakpoints[count[BREAK]]
+    h = min(real[H], settings.longest_step)
     if t + 1.01 * h >= stop:
         return stop - t, stop
     if t + 2.0 * h > stop:
         h = 0.5 * (stop - t)  # two equal steps rather than a long and a tiny one
     return h, t + h
-
-
-@inner
-def finite(vector):
-    """Whether all entries are finite."""
-    for i in range(vector.size):  # noqa: SIM110  compiled code has no generators
-        if not math.isfinite(vector[i]):
-            return False
-    return True
 
 
 @inner
@@ -288,12 +288,13 @@ def complete_step(book, method, step, clock, settings, h, end):
     count[EVALUATIONS] += 1
     if status != OK:
         return status
-    if not largest(buffers.contacts, GAP) <= settings.apart:
-        return DIVERGED
+    gap = largest(buffers.contacts, GAP)
+    if not gap <= settings.apart:
+        return DIVERGED if math.isfinite(gap) else NOT_FINITE
     # the slope of the next step, in this chart for the dense output and in the next one for it
     write_slope(step.z_new, buffers, step.k[method.stages])
     step.z_stage[:] = 0.0
-    write_slope(step.z_stage, buffers, step.slope)
+    write_slope(step.z_stage, buffers, step.slope_next)
     due = sample_time(settings, count[SAMPLE]) if count[SAMPLE] < settings.samples else math.inf
     store(buffers, step.base_next, step.z_next)
     step.z_next[step.z.size - 1] = step.z_new[step.z.size - 1]
@@ -304,6 +305,7 @@ def complete_step(book, method, step, clock, settings, h, end):
             return status
     copy(step.z_next, step.z)
     copy(step.base_next, step.base)
+    copy(step.slope_next, step.slope)
     return OK
 
 

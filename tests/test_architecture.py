@@ -61,7 +61,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pydantic": ("scene",),
     "pydantic_core": ("scene",),
     "rich": ("cli", "benchmarks.scaling"),
-    "scipy": ("node.dense",),
+    "scipy": ("node.dense", "benchmarks.scaling"),
     "threadpoolctl": ("benchmarks.scaling",),
     "typer": ("cli",),
     "typing_extensions": ("cli", "scene"),

@@ -56,7 +56,6 @@ class PinocchioForest:
         start = self.system.initial_state()
         pose = _se3(start.position[:7])
         constraints = pin.StdVec_RigidConstraintModel()
-        first = 0
         for joint in self.system.scene.joints:
             arm = self.system.arms[joint.arm]
             first = sum(

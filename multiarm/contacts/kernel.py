@@ -57,7 +57,7 @@ from multiarm.lowlevel import allocating, inlined
 
 # A row of body kinematics: rotation (9, row by row), origin, velocity of the origin, angular
 # velocity, classical acceleration of the origin and angular acceleration; all in world axes.
-ROTATION, ORIGIN_AT, VELOCITY, SPIN, ACCELERATION, SPIN_RATE = 0, 9, 12, 15, 18, 21
+ORIGIN_AT, VELOCITY, SPIN, ACCELERATION, SPIN_RATE = 9, 12, 15, 18, 21
 BODY_WIDTH = 24
 
 # A row of relative motion, A as seen from B, world axes: r_0, V_0, Omega, A_0, Omega'.

@@ -17,7 +17,6 @@ import numpy as np
 
 # Codes used by the compiled kernel.
 PLANE, SPHERE, CYLINDER = 0, 1, 2
-SURFACE_NAMES = {PLANE: "plane", SPHERE: "sphere", CYLINDER: "cylinder"}
 SURFACE_ON_OBJECT, SURFACE_ON_ARM = 0, 1
 
 # Columns of ContactTable.geometry.

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.equations import OK, evaluate_buffers
+from multiarm.equations import NOT_FINITE, OK, evaluate_buffers, finite
 from multiarm.integrators.tableaus import HERMITE, POLYNOMIAL, Tableau
 from multiarm.lowlevel import (
     address_book,
@@ -65,8 +65,8 @@ class Step(NamedTuple):
         Quaternions of the chart now and of the step before.
     k : (slopes, D)
         Slopes of the stages, at the end, and of the dense output's further stages.
-    slope : (D,)
-        Slope at the beginning of the next step, in its own chart.
+    slope, slope_next : (D,)
+        Slope at the beginning of this step and of the next one, each in its own chart.
     dense : (7, D), z_old : (D,)
         Dense output of the step before.
     """
@@ -80,6 +80,7 @@ class Step(NamedTuple):
     base_old: np.ndarray
     k: np.ndarray
     slope: np.ndarray
+    slope_next: np.ndarray
     dense: np.ndarray
     z_old: np.ndarray
 
@@ -114,6 +115,7 @@ def make_step(tableau: Tableau, joints: int) -> Step:
         base_old=np.array([0.0, 0.0, 0.0, 1.0]),
         k=np.zeros((slopes, size)),
         slope=np.zeros(size),
+        slope_next=np.zeros(size),
         dense=np.zeros((_DENSE_ROWS, size)),
         z_old=np.zeros(size),
     )
@@ -149,8 +151,9 @@ def open_step(book, method):
         base_old=floats1(book, 11),
         k=floats2(book, 12),
         slope=floats1(book, 13),
-        dense=floats2(book, 14),
-        z_old=floats1(book, 15),
+        slope_next=floats1(book, 14),
+        dense=floats2(book, 15),
+        z_old=floats1(book, 16),
     )
     return opened, step
 
@@ -203,6 +206,8 @@ def write_slope(z, buffers, slope):
 @kernel
 def evaluate_slope(book, t, z, base, alpha, beta, slope):
     """Rate of ``z`` at time ``t`` of the system with this address book; returns a status."""
+    if not finite(z):
+        return NOT_FINITE
     _, buffers, _ = open_book(book)
     load(z, base, buffers)
     buffers.time[0] = t
@@ -278,10 +283,9 @@ def error_estimate(method, step, h, position_tolerance, velocity_tolerance, join
             if method.error.shape[0] > 1:
                 b += method.error[1, j] * step.k[j, i]
         a, b = abs(scale * a), abs(scale * b)
-        if not a <= first:
-            first = a
-        if not b <= second:
-            second = b
+        if a != a or b != b:
+            return math.nan
+        first, second = max(first, a), max(second, b)
     if method.error.shape[0] == 1 or first == 0.0:
         return first
     return first * first / math.sqrt(first * first + 0.01 * second * second)

@@ -39,6 +39,8 @@ from multiarm.lowlevel import inlined, inner_inlined, kernel
 
 # Relative pivots below this mean: singular in double precision.
 PIVOT_TOLERANCE = 1e-13
+# Stands in for the pivot of an arm whose inertia matrix is not positive definite.
+NO_INERTIA = -2.0
 
 
 class NodeWork(NamedTuple):
@@ -120,7 +122,7 @@ def eliminate_arm(i, work, Wo):
 
     On entry ``work.L[i]`` holds the arm's inertia (lower triangle), ``work.Y[i]`` its ``W`` (one
     column a contact) and ``Wo`` (sum of rows, 6) the object's rows; on return the factors.
-    Returns the smallest relative pivot (0 when the arm is singular).
+    Returns the smallest relative pivot (0 when the arm is singular), or ``NO_INERTIA``.
     """
     n = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
@@ -128,7 +130,7 @@ def eliminate_arm(i, work, Wo):
     L, Y, G, Z, S = work.L[i], work.Y[i], work.G[i], work.Z[i], work.S
     inertia_pivot = factor_in_place(L, n)
     if not inertia_pivot > 0.0:
-        return inertia_pivot
+        return NO_INERTIA
     for j in range(n):
         for k in range(j):
             factor = L[j, k]

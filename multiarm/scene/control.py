@@ -46,7 +46,7 @@ class ConstantControl(Spec):
 
 
 class GravityCompensationControl(Spec):
-    """Each arm carries its own weight."""
+    """The arms carry themselves and the object: torques that hold the whole system still."""
 
     kind: Literal["gravity_compensation"] = "gravity_compensation"
 
@@ -67,7 +67,7 @@ class JointPDControl(Spec):
     damping : number, list or table
         [N m s/rad] or [N s/m], in the same forms.
     gravity_compensation : bool
-        Add the torques that carry each arm's own weight.
+        Add the torques that hold the whole system, arms and object, still.
     path : list of Waypoint, optional
         Poses of the object that the reference passes. A path that does not begin at time 0
         begins with the start pose. Absent: the reference is the start.
