@@ -478,7 +478,12 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_run(free_block_syst
         ma.simulate(free_block_system, duration=0.1, out=tmp_path / "nowhere" / "run.h5")
 
 
-def test_a_trajectory_remembers_its_scene(free_block_system):
-    trajectory = ma.simulate(free_block_system, duration=0.01)
-    assert trajectory.scene == free_block_system.scene
+def test_a_trajectory_remembers_what_was_run(free_block_system):
+    trajectory = ma.simulate(free_block_system, duration=0.01, integrator="rk4", step=1e-3)
+    scene, run = trajectory.scene, trajectory.scene.run
+    assert (run.duration, run.integrator, run.step, run.accuracy) == (0.01, "rk4", 1e-3, None)
+    assert scene.replace(run=free_block_system.scene.run) == free_block_system.scene
     assert trajectory.arm_names == ("one", "two")
+    driven = ma.simulate(free_block_system, duration=0.01, control=lambda t, state: {})
+    assert trajectory.provenance["control"] == "none"
+    assert driven.provenance["control"] == "python function"
