@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
+    from multiarm.compilation import compile_system
     from multiarm.dynamics import Evaluation, evaluate
     from multiarm.reporting import report
     from multiarm.scene import Scene, load_scene
     from multiarm.simulation import simulate
     from multiarm.state import State
-    from multiarm.system import System, compile_system
+    from multiarm.system import System
     from multiarm.trajectory import Trajectory, load_trajectory
     from multiarm.viewer import replay
 
@@ -30,7 +31,7 @@ _HOMES = {
     "State": "state",
     "System": "system",
     "Trajectory": "trajectory",
-    "compile_system": "system",
+    "compile_system": "compilation",
     "evaluate": "dynamics",
     "load_scene": "scene",
     "load_trajectory": "trajectory",

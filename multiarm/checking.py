@@ -27,9 +27,9 @@ from multiarm.inspection import (
     ObjectFacts,
     RunFacts,
 )
+from multiarm.preparation import method_and_tolerance
 from multiarm.programs import needs_gravity_torque
 from multiarm.scene import ArmSpec, ObjectSpec, RunSpec, Scene, ToolSpec
-from multiarm.simulation import method_and_tolerance
 from multiarm.spatial import matrix_to_quaternion
 from multiarm.system import System
 

@@ -203,7 +203,7 @@ def _rigidly_held(system: System) -> System:
     joint stay at rest.  Arms with fewer than six joints cannot hold rigidly; they keep their own
     joints.
     """
-    from multiarm.system import compile_system
+    from multiarm.compilation import compile_system
 
     scene, start = system.scene, system.initial_state()
     if all(joint.kind == "weld" for joint in scene.joints):

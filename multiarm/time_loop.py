@@ -74,7 +74,7 @@ class Settings(NamedTuple):
     alpha, beta : float
         Gains of the feedback [1/s]; negative: ``FEEDBACK_RATIO / step``.
     closed : float
-        Gap that counts as closed by projection [m].
+        Gap that counts as closed by projection [m]; negative: no projection.
     apart : float
         Gap at which the run is given up as diverged [m].
     breakpoints : ndarray
@@ -170,6 +170,23 @@ def write_sample(plant, buffers, work, t, work_done, row):
 
 
 @inner
+def settle(book, clock, closed, t, alpha, beta):
+    """Project the state in the buffers to gaps below ``closed`` [m] (negative: leave it), then
+    evaluate it; returns a status.
+    """
+    _, buffers, _ = open_book(book)
+    if closed >= 0.0:
+        status = project(book, closed)
+        clock.counts[PROJECTIONS] += 1
+        clock.counts[EVALUATIONS] += 2
+        if status != OK:
+            return status
+    buffers.time[0] = t
+    clock.counts[EVALUATIONS] += 1
+    return evaluate_buffers(book, alpha, beta)
+
+
+@inner
 def emit_samples(book, method, step, clock, settings, block):
     """Write the samples that are due up to now; returns a status (``OK``: all written)."""
     plant, buffers, work = open_book(book)
@@ -184,21 +201,16 @@ def emit_samples(book, method, step, clock, settings, block):
         if rows >= block.shape[0]:
             return BLOCK_FULL
         alpha, beta = gains(settings, max(real[H_OLD], settings.step))
+        closed = -1.0
         if due >= t - near:
             load(step.z, step.base, buffers)
             work_done = step.z[step.z.size - 1]
         else:
+            closed = settings.closed
             interpolate(method, step, (due - real[T_OLD]) / real[H_OLD], step.z_stage)
             load(step.z_stage, step.base_old, buffers)
             work_done = step.z_stage[step.z.size - 1]
-            if settings.stabilization == PROJECTION:
-                status = project(book, settings.closed)
-                count[EVALUATIONS] += 2
-                if status != OK:
-                    return status
-        buffers.time[0] = due
-        status = evaluate_buffers(book, alpha, beta)
-        count[EVALUATIONS] += 1
+        status = settle(book, clock, closed, due, alpha, beta)
         if status != OK:
             return status
         write_sample(plant, buffers, work, due, work_done, block[rows])
@@ -277,15 +289,7 @@ def complete_step(book, method, step, clock, settings, h, end):
     t = clock.real[T]
     alpha, beta = gains(settings, h)
     load(step.z_new, step.base, buffers)
-    if settings.stabilization == PROJECTION:
-        status = project(book, settings.closed)
-        count[PROJECTIONS] += 1
-        count[EVALUATIONS] += 2
-        if status != OK:
-            return status
-    buffers.time[0] = end
-    status = evaluate_buffers(book, alpha, beta)
-    count[EVALUATIONS] += 1
+    status = settle(book, clock, settings.closed, end, alpha, beta)
     if status != OK:
         return status
     gap = largest(buffers.contacts, GAP)

@@ -34,8 +34,9 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("assembly", "time_loop"),
     ("programs",),
     ("system",),
-    ("dynamics",),
-    ("simulation", "inspection"),
+    ("dynamics", "compilation"),
+    ("preparation", "inspection"),
+    ("simulation",),
     ("checking", "plots", "viewer", "benchmarks"),
     ("reporting",),
     ("multiarm",),
@@ -45,7 +46,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
 
 # Imports inside a function that point up, and why they may.
 EXCEPTIONS = {
-    ("programs", "system"): "a path is planned on a sibling system whose joints are rigid",
+    ("programs", "compilation"): "a path is planned on a sibling system whose joints are rigid",
     ("assembly", "dynamics"): "a failed start is told in the words of a failed evaluation",
 }
 

@@ -438,7 +438,7 @@ def test_settings_that_do_not_fit_are_refused(options, fragments, tmp_path):
 @pytest.mark.parametrize("option", ["--out", "--json", "--replay-html", "--report-html"])
 def test_places_that_cannot_be_written_are_found_before_the_work(option, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("multiarm.system.compile_system", None)  # the work must not begin
+    monkeypatch.setattr("multiarm.compilation.compile_system", None)  # the work must not begin
     scene = scene_file(tmp_path)
     before = scene.read_bytes()
     for place, fragment in [

@@ -246,7 +246,7 @@ def test_samples_tell_the_forces_of_their_own_state(block_system):
 def test_many_samples_are_one_run_whatever_the_blocks(free_block_system, monkeypatch):
     run = {"duration": 0.3, "accuracy": 1e-6, "output_step": 1e-3}
     whole = ma.simulate(free_block_system, **run)
-    monkeypatch.setattr("multiarm.simulation.BLOCK_NUMBERS", 1)  # blocks of sixteen samples
+    monkeypatch.setattr("multiarm.preparation.BLOCK_NUMBERS", 1)  # blocks of sixteen samples
     monkeypatch.setattr("multiarm.simulation.BUDGET", 10)
     pieces = ma.simulate(free_block_system, **run)
     np.testing.assert_array_equal(pieces.time, whole.time)

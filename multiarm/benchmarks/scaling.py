@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.benchmarks.peers import PinocchioForest
+from multiarm.compilation import compile_system
 from multiarm.dynamics import evaluate, project_velocity
 from multiarm.equations import OK
 from multiarm.errors import SolverError
@@ -26,7 +27,7 @@ from multiarm.integrators.tableaus import RK4
 from multiarm.lowlevel import call_back, kernel
 from multiarm.plant import CALL_TERMS
 from multiarm.problems import ring_of_arms
-from multiarm.system import System, compile_system
+from multiarm.system import System
 
 BURSTS_PER_ROUND = 40
 BURST = 1e-3  # [s], about

@@ -43,7 +43,7 @@ def check(
     loaded = load_scene(scene)
     print_warnings(loaded.warnings)
     from multiarm.checking import inspect_system
-    from multiarm.system import compile_system
+    from multiarm.compilation import compile_system
 
     inspection = inspect_system(compile_system(loaded))
     if json is not None:

@@ -234,8 +234,8 @@ def _simulate(
     """
     duration = options["duration"] if options["duration"] is not None else scene.run.duration
     with RunProgress(messages(), duration, quiet) as progress:
+        from multiarm.compilation import compile_system
         from multiarm.simulation import simulate
-        from multiarm.system import compile_system
 
         if options["solver"] is not None:  # the start is assembled by it too
             changed = scene.run.model_copy(update={"solver": options["solver"]})

@@ -85,4 +85,4 @@ def _pace(figures: dict[str, Any]) -> str:
     pace = (
         f"{number(figures['wall_time_s'], 's')}, {number(figures['realtime_factor'])} x real time"
     )
-    return f"{pace}; kernels were compiled meanwhile" if figures["compiled_kernels"] else pace
+    return f"{pace}, after compiling the kernels" if figures["compiled_kernels"] else pace

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from multiarm.compilation import compile_system
 from multiarm.dynamics import evaluate
 from multiarm.errors import ReplayError, SolverError
-from multiarm.system import compile_system
 from multiarm.viewer.film import Body, ContactTracks, Film, along, rotations
 from multiarm.viewer.mesh import Mesh, capsule, merge
 from multiarm.viewer.shapes import PLAIN, geometry_mesh, object_mesh

@@ -1,0 +1,160 @@
+"""Before a run: the settings, the method, the first evaluation and the first step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from multiarm.assembly import projection_tolerance, scene_size
+from multiarm.dynamics import failure_text
+from multiarm.equations import OK
+from multiarm.errors import SolverError
+from multiarm.integrators.stepper import (
+    Method,
+    Step,
+    evaluate_slope,
+    make_method,
+    make_step,
+    store,
+)
+from multiarm.integrators.tableaus import METHODS, Tableau
+from multiarm.scene import RunSpec
+from multiarm.scene.control import DEFAULT_ACCURACY
+from multiarm.sinks import Sink
+from multiarm.state import State
+from multiarm.system import System
+from multiarm.time_loop import (
+    FEEDBACK,
+    NONE,
+    PROJECTION,
+    Clock,
+    Settings,
+    gains,
+    make_clock,
+    sample_width,
+)
+
+# Below this accuracy [m, rad] the method of order 8 is the cheaper one.
+ORDER_8_BELOW = 3e-4
+# Tolerance of one step as a fraction of the accuracy of the run: errors of many steps add up.
+STEP_SHARE = 0.01
+# Gaps larger than this fraction of the scene's size mean that the run has diverged.
+APART = 0.1
+BLOCK_NUMBERS = 200_000
+STABILIZATIONS = {"none": NONE, "feedback": FEEDBACK, "projection": PROJECTION}
+
+
+@dataclass(frozen=True)
+class Run:
+    """Everything one run needs, and the samples' sink."""
+
+    system: System
+    tableau: Tableau
+    method: Method
+    step: Step
+    settings: Settings
+    clock: Clock
+    sink: Sink
+    block: np.ndarray
+
+
+def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) -> RunSpec:
+    """The scene's run settings with the caller's in their place, validated together."""
+    data = {name: getattr(written, name) for name in type(written).model_fields}
+    data.update({key: value for key, value in changes.items() if value is not None})
+    if any(value is not None for value in choice.values()):
+        data.update(choice)
+    if solver is not None:
+        data["solver"] = solver
+    return RunSpec(**data)
+
+
+def method_and_tolerance(spec: RunSpec) -> tuple[str, float | None]:
+    """Name of the method that a run uses, and its tolerance of one step (None: fixed step)."""
+    accuracy = DEFAULT_ACCURACY if spec.accuracy is None else spec.accuracy
+    name = spec.integrator or ("dop853" if accuracy < ORDER_8_BELOW else "dopri5")
+    if METHODS[name].error_order == 0:
+        return name, None
+    return name, STEP_SHARE * accuracy if spec.tolerance is None else spec.tolerance
+
+
+def prepare(system: System, spec: RunSpec, state: State | None, sink: Sink, max_step: float) -> Run:
+    """Settings, arrays and the first evaluation."""
+    name, tolerance = method_and_tolerance(spec)
+    tableau = METHODS[name]
+    adaptive = tolerance is not None
+    stabilization = spec.stabilization
+    samples = int(np.floor(spec.duration / spec.output_step * (1 + 1e-12))) + 1
+    if spec.duration - (samples - 1) * spec.output_step > 1e-9 * spec.duration:
+        samples += 1
+    settings = Settings(
+        begin=0.0,
+        end=float(spec.duration),
+        sample_step=float(spec.output_step),
+        samples=samples,
+        adaptive=adaptive,
+        step=float(spec.step) if spec.step is not None else 1e-3,
+        longest_step=_positive("max_step", max_step),
+        position_tolerance=tolerance or 1.0,
+        velocity_tolerance=tolerance or 1.0,
+        stabilization=STABILIZATIONS[stabilization.kind],
+        alpha=-1.0 if stabilization.alpha is None else float(stabilization.alpha),
+        beta=-1.0 if stabilization.beta is None else float(stabilization.beta),
+        closed=0.0 if stabilization.kind == "projection" else -1.0,
+        apart=np.inf,
+        breakpoints=np.array(system.breakpoints, dtype=float),
+    )
+    method, step = make_method(tableau), make_step(tableau, system.layout.joints)
+    begin = system.initial_state() if state is None else state
+    system.set_state(0.0, begin)
+    store(system.buffers, step.base, step.z)
+    _first_slope(system, step, settings)
+    settings = settings._replace(
+        closed=projection_tolerance(system) if settings.closed >= 0.0 else -1.0,
+        apart=APART * scene_size(system),
+    )
+    if adaptive:
+        settings = settings._replace(step=_first_step(system, step, settings, method))
+        # the estimate left another state's slope behind
+        _first_slope(system, step, settings)
+    width = sample_width(system.layout.joints, system.layout.contacts)
+    rows = int(np.clip(BLOCK_NUMBERS // width, 16, samples))
+    return Run(
+        system, tableau, method, step, settings, make_clock(settings), sink, np.zeros((rows, width))
+    )
+
+
+def _positive(name: str, value: float) -> float:
+    if not value > 0.0:
+        raise SolverError(f"{name}: must be greater than 0, got {value!r}")
+    return float(value)
+
+
+def _first_slope(system: System, step: Step, settings: Settings) -> None:
+    """Evaluate the beginning; what is impossible there is an error, not a result."""
+    alpha, beta = gains(settings, settings.step)
+    status = evaluate_slope(system.book(), 0.0, step.z, step.base, alpha, beta, step.slope)
+    if status != OK:
+        system.reraise()
+        raise SolverError(failure_text(system, status))
+
+
+def _first_step(system: System, step: Step, settings: Settings, method: Method) -> float:
+    """A first step whose error is about the tolerance (Hairer, Norsett, Wanner, II.4)."""
+    scale = np.full(step.z.size - 1, settings.position_tolerance)
+    first = np.max(np.abs(step.slope[:-1]) / scale)
+    trial = min(1e-6, settings.end) if first == 0.0 else min(0.01 / first * 1e4, settings.end, 1e-3)
+    other = np.zeros_like(step.slope)
+    status = evaluate_slope(
+        system.book(), trial, step.z + trial * step.slope, step.base, 0.0, 0.0, other
+    )
+    if status != OK:
+        system.forgive()  # the run itself will meet the trouble, and tell when
+        return float(trial)
+    second = np.max(np.abs(other - step.slope)[:-1] / scale) / trial
+    worst = max(first, second)
+    if worst == 0.0:
+        return min(1e-2, settings.end)
+    h = (0.01 / worst) ** (1.0 / (method.error_order + 1.0))
+    return float(min(100 * trial, h, settings.end))
