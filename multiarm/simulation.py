@@ -14,9 +14,7 @@ from multiarm.channels import trajectory_channels
 from multiarm.dynamics import failure_text
 from multiarm.equations import CALLBACK_FAILED, NOT_FINITE
 from multiarm.errors import MultiarmError, TrajectoryError
-from multiarm.integrators.stepper import (
-    step_book,
-)
+from multiarm.integrators.stepper import step_book
 from multiarm.interrupts import deferred_interrupt
 from multiarm.preparation import Run, prepare, run_spec
 from multiarm.programs import ControlFunction
