@@ -7,6 +7,8 @@ FORMAT = "multiarm trajectory"
 FORMAT_VERSION = 1
 CHUNK_SAMPLES = 512
 """Samples per chunk: a scalar channel fills a page of the file with it."""
+CACHE_BYTES = 1 << 18
+"""Of written samples kept in memory, per channel: a few chunks."""
 PAGE_BYTES = 4096
 PIECE_BYTES = 120
 """Length of a piece of the outcome: a line of text in `h5dump`."""

@@ -26,6 +26,7 @@ import numpy as np
 from multiarm.channels import Block, Channel
 from multiarm.errors import TrajectoryError
 from multiarm.storage.layout import (
+    CACHE_BYTES,
     CHUNK_SAMPLES,
     FORMAT,
     FORMAT_VERSION,
@@ -217,6 +218,8 @@ def _create_file(path: Path) -> h5py.File:
         locking="best-effort",
         fs_strategy="page",
         fs_page_size=PAGE_BYTES,
+        # per channel; samples are written once and in order, and memory must not follow the run
+        rdcc_nbytes=CACHE_BYTES,
     )
 
 
