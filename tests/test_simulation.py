@@ -453,12 +453,20 @@ def test_an_interrupted_run_keeps_what_it_has(free_block_system, source, monkeyp
 def test_ctrl_c_always_ends_a_run(free_block_system):
     """Sent from outside at any moment, mostly while compiled code runs."""
     main = threading.main_thread().ident
-    ma.simulate(free_block_system, duration=0.01, integrator="rk4", step=1e-3)
     for k in range(8):
-        timer = threading.Timer(0.05 + 0.003 * k, signal.pthread_kill, (main, signal.SIGINT))
-        timer.start()
+        timer = threading.Timer(0.003 * k, signal.pthread_kill, (main, signal.SIGINT))
+
+        def send_soon(t, timer=timer):
+            if timer.ident is None:  # the first word of progress: the run is under way
+                timer.start()
+
         trajectory = ma.simulate(
-            free_block_system, duration=20.0, integrator="rk4", step=1e-3, output_step=0.1
+            free_block_system,
+            duration=60.0,
+            integrator="rk4",
+            step=1e-3,
+            output_step=0.1,
+            progress=send_soon,
         )
         timer.join()
         assert trajectory.status == "interrupted"
