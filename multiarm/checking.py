@@ -27,6 +27,7 @@ from multiarm.inspection import (
     ObjectFacts,
     RunFacts,
 )
+from multiarm.node.dense import RANK_TOLERANCE, null_space
 from multiarm.preparation import method_and_tolerance
 from multiarm.programs import needs_gravity_torque
 from multiarm.scene import ArmSpec, ObjectSpec, RunSpec, Scene, ToolSpec
@@ -41,11 +42,6 @@ __all__ = [
     "resolve_run",
 ]
 
-# Singular values below this fraction of the largest count as zero; `Freedom` tells how clear the
-# cut is.
-RANK_TOLERANCE = 1e-9
-# Contacts whose part in a redundant combination is smaller than this do not belong to it.
-PART_TOLERANCE = 1e-7
 # Relative pivot below which an arm is called near singular: its contact directions are within about
 # half a degree of being dependent (the pivot is the squared sine of that angle).
 NEAR_SINGULAR = 1e-4
@@ -93,17 +89,15 @@ def count_freedom(system: System) -> Freedom:
     """Degrees of freedom, constraints, their rank and the mobility at the start."""
     _place_at_start(system)
     matrix = constraint_matrix(system)  # (6 + n, N)
-    _, singular, vt = np.linalg.svd(matrix)
-    singular = singular / singular[0]
-    rank = int(np.sum(singular > RANK_TOLERANCE))
-    part = np.linalg.norm(vt[rank:], axis=0)  # (N,)
+    space = null_space(matrix)
+    rank, singular = space.rank, space.singular
     names = [f"{arm}: {row}" for arm in system.arm_names for row in _row_names(system, arm)]
     return Freedom(
         degrees_of_freedom=matrix.shape[0],
         constraints=matrix.shape[1],
         rank=rank,
         mobility=matrix.shape[0] - rank,
-        redundant_rows=[n for n, p in zip(names, part, strict=True) if p > PART_TOLERANCE],
+        redundant_rows=[n for n, own in zip(names, space.untouched, strict=True) if not own],
         smallest_kept=float(singular[rank - 1]),
         largest_dropped=float(singular[rank]) if rank < singular.size else None,
     )

@@ -20,7 +20,7 @@ def dense_call(pointers: np.ndarray, buffers: Buffers, work: NodeWork) -> Callab
     arms = range(len(dofs) - 1)
 
     def solve() -> None:
-        inertias = [inertia_view(pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
+        inertias = [read_inertia(pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
         _require_usable(inertias, (buffers.h, buffers.c, buffers.h_o, work.Y))
         solution = solve_dense(
             M_o=buffers.inertia,
@@ -51,7 +51,7 @@ def _require_usable(inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]) -
             )
 
 
-def inertia_view(pointers: np.ndarray, n: int) -> np.ndarray:
+def read_inertia(pointers: np.ndarray, n: int) -> np.ndarray:
     """The arm's inertia as Pinocchio has it now, symmetric, copied, shape (n, n)."""
     stride = int(pointers[M_STRIDE])
     size = (n - 1) * stride + n

@@ -21,9 +21,10 @@ from multiarm.contacts.kernel import (
     contact_matrices,
 )
 from multiarm.contacts.records import TIP_RADIUS
-from multiarm.dense_call import inertia_view
+from multiarm.dense_call import read_inertia
 from multiarm.equations import NOT_FINITE, OK, evaluate_buffers, update_kinematics
 from multiarm.errors import SolverError
+from multiarm.node.dense import null_space
 from multiarm.node.regular import NO_INERTIA
 from multiarm.stabilization import PROJECTION_FAILED, project_velocities
 from multiarm.state import State
@@ -203,7 +204,7 @@ def _residuals(system: System, q_o: np.ndarray, qdd: np.ndarray, force: np.ndarr
         d = slice(work.dofs[i], work.dofs[i + 1])
         r = slice(work.rows[i], work.rows[i + 1])
         W = work.Y[i, : d.stop - d.start, : r.stop - r.start]
-        M = inertia_view(plant.pointers[i], d.stop - d.start)
+        M = read_inertia(plant.pointers[i], d.stop - d.start)
         arm = max(arm, float(np.max(np.abs(M @ qdd[d] - h[d] - W @ force[r]))))
         gap = b.Wo[r] @ q_o + W.T @ qdd[d] - c[r]
         constraint = max(constraint, float(np.max(np.abs(gap), initial=0.0)))
@@ -215,10 +216,7 @@ def _unique_forces(system: System) -> np.ndarray:
     if not system.plant.dense[0]:
         return np.ones(system.constraint_count, dtype=bool)
     update_kinematics(system.book())
-    matrix = constraint_matrix(system)
-    _, singular, vt = np.linalg.svd(matrix)
-    rank = int(np.sum(singular > 1e-9 * singular[0]))
-    return np.linalg.norm(vt[rank:], axis=0) < 1e-7
+    return null_space(constraint_matrix(system)).untouched
 
 
 def constraint_matrix(system: System) -> np.ndarray:
@@ -238,7 +236,7 @@ def constraint_matrix(system: System) -> np.ndarray:
         n = d.stop - d.start
         matrix[6 + d.start : 6 + d.stop, r] = work.Y[i, :n, : r.stop - r.start]
         scale[6 + d.start : 6 + d.stop] = np.sqrt(
-            np.diag(inertia_view(system.plant.pointers[i], n))
+            np.diag(read_inertia(system.plant.pointers[i], n))
         )
     matrix /= scale[:, None]
     return matrix / np.linalg.norm(matrix, axis=0)

@@ -32,10 +32,12 @@ def _source_stamp() -> str:
     Numba looks only at a kernel's own file to see whether its cached code is fresh; a kernel that
     was compiled into another one from another file would stay as it was.
     """
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
+    digest, root = hashlib.sha256(), Path(__file__).parent
+    for path in sorted(path for folder in _KERNEL_FOLDERS for path in root.glob(f"{folder}/*.py")):
+        digest.update(path.name.encode() + path.read_bytes())
+    for path in sorted(root.glob("*.py")):
         source = path.read_bytes()
-        if path.parent.name in _KERNEL_FOLDERS or b"lowlevel" in source or path.name == "terms.py":
+        if b"lowlevel" in source or path.name == "terms.py":
             digest.update(path.name.encode() + source)
     return digest.hexdigest()
 

@@ -19,6 +19,7 @@ from multiarm.integrators.stepper import (
     store,
 )
 from multiarm.integrators.tableaus import METHODS, Tableau
+from multiarm.samples import sample_width
 from multiarm.scene import RunSpec
 from multiarm.scene.control import DEFAULT_ACCURACY
 from multiarm.sinks import Sink
@@ -32,7 +33,6 @@ from multiarm.time_loop import (
     Settings,
     gains,
     make_clock,
-    sample_width,
 )
 
 # Below this accuracy [m, rad] the method of order 8 is the cheaper one.
@@ -116,8 +116,6 @@ def prepare(system: System, spec: RunSpec, state: State | None, sink: Sink, max_
     )
     if adaptive:
         settings = settings._replace(step=_first_step(system, step, settings, method))
-        # the estimate left another state's slope behind
-        _first_slope(system, step, settings)
     width = sample_width(system.layout.joints, system.layout.contacts)
     rows = int(np.clip(BLOCK_NUMBERS // width, 16, samples))
     return Run(

@@ -18,6 +18,7 @@ from multiarm.integrators.stepper import step_book
 from multiarm.interrupts import deferred_interrupt
 from multiarm.preparation import Run, prepare, run_spec
 from multiarm.programs import ControlFunction
+from multiarm.samples import named_samples
 from multiarm.scene import RunSpec, dump_scene
 from multiarm.sinks import Hdf5Sink, MemorySink, provenance
 from multiarm.state import State
@@ -124,7 +125,7 @@ def simulate(
     system = system.with_solver(spec.solver)
     if control is not None:
         system = system.with_control(control)
-    python_control = control is not None or "control" in system.calls
+    python_control = "control" in system.calls
     if max_step is None:
         max_step = spec.output_step if python_control else np.inf
     sink = MemorySink() if out is None else Hdf5Sink(Path(out))
@@ -231,33 +232,7 @@ def _flush(run: Run) -> None:
     if rows == 0:
         return
     count[BLOCK_FIRST] = count[SAMPLE]
-    run.sink.append(_block(run.system, run.block[:rows]))
-
-
-def _block(system: System, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """The rows of a block (:func:`multiarm.time_loop.write_sample`) as named channels."""
-    layout = system.layout
-    n, m = layout.joints, layout.contacts
-    columns = np.split(rows, np.cumsum([1, 3, 4, n, 6, n, n, m, 1, 1, 1, 1]), axis=1)
-    t, x, quaternion, q, twist, v, torque, force, kinetic, potential, work, gap, rate = columns
-    block = {
-        "time": t[:, 0],
-        "object/position": x,
-        "object/quaternion_xyzw": quaternion,
-        "object/twist": twist,
-        "energy/kinetic": kinetic[:, 0],
-        "energy/potential": potential[:, 0],
-        "energy/work": work[:, 0],
-        "drift/position": gap[:, 0],
-        "drift/velocity": rate[:, 0],
-    }
-    joints = {"joint_position": q, "joint_velocity": v, "joint_torque": torque}
-    for name, values in joints.items():
-        for arm, part in layout.split_joints(values).items():
-            block[f"arms/{arm}/{name}"] = part
-    for arm, part in layout.split_contacts(force).items():
-        block[f"arms/{arm}/contact_force"] = part
-    return block
+    run.sink.append(named_samples(run.system.layout, run.block[:rows]))
 
 
 def _channels(system: System):

@@ -141,8 +141,11 @@ class System:
         """The same system solved by ``"node"`` or by the dense reference ``"dense"``."""
         if solver not in ("node", "dense"):
             raise ModelError(f"unknown solver {solver!r}; solvers are 'node', 'dense'")
+        run = self.scene.run.model_copy(update={"solver": solver})
         return replace(
-            self, plant=self.plant._replace(dense=np.array([solver == "dense"], dtype=np.int64))
+            self,
+            scene=self.scene.model_copy(update={"run": run}),
+            plant=self.plant._replace(dense=np.array([solver == "dense"], dtype=np.int64)),
         )
 
     def potential_energy(self) -> float:

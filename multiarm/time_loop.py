@@ -14,14 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.contacts.kernel import GAP
 from multiarm.equations import (
     CALLBACK_FAILED,
     NOT_FINITE,
     OK,
     evaluate_buffers,
     finite,
-    kinetic_energy,
     largest,
 )
 from multiarm.integrators.stepper import (
@@ -35,8 +34,9 @@ from multiarm.integrators.stepper import (
     store,
     write_slope,
 )
-from multiarm.lowlevel import call_back, copy, inner, kernel
-from multiarm.plant import CALL_POTENTIAL, open_book
+from multiarm.lowlevel import copy, inner, kernel
+from multiarm.plant import open_book
+from multiarm.samples import write_sample
 from multiarm.stabilization import FEEDBACK_RATIO, project
 
 # Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
@@ -122,11 +122,6 @@ def make_clock(settings: Settings) -> Clock:
     return Clock(real, count)
 
 
-def sample_width(joints: int, contacts: int) -> int:
-    """Numbers a sample: see :func:`write_sample`."""
-    return 1 + 7 + joints + 6 + joints + joints + contacts + 5
-
-
 @kernel
 def gains(settings, h):
     """Feedback gains of a step of length ``h``."""
@@ -143,30 +138,6 @@ def sample_time(settings, k):
     if k == settings.samples - 1:
         return settings.end
     return settings.begin + k * settings.sample_step
-
-
-@inner
-def write_sample(plant, buffers, work, t, work_done, row):
-    """One row of the block from an evaluated state: time, positions, velocities, torques, contact
-    forces, kinetic and potential energy, work, largest gap and gap rate.
-    """
-    n, m = buffers.angles.size, buffers.force.size
-    row[0] = t
-    copy(buffers.position, row[1:8])
-    copy(buffers.angles, row[8 : 8 + n])
-    copy(buffers.twist, row[8 + n : 14 + n])
-    copy(buffers.v, row[14 + n : 14 + 2 * n])
-    copy(buffers.torque, row[14 + 2 * n : 14 + 3 * n])
-    at = 14 + 3 * n
-    copy(buffers.force, row[at : at + m])
-    at += m
-    if plant.calls[CALL_POTENTIAL] != 0:
-        call_back(plant.calls[CALL_POTENTIAL])
-    row[at] = kinetic_energy(plant, buffers, work)
-    row[at + 1] = buffers.energy[1]
-    row[at + 2] = work_done
-    row[at + 3] = largest(buffers.contacts, GAP)
-    row[at + 4] = largest(buffers.contacts, GAP_RATE)
 
 
 @inner

@@ -30,7 +30,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("plant", "problems", "trajectory"),
     ("control", "dense_call", "sinks"),
     ("equations",),
-    ("stabilization", "integrators"),
+    ("stabilization", "integrators", "samples"),
     ("assembly", "time_loop"),
     ("programs",),
     ("system",),

@@ -191,6 +191,12 @@ def test_an_exception_from_outside_leaves_a_finished_file(free_block_system, tmp
     assert kept.time[-1] > 0.015
 
 
+@pytest.mark.parametrize("solver", ["node", "dense"])
+def test_a_run_uses_the_solver_of_its_system(solver):
+    system = ma.compile_system(balls_on_a_line("none")).with_solver(solver)
+    assert ma.simulate(system, duration=0.01).statistics["solver"] == solver
+
+
 def test_a_ring_needs_two_arms():
     with pytest.raises(ModelError, match="at least 2 arms"):
         ring_of_arms(1)

@@ -11,12 +11,16 @@ constraints are linearly dependent it returns the contact forces of least norm.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from multiarm.terms import NodeSolution
 
 # Singular values of the scaled constraint matrix below this fraction of the largest count as zero.
 RANK_TOLERANCE = 1e-9
+# Unknowns with a smaller part in every null vector are determined.
+PART_TOLERANCE = 1e-7
 
 
 def solve_dense(
@@ -67,9 +71,9 @@ def solve_dense(
     scaled, target = D[:, None] * matrix * D, D * right
     solution, rank, unique = _solve_regular(scaled, target), count, np.ones(count, dtype=bool)
     if solution is None:
-        null, rank = _null_space(scale[:, None] * constraint * D[size:])
+        null, rank, _ = space = null_space(scale[:, None] * constraint * D[size:])
         solution = np.linalg.lstsq(scaled, target, rcond=RANK_TOLERANCE)[0]
-        unique = np.linalg.norm(null, axis=1) < 1e-7
+        unique = space.untouched
         # the least norm is meant in newtons, not in scaled units
         force, free = D[size:] * solution[size:], D[size:, None] * null
         solution[size:] = (force - free @ np.linalg.lstsq(free, force, rcond=None)[0]) / D[size:]
@@ -111,8 +115,29 @@ def _block_diagonal(blocks: list[np.ndarray]) -> np.ndarray:
     return out
 
 
-def _null_space(matrix: np.ndarray) -> tuple[np.ndarray, int]:
-    """Orthonormal basis (columns) of the null space and the rank."""
+class NullSpace(NamedTuple):
+    """Null space of a matrix, its rank decided by ``RANK_TOLERANCE``.
+
+    basis : (n, n - rank)
+        Orthonormal columns.
+    rank : int
+    singular : (min(m, n),)
+        Singular values relative to the largest, descending.
+    """
+
+    basis: np.ndarray
+    rank: int
+    singular: np.ndarray
+
+    @property
+    def untouched(self) -> np.ndarray:
+        """Which unknowns have no part in the null space, i.e. are determined, shape (n,)."""
+        return np.linalg.norm(self.basis, axis=1) < PART_TOLERANCE
+
+
+def null_space(matrix: np.ndarray) -> NullSpace:
+    """Null space of a matrix (m, n) whose rows and columns are scaled to be comparable."""
     _, singular, vt = np.linalg.svd(matrix)
-    rank = int(np.sum(singular > RANK_TOLERANCE * singular[0])) if singular.size else 0
-    return vt[rank:].T, rank
+    singular = singular / singular[0]
+    rank = int(np.sum(singular > RANK_TOLERANCE))
+    return NullSpace(vt[rank:].T, rank, singular)

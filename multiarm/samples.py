@@ -1,0 +1,70 @@
+"""A sample as one row of numbers: how wide it is, how the loop writes it, what its columns are.
+
+The columns are time, object position, quaternion (xyzw), joint positions, object twist, joint
+velocities, control torques, contact forces, kinetic and potential energy, work, largest gap and
+largest gap rate.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.equations import kinetic_energy, largest
+from multiarm.lowlevel import call_back, copy, inner
+from multiarm.plant import CALL_POTENTIAL
+from multiarm.state import Layout
+
+
+def sample_width(joints: int, contacts: int) -> int:
+    """Numbers a sample: see :func:`write_sample`."""
+    return 1 + 7 + joints + 6 + joints + joints + contacts + 5
+
+
+@inner
+def write_sample(plant, buffers, work, t, work_done, row):
+    """One row of the block from an evaluated state: time, positions, velocities, torques, contact
+    forces, kinetic and potential energy, work, largest gap and gap rate.
+    """
+    n, m = buffers.angles.size, buffers.force.size
+    row[0] = t
+    copy(buffers.position, row[1:8])
+    copy(buffers.angles, row[8 : 8 + n])
+    copy(buffers.twist, row[8 + n : 14 + n])
+    copy(buffers.v, row[14 + n : 14 + 2 * n])
+    copy(buffers.torque, row[14 + 2 * n : 14 + 3 * n])
+    at = 14 + 3 * n
+    copy(buffers.force, row[at : at + m])
+    at += m
+    if plant.calls[CALL_POTENTIAL] != 0:
+        call_back(plant.calls[CALL_POTENTIAL])
+    row[at] = kinetic_energy(plant, buffers, work)
+    row[at + 1] = buffers.energy[1]
+    row[at + 2] = work_done
+    row[at + 3] = largest(buffers.contacts, GAP)
+    row[at + 4] = largest(buffers.contacts, GAP_RATE)
+
+
+def named_samples(layout: Layout, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """The rows of a block of :func:`write_sample` as named channels."""
+    n, m = layout.joints, layout.contacts
+    columns = np.split(rows, np.cumsum([1, 3, 4, n, 6, n, n, m, 1, 1, 1, 1]), axis=1)
+    t, x, quaternion, q, twist, v, torque, force, kinetic, potential, work, gap, rate = columns
+    block = {
+        "time": t[:, 0],
+        "object/position": x,
+        "object/quaternion_xyzw": quaternion,
+        "object/twist": twist,
+        "energy/kinetic": kinetic[:, 0],
+        "energy/potential": potential[:, 0],
+        "energy/work": work[:, 0],
+        "drift/position": gap[:, 0],
+        "drift/velocity": rate[:, 0],
+    }
+    joints = {"joint_position": q, "joint_velocity": v, "joint_torque": torque}
+    for name, values in joints.items():
+        for arm, part in layout.split_joints(values).items():
+            block[f"arms/{arm}/{name}"] = part
+    for arm, part in layout.split_contacts(force).items():
+        block[f"arms/{arm}/contact_force"] = part
+    return block
