@@ -16,6 +16,7 @@ from multiarm.errors import MultiarmError
 if TYPE_CHECKING:
     from multiarm.compilation import compile_system
     from multiarm.dynamics import Evaluation, evaluate
+    from multiarm.inverse import inverse_dynamics
     from multiarm.reporting import report
     from multiarm.scene import Scene, load_scene
     from multiarm.simulation import simulate
@@ -33,6 +34,7 @@ _HOMES = {
     "Trajectory": "trajectory",
     "compile_system": "compilation",
     "evaluate": "dynamics",
+    "inverse_dynamics": "inverse",
     "load_scene": "scene",
     "load_trajectory": "trajectory",
     "replay": "viewer",
@@ -49,6 +51,7 @@ __all__ = [
     "Trajectory",
     "compile_system",
     "evaluate",
+    "inverse_dynamics",
     "load_scene",
     "load_trajectory",
     "replay",

@@ -63,7 +63,9 @@ class Channel:
 
 
 def trajectory_channels(
-    joints: Mapping[str, Mapping[str, str]], contacts: Mapping[str, Sequence[str]]
+    joints: Mapping[str, Mapping[str, str]],
+    contacts: Mapping[str, Sequence[str]],
+    free: Mapping[str, Mapping[str, str]] | None = None,
 ) -> tuple[Channel, ...]:
     """The channels of a run.
 
@@ -73,6 +75,8 @@ def trajectory_channels(
         Arm name -> (joint name -> unit of its coordinate, `"rad"` or `"m"`), in chain order.
     contacts : mapping
         Arm name -> name of each contact, in the order of the rows of W.
+    free : mapping
+        Arm name -> (free motion of its joint to the object -> unit of its coordinate).
 
     Returns
     -------
@@ -83,6 +87,7 @@ def trajectory_channels(
     channels += _object_channels()
     for arm, units in joints.items():
         channels += _arm_channels(arm, units, contacts[arm])
+        channels += _free_channels(arm, (free or {}).get(arm, {}))
     return (*channels, *_scalar_channels())
 
 
@@ -183,6 +188,24 @@ def _arm_channels(arm: str, units: Mapping[str, str], contacts: Sequence[str]) -
         Channel(
             f"{path}/contact_force", (len(contacts),), "N", "contact normals",
             "force at each contact along its normal; positive pushes the object", tuple(contacts),
+        ),
+    ]  # fmt: skip
+
+
+def _free_channels(arm: str, free: Mapping[str, str]) -> list[Channel]:
+    if not free:
+        return []
+    labels, n, path = tuple(free), (len(free),), f"arms/{arm}"
+    frame = "joint frame on the object"
+    return [
+        Channel(
+            f"{path}/relative_rate", n, ", ".join(f"{unit}/s" for unit in free.values()), frame,
+            "free motion of the arm's joint frame relative to the object's: its rates", labels,
+        ),
+        Channel(
+            f"{path}/relative_position", n, ", ".join(free.values()), frame,
+            "translation, and angle (several: rotation vector), of the arm's joint frame seen from "
+            "the object's", labels,
         ),
     ]  # fmt: skip
 

@@ -5,7 +5,8 @@ take away as many as the stacked constraint matrix :math:`[W_o; W]` has rank,
 
 .. math:: \text{mobility} = 6 + \sum n_i - \operatorname{rank} [W_o; W],
 
-and contacts beyond the rank are redundant: their forces are not determined by the motion.  How near
+and contacts beyond the rank are redundant: their forces are not determined by the motion.  A joint
+by itself leaves free the motions across its own rows, told in the axes of its frame.  How near
 an arm is to a singular posture is its smallest relative pivot of :math:`K_i = W_i^T M_i^{-1} W_i`.
 
 Nothing here prints; the command ``multiarm check`` shows what :func:`inspect_system` returns.
@@ -15,23 +16,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics import constraint_matrix, evaluate, failure_text
+from multiarm.dynamics import Evaluation, constraint_matrix, evaluate, failure_text
 from multiarm.equations import OK, update_kinematics
 from multiarm.errors import SolverError
+from multiarm.guide.limits import axis_travel, limits_of
+from multiarm.guide.motions import free_motions, seen_from
 from multiarm.inspection import (
     ArmFacts,
     Carrying,
     Freedom,
     Inspection,
     JointFacts,
+    LimitFacts,
     ObjectFacts,
     RunFacts,
 )
 from multiarm.node.dense import RANK_TOLERANCE, null_space
 from multiarm.preparation import method_and_tolerance
 from multiarm.programs import needs_gravity_torque
-from multiarm.scene import ArmSpec, ObjectSpec, RunSpec, Scene, ToolSpec
-from multiarm.spatial import matrix_to_quaternion
+from multiarm.scene import ArmSpec, JointSpec, ObjectSpec, RunSpec, Scene, ToolSpec
+from multiarm.spatial import matrix_to_quaternion, quaternion_to_matrix
+from multiarm.state import State
 from multiarm.system import System
 
 __all__ = [
@@ -69,7 +74,7 @@ def inspect_system(system: System) -> Inspection:
         object=_object_facts(scene.object),
         arms={name: _arm_facts(system, name, evaluation.conditioning) for name in system.arm_names},
         joints=[
-            JointFacts(joint.arm, joint.kind, joint.name, _row_names(system, joint.arm))
+            _joint_facts(system, joint, evaluation)
             for joint in sorted(scene.joints, key=lambda j: system.arm_names.index(j.arm))
         ],
         freedom=count_freedom(system),
@@ -191,6 +196,42 @@ def _model_name(spec: ArmSpec | ToolSpec) -> str:
         return spec.robot
     assert spec.urdf is not None, "a model has a name or a file"
     return spec.urdf.name
+
+
+def _joint_facts(system: System, joint: JointSpec, evaluation: Evaluation) -> JointFacts:
+    frame, names = system.frames[joint.arm], _row_names(system, joint.arm)
+    motions = free_motions(seen_from(frame.on_object, evaluation.contact_terms[joint.arm].W_o))
+    return JointFacts(
+        arm=joint.arm,
+        kind=joint.kind,
+        name=joint.name,
+        rows=names,
+        rank=motions.rank,
+        redundant_rows=[n for n, own in zip(names, motions.untouched, strict=True) if not own],
+        free_motions=motions.words(),
+        coordinates=list(frame.labels),
+        limits=_limit_facts(system, joint, evaluation.state),
+    )
+
+
+def _limit_facts(system: System, joint: JointSpec, state: State) -> list[LimitFacts]:
+    frame, object_pose = system.frames[joint.arm], np.eye(4)
+    object_pose[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw)
+    object_pose[:3, 3] = state.object_position
+    tip_pose = system.arms[joint.arm].tip_pose(state.joint_positions[joint.arm])
+    turn, slide = axis_travel(
+        (object_pose @ frame.on_object)[None], (tip_pose @ frame.on_tip)[None]
+    )
+    return [
+        LimitFacts(
+            coordinate=limit.motion,
+            unit=limit.unit,
+            low=limit.low,
+            high=limit.high,
+            start=float((turn if limit.turns else slide)[0]),
+        )
+        for limit in limits_of(joint)
+    ]
 
 
 def _row_names(system: System, arm: str) -> list[str]:

@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.arm import Arm, ArmFiles, ArmGroup, group_arms
 from multiarm.assembly import StartReport, assemble
-from multiarm.contacts.catalogue import joint_contacts, surface_offset
-from multiarm.contacts.records import Contact, pack
+from multiarm.contact_checks import check_patches, check_rows, choose_free, locate_pairs
+from multiarm.contacts.catalogue import FREE, joint_contacts, joint_frame, surface_offset
+from multiarm.contacts.frames import FRAME_WIDTH, JointFrame
+from multiarm.contacts.kernel import RELATIVE_WIDTH
+from multiarm.contacts.records import Contact, ContactTable, pack
+from multiarm.contacts.surfaces import DISTANCE, FUNCTION, GRADIENT, PLACE, SECOND
 from multiarm.dense_call import dense_call
+from multiarm.equations import connect_entries
 from multiarm.errors import ModelError
 from multiarm.lowlevel import CallBack
 from multiarm.node.regular import make_work
 from multiarm.plant import (
+    CALL_COUNT,
     CALL_DENSE,
     CALL_POTENTIAL,
+    CALL_SURFACE,
     CALL_TERMS,
     Buffers,
     Plant,
@@ -34,6 +42,7 @@ from multiarm.scene import Scene, resolve_arm
 from multiarm.spatial import matrix_to_quaternion
 from multiarm.state import Layout, State
 from multiarm.system import System
+from multiarm.watching import WATCH_WIDTH, make_watches
 
 
 def compile_system(scene: Scene, control: ControlFunction | None = None) -> System:
@@ -55,54 +64,93 @@ def compile_system(scene: Scene, control: ControlFunction | None = None) -> Syst
     """
     resolved = {name: resolve_arm(spec, scene.folder) for name, spec in scene.arms.items()}
     arms = {name: _make_arm(name, scene.arms[name], resolved[name]) for name in scene.arms}
-    joints = {joint.arm: joint for joint in scene.joints}
-    contacts = {
-        name: _contacts(joints[name], scene, arm, resolved[name].posture)
+    joints = _joints(scene, arms, resolved)
+    system = _unassembled(scene, arms, joints, resolved)
+    written = system.initial_state()
+    system = replace(system, _places=locate_pairs(system, written))
+    check_rows(system, written)
+    start, report = assemble(system, written)
+    system = replace(system, _start=start, start_report=report)
+    check_patches(system)
+    system = _with_free_motions(system)
+    if control is not None:
+        return system.with_control(control)
+    program = control_program(system)
+    plant = system.plant._replace(
+        control=program.codes,
+        parameters=np.concatenate([system.plant.parameters, program.parameters]),
+    )
+    return replace(system, plant=plant, breakpoints=program.breakpoints)
+
+
+class _Joints(NamedTuple):
+    """The joints of a scene, by arm: contacts (in the tip's and in its link's frame) and frames."""
+
+    contacts: dict[str, list[Contact]]
+    on_links: dict[str, list[Contact]]
+    frames: dict[str, JointFrame]
+    limits: dict[str, dict[int, tuple[float, float]]]
+
+
+def _joints(scene: Scene, arms: dict[str, Arm], resolved: dict) -> _Joints:
+    specs = {joint.arm: joint for joint in scene.joints}
+    poses = {
+        name: _joint_pose(specs[name], scene, arm, resolved[name].posture)
         for name, arm in arms.items()
     }
+    contacts = {name: joint_contacts(specs[name], poses[name]) for name in arms}
+    return _Joints(
+        contacts=contacts,
+        on_links={name: _on_link(arms[name], contacts[name]) for name in arms},
+        frames={name: _frame(specs[name], poses[name]) for name in arms},
+        limits={name: specs[name].free_limits for name in arms},
+    )
+
+
+def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: dict) -> System:
+    """The system without control, its start as it is written."""
     layout = Layout(
         names=tuple(arms),
         dofs=_bounds([arm.dof for arm in arms.values()]),
-        rows=_bounds([len(contacts[name]) for name in arms]),
+        rows=_bounds([len(joints.contacts[name]) for name in arms]),
     )
     gravity = np.array(scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0))
     groups = group_arms(list(arms.values()), gravity, needs_gravity_torque(scene))
-    buffers = make_buffers(
-        len(arms), layout.joints, layout.contacts, sum(g.model.nq for g in groups)
-    )
+    table = pack([contact for own in joints.on_links.values() for contact in own])
+    watches = make_watches(joints.on_links, joints.frames, joints.limits, layout)
+    plant = _plant(scene, arms, table, groups, gravity)._replace(watches=watches)
+    buffers = make_buffers(plant, layout.contacts, sum(g.model.nq for g in groups))
     work = make_work(list(np.diff(layout.dofs)), list(np.diff(layout.rows)))
-    calls = {"terms": CallBack(_terms_call(groups, buffers), buffers.flag)}
-    plant = _plant(scene, arms, contacts, groups, gravity)
-    plant.calls[CALL_TERMS] = calls["terms"].address
-    calls["dense"] = CallBack(dense_call(plant.pointers, buffers, work), buffers.flag)
-    plant.calls[CALL_DENSE] = calls["dense"].address
-    start = _written_start(scene, resolved, layout)
+    calls = {
+        "terms": CallBack(_terms_call(groups, buffers), buffers.flag),
+        "dense": CallBack(dense_call(plant.pointers, buffers, work), buffers.flag),
+    }
+    plant.calls[CALL_TERMS], plant.calls[CALL_DENSE] = (call.address for call in calls.values())
+    connect_entries(plant.calls)
+    if table.functions:
+        calls["surface"] = CallBack(_surface_call(table, buffers), buffers.flag)
+        plant.calls[CALL_SURFACE] = calls["surface"].address
     system = System(
         scene=scene,
         arms=arms,
-        contacts=contacts,
+        contacts=joints.contacts,
+        frames=joints.frames,
         layout=layout,
         breakpoints=np.zeros(0),
         plant=plant,
         buffers=buffers,
         work=work,
         start_report=StartReport(),
-        _start=start,
+        surfaces=tuple(table.functions),
+        _start=_written_start(scene, resolved, layout),
         _groups=groups,
+        _places=np.zeros_like(buffers.places),
         calls=calls,
     )
     if np.any(gravity):
         calls["potential"] = CallBack(_potential_call(system), buffers.flag)
         plant.calls[CALL_POTENTIAL] = calls["potential"].address
-    start, report = assemble(system, start)
-    system = replace(system, _start=start, start_report=report)
-    if control is not None:
-        return system.with_control(control)
-    program = control_program(system)
-    plant = plant._replace(
-        control=program.codes, parameters=np.concatenate([plant.parameters, program.parameters])
-    )
-    return replace(system, plant=plant, breakpoints=program.breakpoints)
+    return system
 
 
 def _make_arm(name: str, spec, resolved) -> Arm:
@@ -127,30 +175,57 @@ def _make_arm(name: str, spec, resolved) -> Arm:
     return arm
 
 
-def _contacts(joint, scene: Scene, arm: Arm, posture: np.ndarray) -> list[Contact]:
-    """Contact records of one joint; without ``at`` its frame is where the tip is at the start."""
+def _joint_pose(joint, scene: Scene, arm: Arm, posture: np.ndarray) -> np.ndarray:
+    """Joint frame in the object frame (4, 4); without ``at``, where the tip is at the start."""
     if joint.at is not None:
-        return joint_contacts(joint, joint.at.matrix())
+        return joint.at.matrix()
     offset = np.eye(4)
     offset[:3, 3] = surface_offset(joint)
     frame = arm.tip_pose(posture) @ joint.at_tip.matrix() @ offset
-    return joint_contacts(joint, np.linalg.solve(scene.object.pose.matrix(), frame))
+    return np.linalg.solve(scene.object.pose.matrix(), frame)
+
+
+def _frame(joint, pose: np.ndarray) -> JointFrame:
+    """The joint's frame; which motions are free is left open where the catalogue does not say."""
+    on_tip, on_object = joint_frame(joint, pose)
+    return JointFrame(on_tip, on_object, FREE[joint.kind] or ())
+
+
+def _with_free_motions(system: System) -> System:
+    """The system with the free motions of every joint chosen, and recorded."""
+    frames = {}
+    for joint in system.scene.joints:
+        frame = system.frames[joint.arm]
+        if FREE[joint.kind] is None:
+            frame = replace(frame, free=choose_free(system, joint.arm))
+        frames[joint.arm] = frame
+    frames = {name: frames[name] for name in system.arm_names}
+    free = [pair for f in frames.values() for pair in zip(f.free, f.places, strict=True)]
+    packed = [
+        frame.packed(system.arms[name].tip_rotation, system.arms[name].tip_translation)
+        for name, frame in frames.items()
+    ]
+    plant = system.plant._replace(
+        frames=np.array(packed),
+        free_bounds=np.array(_bounds([len(frame.free) for frame in frames.values()])),
+        free=np.array(free, dtype=np.int64).reshape(-1, 2),
+    )
+    return replace(system, frames=frames, plant=plant)
+
+
+def _on_link(arm: Arm, contacts: list[Contact]) -> list[Contact]:
+    """The contacts with the arm's geometry in the frame of the link that carries the tip."""
+    return [contact.moved_on_arm(arm.tip_rotation, arm.tip_translation) for contact in contacts]
 
 
 def _plant(
     scene: Scene,
     arms: dict[str, Arm],
-    contacts: dict[str, list[Contact]],
+    table: ContactTable,
     groups: list[ArmGroup],
     gravity: np.ndarray,
 ) -> Plant:
     """Everything constant but the control; the callbacks' addresses are filled in later."""
-    records = [
-        contact.moved_on_arm(arm.tip_rotation, arm.tip_translation)
-        for name, arm in arms.items()
-        for contact in contacts[name]
-    ]
-    table = pack(records)
     first_q = np.cumsum([0] + [g.model.nq for g in groups[:-1]])
     effects = effects_program(scene, arms)
     return Plant(
@@ -159,13 +234,18 @@ def _plant(
         circular=np.concatenate([arm.circular for arm in arms.values()]).astype(np.int64),
         codes=table.codes,
         geometry=table.geometry,
+        shapes=table.shapes,
+        frames=np.zeros((len(arms), FRAME_WIDTH)),
+        free_bounds=np.zeros(len(arms) + 1, dtype=np.int64),
+        free=np.zeros((0, 2), dtype=np.int64),
+        watches=np.zeros((0, WATCH_WIDTH)),
         object_mass=np.array([float(scene.object.mass)]),
         object_inertia=np.ascontiguousarray(scene.object.inertia_matrix()),
         gravity=gravity,
         control=NO_PROGRAM,
         effects=effects.codes,
         parameters=effects.parameters,
-        calls=np.zeros(4, dtype=np.int64),
+        calls=np.zeros(CALL_COUNT, dtype=np.int64),
         dense=np.array([scene.run.solver == "dense"], dtype=np.int64),
     )
 
@@ -200,6 +280,21 @@ def _terms_call(groups: list[ArmGroup], buffers: Buffers) -> Callable[[], None]:
             update()
 
     return update_all
+
+
+def _surface_call(table: ContactTable, buffers: Buffers) -> Callable[[], None]:
+    """Function that answers the kernel's queries about the user's surfaces."""
+    query = buffers.query[RELATIVE_WIDTH:]
+    upper = np.triu_indices(3)
+
+    def answer() -> None:
+        surface = table.functions[int(query[FUNCTION])]
+        distance, gradient, second = surface.closest(query[PLACE : PLACE + 3].copy())
+        query[DISTANCE] = distance
+        query[GRADIENT : GRADIENT + 3] = gradient
+        query[SECOND : SECOND + 6] = second[upper]
+
+    return answer
 
 
 def _potential_call(system: System) -> Callable[[], None]:

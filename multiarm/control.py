@@ -9,6 +9,7 @@ parameters found at ``offset``.  A scene without control has an empty program.
   object, :math:`W_o\lambda = [-m g; 0]` (thesis, 3.4 and 3.10 at rest).
 * *joint PD*: :math:`\tau = K_p (q_r(t) - q) + K_d (\dot q_r(t) - \dot q)`; the reference is a point
   or a path of Chebyshev segments, smooth inside each segment.
+* *computed torque* and *object impedance* move the object, see :mod:`multiarm.object_control`.
 * *Python*: the user's function, through a callback.
 """
 
@@ -18,13 +19,16 @@ import math
 
 import numpy as np
 
-from multiarm.lowlevel import allocating, call_back, inner, kernel
+from multiarm.load_sharing import static_forces
+from multiarm.lowlevel import call_back, inner, kernel
+from multiarm.object_control import (
+    add_computed_torque,
+    add_object_impedance,
+    take_contact_forces,
+)
 from multiarm.plant import CALL_CONTROL, open_book
 
-HARMONIC, GRAVITY_COMPENSATION, JOINT_PD, PYTHON = 0, 1, 2, 3
-
-# [m]; contacts whose lines all pass the centre of mass closer than this have no moments
-SHORTEST_LEVER = 1e-6
+HARMONIC, GRAVITY_COMPENSATION, JOINT_PD, PYTHON, COMPUTED_TORQUE, OBJECT_IMPEDANCE = range(6)
 
 
 @kernel
@@ -90,72 +94,6 @@ def add_joint_pd(t, angles, velocity, parameters, at, torque):
         torque[j] += parameters[at + n + j] * (rate - velocity[j])
 
 
-@allocating
-def static_forces(Wo, weight, force):
-    r"""Write the contact forces of least norm with :math:`W_o \lambda = w` into ``force`` (N,).
-
-    ``Wo`` (N, 6) has one row a contact, ``weight`` is a wrench (6,).  ``W_o W_o^T`` is factored
-    with diagonal pivoting; where it has lost rank the remaining directions are left alone (a basic
-    solution, exact whenever the contacts can carry the wrench at all).
-    """
-    A = np.zeros((6, 6))
-    for k in range(Wo.shape[0]):
-        for i in range(6):
-            for j in range(6):
-                A[i, j] += Wo[k, i] * Wo[k, j]
-    # moments are measured at the longest lever arm, so that all rows are forces; a lever arm at
-    # rounding level must not be scaled up to a direction of its own
-    longest = SHORTEST_LEVER
-    for k in range(Wo.shape[0]):
-        longest = max(longest, math.sqrt(Wo[k, 3] ** 2 + Wo[k, 4] ** 2 + Wo[k, 5] ** 2))
-    scale = np.ones(6)
-    for i in range(3, 6):
-        scale[i] = 1.0 / longest
-    L = np.zeros((6, 6))
-    for i in range(6):
-        for j in range(6):
-            A[i, j] *= scale[i] * scale[j]
-    order = np.arange(6)
-    rank = 6
-    largest = 0.0
-    for i in range(6):
-        largest = max(largest, A[i, i])
-    for k in range(6):
-        best = k
-        for i in range(k + 1, 6):
-            if A[order[i], order[i]] > A[order[best], order[best]]:
-                best = i
-        order[k], order[best] = order[best], order[k]
-        p = order[k]
-        if not A[p, p] > 1e-12 * largest:
-            rank = k
-            break
-        L[p, k] = math.sqrt(A[p, p])
-        for i in range(k + 1, 6):
-            L[order[i], k] = A[order[i], p] / L[p, k]
-        for i in range(k + 1, 6):
-            for j in range(k + 1, 6):
-                A[order[i], order[j]] -= L[order[i], k] * L[order[j], k]
-    y = np.zeros(6)
-    x = np.zeros(6)
-    for k in range(rank):
-        p = order[k]
-        y[k] = scale[p] * weight[p]
-        for j in range(k):
-            y[k] -= L[p, j] * y[j]
-        y[k] /= L[p, k]
-    for k in range(rank - 1, -1, -1):
-        p = order[k]
-        s = y[k]
-        for i in range(k + 1, rank):
-            s -= L[order[i], k] * x[order[i]]
-        x[p] = s / L[p, k]
-    for k in range(Wo.shape[0]):
-        force[k] = 0.0
-        for i in range(6):
-            force[k] += Wo[k, i] * scale[i] * x[i]
-
-
 @inner
 def control_torques(t, angles, program, parameters, plant, buffers, work):
     """Run the control program; the torques are left in ``buffers.torque``."""
@@ -169,6 +107,10 @@ def control_torques(t, angles, program, parameters, plant, buffers, work):
             add_joint_pd(t, angles, buffers.v, parameters, at, torque)
         elif code == GRAVITY_COMPENSATION:
             add_gravity_compensation(plant, buffers, work, torque)
+        elif code == COMPUTED_TORQUE:
+            add_computed_torque(t, parameters, at, plant, buffers, work, torque)
+        elif code == OBJECT_IMPEDANCE:
+            add_object_impedance(t, parameters, at, plant, buffers, work, torque)
         else:
             call_back(plant.calls[CALL_CONTROL])
 
@@ -187,15 +129,11 @@ def write_holding_torque(book):
 @inner
 def add_gravity_compensation(plant, buffers, work, torque):
     """Torques that hold arms and object still where they are, see the module's text."""
-    weight, force = buffers.weight, buffers.static_force
+    weight = buffers.weight
     for k in range(3):
         weight[k] = -plant.object_mass[0] * plant.gravity[k]
-    static_forces(buffers.Wo, weight, force)
-    for i in range(plant.pointers.shape[0]):
-        d0, d1 = work.dofs[i], work.dofs[i + 1]
-        r0, r1 = work.rows[i], work.rows[i + 1]
-        for j in range(d1 - d0):
-            s = buffers.gravity_torque[d0 + j]
-            for a in range(r1 - r0):
-                s -= work.Y[i, j, a] * force[r0 + a]
-            torque[d0 + j] += s
+        weight[3 + k] = 0.0
+    static_forces(buffers.Wo, weight, buffers.static_force)
+    for j in range(torque.size):
+        torque[j] += buffers.gravity_torque[j]
+    take_contact_forces(buffers, work, torque)

@@ -6,11 +6,12 @@ results, contact matrices, and the residuals of all three equations: a result ce
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from multiarm.contacts.internal_forces import InternalForces
 from multiarm.contacts.kernel import (
     AT,
     BODY_WIDTH,
@@ -18,12 +19,29 @@ from multiarm.contacts.kernel import (
     GAP_BIAS,
     GAP_RATE,
     NORMAL,
-    contact_matrices,
 )
-from multiarm.contacts.records import TIP_RADIUS
+from multiarm.contacts.matrices import contact_matrices
+from multiarm.contacts.motion_space import MotionSpace
+from multiarm.contacts.records import (
+    CURVED,
+    CYLINDER,
+    KIND,
+    PLANE,
+    SPHERE,
+    SURFACE_BODY,
+    SURFACE_ON_OBJECT,
+    TIP_RADIUS,
+)
 from multiarm.dense_call import read_inertia
 from multiarm.equations import NOT_FINITE, OK, evaluate_buffers, update_kinematics
 from multiarm.errors import SolverError
+from multiarm.grips import (
+    ForceDecomposition,
+    force_decomposition_of,
+    internal_forces_of,
+    motion_space_of,
+    relative_rates_of,
+)
 from multiarm.node.dense import null_space
 from multiarm.node.regular import NO_INERTIA
 from multiarm.stabilization import PROJECTION_FAILED, project_velocities
@@ -92,6 +110,52 @@ class Evaluation:
     velocity_residual: float
     residuals: Residuals
     conditioning: Mapping[str, float]
+    _system: System = field(repr=False, compare=False)
+
+    def motion_space(self, arm: str, rows: Sequence[int | str] | None = None) -> MotionSpace:
+        """Motions that an arm's joint leaves free, ``v = T alpha``, and ``dT/dt`` (thesis, 3.8).
+
+        ``v`` is the twist of the arm's tip frame relative to the object, at the tip's origin and in
+        object axes.  ``alpha`` are the rates of the joint's free components (``relative_rates``),
+        or the ``rows`` of ``v`` that are named: 0 to 5, slide x ... turn z.
+
+        Raises
+        ------
+        ModelError
+            For an unknown arm.
+        GraspError
+            When these rates cannot be coordinates; the message lists rows that can.
+        """
+        return motion_space_of(self._system, self.state, self.contact_terms, arm, rows)
+
+    def relative_rates(self, arm: str) -> np.ndarray:
+        """Rates ``alpha`` of the free components of an arm's joint, along its own axes, shape (m,).
+
+        [m/s, rad/s]; ``system.frames[arm].labels`` says which they are.
+        """
+        return relative_rates_of(self._system, self.state, arm)
+
+    def internal_forces(
+        self, form: str = "orthonormal", rows: Sequence[int | str] | None = None
+    ) -> InternalForces:
+        """Contact forces that do not move the object: basis ``A_o`` (thesis, 3.7.3).
+
+        One row a contact, arm after arm.  ``form`` is ``orthonormal``, ``nonnegative`` or
+        ``echelon``; see :func:`multiarm.contacts.internal_forces.internal_forces`.
+        """
+        return internal_forces_of(self._system, self.contact_terms, form, rows)
+
+    def force_decomposition(
+        self, internal: InternalForces | None = None, length: float | None = None
+    ) -> ForceDecomposition:
+        """Contact forces as those that move the object and those that only squeeze it [N].
+
+        The resultant is about the centre of mass, in object axes [N, N m].  ``internal`` is the
+        basis of its coordinates ``mu_I``, orthonormal when left out.
+        """
+        return force_decomposition_of(
+            self._system, self.contact_terms, self.contact_forces, internal, length
+        )
 
 
 def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Evaluation:
@@ -142,6 +206,7 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
         velocity_residual=float(np.max(np.abs(b.contacts[:, GAP_RATE]))),
         residuals=residuals,
         conditioning={arm: float(p) for arm, p in pivots.items()},
+        _system=system,
     )
 
 
@@ -244,27 +309,22 @@ def constraint_matrix(system: System) -> np.ndarray:
 
 def _contact_terms(system: System) -> dict[str, ContactTerms]:
     """Contact matrices of every arm at the kinematics in the buffers."""
-    b = system.buffers
+    b, plant = system.buffers, system.plant
+    every_row = np.vstack([b.contacts, b.parts])
     terms = {}
     for i, name in enumerate(system.arm_names):
-        rows = range(system.layout.rows[i], system.layout.rows[i + 1])
-        tip = _tip_kinematics(system, name, b.arms[i])
-        columns = np.zeros((4, len(rows), 6))
-        for k, row in enumerate(rows):
-            contact_matrices(
-                system.plant.codes[row], system.plant.geometry[row], b.arms[i], b.body, tip,
-                *columns[:, k],
-            )  # fmt: skip
-        contacts = b.contacts[rows.start : rows.stop]
-        radius = system.plant.geometry[rows.start : rows.stop, TIP_RADIUS]
+        rows = slice(system.layout.rows[i], system.layout.rows[i + 1])
+        matrices = contact_matrices(
+            plant.codes, plant.geometry, every_row, np.arange(rows.start, rows.stop),
+            b.arms[i], b.body, _tip_kinematics(system, name, b.arms[i]),
+        )  # fmt: skip
+        contacts = b.contacts[rows]
         normals = contacts[:, NORMAL : NORMAL + 3].copy()
-        on_arm = np.where(system.plant.codes[rows.start : rows.stop, 1] == 0, 1.0, -1.0)
-        W_m, W_o, W_m_dot, W_o_dot = (column.T.copy() for column in columns)
+        tips = np.isin(plant.codes[rows, KIND], (PLANE, SPHERE, CYLINDER, CURVED))
+        radius = plant.geometry[rows, TIP_RADIUS] * tips
+        on_arm = np.where(plant.codes[rows, SURFACE_BODY] == SURFACE_ON_OBJECT, 1.0, -1.0)
         terms[name] = ContactTerms(
-            W_m=W_m,
-            W_o=W_o,
-            W_m_dot=W_m_dot,
-            W_o_dot=W_o_dot,
+            *matrices,
             c=-contacts[:, GAP_BIAS],
             phi=contacts[:, GAP].copy(),
             phi_dot=contacts[:, GAP_RATE].copy(),

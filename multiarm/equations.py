@@ -11,7 +11,8 @@ object's 6 by 6 system and the accelerations.  Data flow, all in world axes:
                           -> control, effects -> h                              |
                                          accelerations, contact forces <- node <+
 
-The arrays are those of :mod:`multiarm.plant`.
+The arrays are those of :mod:`multiarm.plant`.  The three large parts (kinematics, forces, solution)
+are entries: whoever needs them calls them by address, so that each is compiled once.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import numpy as np
 from multiarm.contacts.kernel import (
     ACCELERATION,
     AT,
+    COUPLE,
     GAP,
     GAP_BIAS,
     GAP_RATE,
@@ -31,15 +33,34 @@ from multiarm.contacts.kernel import (
     SPIN,
     SPIN_RATE,
     VELOCITY,
-    contact_kinematics,
-    relative_motion,
 )
-from multiarm.contacts.records import SURFACE_ON_OBJECT
+from multiarm.contacts.records import COMBINED, KIND
+from multiarm.contacts.rows import write_rows
 from multiarm.control import control_torques
 from multiarm.effects.program import apply_effects
-from multiarm.lowlevel import call_back, floats_at, inner, inner_inlined, kernel
+from multiarm.lowlevel import (
+    address_of,
+    book_at,
+    call_back,
+    call_entry,
+    entry,
+    floats_at,
+    inner,
+    inner_inlined,
+    ints1,
+    kernel,
+)
 from multiarm.node.regular import eliminate, solve
-from multiarm.plant import CALL_DENSE, CALL_TERMS, open_book
+from multiarm.plant import (
+    CALL_DENSE,
+    CALL_FORCES,
+    CALL_KINEMATICS,
+    CALL_SOLVE,
+    CALL_SURFACE,
+    CALL_TERMS,
+    CALLS,
+    open_book,
+)
 from multiarm.spatial import write_matrix
 from multiarm.terms import BIAS_AT, DRIFT_AT, GRAVITY_AT, J_AT, M_AT, M_STRIDE, POSE_AT, TWIST_AT
 
@@ -119,20 +140,13 @@ def arm_rows(i, plant, buffers, work):
     J = floats_at(plant.pointers[i, J_AT], 6 * d)  # column by column
     x0, x1, x2 = buffers.body[ORIGIN_AT], buffers.body[ORIGIN_AT + 1], buffers.body[ORIGIN_AT + 2]
     Y, wrench = work.Y[i], buffers.wrench
-    arm, body, relative = buffers.arms[i], buffers.body, buffers.relative
-    seen_from = -1
+    write_rows(
+        first, m, buffers.arms[i], buffers.body, buffers.relative, plant.codes, plant.geometry,
+        plant.shapes, plant.calls[CALL_SURFACE], buffers.contacts, buffers.parts, buffers.query,
+        buffers.places, buffers.located,
+    )  # fmt: skip
     for k in range(m):
-        row, geometry = buffers.contacts[first + k], plant.geometry[first + k]
-        kind, surface_body = plant.codes[first + k, 0], plant.codes[first + k, 1]
-        if surface_body == SURFACE_ON_OBJECT:
-            if seen_from != surface_body:
-                relative_motion(arm, body, relative)
-            contact_kinematics(kind, -1.0, geometry, arm, body, relative, row)
-        else:
-            if seen_from != surface_body:
-                relative_motion(body, arm, relative)
-            contact_kinematics(kind, 1.0, geometry, body, arm, relative, row)
-        seen_from = surface_body
+        row = buffers.contacts[first + k]
         e0, e1, e2 = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
         p0, p1, p2 = row[AT], row[AT + 1], row[AT + 2]
         Wo = buffers.Wo[first + k]
@@ -145,6 +159,10 @@ def arm_rows(i, plant, buffers, work):
         wrench[3, k] = p2 * e1 - p1 * e2
         wrench[4, k] = p0 * e2 - p2 * e0
         wrench[5, k] = p1 * e0 - p0 * e1
+        if plant.codes[first + k, KIND] == COMBINED:
+            for j in range(3):
+                Wo[3 + j] += row[COUPLE + j]
+                wrench[3 + j, k] -= row[COUPLE + j]
     for j in range(d):
         j0, j1, j2 = J[6 * j], J[6 * j + 1], J[6 * j + 2]
         j3, j4, j5 = J[6 * j + 3], J[6 * j + 4], J[6 * j + 5]
@@ -169,14 +187,10 @@ def load_inertia(i, plant, work):
             L[a, b] = M[a * stride + b]
 
 
-@kernel
-def update_kinematics(book):
-    """Pinocchio's terms, the object's, and all contact rows at the state in the buffers.
-
-    Leaves W in ``work.Y`` and the inertias in ``work.L``, ready for the elimination.  Returns
-    ``OK`` or ``CALLBACK_FAILED``.
-    """
-    plant, buffers, work = open_book(book)
+@entry
+def _kinematics(address, size, _a, _b):
+    """See :func:`update_kinematics`."""
+    plant, buffers, work = open_book(book_at(address, size))
     fill_configuration(plant, buffers)
     call_back(plant.calls[CALL_TERMS])
     if buffers.flag[0] != 0:
@@ -186,15 +200,18 @@ def update_kinematics(book):
         link_motion(plant.pointers[i], plant.gravity, buffers.arms[i])
         arm_rows(i, plant, buffers, work)
         load_inertia(i, plant, work)
-    return OK
+    # a surface of the user's may have failed
+    return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
 
 
-@inner_inlined
-def right_hand_sides(plant, buffers, work, alpha, beta):
+@entry
+def _right_hand_sides(address, size, alpha, beta):
     """Forces ``h`` from bias, control and effects, and ``c`` with feedback on the drift.
 
-    ``c = -phi''|_0 - 2 alpha phi' - beta^2 phi`` (thesis, 4.3 and Example 4.2).
+    ``c = -phi''|_0 - 2 alpha phi' - beta^2 phi`` (thesis, 4.3 and Example 4.2).  Returns ``OK`` or
+    ``CALLBACK_FAILED``.
     """
+    plant, buffers, work = open_book(book_at(address, size))
     h, v = buffers.h, buffers.v
     for i in range(plant.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
@@ -215,6 +232,7 @@ def right_hand_sides(plant, buffers, work, alpha, beta):
     for k in range(buffers.c.size):
         row = buffers.contacts[k]
         buffers.c[k] = -(row[GAP_BIAS] + 2.0 * alpha * row[GAP_RATE] + beta * beta * row[GAP])
+    return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
 
 
 @inner_inlined
@@ -227,14 +245,10 @@ def load_gravity_torque(plant, buffers, work):
             buffers.gravity_torque[d0 + j] = g[j]
 
 
-@kernel
-def solve_constrained(book):
-    """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``buffers``.
-
-    Needs :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``, or the number of
-    the arm (or of the object, behind the arms) whose elimination failed.
-    """
-    plant, buffers, work = open_book(book)
+@entry
+def _solve(address, size, _a, _b):
+    """See :func:`solve_constrained`."""
+    plant, buffers, work = open_book(book_at(address, size))
     if plant.dense[0] != 0:
         call_back(plant.calls[CALL_DENSE])
         return CALLBACK_FAILED if buffers.flag[0] != 0 else OK
@@ -245,6 +259,33 @@ def solve_constrained(book):
     return OK
 
 
+def connect_entries(calls: np.ndarray) -> None:
+    """Write the addresses of the compiled parts of an evaluation into ``Plant.calls``."""
+    calls[CALL_KINEMATICS] = address_of(_kinematics)
+    calls[CALL_FORCES] = address_of(_right_hand_sides)
+    calls[CALL_SOLVE] = address_of(_solve)
+
+
+@kernel
+def update_kinematics(book):
+    """Pinocchio's terms, the object's, and all contact rows at the state in the buffers.
+
+    Leaves W in ``work.Y`` and the inertias in ``work.L``, ready for the elimination.  Returns
+    ``OK`` or ``CALLBACK_FAILED``.
+    """
+    return call_entry(ints1(book, CALLS)[CALL_KINEMATICS], book, 0.0, 0.0)
+
+
+@kernel
+def solve_constrained(book):
+    """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``buffers``.
+
+    Needs :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``, or the number of
+    the arm (or of the object, behind the arms) whose elimination failed.
+    """
+    return call_entry(ints1(book, CALLS)[CALL_SOLVE], book, 0.0, 0.0)
+
+
 @kernel
 def evaluate_buffers(book, alpha, beta):
     """Evaluate the state in the buffers; returns ``OK`` or what went wrong.
@@ -252,14 +293,14 @@ def evaluate_buffers(book, alpha, beta):
     Reads ``time, position, angles, twist, v``; writes everything else.  ``alpha`` [1/s] and
     ``beta`` [1/s] are the gains of the drift feedback (0: none).
     """
-    status = update_kinematics(book)
+    calls = ints1(book, CALLS)
+    status = call_entry(calls[CALL_KINEMATICS], book, 0.0, 0.0)
     if status != OK:
         return status
-    plant, buffers, work = open_book(book)
-    right_hand_sides(plant, buffers, work, alpha, beta)
-    if buffers.flag[0] != 0:
-        return CALLBACK_FAILED
-    return solve_constrained(book)
+    status = call_entry(calls[CALL_FORCES], book, alpha, beta)
+    if status != OK:
+        return status
+    return call_entry(calls[CALL_SOLVE], book, 0.0, 0.0)
 
 
 @inner

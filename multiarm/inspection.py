@@ -18,6 +18,7 @@ __all__ = [
     "Freedom",
     "Inspection",
     "JointFacts",
+    "LimitFacts",
     "ObjectFacts",
     "RunFacts",
 ]
@@ -77,13 +78,46 @@ class ArmFacts:
 
 
 @dataclass(frozen=True)
+class LimitFacts:
+    """Limits of a joint's coordinate, counted from the start, and where it starts [rad, m]."""
+
+    coordinate: str
+    unit: str
+    low: float
+    high: float
+    start: float
+
+
+@dataclass(frozen=True)
 class JointFacts:
-    """The joint of one arm to the object: its kind, its name, and the names of its contacts."""
+    """The joint of one arm to the object, by itself, at the start.
+
+    Attributes
+    ----------
+    arm, kind : str
+    name : str or None
+    rows : list of str
+        Names of its constraint rows.
+    rank : int
+        How many of them are independent.
+    redundant_rows : list of str
+        Rows that depend on each other; empty when all are independent.
+    free_motions : list of str
+        What the tip can do on the object, along and about the axes of the joint's frame.
+    coordinates : list of str
+        The components that are recorded as the joint's coordinates.
+    limits : list of LimitFacts
+    """
 
     arm: str
     kind: str
     name: str | None
     rows: list[str]
+    rank: int
+    redundant_rows: list[str]
+    free_motions: list[str]
+    coordinates: list[str]
+    limits: list[LimitFacts]
 
 
 @dataclass(frozen=True)

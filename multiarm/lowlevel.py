@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,37 +23,40 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
-# Folders whose every file has kernels, or constants that are compiled into them.
-_KERNEL_FOLDERS = ("contacts", "effects", "integrators", "node")
+_KERNEL = re.compile(rb"^@(kernel|inlined|inner|inner_inlined|entry|allocating)\b", re.MULTILINE)
+_IMPORTED = re.compile(rb"^from multiarm\.([\w.]+) import", re.MULTILINE)
 
 
 def _source_stamp() -> str:
-    """Digest of the sources of all kernels.
+    """Digest of the sources of all kernels and of the modules they import (their constants).
 
     Numba looks only at a kernel's own file to see whether its cached code is fresh; a kernel that
     was compiled into another one from another file would stay as it was.
     """
-    digest, root = hashlib.sha256(), Path(__file__).parent
-    for path in sorted(path for folder in _KERNEL_FOLDERS for path in root.glob(f"{folder}/*.py")):
-        digest.update(path.name.encode() + path.read_bytes())
-    for path in sorted(root.glob("*.py")):
-        source = path.read_bytes()
-        if b"lowlevel" in source or path.name == "terms.py":
-            digest.update(path.name.encode() + source)
+    root = Path(__file__).parent
+    sources = {path: path.read_bytes() for path in sorted(root.rglob("*.py"))}
+    # nothing is compiled from benchmarks into other kernels
+    used = {Path(__file__)}
+    for path, text in sources.items():
+        if _KERNEL.search(text) and path.parent.name != "benchmarks":
+            imported = (name.decode().replace(".", "/") for name in _IMPORTED.findall(text))
+            used |= {path, *(root / f"{name}.py" for name in imported)}
+    digest = hashlib.sha256()
+    for path in sorted(used & sources.keys()):
+        digest.update(path.name.encode() + sources[path])
     return digest.hexdigest()
 
 
 _STAMP = _source_stamp()
 
 
-def _decorator(**options: Any) -> Callable:
+def _decorator(with_cfunc_wrapper: bool = False, **options: Any) -> Callable:
     """Numba's decorator whose cache is fresh as long as no kernel of the package has changed."""
+    options["no_cfunc_wrapper"] = not with_cfunc_wrapper
 
     def decorate(function: Callable) -> Any:
         # as in NumPy, a division by zero gives inf or NaN, which the callers look for
-        dispatcher = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(
-            function
-        )
+        dispatcher = njit(cache=True, error_model="numpy", **options)(function)
         _cache_file(dispatcher)._source_stamp = _STAMP
         return dispatcher
 
@@ -67,6 +71,10 @@ kernel = _decorator(_nrt=False)
 inlined = _decorator(_nrt=False, forceinline=True)
 inner = _decorator(_nrt=False, no_cpython_wrapper=True)
 inner_inlined = _decorator(_nrt=False, no_cpython_wrapper=True, forceinline=True)
+# A large kernel that others call by its address (`address_of`, `call_entry`): it is compiled once,
+# and not once more into every function above it, which is most of what compiling would cost.  Its
+# arguments are those of ENTRY: address and size of an address book, two numbers; it returns an int.
+entry = _decorator(_nrt=False, no_cpython_wrapper=True, with_cfunc_wrapper=True)
 # For kernels that do make arrays; they must not return them to one of the other kind.
 allocating = _decorator(_nrt=True)
 
@@ -149,6 +157,41 @@ def copy(source, out):
     """Write ``source`` into ``out``, vectors of one length (slice assignment would allocate)."""
     for i in range(out.size):
         out[i] = source[i]
+
+
+ENTRY = types.int64(types.int64, types.int64, types.float64, types.float64)
+
+
+def address_of(function: Any) -> int:
+    """Address of a kernel decorated with `entry`, compiled if need be."""
+    function.compile(ENTRY)
+    result = function.overloads[ENTRY.args]
+    return result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
+
+
+@intrinsic
+def call_entry(typing_context, address, book, a, b):
+    """Call the entry at an integer address with an address book and two numbers."""
+
+    def generate(context, builder, signature, arguments):
+        array = context.make_array(signature.args[1])(context, builder, arguments[1])
+        integer, number = ir.IntType(64), ir.DoubleType()
+        kind = ir.FunctionType(integer, [integer, integer, number, number])
+        function = builder.inttoptr(arguments[0], kind.as_pointer())
+        data = builder.ptrtoint(array.data, integer)
+        return builder.call(function, [data, array.nitems, arguments[2], arguments[3]])
+
+    return types.int64(types.int64, book, types.float64, types.float64), generate
+
+
+@intrinsic
+def book_at(typing_context, address, size):
+    """Address book of ``size`` integers at an integer address."""
+
+    def generate(context, builder, signature, arguments):
+        return _view(context, builder, types.int64, arguments[0], [arguments[1]])
+
+    return types.Array(types.int64, 1, "C")(types.int64, types.int64), generate
 
 
 @intrinsic

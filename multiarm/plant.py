@@ -12,14 +12,20 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
+from multiarm.contacts.surfaces import QUERY_WIDTH
 from multiarm.lowlevel import address_book, floats1, floats2, floats3, inner_inlined, ints1, ints2
 from multiarm.node.regular import NodeWork
 
-# Entries of Plant.calls.
-CALL_TERMS, CALL_CONTROL, CALL_DENSE, CALL_POTENTIAL = range(4)
+# Entries of Plant.calls: callbacks into Python, then compiled entries.
+CALL_TERMS, CALL_CONTROL, CALL_DENSE, CALL_POTENTIAL, CALL_SURFACE = range(5)
+CALL_KINEMATICS, CALL_FORCES, CALL_SOLVE, CALL_COUNT = range(5, 9)
 
 # Entry of Buffers.flag.
 BUSY = 1
+
+# Columns of an event: time, number of the watch, 1 when its margin became positive (else 0).  More
+# than so many between two looks from outside are only counted.
+EVENT_WIDTH, MOST_EVENTS = 3, 512
 
 
 class Plant(NamedTuple):
@@ -29,15 +35,23 @@ class Plant(NamedTuple):
         Where Pinocchio keeps each arm's terms, see :class:`multiarm.arm.ArmGroup`.
     q_slots : int64 (joints,), circular : int64 (joints,)
         Place of each joint in Pinocchio's configuration; whether it takes cosine and sine there.
-    codes, geometry
+    codes, geometry, shapes
         The contact table; the arms' geometry in the frame of the joint that carries the tip.
+    frames : (n, 24)
+        Joint frames of every arm, see :mod:`multiarm.contacts.frames`.
+    free_bounds : int64 (n + 1,), free : int64 (m, 2)
+        Which components of the relative motion in those frames are recorded, arm after arm: of
+        the rates, of the coordinates.
+    watches : (w, 20)
+        Forces, patches and limits to watch, see :mod:`multiarm.watching`.
     object_mass : (1,), object_inertia : (3, 3)
         About the centre of mass, object axes.
     gravity : (3,)
     control, effects : int64 (k, 2), parameters : float64
         Programs of (code, offset), and the numbers they refer to.
-    calls : int64 (4,)
-        Addresses of the callbacks: arm terms, Python controller, dense solver, potential energy.
+    calls : int64 (8,)
+        Addresses of the callbacks (arm terms, Python controller, dense solver, potential energy,
+        the user's surfaces) and of the compiled parts of an evaluation.
     dense : int64 (1,)
         1: solve by the dense reference instead of the node algorithm.
     """
@@ -47,6 +61,11 @@ class Plant(NamedTuple):
     circular: np.ndarray
     codes: np.ndarray
     geometry: np.ndarray
+    shapes: np.ndarray
+    frames: np.ndarray
+    free_bounds: np.ndarray
+    free: np.ndarray
+    watches: np.ndarray
     object_mass: np.ndarray
     object_inertia: np.ndarray
     gravity: np.ndarray
@@ -68,9 +87,14 @@ class Buffers(NamedTuple):
     arms : (n, 24), body : (24,), relative : (15,)
         Motion of the links that carry the tips, and of the object; scratch: one relative to the
         other.
-    contacts : (N, 15), Wo : (N, 6), wrench : (6, N)
-        Contact kinematics; the rows ``[e; (P - x_o) x e]``, world axes; the wrenches on one arm
-        about the world's origin (scratch).
+    contacts : (N, 18), parts : (P, 18)
+        Contact kinematics of the rows of W, and of the contacts that combined rows are made of.
+    query : (29,), places, located : (S, 3)
+        Scratch of the rows beyond a tip on a plane, sphere or cylinder; where contacts of two
+        surfaces are, in the frame of the guiding body: where the search begins, and what it found.
+    Wo : (N, 6), wrench : (6, N)
+        The rows ``[e; (P - x_o) x e]``, world axes; the wrenches on one arm about the world's
+        origin (scratch).
     inertia : (6, 6), h_o : (6,), h : (joints,), c : (N,)
         The object's inertia and right-hand sides of the node system.
     q_o : (6,), qdd : (joints,), force : (N,)
@@ -81,6 +105,8 @@ class Buffers(NamedTuple):
         Wrench that carries the object, and the contact forces for it (gravity compensation).
     power : (1,), energy : (2,)
         Power of control and effects [W]; kinetic and potential energy [J] (at samples only).
+    margins : (w, 2), events : (e, 3), event_count : int64 (1,)
+        What is watched, see :mod:`multiarm.watching`.
     flag : int64 (2,)
         Raised by a callback that failed; raised while a Python controller runs (``BUSY``).
     """
@@ -95,6 +121,10 @@ class Buffers(NamedTuple):
     body: np.ndarray
     relative: np.ndarray
     contacts: np.ndarray
+    parts: np.ndarray
+    query: np.ndarray
+    places: np.ndarray
+    located: np.ndarray
     Wo: np.ndarray
     wrench: np.ndarray
     inertia: np.ndarray
@@ -110,11 +140,20 @@ class Buffers(NamedTuple):
     static_force: np.ndarray
     power: np.ndarray
     energy: np.ndarray
+    margins: np.ndarray
+    events: np.ndarray
+    event_count: np.ndarray
     flag: np.ndarray
 
 
-def make_buffers(arms: int, joints: int, rows: int, configuration: int) -> Buffers:
-    """Allocate the buffers of one system."""
+# Place of ``calls`` in the address book of a system.
+CALLS = Plant._fields.index("calls")
+
+
+def make_buffers(plant: Plant, rows: int, configuration: int) -> Buffers:
+    """Allocate the buffers of one system with so many rows of W, and numbers in Pinocchio's q."""
+    arms, joints, shapes = plant.pointers.shape[0], plant.q_slots.size, plant.shapes.shape[0]
+    watches = plant.watches.shape[0]
     return Buffers(
         time=np.zeros(1),
         position=np.zeros(7),
@@ -126,6 +165,10 @@ def make_buffers(arms: int, joints: int, rows: int, configuration: int) -> Buffe
         body=np.zeros(BODY_WIDTH),
         relative=np.zeros(RELATIVE_WIDTH),
         contacts=np.zeros((rows, CONTACT_WIDTH)),
+        parts=np.zeros((plant.codes.shape[0] - rows, CONTACT_WIDTH)),
+        query=np.zeros(RELATIVE_WIDTH + QUERY_WIDTH),
+        places=np.zeros((shapes, 3)),
+        located=np.zeros((shapes, 3)),
         Wo=np.zeros((rows, 6)),
         wrench=np.zeros((6, rows)),
         inertia=np.zeros((6, 6)),
@@ -141,6 +184,9 @@ def make_buffers(arms: int, joints: int, rows: int, configuration: int) -> Buffe
         static_force=np.zeros(rows),
         power=np.zeros(1),
         energy=np.zeros(2),
+        margins=np.full((watches, 2), np.nan),
+        events=np.zeros((MOST_EVENTS if watches else 0, EVENT_WIDTH)),
+        event_count=np.zeros(1, dtype=np.int64),
         flag=np.zeros(2, dtype=np.int64),
     )
 
@@ -159,53 +205,65 @@ def open_book(book):
         circular=ints1(book, 2),
         codes=ints2(book, 3),
         geometry=floats2(book, 4),
-        object_mass=floats1(book, 5),
-        object_inertia=floats2(book, 6),
-        gravity=floats1(book, 7),
-        control=ints2(book, 8),
-        effects=ints2(book, 9),
-        parameters=floats1(book, 10),
-        calls=ints1(book, 11),
-        dense=ints1(book, 12),
+        shapes=floats2(book, 5),
+        frames=floats2(book, 6),
+        free_bounds=ints1(book, 7),
+        free=ints2(book, 8),
+        watches=floats2(book, 9),
+        object_mass=floats1(book, 10),
+        object_inertia=floats2(book, 11),
+        gravity=floats1(book, 12),
+        control=ints2(book, 13),
+        effects=ints2(book, 14),
+        parameters=floats1(book, 15),
+        calls=ints1(book, 16),
+        dense=ints1(book, 17),
     )
     buffers = Buffers(
-        time=floats1(book, 13),
-        position=floats1(book, 14),
-        angles=floats1(book, 15),
-        twist=floats1(book, 16),
-        q=floats1(book, 17),
-        v=floats1(book, 18),
-        arms=floats2(book, 19),
-        body=floats1(book, 20),
-        relative=floats1(book, 21),
-        contacts=floats2(book, 22),
-        Wo=floats2(book, 23),
-        wrench=floats2(book, 24),
-        inertia=floats2(book, 25),
-        h_o=floats1(book, 26),
-        h=floats1(book, 27),
-        c=floats1(book, 28),
-        q_o=floats1(book, 29),
-        qdd=floats1(book, 30),
-        force=floats1(book, 31),
-        torque=floats1(book, 32),
-        gravity_torque=floats1(book, 33),
-        weight=floats1(book, 34),
-        static_force=floats1(book, 35),
-        power=floats1(book, 36),
-        energy=floats1(book, 37),
-        flag=ints1(book, 38),
+        time=floats1(book, 18),
+        position=floats1(book, 19),
+        angles=floats1(book, 20),
+        twist=floats1(book, 21),
+        q=floats1(book, 22),
+        v=floats1(book, 23),
+        arms=floats2(book, 24),
+        body=floats1(book, 25),
+        relative=floats1(book, 26),
+        contacts=floats2(book, 27),
+        parts=floats2(book, 28),
+        query=floats1(book, 29),
+        places=floats2(book, 30),
+        located=floats2(book, 31),
+        Wo=floats2(book, 32),
+        wrench=floats2(book, 33),
+        inertia=floats2(book, 34),
+        h_o=floats1(book, 35),
+        h=floats1(book, 36),
+        c=floats1(book, 37),
+        q_o=floats1(book, 38),
+        qdd=floats1(book, 39),
+        force=floats1(book, 40),
+        torque=floats1(book, 41),
+        gravity_torque=floats1(book, 42),
+        weight=floats1(book, 43),
+        static_force=floats1(book, 44),
+        power=floats1(book, 45),
+        energy=floats1(book, 46),
+        margins=floats2(book, 47),
+        events=floats2(book, 48),
+        event_count=ints1(book, 49),
+        flag=ints1(book, 50),
     )
     work = NodeWork(
-        dofs=ints1(book, 39),
-        rows=ints1(book, 40),
-        L=floats3(book, 41),
-        Y=floats3(book, 42),
-        G=floats3(book, 43),
-        Z=floats3(book, 44),
-        S=floats2(book, 45),
-        y=floats1(book, 46),
-        z=floats1(book, 47),
-        pivot=floats1(book, 48),
+        dofs=ints1(book, 51),
+        rows=ints1(book, 52),
+        L=floats3(book, 53),
+        Y=floats3(book, 54),
+        G=floats3(book, 55),
+        Z=floats3(book, 56),
+        S=floats2(book, 57),
+        y=floats1(book, 58),
+        z=floats1(book, 59),
+        pivot=floats1(book, 60),
     )
     return plant, buffers, work

@@ -34,6 +34,7 @@ from multiarm.time_loop import (
     gains,
     make_clock,
 )
+from multiarm.watching import EventLog
 
 # Below this accuracy [m, rad] the method of order 8 is the cheaper one.
 ORDER_8_BELOW = 3e-4
@@ -47,7 +48,7 @@ STABILIZATIONS = {"none": NONE, "feedback": FEEDBACK, "projection": PROJECTION}
 
 @dataclass(frozen=True)
 class Run:
-    """Everything one run needs, and the samples' sink."""
+    """Everything one run needs, the samples' sink, and what happened on the way."""
 
     system: System
     tableau: Tableau
@@ -57,6 +58,7 @@ class Run:
     clock: Clock
     sink: Sink
     block: np.ndarray
+    events: EventLog
 
 
 def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) -> RunSpec:
@@ -116,10 +118,18 @@ def prepare(system: System, spec: RunSpec, state: State | None, sink: Sink, max_
     )
     if adaptive:
         settings = settings._replace(step=_first_step(system, step, settings, method))
-    width = sample_width(system.layout.joints, system.layout.contacts)
+    width = sample_width(system.layout.joints, system.layout.contacts, system.plant.free.shape[0])
     rows = int(np.clip(BLOCK_NUMBERS // width, 16, samples))
     return Run(
-        system, tableau, method, step, settings, make_clock(settings), sink, np.zeros((rows, width))
+        system,
+        tableau,
+        method,
+        step,
+        settings,
+        make_clock(settings),
+        sink,
+        np.zeros((rows, width)),
+        EventLog(),
     )
 
 

@@ -9,9 +9,11 @@ import numpy as np
 
 from multiarm.assembly import follow_object
 from multiarm.control import (
+    COMPUTED_TORQUE,
     GRAVITY_COMPENSATION,
     HARMONIC,
     JOINT_PD,
+    OBJECT_IMPEDANCE,
     pack_harmonic,
     pack_path,
     write_holding_torque,
@@ -19,14 +21,17 @@ from multiarm.control import (
 from multiarm.effects.program import JOINT_DAMPING
 from multiarm.equations import OK, update_kinematics
 from multiarm.errors import ControlError, MultiarmError
+from multiarm.object_programs import object_law, pose_of, route
 from multiarm.plant import BUSY, Buffers
-from multiarm.scene import Pose, Scene, gain_vector
+from multiarm.scene import Scene, gain_vector
 from multiarm.scene.control import (
+    ComputedTorqueControl,
     ConstantControl,
     GravityCompensationControl,
     HarmonicControl,
     JointPDControl,
     NoControl,
+    ObjectImpedanceControl,
     Waypoint,
 )
 from multiarm.state import Layout, State
@@ -58,7 +63,7 @@ def needs_gravity_torque(scene: Scene) -> bool:
     control = scene.control
     if scene.gravity is None:
         return False
-    return control.kind == "gravity_compensation" or (
+    return control.kind in ("gravity_compensation", "object_impedance") or (
         control.kind == "joint_pd" and control.gravity_compensation
     )
 
@@ -84,6 +89,10 @@ def control_program(system: System) -> Program:
             program = _joint_pd(system, control)
         case HarmonicControl() as control:
             program = _harmonic(system, control)
+        case ComputedTorqueControl() as control:
+            program = Program(_codes([(COMPUTED_TORQUE, 0)]), *object_law(system, control))
+        case ObjectImpedanceControl() as control:
+            program = Program(_codes([(OBJECT_IMPEDANCE, 0)]), *object_law(system, control))
         case NoControl():
             program = Program(NO_PROGRAM, np.zeros(0), np.zeros(0))
     codes = program.codes.copy()
@@ -181,11 +190,7 @@ def _reference(system: System, path: tuple[Waypoint, ...] | None) -> tuple[np.nd
     start = system.initial_state()
     if path is None:
         return np.array([0.0, 1.0]), start.position[None, 7:, None]
-    times = [waypoint.time for waypoint in path]
-    poses = [waypoint.matrix() for waypoint in path]
-    if times[0] > 0.0:
-        times.insert(0, 0.0)
-        poses.insert(0, _pose_of(start).matrix())
+    times, poses = route(start, path)
     carrier = _rigidly_held(system)
     segments, state = [], carrier.initial_state()
     for k in range(len(times) - 1):
@@ -216,16 +221,9 @@ def _rigidly_held(system: System) -> System:
         name: spec.model_copy(update={"posture": tuple(start.joint_positions[name])})
         for name, spec in scene.arms.items()
     }
-    body = scene.object.model_copy(update={"pose": _pose_of(start), "twist": None})
+    body = scene.object.model_copy(update={"pose": pose_of(start), "twist": None})
     return compile_system(
         scene.replace(joints=joints, arms=arms, object=body, control={"kind": "none"})
-    )
-
-
-def _pose_of(state: State) -> Pose:
-    """Pose of the object in a state."""
-    return Pose(
-        xyz=state.object_position.tolist(), quaternion_xyzw=state.object_quaternion_xyzw.tolist()
     )
 
 

@@ -1,14 +1,15 @@
 """A sample as one row of numbers: how wide it is, how the loop writes it, what its columns are.
 
 The columns are time, object position, quaternion (xyzw), joint positions, object twist, joint
-velocities, control torques, contact forces, kinetic and potential energy, work, largest gap and
-largest gap rate.
+velocities, control torques, contact forces, free relative rates and coordinates of the joints,
+kinetic and potential energy, work, largest gap and largest gap rate.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from multiarm.contacts.frames import write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import kinetic_energy, largest
 from multiarm.lowlevel import call_back, copy, inner
@@ -16,15 +17,16 @@ from multiarm.plant import CALL_POTENTIAL
 from multiarm.state import Layout
 
 
-def sample_width(joints: int, contacts: int) -> int:
+def sample_width(joints: int, contacts: int, free: int) -> int:
     """Numbers a sample: see :func:`write_sample`."""
-    return 1 + 7 + joints + 6 + joints + joints + contacts + 5
+    return 1 + 7 + joints + 6 + joints + joints + contacts + 2 * free + 5
 
 
 @inner
 def write_sample(plant, buffers, work, t, work_done, row):
     """One row of the block from an evaluated state: time, positions, velocities, torques, contact
-    forces, kinetic and potential energy, work, largest gap and gap rate.
+    forces, relative rates and coordinates, kinetic and potential energy, work, largest gap and gap
+    rate.
     """
     n, m = buffers.angles.size, buffers.force.size
     row[0] = t
@@ -36,6 +38,8 @@ def write_sample(plant, buffers, work, t, work_done, row):
     at = 14 + 3 * n
     copy(buffers.force, row[at : at + m])
     at += m
+    write_free(plant, buffers, row[at:])
+    at += 2 * plant.free.shape[0]
     if plant.calls[CALL_POTENTIAL] != 0:
         call_back(plant.calls[CALL_POTENTIAL])
     row[at] = kinetic_energy(plant, buffers, work)
@@ -45,11 +49,29 @@ def write_sample(plant, buffers, work, t, work_done, row):
     row[at + 4] = largest(buffers.contacts, GAP_RATE)
 
 
-def named_samples(layout: Layout, rows: np.ndarray) -> dict[str, np.ndarray]:
+@inner
+def write_free(plant, buffers, out):
+    """Free relative rates of all joints, then their coordinates."""
+    rates, places = buffers.query[0:6], buffers.query[6:15]
+    count = plant.free.shape[0]
+    for i in range(plant.frames.shape[0]):
+        first, last = plant.free_bounds[i], plant.free_bounds[i + 1]
+        if first == last:
+            continue
+        write_relative(plant.frames[i], buffers.arms[i], buffers.body, rates, places)
+        for k in range(first, last):
+            out[k] = rates[plant.free[k, 0]]
+            out[count + k] = places[plant.free[k, 1]]
+
+
+def named_samples(
+    layout: Layout, free_bounds: np.ndarray, rows: np.ndarray
+) -> dict[str, np.ndarray]:
     """The rows of a block of :func:`write_sample` as named channels."""
-    n, m = layout.joints, layout.contacts
-    columns = np.split(rows, np.cumsum([1, 3, 4, n, 6, n, n, m, 1, 1, 1, 1]), axis=1)
-    t, x, quaternion, q, twist, v, torque, force, kinetic, potential, work, gap, rate = columns
+    n, m, f = layout.joints, layout.contacts, int(free_bounds[-1])
+    columns = np.split(rows, np.cumsum([1, 3, 4, n, 6, n, n, m, f, f, 1, 1, 1, 1]), axis=1)
+    t, x, quaternion, q, twist, v, torque, force, rates, places, *scalars = columns
+    kinetic, potential, work, gap, rate = scalars
     block = {
         "time": t[:, 0],
         "object/position": x,
@@ -67,4 +89,8 @@ def named_samples(layout: Layout, rows: np.ndarray) -> dict[str, np.ndarray]:
             block[f"arms/{arm}/{name}"] = part
     for arm, part in layout.split_contacts(force).items():
         block[f"arms/{arm}/contact_force"] = part
+    for arm, first, last in zip(layout.names, free_bounds[:-1], free_bounds[1:], strict=True):
+        if first < last:
+            block[f"arms/{arm}/relative_rate"] = rates[:, first:last]
+            block[f"arms/{arm}/relative_position"] = places[:, first:last]
     return block

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from multiarm.channels import trajectory_channels
+from multiarm.contacts.frames import COMPONENTS, UNITS
 from multiarm.dynamics import failure_text
 from multiarm.equations import CALLBACK_FAILED, NOT_FINITE
 from multiarm.errors import MultiarmError, TrajectoryError
@@ -142,9 +143,11 @@ def simulate(
         # not ours to handle, but what was simulated is kept
         with suppress(TrajectoryError):
             _flush(run)
-        run.sink.finish("failed", f"{_where(run)}: {error!r}", _statistics(run, spec, 0.0))
+        statistics = _statistics(run, spec, 0.0)
+        run.sink.finish("failed", f"{_where(run)}: {error!r}", statistics, run.events.told)
         raise
-    return run.sink.finish(status, message, _statistics(run, spec, wall))
+    message += run.events.summary()
+    return run.sink.finish(status, message, _statistics(run, spec, wall), run.events.told)
 
 
 def _drive(run: Run, progress: Progress | None) -> tuple[str, str, float]:
@@ -156,6 +159,7 @@ def _drive(run: Run, progress: Progress | None) -> tuple[str, str, float]:
     with deferred_interrupt() as interrupt:
         while True:
             ended = None
+            run.events.collect(run.system)
             try:
                 if progress is not None:
                     progress(float(run.clock.real[T]))
@@ -232,7 +236,9 @@ def _flush(run: Run) -> None:
     if rows == 0:
         return
     count[BLOCK_FIRST] = count[SAMPLE]
-    run.sink.append(named_samples(run.system.layout, run.block[:rows]))
+    run.sink.append(
+        named_samples(run.system.layout, run.system.plant.free_bounds, run.block[:rows])
+    )
 
 
 def _channels(system: System):
@@ -241,6 +247,10 @@ def _channels(system: System):
         {
             name: [contact.name for contact in contacts]
             for name, contacts in system.contacts.items()
+        },
+        {
+            name: {COMPONENTS[k]: UNITS[k] for k in frame.free}
+            for name, frame in system.frames.items()
         },
     )
 

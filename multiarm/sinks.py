@@ -20,7 +20,8 @@ import numpy as np
 from multiarm.channels import Block, Channel, finite_rows
 from multiarm.errors import TrajectoryError
 from multiarm.outcome import Outcome, plain
-from multiarm.trajectory import ArrayStore, Trajectory
+from multiarm.sample_store import ArrayStore
+from multiarm.trajectory import Trajectory
 
 _DEPENDENCIES = ("pin", "numpy", "numba", "h5py", "pydantic")
 

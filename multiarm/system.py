@@ -14,7 +14,8 @@ import numpy as np
 
 from multiarm.arm import Arm, ArmGroup
 from multiarm.assembly import StartReport
-from multiarm.contacts.records import Contact
+from multiarm.contacts.frames import JointFrame
+from multiarm.contacts.records import Contact, SmoothShape
 from multiarm.control import PYTHON
 from multiarm.errors import ControlError, ModelError
 from multiarm.lowlevel import CallBack
@@ -44,6 +45,8 @@ class System:
     arms : dict of str to Arm
     contacts : dict of str to list of Contact
         Records of each arm's joint; the arm's geometry in the tip frame.
+    frames : dict of str to JointFrame
+        Each joint's frame on both bodies, and the motions that it leaves free.
     layout : Layout
         Where each arm's joints and contacts are in stacked vectors.
     start_report : StartReport
@@ -52,21 +55,27 @@ class System:
         Times at which the control is not smooth; steps end there.
     plant, buffers, work : Plant, Buffers, NodeWork
         What the kernels read and write.
+    surfaces : tuple of SmoothShape
+        Surfaces of the user's.
     calls : dict of str to CallBack
-        What they call in Python: terms, dense, potential, and control when that is in Python.
+        What they call in Python: terms, dense, potential, surface, and control when that is in
+        Python.
     """
 
     scene: Scene
     arms: dict[str, Arm]
     contacts: dict[str, list[Contact]]
+    frames: dict[str, JointFrame]
     layout: Layout
     breakpoints: np.ndarray
     plant: Plant = field(repr=False)
     buffers: Buffers = field(repr=False)
     work: NodeWork = field(repr=False)
     start_report: StartReport = field(repr=False)
+    surfaces: tuple[SmoothShape, ...] = field(repr=False)
     _start: State = field(repr=False)
     _groups: list[ArmGroup] = field(repr=False)
+    _places: np.ndarray = field(repr=False)
     calls: dict[str, CallBack] = field(repr=False)
 
     @property
@@ -185,6 +194,10 @@ class System:
         b.twist[:] = state.velocity[:6]
         b.v[:] = state.velocity[6:]
         b.torque[:] = 0.0  # another system's control may have left its torques here
+        b.places[:] = self._places
+        b.margins[:] = np.nan
+        for surface in self.surfaces:
+            surface.reset()
 
     def get_state(self) -> State:
         """A copy of the state in the buffers."""

@@ -38,6 +38,7 @@ from multiarm.lowlevel import copy, inner, kernel
 from multiarm.plant import open_book
 from multiarm.samples import write_sample
 from multiarm.stabilization import FEEDBACK_RATIO, project
+from multiarm.watching import watch_step
 
 # Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
 FINISHED, BLOCK_FULL, BUDGET_USED = -10, -11, -12
@@ -52,6 +53,8 @@ STEPS, REJECTED, EVALUATIONS, PROJECTIONS, SAMPLE, BLOCK_FIRST, BREAK, CAUSE, CO
 
 NONE, FEEDBACK, PROJECTION = 0, 1, 2
 
+# Shortest step, relative to the time: a run that needs shorter ones does not get on.
+SMALLEST_STEP = 1e-12
 # Times closer than this, relative to the run, are one.
 CLOSE_IN_TIME = 1e-12
 
@@ -255,7 +258,7 @@ def try_step(book, joints, method, step, clock, settings, h):
 @inner
 def complete_step(book, method, step, clock, settings, h, end):
     """Stabilise the end of an accepted step, evaluate there, prepare its dense output."""
-    _, buffers, _ = open_book(book)
+    plant, buffers, _ = open_book(book)
     count = clock.counts
     t = clock.real[T]
     alpha, beta = gains(settings, h)
@@ -266,6 +269,10 @@ def complete_step(book, method, step, clock, settings, h, end):
     gap = largest(buffers.contacts, GAP)
     if not gap <= settings.apart:
         return DIVERGED if math.isfinite(gap) else NOT_FINITE
+    if buffers.places.size > 0:
+        for i in range(buffers.places.shape[0]):
+            copy(buffers.located[i], buffers.places[i])
+    watch_step(plant, buffers, t, end)
     # the slope of the next step, in this chart for the dense output and in the next one for it
     write_slope(step.z_new, buffers, step.k[method.stages])
     step.z_stage[:] = 0.0
@@ -314,7 +321,7 @@ def advance(book, joints, arrays, method, clock, settings, block, budget):
         if count[EVALUATIONS] >= limit:
             return BUDGET_USED
         h, end = planned_step(method, clock, settings)
-        if not h > 8.0 * np.finfo(np.float64).eps * max(abs(real[T]), 1e-3):
+        if not h > max(SMALLEST_STEP * real[T], 8.0 * np.finfo(np.float64).eps * 1e-3):
             return count[CAUSE]
         status, error = try_step(book, joints, method, step, clock, settings, h)
         if status == OK and error <= 1.0:

@@ -12,16 +12,17 @@ From the recorded channels follow the two numbers that judge a run, both 0 when 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multiarm.channels import Block, Channel
+from multiarm.channels import Channel
 from multiarm.errors import TrajectoryError
 from multiarm.outcome import Outcome, plain
+from multiarm.sample_store import ByArm, Store, arm_names
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -38,7 +39,7 @@ class Trajectory:
 
     __slots__ = ("_cache", "_outcome", "_scene", "_store")
 
-    def __init__(self, store: _Store, outcome: Outcome):
+    def __init__(self, store: Store, outcome: Outcome):
         self._store, self._outcome = store, outcome
         self._cache: dict[str, np.ndarray] = {}
         self._scene: Scene | None = None
@@ -58,8 +59,7 @@ class Trajectory:
     @property
     def arm_names(self) -> tuple[str, ...]:
         """Names of the arms, in the order of the scene."""
-        names = (n for n in self._store.channels if n.startswith("arms/"))
-        return tuple(dict.fromkeys(n.removeprefix("arms/").rpartition("/")[0] for n in names))
+        return arm_names(self._store)
 
     def channel(self, name: str) -> np.ndarray:
         """All samples of a channel: read once, then kept; not writeable."""
@@ -104,22 +104,49 @@ class Trajectory:
     @property
     def joint_positions(self) -> Mapping[str, np.ndarray]:
         """Arm -> joint coordinates, shape (K, nv) [rad], sliding joints [m]."""
-        return _ByArm(self, "joint_position")
+        return ByArm(self._store, "joint_position", self.channel)
 
     @property
     def joint_velocities(self) -> Mapping[str, np.ndarray]:
         """Arm -> joint velocities, shape (K, nv) [rad/s], sliding joints [m/s]."""
-        return _ByArm(self, "joint_velocity")
+        return ByArm(self._store, "joint_velocity", self.channel)
 
     @property
     def joint_torques(self) -> Mapping[str, np.ndarray]:
         """Arm -> torques of the controller, shape (K, nv) [N m], sliding joints [N]."""
-        return _ByArm(self, "joint_torque")
+        return ByArm(self._store, "joint_torque", self.channel)
 
     @property
     def contact_forces(self) -> Mapping[str, np.ndarray]:
         """Arm -> forces along the contact normals, shape (K, N) [N]; positive pushes."""
-        return _ByArm(self, "contact_force")
+        return ByArm(self._store, "contact_force", self.channel)
+
+    @property
+    def relative_motion(self) -> Mapping[str, np.ndarray]:
+        """Arm -> rates alpha of what its joint leaves free, (K, m) [m/s, rad/s]; see the labels.
+
+        An arm whose joint leaves nothing free has shape (K, 0).
+        """
+        return ByArm(self._store, "relative_rate", self.channel, optional=True)
+
+    @property
+    def relative_position(self) -> Mapping[str, np.ndarray]:
+        """Arm -> coordinates of what its joint leaves free, (K, m) [m, rad]; angles go on past pi.
+
+        A single free turn is told by its angle, several by the rotation vector.
+        """
+        return ByArm(self._store, "relative_position", self._unwrapped, optional=True)
+
+    @property
+    def relative_motion_labels(self) -> dict[str, tuple[str, ...]]:
+        """Arm -> names of its joint's free motions, such as ("slide z", "turn z")."""
+        channels = self._store.channels
+        return {
+            arm: channels[f"arms/{arm}/relative_rate"].labels
+            if f"arms/{arm}/relative_rate" in channels
+            else ()
+            for arm in self.arm_names
+        }
 
     @property
     def kinetic_energy(self) -> np.ndarray:
@@ -258,6 +285,17 @@ class Trajectory:
             partial.unlink(missing_ok=True)
         return Path(path)
 
+    def _unwrapped(self, name: str) -> np.ndarray:
+        """A channel whose single angles go on where they pass half a turn."""
+        channel, values = self._store.channels[name], self.channel(name)
+        angles = [k for k, unit in enumerate(channel.column_units) if unit == "rad"]
+        if len(angles) != 1:
+            return values
+        values = values.copy()
+        values[:, angles[0]] = np.unwrap(values[:, angles[0]])
+        values.flags.writeable = False
+        return values
+
     def _duration(self) -> float | None:
         if not len(self):
             return None
@@ -303,55 +341,3 @@ def load_trajectory(path: str | os.PathLike) -> Trajectory:
     return Trajectory(
         store, Outcome("interrupted", f"the run was cut {where}: it was killed or is still running")
     )
-
-
-class _Store(Protocol):
-    """Where the samples of a trajectory are."""
-
-    samples: int
-    channels: dict[str, Channel]
-    metadata: dict[str, Any]
-
-    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray: ...
-
-
-class ArrayStore:
-    """Samples in memory: arrays that are read-only from here on."""
-
-    def __init__(self, channels: Sequence[Channel], arrays: Block, metadata: dict[str, Any]):
-        self.channels = {channel.name: channel for channel in channels}
-        self.samples = len(arrays["time"])
-        self.metadata = metadata
-        self._arrays = arrays
-        for values in arrays.values():
-            values.flags.writeable = False
-
-    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Samples start..stop of a channel."""
-        return self._arrays[name][start:stop]
-
-
-class _UnknownArmError(TrajectoryError, KeyError):
-    """A KeyError whose text is a sentence."""
-
-    __str__ = Exception.__str__
-
-
-class _ByArm(Mapping[str, np.ndarray]):
-    """One channel of every arm, read when asked for."""
-
-    def __init__(self, trajectory: Trajectory, quantity: str):
-        self._trajectory, self._quantity = trajectory, quantity
-
-    def __getitem__(self, arm: str) -> np.ndarray:
-        names = self._trajectory.arm_names
-        if arm not in names:
-            known = ", ".join(repr(name) for name in names)
-            raise _UnknownArmError(f"unknown arm {arm!r}; arms are {known}")
-        return self._trajectory.channel(f"arms/{arm}/{self._quantity}")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._trajectory.arm_names)
-
-    def __len__(self) -> int:
-        return len(self._trajectory.arm_names)

@@ -8,21 +8,30 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from multiarm.contacts.kernel import (
-    BODY_WIDTH,
-    CONTACT_WIDTH,
-    RELATIVE_WIDTH,
-    contact_kinematics,
-    contact_matrices,
-    relative_motion,
+from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH
+from multiarm.contacts.matrices import contact_matrices
+from multiarm.contacts.records import (
+    CONE,
+    CYLINDER,
+    KIND,
+    LINK,
+    PAIR,
+    PLANE,
+    SPHERE,
+    SURFACE_ON_OBJECT,
+    TORUS,
+    pack,
 )
-from multiarm.contacts.records import CYLINDER, PLANE, SURFACE_ON_OBJECT, pack
+from multiarm.contacts.rows import write_row
+from multiarm.contacts.surfaces import DISTANCE, FUNCTION, GRADIENT, PLACE, SECOND
+from multiarm.lowlevel import CallBack
 from multiarm.scene import parse_scene
 
 ROOT = Path(__file__).parents[1]
@@ -189,18 +198,34 @@ def pose(rotation, translation) -> np.ndarray:
 
 
 def plain_gap(contact, X_WT: np.ndarray, X_WO: np.ndarray) -> float:
-    """Gap of one contact from the poses of tip and object [m], positive = apart."""
-    on_object = contact.surface_body == SURFACE_ON_OBJECT
-    X_WP, X_WS = (X_WT, X_WO) if on_object else (X_WO, X_WT)
-    p = (np.linalg.inv(X_WS) @ X_WP @ np.append(contact.point, 1.0))[:3] - contact.origin
-    if contact.surface == PLANE:
-        return contact.axis @ p - contact.tip_radius
-    if contact.surface == CYLINDER:
-        distance = np.linalg.norm(np.cross(contact.axis, p))
+    """Gap of one contact from the poses of tip and object [m], positive = apart.
+
+    For a point or a ball against a plane, sphere, cylinder, cone or torus, and for rows made of
+    such contacts; ``oracles`` has everything else.
+    """
+    if contact.is_combined:
+        single = replace(contact, weight=1.0, minus=None)
+        taken = plain_gap(contact.minus, X_WT, X_WO) if contact.minus is not None else 0.0
+        return contact.weight * (plain_gap(single, X_WT, X_WO) - taken)
+    guide, tip = contact.guide, contact.follower
+    assert tip.is_tip and not contact.tangent
+    X_WP, X_WS = (X_WT, X_WO) if contact.surface_body == SURFACE_ON_OBJECT else (X_WO, X_WT)
+    p = (np.linalg.inv(X_WS) @ X_WP @ np.append(tip.origin, 1.0))[:3] - guide.origin
+    axis = guide.axes[:, 2]
+    along, across = axis @ p, np.linalg.norm(np.cross(axis, p))
+    if guide.kind == PLANE:
+        clear = along
+    elif guide.kind == CYLINDER:
+        clear = across - guide.sizes[0]
+    elif guide.kind == CONE:
+        sine, cosine = guide.sizes[:2]
+        clear = cosine * across - sine * along
+    elif guide.kind == TORUS:
+        clear = math.hypot(across - guide.sizes[0], along) - guide.sizes[1]
     else:
-        distance = np.linalg.norm(p)
-    clear = contact.radius - distance if contact.inside else distance - contact.radius
-    return clear - contact.tip_radius
+        assert guide.kind == SPHERE
+        clear = np.linalg.norm(p) - guide.sizes[0]
+    return (-clear if guide.inside else clear) - tip.sizes[0]
 
 
 def plain_gaps(system, state) -> np.ndarray:
@@ -240,26 +265,44 @@ def body_row(X: np.ndarray, twist=None) -> np.ndarray:
     return row
 
 
-def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None):
-    """What the kernels make of contacts on two moving bodies, one row (column of W) a contact."""
+def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
+    """What the kernels make of contacts on two moving bodies, one row (column of W) a contact.
+
+    ``near`` (N, 3) are points of the guiding surfaces, in their bodies' frames, near which contacts
+    of two surfaces are looked for.
+    """
     table, n = pack(contacts), len(contacts)
     arm, body = body_row(X_WT, twist_T), body_row(X_WO, twist_O)
-    rows, W = np.zeros((n, CONTACT_WIDTH)), np.zeros((4, n, 6))
+    rows, parts = np.zeros((n, CONTACT_WIDTH)), np.zeros((len(table.codes) - n, CONTACT_WIDTH))
+    scratch, located = np.zeros(29), np.zeros((len(table.shapes), 3))
+    places, answer = np.zeros_like(located), _user_surfaces(table, scratch[15:])
     for k in range(n):
-        carriers, into_object = (
-            ((arm, body), -1.0) if table.codes[k, 1] == 0 else ((body, arm), 1.0)
-        )
-        relative = np.zeros(RELATIVE_WIDTH)
-        relative_motion(*carriers, relative)
-        contact_kinematics(
-            table.codes[k, 0], into_object, table.geometry[k], *carriers, relative, rows[k]
-        )
-        contact_matrices(table.codes[k], table.geometry[k], arm, body, arm, *W[:, k])
-    W_m, W_o, W_m_dot, W_o_dot = (w.T for w in W)
+        if table.codes[k, KIND] == PAIR:
+            places[table.codes[k, LINK]] = near[k]
+        write_row(
+            k, arm, body, table.codes, table.geometry, table.shapes, answer.address, rows, parts,
+            scratch, places, located,
+        )  # fmt: skip
+    answer.reraise()
+    W = contact_matrices(
+        table.codes, table.geometry, np.vstack([rows, parts]), np.arange(n), arm, body, arm
+    )
     return SimpleNamespace(
         phi=rows[:, 12], phi_dot=rows[:, 13], c=-rows[:, 14], normals=rows[:, 3:6],
-        W_m=W_m, W_o=W_o, W_m_dot=W_m_dot, W_o_dot=W_o_dot,
+        W_m=W.W_m, W_o=W.W_o, W_m_dot=W.W_m_dot, W_o_dot=W.W_o_dot,
     )  # fmt: skip
+
+
+def _user_surfaces(table, query):
+    """The callback that answers the kernel's queries about surfaces that are Python functions."""
+
+    def answer():
+        surface = table.functions[int(query[FUNCTION])]
+        distance, gradient, second = surface.closest(query[PLACE : PLACE + 3].copy())
+        query[DISTANCE], query[GRADIENT : GRADIENT + 3] = distance, gradient
+        query[SECOND : SECOND + 6] = second[np.triu_indices(3)]
+
+    return CallBack(answer, np.zeros(1, dtype=np.int64))
 
 
 def carried(X: np.ndarray, twist, t: float) -> np.ndarray:

@@ -26,16 +26,18 @@ PACKAGE = ROOT / "multiarm"
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "interrupts", "lowlevel", "reporting_style", "state", "terms"),
     ("spatial", "channels", "outcome", "decimation"),
-    ("contacts", "effects", "node", "scene", "arm", "payload", "storage"),
-    ("plant", "problems", "trajectory"),
+    ("contacts", "effects", "load_sharing", "node", "scene", "arm", "payload", "storage")
+    + ("sample_store",),
+    ("plant", "problems", "trajectory", "guide", "object_control"),
     ("control", "dense_call", "sinks"),
     ("equations",),
-    ("stabilization", "integrators", "samples"),
-    ("assembly", "time_loop"),
+    ("stabilization", "integrators", "samples", "watching"),
+    ("assembly", "time_loop", "object_programs"),
     ("programs",),
     ("system",),
+    ("contact_checks", "grips"),
     ("dynamics", "compilation"),
-    ("preparation", "inspection"),
+    ("preparation", "inspection", "inverse"),
     ("simulation",),
     ("checking", "plots", "viewer", "benchmarks"),
     ("reporting",),
@@ -61,13 +63,13 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pinocchio": ("arm", "viewer", "benchmarks.peers"),
     "pydantic": ("scene",),
     "pydantic_core": ("scene",),
-    "rich": ("cli", "benchmarks.scaling"),
-    "scipy": ("node.dense", "benchmarks.scaling"),
+    "rich": ("cli", "benchmarks.scaling", "benchmarks.contact_rows"),
+    "scipy": ("node.dense", "contacts.internal_forces", "benchmarks.scaling"),
     "threadpoolctl": ("benchmarks.scaling",),
     "typer": ("cli",),
     "typing_extensions": ("cli", "scene"),
     "umsgpack": ("viewer",),
-    "yaml": ("reporting", "scene"),
+    "yaml": ("reporting", "scene", "guide.cards"),
 }
 
 HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydantic"}
@@ -88,6 +90,7 @@ PUBLIC_ATTRIBUTES = {
 PUBLIC_PARAMETERS = {
     "compile_system": "scene",
     "evaluate": "system t state",
+    "inverse_dynamics": "system state object_acceleration relative_acceleration internal_forces",
     "load_scene": "path",
     "load_trajectory": "path",
     "replay": "trajectory path open_browser fps speed",

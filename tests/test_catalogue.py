@@ -8,7 +8,10 @@ from mechanics import WORKED, carried, kernel_rows, pose, random_pose
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
-from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, surface_offset
+from multiarm.contacts import catalogue
+from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame, surface_offset
+from multiarm.contacts.records import COMBINED, PLANE, TANGENT, pack
+from multiarm.errors import ModelError
 from multiarm.scene import (
     BallJoint,
     ContactsJoint,
@@ -23,6 +26,7 @@ from multiarm.scene import (
     RevoluteJoint,
     UniversalJoint,
     WeldJoint,
+    WrenchesJoint,
 )
 
 AXIS = (0.3, -0.5, 0.9)
@@ -206,5 +210,246 @@ def test_listed_contacts_meet_either_way_round():
 
 
 def test_every_kind_is_covered_here():
-    tested = {joint.kind for joint in JOINTS} | {"corner_gripper", "contacts"}
-    assert tested == set(CATALOGUE)
+    tested = {joint.kind for joint in JOINTS} | {"corner_gripper", "contacts", "wrenches"}
+    assert tested == set(CATALOGUE) == set(catalogue.FREE)
+
+
+# --- the frame in which free motions are told -----------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "joint", [j for j in JOINTS if catalogue.FREE[j.kind]], ids=lambda j: j.kind
+)
+def test_free_components_are_the_motion_space_in_the_joints_frame(joint):
+    at_tip, X_OJ = (
+        Pose(xyz=(0.1, -0.2, 0.3), rpy=(0.4, -0.8, 1.2)),
+        pose(turn([1, 2, 3], 0.7), AXIS),
+    )
+    joint = joint.model_copy(update={"at_tip": at_tip})
+    on_tip, on_object = joint_frame(joint, X_OJ)
+    R, x = on_tip[:3, :3], on_tip[:3, 3]
+    W = kernel_rows(joint_contacts(joint, X_OJ), on_object @ np.linalg.inv(on_tip), np.eye(4)).W_m
+    for k, way in enumerate(np.eye(6)):
+        # a twist of the tip that is one component at the joint's frame, in the axes of the tip
+        v, w = R @ way[:3], R @ way[3:]
+        work = W.T @ np.concatenate([v + np.cross(x, w), w])
+        free = k in catalogue.FREE[joint.kind]
+        assert (np.max(np.abs(work)) < 1e-12) == free
+
+
+def test_the_joints_frame_has_the_axis_as_its_z_axis():
+    on_tip, on_object = joint_frame(RevoluteJoint(arm="a", axis=AXIS), np.eye(4))
+    np.testing.assert_allclose(on_tip[:3, 2], along(AXIS, 1.0), atol=1e-15)
+    np.testing.assert_array_equal(on_tip, on_object)
+    np.testing.assert_array_equal(joint_frame(UniversalJoint(arm="a"), np.eye(4))[0], np.eye(4))
+
+
+# --- wrenches -------------------------------------------------------------------------------------
+
+FORCES = [[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0]]
+U, V = across(AXIS)
+
+
+def couple(way):
+    return [0, 0, 0, *way]
+
+
+def through(force, at):
+    return [*force, *np.cross(at, force)]
+
+
+@pytest.mark.parametrize("carried_by", ["object", "arm"])
+def test_rows_of_wrenches_exert_the_wrenches_that_are_written(carried_by, rng):
+    wrenches = rng.uniform(-2, 2, (6, 6))
+    wrenches[1, 3:], wrenches[2, :3] = 0.0, 0.0  # a force through the origin, and a couple
+    joint = WrenchesJoint(arm="a", wrenches=wrenches, carried_by=carried_by)
+    rows = rows_at(joint, np.eye(4))
+    np.testing.assert_allclose(rows.W_o, wrenches.T, atol=1e-13)
+    np.testing.assert_allclose(rows.W_m, -wrenches.T, atol=1e-13)
+    np.testing.assert_allclose(rows.phi, 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("carried_by", ["object", "arm"])
+def test_directions_are_fixed_to_the_body_that_carries_them(carried_by, rng):
+    joint = WrenchesJoint(arm="a", wrenches=[[1, 2, 2, 0, 0, 0]], carried_by=carried_by)
+    X_OT = random_pose(rng)
+    rows = rows_at(joint, X_OT)
+    W = rows.W_o if carried_by == "object" else -rows.W_m
+    np.testing.assert_allclose(W[:3, 0], [1, 2, 2], atol=1e-14)
+
+
+def test_a_unit_force_is_a_plain_contact_and_other_wrenches_are_combinations():
+    joint = WrenchesJoint(arm="a", wrenches=[[0.6, 0, 0.8, 0, 0.1, 0], couple([1, 0, 0])])
+    plain, combined = joint_contacts(joint, np.eye(4))
+    assert (plain.is_combined, combined.is_combined) == (False, True)
+    codes = pack([plain, combined]).codes
+    assert list(codes[:2, 0]) == [PLANE, COMBINED]
+    assert [plain.name, combined.name] == ["wrench 1", "wrench 2"]
+
+
+AT = np.array([0.4, -0.3, 0.2])
+AXIS_WAY = np.array(along(AXIS, 1.0))
+# a hinge about AXIS through AT, a ball at AT, ...: wrenches in a basis of no particular shape
+WRENCH_JOINTS = {
+    "hinge": (
+        [through(f[:3], AT) for f in FORCES] + [couple(U + 0.3 * V), couple(V - 2 * U)],
+        lambda s: pose(R := turn(AXIS, s[0]), AT - R @ AT),
+    ),
+    "hinge of forces": (
+        [
+            through(f, AT + h * AXIS_WAY)
+            for f, h in ((U, 0.1), (V + AXIS_WAY, 0.1), (U + V, -0.2), (V, -0.1), (AXIS_WAY, 0))
+        ],
+        lambda s: pose(R := turn(AXIS, s[0]), AT - R @ AT),
+    ),
+    "ball": (
+        [through(f, AT) for f in np.eye(3) + 0.2],
+        lambda s: pose(R := Rotation.from_rotvec(s[:3]).as_matrix(), AT - R @ AT),
+    ),
+    "slider": (
+        [through(U, AT), through(V + U, -AT), *map(couple, np.eye(3) + 0.1)],
+        lambda s: pose(np.eye(3), along(AXIS, s[0])),
+    ),
+    "cylindrical": (
+        [through(U, AT), through(V + U, AT), couple(U), couple(U + V)],
+        lambda s: pose(R := turn(AXIS, s[0]), AT - R @ AT + along(AXIS, s[1])),
+    ),
+    "planar": (
+        [[*AXIS_WAY, *(0.1 * U)], couple(U + V), couple(V)],
+        lambda s: pose(turn(AXIS, s[0]), s[1] * U + s[2] * V),
+    ),
+}
+
+
+@pytest.mark.parametrize("carried_by", ["object", "arm"])
+@pytest.mark.parametrize("name", WRENCH_JOINTS)
+def test_joints_of_wrenches_stay_closed_when_they_move_far(name, carried_by, rng):
+    wrenches, motion = WRENCH_JOINTS[name]
+    joint = WrenchesJoint(arm="a", wrenches=wrenches, carried_by=carried_by)
+    for _ in range(5):
+        rows = rows_at(joint, motion(rng.uniform(-1.5, 1.5, 3)), random_pose(rng))
+        np.testing.assert_allclose(rows.phi, 0.0, atol=2e-13)
+        assert np.linalg.matrix_rank(rows.W_o, tol=1e-6) == len(wrenches)
+
+
+# --- what a user lists ----------------------------------------------------------------------------
+
+
+def listed(arm, body, **more):
+    joint = ContactsJoint(arm="a", contacts=[{"arm": arm, "object": body, **more}])
+    return joint_contacts(joint, np.eye(4))
+
+
+HERE = [0.2, 0.0, 0.1]
+TOUCHING = {  # each surface passes through HERE with a normal that is easily told
+    "plane": ({"point": HERE, "normal": [3, 0, 4]}, [0.6, 0, 0.8]),
+    "sphere": ({"radius": 0.2, "center": [0, 0, 0.1]}, [1, 0, 0]),
+    "cylinder": ({"radius": 0.2}, [1, 0, 0]),
+    "cone": ({"half_angle": np.pi / 4, "apex": [0.1, 0, 0]}, [0.5**0.5, 0, -(0.5**0.5)]),
+    "torus": ({"circle_radius": 0.2, "tube_radius": 0.1}, [0, 0, 1]),
+    "ellipsoid": ({"semi_axes": [0.3, 0.1, 0.2], "rpy": [0, np.pi / 2, 0]}, None),
+    "surface": ({"distance": lambda p: (p @ p) ** 0.5 - 0.3, "origin": [0.2, 0, -0.2]}, [0, 0, 1]),
+}
+
+
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize("shape", TOUCHING)
+def test_every_surface_is_touched_where_it_is_written(shape, inside):
+    given, normal = TOUCHING[shape]
+    given, here = dict(given), HERE
+    if shape == "ellipsoid":  # turned: its short half axis is y, its long one is -z
+        here, normal = [0.0, 0.0, 0.3], [0, 0, 1]
+    if inside and shape != "plane":
+        given, normal = {**given, "inside": True}, -np.array(normal)
+    for arm, body, way in (
+        ({"point": here}, {shape: given}, -1.0),
+        ({shape: given}, {"point": here}, 1.0),
+    ):
+        rows = kernel_rows(listed(arm, body), np.eye(4), np.eye(4))
+        np.testing.assert_allclose(rows.phi, 0.0, atol=1e-15)
+        np.testing.assert_allclose(rows.normals[0], way * np.array(normal), atol=1e-12)
+
+
+def test_a_rolling_contact_has_two_rows_more():
+    contacts = listed(
+        {"sphere": {"radius": 0.1, "center": [0, 0, 0.1]}},
+        {"plane": {"normal": [0, 0, 1]}},
+        rolling=True,
+        name="wheel",
+    )
+    assert [c.name for c in contacts] == ["wheel", "wheel, no slip 1", "wheel, no slip 2"]
+    assert [c.pushes_only for c in contacts] == [True, False, False]
+    assert list(pack(contacts).codes[:, 0]) == [PLANE, TANGENT, TANGENT]
+    W = kernel_rows(contacts, np.eye(4), np.eye(4)).W_o
+    np.testing.assert_allclose(W[:3].T @ W[:3], np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(W[3:], 0.0, atol=1e-15)  # they touch at the origin
+
+
+def test_contacts_that_stand_for_real_ones_are_known_to_push_only():
+    real = {"point_on_plane", "point_on_cylinder", "point_on_sphere"}
+    for joint in JOINTS:
+        told = {contact.pushes_only for contact in joint_contacts(joint, np.eye(4))}
+        assert told == {joint.kind in real}
+
+
+def test_a_patch_is_a_box_in_the_frame_of_the_joint_and_moves_with_it():
+    joint = ContactsJoint(
+        arm="a",
+        at=Pose(xyz=(1, 0, 0)),
+        contacts=[
+            {
+                "arm": {"point": [0, 0, 0]},
+                "object": {
+                    "plane": {
+                        "normal": [0, 0, 1],
+                        "patch": {"min": [-0.1, None, None], "max": [0.2] * 3},
+                    }
+                },
+            }
+        ],
+    )
+    (contact,) = joint_contacts(joint, joint.at.matrix())
+    patch = contact.object.patch
+    assert contact.arm.patch is None
+    assert patch.excess(np.array([1.25, -9.0, -9.0])) == pytest.approx(0.05)
+    assert patch.excess(np.array([0.85, 0.0, 0.0])) == pytest.approx(0.05)
+    assert patch.excess(np.array([1.05, 0.0, 0.0])) == pytest.approx(-0.15)
+
+
+# --- functions ------------------------------------------------------------------------------------
+
+
+def test_functions_are_found_in_files_and_in_modules(tmp_path, monkeypatch):
+    text = "def ball(p):\n    return (p @ p) ** 0.5 - 0.3\n"
+    (tmp_path / "user_shapes_file.py").write_text(text)
+    (tmp_path / "user_shapes_module.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    for given in (f"{tmp_path}/user_shapes_file.py:ball", "user_shapes_module:ball"):
+        contacts = listed({"point": [0, 0, 0.3]}, {"surface": {"distance": given}})
+        rows = kernel_rows(contacts, np.eye(4), np.eye(4))
+        np.testing.assert_allclose(rows.phi, 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("no_such_module:ball", "cannot load the function 'no_such_module:ball': ModuleNotFound"),
+        ("no_such_file.py:ball", "no file at no_such_file.py"),
+        (
+            "math:no_such_name",
+            "there is no 'no_such_name' in math; its functions are 'acos', 'acosh'",
+        ),
+        ("math:pi", "'pi' in math is not a function"),
+        ("tests:<lambda>", "has no name by which it can be found again"),
+    ],
+)
+def test_functions_that_cannot_be_found_are_told(given, expected):
+    with pytest.raises(ModelError) as caught:
+        listed({"point": [0, 0, 0.3]}, {"surface": {"distance": given}})
+    assert expected in str(caught.value)
+
+
+def test_a_file_that_fails_is_told_with_its_error(tmp_path):
+    (tmp_path / "broken.py").write_text("1 / 0")
+    with pytest.raises(ModelError, match=r"broken\.py:ball.*ZeroDivisionError"):
+        listed({"point": [0, 0, 1]}, {"surface": {"distance": f"{tmp_path}/broken.py:ball"}})

@@ -15,6 +15,7 @@ from typing import get_args
 
 import pytest
 import yaml
+from mechanics import planar_pair
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -24,7 +25,7 @@ from multiarm.cli.progress import RunProgress, kernels_are_cached
 from multiarm.cli.run import Integrator, Solver, Stabilization
 from multiarm.errors import ControlError
 from multiarm.interrupts import deferred_interrupt
-from multiarm.scene import RunSpec, StabilizationSpec
+from multiarm.scene import RunSpec, StabilizationSpec, dump_scene
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples" / "scenes"
@@ -133,7 +134,7 @@ def test_module_and_command_are_one_program():
     assert out.strip() == f"multiarm {ma.__version__}"
 
 
-@pytest.mark.parametrize("command", ["run", "check", "replay", "report", "scaling"])
+@pytest.mark.parametrize("command", ["run", "check", "joints", "replay", "report", "scaling"])
 def test_every_command_has_help(command):
     result = multiarm(command, "--help")
     assert result.exit_code == 0
@@ -321,6 +322,43 @@ def test_check_names_redundant_contacts(tmp_path):
     assert found["redundant_rows"] == [f"left: contact {k}" for k in (1, 2, 3, 4)]
     assert found["largest_dropped"] < 1e-12 < 1e-3 < found["smallest_kept"]
     assert "1 too many among" in result.stdout
+    (joint,) = figures(tmp_path / "check.json")["joints"]
+    assert joint["rank"] == 3
+    assert joint["redundant_rows"] == [f"contact {k}" for k in (1, 2, 3, 4)]
+    assert joint["free_motions"] == ["slide along x and y", "turn about z"]
+
+
+def test_check_tells_what_each_joint_leaves_free_and_where_it_starts(tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "160")
+    hinge = {"arm": "left", "kind": "revolute", "axis": [1, 1, 0], "limits": [-0.3, 0.9]}
+    path = scene_file(tmp_path, joints=[hinge, {"arm": "right", "kind": "universal"}])
+    result = multiarm("check", path, "--json", tmp_path / "check.json")
+    assert result.exit_code == 0, result.output
+    left, right = figures(tmp_path / "check.json")["joints"]
+    assert (len(left["rows"]), left["rank"], left["redundant_rows"]) == (5, 5, [])
+    assert (left["free_motions"], left["coordinates"]) == (["turn about z"], ["turn z"])
+    assert (right["rank"], right["free_motions"]) == (4, ["turn about x and y"])
+    (limit,) = left["limits"]
+    assert (limit["coordinate"], limit["unit"]) == ("turn about z", "rad")
+    assert (limit["low"], limit["high"]) == (-0.3, 0.9)
+    assert abs(limit["start"]) < 1e-9 and right["limits"] == []
+    assert "5, rank 5" in result.stdout and "4, rank 4" in result.stdout
+    assert "turn about z: -0.3 to 0.9 rad, starts at 0" in result.stdout
+
+
+def test_rows_that_only_the_closed_loop_makes_redundant_are_not_laid_to_a_joint(tmp_path):
+    path = tmp_path / "planar.yaml"
+    path.write_text(dump_scene(planar_pair("planar_3r", [0.3, 0.8, 0.2], {"kind": "weld"})))
+    result = multiarm("check", path, "--json", tmp_path / "check.json")
+    assert result.exit_code == 0, result.output
+    found = figures(tmp_path / "check.json")
+    for joint in found["joints"]:
+        assert (joint["rank"], joint["redundant_rows"], joint["free_motions"]) == (6, [], [])
+    # twelve rows on 6 + 2 x 3 freedoms, of which motions in the plane leave 9 - 6
+    freedom = found["freedom"]
+    assert (freedom["constraints"], freedom["rank"], freedom["mobility"]) == (12, 9, 3)
+    assert {name.split(":")[0] for name in freedom["redundant_rows"]} == {"left", "right"}
+    assert "3 too many among" in result.stdout
 
 
 def _roll_pitch_yaw(rotation) -> list[float]:

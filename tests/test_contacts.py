@@ -22,18 +22,31 @@ from mechanics import (
 )
 
 from multiarm.contacts.records import (
-    CYLINDER,
-    PLANE,
-    SPHERE,
     SURFACE_ON_ARM,
     SURFACE_ON_OBJECT,
     Contact,
+    Surface,
+    cylinder,
+    plane,
+    sphere,
 )
 
-KINDS = [(PLANE, False), (CYLINDER, False), (CYLINDER, True), (SPHERE, False), (SPHERE, True)]
+SURFACES = {
+    "plane": plane,
+    "cylinder": lambda at, axis: cylinder(at, axis, 1.7),
+    "bore": lambda at, axis: cylinder(at, axis, 1.7, inside=True),
+    "sphere": lambda at, axis: sphere(at, 1.7),
+    "hollow_sphere": lambda at, axis: sphere(at, 1.7, inside=True),
+}
 
 
-def some_contact(rng, surface, inside, body, tip_radius, X_WT, X_WO):
+def contact_of(tip: Surface, guide: Surface, body: int = SURFACE_ON_OBJECT) -> Contact:
+    """A tip on a surface of ``body``."""
+    arm, other = (tip, guide) if body == SURFACE_ON_OBJECT else (guide, tip)
+    return Contact("c", arm, other)
+
+
+def some_contact(rng, surface, body, tip_radius, X_WT, X_WO):
     """A contact somewhere near its surface, not on it, and clear of the axis or centre."""
     axis = rng.standard_normal(3)
     X_WP, X_WS = (X_WT, X_WO) if body == SURFACE_ON_OBJECT else (X_WO, X_WT)
@@ -41,10 +54,7 @@ def some_contact(rng, surface, inside, body, tip_radius, X_WT, X_WO):
     at = (np.linalg.inv(X_WS) @ X_WP @ np.append(point, 1.0))[:3]
     radial = np.cross(axis, rng.standard_normal(3))
     origin = at - rng.uniform(1.5, 2.5) * radial / np.linalg.norm(radial)
-    return Contact(
-        "c", surface, body, point, origin, axis / np.linalg.norm(axis),
-        radius=0.0 if surface == PLANE else 1.7, inside=inside, tip_radius=tip_radius,
-    )  # fmt: skip
+    return contact_of(sphere(point, tip_radius), SURFACES[surface](origin, axis), body)
 
 
 @pytest.fixture(params=[SURFACE_ON_OBJECT, SURFACE_ON_ARM], ids=["on_object", "on_arm"])
@@ -58,10 +68,10 @@ def motion(rng):
     return random_pose(rng), random_pose(rng), rng.standard_normal(6), rng.standard_normal(6)
 
 
-@pytest.fixture(params=KINDS, ids=["plane", "cylinder", "bore", "sphere", "hollow_sphere"])
+@pytest.fixture(params=SURFACES)
 def contacts(request, surface_body, rng, motion):
     return [
-        some_contact(rng, *request.param, surface_body, tip_radius, *motion[:2])
+        some_contact(rng, request.param, surface_body, tip_radius, *motion[:2])
         for tip_radius in (0.0, 0.03, 0.2)
     ]
 
@@ -141,37 +151,33 @@ def test_c_follows_from_the_matrices(contacts, motion):
 def test_normals_point_into_the_object(surface_body):
     """A fingertip 2 m along x from the object's origin pushes it towards -x, whoever is round."""
     arm_at = pose(np.eye(3), [2.0, 0.0, 0.0])
-    face = [0.0, 0.0, 0.0]
     outward = np.array([1.0, 0.0, 0.0] if surface_body == SURFACE_ON_OBJECT else [-1.0, 0.0, 0.0])
-    for surface in (PLANE, SPHERE, CYLINDER):
-        axis = outward if surface == PLANE else np.array([0.0, 0.0, 1.0])
-        contact = Contact("c", surface, surface_body, np.zeros(3), np.array(face), axis, radius=0.5)
-        rows = kernel_rows([contact], arm_at, np.eye(4))
+    at = np.zeros(3)
+    for surface, gap in (
+        (plane(at, outward), 2.0),
+        (sphere(at, 0.5), 1.5),
+        (cylinder(at, [0, 0, 1], 0.5), 1.5),
+    ):
+        rows = kernel_rows([contact_of(sphere(at, 0.0), surface, surface_body)], arm_at, np.eye(4))
         np.testing.assert_allclose(rows.normals[0], [-1.0, 0.0, 0.0], atol=1e-15)
         np.testing.assert_allclose(rows.W_o[:3, 0], [-1.0, 0.0, 0.0], atol=1e-15)
         np.testing.assert_allclose(rows.W_m[:3, 0], [1.0, 0.0, 0.0], atol=1e-15)
-        assert rows.phi[0] == (2.0 if surface == PLANE else 1.5)
+        assert rows.phi[0] == gap
 
 
 # --- worked examples -----------------------------------------------------------------------------
 
 
-def sphere_on_sphere(data, tip_on_arm=True):
-    """Two spheres as a fingertip on one body and a surface on the other."""
-    tip, ball = ("m", "o") if tip_on_arm else ("o", "m")
-    return Contact(
-        "spheres", SPHERE, SURFACE_ON_OBJECT if tip_on_arm else SURFACE_ON_ARM,
-        np.array(data[f"c_{tip}"]), np.array(data[f"c_{ball}"]), np.array([0.0, 0.0, 1.0]),
-        radius=data[f"r_{ball}"], tip_radius=data[f"r_{tip}"],
-    )  # fmt: skip
+def sphere_on_sphere(data):
+    """Two spheres: the arm's is the fingertip, the object's the surface."""
+    return Contact("spheres", sphere(data["c_m"], data["r_m"]), sphere(data["c_o"], data["r_o"]))
 
 
-@pytest.mark.parametrize("tip_on_arm", [True, False])
-def test_two_spheres_overlap_as_in_the_worked_example(tip_on_arm):
+def test_two_spheres_overlap_as_in_the_worked_example():
     example = WORKED["sphere_sphere_contact"]
     data, expected = example["inputs"], example["expected"]
     X_WT = pose(np.array(data["R_m_in_o"]), data["x_m_in_o"])
-    rows = kernel_rows([sphere_on_sphere(data, tip_on_arm)], X_WT, np.eye(4))
+    rows = kernel_rows([sphere_on_sphere(data)], X_WT, np.eye(4))
     assert rows.phi[0] == pytest.approx(expected["phi"], abs=1e-9)
     # the computed surface points are on the common normal
     p_o = np.array(expected["p_o_tilde"])
@@ -179,14 +185,13 @@ def test_two_spheres_overlap_as_in_the_worked_example(tip_on_arm):
     np.testing.assert_allclose(along_normal, 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("tip_on_arm", [True, False])
-def test_rates_of_two_spheres_equal_the_worked_example(tip_on_arm):
+def test_rates_of_two_spheres_equal_the_worked_example():
     """The columns depend on the line of the normal only, whichever point on it is used."""
     example = WORKED["sphere_sphere_rates"]
     data, e = example["inputs"], {k: np.array(v) for k, v in example["expected"].items()}
     R, x = np.array(data["R_m_in_o"]), np.array(data["x_m_in_o"])
     twist = np.concatenate([data["xdot"], data["omega"]])
-    rows = kernel_rows([sphere_on_sphere(data, tip_on_arm)], pose(R, x), np.eye(4), twist)
+    rows = kernel_rows([sphere_on_sphere(data)], pose(R, x), np.eye(4), twist)
     e_m = -R.T @ e["n_o"]
     expected = {
         "W_o": np.concatenate([e["n_o"], np.cross(e["p_o"], e["n_o"])]),
@@ -208,11 +213,11 @@ def test_moving_hinge_has_the_worked_examples_matrices_and_bias():
     data, expected = example["inputs"], example["expected"]
     z = np.array([0.0, 0.0, 1.0])
     contacts = [
-        Contact("c", CYLINDER, SURFACE_ON_OBJECT, np.array(p), np.zeros(3), z, radius=data["r"])
+        contact_of(sphere(p, 0.0), cylinder(np.zeros(3), z, data["r"]))
         for p in data["points_m"][:4]
     ]
     end = np.array(data["points_m"][4])
-    contacts.append(Contact("end", PLANE, SURFACE_ON_OBJECT, end, end, z))
+    contacts.append(contact_of(sphere(end, 0.0), plane(end, z)))
     rows = kernel_rows(
         contacts,
         pose(np.array(data["R_m"]), data["x_m"]),
@@ -228,10 +233,8 @@ def test_moving_hinge_has_the_worked_examples_matrices_and_bias():
 
 
 def test_contact_near_the_middle_of_a_cylinder_is_still_finite():
-    contact = Contact(
-        "c", CYLINDER, SURFACE_ON_OBJECT, np.array([1e-9, 0.0, 3.0]), np.zeros(3),
-        np.array([0.0, 0.0, 1.0]), radius=0.2, inside=True, tip_radius=0.05,
-    )  # fmt: skip
+    bore = cylinder([0, 0, 0], [0, 0, 1], 0.2, inside=True)
+    contact = contact_of(sphere([1e-9, 0.0, 3.0], 0.05), bore)
     rows = kernel_rows([contact], np.eye(4), np.eye(4))
     assert rows.phi[0] == pytest.approx(0.15, abs=1e-8)
     assert math.isclose(np.linalg.norm(rows.normals[0]), 1.0)

@@ -349,8 +349,8 @@ def test_forces_act_at_the_points_along_the_normals(rng):
         X_WO = np.eye(4)
         X_WO[:3, :3], X_WO[:3, 3] = R, state.object_position
         X_WT = system.arms["arm"].tip_pose(state.joint_positions["arm"])
-        centre = ((X_WT if on_object else X_WO) @ np.append(contact.point, 1.0))[:3]
-        assert np.linalg.norm(point - centre) == pytest.approx(contact.tip_radius, abs=1e-12)
+        centre = ((X_WT if on_object else X_WO) @ np.append(contact.follower.origin, 1.0))[:3]
+        assert np.linalg.norm(point - centre) == pytest.approx(contact.follower.sizes[0], abs=1e-12)
 
 
 def test_a_result_certifies_itself(ur5_system, rng):

@@ -105,6 +105,21 @@ def test_corner_grippers_block_names_every_fingertip(printed):
     assert end == 3.0
 
 
+def test_hinged_box_is_led_by_its_waypoints_and_squeezed(printed):
+    text = printed("04_hinged_box.py")
+    assert text.startswith("completed: ")
+    rows = figures(r"(?m)^at# s: box# m off, hinge at# rad$", text)
+    assert [row[0] for row in rows] == [1.0, 2.0, 3.0]
+    assert all(error < 1e-6 for _, error, _ in rows)
+    assert max(abs(angle) for _, _, angle in rows) > 0.1  # the hinge does turn
+    ((imbalance,),) = figures("energy balance# J", text)
+    assert 0.0 <= imbalance < 1e-4
+    left, right = np.array(figures(r"squeezes with \(#,#,#\) N", text))
+    np.testing.assert_allclose(left, [30.0, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(left + right, 0.0, atol=0.02)
+    assert max(figures("arm=#, object=#, constraint=#", text)[0]) < 1e-9
+
+
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"

@@ -41,7 +41,7 @@ IN_PICTURE = """() => {
   viewer.scene.updateMatrixWorld(true);
   viewer.camera.updateMatrixWorld(true);
   for (const branch of world.children) {
-    if (!["object", "arms", "contacts", "forces"].includes(branch.name)) continue;
+    if (!["object", "arms", "contacts", "forces", "joints"].includes(branch.name)) continue;
     branch.traverse((node) => {
       if (!node.isMesh) return;
       node.geometry.computeBoundingBox();

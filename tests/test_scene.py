@@ -15,11 +15,17 @@ from multiarm.errors import MultiarmError, SceneError
 from multiarm.scene import (
     ArmSpec,
     BallJoint,
+    ContactsJoint,
+    CylindricalJoint,
+    Geometry,
     ObjectSpec,
     Pose,
+    PrismaticJoint,
+    RevoluteJoint,
     Scene,
     WeldJoint,
     dump_scene,
+    function_text,
     gain_vector,
     joint_vector,
     load_scene,
@@ -115,6 +121,121 @@ def test_every_kind_of_part_survives_writing_and_reading():
         ],
     }
     scene = parse_scene(data)
+    assert parse_scene(dump_scene(scene)) == scene
+
+
+SURFACES = [
+    {"point": [0, 0, 0.1]},
+    {"sphere": {"radius": 0.02, "patch": {"min": [None, -0.1, None], "max": [0.5, 0.1, None]}}},
+    {"plane": {"normal": [0, 1, 1], "patch": {"max": [0.5, 0.1, 0.2]}}},
+    {"cylinder": {"radius": 0.1, "inside": True}},
+    {"cone": {"half_angle": 0.4, "apex": [0, 0, 1], "axis": [0, 1, 0], "inside": True}},
+    {"torus": {"circle_radius": 0.2, "tube_radius": 0.05, "center": [1, 0, 0], "inside": True}},
+    {"ellipsoid": {"semi_axes": [0.1, 0.2, 0.3], "rpy": [0.1, 0.2, 0.3]}},
+    {"ellipsoid": {"semi_axes": [0.1, 0.2, 0.3], "quaternion_xyzw": [0, 0, 1, 1]}},
+    {"surface": {"distance": "no_such_package.shapes:blob", "length": 0.2, "inside": True}},
+    {
+        "surface": {
+            "parametrisation": "/no/such/file.py:bowl",
+            "derivatives": "/no/such/file.py:rates.of_bowl",
+            "u": [-1, 1],
+            "v": [0, 2],
+            "flip": True,
+            "origin": [0, 0, 1],
+            "quaternion_xyzw": [0, 0, 1, 1],
+        }
+    },
+]
+
+
+@pytest.mark.parametrize("surface", SURFACES, ids=lambda surface: next(iter(surface)))
+def test_every_surface_survives_writing_and_reading(surface):
+    """Functions too, whose file or module is absent: they are looked up when they are needed."""
+    contact = {"arm": {"sphere": {"radius": 0.01}}, "object": surface, "rolling": True}
+    contacts = [contact, {"arm": surface, "object": {"sphere": {"radius": 0.01}}}]
+    scene = parse_scene(
+        scene_with("joints.1", {"arm": "right", "kind": "contacts", "contacts": contacts})
+    )
+    assert scene.joints[1].contacts[0].object == Geometry(**surface)
+    again = parse_scene(dump_scene(scene))
+    assert again == scene
+    assert again.joints[1].contacts[0].rolling
+
+
+def test_every_joint_with_parameters_of_its_own_survives_writing_and_reading():
+    for joint in (
+        {"kind": "revolute", "limits": [-1.5, 0]},
+        {"kind": "prismatic", "limits": [0, 0.2]},
+        {"kind": "cylindrical", "turn_limits": [-1, 1], "slide_limits": [-0.1, 0.2]},
+        {"kind": "wrenches", "wrenches": [[1, 0, 0, 0, 0, 0], [0] * 5 + [2]], "carried_by": "arm"},
+    ):
+        scene = parse_scene(scene_with("joints.0", {"arm": "left", **joint}))
+        assert parse_scene(dump_scene(scene)) == scene
+        assert scene.joints[0].kind == joint["kind"]
+
+
+def test_limits_are_told_by_component_of_the_motion():
+    assert RevoluteJoint(arm="a", limits=(-1, 2)).free_limits == {5: (-1, 2)}
+    assert PrismaticJoint(arm="a", limits=(-1, 2)).free_limits == {2: (-1, 2)}
+    assert CylindricalJoint(arm="a", turn_limits=(0, 2)).free_limits == {5: (0, 2)}
+    both = CylindricalJoint(arm="a", turn_limits=(0, 2), slide_limits=(-3, 0))
+    assert both.free_limits == {2: (-3, 0), 5: (0, 2)}
+    assert RevoluteJoint(arm="a").free_limits == BallJoint(arm="a").free_limits == {}
+
+
+def distance_from_a_ball(p):
+    return (p @ p) ** 0.5 - 0.1
+
+
+class Shape:
+    def distance(self, p):
+        return distance_from_a_ball(p)
+
+    def __call__(self, p):
+        return distance_from_a_ball(p)
+
+
+def with_functions(**surface):
+    contact = {"arm": {"point": [0, 0, 0.1]}, "object": {"surface": surface}}
+    return scene_with("joints.1", {"arm": "right", "kind": "contacts", "contacts": [contact]})
+
+
+def test_functions_given_in_python_are_written_by_name():
+    scene = parse_scene(with_functions(distance=distance_from_a_ball))
+    surface = scene.joints[1].contacts[0].object.surface
+    assert surface.distance is distance_from_a_ball
+    again = parse_scene(dump_scene(scene))
+    written = again.joints[1].contacts[0].object.surface.distance
+    assert written == f"{__name__}:distance_from_a_ball"
+    assert again == scene
+    assert scene.replace(name="other").joints[1].contacts[0].object.surface == surface
+
+
+@pytest.mark.parametrize(
+    ("function", "name"),
+    [
+        (lambda p: 0.0, "<lambda>"),
+        (Shape().distance, "<Shape.distance>"),
+        (Shape(), "<Shape object>"),
+    ],
+    ids=["lambda", "method", "object"],
+)
+def test_functions_without_a_name_are_written_in_angle_brackets(function, name):
+    assert function_text(function) == f"{__name__}:{name}"
+    scene = parse_scene(with_functions(distance=function))
+    assert parse_scene(dump_scene(scene)) == scene
+
+
+def test_functions_of_the_running_script_are_written_with_its_file(monkeypatch):
+    monkeypatch.setattr(distance_from_a_ball, "__module__", "__main__")
+    monkeypatch.setattr("__main__.__file__", "/some/script.py", raising=False)
+    assert function_text(distance_from_a_ball) == "/some/script.py:distance_from_a_ball"
+
+
+def test_files_of_functions_start_at_the_scene(tmp_path):
+    scene = Scene.from_mapping(with_functions(distance="shapes.py:blob"), tmp_path)
+    surface = scene.joints[1].contacts[0].object.surface
+    assert surface.distance == f"{tmp_path.resolve()}/shapes.py:blob"
     assert parse_scene(dump_scene(scene)) == scene
 
 
@@ -316,6 +437,158 @@ def test_faults_of_joints_are_told(joint, expected):
     assert expected in fault
 
 
+BALL = {"sphere": {"radius": 0.1}}
+ROD = {"cylinder": {"radius": 0.1}}
+FACE = {"plane": {"normal": [0, 0, 1]}}
+EGG = {"ellipsoid": {"semi_axes": [0.3, 0.2, 0.1]}}
+RING = {"torus": {"circle_radius": 0.3, "tube_radius": 0.1}}
+HORN = {"cone": {"half_angle": 0.3}}
+BLOB = {"surface": {"distance": "shapes:blob"}}
+
+
+def hollow(geometry, **changes):
+    ((shape, value),) = geometry.items()
+    return {shape: {**value, "inside": True, **changes}}
+
+
+@pytest.mark.parametrize(
+    ("arm", "body", "expected"),
+    [
+        (FACE, FACE, "along a line or a face; use a sphere, a torus or an ellipsoid"),
+        (FACE, ROD, "a plane on the arm and a cylinder of radius 0.1 m on the object make no"),
+        (ROD, FACE, "along a line or a face"),
+        (FACE, HORN, "along a line or a face"),
+        (FACE, hollow(BALL), "a plane is straight and cannot touch a hollow from within"),
+        (ROD, hollow(ROD, radius=0.5), "a cylinder is straight"),
+        (hollow(EGG), HORN, "a cone is straight"),
+        (hollow(BALL), hollow(ROD), "both are touched from within; leave out 'inside'"),
+        (hollow(BLOB), hollow(BALL), "both are touched from within"),
+        (BALL, hollow(BALL), "it does not fit; make the inner surface smaller or the hollow one"),
+        (hollow(ROD), BALL, "a hollow cylinder of radius 0.1 m on the arm and a sphere of radius"),
+        (BALL, hollow(RING), "a hollow torus with a tube of radius 0.1 m"),
+        (EGG, hollow(BALL, radius=0.13), "an ellipsoid on the arm and a hollow sphere"),
+        (RING, hollow(BALL, radius=0.35), "does not fit"),
+        (RING, hollow(ROD, radius=0.1), "does not fit"),
+        ({"point": [0, 0, 0]}, {"point": [0, 0, 0]}, "two points have no normal"),
+        (BALL, {"cone": {"half_angle": 1.6}}, "'half_angle' lies between 0 and pi / 2 rad"),
+        (BALL, {"torus": {"circle_radius": 1, "tube_radius": 1}}, "closes itself"),
+        (BALL, {"ellipsoid": {"semi_axes": [1, 0, 1]}}, "must be greater than 0"),
+        (BALL, {"ellipsoid": {"semi_axes": [1, 1]}}, "semi_axes"),
+        (
+            BALL,
+            {"ellipsoid": {"semi_axes": [1, 1, 1], "rpy": [1, 0, 0], "quaternion_xyzw": [1] * 4}},
+            "object.ellipsoid: gives both 'rpy' and 'quaternion_xyzw'; keep one of them",
+        ),
+        (BALL, {"plane": {"normal": [0, 0, 1], "inside": True}}, "unknown key 'inside'"),
+        (BALL, {"ball": {}}, "unknown key 'ball'"),
+        (BALL, {**FACE, **ROD}, "needs exactly one of 'point', 'sphere', 'plane', 'cylinder'"),
+        (BALL, {"surface": {}}, "needs either 'distance' or 'parametrisation', got neither"),
+        (BALL, {"surface": {"distance": 3}}, "must be a Python function, or name one as 'file.py"),
+        (BALL, {"surface": {"distance": "blob"}}, "must be a Python function, or name one"),
+        (BALL, {"surface": {"distance": "a:b", "parametrisation": "a:b"}}, "got both"),
+        (
+            BALL,
+            {"surface": {"distance": "a:b", "u": [0, 1]}},
+            "'u' cannot be given with 'distance'",
+        ),
+        (
+            BALL,
+            {"surface": {"parametrisation": "a:b", "u": [0, 1]}},
+            "needs the ranges 'u' and 'v'",
+        ),
+        (
+            BALL,
+            {"surface": {"parametrisation": "a:b", "u": [1, 0], "v": [0, 1]}},
+            "surface.u: must run from a smaller to a larger number, got [1, 0]",
+        ),
+        (BALL, {"surface": {"distance": "a:b", "length": 0}}, "must be greater than 0"),
+        (BALL, hollow(ROD, radius=1, patch={"min": [0, 0]}), "patch.min: must be a list of 3"),
+        (BALL, hollow(ROD, radius=1, patch={"min": [0, "a", 0]}), "patch.min[1]: must be a number"),
+        (
+            BALL,
+            hollow(ROD, radius=1, patch={"min": [None, 1, 0], "max": [0, 1, None]}),
+            "along y 'min' 1 must be less than 'max' 1",
+        ),
+    ],
+)
+def test_surfaces_that_cannot_be_or_touch_are_refused_with_one_fault(arm, body, expected):
+    contact = {"arm": arm, "object": body}
+    fault = only_fault("joints.0", {"arm": "left", "kind": "contacts", "contacts": [contact]})
+    assert fault.startswith("$.joints[0].contacts[0]")
+    assert expected in fault
+
+
+@pytest.mark.parametrize(
+    ("arm", "body"),
+    [
+        (ROD, ROD),
+        (ROD, HORN),
+        (HORN, HORN),
+        (RING, FACE),
+        (EGG, FACE),
+        (EGG, EGG),
+        (RING, ROD),
+        (BLOB, FACE),
+        (BLOB, hollow(BALL)),
+        (BALL, hollow(HORN)),
+        (EGG, hollow(HORN)),
+        (EGG, hollow(BALL, radius=0.14)),
+        (RING, hollow(ROD, radius=0.11)),
+        (RING, hollow(BALL, radius=0.41)),
+        (ROD, hollow(RING, tube_radius=0.11)),
+        # a shallow dish, cut from an ellipsoid, holds a ball larger than its own depth
+        (BALL, hollow(EGG, semi_axes=[0.3, 0.3, 0.05])),
+        ({"point": [0, 0, 0]}, hollow(EGG)),
+    ],
+)
+def test_surfaces_that_can_touch_in_a_point_are_accepted_either_way_round(arm, body):
+    for contact in ({"arm": arm, "object": body}, {"arm": body, "object": arm}):
+        assert ContactsJoint(arm="a", contacts=[contact]).contacts
+
+
+@pytest.mark.parametrize(
+    ("joint", "expected"),
+    [
+        ({"kind": "wrenches"}, "wrenches: is missing (a list of [fx, fy, fz, mx, my, mz])"),
+        ({"kind": "wrenches", "wrenches": []}, "'wrenches' is empty"),
+        ({"kind": "wrenches", "wrenches": [[1, 0, 0]]}, "wrenches[0]: must be a list of 6 numbers"),
+        ({"kind": "wrenches", "wrenches": [[0] * 6]}, "wrench 1 is zero (counted from 1)"),
+        (
+            {"kind": "wrenches", "wrenches": [[1] * 6], "carried_by": "tip"},
+            "carried_by: unknown value 'tip'; choices are 'object', 'arm'",
+        ),
+        (
+            {
+                "kind": "wrenches",
+                "wrenches": [
+                    [1, 0, 0, 0, 0, 0],
+                    [0, 1, 0, 0, 0, 1],
+                    [0, 0, 1, 0, 0, 0],
+                    [3, -2, 0, 0, 0, -2],
+                    [0, 0, 1e-9, 0, 0, 0],
+                ],
+            },
+            "wrench 4 is a combination of wrenches 1 and 2; wrench 5 is a combination of wrench 3",
+        ),
+        ({"kind": "revolute", "limits": [0.1, 1]}, "limits: limits are counted from the start and"),
+        ({"kind": "revolute", "limits": [1, -1]}, "must run from a smaller to a larger number"),
+        ({"kind": "prismatic", "limits": 0.5}, "must be a list of two numbers, from and to"),
+        ({"kind": "cylindrical", "limits": [-1, 1]}, "did you mean 'turn_limits'"),
+        ({"kind": "ball", "limits": [-1, 1]}, "unknown key 'limits'"),
+    ],
+)
+def test_faults_of_wrenches_and_limits_are_told(joint, expected):
+    fault = only_fault("joints.0", {"arm": "left", **joint})
+    assert fault.startswith("$.joints[0]")
+    assert expected in fault
+
+
+def test_a_seventh_wrench_is_always_too_many():
+    rows = np.random.default_rng(3).normal(size=(7, 6)).tolist()
+    fault = only_fault("joints.0", {"arm": "left", "kind": "wrenches", "wrenches": rows})
+    assert "wrench 7 is a combination of wrenches 1, 2, 3, 4, 5 and 6" in fault
+
+
 def test_path_times_must_increase():
     path = [{"time": 1, "xyz": [0, 0, 1]}, {"time": 1, "xyz": [0, 0, 2]}]
     control = {"kind": "joint_pd", "stiffness": 1, "damping": 1, "path": path}
@@ -470,6 +743,10 @@ _places = st.sampled_from(
         "arms.left.base.rpy",
         "joints.0",
         "joints.1.at",
+        "joints.1.contacts.0.object",
+        "joints.1.contacts.0.arm.surface",
+        "joints.1.contacts.0.arm.surface.distance",
+        "joints.1.wrenches",
         "control.torques",
         "control.kind",
         "effects.joint_damping",
@@ -481,7 +758,18 @@ _places = st.sampled_from(
 @settings(max_examples=300, deadline=None)
 @given(path=_places, value=_junk)
 def test_junk_anywhere_gives_a_scene_or_a_scene_error(path, value):
-    data = scene_with(path, value)
+    data = with_functions(distance="shapes:blob") if "contacts" in path else scene_with(path, value)
+    if "contacts" in path:
+        contact = data["joints"][1]["contacts"][0]
+        contact["object"], contact["arm"] = contact["arm"], contact["object"]
+        *way, last = path.split(".")[4:]
+        table = contact
+        for part in way:
+            table = table[part]
+        table[last] = value
+    if path == "joints.1.wrenches":
+        data["joints"][1]["kind"] = "wrenches"
+        del data["joints"][1]["at"]
     if path == "control.torques":
         data["control"]["kind"] = "constant"
     try:

@@ -1,4 +1,4 @@
-"""The command line: ``multiarm run``, ``check``, ``replay``, ``report`` and ``scaling``.
+"""The command line: ``multiarm run``, ``check``, ``joints``, ``replay``, ``report``, ``scaling``.
 
 Each command is a function in a module of its own; whatever is heavy is imported when a command
 runs, so that ``--help`` answers at once.  Exit codes: 0 all went well; 1 a run failed or was
@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 import multiarm
 from multiarm.cli.check import check
+from multiarm.cli.joints import joints
 from multiarm.cli.run import run
 from multiarm.cli.scaling import scaling
 from multiarm.cli.show import replay, report
@@ -77,5 +78,5 @@ def _program(
     """
 
 
-for _command in (run, check, replay, report, scaling):
+for _command in (run, check, joints, replay, report, scaling):
     app.command()(_command)

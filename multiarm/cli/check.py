@@ -13,7 +13,7 @@ from multiarm.cli.files import check_targets, write_json
 from multiarm.cli.terminal import columns, facts, number, output, print_warnings, vector
 
 if TYPE_CHECKING:
-    from multiarm.inspection import ArmFacts, Carrying, Freedom, Inspection, RunFacts
+    from multiarm.inspection import ArmFacts, Carrying, Freedom, Inspection, JointFacts, RunFacts
 
 __all__ = ["check"]
 
@@ -58,9 +58,9 @@ def _tables(found: Inspection) -> list[RenderableType]:
         facts(found.scene, _general(found)),
         *(facts(f"Arm {name}", _arm(arm)) for name, arm in found.arms.items()),
         columns(
-            "Joints to the object",
-            ("arm", "kind", "rows", "contacts"),
-            [(j.name or j.arm, j.kind, str(len(j.rows)), ", ".join(j.rows)) for j in found.joints],
+            "Joints to the object (z: the joint's axis or normal)",
+            ("arm", "kind", "rows", "free motions", "contacts"),
+            [_joint(joint) for joint in found.joints],
         ),
         facts("Freedom", _freedom(found.freedom)),
         facts("Start", _start(found)),
@@ -100,6 +100,21 @@ def _arm(arm: ArmFacts) -> dict[str, RenderableType]:
     if arm.locked:
         rows["locked"] = ", ".join(f"{joint} {value:g}" for joint, value in arm.locked.items())
     return rows
+
+
+def _joint(joint: JointFacts) -> tuple[RenderableType, ...]:
+    """One joint by itself; its axes are those of the joint's frame."""
+    limited = {limit.coordinate: limit for limit in joint.limits}
+    free = [motion for motion in joint.free_motions if motion not in limited]
+    for coordinate, limit in limited.items():
+        bounds = f"{number(limit.low)} to {number(limit.high, limit.unit)}"
+        free.append(f"{coordinate}: {bounds}, starts at {vector([limit.start])}")
+    contacts = Text(", ".join(joint.rows))
+    if joint.redundant_rows:
+        count = len(joint.rows) - joint.rank
+        contacts.append(f"; {count} too many among: {', '.join(joint.redundant_rows)}", "yellow")
+    rows = f"{len(joint.rows)}, rank {joint.rank}"
+    return joint.name or joint.arm, joint.kind, rows, "\n".join(free) or "none", contacts
 
 
 def _posture(conditioning: float | None, verdict: str | None) -> Text:

@@ -46,10 +46,12 @@ def scaling(
 ) -> None:
     """Measure how the cost of one evaluation grows with the number of arms, and print a table.
 
-    The JSON holds what multiarm.benchmarks.scaling.run_scaling returns.
+    A second table has the cost of one row of W for every kind of surface. The JSON holds what
+    multiarm.benchmarks.scaling.run_scaling returns, and the rows' microseconds under contact_rows.
     """
     counts = _counts(arms)
     check_targets({"--plot": plot, "--json": json})
+    from multiarm.benchmarks import contact_rows
     from multiarm.benchmarks import scaling as benchmark
 
     kinds = ("weld", "ball") if kind is Kind.all else (kind.value,)
@@ -57,7 +59,9 @@ def scaling(
         result = benchmark.run_scaling(
             arms=counts, kinds=kinds, rounds=rounds, progress=status.update
         )
+        result["contact_rows"] = contact_rows.measure_rows(rounds, progress=status.update)
     benchmark.print_scaling(result, output())
+    contact_rows.print_rows(result["contact_rows"], output())
     if json is not None:
         write_json(json, result)
     if plot is not None:

@@ -41,8 +41,8 @@ def replay(
 ) -> None:
     """Show the motion of a run in the browser, until Ctrl-C, or write it to one HTML file.
 
-    Shown are arms, object, contacts and contact forces. A run that failed or was interrupted is
-    shown as far as it came.
+    Shown are arms, object, joints with their axes and limits, contacts and contact forces. A run
+    that failed or was interrupted is shown as far as it came.
     """
     check_targets({"--html": html}, source=result)
     trajectory = _open_with_samples(result)

@@ -17,7 +17,8 @@ universal          4     three on a sphere, one on the plane x = 0
 planar             3     three on a plane
 point_on_plane, point_on_cylinder, point_on_sphere: one fingertip on that face
 corner_gripper     4     four fingertips on the three faces at a corner of a block (Example 3.1)
-contacts           N     as listed by the user
+contacts           N     as listed by the user; a rolling one has two rows more
+wrenches           N     one contact, or the difference of two, for each wrench listed
 =================  ====  ==============================================================
 
 A ball is written with three coincident points on three planes rather than with a sphere: both have
@@ -27,21 +28,43 @@ the same wrenches through the centre, and this one has them at every relative or
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from multiarm.contacts.records import (
-    CYLINDER,
-    PLANE,
-    SPHERE,
-    SURFACE_ON_ARM,
-    SURFACE_ON_OBJECT,
     Contact,
+    Surface,
+    Vector,
+    basis,
+    cylinder,
+    plane,
+    point,
+    sphere,
 )
+from multiarm.contacts.wrench_rows import wrench_contacts
+from multiarm.contacts.written import listed_contacts
 
 X, Y, Z = np.eye(3)
 ZERO = np.zeros(3)
+
+# Components of the relative motion that stay free, in the axes of the joint's frame (its z axis is
+# the joint's axis or normal): 0 to 2 are translations along, 3 to 5 turns about x, y, z.  None:
+# to be chosen by the numbers of the start.
+FREE: dict[str, tuple[int, ...] | None] = {
+    "weld": (),
+    "ball": (3, 4, 5),
+    "revolute": (5,),
+    "prismatic": (2,),
+    "cylindrical": (2, 5),
+    "universal": (3, 4),
+    "planar": (0, 1, 5),
+    "point_on_plane": None,
+    "point_on_cylinder": None,
+    "point_on_sphere": None,
+    "corner_gripper": None,
+    "contacts": None,
+    "wrenches": None,
+}
 
 
 def joint_contacts(joint, object_pose: np.ndarray) -> list[Contact]:
@@ -57,10 +80,34 @@ def joint_contacts(joint, object_pose: np.ndarray) -> list[Contact]:
     -------
     list of Contact
         The arm's geometry in the tip frame, the object's in the object frame.
+
+    Raises
+    ------
+    ModelError
+        When a surface of the user's cannot be loaded.
     """
     contacts = CATALOGUE[joint.kind](joint)
     on_tip = joint.at_tip.matrix()
     return [_placed(contact, on_tip, object_pose) for contact in contacts]
+
+
+def joint_frame(joint, object_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The frame in which the joint's free motions are told, on both bodies.
+
+    Parameters
+    ----------
+    joint : one of the joints of :mod:`multiarm.scene`
+    object_pose : ndarray, shape (4, 4)
+        Pose of the joint frame in the object frame.
+
+    Returns
+    -------
+    on_tip, on_object : ndarray, shape (4, 4)
+        Poses in the tip frame and in the object frame; z is the joint's axis or normal.
+    """
+    turn = np.eye(4)
+    turn[:3, :3] = basis(_own_axis(joint))
+    return joint.at_tip.matrix() @ turn, object_pose @ turn
 
 
 def surface_offset(joint) -> np.ndarray:
@@ -70,9 +117,9 @@ def surface_offset(joint) -> np.ndarray:
     fingertip's centre, along -X (cylinder, sphere) or against the normal (plane).
     """
     if joint.kind == "point_on_plane":
-        return -joint.tip_radius * _unit(joint.normal)
+        return -joint.tip_radius * basis(joint.normal)[:, 2]
     if joint.kind == "point_on_cylinder":
-        return -_centre_distance(joint) * _basis(joint.axis)[:, 0]
+        return -_centre_distance(joint) * basis(joint.axis)[:, 0]
     if joint.kind == "point_on_sphere":
         return -_centre_distance(joint) * X
     return ZERO
@@ -106,11 +153,11 @@ def _prismatic(joint) -> list[Contact]:
 
 def _universal(joint) -> list[Contact]:
     r = joint.size / 2.0
-    sphere = [
-        Contact(f"universal {k}", SPHERE, SURFACE_ON_OBJECT, r * axis, ZERO, Z, radius=r)
+    ball = [
+        Contact(f"universal {k}", point(r * axis), sphere(ZERO, r))
         for k, axis in enumerate((X, Y, Z))
     ]
-    return sphere + _on_planes("universal cross", [r * Y], [X])
+    return ball + _on_planes("universal cross", [r * Y], [X])
 
 
 def _planar(joint) -> list[Contact]:
@@ -120,51 +167,24 @@ def _planar(joint) -> list[Contact]:
 
 
 def _point_on_plane(joint) -> list[Contact]:
-    normal = _unit(joint.normal)
-    return [
-        Contact(
-            "fingertip", PLANE, SURFACE_ON_OBJECT, ZERO, ZERO, normal, tip_radius=joint.tip_radius
-        )
-    ]
+    return [_fingertip(joint, plane(ZERO, joint.normal))]
 
 
 def _point_on_cylinder(joint) -> list[Contact]:
-    return [_fingertip(joint, CYLINDER, _unit(joint.axis))]
+    return [_fingertip(joint, cylinder(ZERO, joint.axis, joint.radius, joint.inside))]
 
 
 def _point_on_sphere(joint) -> list[Contact]:
-    return [_fingertip(joint, SPHERE, Z)]
+    return [_fingertip(joint, sphere(ZERO, joint.radius, joint.inside))]
 
 
 def _corner_gripper(joint) -> list[Contact]:
     contacts = []
-    for k, (point, face) in enumerate(zip(joint.points, joint.faces, strict=True)):
+    for k, (at, face) in enumerate(zip(joint.points, joint.faces, strict=True)):
         into_block = np.eye(3)["xyz".index(face)]
-        centre = np.array(point) - joint.tip_radius * into_block
-        contacts.append(
-            Contact(
-                f"fingertip {k + 1} on face {face}",
-                PLANE,
-                SURFACE_ON_OBJECT,
-                centre,
-                ZERO,
-                -into_block,
-                tip_radius=joint.tip_radius,
-            )
-        )
-    return contacts
-
-
-def _listed(joint) -> list[Contact]:
-    contacts = []
-    for k, spec in enumerate(joint.contacts):
-        tip_on_arm = spec.arm.is_tip and spec.object.is_surface
-        tip, surface = (spec.arm, spec.object) if tip_on_arm else (spec.object, spec.arm)
-        body = SURFACE_ON_OBJECT if tip_on_arm else SURFACE_ON_ARM
-        point, tip_radius = _tip(tip)
-        kind, origin, axis, radius, inside = _surface(surface)
-        name = spec.name or f"contact {k + 1}"
-        contacts.append(Contact(name, kind, body, point, origin, axis, radius, inside, tip_radius))
+        tip = sphere(np.array(at) - joint.tip_radius * into_block, joint.tip_radius)
+        name = f"fingertip {k + 1} on face {face}"
+        contacts.append(Contact(name, tip, plane(ZERO, -into_block), pushes_only=True))
     return contacts
 
 
@@ -180,41 +200,35 @@ CATALOGUE: dict[str, Callable[..., list[Contact]]] = {
     "point_on_cylinder": _point_on_cylinder,
     "point_on_sphere": _point_on_sphere,
     "corner_gripper": _corner_gripper,
-    "contacts": _listed,
+    "contacts": listed_contacts,
+    "wrenches": wrench_contacts,
 }
+
+
+def _own_axis(joint) -> Vector:
+    for name in ("axis", "normal"):
+        if hasattr(joint, name):
+            return getattr(joint, name)
+    return Z
 
 
 def _on_planes(name: str, points: list, normals: list) -> list[Contact]:
     """Points of the arm, each on a plane of the object through that point."""
-    contacts = []
-    for k, (p, n) in enumerate(zip(points, normals, strict=True)):
-        p = np.array(p, dtype=float)
-        contacts.append(Contact(f"{name} {k + 1}", PLANE, SURFACE_ON_OBJECT, p, p, n))
-    return contacts
+    return [
+        Contact(f"{name} {k + 1}", point(p), plane(p, n))
+        for k, (p, n) in enumerate(zip(points, normals, strict=True))
+    ]
 
 
 def _cylinder_contacts(name: str, r: float) -> list[Contact]:
     points = [(r, 0, r), (0, r, r), (r, 0, -r), (0, r, -r)]
     return [
-        Contact(
-            f"{name} {k + 1}", CYLINDER, SURFACE_ON_OBJECT, np.array(p, float), ZERO, Z, radius=r
-        )
-        for k, p in enumerate(points)
+        Contact(f"{name} {k + 1}", point(p), cylinder(ZERO, Z, r)) for k, p in enumerate(points)
     ]
 
 
-def _fingertip(joint, surface: int, axis: np.ndarray) -> Contact:
-    return Contact(
-        "fingertip",
-        surface,
-        SURFACE_ON_OBJECT,
-        ZERO,
-        ZERO,
-        axis,
-        radius=joint.radius,
-        inside=joint.inside,
-        tip_radius=joint.tip_radius,
-    )
+def _fingertip(joint, face: Surface) -> Contact:
+    return Contact("fingertip", sphere(ZERO, joint.tip_radius), face, pushes_only=True)
 
 
 def _centre_distance(joint) -> float:
@@ -222,53 +236,16 @@ def _centre_distance(joint) -> float:
     return joint.radius + (-joint.tip_radius if joint.inside else joint.tip_radius)
 
 
-def _tip(geometry) -> tuple[np.ndarray, float]:
-    if geometry.point is not None:
-        return np.array(geometry.point, dtype=float), 0.0
-    return np.array(geometry.sphere.center, dtype=float), geometry.sphere.radius
-
-
-def _surface(geometry):
-    """Kind, origin, axis, radius and side of a surface: the fields of a record."""
-    if geometry.plane is not None:
-        plane = geometry.plane
-        return PLANE, np.array(plane.point, float), _unit(plane.normal), 0.0, False
-    if geometry.sphere is not None:
-        sphere = geometry.sphere
-        return SPHERE, np.array(sphere.center, float), Z, sphere.radius, sphere.inside
-    cylinder = geometry.cylinder
-    origin, axis = np.array(cylinder.point, float), _unit(cylinder.axis)
-    return CYLINDER, origin, axis, cylinder.radius, cylinder.inside
-
-
-def _turned(contacts: list[Contact], axis) -> list[Contact]:
+def _turned(contacts: list[Contact], axis: Vector) -> list[Contact]:
     """Turn contacts written for the z axis so that it becomes ``axis``."""
     turn = np.eye(4)
-    turn[:3, :3] = _basis(axis)
+    turn[:3, :3] = basis(axis)
     return [_placed(contact, turn, turn) for contact in contacts]
 
 
 def _placed(contact: Contact, on_arm: np.ndarray, on_object: np.ndarray) -> Contact:
     """The contact with the arm's geometry moved by one pose and the object's by another."""
-    arm_has_point = contact.surface_body == SURFACE_ON_OBJECT
-    of_point, of_surface = (on_arm, on_object) if arm_has_point else (on_object, on_arm)
-    return replace(
-        contact,
-        point=of_point[:3, :3] @ contact.point + of_point[:3, 3],
-        origin=of_surface[:3, :3] @ contact.origin + of_surface[:3, 3],
-        axis=of_surface[:3, :3] @ contact.axis,
+    return contact.mapped(
+        lambda surface: surface.moved(on_arm[:3, :3], on_arm[:3, 3]),
+        lambda surface: surface.moved(on_object[:3, :3], on_object[:3, 3]),
     )
-
-
-def _unit(vector) -> np.ndarray:
-    vector = np.array(vector, dtype=float)
-    return vector / np.linalg.norm(vector)
-
-
-def _basis(axis) -> np.ndarray:
-    """Rotation whose third column is ``axis``; the identity for the z axis."""
-    z = _unit(axis)
-    helper = X if abs(z[0]) < 0.9 else Y
-    y = np.cross(z, helper)
-    y /= np.linalg.norm(y)
-    return np.column_stack([np.cross(y, z), y, z])

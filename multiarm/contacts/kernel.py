@@ -40,8 +40,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from multiarm.contacts.records import (
     AXIS,
     CYLINDER,
@@ -50,10 +48,9 @@ from multiarm.contacts.records import (
     POINT,
     RADIUS,
     SIDE,
-    SURFACE_ON_OBJECT,
     TIP_RADIUS,
 )
-from multiarm.lowlevel import allocating, inlined
+from multiarm.lowlevel import inlined
 
 # A row of body kinematics: rotation (9, row by row), origin, velocity of the origin, angular
 # velocity, classical acceleration of the origin and angular acceleration; all in world axes.
@@ -63,9 +60,11 @@ BODY_WIDTH = 24
 # A row of relative motion, A as seen from B, world axes: r_0, V_0, Omega, A_0, Omega'.
 RELATIVE_WIDTH = 15
 
-# A row of contact kinematics, world axes: P, e, V, rate of n seen from B, then three scalars.
+# A row of contact kinematics, world axes: P, e, V, rate of n seen from B, three scalars, rate of P
+# seen from B.  A combined row has a couple in the place of V.
 AT, NORMAL, SLIP, NORMAL_RATE, GAP, GAP_RATE, GAP_BIAS = 0, 3, 6, 9, 12, 13, 14
-CONTACT_WIDTH = 15
+POINT_RATE, COUPLE = 15, SLIP
+CONTACT_WIDTH = 18
 
 
 @inlined
@@ -95,7 +94,7 @@ def relative_motion(a, b, out):
 
 @inlined
 def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
-    """Write one contact's kinematics (``CONTACT_WIDTH`` numbers) into ``out``.
+    """Write the kinematics of a tip on a plane, sphere or cylinder into ``out``.
 
     Parameters
     ----------
@@ -103,15 +102,15 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
         ``PLANE``, ``SPHERE`` or ``CYLINDER``.
     into_object : float
         -1 when the surface is the object's (its outward normal then points out of the object).
-    geometry : float64 (12,)
+    geometry : float64 (13,)
         One row of a :class:`~multiarm.contacts.records.ContactTable`.
     a, b : float64 (24,)
         Kinematics of the body with the point and of the body with the surface.
     relative : float64 (15,)
         From :func:`relative_motion` of the two.
-    out : float64 (15,), written
+    out : float64 (18,), written
         Contact point, normal into the object, slip velocity, rate of the outward normal, gap [m],
-        gap rate [m/s], and the gap's second derivative at zero accelerations [m/s^2].
+        gap rate [m/s], the gap's second derivative at zero accelerations [m/s^2], point's rate.
     """
     p0, p1, p2 = geometry[POINT], geometry[POINT + 1], geometry[POINT + 2]
     d0 = a[0] * p0 + a[1] * p1 + a[2] * p2
@@ -167,52 +166,6 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
     out[SLIP], out[SLIP + 1], out[SLIP + 2] = v0, v1, v2
     out[NORMAL_RATE], out[NORMAL_RATE + 1], out[NORMAL_RATE + 2] = h0, h1, h2
     out[GAP] = gap - geometry[TIP_RADIUS]
+    out[POINT_RATE], out[POINT_RATE + 1], out[POINT_RATE + 2] = v0, v1, v2
     out[GAP_RATE] = n0 * v0 + n1 * v1 + n2 * v2
     out[GAP_BIAS] = h0 * v0 + h1 * v1 + h2 * v2 + n0 * s0 + n1 * s1 + n2 * s2
-
-
-@allocating
-def contact_matrices(code, geometry, arm, body, tip, W_m, W_o, W_m_dot, W_o_dot):
-    r"""Write the columns of W_m, W_o and their rates for one contact, in the bodies' own frames.
-
-    .. math:: W = \begin{bmatrix} e \\ p\times e\end{bmatrix}, \qquad
-       \dot W = \begin{bmatrix}\dot e\\ \dot p\times e + p\times\dot e\end{bmatrix}
-
-    component by component in each body's axes, about its own origin (thesis, 3.14 - 3.19): column
-    of ``W_o`` is the wrench on the object for a unit push, of ``W_m`` the wrench on the gripper.
-
-    Parameters
-    ----------
-    code : int64 (2,), geometry : float64 (12,)
-        One row of a :class:`~multiarm.contacts.records.ContactTable`.
-    arm, body : float64 (24,)
-        Kinematics of the link that carries the arm's geometry, and of the object.
-    tip : float64 (24,)
-        Kinematics of the frame (fixed to the arm's last link) in which ``W_m`` is wanted.
-    W_m, W_o, W_m_dot, W_o_dot : float64 (6,), written
-    """
-    if code[1] == SURFACE_ON_OBJECT:
-        carrier, surface, sign = arm, body, -1.0
-    else:
-        carrier, surface, sign = body, arm, 1.0
-    row, relative = np.empty(CONTACT_WIDTH), np.empty(RELATIVE_WIDTH)
-    relative_motion(carrier, surface, relative)
-    contact_kinematics(code[0], sign, geometry, carrier, surface, relative, row)
-    point = row[AT : AT + 3]
-    e = row[NORMAL : NORMAL + 3].copy()
-    # world rates of the normal and of the point (fingertip centre)
-    e_rate = sign * row[NORMAL_RATE : NORMAL_RATE + 3] + np.cross(surface[SPIN : SPIN + 3], e)
-    d = point - carrier[ORIGIN_AT : ORIGIN_AT + 3]
-    point_rate = carrier[VELOCITY : VELOCITY + 3] + np.cross(carrier[SPIN : SPIN + 3], d)
-    for side in range(2):
-        frame = body if side == 0 else tip
-        force, force_rate = (e, e_rate) if side == 0 else (-e, -e_rate)
-        rotation = frame[0:9].copy().reshape((3, 3)).T.copy()
-        spin = frame[SPIN : SPIN + 3]
-        at = point - frame[ORIGIN_AT : ORIGIN_AT + 3]
-        at_rate = point_rate - frame[VELOCITY : VELOCITY + 3] - np.cross(spin, at)
-        p, p_dot = rotation @ at, rotation @ at_rate
-        f, f_dot = rotation @ force, rotation @ (force_rate - np.cross(spin, force))
-        W, W_dot = (W_o, W_o_dot) if side == 0 else (W_m, W_m_dot)
-        W[0:3], W[3:6] = f, np.cross(p, f)
-        W_dot[0:3], W_dot[3:6] = f_dot, np.cross(p_dot, f) + np.cross(p, f_dot)

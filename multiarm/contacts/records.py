@@ -1,96 +1,349 @@
-"""A joint is data: the record of one frictionless point contact, and tables of records.
+r"""A joint is data: records of frictionless point contacts, and the tables that the kernel reads.
 
-Each record says which body carries the *point* (a sharp point, or the centre of a spherical
-fingertip), which carries the *surface*, and the local geometry of both.  Everything the dynamics
-need (W, dW/dt, c, phi) follows from the records in one kernel, see :mod:`multiarm.contacts.kernel`.
+A contact is two surfaces, one on the arm and one on the object, that touch in a point.  A sharp
+point is a sphere of radius 0, a fingertip one of positive radius.  Each surface is written in the
+frame of the body that carries it: the arm's in the tip frame, the object's in the object frame.
+Its normal is the outward normal of its body; a hollow surface (``inside``) is touched from within.
 
-Geometry is given in the frame of the body that carries it: on the arm in the tip frame, on the
-object in the object frame.  The normal of a surface is the outward normal of its body.
+A *row* of W is one contact's normal force.  Three further kinds of row cover every joint there is:
+
+* *combinations*: a contact times a factor, or the difference of two contacts times a factor, which
+  can be any wrench (thesis, appendix C);
+* *tangents*: no slip at a contact along one of two directions of the tangent plane; such a row
+  constrains velocities only, it has no position function (nonholonomic; thesis, 3.9.2).
+
+Everything the dynamics need (W, dW/dt, c, phi) follows from the records in one kernel, see
+:mod:`multiarm.contacts.kernel`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-# Codes used by the compiled kernel.
-PLANE, SPHERE, CYLINDER = 0, 1, 2
+# Kinds of surface.
+PLANE, SPHERE, CYLINDER, CONE, TORUS, ELLIPSOID, SMOOTH = range(7)
+# Kinds of row: a tip on a plane, sphere or cylinder has the surface's kind; these have their own.
+CURVED, PAIR, TANGENT, COMBINED = range(7, 11)
 SURFACE_ON_OBJECT, SURFACE_ON_ARM = 0, 1
 
-# Columns of ContactTable.geometry.
-POINT, ORIGIN, AXIS, RADIUS, SIDE, TIP_RADIUS, GEOMETRY_WIDTH = 0, 3, 6, 9, 10, 11, 12
+# Columns of ContactTable.codes, .geometry and .shapes.
+KIND, SURFACE_BODY, LINK, COUNT, CODE_WIDTH = range(5)
+POINT, ORIGIN, AXIS, RADIUS, SIDE, TIP_RADIUS, WEIGHT, GEOMETRY_WIDTH = 0, 3, 6, 9, 10, 11, 12, 13
+SHAPE_KIND, SHAPE_AXES, SHAPE_ORIGIN, SHAPE_SIZES = 0, 1, 10, 13
+SHAPE_SIDE, SHAPE_FUNCTION, SHAPE_WIDTH = 16, 17, 18
+
+Vector = np.ndarray | tuple[float, float, float] | list[float]
+
+
+class SmoothShape(Protocol):
+    """A smooth surface of the user's, in the frame of the surface."""
+
+    def closest(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Signed distance [m], its gradient (3,) and its second derivatives (3, 3) at a point."""
+        ...
+
+    def reset(self) -> None:
+        """Forget where the contact was."""
+        ...
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The part of a surface that exists: a box in the frame in which the surface was given.
+
+    Attributes
+    ----------
+    lower, upper : ndarray, shape (3,)
+        Corners of the box [m]; infinite where there is no bound.
+    pose : ndarray, shape (4, 4)
+        Frame of the box in the body's frame.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    pose: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    def excess(self, point: np.ndarray) -> float:
+        """How far a point (body's frame) is outside [m]; negative: inside."""
+        p = self.pose[:3, :3].T @ (point - self.pose[:3, 3])
+        return float(np.max(np.maximum(self.lower - p, p - self.upper)))
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A smooth surface in the frame of the body that carries it.
+
+    Attributes
+    ----------
+    kind : int
+        ``PLANE``, ``SPHERE``, ``CYLINDER``, ``CONE``, ``TORUS``, ``ELLIPSOID`` or ``SMOOTH``.
+    origin : ndarray, shape (3,)
+        A point of the plane or of the cylinder's axis; the cone's apex; the centre [m].
+    axes : ndarray, shape (3, 3)
+        A rotation whose columns are the surface's own axes.  The third one is the plane's outward
+        normal, the axis of cylinder and torus, and the cone's from the apex into its opening.
+    sizes : tuple of 3 floats
+        Sphere and cylinder: the radius; cone: sine and cosine of the half angle; torus: radius of
+        the circle and of the tube; ellipsoid: semi-axes [m].
+    inside : bool
+        The surface is hollow and touched from inside.
+    function : SmoothShape, optional
+        What computes a ``SMOOTH`` surface.
+    patch : Patch, optional
+        The part of it that exists.
+    """
+
+    kind: int
+    origin: np.ndarray
+    axes: np.ndarray = field(default_factory=lambda: np.eye(3))
+    sizes: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inside: bool = False
+    function: SmoothShape | None = None
+    patch: Patch | None = None
+
+    @property
+    def is_tip(self) -> bool:
+        """Whether it is a point or a solid sphere: what can touch any surface."""
+        return self.kind == SPHERE and not self.inside
+
+    def moved(self, rotation: np.ndarray, translation: np.ndarray) -> Surface:
+        """The surface in another frame: its points go ``p -> rotation p + translation``."""
+        patch = self.patch
+        if patch is not None:
+            pose = np.eye(4)
+            pose[:3, :3] = rotation @ patch.pose[:3, :3]
+            pose[:3, 3] = rotation @ patch.pose[:3, 3] + translation
+            patch = replace(patch, pose=pose)
+        return replace(
+            self,
+            origin=rotation @ self.origin + translation,
+            axes=rotation @ self.axes,
+            patch=patch,
+        )
+
+
+def point(at: Vector) -> Surface:
+    """A sharp point."""
+    return sphere(at, 0.0)
+
+
+def sphere(center: Vector, radius: float, inside: bool = False) -> Surface:
+    """A sphere; solid, it is a fingertip."""
+    return Surface(SPHERE, _array(center), sizes=(float(radius), 0.0, 0.0), inside=inside)
+
+
+def plane(at: Vector, normal: Vector) -> Surface:
+    """A plane through ``at`` with an outward normal."""
+    return Surface(PLANE, _array(at), basis(normal))
+
+
+def cylinder(at: Vector, axis: Vector, radius: float, inside: bool = False) -> Surface:
+    """A cylinder about the line through ``at`` along ``axis``."""
+    return Surface(CYLINDER, _array(at), basis(axis), (float(radius), 0.0, 0.0), inside)
+
+
+def cone(apex: Vector, axis: Vector, half_angle: float, inside: bool = False) -> Surface:
+    """A cone that opens from its apex along ``axis``; ``half_angle`` [rad]."""
+    sizes = (float(np.sin(half_angle)), float(np.cos(half_angle)), 0.0)
+    return Surface(CONE, _array(apex), basis(axis), sizes, inside)
+
+
+def torus(
+    center: Vector, axis: Vector, circle: float, tube: float, inside: bool = False
+) -> Surface:
+    """A torus: a tube about a circle across ``axis``; radii of circle and tube [m]."""
+    return Surface(TORUS, _array(center), basis(axis), (float(circle), float(tube), 0.0), inside)
+
+
+def ellipsoid(center: Vector, axes: np.ndarray, semi_axes: Vector, inside: bool = False) -> Surface:
+    """An ellipsoid with semi-axes [m] along the columns of the rotation ``axes`` (3, 3)."""
+    a, b, c = (float(size) for size in semi_axes)
+    return Surface(ELLIPSOID, _array(center), np.array(axes, dtype=float), (a, b, c), inside)
+
+
+def smooth(
+    function: SmoothShape,
+    origin: Vector = (0.0, 0.0, 0.0),
+    axes: np.ndarray | None = None,
+    inside: bool = False,
+) -> Surface:
+    """A surface of the user's, computed by ``function`` in a frame of its own."""
+    axes = np.eye(3) if axes is None else np.array(axes, dtype=float)
+    return Surface(SMOOTH, _array(origin), axes, inside=inside, function=function)
 
 
 @dataclass(frozen=True)
 class Contact:
-    """One frictionless, bilateral point contact between an arm's tip and the object.
+    """One row of W: a frictionless, bilateral point contact, or a row derived from contacts.
 
     Attributes
     ----------
     name : str
         Shown in messages and results.
-    surface : int
-        ``PLANE``, ``SPHERE`` or ``CYLINDER``.
-    surface_body : int
-        ``SURFACE_ON_OBJECT`` (the arm carries the point) or ``SURFACE_ON_ARM``.
-    point : ndarray, shape (3,)
-        Point or fingertip centre, in the frame of the body that carries it [m].
-    origin, axis : ndarray, shape (3,)
-        A point of the plane and its outward unit normal; the centre of the sphere (axis unused);
-        a point of the cylinder's axis and its unit direction.  Frame of the surface's body.
-    radius : float
-        Of the sphere or cylinder [m]; 0 for a plane.
-    inside : bool
-        The surface is hollow and touched from inside.
-    tip_radius : float
-        Radius of the spherical fingertip [m]; 0 for a sharp point.
+    arm, object : Surface
+        The two surfaces that touch; at most one of them is not convex or flat there.
+    tangent : int
+        0: the row is the normal force.  1 or 2: no slip along the first or second tangent; the row
+        just before it (for 2: the one before that) is the normal force of the same contact.
+    weight : float
+        Factor of the row.
+    minus : Contact, optional
+        A contact whose row is taken off before the factor is applied.
+    pushes_only : bool
+        The contact stands for a real one that cannot pull: when it does, the result says so.
     """
 
     name: str
-    surface: int
-    surface_body: int
-    point: np.ndarray
-    origin: np.ndarray
-    axis: np.ndarray
-    radius: float = 0.0
-    inside: bool = False
-    tip_radius: float = 0.0
+    arm: Surface
+    object: Surface
+    tangent: int = 0
+    weight: float = 1.0
+    minus: Contact | None = None
+    pushes_only: bool = False
+
+    def mapped(
+        self, on_arm: Callable[[Surface], Surface], on_object: Callable[[Surface], Surface]
+    ) -> Contact:
+        """The same contact with both surfaces put through a function each."""
+        minus = None if self.minus is None else self.minus.mapped(on_arm, on_object)
+        return replace(self, arm=on_arm(self.arm), object=on_object(self.object), minus=minus)
 
     def moved_on_arm(self, rotation: np.ndarray, translation: np.ndarray) -> Contact:
         """The same contact with the arm's geometry re-expressed: ``p -> rotation p + translation``.
 
         Used to store it in the frame of the joint that carries the tip.
         """
-        if self.surface_body == SURFACE_ON_OBJECT:
-            return replace(self, point=rotation @ self.point + translation)
-        return replace(self, origin=rotation @ self.origin + translation, axis=rotation @ self.axis)
+        return self.mapped(lambda s: s.moved(rotation, translation), lambda s: s)
+
+    @property
+    def is_combined(self) -> bool:
+        """Whether the row is a multiple or a difference of contacts."""
+        return self.minus is not None or self.weight != 1.0
+
+    @property
+    def surface_body(self) -> int:
+        """The body whose surface guides the other's tip; of two surfaces, the object's."""
+        on_arm = self.object.is_tip and not self.arm.is_tip
+        return SURFACE_ON_ARM if on_arm else SURFACE_ON_OBJECT
+
+    @property
+    def guide(self) -> Surface:
+        """The surface on ``surface_body``."""
+        return self.object if self.surface_body == SURFACE_ON_OBJECT else self.arm
+
+    @property
+    def follower(self) -> Surface:
+        """The other one: a tip, or the arm's surface in a contact of two surfaces."""
+        return self.arm if self.surface_body == SURFACE_ON_OBJECT else self.object
 
 
 class ContactTable(NamedTuple):
-    """Records packed for the kernel, one row a contact, arm after arm.
+    """Records packed for the kernel.
 
-    codes : int64 (N, 2)
-        Surface kind, and the body that carries the surface.
-    geometry : float64 (N, 12)
-        Point (3), origin (3), axis (3), radius, side (+1 outer, -1 hollow), tip radius.
+    codes : int64 (N + P, 4)
+        One row each of W, arm after arm, then the P parts of the combined rows.  Kind; the body
+        that carries the guiding surface; ``LINK``: first row in ``shapes`` (curved, pair), number
+        of the tangent, or first part (combined); number of parts.
+    geometry : float64 (N + P, 13)
+        Tip's centre (3); the guide's origin (3), axis (3), radius, side (+1 outer, -1 hollow); tip
+        radius; weight.  A tangent has in place of axis and origin two directions of the guide's
+        body, across the first of which (near its poles: the second) the first tangent lies.
+    shapes : float64 (S, 18)
+        Surfaces that need more than that: kind, axes (9, row by row), origin (3), sizes (3), side,
+        number of the user's function.  A pair has two, the guide first.
+    functions : list of SmoothShape
     """
 
     codes: np.ndarray
     geometry: np.ndarray
+    shapes: np.ndarray
+    functions: list[SmoothShape]
 
 
 def pack(contacts: list[Contact]) -> ContactTable:
     """Pack records for the kernel."""
-    codes = np.zeros((len(contacts), 2), dtype=np.int64)
-    geometry = np.zeros((len(contacts), GEOMETRY_WIDTH))
-    for row, contact in enumerate(contacts):
-        codes[row] = contact.surface, contact.surface_body
-        geometry[row, POINT : POINT + 3] = contact.point
-        geometry[row, ORIGIN : ORIGIN + 3] = contact.origin
-        geometry[row, AXIS : AXIS + 3] = contact.axis
-        geometry[row, RADIUS] = contact.radius
-        geometry[row, SIDE] = -1.0 if contact.inside else 1.0
-        geometry[row, TIP_RADIUS] = contact.tip_radius
-    return ContactTable(codes, geometry)
+    codes: list[list[int]] = []
+    geometry: list[np.ndarray] = []
+    parts: list[Contact] = []
+    shapes: list[np.ndarray] = []
+    functions: list[SmoothShape] = []
+    for contact in contacts:
+        if contact.is_combined:
+            pieces = [replace(contact, minus=None, weight=1.0)]
+            pieces += [] if contact.minus is None else [contact.minus]
+            link = len(contacts) + len(parts)
+            codes.append([COMBINED, contact.surface_body, link, len(pieces)])
+            parts += pieces
+        elif contact.tangent:
+            codes.append([TANGENT, contact.surface_body, contact.tangent, 0])
+        else:
+            codes.append(_contact_codes(contact, shapes, functions))
+        geometry.append(_geometry_row(contact))
+    for part in parts:
+        codes.append(_contact_codes(part, shapes, functions))
+        geometry.append(_geometry_row(part))
+    return ContactTable(
+        np.array(codes, dtype=np.int64).reshape(-1, CODE_WIDTH),
+        np.array(geometry).reshape(-1, GEOMETRY_WIDTH),
+        np.array(shapes).reshape(-1, SHAPE_WIDTH),
+        functions,
+    )
+
+
+def _contact_codes(contact: Contact, shapes: list, functions: list) -> list[int]:
+    guide, follower = contact.guide, contact.follower
+    if follower.is_tip and guide.kind in (PLANE, SPHERE, CYLINDER):
+        return [guide.kind, contact.surface_body, -1, 0]
+    first = len(shapes)
+    shapes.append(_shape_row(guide, functions))
+    if follower.is_tip:
+        return [CURVED, contact.surface_body, first, 0]
+    shapes.append(_shape_row(follower, functions))
+    return [PAIR, contact.surface_body, first, 0]
+
+
+def _geometry_row(contact: Contact) -> np.ndarray:
+    row, guide, follower = np.zeros(GEOMETRY_WIDTH), contact.guide, contact.follower
+    row[POINT : POINT + 3] = follower.origin
+    row[ORIGIN : ORIGIN + 3] = guide.origin
+    row[AXIS : AXIS + 3] = guide.axes[:, 2]
+    if contact.tangent:
+        # two directions for the first tangent to lie across; of a plane the normal will not do
+        first, other = (0, 1) if guide.kind == PLANE else (2, 0)
+        row[AXIS : AXIS + 3], row[ORIGIN : ORIGIN + 3] = guide.axes[:, first], guide.axes[:, other]
+    row[RADIUS] = guide.sizes[0]
+    row[SIDE] = -1.0 if guide.inside else 1.0
+    row[TIP_RADIUS] = follower.sizes[0] if follower.is_tip else 0.0
+    row[WEIGHT] = contact.weight
+    return row
+
+
+def _shape_row(surface: Surface, functions: list) -> np.ndarray:
+    row = np.zeros(SHAPE_WIDTH)
+    row[SHAPE_KIND] = surface.kind
+    row[SHAPE_AXES : SHAPE_AXES + 9] = surface.axes.ravel()
+    row[SHAPE_ORIGIN : SHAPE_ORIGIN + 3] = surface.origin
+    row[SHAPE_SIZES : SHAPE_SIZES + 3] = surface.sizes
+    row[SHAPE_SIDE] = -1.0 if surface.inside else 1.0
+    row[SHAPE_FUNCTION] = -1.0
+    if surface.function is not None:
+        row[SHAPE_FUNCTION] = len(functions)
+        functions.append(surface.function)
+    return row
+
+
+def basis(axis: Vector) -> np.ndarray:
+    """Rotation whose third column is along ``axis``; the identity for the z axis."""
+    z = _array(axis) / np.linalg.norm(axis)
+    helper = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    y = np.cross(z, helper)
+    y /= np.linalg.norm(y)
+    return np.column_stack([np.cross(y, z), y, z])
+
+
+def _array(vector: Vector) -> np.ndarray:
+    return np.array(vector, dtype=float)

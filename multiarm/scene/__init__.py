@@ -2,7 +2,9 @@
 
 from multiarm.scene.arm_spec import ArmSpec, ToolSpec
 from multiarm.scene.base import Pose
+from multiarm.scene.contact_spec import ContactSpec
 from multiarm.scene.control import (
+    ComputedTorqueControl,
     ConstantControl,
     ControlSpec,
     EffectsSpec,
@@ -10,16 +12,22 @@ from multiarm.scene.control import (
     HarmonicControl,
     JointPDControl,
     NoControl,
+    ObjectImpedanceControl,
     RunSpec,
     StabilizationSpec,
     Waypoint,
 )
+from multiarm.scene.functions import function_text
 from multiarm.scene.geometry import (
-    ContactSpec,
+    ConeGeometry,
     CylinderGeometry,
+    EllipsoidGeometry,
     Geometry,
+    PatchSpec,
     PlaneGeometry,
     SphereGeometry,
+    SurfaceGeometry,
+    TorusGeometry,
 )
 from multiarm.scene.joints import (
     BallJoint,
@@ -36,8 +44,10 @@ from multiarm.scene.joints import (
     RevoluteJoint,
     UniversalJoint,
     WeldJoint,
+    WrenchesJoint,
 )
 from multiarm.scene.loader import dump_scene, load_scene, parse_scene
+from multiarm.scene.object_control import ObjectGain
 from multiarm.scene.object_spec import Cylinder, Mesh, ObjectSpec, Shape
 from multiarm.scene.resolve import ResolvedArm, resolve_arm
 from multiarm.scene.robots import (
@@ -54,6 +64,8 @@ from multiarm.scene.values import gain_vector, joint_vector
 __all__ = [
     "ArmSpec",
     "BallJoint",
+    "ComputedTorqueControl",
+    "ConeGeometry",
     "ConstantControl",
     "ContactSpec",
     "ContactsJoint",
@@ -63,6 +75,7 @@ __all__ = [
     "CylinderGeometry",
     "CylindricalJoint",
     "EffectsSpec",
+    "EllipsoidGeometry",
     "Geometry",
     "GravityCompensationControl",
     "HarmonicControl",
@@ -72,7 +85,10 @@ __all__ = [
     "JointSpec",
     "Mesh",
     "NoControl",
+    "ObjectGain",
+    "ObjectImpedanceControl",
     "ObjectSpec",
+    "PatchSpec",
     "PlanarJoint",
     "PlaneGeometry",
     "PointOnCylinderJoint",
@@ -88,14 +104,18 @@ __all__ = [
     "Shape",
     "SphereGeometry",
     "StabilizationSpec",
+    "SurfaceGeometry",
     "ToolSpec",
+    "TorusGeometry",
     "UniversalJoint",
     "UrdfOutline",
     "Waypoint",
     "WeldJoint",
+    "WrenchesJoint",
     "available_robots",
     "dump_scene",
     "find_robot",
+    "function_text",
     "gain_vector",
     "joint_vector",
     "load_scene",

@@ -16,11 +16,13 @@ from pydantic import TypeAdapter, ValidationError
 
 from multiarm.scene.arm_spec import ArmSpec
 from multiarm.scene.control import (
+    ComputedTorqueControl,
     ConstantControl,
     ControlSpec,
     EffectsSpec,
     HarmonicControl,
     JointPDControl,
+    ObjectImpedanceControl,
 )
 from multiarm.scene.object_spec import ObjectSpec
 from multiarm.scene.resolve import examine_arm
@@ -160,6 +162,11 @@ def _check_control(
     for key in fields.get(type(parts.control), ()):
         value = getattr(parts.control, key)
         _check_gain(value, ("control", key), parts, joint_names, findings)
+    if isinstance(parts.control, (ComputedTorqueControl, ObjectImpedanceControl)):
+        for arm in parts.control.internal_forces or {}:
+            if parts.arm_names is not None and arm not in parts.arm_names:
+                where = place(("control", "internal_forces", arm))
+                findings.faults.append(f"{where}: {unknown('arm', arm, parts.arm_names)}")
 
 
 def _check_gain(

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 from typing_extensions import Self
 
-from multiarm.scene.base import Pose, Spec
+from multiarm.scene.base import Spec
+from multiarm.scene.object_control import (
+    ComputedTorqueControl,
+    ObjectImpedanceControl,
+    ObjectPath,
+    Waypoint,
+)
 from multiarm.scene.values import Gain, NonNegative, PerArm, Positive, fault
 
 __all__ = [
     "ADAPTIVE_INTEGRATORS",
     "DEFAULT_ACCURACY",
     "FIXED_STEP_INTEGRATORS",
+    "ComputedTorqueControl",
     "ConstantControl",
     "ControlSpec",
     "EffectsSpec",
@@ -22,6 +28,7 @@ __all__ = [
     "HarmonicControl",
     "JointPDControl",
     "NoControl",
+    "ObjectImpedanceControl",
     "RunSpec",
     "StabilizationSpec",
     "Waypoint",
@@ -51,12 +58,6 @@ class GravityCompensationControl(Spec):
     kind: Literal["gravity_compensation"] = "gravity_compensation"
 
 
-class Waypoint(Pose):
-    """A pose of the object to be passed at ``time`` [s]."""
-
-    time: NonNegative = Field(description="the time in seconds at which the pose is passed")
-
-
 class JointPDControl(Spec):
     """Joint springs and dampers about a reference, which may follow a path of the object.
 
@@ -77,23 +78,7 @@ class JointPDControl(Spec):
     stiffness: Gain = Field(description="N m/rad: a number, a list or a table by arm")
     damping: Gain = Field(description="N m s/rad: a number, a list or a table by arm")
     gravity_compensation: bool = True
-    path: tuple[Waypoint, ...] | None = None
-
-    @model_validator(mode="after")
-    def _times_increase(self) -> Self:
-        path = self.path or ()
-        if self.path is not None and not path:
-            raise fault("'path' is empty; list poses with their times or leave the key out")
-        times = [waypoint.time for waypoint in path]
-        for number, (before, after) in enumerate(pairwise(times), start=1):
-            if after <= before:
-                raise fault(
-                    f"the times of 'path' must increase, but waypoint {number} comes at "
-                    f"{after:g} s after {before:g} s"
-                )
-        if times == [0.0]:
-            raise fault("'path' has one pose at time 0 and leads nowhere; add a later pose")
-        return self
+    path: ObjectPath = None
 
 
 class HarmonicControl(Spec):
@@ -128,7 +113,13 @@ def _control(value: Any) -> Any:
 
 
 ControlSpec = Annotated[
-    NoControl | ConstantControl | GravityCompensationControl | JointPDControl | HarmonicControl,
+    NoControl
+    | ConstantControl
+    | GravityCompensationControl
+    | JointPDControl
+    | HarmonicControl
+    | ComputedTorqueControl
+    | ObjectImpedanceControl,
     Field(discriminator="kind"),
     BeforeValidator(_control),
 ]

@@ -1,44 +1,160 @@
-"""The two sides of one contact: a fingertip on one body, a surface on the other."""
+"""The surfaces that can touch: what a user writes for one body's side of a contact."""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from pathlib import Path
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from typing_extensions import Self
 
-from multiarm.scene.base import Spec
-from multiarm.scene.values import Direction, Positive, Vec3, fault
+from multiarm.errors import SceneError
+from multiarm.scene.base import Pose, Spec
+from multiarm.scene.functions import UserFunction, located_function
+from multiarm.scene.values import Direction, Positive, Vec3, Vec4, fault, number_list
+from multiarm.scene.words import listed, shown
 
 __all__ = [
-    "ContactSpec",
+    "ConeGeometry",
     "CylinderGeometry",
+    "EllipsoidGeometry",
     "Geometry",
+    "PatchSpec",
     "PlaneGeometry",
+    "Range",
     "SphereGeometry",
-    "check_tip_fits",
+    "SurfaceGeometry",
+    "TorusGeometry",
 ]
 
 _Z = (0.0, 0.0, 1.0)
 
 
-class SphereGeometry(Spec):
-    """A sphere, solid or (``inside``) hollow: centre and radius [m]."""
+def _bounds(value: Any) -> tuple[float | None, ...]:
+    if not isinstance(value, (list, tuple)) or len(value) != 3:
+        raise fault(f"must be a list of 3 numbers (null: no bound), got {shown(value)}")
+    numbers = number_list([0.0 if bound is None else bound for bound in value])
+    return tuple(None if b is None else n for b, n in zip(value, numbers, strict=True))
+
+
+def _range(value: Any) -> tuple[float, float]:
+    if not isinstance(value, (list, tuple)) or len(value) != 2:
+        raise fault(f"must be a list of two numbers, from and to, got {shown(value)}")
+    low, high = number_list(value)
+    if not low < high:
+        raise fault(f"must run from a smaller to a larger number, got {shown(value)}")
+    return low, high
+
+
+Bounds = Annotated[tuple[float | None, float | None, float | None], BeforeValidator(_bounds)]
+Range = Annotated[tuple[float, float], BeforeValidator(_range)]
+
+
+class PatchSpec(Spec):
+    """The part of a surface that exists: a box [m] in the frame in which the surface is given.
+
+    Attributes
+    ----------
+    min, max : 3 numbers or null each
+        Corners of the box; null where there is no bound.
+    """
+
+    min: Bounds = (None, None, None)
+    max: Bounds = (None, None, None)
+
+    @model_validator(mode="after")
+    def _is_a_box(self) -> Self:
+        for axis, low, high in zip("xyz", self.min, self.max, strict=True):
+            if low is not None and high is not None and not low < high:
+                raise fault(f"along {axis} 'min' {low:g} must be less than 'max' {high:g}")
+        return self
+
+
+class _SurfaceSpec(Spec):
+    """What all surfaces share."""
+
+    patch: PatchSpec | None = Field(None, description="the part of it that exists: a box")
+
+    def located(self, folder: Path) -> Self:
+        """Return this surface with file paths made absolute, relative ones below ``folder``."""
+        return self
+
+
+class _Turned(_SurfaceSpec):
+    """A surface with axes of its own.
+
+    Attributes
+    ----------
+    rpy : 3 numbers
+        Turn of its axes: roll, pitch, yaw [rad] about fixed axes.
+    quaternion_xyzw : 4 numbers, optional
+        The same as a quaternion, instead of ``rpy``.
+    """
+
+    rpy: Vec3 = (0.0, 0.0, 0.0)
+    quaternion_xyzw: Vec4 | None = None
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> Self:
+        try:
+            self.orientation()
+        except SceneError as error:
+            raise fault(error.faults[0].partition(": ")[2]) from None
+        return self
+
+    def orientation(self) -> Pose:
+        """The turn of its axes, as a pose without translation."""
+        return Pose(rpy=self.rpy, quaternion_xyzw=self.quaternion_xyzw)
+
+
+class SphereGeometry(_SurfaceSpec):
+    """A sphere, solid or (``inside``) hollow.
+
+    Attributes
+    ----------
+    center : 3 numbers
+        Its centre [m].
+    radius : float
+        Its radius [m].
+    inside : bool
+        The sphere is hollow, touched from within.
+    """
 
     center: Vec3 = (0.0, 0.0, 0.0)
     radius: Positive
     inside: bool = False
 
 
-class PlaneGeometry(Spec):
-    """A flat face through ``point`` [m] with the outward ``normal`` of the body that has it."""
+class PlaneGeometry(_SurfaceSpec):
+    """A flat face.
+
+    Attributes
+    ----------
+    point : 3 numbers
+        A point of it [m].
+    normal : 3 numbers
+        Direction out of the body that has the face.
+    """
 
     point: Vec3 = (0.0, 0.0, 0.0)
     normal: Direction
 
 
-class CylinderGeometry(Spec):
-    """A cylinder, solid or (``inside``) a bore: a point of its axis, the axis, radius [m]."""
+class CylinderGeometry(_SurfaceSpec):
+    """A cylinder, solid or (``inside``) a bore.
+
+    Attributes
+    ----------
+    point : 3 numbers
+        A point of its axis [m].
+    axis : 3 numbers
+        Direction of the axis.
+    radius : float
+        Its radius [m].
+    inside : bool
+        The cylinder is a bore, touched from within.
+    """
 
     point: Vec3 = (0.0, 0.0, 0.0)
     axis: Direction = _Z
@@ -46,81 +162,200 @@ class CylinderGeometry(Spec):
     inside: bool = False
 
 
+class ConeGeometry(_SurfaceSpec):
+    """A cone, solid or (``inside``) a funnel.
+
+    Attributes
+    ----------
+    apex : 3 numbers
+        Its point [m].
+    axis : 3 numbers
+        From the apex into the opening.
+    half_angle : float
+        Between axis and face [rad], less than a quarter turn.
+    inside : bool
+        The cone is a funnel, touched from within.
+    """
+
+    apex: Vec3 = (0.0, 0.0, 0.0)
+    axis: Direction = _Z
+    half_angle: Positive
+    inside: bool = False
+
+    @model_validator(mode="after")
+    def _opens(self) -> Self:
+        if self.half_angle >= math.pi / 2:
+            raise fault(
+                f"'half_angle' lies between 0 and pi / 2 rad, got {self.half_angle:g}; a flat face "
+                "is a 'plane'"
+            )
+        return self
+
+
+class TorusGeometry(_SurfaceSpec):
+    """A tube about a circle.
+
+    Attributes
+    ----------
+    center : 3 numbers
+        The circle's centre [m].
+    axis : 3 numbers
+        Direction across the circle's plane.
+    circle_radius : float
+        Radius of the circle [m].
+    tube_radius : float
+        Radius of the tube [m]; the smaller one, so that the torus has a hole.
+    inside : bool
+        The tube is hollow, touched from within.
+    """
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    axis: Direction = _Z
+    circle_radius: Positive
+    tube_radius: Positive
+    inside: bool = False
+
+    @model_validator(mode="after")
+    def _has_a_hole(self) -> Self:
+        if self.tube_radius >= self.circle_radius:
+            raise fault(
+                f"a tube of radius {self.tube_radius:g} m about a circle of radius "
+                f"{self.circle_radius:g} m closes itself; 'tube_radius' must be the smaller one"
+            )
+        return self
+
+
+class EllipsoidGeometry(_Turned):
+    """An ellipsoid.
+
+    Attributes
+    ----------
+    center : 3 numbers
+        Its centre [m].
+    semi_axes : 3 numbers
+        Half its lengths [m] along its own x, y and z axes.
+    inside : bool
+        The ellipsoid is hollow, touched from within.
+    """
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    semi_axes: tuple[Positive, Positive, Positive]
+    inside: bool = False
+
+
+class SurfaceGeometry(_Turned):
+    """A smooth surface of the user's: a signed distance or a parametrisation.
+
+    Attributes
+    ----------
+    distance : function, f(p) -> [m]
+        Signed distance of a point p (3,) from the surface, positive outside of the body.
+    gradient, hessian : function, optional
+        Its derivatives g(p) -> (3,), h(p) -> (3, 3); by differences where absent.
+    parametrisation : function, x(u, v) -> (3,)
+        The alternative: points of the surface [m]. dx/du x dx/dv points out of the body.
+    derivatives : function, optional
+        d(u, v) -> (5, 3): rows x_u, x_v, x_uu, x_uv, x_vv; by differences where absent.
+    u, v : 2 numbers
+        Ranges of the parameters. One that closes (a full turn) is recognised.
+    flip : bool
+        dx/du x dx/dv points into the body.
+    length : float
+        Scale [m] on which the surface bends; steps of differences are a fraction of it.
+    origin : 3 numbers
+        Origin [m] of the frame of the functions, turned by rpy or quaternion.
+    inside : bool
+        The surface is that of a cavity, touched from within.
+    """
+
+    distance: UserFunction | None = None
+    gradient: UserFunction | None = None
+    hessian: UserFunction | None = None
+    parametrisation: UserFunction | None = None
+    derivatives: UserFunction | None = None
+    u: Range | None = None
+    v: Range | None = None
+    flip: bool = False
+    length: Positive = 0.1
+    origin: Vec3 = (0.0, 0.0, 0.0)
+    inside: bool = False
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.distance is None) == (self.parametrisation is None):
+            given = "neither" if self.distance is None else "both"
+            raise fault(f"needs either 'distance' or 'parametrisation', got {given}")
+        used = "parametrisation" if self.distance is None else "distance"
+        strange = {
+            "distance": ("derivatives", "u", "v", "flip"),
+            "parametrisation": ("gradient", "hessian"),
+        }
+        wrong = [name for name in strange[used] if getattr(self, name)]
+        if wrong:
+            raise fault(f"{listed(wrong)} cannot be given with {used!r}; remove it")
+        if used == "parametrisation" and (self.u is None or self.v is None):
+            raise fault("a parametrisation needs the ranges 'u' and 'v', such as 'u: [-1, 1]'")
+        return self
+
+    def located(self, folder: Path) -> Self:
+        """Return this surface with file paths made absolute, relative ones below ``folder``."""
+        names = ("distance", "gradient", "hessian", "parametrisation", "derivatives")
+        found = {name: located_function(getattr(self, name), folder) for name in names}
+        return self.model_copy(update=found)
+
+
 class Geometry(Spec):
-    """One body's side of a contact: exactly one of point, sphere, plane and cylinder."""
+    """One body's side of a contact: exactly one of the attributes.
+
+    Attributes
+    ----------
+    point : 3 numbers
+        A sharp point [m].
+    sphere, plane, cylinder, cone, torus, ellipsoid
+        A surface of that form.
+    surface
+        A smooth surface of the user's.
+    """
 
     point: Vec3 | None = None
     sphere: SphereGeometry | None = None
     plane: PlaneGeometry | None = None
     cylinder: CylinderGeometry | None = None
+    cone: ConeGeometry | None = None
+    torus: TorusGeometry | None = None
+    ellipsoid: EllipsoidGeometry | None = None
+    surface: SurfaceGeometry | None = None
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
-        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        names = list(type(self).model_fields)
+        given = [name for name in names if getattr(self, name) is not None]
         if len(given) != 1:
-            raise fault(
-                f"needs exactly one of 'point', 'sphere', 'plane', 'cylinder', got {given or 0}"
-            )
+            raise fault(f"needs exactly one of {listed(names)}, got {given or 0}")
         return self
 
     @property
     def shape(self) -> str:
-        """Which one it is: ``point``, ``sphere``, ``plane`` or ``cylinder``."""
+        """Which one it is, such as ``plane``."""
         return next(n for n in type(self).model_fields if getattr(self, n) is not None)
 
     @property
     def value(self) -> Any:
-        """The point (3 numbers) or the geometry."""
+        """The point (3 numbers) or the surface."""
         return getattr(self, self.shape)
+
+    @property
+    def is_hollow(self) -> bool:
+        """Whether it is the surface of a cavity, touched from within."""
+        return self.point is None and getattr(self.value, "inside", False)
 
     @property
     def is_tip(self) -> bool:
         """Whether it is a point or a solid sphere, which can touch any surface."""
-        return self.point is not None or (self.sphere is not None and not self.sphere.inside)
+        return self.shape in ("point", "sphere") and not self.is_hollow
 
-    @property
-    def is_surface(self) -> bool:
-        """Whether it is something that a fingertip can slide on."""
-        return self.point is None
-
-
-class ContactSpec(Spec):
-    """One frictionless contact: a fingertip on one body, a surface on the other.
-
-    Attributes
-    ----------
-    arm : Geometry
-        The arm's side, in the joint frame at the tip.
-    object : Geometry
-        The object's side, in the joint frame at the object.
-    name : str, optional
-        A name for reports.
-    """
-
-    arm: Geometry = Field(description="the arm's side of the contact")
-    object: Geometry = Field(description="the object's side of the contact")
-    name: str | None = None
-
-    @model_validator(mode="after")
-    def _a_tip_meets_a_surface(self) -> Self:
-        a, b = self.arm, self.object
-        if not ((a.is_tip and b.is_surface) or (b.is_tip and a.is_surface)):
-            raise fault(
-                f"a {a.shape} on the arm and a {b.shape} on the object make no point contact; "
-                "give one body a point or a solid sphere and the other a plane, cylinder or sphere"
-            )
-        for tip, surface in ((a, b), (b, a)):
-            radius = tip.sphere.radius if tip.is_tip and tip.sphere is not None else 0.0
-            if surface.shape in ("sphere", "cylinder"):
-                hollow = surface.value
-                check_tip_fits(hollow.inside, hollow.radius, radius, f"hollow {surface.shape}")
-        return self
-
-
-def check_tip_fits(inside: bool, radius: float, tip_radius: float, noun: str) -> None:
-    """Refuse a fingertip that is too large for the hollow surface that it is inside of."""
-    if inside and tip_radius >= radius:
-        raise fault(
-            f"a fingertip of radius {tip_radius:g} m does not fit into a {noun} of radius "
-            f"{radius:g} m; make the tip smaller"
-        )
+    def located(self, folder: Path) -> Self:
+        """Return this geometry with file paths made absolute, relative ones below ``folder``."""
+        if self.surface is None:
+            return self
+        return self.model_copy(update={"surface": self.surface.located(folder)})

@@ -8,14 +8,17 @@ the object frame (``at``) and in the tip's frame (``at_tip``); both coincide at 
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.base import Pose, Spec
-from multiarm.scene.geometry import ContactSpec, check_tip_fits
-from multiarm.scene.values import Direction, NonNegative, Positive, Vec3, fault
+from multiarm.scene.contact_spec import ContactSpec, check_tip_fits
+from multiarm.scene.geometry import Range
+from multiarm.scene.values import Direction, NonNegative, Positive, Vec3, Vec6, fault
+from multiarm.scene.wrenches import dependent_rows
 
 __all__ = [
     "BallJoint",
@@ -32,9 +35,22 @@ __all__ = [
     "RevoluteJoint",
     "UniversalJoint",
     "WeldJoint",
+    "WrenchesJoint",
 ]
 
 _Z = (0.0, 0.0, 1.0)
+
+
+def _around_the_start(limits: tuple[float, float]) -> tuple[float, float]:
+    if not limits[0] <= 0.0 <= limits[1]:
+        raise fault(
+            f"limits are counted from the start and must enclose 0, got [{limits[0]:g}, "
+            f"{limits[1]:g}]"
+        )
+    return limits
+
+
+Limits = Annotated[Range, AfterValidator(_around_the_start)]
 
 
 class JointBase(Spec):
@@ -57,54 +73,144 @@ class JointBase(Spec):
     at: Pose | None = None
     at_tip: Pose = Pose()
 
+    @property
+    def free_limits(self) -> dict[int, tuple[float, float]]:
+        """Limits by component of the relative motion.
+
+        Components 0 to 2 are slides along [m], 3 to 5 turns about [rad] x, y, z of the joint frame
+        once that is turned so that z is the joint's axis.
+        """
+        return {}
+
+    def located(self, folder: Path) -> Self:
+        """Return this joint with file paths made absolute, relative ones below ``folder``."""
+        return self
+
 
 class WeldJoint(JointBase):
-    """No relative motion: six contacts, 3-2-1, spread over ``size`` [m]."""
+    """No relative motion: six contacts, 3-2-1, spread over ``size``.
+
+    Attributes
+    ----------
+    size : float
+        How far the contacts are spread [m]; contact forces depend on it, motions do not.
+    """
 
     kind: Literal["weld"] = "weld"
     size: Positive = 0.1
 
 
 class BallJoint(JointBase):
-    """Free rotation about the joint frame's origin: three contacts on a sphere of ``size`` [m]."""
+    """Free rotation about the joint frame's origin: three contacts at that point.
+
+    Attributes
+    ----------
+    size : float
+        Diameter of the ball [m]; nothing depends on it.
+    """
 
     kind: Literal["ball"] = "ball"
     size: Positive = 0.1
 
 
 class RevoluteJoint(JointBase):
-    """Rotation about ``axis`` (joint frame) only: five contacts spread over ``size`` [m]."""
+    """Rotation about ``axis`` only: five contacts spread over ``size``.
+
+    Attributes
+    ----------
+    axis : 3 numbers
+        Direction of the line through the joint frame's origin, joint frame.
+    size : float
+        How far the contacts are spread [m]; contact forces depend on it, motions do not.
+    limits : 2 numbers, optional
+        How far it may turn from the start [rad], such as [-1.5, 0]: drawn and reported, not
+        enforced.
+    """
 
     kind: Literal["revolute"] = "revolute"
     axis: Direction = _Z
     size: Positive = 0.1
+    limits: Limits | None = Field(None, description="how far it may turn from the start [rad]")
+
+    @property
+    def free_limits(self) -> dict[int, tuple[float, float]]:
+        """Limits of the turn about the axis."""
+        return {} if self.limits is None else {5: self.limits}
 
 
 class PrismaticJoint(JointBase):
-    """Sliding along ``axis`` (joint frame) only: five contacts spread over ``size`` [m]."""
+    """Sliding along ``axis`` only: five contacts spread over ``size``.
+
+    Attributes
+    ----------
+    axis : 3 numbers
+        Direction of the line through the joint frame's origin, joint frame.
+    size : float
+        How far the contacts are spread [m]; contact forces depend on it, motions do not.
+    limits : 2 numbers, optional
+        How far it may slide from the start [m]: drawn and reported, not enforced.
+    """
 
     kind: Literal["prismatic"] = "prismatic"
     axis: Direction = _Z
     size: Positive = 0.1
+    limits: Limits | None = Field(None, description="how far it may slide from the start [m]")
+
+    @property
+    def free_limits(self) -> dict[int, tuple[float, float]]:
+        """Limits of the slide along the axis."""
+        return {} if self.limits is None else {2: self.limits}
 
 
 class CylindricalJoint(JointBase):
-    """Rotation about and sliding along ``axis`` (joint frame): four contacts."""
+    """Rotation about and sliding along ``axis``: four contacts.
+
+    Attributes
+    ----------
+    axis : 3 numbers
+        Direction of the line through the joint frame's origin, joint frame.
+    size : float
+        How far the contacts are spread [m]; contact forces depend on it, motions do not.
+    turn_limits, slide_limits : 2 numbers, optional
+        How far it may turn [rad] and slide [m] from the start: drawn and reported, not enforced.
+    """
 
     kind: Literal["cylindrical"] = "cylindrical"
     axis: Direction = _Z
     size: Positive = 0.1
+    turn_limits: Limits | None = Field(None, description="how far it may turn from the start [rad]")
+    slide_limits: Limits | None = Field(None, description="how far it may slide from the start [m]")
+
+    @property
+    def free_limits(self) -> dict[int, tuple[float, float]]:
+        """Limits of the slide along and of the turn about the axis."""
+        limits = {2: self.slide_limits, 5: self.turn_limits}
+        return {component: own for component, own in limits.items() if own is not None}
 
 
 class UniversalJoint(JointBase):
-    """Rotation about the x axis fixed to the object and the y axis fixed to the arm."""
+    """Rotation about the x axis fixed to the object and the y axis fixed to the arm.
+
+    Attributes
+    ----------
+    size : float
+        How far the contacts are spread [m]; contact forces depend on it, motions do not.
+    """
 
     kind: Literal["universal"] = "universal"
     size: Positive = 0.1
 
 
 class PlanarJoint(JointBase):
-    """Sliding in the plane across ``normal`` (joint frame) and turning about it."""
+    """Sliding in the plane across ``normal`` and turning about it.
+
+    Attributes
+    ----------
+    normal : 3 numbers
+        Normal of the plane, joint frame.
+    size : float
+        How far the contacts are spread [m]; contact forces depend on it, motions do not.
+    """
 
     kind: Literal["planar"] = "planar"
     normal: Direction = _Z
@@ -155,7 +261,17 @@ class PointOnCylinderJoint(JointBase):
 
 
 class PointOnSphereJoint(JointBase):
-    """A fingertip on (or inside) a sphere about the joint frame's origin, ``radius`` in m."""
+    """A fingertip on (or inside) a sphere about the joint frame's origin.
+
+    Attributes
+    ----------
+    radius : float
+        Radius of the sphere [m].
+    inside : bool
+        The fingertip is inside a hollow sphere.
+    tip_radius : float
+        Radius of the spherical fingertip [m]; 0 is a sharp point.
+    """
 
     kind: Literal["point_on_sphere"] = "point_on_sphere"
     radius: Positive = Field(description="the radius of the sphere in metres")
@@ -211,13 +327,16 @@ class CornerGripperJoint(JointBase):
 class ContactsJoint(JointBase):
     """Any list of frictionless point contacts.
 
+    A contact is bilateral: it holds the surfaces together. The report says where it pulls, which a
+    real one could not.
+
     Attributes
     ----------
     at, at_tip : Pose
         Frames in which the object's and the arm's geometry are given; by default the object
         frame and the tip's frame themselves.
     contacts : list of ContactSpec
-        At least one.
+        The contacts, at least one; each is a table {arm: ..., object: ...}.
     """
 
     kind: Literal["contacts"] = "contacts"
@@ -229,6 +348,53 @@ class ContactsJoint(JointBase):
         if not self.contacts:
             raise fault("'contacts' is empty; list at least one contact {arm: ..., object: ...}")
         return self
+
+    def located(self, folder: Path) -> Self:
+        """Return this joint with file paths made absolute, relative ones below ``folder``."""
+        contacts = tuple(contact.located(folder) for contact in self.contacts)
+        return self.model_copy(update={"contacts": contacts})
+
+
+class WrenchesJoint(JointBase):
+    """The joint that transmits given wrenches, and leaves every motion on which they do no work.
+
+    Each wrench is written as the difference of two point contacts (thesis, appendix C).
+
+    Attributes
+    ----------
+    wrenches : list of 6 numbers each
+        Force [N] and moment about the joint frame's origin [N m], joint frame, on the object, for
+        one unit of the multiplier.
+    carried_by : 'object' or 'arm'
+        The body to which the directions are fixed.
+    size : float
+        Distance [m] of the two contacts that make a couple.
+    """
+
+    kind: Literal["wrenches"] = "wrenches"
+    wrenches: tuple[Vec6, ...] = Field(description="a list of [fx, fy, fz, mx, my, mz]")
+    carried_by: Literal["object", "arm"] = "object"
+    size: Positive = 0.1
+
+    @model_validator(mode="after")
+    def _independent(self) -> Self:
+        if not self.wrenches:
+            raise fault("'wrenches' is empty; list at least one [fx, fy, fz, mx, my, mz]")
+        found = dependent_rows(self.wrenches, self.size)
+        if found:
+            texts = [
+                f"wrench {row} is a combination of {_counted(others)}"
+                if others
+                else f"wrench {row} is zero"
+                for row, others in found.items()
+            ]
+            raise fault(f"{'; '.join(texts)} (counted from 1); remove what adds nothing")
+        return self
+
+
+def _counted(rows: tuple[int, ...]) -> str:
+    *first, last = (str(row) for row in rows)
+    return f"wrenches {', '.join(first)} and {last}" if first else f"wrench {last}"
 
 
 JointSpec = Annotated[
@@ -243,6 +409,7 @@ JointSpec = Annotated[
     | PointOnCylinderJoint
     | PointOnSphereJoint
     | CornerGripperJoint
-    | ContactsJoint,
+    | ContactsJoint
+    | WrenchesJoint,
     Field(discriminator="kind"),
 ]

@@ -110,13 +110,15 @@ class Scene(Spec):
 
     __hash__ = None  # type: ignore[assignment]
 
-    @field_validator("object", "arms", mode="after")
+    @field_validator("object", "arms", "joints", mode="after")
     @classmethod
     def _paths_are_absolute(cls, value: Any, info: ValidationInfo) -> Any:
         assert info.context is not None, "a scene is read with its folder"
         folder = info.context["folder"]
         if isinstance(value, ObjectSpec):
             return value.located(folder)
+        if isinstance(value, tuple):
+            return tuple(joint.located(folder) for joint in value)
         return {name: arm.located(folder) for name, arm in value.items()}
 
     def _fill(self, data: Mapping[str, Any], folder: Path | str | None) -> None:

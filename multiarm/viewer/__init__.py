@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from meshcat import Visualizer
 
     from multiarm.trajectory import Trajectory
-    from multiarm.viewer.film import Film
+    from multiarm.viewer.film import Dial, Film, HingeTracks
 
 __all__ = ["replay"]
 
@@ -38,8 +38,9 @@ def replay(
     Shown are the arms, each in its colour, the object, slightly translucent, the contacts with
     their normals into the object, and the contact forces as arrows. A pushing arrow ends at its
     contact, a pulling one, lighter, begins there; the longest stands for the largest force of the
-    run (a short spike far above the rest is drawn no longer, and the page gives its value). A run
-    that failed is shown up to where it came.
+    run (a short spike far above the rest is drawn no longer, and the page gives its value). Hinges,
+    slides and balls are drawn with their axes; limits as a sector or a rail with a pointer, which
+    is red beyond them. A run that failed is shown up to where it came.
 
     Parameters
     ----------
@@ -102,7 +103,16 @@ def _facts(film: Film, speed: float) -> dict[str, Any]:
         "legend": [[c.arm, f"#{hexadecimal(c.color):06x}"] for c in film.contacts],
         "force_scale": film.force_scale,
         "peak_force": film.peak_force,
+        "times": film.time - film.time[0],
+        "dials": [_dial(hinge, dial) for hinge in film.hinges for dial in hinge.dials],
     }
+
+
+def _dial(hinge: HingeTracks, dial: Dial) -> dict[str, Any]:
+    """Return a joint's coordinate as people read it: degrees or millimetres."""
+    scale, unit = (180 / math.pi, "°") if dial.turns else (1000.0, " mm")
+    limits = [scale * limit for limit in dial.limits]
+    return {"arm": hinge.arm, "unit": unit, "limits": limits, "values": scale * dial.value}
 
 
 def _target(path: str | os.PathLike) -> Path:

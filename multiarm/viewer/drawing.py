@@ -7,6 +7,7 @@ import numpy as np
 from multiarm.viewer import camera, commands
 from multiarm.viewer.commands import Command
 from multiarm.viewer.film import Body, Film, continuous
+from multiarm.viewer.hinges import Hinges
 from multiarm.viewer.marks import Marks
 from multiarm.viewer.mesh import ShadedMesh, shade, sharp_edges
 from multiarm.viewer.script import Script
@@ -28,8 +29,9 @@ def draw(film: Film, speed: float = 1.0) -> list[Command]:
         Seconds of the film per second of the viewer.
     """
     script, points = Script(), film.extent()
-    marks = Marks(film, film.size())
-    view = camera.frame(np.concatenate([points, film.tails(marks.longest)]))
+    marks, hinges = Marks(film, film.size()), Hinges(film, film.size())
+    reach = [hinges.points(hinge) for hinge in film.hinges]
+    view = camera.frame(np.concatenate([points, film.tails(marks.longest), *reach]))
     furnish(script, view, points, film.floor)
     shapes = {id(body.mesh): body.mesh for body in film.bodies}  # arms of a kind share meshes
     shaded = {key: shade(mesh) for key, mesh in shapes.items()}
@@ -37,6 +39,8 @@ def draw(film: Film, speed: float = 1.0) -> list[Command]:
         _draw_body(body, shaded[id(body.mesh)], i % LAYERS, script)
     for contacts in film.contacts:
         marks.draw(contacts, script)
+    for hinge in film.hinges:
+        hinges.draw(hinge, script)
     return script.finished((film.time - film.time[0]) / speed)
 
 

@@ -1,8 +1,8 @@
 """What a replay shows, free of any renderer and of any robot library.
 
 A film is a list of bodies (a mesh and its pose at every frame), the contacts of each arm (point,
-normal, force at every frame) and the few facts around them. `record` makes it from a trajectory,
-`drawing` draws it.
+normal, force at every frame), the hinges of its joint, and the few facts around them. `filming`
+makes it from a trajectory, `drawing` draws it.
 """
 
 from __future__ import annotations
@@ -69,6 +69,54 @@ class ContactTracks:
 
 
 @dataclass(frozen=True)
+class Dial:
+    """A coordinate of a joint that has limits.
+
+    Parameters
+    ----------
+    turns : bool
+        An angle [rad]; otherwise a slide [m].
+    limits : (float, float)
+        From the start, which is 0.
+    value : array, shape (K,)
+    """
+
+    turns: bool
+    limits: tuple[float, float]
+    value: np.ndarray
+
+
+@dataclass(frozen=True)
+class HingeTracks:
+    """What one would see of a joint: an axle, a rail, a sleeve or a ball.
+
+    Parameters
+    ----------
+    arm : str
+    name : str
+        Its path below the joints' node, such as ``left`` or ``left/2``.
+    shape : "axle", "rail", "sleeve" or "ball"
+        The tip turns about the axis, slides along it, does both, or turns every way.
+    color : array, shape (3,)
+        sRGB in 0..1.
+    position : array, shape (K, 3)
+        A point of the axis, or the ball's centre, world [m].
+    quaternion_xyzw : array, shape (K, 4)
+        Frame on the body that carries the axis: z is the axis, and an angle is counted from x.
+    dials : tuple of Dial
+        The coordinates that have limits.
+    """
+
+    arm: str
+    name: str
+    shape: str
+    color: np.ndarray
+    position: np.ndarray
+    quaternion_xyzw: np.ndarray
+    dials: tuple[Dial, ...] = ()
+
+
+@dataclass(frozen=True)
 class Film:
     """A scene in motion over K frames.
 
@@ -80,6 +128,7 @@ class Film:
     bodies : list of Body
         The first is the common object.
     contacts : list of ContactTracks
+    hinges : list of HingeTracks
     floor : float
         Height of the floor [m].
     note : str
@@ -90,6 +139,7 @@ class Film:
     time: np.ndarray
     bodies: list[Body]
     contacts: list[ContactTracks] = field(default_factory=list)
+    hinges: list[HingeTracks] = field(default_factory=list)
     floor: float = 0.0
     note: str = ""
 

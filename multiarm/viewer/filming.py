@@ -2,7 +2,7 @@
 
 Frames are samples of the trajectory, never interpolations between them, so that what is shown was
 computed. Link poses come from each arm's kinematics, contact points and normals from the system's
-own evaluation, contact forces from the trajectory.
+own evaluation, contact forces from the trajectory, joints from their frames (`joints`).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from multiarm.compilation import compile_system
 from multiarm.dynamics import evaluate
 from multiarm.errors import ReplayError, SolverError
 from multiarm.viewer.film import Body, ContactTracks, Film, along, rotations
+from multiarm.viewer.joints import hinges_of
 from multiarm.viewer.mesh import Mesh, capsule, merge
 from multiarm.viewer.shapes import PLAIN, geometry_mesh, object_mesh
 
@@ -67,6 +68,7 @@ def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
         time=trajectory.time[rows],
         bodies=bodies,
         contacts=_contacts(system, trajectory, rows, colors),
+        hinges=hinges_of(system, trajectory, rows, colors),
         floor=float(min(bases)),
         note=f"{trajectory.status}: {note}" if note else "",
     )

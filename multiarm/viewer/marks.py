@@ -52,7 +52,7 @@ class Marks:
         mark = shade(merge([self._dot.painted(0.75 * contacts.color), self._needle]))
         for i in range(contacts.point.shape[1]):
             name = f"{contacts.arm}/{i + 1}"
-            script.put(f"contacts/{name}", _seen_through(mark, np.ones(3)))
+            script.put(f"contacts/{name}", seen_through(mark, np.ones(3)))
             script.move(f"contacts/{name}", contacts.point[:, i], turns[:, i])
             push, pull = np.maximum(lengths[:, i], 0), np.maximum(-lengths[:, i], 0)
             if push.any() or pull.any():
@@ -67,16 +67,17 @@ def arrow(length: float, head: float, radius: float) -> Mesh:
     return revolve([(0, 0), (radius, 0), (radius, neck), (3 * radius, neck), (0, length)])
 
 
+def seen_through(shape: ShadedMesh, color: np.ndarray) -> dict[str, Any]:
+    """Return a shape that shines faintly through what hides it."""
+    return commands.mesh_object(shape, commands.shiny(color), commands.ghost(color, 0.38))
+
+
 def _draw_force(
     path: str, shape: ShadedMesh, length: np.ndarray, color: np.ndarray, script: Script
 ) -> None:
     """Draw an arrow of changing `length` (K,), 1 being the longest."""
     if length.max() < HAIR:
         return
-    script.put(path, _seen_through(shape, color))
+    script.put(path, seen_through(shape, color))
     width = np.sqrt(length)
     script.set(path, "scale", np.maximum(np.column_stack([width, width, length]), HAIR))
-
-
-def _seen_through(shape: ShadedMesh, color: np.ndarray) -> dict[str, Any]:
-    return commands.mesh_object(shape, commands.shiny(color), commands.ghost(color, 0.38))

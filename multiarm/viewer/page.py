@@ -33,10 +33,12 @@ def render(commands: list[Command], facts: dict[str, Any]) -> str:
         What the viewer is told, in order.
     facts : dict
         What the player shows and needs: ``title``, ``note``, ``start`` [s], ``speed``, ``aspect``,
-        ``legend`` (pairs of name and colour), ``force_scale`` and ``peak_force`` [N].
+        ``legend`` (pairs of name and colour), ``force_scale`` and ``peak_force`` [N], ``times``
+        (K,) [s] and ``dials``: coordinates with limits, each a table of ``arm``, ``unit``,
+        ``limits`` and ``values`` (K,).
     """
     block = _Block()
-    text = json.dumps({"facts": facts, "commands": block.lower(commands)}, allow_nan=False)
+    text = json.dumps(block.lower({"facts": facts, "commands": commands}), allow_nan=False)
     header = text.encode()
     payload = len(header).to_bytes(ALIGNMENT, "little") + header
     payload += b" " * (-len(payload) % ALIGNMENT) + bytes(block.data)

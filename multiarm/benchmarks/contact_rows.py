@@ -1,0 +1,160 @@
+"""The cost of one row of W, for every kind of surface and of row.
+
+Timed is the very function that an evaluation calls for the contacts of an arm
+(:func:`multiarm.contacts.rows.write_rows`), on tables of many rows of one kind between two moving
+bodies, in interleaved bursts of which the fastest counts.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
+from multiarm.contacts.records import (
+    Contact,
+    cone,
+    cylinder,
+    ellipsoid,
+    pack,
+    plane,
+    point,
+    smooth,
+    sphere,
+    torus,
+)
+from multiarm.contacts.rows import write_rows
+from multiarm.contacts.smooth import SignedDistanceSurface
+from multiarm.contacts.surfaces import DISTANCE, FUNCTION, GRADIENT, PLACE, QUERY_WIDTH, SECOND
+from multiarm.lowlevel import CallBack, kernel
+
+ROWS = 24
+X, Y, Z = np.eye(3)
+
+
+def row_kinds() -> dict[str, list[Contact]]:
+    """The rows that are timed, by name; each touches near (0.5, 0, 0)."""
+    tip = sphere((0.5, 0.0, 0.0), 0.01)
+    ball = SignedDistanceSurface(
+        lambda p: np.sqrt(p @ p) - 0.49,
+        gradient=lambda p: p / np.sqrt(p @ p),
+        hessian=lambda p: (np.eye(3) - np.outer(p, p) / (p @ p)) / np.sqrt(p @ p),
+    )
+    on_plane = Contact("tip", tip, plane((0.49, 0.0, 0.0), X))
+    oval = ellipsoid((0.0, 0.0, 0.0), np.eye(3), (0.4, 0.5, 0.6))
+    across = cylinder((0.5, 0.0, 0.0), Z, 0.1)
+    return {
+        "tip on plane": [on_plane],
+        "tip on sphere": [Contact("tip", tip, sphere((0.0, 0.0, 0.0), 0.49))],
+        "tip on cylinder": [Contact("tip", tip, cylinder((0.0, 0.0, 0.0), Z, 0.49))],
+        "tip on cone": [Contact("tip", tip, cone((0.0, 0.0, -1.0), Z, math.atan(0.49)))],
+        "tip on torus": [Contact("tip", tip, torus((0.0, 0.0, 0.0), Z, 0.4, 0.09))],
+        "tip on ellipsoid": [
+            Contact("tip", tip, ellipsoid((0.0, 0.0, 0.0), np.eye(3), (0.49, 0.6, 0.7)))
+        ],
+        "difference of two contacts": [replace(on_plane, minus=replace(on_plane, name="other"))],
+        "tip on plane, no slip (3 rows)": [
+            on_plane,
+            replace(on_plane, tangent=1),
+            replace(on_plane, tangent=2),
+        ],
+        "ellipsoid on plane": [
+            Contact("pair", ellipsoid((0.8, 0, 0), np.eye(3), (0.3, 0.2, 0.4)), on_plane.object)
+        ],
+        "cylinder on cylinder": [Contact("pair", across, cylinder((0.3, 0, 0), Y, 0.1))],
+        "ellipsoid on ellipsoid": [
+            Contact("pair", ellipsoid((0.8, 0, 0), np.eye(3), (0.3, 0.2, 0.4)), oval)
+        ],
+        "point on a Python function": [Contact("point", point((0.5, 0.0, 0.0)), smooth(ball))],
+    }
+
+
+def measure_rows(
+    rounds: int = 7, progress: Callable[[str], None] | None = None
+) -> dict[str, float]:
+    """Microseconds a row, of every kind in :func:`row_kinds`."""
+    bursts = {name: _Burst(contacts) for name, contacts in row_kinds().items()}
+    best = dict.fromkeys(bursts, math.inf)
+    for turn in range(rounds):
+        if progress is not None:
+            progress(f"contact rows, round {turn + 1} of {rounds} ...")
+        for name, burst in bursts.items():
+            best[name] = min(best[name], burst.time())
+    return {name: 1e6 * cost for name, cost in best.items()}
+
+
+def print_rows(cost: dict[str, float], console: Any) -> None:
+    """Print the table of :func:`measure_rows` to a rich console."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title="one row of W, in microseconds", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("row", no_wrap=True)
+    table.add_column("cost", justify="right")
+    for name, value in cost.items():
+        table.add_row(name, f"{value:.3f}")
+    console.print(table)
+
+
+class _Burst:
+    """A table of rows of one kind, and how long writing one takes."""
+
+    def __init__(self, contacts: list[Contact]) -> None:
+        contacts = contacts * (ROWS // len(contacts))
+        self._table, self._count = pack(contacts), len(contacts)
+        self._arm, self._body = _moving(0.01), _moving(-0.02)
+        self._rows = np.zeros((self._count, CONTACT_WIDTH))
+        self._parts = np.zeros((len(self._table.codes) - self._count, CONTACT_WIDTH))
+        self._scratch = np.zeros(RELATIVE_WIDTH + QUERY_WIDTH)
+        shapes = len(self._table.shapes)
+        self._places = np.tile([0.47, 0.01, 0.01], (shapes, 1))
+        self._located = np.zeros((shapes, 3))
+        self._call = CallBack(self._answer, np.zeros(1, dtype=np.int64))
+        self._repeats = 1
+        self.time()
+        self._repeats = max(1, round(2e-3 / (self.time() * self._count)))
+
+    def time(self) -> float:
+        """Seconds a row in one burst."""
+        table = self._table
+        begin = time.perf_counter()
+        _write_often(
+            self._repeats, self._count, self._arm, self._body, np.zeros(RELATIVE_WIDTH),
+            table.codes, table.geometry, table.shapes, self._call.address, self._rows,
+            self._parts, self._scratch, self._places, self._located,
+        )  # fmt: skip
+        end = time.perf_counter()
+        self._call.reraise()
+        assert np.all(np.isfinite(self._rows)), "the rows that are timed exist"
+        return (end - begin) / (self._repeats * self._count)
+
+    def _answer(self) -> None:
+        query = self._scratch[RELATIVE_WIDTH:]
+        surface = self._table.functions[int(query[FUNCTION])]
+        distance, gradient, second = surface.closest(query[PLACE : PLACE + 3].copy())
+        query[DISTANCE], query[GRADIENT : GRADIENT + 3] = distance, gradient
+        query[SECOND : SECOND + 6] = second[np.triu_indices(3)]
+
+
+def _moving(speed: float) -> np.ndarray:
+    body = np.zeros(BODY_WIDTH)
+    body[:9] = np.eye(3).ravel()
+    body[12:18] = speed
+    return body
+
+
+@kernel
+def _write_often(
+    repeats, count, arm, body, relative, codes, geometry, shapes, calls, rows, parts, scratch,
+    places, located,
+):  # fmt: skip
+    for _ in range(repeats):
+        write_rows(
+            0, count, arm, body, relative, codes, geometry, shapes, calls, rows, parts, scratch,
+            places, located,
+        )  # fmt: skip

@@ -1,0 +1,228 @@
+"""Whether the contacts of a scene make sense at its start, and what they leave free.
+
+Each fault is told with the arm, the contact and the remedy: surfaces that have no common normal, or
+touch along a line, a tip outside the patch that it should touch, rows that say the same twice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.contacts.kernel import RELATIVE_WIDTH
+from multiarm.contacts.records import KIND, LINK, PAIR, SURFACE_BODY, SURFACE_ON_OBJECT, Contact
+from multiarm.contacts.rows import LINE_CONTACT, locate_pair
+from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
+from multiarm.equations import OK, update_kinematics
+from multiarm.errors import SceneError
+from multiarm.node.dense import null_space
+from multiarm.plant import CALL_SURFACE
+from multiarm.state import State
+from multiarm.system import System
+from multiarm.watching import FORCE, LIMIT, WATCH_BODY, WATCH_ROW, margin_of
+
+# Directions in which a contact of two surfaces is looked for.
+_GUESSES = 60
+
+
+def locate_pairs(system: System, start: State) -> np.ndarray:
+    """Where two surfaces touch, for every such contact: ``places`` of the kernel, (S, 3).
+
+    Newton's method begins in many places; of what it finds, the contact with the smallest gap is
+    the one meant, since at the start surfaces touch.
+
+    Raises
+    ------
+    SceneError
+        When two surfaces have no common normal near each other, or touch along a line.
+    """
+    places = np.zeros_like(system.buffers.places)
+    pairs = np.flatnonzero(system.plant.codes[:, KIND] == PAIR)
+    if not pairs.size:
+        return places
+    _kinematics(system, start)
+    faults = []
+    for row in map(int, pairs):
+        arm, contact = owner(system, row)
+        found = _locate(system, row, arm)
+        if found is None:
+            faults.append(
+                f"arm '{arm}': the two surfaces of '{contact.name}' have no common normal line, or "
+                f"touch along a line and not in a point; mend their placement, or use several "
+                f"contacts with spherical tips"
+            )
+        else:
+            places[system.plant.codes[row, LINK]] = found
+    if faults:
+        raise SceneError(faults)
+    return places
+
+
+def check_rows(system: System, start: State) -> None:
+    """Check that the rows of each joint are independent, which the node algorithm needs.
+
+    Raises
+    ------
+    SceneError
+        Names the contacts that depend on each other.
+    """
+    if system.scene.run.solver != "node":
+        return
+    _kinematics(system, start)
+    faults = [fault for arm in system.arm_names for fault in _dependent(system, arm)]
+    if faults:
+        raise SceneError(faults)
+
+
+def check_patches(system: System) -> None:
+    """Check that the contacts of the assembled start are on their patches.
+
+    Raises
+    ------
+    SceneError
+        Names the contacts that are not.
+    """
+    _kinematics(system, system.initial_state())
+    faults = _outside(system)
+    if faults:
+        raise SceneError(faults)
+
+
+def choose_free(system: System, arm: str) -> tuple[int, ...]:
+    """Components of the relative twist that the joint of an arm leaves free, at the start.
+
+    They are those of the joint frame in which the null space of the joint's rows has the largest
+    parts, chosen one after the other (pivoting); turns are measured at the joint's own size.
+    """
+    _kinematics(system, system.initial_state())
+    wrenches, _ = joint_wrenches(system, arm)
+    space = null_space(wrenches).basis  # (6, m)
+    chosen: list[int] = []
+    for _ in range(space.shape[1]):
+        sizes = np.linalg.norm(space, axis=1)
+        sizes[chosen] = -1.0
+        # equal sizes up to rounding: the first one, so that the choice does not hang on noise
+        best = int(np.argmax(sizes > (1.0 - 1e-6) * np.max(sizes)))
+        chosen.append(best)
+        direction = space[best] / np.linalg.norm(space[best])
+        space = space - np.outer(space @ direction, direction)
+    return tuple(sorted(chosen))
+
+
+def joint_wrenches(system: System, arm: str) -> tuple[np.ndarray, float]:
+    """Rows ``[e; (p - x) x e / size]`` of a joint at the kinematics in the buffers, and the size.
+
+    Shape (N, 6), in the axes of the object's joint frame about the arm's, each of unit length;
+    moments are measured at the longest lever arm [m].
+    """
+    i = system.arm_names.index(arm)
+    buffers, frame = system.buffers, system.frames[arm]
+    body, link = buffers.body, buffers.arms[i]
+    R = body[:9].reshape(3, 3) @ frame.on_object[:3, :3]
+    tip = system.arms[arm]
+    at = tip.tip_rotation @ frame.on_tip[:3, 3] + tip.tip_translation
+    x = link[9:12] + link[:9].reshape(3, 3) @ at
+    rows = buffers.Wo[system.layout.rows[i] : system.layout.rows[i + 1]]
+    force = rows[:, :3]
+    moment = rows[:, 3:] - np.cross(x - body[9:12], force)
+    size = float(np.max(np.linalg.norm(moment, axis=1), initial=0.0)) or 1.0
+    wrenches = np.hstack([force @ R, moment @ R / size])
+    return wrenches / np.linalg.norm(wrenches, axis=1)[:, None], size
+
+
+def owner(system: System, row: int) -> tuple[str, Contact]:
+    """Arm and contact of a row of W."""
+    i = int(np.searchsorted(system.layout.rows, row, side="right")) - 1
+    arm = system.arm_names[i]
+    return arm, system.contacts[arm][row - system.layout.rows[i]]
+
+
+def _outside(system: System) -> list[str]:
+    faults = []
+    for watch in system.plant.watches:
+        if int(watch[WATCH_BODY]) in (FORCE, LIMIT):
+            continue
+        excess = margin_of(watch, system.plant, system.buffers)
+        if excess > 0.0:
+            arm, contact = owner(system, int(watch[WATCH_ROW]))
+            faults.append(
+                f"arm '{arm}': '{contact.name}' touches {excess:.3g} m outside the patch of its "
+                f"surface; mend the posture, or the patch's 'min' and 'max'"
+            )
+    return faults
+
+
+def _dependent(system: System, arm: str) -> list[str]:
+    wrenches, _ = joint_wrenches(system, arm)
+    if not np.all(np.isfinite(wrenches)):
+        return []  # a contact without a normal: assembling the start tells which
+    space = null_space(wrenches.T)
+    if space.rank == len(wrenches):
+        return []
+    names = [contact.name for contact in system.contacts[arm]]
+    among = [f"'{n}'" for n, own in zip(names, space.untouched, strict=True) if not own]
+    return [
+        f"arm '{arm}': {len(names)} contacts give only {space.rank} independent constraints; "
+        f"{len(names) - space.rank} too many among {', '.join(among)}; leave some out, or use "
+        f"`solver: dense`"
+    ]
+
+
+def _kinematics(system: System, state: State) -> None:
+    system.set_state(0.0, state)
+    if update_kinematics(system.book()) != OK:
+        system.reraise()
+
+
+def _locate(system: System, row: int, arm: str) -> np.ndarray | None:
+    """Point of the guiding surface, in its body, where two surfaces touch, shape (3,)."""
+    plant, buffers = system.plant, system.buffers
+    link, body = buffers.arms[system.arm_names.index(arm)], buffers.body
+    on_object = plant.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT
+    a, b = (link, body) if on_object else (body, link)
+    first, calls = int(plant.codes[row, LINK]), plant.calls[CALL_SURFACE]
+    query = buffers.query[RELATIVE_WIDTH:]
+    r = a[9:12] - b[9:12]
+    best, smallest = None, np.inf
+    for guess in _guesses(system, arm, row, b):
+        place = guess.copy()
+        if not locate_pair(a, b, plant.shapes, first, *r, query, calls, place):
+            system.reraise()
+            continue
+        z = b[:9].reshape(3, 3) @ place
+        world_distance(plant.shapes[first + 1], a, *(z - r), query, calls)
+        gap, second = query[DISTANCE], query[SECOND : SECOND + 6].copy()
+        world_distance(plant.shapes[first], b, *z, query, calls)
+        gap, second = abs(gap + query[DISTANCE]), second + query[SECOND : SECOND + 6]
+        if gap < smallest and not _is_line(second):
+            best, smallest = place, gap
+    return best
+
+
+def _is_line(second: np.ndarray) -> bool:
+    """Whether the curvature of one surface against the other vanishes along a tangent."""
+    xx, xy, xz, yy, yz, zz = second
+    sizes = np.sort(np.abs(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])))
+    return bool(sizes[1] <= LINE_CONTACT * sizes[2])
+
+
+def _guesses(system: System, arm: str, row: int, b: np.ndarray) -> np.ndarray:
+    """Points in the guiding body's frame around both surfaces, shape (g, 3)."""
+    _, contact = owner(system, row)
+    frame, tip = system.frames[arm], system.arms[arm]
+    i = system.arm_names.index(arm)
+    link, body = system.buffers.arms[i], system.buffers.body
+    on_link = contact.moved_on_arm(tip.tip_rotation, tip.tip_translation)
+    centres = [
+        body[9:12] + body[:9].reshape(3, 3) @ contact.object.origin,
+        link[9:12] + link[:9].reshape(3, 3) @ on_link.arm.origin,
+        body[9:12] + body[:9].reshape(3, 3) @ frame.on_object[:3, 3],
+    ]
+    sizes = [abs(s) for surface in (contact.arm, contact.object) for s in surface.sizes if s]
+    reach = max([*sizes, 1e-3])
+    # points spread evenly over a sphere (Fibonacci's spiral)
+    k = np.arange(_GUESSES) + 0.5
+    height, turn = 1.0 - 2.0 * k / _GUESSES, np.pi * (1.0 + 5.0**0.5) * k
+    flat = np.sqrt(1.0 - height**2)
+    around = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+    world = np.vstack([np.vstack([c, c + 1e-3 * reach, c + reach * around]) for c in centres])
+    return (world - b[9:12]) @ b[:9].reshape(3, 3)

@@ -1,0 +1,215 @@
+r"""Functions of the user's: their values, told clearly when they are wrong, and their derivatives.
+
+Derivatives that are not given are found by complex numbers where a function takes them, else by
+central differences.  A first derivative is then free of errors of differences,
+
+.. math:: f'(x) = \operatorname{Im} f(x + i h) / h + O(h^2), \qquad h = 10^{-30},
+
+(W. Squire and G. Trapp, Using complex variables to estimate derivatives, SIAM Review 40, 1998), and
+a second one is a mean over 8 places around x, which lie mirrored to the real axis in pairs,
+
+.. math:: f''(x) = \frac{1}{2\rho^2} \sum_{k=1}^4
+          \operatorname{Re}\left(f(x + \rho e^{i\theta_k}) e^{-2 i \theta_k}\right) + O(\rho^8),
+          \qquad \theta_k = (2k - 1)\,\pi / 8 .
+
+Central differences combine values at :math:`x \pm k h, k = 1..4`, with an error of order
+:math:`h^8` too.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from multiarm.errors import ModelError
+
+__all__ = [
+    "Differences",
+    "UserFunction",
+    "check_agreement",
+    "check_certainty",
+    "checked",
+    "shown",
+]
+
+UserFunction = Callable[[np.ndarray], np.ndarray]
+
+# Central differences of order 8, and the mean over a circle; steps and radius are fractions of the
+# length on which a function bends.  Rounding errors weigh more in a second derivative.
+_FIRST, _FIRST_STEP = (4 / 5, -1 / 5, 4 / 105, -1 / 280), 0.02
+_SECOND, _CENTRE, _SECOND_STEP = (8 / 5, -1 / 5, 8 / 315, -1 / 560), -205 / 72, 0.03
+_COMPLEX_STEP = 1e-30
+_CIRCLE, _RADIUS = np.exp(1j * np.pi * np.array([1, 3, 5, 7]) / 8), 0.04
+_MEAN = _CIRCLE**-2 / (2.0 * _RADIUS**2)
+# Complex steps and differences agree to this fraction where a function takes complex numbers as it
+# should; one that takes an absolute value on the way does not.
+_COMPLEX_AGREEMENT = 1e-6
+# How far given derivatives may be from differences, relative to the largest there may be.
+_AGREEMENT = 1e-5
+# How far differences of half the step may be from those used.
+_UNCERTAINTY = 1e-7
+
+
+def checked(
+    function: Callable, name: str, role: str, shape: tuple[int, ...], spread: bool = False
+) -> UserFunction:
+    """The function, with a clear error for everything that it should not return.
+
+    Parameters
+    ----------
+    function : callable
+        Of an array, or of its entries one by one (``spread``).
+    name, role : str
+        How messages call it: ``the <role> of <name>``.
+    shape : tuple of int
+        What it must return; ``()``: one number.
+    """
+    return partial(_evaluated, function, f"the {role} of {name}", shape, spread)
+
+
+def shown(x: np.ndarray) -> str:
+    """Numbers as they stand in a message."""
+    return np.array2string(np.asarray(x), precision=6, separator=", ")
+
+
+def check_agreement(name: str, role: str, of: str, x: np.ndarray, error: float) -> None:
+    """Refuse given derivatives that are not those of the function.
+
+    Raises
+    ------
+    ModelError
+    """
+    if not error <= _AGREEMENT:
+        raise ModelError(
+            f"the {role} of {name} disagrees with differences of its {of} by {error:.1e} "
+            f"(relative) at {shown(x)}; mend it or leave it out (differences need a 'length' near "
+            "the smallest radius of curvature)"
+        )
+
+
+def check_certainty(
+    name: str, differences: Differences, derivative: UserFunction, x: np.ndarray, scale: float
+) -> None:
+    """Refuse derivatives that change when the steps of the differences are halved.
+
+    Raises
+    ------
+    ModelError
+    """
+    coarse = derivative(x)
+    differences.lengths *= 0.5
+    error = float(np.max(np.abs(derivative(x) - coarse))) / scale
+    differences.lengths *= 2.0
+    if not error <= _UNCERTAINTY:
+        raise ModelError(
+            f"differences of {name} are uncertain by {error:.1e} (relative) at {shown(x)}; set "
+            "'length' to its smallest radius of curvature, or give its derivatives; it must be "
+            "smooth"
+        )
+
+
+class Differences:
+    """First and second derivatives of a function of ``n`` variables with ``m`` values.
+
+    Parameters
+    ----------
+    function : callable, (n,) -> (m,)
+        Takes an array, of complex numbers only if it can.
+    lengths : array-like, shape (n,)
+        How far each variable goes until the function bends; steps are a fraction of it.
+    """
+
+    def __init__(self, function: UserFunction, lengths: np.ndarray) -> None:
+        self.function = function
+        self.lengths = np.array(lengths, dtype=float)
+        self.takes_complex = False
+
+    def probe(self, x: np.ndarray) -> None:
+        """Find out, at a point (n,), whether the function takes complex numbers."""
+        first, second = self.first(x), self.second(x)
+        self.takes_complex = True
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            try:
+                errors = self.first(x) - first, self.second(x) - second
+            except Exception:  # whatever a function does with numbers it was not made for
+                self.takes_complex = False
+                return
+        lengths = self.lengths.reshape(-1, *(1,) * (first.ndim - 1))
+        size = np.max(np.abs(first) * lengths)
+        wrong = np.max(np.abs(errors[0]) * lengths)
+        wrong += np.max(np.abs(errors[1]) * np.multiply.outer(self.lengths, lengths))
+        self.takes_complex = bool(wrong <= _COMPLEX_AGREEMENT * size)
+
+    def first(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives by each variable, shape (n, m)."""
+        if self.takes_complex:
+            places = x + 1j * _COMPLEX_STEP * np.eye(x.size)
+            return _complex(np.array([self.function(at) for at in places])).imag / _COMPLEX_STEP
+        rows = []
+        for step, way in zip(_FIRST_STEP * self.lengths, np.eye(x.size), strict=True):
+            terms = (
+                weight * (self.function(x + k * step * way) - self.function(x - k * step * way))
+                for k, weight in enumerate(_FIRST, start=1)
+            )
+            rows.append(sum(terms) / step)
+        return np.array(rows)
+
+    def second(self, x: np.ndarray) -> np.ndarray:
+        """Second derivatives, shape (n, n, m).
+
+        They are those along the axes and along their diagonals, from which follow the mixed ones.
+        """
+        n, ways = x.size, np.diag(self.lengths)
+        centre = None if self.takes_complex else self.function(x)
+        own = [self._along(x, way, centre) for way in ways]
+        scaled = np.empty((n, n, *np.shape(own[0])))
+        for i in range(n):
+            scaled[i, i] = own[i]
+            for j in range(i):
+                diagonal = self._along(x, np.sqrt(0.5) * (ways[i] + ways[j]), centre)
+                scaled[i, j] = scaled[j, i] = diagonal - 0.5 * (own[i] + own[j])
+        lengths = np.multiply.outer(self.lengths, self.lengths)
+        return scaled / lengths.reshape(n, n, *(1,) * (scaled.ndim - 2))
+
+    def _along(self, x: np.ndarray, way: np.ndarray, centre: np.ndarray | None) -> np.ndarray:
+        """Second derivative along a line, per length of ``way``."""
+        if centre is None:
+            places = x + np.multiply.outer(_RADIUS * _CIRCLE, way)
+            values = _complex(np.array([self.function(at) for at in places]))
+            return np.tensordot(_MEAN, values, 1).real
+        way = _SECOND_STEP * way
+        pairs = (
+            weight * (self.function(x + k * way) + self.function(x - k * way))
+            for k, weight in enumerate(_SECOND, start=1)
+        )
+        return (sum(pairs) + _CENTRE * centre) / _SECOND_STEP**2
+
+
+def _complex(values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind != "c":
+        raise TypeError("the function drops imaginary parts")
+    return values
+
+
+def _evaluated(
+    function: Callable, subject: str, shape: tuple[int, ...], spread: bool, x: np.ndarray
+) -> np.ndarray:
+    try:
+        value = np.asarray(function(*x) if spread else function(x))
+    except Exception as error:
+        raise ModelError(
+            f"{subject} failed at {shown(x)}: {type(error).__name__}: {error}"
+        ) from error
+    if value.size == 1 and shape == ():
+        value = value.reshape(())
+    if value.shape != shape or value.dtype.kind not in "fciu":
+        what = "one number" if shape == () else f"numbers of shape {shape}"
+        got = f"shape {value.shape}" if value.shape != shape else f"{value.dtype}"
+        raise ModelError(f"{subject} must return {what}, got {got} at {shown(x)}")
+    if not np.all(np.isfinite(value)):
+        raise ModelError(f"{subject} is not finite at {shown(x)}: {shown(value)}")
+    return value

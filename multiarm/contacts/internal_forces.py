@@ -1,0 +1,351 @@
+r"""Internal forces: what contacts can exert on the object without moving it.
+
+The contacts of all arms together push the object with ``W_o lambda``.  With more contacts than the
+rank of ``W_o`` the same wrench is exerted by many forces (thesis, 3.4 and 3.7.3):
+
+.. math:: \lambda = W_o^+ f_o + A_o \mu_I, \qquad W_o A_o = 0 .
+
+The first part *moves* the object and is the smallest that does; the second part only *squeezes* it.
+``W_o`` is about the object's centre of mass, in object axes: ``f_o`` is a force [N] and a moment
+[N m] there.  A multiplier ``lambda_j`` is the force of contact j [N], positive where it pushes; of
+a row that is a couple it is a moment in units of that row.
+
+The basis ``A_o`` is a choice, and with it the meaning of the coordinates ``mu_I``:
+
+* ``orthonormal``: ``|A_o mu_I| = |mu_I|``;
+* ``nonnegative``: no entry is negative, so that a positive coordinate raises forces only.  It
+  exists when some combination presses all contacts, as in every form-closure grasp;
+* ``echelon``: as many rows as columns are unit rows; a coordinate is the deviation of one contact
+  force from the smallest: ``mu_I,j = lambda_j - (W_o^+ f_o)_j``.
+
+"Smallest" is meant in the multipliers as they are, the plain pseudo-inverse.  With a ``length`` it
+is meant in newtons: a contact counts with its force, a couple with its moment over that lever arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from multiarm.contacts.screws import (
+    COUPLE_TOLERANCE,
+    RANK_TOLERANCE,
+    column_norms,
+    pivots,
+    row_scale,
+    screw_system,
+    wrench_matrix,
+)
+from multiarm.errors import GraspError
+
+FORMS = ("orthonormal", "nonnegative", "echelon")
+# A combination presses all contacts when the weakest has this part of the strongest.
+PRESSING_TOLERANCE = 1e-7
+# Unit rows are refused when the other forces would be more than 1 / this of the coordinates.
+UNIT_ROW_TOLERANCE = 1e-6
+# A wrench is carried when what is left of it is below this part of it (moments over lever arms).
+CARRIED_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class InternalForces:
+    """A basis of the contact forces that do not move the object.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (N, N - rank)
+        ``A_o``: one column a combination of contact forces, ``W_o A_o = 0``.
+    rank : int
+        Rank of ``W_o``; with 6 the contacts hold the object fully.
+    rows : tuple of int
+        Echelon form: the contacts whose forces are the coordinates.  Else empty.
+    form : str
+        ``orthonormal``, ``nonnegative`` or ``echelon``.
+    """
+
+    basis: np.ndarray
+    rank: int
+    rows: tuple[int, ...]
+    form: str
+
+    @property
+    def count(self) -> int:
+        """Number of coordinates ``mu_I``."""
+        return self.basis.shape[1]
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """Contact forces as what moves the object and what squeezes it.
+
+    Attributes
+    ----------
+    moving : ndarray, shape (N,)
+        The smallest forces with the same resultant, ``W_o^+ f_o`` [N].
+    squeezing : ndarray, shape (N,)
+        The rest, ``A_o mu_I`` [N].
+    coordinates : ndarray, shape (N - rank,)
+        ``mu_I`` in the basis asked for.
+    wrench : ndarray, shape (6,)
+        Resultant ``f_o`` on the object: force [N] and moment [N m] about the centre of mass, object
+        axes.
+    """
+
+    moving: np.ndarray
+    squeezing: np.ndarray
+    coordinates: np.ndarray
+    wrench: np.ndarray
+
+
+def internal_forces(
+    W_o: np.ndarray,
+    form: str = "orthonormal",
+    rows: Sequence[int | str] | None = None,
+    names: Sequence[str] | None = None,
+) -> InternalForces:
+    """Basis of the internal forces of a grasp.
+
+    Parameters
+    ----------
+    W_o : ndarray, shape (6, N)
+        Wrenches of unit pushes of all contacts on the object, about one point.
+    form : str
+        ``orthonormal``, ``nonnegative`` (columns with largest entry 1; the first presses all
+        contacts) or ``echelon``.
+    rows : sequence of int or str, optional
+        Echelon form: the contacts whose forces become the coordinates, in their order.  Left out:
+        contacts found by pivoting, which keeps the other entries small.
+    names : sequence of str, optional
+        Names of the contacts, which messages then use and ``rows`` may.
+
+    Raises
+    ------
+    GraspError
+        An unknown form; no combination presses all contacts; rows that cannot be coordinates.
+    """
+    W_o = wrench_matrix(W_o, "W_o")
+    labels = [f"contact {j}" for j in range(W_o.shape[1])] if names is None else list(names)
+    if form not in FORMS:
+        raise GraspError(f"unknown form {form!r} of internal forces; forms are {', '.join(FORMS)}")
+    if rows is not None and form != "echelon":
+        raise GraspError(f"rows can be chosen in the echelon form only, not in the {form} one")
+    screws = screw_system(W_o)
+    A = screws.dependencies
+    chosen: tuple[int, ...] = ()
+    if form == "orthonormal":
+        # signs are free: the more contacts a column presses, the better it reads
+        A = A * np.where(A.sum(axis=0) < 0.0, -1.0, 1.0)
+    elif form == "nonnegative":
+        A = _nonnegative(A, labels)
+    else:
+        A, chosen = _echelon(A, rows, labels)
+    return InternalForces(A, screws.rank, chosen, form)
+
+
+def distribute(
+    W_o: np.ndarray,
+    wrench: np.ndarray,
+    internal: np.ndarray | None = None,
+    basis: InternalForces | None = None,
+    length: float | None = None,
+) -> np.ndarray:
+    """Contact forces ``W_o^+ f_o + A_o mu_I`` that push the object with a given wrench, (N,) [N].
+
+    Parameters
+    ----------
+    W_o : ndarray, shape (6, N)
+        Wrenches on the object about its centre of mass, object axes.
+    wrench : array-like, shape (6,)
+        Force [N] and moment [N m] there.
+    internal : array-like, shape (N - rank,), optional
+        ``mu_I``; none when left out.
+    basis : InternalForces, optional
+        What ``internal`` means; the orthonormal form when left out.
+    length : float, optional
+        Measure the forces in newtons, couples over this lever arm [m]; left out: as they are.
+
+    Raises
+    ------
+    GraspError
+        When the contacts cannot exert the wrench, or ``internal`` has another length.
+    """
+    W_o, wrench = wrench_matrix(W_o, "W_o"), np.asarray(wrench, dtype=float)
+    if wrench.shape != (6,) or not np.all(np.isfinite(wrench)):
+        raise GraspError(f"a wrench is six finite numbers, not {wrench.tolist()}")
+    screws = screw_system(W_o)
+    scale, norms = row_scale(screws.length), column_norms(W_o, screws.length)
+    scaled = scale[:, None] * W_o / norms
+    some = np.linalg.lstsq(scaled, scale * wrench, rcond=RANK_TOLERANCE)[0] / norms
+    missing = wrench - W_o @ some
+    if np.linalg.norm(scale * missing) > CARRIED_TOLERANCE * np.linalg.norm(scale * wrench):
+        raise GraspError(
+            f"the contacts cannot exert this wrench on the object: {_six(missing)} (force [N], "
+            f"moment [N m] about the centre of mass, object axes) is left over; their rank is "
+            f"{screws.rank} of 6"
+        )
+    force = _smallest(W_o, screws.dependencies, some, length)
+    if internal is None:
+        return force
+    A = basis or internal_forces(W_o)
+    mu_I = np.atleast_1d(np.asarray(internal, dtype=float))
+    if A.basis.shape != (W_o.shape[1], mu_I.size):
+        raise GraspError(
+            f"{W_o.shape[1]} contacts of rank {screws.rank} have "
+            f"{W_o.shape[1] - screws.rank} internal coordinates; got {mu_I.size} of them"
+            f" and a basis of shape {A.basis.shape}"
+        )
+    return force + A.basis @ mu_I
+
+
+def decompose(
+    W_o: np.ndarray,
+    forces: np.ndarray,
+    basis: InternalForces | None = None,
+    length: float | None = None,
+) -> Decomposition:
+    """Split contact forces into those that move the object and those that squeeze it.
+
+    Parameters
+    ----------
+    W_o : ndarray, shape (6, N)
+        Wrenches on the object about its centre of mass, object axes.
+    forces : array-like, shape (N,)
+        Contact forces [N], positive pushes.
+    basis : InternalForces, optional
+        What the coordinates mean; the orthonormal form when left out.
+    length : float, optional
+        As in :func:`distribute`.
+
+    Raises
+    ------
+    GraspError
+        When the number of forces is not that of the contacts.
+    """
+    W_o, forces = wrench_matrix(W_o, "W_o"), np.asarray(forces, dtype=float)
+    if forces.shape != (W_o.shape[1],):
+        raise GraspError(f"W_o has {W_o.shape[1]} contacts, the forces have shape {forces.shape}")
+    A = basis or internal_forces(W_o)
+    moving = _smallest(W_o, A.basis, forces, length)
+    squeezing = forces - moving
+    mu_I = np.linalg.lstsq(A.basis, squeezing, rcond=None)[0]
+    return Decomposition(moving, squeezing, mu_I, W_o @ forces)
+
+
+def _smallest(
+    W_o: np.ndarray, null: np.ndarray, force: np.ndarray, length: float | None
+) -> np.ndarray:
+    """The smallest forces with the same resultant: without their part in the null space."""
+    metric = np.ones(force.size)
+    if length is not None:
+        push, turn = np.linalg.norm(W_o[:3], axis=0), np.linalg.norm(W_o[3:], axis=0) / length
+        metric = np.where(push > COUPLE_TOLERANCE * turn, push, turn)
+    weighted = metric[:, None] * null
+    return force - null @ np.linalg.lstsq(weighted, metric * force, rcond=None)[0]
+
+
+def _nonnegative(A: np.ndarray, labels: list[str]) -> np.ndarray:
+    """Basis without negative entries: a column that presses all contacts, others next to it."""
+    if A.shape[1] == 0:
+        raise GraspError(
+            f"the forces of {', '.join(labels)} are determined by what they do to the object: "
+            f"there are no internal forces that could press; add contacts"
+        )
+    pressing = _evenest(A, labels)
+    others = A - np.outer(pressing, pressing @ A) / (pressing @ pressing)
+    # what is left of the basis beside `pressing`, one column fewer
+    others = np.linalg.svd(others)[0][:, : A.shape[1] - 1]
+    columns = [pressing]
+    for column in others.T:
+        # as little of the pressing column as keeps every contact from pulling
+        least = np.max(-column / pressing, initial=0.0)
+        columns.append(np.maximum(column + least * pressing, 0.0))
+    return np.column_stack([column / np.max(column) for column in columns])
+
+
+def _evenest(A: np.ndarray, labels: list[str]) -> np.ndarray:
+    """Internal force that presses all contacts: the one nearest to equal forces, if that does.
+
+    Otherwise the one whose weakest contact is pressed most, by linear programming.
+    """
+    even = A @ A.sum(axis=0)
+    if np.min(even) > PRESSING_TOLERANCE * np.max(np.abs(even)):
+        return even
+    from scipy.optimize import linprog
+
+    count, size = A.shape
+    free = [(None, None)] * size
+    # lambda = A y: maximise t, where t <= lambda_j <= 1
+    weakest = linprog(
+        np.append(np.zeros(size), -1.0),
+        A_ub=np.block([[-A, np.ones((count, 1))], [A, np.zeros((count, 1))]]),
+        b_ub=np.append(np.zeros(count), np.ones(count)),
+        bounds=[*free, (0.0, 1.0)],
+    )
+    if weakest.success and weakest.x[-1] > PRESSING_TOLERANCE:
+        return A @ weakest.x[:-1]
+    # maximise the sum of t_j <= min(lambda_j, 1): 0 where a contact can never be pressed
+    each = linprog(
+        np.append(np.zeros(size), -np.ones(count)),
+        A_ub=np.block([-A, np.eye(count)]),
+        b_ub=np.zeros(count),
+        bounds=[*free, *[(0.0, 1.0)] * count],
+    )
+    pressed = each.x[size:] if each.success else np.ones(count)
+    idle = np.flatnonzero(pressed < PRESSING_TOLERANCE)
+    raise GraspError(
+        f"no combination of internal forces presses all contacts at once: "
+        f"{', '.join(labels[j] for j in idle) or 'some'} would have to pull; the contacts do not "
+        f"hold the object by pushing (no form closure), take the orthonormal or echelon form"
+    )
+
+
+def _echelon(
+    A: np.ndarray, rows: Sequence[int | str] | None, labels: list[str]
+) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Basis with unit rows at the chosen contacts."""
+    size = A.shape[1]
+    chosen = pivots(A) if rows is None else _numbers(rows, labels)
+    if len(chosen) != size:
+        raise GraspError(
+            f"the contacts have {size} internal coordinates, which takes as many of them, not "
+            f"{len(chosen)}{_advice(A, labels)}"
+        )
+    block = A[list(chosen)]
+    smallest = np.linalg.svd(block, compute_uv=False)[-1] if size else 1.0
+    if smallest < UNIT_ROW_TOLERANCE:
+        raise GraspError(
+            f"the forces of {', '.join(labels[j] for j in chosen)} cannot be coordinates of the "
+            f"internal forces: there are internal forces in which none of them changes"
+            f"{_advice(A, labels)}"
+        )
+    echelon = A @ np.linalg.inv(block)
+    if size:
+        echelon[list(chosen)] = np.eye(size)  # without rounding
+    return echelon, chosen
+
+
+def _numbers(rows: Sequence[int | str], labels: list[str]) -> tuple[int, ...]:
+    numbers: list[int] = []
+    for row in rows:
+        number = labels.index(row) if row in labels else row
+        if isinstance(number, str) or number not in range(len(labels)) or int(number) in numbers:
+            raise GraspError(
+                f"contacts are {', '.join(labels)} or 0 to {len(labels) - 1}, each once; not "
+                f"{', '.join(str(r) for r in rows)}"
+            )
+        numbers.append(int(number))
+    return tuple(numbers)
+
+
+def _advice(A: np.ndarray, labels: list[str]) -> str:
+    """End of a message: contacts that can serve."""
+    if A.shape[1] == 0:
+        return "; the contacts have no internal forces"
+    return f"; {' + '.join(labels[j] for j in pivots(A))} can"
+
+
+def _six(values: np.ndarray) -> str:
+    shown = np.where(np.abs(values) > 1e-9 * np.max(np.abs(values)), values, 0.0)
+    return "[" + ", ".join(f"{value:.3g}" for value in shown) + "]"

@@ -1,0 +1,92 @@
+"""Where the samples of a run are, and a channel of every arm as a mapping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from multiarm.channels import Block, Channel
+from multiarm.errors import TrajectoryError
+
+
+class Store(Protocol):
+    """Where the samples of a trajectory are."""
+
+    samples: int
+    channels: dict[str, Channel]
+    metadata: dict[str, Any]
+
+    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Samples start..stop of a channel."""
+        ...
+
+
+class ArrayStore:
+    """Samples in memory: arrays that are read-only from here on."""
+
+    def __init__(self, channels: Sequence[Channel], arrays: Block, metadata: dict[str, Any]):
+        self.channels = {channel.name: channel for channel in channels}
+        self.samples = len(arrays["time"])
+        self.metadata = metadata
+        self._arrays = arrays
+        for values in arrays.values():
+            values.flags.writeable = False
+
+    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Samples start..stop of a channel."""
+        return self._arrays[name][start:stop]
+
+
+def arm_names(store: Store) -> tuple[str, ...]:
+    """Names of the arms, in the order of the scene."""
+    names = (n for n in store.channels if n.startswith("arms/"))
+    return tuple(dict.fromkeys(n.removeprefix("arms/").rpartition("/")[0] for n in names))
+
+
+class _UnknownArmError(TrajectoryError, KeyError):
+    """A KeyError whose text is a sentence."""
+
+    __str__ = Exception.__str__
+
+
+class ByArm(Mapping[str, np.ndarray]):
+    """One channel of every arm, read when asked for.
+
+    Parameters
+    ----------
+    store : Store
+    quantity : str
+        Last part of the channel's name.
+    read : callable
+        ``name -> samples``.
+    optional : bool
+        An arm without the channel has no columns of it; else it is an error.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        quantity: str,
+        read: Callable[[str], np.ndarray],
+        optional: bool = False,
+    ):
+        self._store, self._quantity, self._read = store, quantity, read
+        self._optional = optional
+
+    def __getitem__(self, arm: str) -> np.ndarray:
+        names = arm_names(self._store)
+        if arm not in names:
+            known = ", ".join(repr(name) for name in names)
+            raise _UnknownArmError(f"unknown arm {arm!r}; arms are {known}")
+        name = f"arms/{arm}/{self._quantity}"
+        if self._optional and name not in self._store.channels:
+            return np.empty((self._store.samples, 0))
+        return self._read(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(arm_names(self._store))
+
+    def __len__(self) -> int:
+        return len(arm_names(self._store))

@@ -1,0 +1,183 @@
+"""Control laws that are told in terms of the object: where it should go, how stiffly it is held."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from multiarm.scene.base import Pose, Spec
+from multiarm.scene.values import ArmName, NonNegative, fault, number_list
+from multiarm.scene.words import shown
+
+__all__ = [
+    "ComputedTorqueControl",
+    "ObjectGain",
+    "ObjectImpedanceControl",
+    "ObjectPath",
+    "Waypoint",
+]
+
+
+class Waypoint(Pose):
+    """A pose of the object to be passed at ``time`` [s]."""
+
+    time: NonNegative = Field(description="the time in seconds at which the pose is passed")
+
+
+def _ordered(path: tuple[Waypoint, ...] | None) -> tuple[Waypoint, ...] | None:
+    if path is None:
+        return None
+    if not path:
+        raise fault("'path' is empty; list poses with their times or leave the key out")
+    times = [waypoint.time for waypoint in path]
+    for number, (before, after) in enumerate(pairwise(times), start=1):
+        if after <= before:
+            raise fault(
+                f"the times of 'path' must increase, but waypoint {number} comes at "
+                f"{after:g} s after {before:g} s"
+            )
+    if times == [0.0]:
+        raise fault("'path' has one pose at time 0 and leads nowhere; add a later pose")
+    return path
+
+
+ObjectPath = Annotated[tuple[Waypoint, ...] | None, AfterValidator(_ordered)]
+
+
+def _axis_gain(value: Any) -> tuple[float, ...]:
+    value = value.tolist() if isinstance(value, np.ndarray) else value
+    if isinstance(value, (list, tuple)) and len(value) == 3:
+        numbers = tuple(number_list(value))
+    elif isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
+        numbers = (float(value),) * 3
+    else:
+        raise fault(f"must be a number, or a list of 3 for the world's axes, got {shown(value)}")
+    if min(numbers) < 0.0:
+        raise fault(f"must not be negative, got {shown(value)}")
+    return numbers
+
+
+AxisGain = Annotated[tuple[float, float, float], BeforeValidator(_axis_gain)]
+
+
+class ObjectGain(Spec):
+    """Gains for the shift and for the turn of the object, along and about the world's axes.
+
+    Attributes
+    ----------
+    translation, rotation : number or 3 numbers
+        One for all axes, or one each for x, y, z of the world.
+    """
+
+    translation: AxisGain = Field(description="a number, or 3 for the world's axes")
+    rotation: AxisGain = Field(description="a number, or 3 for the world's axes")
+
+    def vector(self) -> np.ndarray:
+        """Return the gains of shift and turn, shape (6,)."""
+        return np.array([*self.translation, *self.rotation])
+
+
+def _from_number(value: Any) -> Any:
+    """Let one number stand for the gains of shift and turn, where both have one unit."""
+    if isinstance(value, (Mapping, ObjectGain)):
+        return value
+    gain = _axis_gain(value) if not isinstance(value, (list, tuple)) else None
+    if gain is None:
+        raise fault(
+            f"must be a number or a table (translation: ..., rotation: ...), got {shown(value)}"
+        )
+    return {"translation": gain, "rotation": gain}
+
+
+def _in_two_units(value: Any) -> Any:
+    if isinstance(value, (Mapping, ObjectGain)):
+        return value
+    raise fault(
+        "must be a table (translation: ..., rotation: ...), for shift and turn have different "
+        f"units, got {shown(value)}"
+    )
+
+
+def _forces(value: Any) -> tuple[float, ...]:
+    value = value.tolist() if isinstance(value, np.ndarray) else value
+    if not isinstance(value, (list, tuple)) or not value:
+        raise fault(f"must be a list of forces [N], one for each contact, got {shown(value)}")
+    return tuple(number_list(value))
+
+
+ContactForces = Annotated[tuple[float, ...], BeforeValidator(_forces)]
+
+
+class _ObjectControl(Spec):
+    """What both laws have in common."""
+
+    path: ObjectPath = None
+    relative_damping: NonNegative = 10.0
+    squeeze: NonNegative = 0.0
+    internal_forces: dict[ArmName, ContactForces] | None = None
+
+
+class ComputedTorqueControl(_ObjectControl):
+    """Inverse dynamics: the object follows its path, with errors that die out as told.
+
+    The object's acceleration is commanded as that of the path, plus damping times the error of the
+    velocity, plus stiffness times the error of the pose.
+
+    Attributes
+    ----------
+    path : list of Waypoint, optional
+        Poses of the object, reached at rest. A path that does not begin at time 0 begins with
+        the start pose. Absent: the object is held where it is.
+    stiffness : number or {translation, rotation}
+        [1/s^2]
+    damping : number or {translation, rotation}
+        [1/s]; twice the root of the stiffness lets errors die out without overshoot.
+    relative_damping : number
+        Rate at which motions of the arms that the object does not need die out [1/s].
+    squeeze : number
+        How hard the arms press the object between them [N]: fingertips, which can only push,
+        press so hard in the mean; arms with idealised joints each press so hard towards the
+        middle of all grips.
+    internal_forces : table 'arm: forces'
+        [N], one for each contact of the arm's joint; what is not internal in them is taken away.
+    """
+
+    kind: Literal["computed_torque"] = "computed_torque"
+    stiffness: Annotated[ObjectGain, BeforeValidator(_from_number)] = ObjectGain(
+        translation=100.0, rotation=100.0
+    )
+    damping: Annotated[ObjectGain, BeforeValidator(_from_number)] = ObjectGain(
+        translation=20.0, rotation=20.0
+    )
+
+
+class ObjectImpedanceControl(_ObjectControl):
+    """The object on a spring and a damper; arms and object carry their own weight.
+
+    Attributes
+    ----------
+    stiffness : {translation, rotation}
+        [N/m] and [N m/rad], along and about the world's axes.
+    damping : {translation, rotation}
+        [N s/m] and [N m s/rad].
+    path : list of Waypoint, optional
+        Where the spring pulls to. A path that does not begin at time 0 begins with the start
+        pose. Absent: the start pose.
+    relative_damping : number
+        Rate at which motions of the arms that the object does not need die out [1/s].
+    squeeze, internal_forces
+        As with computed torque.
+    """
+
+    kind: Literal["object_impedance"] = "object_impedance"
+    stiffness: Annotated[ObjectGain, BeforeValidator(_in_two_units)] = Field(
+        description="a table (translation: N/m, rotation: N m/rad), a number or 3 each"
+    )
+    damping: Annotated[ObjectGain, BeforeValidator(_in_two_units)] = Field(
+        description="a table (translation: N s/m, rotation: N m s/rad), a number or 3 each"
+    )

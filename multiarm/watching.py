@@ -1,0 +1,227 @@
+"""What to keep an eye on during a run: contacts that pull or leave their patch, joints at limits.
+
+The contacts of the model hold both ways and their surfaces go on for ever.  A contact that stands
+for a real one can only push, on a surface that ends somewhere, and a real hinge has its limits:
+where the model goes on and the real thing would not, an event of the result says so, with its time.
+
+A *margin* is watched at the end of every step: it is negative as long as all is well.  The time at
+which it changed its sign is found by a straight line between the ends of the step.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multiarm.contacts.frames import JointFrame, write_relative
+from multiarm.contacts.kernel import AT, NORMAL
+from multiarm.contacts.records import SURFACE_BODY, SURFACE_ON_OBJECT, TIP_RADIUS, Contact, Patch
+from multiarm.lowlevel import inner, kernel
+
+if TYPE_CHECKING:
+    from multiarm.state import Layout
+    from multiarm.system import System
+
+# Columns of a watch: row of W; body that carries the patch (``ON_OBJECT``, else the arm), ``FORCE``
+# or ``LIMIT``; the patch's frame (rotation row by row, origin) in that body; its corners.  A limit
+# has the arm in place of the row, then its place among the joint's coordinates, and its bounds.
+WATCH_ROW, WATCH_BODY, WATCH_POSE, WATCH_LOWER, WATCH_UPPER, WATCH_WIDTH = 0, 1, 2, 14, 17, 20
+ON_OBJECT, FORCE, LIMIT = -1, -2, -3
+
+# A pull smaller than this fraction of the largest contact force [N], or of 1 N, is rounding.
+NO_PULL = 1e-6
+# An excess smaller than this [m, rad] is rounding.
+NO_EXCESS = 1e-9
+# Events kept in a result; more are counted.
+MOST_TOLD = 1000
+# Contacts named in the message of a run.
+NAMED = 3
+
+
+def make_watches(
+    contacts: dict[str, list[Contact]],
+    frames: dict[str, JointFrame],
+    limits: dict[str, dict[int, tuple[float, float]]],
+    layout: Layout,
+) -> np.ndarray:
+    """One row for every force, patch and limit to watch, shape (w, 20).
+
+    The contacts have the arms' geometry in the frame of the link that carries the tip; ``limits``
+    are by arm and component of the joint's relative motion.
+    """
+    rows: list[np.ndarray] = []
+    for i, (arm, own) in enumerate(contacts.items()):
+        for k, contact in enumerate(own):
+            rows += _contact_watches(layout.rows[i] + k, i, contact)
+        place = dict(zip(frames[arm].free, frames[arm].places, strict=True))
+        for component, (lower, upper) in limits[arm].items():
+            watch = _watch(i, LIMIT)
+            watch[[WATCH_POSE, WATCH_LOWER, WATCH_UPPER]] = place[component], lower, upper
+            rows.append(watch)
+    return np.array(rows).reshape(-1, WATCH_WIDTH)
+
+
+def _contact_watches(row: int, arm: int, contact: Contact) -> list[np.ndarray]:
+    if contact.tangent:
+        return []
+    watches = [_watch(row, FORCE)] if contact.pushes_only else []
+    for body, surface in ((arm, contact.arm), (ON_OBJECT, contact.object)):
+        if surface.patch is not None:
+            watches.append(_watch(row, body, surface.patch))
+    return watches
+
+
+def _watch(row: int, body: int, patch: Patch | None = None) -> np.ndarray:
+    watch = np.zeros(WATCH_WIDTH)
+    watch[[WATCH_ROW, WATCH_BODY]] = row, body
+    if patch is not None:
+        watch[WATCH_POSE : WATCH_POSE + 9] = patch.pose[:3, :3].ravel()
+        watch[WATCH_POSE + 9 : WATCH_POSE + 12] = patch.pose[:3, 3]
+        watch[WATCH_LOWER : WATCH_LOWER + 3] = patch.lower
+        watch[WATCH_UPPER : WATCH_UPPER + 3] = patch.upper
+    return watch
+
+
+class EventLog:
+    """What happened in a run, in words.
+
+    Attributes
+    ----------
+    told : list of dict
+        ``time`` [s], ``kind``, ``arm``, ``contact``, ``text``; at most ``MOST_TOLD``.
+    untold : int
+        How many more there were.
+    """
+
+    def __init__(self) -> None:
+        self.told: list[dict[str, Any]] = []
+        self.untold = 0
+
+    def collect(self, system: System) -> None:
+        """Take over the events that the loop has noted."""
+        buffers = system.buffers
+        count = int(buffers.event_count[0])
+        noted = min(count, len(buffers.events), MOST_TOLD - len(self.told))
+        self.told += [_named(event, system) for event in buffers.events[:noted]]
+        self.untold += count - noted
+        buffers.event_count[0] = 0
+
+    def summary(self) -> str:
+        """What a reader of the result's message must know; empty when nothing happened."""
+        parts = []
+        for kind, meaning in _MEANINGS.items():
+            first: dict[str, float] = {}
+            for event in self.told:
+                if event["kind"] == kind:
+                    first.setdefault(f"{event['arm']}: {event['contact']}", event["time"])
+            if first:
+                who = [f"{name} (from {t:.4g} s)" for name, t in first.items()]
+                more = f" and {len(who) - NAMED} more" if len(who) > NAMED else ""
+                parts.append(f"; {meaning}: {', '.join(who[:NAMED])}{more}")
+        if self.untold:
+            parts.append(f"; {self.untold} more events are not listed")
+        return "".join(parts)
+
+
+_MEANINGS = {
+    "pulls": "contacts that can only push were pulled, where real ones would come apart",
+    "leaves its patch": "contact points left the patch of their surface",
+    "passes its limit": "joints passed their limits, which are not enforced",
+}
+_KINDS = {
+    ON_OBJECT: ("leaves its patch", "is back on its patch"),
+    FORCE: ("pulls", "pushes again"),
+    LIMIT: ("passes its limit", "is back within its limit"),
+}
+
+
+def _named(event: np.ndarray, system: System) -> dict[str, Any]:
+    """An event as the result tells it."""
+    time, number, began = event
+    watch = system.plant.watches[int(number)]
+    row, what = int(watch[WATCH_ROW]), int(watch[WATCH_BODY])
+    if what == LIMIT:
+        arm = system.arm_names[row]
+        frame = system.frames[arm]
+        name = f"joint, {frame.labels[frame.places.index(int(watch[WATCH_POSE]))]}"
+    else:
+        owners = [(arm, contact.name) for arm, own in system.contacts.items() for contact in own]
+        arm, name = owners[row]
+    kind = _KINDS.get(what, _KINDS[ON_OBJECT])[0 if began else 1]
+    return {
+        "time": float(time),
+        "kind": kind,
+        "arm": arm,
+        "contact": name,
+        "text": f"{arm}: {name} {kind}",
+    }
+
+
+@kernel
+def margin_of(watch, plant, buffers):
+    """Margin of one watch: of a force [N], of a patch [m]; negative as long as all is well."""
+    row, carrier = int(watch[WATCH_ROW]), int(watch[WATCH_BODY])
+    if carrier == FORCE:
+        largest = 1.0
+        for k in range(buffers.force.size):
+            largest = max(largest, abs(buffers.force[k]))
+        return -buffers.force[row] - NO_PULL * largest
+    contact = buffers.contacts[row]
+    body = buffers.body if carrier == ON_OBJECT else buffers.arms[carrier]
+    # the contact point lies a tip's radius from its centre, against the guide's outward normal
+    away = plant.geometry[row, TIP_RADIUS]
+    if plant.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT:
+        away = -away
+    d0 = contact[AT] - away * contact[NORMAL] - body[9]
+    d1 = contact[AT + 1] - away * contact[NORMAL + 1] - body[10]
+    d2 = contact[AT + 2] - away * contact[NORMAL + 2] - body[11]
+    at = WATCH_POSE
+    p0 = body[0] * d0 + body[3] * d1 + body[6] * d2 - watch[at + 9]
+    p1 = body[1] * d0 + body[4] * d1 + body[7] * d2 - watch[at + 10]
+    p2 = body[2] * d0 + body[5] * d1 + body[8] * d2 - watch[at + 11]
+    worst = -math.inf
+    for j in range(3):
+        p = watch[at + j] * p0 + watch[at + 3 + j] * p1 + watch[at + 6 + j] * p2
+        worst = max(worst, watch[WATCH_LOWER + j] - p, p - watch[WATCH_UPPER + j])
+    return worst - NO_EXCESS
+
+
+@inner
+def limit_margin(watch, plant, buffers, k):
+    """Margin of a limit [m, rad]; an angle goes on from the one before, past half a turn."""
+    arm, place = int(watch[WATCH_ROW]), int(watch[WATCH_POSE])
+    rates, places = buffers.query[0:6], buffers.query[6:15]
+    write_relative(plant.frames[arm], buffers.arms[arm], buffers.body, rates, places)
+    x, before = places[place], buffers.margins[k, 1]
+    if place >= 3 and before == before:
+        x += 2.0 * math.pi * round((before - x) / (2.0 * math.pi))
+    buffers.margins[k, 1] = x
+    return max(watch[WATCH_LOWER] - x, x - watch[WATCH_UPPER]) - NO_EXCESS
+
+
+@inner
+def watch_step(plant, buffers, begin, end):
+    """Note the margins at the end of a step, and every one that changed its sign in it.
+
+    ``buffers.margins`` holds those of the step's beginning, and the joints' coordinates (NaN at the
+    start of a run).
+    """
+    for k in range(plant.watches.shape[0]):
+        before = buffers.margins[k, 0]
+        if int(plant.watches[k, WATCH_BODY]) == LIMIT:
+            now = limit_margin(plant.watches[k], plant, buffers, k)
+        else:
+            now = margin_of(plant.watches[k], plant, buffers)
+        buffers.margins[k, 0] = now
+        began = before <= 0.0 < now or (before != before and now > 0.0)
+        if not (began or now <= 0.0 < before):
+            continue
+        count = buffers.event_count[0]
+        if count < buffers.events.shape[0]:
+            share = before / (before - now) if before == before else 0.0
+            event = buffers.events[count]
+            event[0], event[1] = begin + share * (end - begin), k
+            event[2] = 1.0 if began else 0.0
+        buffers.event_count[0] += 1

@@ -1,0 +1,224 @@
+"""Claims about the catalogue as people read it: `multiarm joints`."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from multiarm.cli import app
+from multiarm.contacts.catalogue import CATALOGUE, FREE
+from multiarm.guide.cards import (
+    common_parameters,
+    contact_parameters,
+    joint_cards,
+    joint_models,
+    read_joint,
+    surface_cards,
+)
+from multiarm.guide.motions import free_motions, seen_from
+from multiarm.guide.words import JOINTS, SURFACES
+from multiarm.scene import ContactSpec, Geometry, parse_scene
+
+KINDS = sorted(JOINTS)
+# Constraint rows of the joints that mechanisms are made of, as textbooks count them.
+ROWS = {
+    "weld": 6, "revolute": 5, "prismatic": 5, "cylindrical": 4, "universal": 4, "ball": 3,
+    "planar": 3, "point_on_plane": 1, "point_on_cylinder": 1, "point_on_sphere": 1,
+    "corner_gripper": 4,
+}  # fmt: skip
+FREE_MOTIONS = {
+    "weld": [],
+    "ball": ["turn about x, y and z"],
+    "revolute": ["turn about z"],
+    "prismatic": ["slide along z"],
+    "cylindrical": ["slide along z", "turn about z"],
+    "universal": ["turn about x and y"],
+    "planar": ["slide along x and y", "turn about z"],
+    "point_on_plane": ["slide along x and y", "turn about x, y and z"],
+    "corner_gripper": ["2 along several axes at once"],
+}
+LENGTHS = {"size", "radius", "tip_radius", "circle_radius", "tube_radius", "length"}
+
+
+def multiarm(*words: object):
+    return CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "100"})
+
+
+def flowing(text: str) -> str:
+    """Text without line breaks and the columns' padding."""
+    return " ".join(text.split())
+
+
+@pytest.fixture(scope="module")
+def cards():
+    return joint_cards()
+
+
+def test_every_kind_and_surface_of_the_schema_is_in_the_catalogue(cards):
+    assert set(cards) == set(JOINTS) == set(CATALOGUE)
+    assert list(surface_cards()) == list(Geometry.model_fields)
+    assert set(SURFACES) == set(Geometry.model_fields)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_example_of_a_joint_loads_as_part_of_a_scene(kind, cards):
+    text = """
+object: {shape: {box: [0.6, 0.5, 0.4]}, mass: 5.0}
+arms: {left: {robot: textbook_6r, tip: tool}}
+"""
+    scene = parse_scene(text + cards[kind].example, folder=None)
+    assert scene.joints[0].kind == kind
+    assert scene.joints == (read_joint(cards[kind].example),)
+
+
+@pytest.mark.parametrize("name", sorted(SURFACES))
+def test_every_example_of_a_surface_is_one_side_of_a_contact(name):
+    side = yaml.safe_load(SURFACES[name].example)
+    other = {"object" if "arm" in side else "arm": {"point": [0, 0, 0]}}
+    if name == "point":
+        other = {"object": {"plane": {"normal": [0, 0, 1]}}}
+    contact = ContactSpec.model_validate({**other, **side})
+    shapes = {contact.arm.shape, contact.object.shape}
+    assert name in shapes
+
+
+@pytest.mark.parametrize("kind", sorted(ROWS))
+def test_rows_are_those_of_the_textbook_and_all_independent(kind, cards):
+    assert cards[kind].rows == cards[kind].rank == len(cards[kind].row_names) == ROWS[kind]
+
+
+@pytest.mark.parametrize("kind", sorted(FREE_MOTIONS))
+def test_free_motions_are_those_of_the_textbook(kind, cards):
+    assert cards[kind].free == FREE_MOTIONS[kind]
+
+
+@pytest.mark.parametrize("kind", sorted(k for k, free in FREE.items() if free is not None))
+def test_recorded_coordinates_are_the_free_motions(kind, cards):
+    told = " ".join(cards[kind].free)
+    slides, turns = (re.search(f"{verb} ([xyz, and]+)", told) for verb in ("along", "about"))
+    found = [k for k, axis in enumerate("xyz") if slides and axis in slides[1].replace("and", "")]
+    found += [k for k, axis in enumerate("xyz", 3) if turns and axis in turns[1].replace("and", "")]
+    assert tuple(found) == FREE[kind]
+
+
+def test_a_fingertip_on_a_round_face_slides_across_its_normal(cards):
+    for kind in ("point_on_cylinder", "point_on_sphere"):
+        assert cards[kind].free == ["slide along y and z", "turn about x, y and z"]
+
+
+def test_wrenches_of_a_screw_leave_one_motion_along_and_about_its_axis(cards):
+    screw = cards["wrenches"]
+    assert (screw.rows, screw.rank) == (5, 5)
+    assert screw.free == ["1 along several axes at once"]
+
+
+def test_free_motions_are_found_in_any_frame_and_unit(rng):
+    hinge = np.eye(6)[:, :5]  # all but the moment about z
+    assert free_motions(hinge).words() == ["turn about z"]
+    frame, turn = np.eye(4), np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    frame[:3, :3], frame[:3, 3] = turn * np.linalg.det(turn), [1.0, -2.0, 0.5]
+    moved = seen_from(np.linalg.inv(frame), hinge @ rng.standard_normal((5, 5)))
+    back = seen_from(frame, moved) * 10.0 ** rng.uniform(-6, 6, 5)
+    assert free_motions(back).words() == ["turn about z"]
+    doubled = free_motions(np.column_stack([hinge, 3.0 * hinge[:, 1]]))
+    assert doubled.rank == 5
+    assert doubled.untouched.tolist() == [True, False, True, True, True, False]
+
+
+def test_a_force_through_a_frame_has_no_moment_in_it(rng):
+    frame, force = np.eye(4), rng.standard_normal(3)
+    frame[:3, :3] = np.eye(3)[[1, 2, 0]]
+    frame[:3, 3] = at = np.array([1.0, -2.0, 0.5])
+    seen = seen_from(frame, np.concatenate([force, np.cross(at, force)])[:, None])[:, 0]
+    np.testing.assert_allclose(seen, [*(frame[:3, :3].T @ force), 0, 0, 0], atol=1e-15)
+
+
+def test_parameters_carry_the_defaults_of_the_schema(cards):
+    for model in joint_models():
+        kind = model.model_fields["kind"].default
+        for parameter in cards[kind].parameters:
+            field = model.model_fields[parameter.name]
+            if parameter.default in ("required", "none", "identity"):
+                assert field.is_required() == (parameter.default == "required")
+                continue
+            shown = yaml.safe_load(parameter.default)
+            assert json.loads(json.dumps(field.default)) == shown
+
+
+def test_every_parameter_has_a_meaning_and_every_length_a_unit(cards):
+    owners = [*cards.values(), *surface_cards().values()]
+    parameters = [(owner, p) for owner in owners for p in owner.parameters]
+    parameters += [("all", p) for p in [*common_parameters(), *contact_parameters()]]
+    assert len(parameters) > 40
+    for owner, parameter in parameters:
+        assert parameter.meaning, (owner, parameter)
+        assert parameter.unit == "m" or parameter.name not in LENGTHS, (owner, parameter)
+
+
+def test_contacts_are_told_from_the_records(cards):
+    assert cards["revolute"].made_of == ("4 points on a cylinder, 1 point on a plane")
+    assert "hollow sphere" in cards["point_on_sphere"].made_of
+    assert "2 directions without slip" in cards["contacts"].made_of
+
+
+def test_list_shows_every_kind_with_its_picture(cards):
+    result = multiarm("joints")
+    assert result.exit_code == 0, result.output
+    for kind, card in cards.items():
+        assert kind in result.stdout
+        assert card.picture.split(":")[0] in flowing(result.stdout)
+    for name in SURFACES:
+        assert name in result.stdout
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_kind_is_shown_in_full(kind, cards):
+    result = multiarm("joints", kind)
+    assert result.exit_code == 0, result.output
+    assert flowing(cards[kind].example) in flowing(result.stdout)
+    for parameter in (*cards[kind].parameters, *common_parameters()):
+        assert parameter.name in result.stdout
+    assert "door hinge" not in result.stdout or kind == "revolute"
+
+
+def test_surfaces_are_a_section_of_their_own():
+    result = multiarm("joints", "surfaces")
+    assert result.exit_code == 0, result.output
+    for word in (*SURFACES, "half_angle", "rolling", "patch"):
+        assert word in result.stdout
+    assert "door hinge" not in result.stdout
+
+
+def test_one_surface_is_shown_in_full():
+    result = multiarm("joints", "cone")
+    assert result.exit_code == 0, result.output
+    assert "half_angle" in result.stdout and "rad" in result.stdout and "funnel" in result.stdout
+    assert "doughnut" not in result.stdout
+
+
+def test_unknown_kind_names_the_alternatives():
+    result = multiarm("joints", "revolut")
+    assert result.exit_code == 2
+    assert "unknown joint kind 'revolut'; did you mean 'revolute'?" in result.stderr
+    assert "'prismatic'" in result.stderr
+
+
+def test_json_holds_what_is_shown(tmp_path, cards):
+    assert multiarm("joints", "--json", tmp_path / "all.json").exit_code == 0
+    found = json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))
+    assert set(found) == {"joints", "surfaces"}
+    assert set(found["joints"]) == set(cards) and set(found["surfaces"]) == set(SURFACES)
+    assert found["joints"]["universal"]["rows"] == 4
+    assert multiarm("joints", "ball", "--json", tmp_path / "one.json").exit_code == 0
+    one = json.loads((tmp_path / "one.json").read_text(encoding="utf-8"))
+    assert one == {"joints": {"ball": found["joints"]["ball"]}, "surfaces": {}}
+
+
+def test_file_that_cannot_be_written_is_found_first(tmp_path):
+    result = multiarm("joints", "--json", tmp_path / "no" / "a.json")
+    assert result.exit_code == 2 and "there is no folder" in result.stderr
