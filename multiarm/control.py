@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from multiarm.load_sharing import static_forces
-from multiarm.lowlevel import call_back, inner, kernel
+from multiarm.lowlevel import call_back, inner, inner_inlined, kernel
 from multiarm.object_control import (
     add_computed_torque,
     add_object_impedance,
@@ -94,7 +94,7 @@ def add_joint_pd(t, angles, velocity, parameters, at, torque):
         torque[j] += parameters[at + n + j] * (rate - velocity[j])
 
 
-@inner
+@inner_inlined
 def control_torques(t, angles, program, parameters, plant, buffers, work):
     """Run the control program; the torques are left in ``buffers.torque``."""
     torque = buffers.torque

@@ -100,9 +100,9 @@ class Buffers(NamedTuple):
     q_o : (6,), qdd : (joints,), force : (N,)
         Accelerations and contact forces (positive = pushing).
     torque, gravity_torque : (joints,)
-        Control torques; gravity forces of the joints (filled only for gravity compensation).
+        Control torques; gravity forces of the joints (filled only for control that needs them).
     weight : (6,), static_force : (N,)
-        Wrench that carries the object, and the contact forces for it (gravity compensation).
+        Wrench that the control wants on the object, and the contact forces for it.
     power : (1,), energy : (2,)
         Power of control and effects [W]; kinetic and potential energy [J] (at samples only).
     margins : (w, 2), events : (e, 3), event_count : int64 (1,)

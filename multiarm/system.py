@@ -196,6 +196,7 @@ class System:
         b.torque[:] = 0.0  # another system's control may have left its torques here
         b.places[:] = self._places
         b.margins[:] = np.nan
+        b.event_count[0] = 0
         for surface in self.surfaces:
             surface.reset()
 

@@ -120,6 +120,19 @@ def test_hinged_box_is_led_by_its_waypoints_and_squeezed(printed):
     assert max(figures("arm=#, object=#, constraint=#", text)[0]) < 1e-9
 
 
+def test_any_joint_is_the_same_hinge_three_times(printed):
+    text = printed("05_any_joint.py")
+    hinges = figures(r"turned by# rad, box# m from the first hinge", text)
+    assert len(hinges) == 3
+    angles, apart = np.array(hinges).T
+    np.testing.assert_allclose(angles, angles[0], atol=1e-6)
+    assert abs(angles[0]) > 0.01  # it does turn
+    assert np.all(apart < 1e-9)
+    assert [rows for (rows,) in figures(r"(?m):# rows; free:", text)] == [5, 5, 5, 1, 3]
+    assert text.count("completed, ") == 5
+    assert max(gap for (gap,) in figures("largest gap# m", text)) < 1e-11
+
+
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"
