@@ -83,6 +83,13 @@ def assemble(system: System, written: State) -> tuple[State, StartReport]:
         When a gap is too large or the arms cannot close it.
     """
     _kinematics(system, written)
+    lost = np.flatnonzero(~np.isfinite(system.buffers.contacts).all(axis=1))
+    if lost.size:
+        from multiarm.dynamics import lost_contact
+
+        raise SceneError(
+            [f"{lost_contact(system, int(row))}; mend its placement at the start" for row in lost]
+        )
     gaps = _by_arm(system, GAP)
     rates = _by_arm(system, GAP_RATE)
     size = scene_size(system)

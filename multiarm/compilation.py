@@ -117,7 +117,7 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
     gravity = np.array(scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0))
     groups = group_arms(list(arms.values()), gravity, needs_gravity_torque(scene))
     table = pack([contact for own in joints.on_links.values() for contact in own])
-    watches = make_watches(joints.on_links, joints.frames, joints.limits, layout)
+    watches = make_watches(joints.on_links, joints.limits, layout)
     plant = _plant(scene, arms, table, groups, gravity)._replace(watches=watches)
     buffers = make_buffers(plant, layout.contacts, sum(g.model.nq for g in groups))
     work = make_work(list(np.diff(layout.dofs)), list(np.diff(layout.rows)))

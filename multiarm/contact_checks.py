@@ -39,7 +39,9 @@ def locate_pairs(system: System, start: State) -> np.ndarray:
     pairs = np.flatnonzero(system.plant.codes[:, KIND] == PAIR)
     if not pairs.size:
         return places
-    _kinematics(system, start)
+    system.set_state(0.0, start)
+    update_kinematics(system.book())
+    system.forgive()  # what is not located yet may well have failed
     faults = []
     for row in map(int, pairs):
         arm, contact = owner(system, row)
@@ -55,6 +57,23 @@ def locate_pairs(system: System, start: State) -> np.ndarray:
     if faults:
         raise SceneError(faults)
     return places
+
+
+def place_state(system: System, t: float, state: State) -> None:
+    """Write a state into the buffers, and find its contacts of two surfaces.
+
+    They are looked for near where they were at the start, and everywhere if that fails.
+    """
+    system.set_state(t, state)
+    if not np.any(system.plant.codes[:, KIND] == PAIR):
+        return
+    status = update_kinematics(system.book())
+    if status == OK and np.all(np.isfinite(system.buffers.contacts)):
+        return
+    system.forgive()
+    places = locate_pairs(system, state)
+    system.set_state(t, state)
+    system.buffers.places[:] = places
 
 
 def check_rows(system: System, start: State) -> None:
@@ -182,19 +201,25 @@ def _locate(system: System, row: int, arm: str) -> np.ndarray | None:
     first, calls = int(plant.codes[row, LINK]), plant.calls[CALL_SURFACE]
     query = buffers.query[RELATIVE_WIDTH:]
     r = a[9:12] - b[9:12]
-    best, smallest = None, np.inf
+    best, smallest, trouble = None, np.inf, None
     for guess in _guesses(system, arm, row, b):
         place = guess.copy()
-        if not locate_pair(a, b, plant.shapes, first, *r, query, calls, place):
-            system.reraise()
-            continue
+        located = locate_pair(a, b, plant.shapes, first, *r, query, calls, place)
         z = b[:9].reshape(3, 3) @ place
         world_distance(plant.shapes[first + 1], a, *(z - r), query, calls)
         gap, second = query[DISTANCE], query[SECOND : SECOND + 6].copy()
         world_distance(plant.shapes[first], b, *z, query, calls)
         gap, second = abs(gap + query[DISTANCE]), second + query[SECOND : SECOND + 6]
+        if buffers.flag[0] != 0:  # a function of the user's has no answer there
+            trouble = system.calls["surface"].error
+            system.forgive()
+            continue
+        if not located:
+            continue
         if gap < smallest and not _is_line(second):
             best, smallest = place, gap
+    if best is None and trouble is not None:
+        raise trouble
     return best
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from multiarm.contact_checks import owner, place_state
 from multiarm.contacts.internal_forces import InternalForces
 from multiarm.contacts.kernel import (
     AT,
@@ -177,10 +178,13 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
         When a Python controller returns something unusable.
     """
     state = system.initial_state() if state is None else state.copy()
-    system.set_state(t, state)
+    place_state(system, t, state)
     status = evaluate_buffers(system.book(), 0.0, 0.0)
     if status != OK:
-        system.reraise()
+        try:
+            system.reraise()
+        except SolverError as error:  # of the dense solver, which knows numbers only
+            raise SolverError(lost_contact_text(system) or str(error)) from error
         raise SolverError(failure_text(system, status))
     b, layout = system.buffers, system.layout
     forces, torques = b.force.copy(), b.torque.copy()
@@ -216,7 +220,7 @@ def project_velocity(system: System, state: State) -> State:
     The correction is the one that loses the least kinetic energy: an inelastic impact that closes
     all gap rates.  Positions stay.
     """
-    system.set_state(0.0, state)
+    place_state(system, 0.0, state)
     status = update_kinematics(system.book())
     if status == OK:
         status = project_velocities(system.book())
@@ -229,6 +233,9 @@ def project_velocity(system: System, state: State) -> State:
 def failure_text(system: System, status: int) -> str:
     """What a status of the compiled code means, with the remedy."""
     names = system.arm_names
+    lost = lost_contact_text(system)
+    if lost:
+        return lost
     if 0 <= status < len(names) and system.work.pivot[status] == NO_INERTIA:
         return (
             f"the inertia matrix of arm '{names[status]}' is not positive definite: a joint moves "
@@ -256,6 +263,29 @@ def failure_text(system: System, status: int) -> str:
     if status == NOT_FINITE:
         return "the state is not finite; take smaller steps, or check the controller"
     return f"the evaluation failed (status {status})"
+
+
+_FIND_CONTACT = (
+    "look where the motion takes it, take smaller steps, or choose a surface that goes on there"
+)
+
+
+def lost_contact_text(system: System) -> str:
+    """What to say when a contact has no normal at the state in the buffers; else nothing."""
+    b = system.buffers
+    lost = np.flatnonzero(~np.isfinite(b.contacts).all(axis=1))
+    if not lost.size or not (np.isfinite(b.position).all() and np.isfinite(b.angles).all()):
+        return ""
+    return f"{lost_contact(system, int(lost[0]))}; {_FIND_CONTACT}"
+
+
+def lost_contact(system: System, row: int) -> str:
+    """Say that a contact has no normal at the state in the buffers."""
+    arm, contact = owner(system, row)
+    return (
+        f"contact '{contact.name}' of arm '{arm}' has no normal where it is: an axis, a centre, an "
+        f"apex or the end of a surface was reached, or two surfaces lost each other"
+    )
 
 
 def _residuals(system: System, q_o: np.ndarray, qdd: np.ndarray, force: np.ndarray) -> Residuals:

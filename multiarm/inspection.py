@@ -79,7 +79,7 @@ class ArmFacts:
 
 @dataclass(frozen=True)
 class LimitFacts:
-    """Limits of a joint's coordinate, counted from the start, and where it starts [rad, m]."""
+    """Limits of a joint's coordinate [rad, m], and its place at the start."""
 
     coordinate: str
     unit: str

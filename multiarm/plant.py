@@ -105,7 +105,9 @@ class Buffers(NamedTuple):
         Wrench that the control wants on the object, and the contact forces for it.
     power : (1,), energy : (2,)
         Power of control and effects [W]; kinetic and potential energy [J] (at samples only).
-    margins : (w, 2), events : (e, 3), event_count : int64 (1,)
+    coordinates : (n, 6)
+        Free coordinates of the joints at the end of the last step; angles go on past half a turn.
+    margins : (w,), events : (e, 3), event_count : int64 (1,)
         What is watched, see :mod:`multiarm.watching`.
     flag : int64 (2,)
         Raised by a callback that failed; raised while a Python controller runs (``BUSY``).
@@ -140,6 +142,7 @@ class Buffers(NamedTuple):
     static_force: np.ndarray
     power: np.ndarray
     energy: np.ndarray
+    coordinates: np.ndarray
     margins: np.ndarray
     events: np.ndarray
     event_count: np.ndarray
@@ -184,7 +187,8 @@ def make_buffers(plant: Plant, rows: int, configuration: int) -> Buffers:
         static_force=np.zeros(rows),
         power=np.zeros(1),
         energy=np.zeros(2),
-        margins=np.full((watches, 2), np.nan),
+        coordinates=np.full((arms, 6), np.nan),
+        margins=np.full(watches, np.nan),
         events=np.zeros((MOST_EVENTS if watches else 0, EVENT_WIDTH)),
         event_count=np.zeros(1, dtype=np.int64),
         flag=np.zeros(2, dtype=np.int64),
@@ -249,21 +253,22 @@ def open_book(book):
         static_force=floats1(book, 44),
         power=floats1(book, 45),
         energy=floats1(book, 46),
-        margins=floats2(book, 47),
-        events=floats2(book, 48),
-        event_count=ints1(book, 49),
-        flag=ints1(book, 50),
+        coordinates=floats2(book, 47),
+        margins=floats1(book, 48),
+        events=floats2(book, 49),
+        event_count=ints1(book, 50),
+        flag=ints1(book, 51),
     )
     work = NodeWork(
-        dofs=ints1(book, 51),
-        rows=ints1(book, 52),
-        L=floats3(book, 53),
-        Y=floats3(book, 54),
-        G=floats3(book, 55),
-        Z=floats3(book, 56),
-        S=floats2(book, 57),
-        y=floats1(book, 58),
-        z=floats1(book, 59),
-        pivot=floats1(book, 60),
+        dofs=ints1(book, 52),
+        rows=ints1(book, 53),
+        L=floats3(book, 54),
+        Y=floats3(book, 55),
+        G=floats3(book, 56),
+        Z=floats3(book, 57),
+        S=floats2(book, 58),
+        y=floats1(book, 59),
+        z=floats1(book, 60),
+        pivot=floats1(book, 61),
     )
     return plant, buffers, work

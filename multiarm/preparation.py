@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.assembly import projection_tolerance, scene_size
+from multiarm.contact_checks import place_state
 from multiarm.dynamics import failure_text
 from multiarm.equations import OK
 from multiarm.errors import SolverError
@@ -33,6 +34,7 @@ from multiarm.time_loop import (
     Settings,
     gains,
     make_clock,
+    watch_start,
 )
 from multiarm.watching import EventLog
 
@@ -109,9 +111,10 @@ def prepare(system: System, spec: RunSpec, state: State | None, sink: Sink, max_
     )
     method, step = make_method(tableau), make_step(tableau, system.layout.joints)
     begin = system.initial_state() if state is None else state
-    system.set_state(0.0, begin)
+    place_state(system, 0.0, begin)
     store(system.buffers, step.base, step.z)
     _first_slope(system, step, settings)
+    watch_start(system.book())
     settings = settings._replace(
         closed=projection_tolerance(system) if settings.closed >= 0.0 else -1.0,
         apart=APART * scene_size(system),

@@ -201,13 +201,16 @@ def _table(title: str, rows: dict[str, Any]) -> str:
 def _events(events: list[dict[str, Any]]) -> str:
     if not events:
         return ""
-    items = "".join(
-        "<li>" + escape(", ".join(f"{k}: {_number(v)}" for k, v in event.items())) + "</li>"
-        for event in events[:SHOWN_EVENTS]
-    )
+    items = "".join(f"<li>{escape(_event(event))}</li>" for event in events[:SHOWN_EVENTS])
     more = len(events) - SHOWN_EVENTS
     rest = f"<p>… and {more} more, in the trajectory's <code>events</code>.</p>" if more > 0 else ""
     return f"<section><h2>Events</h2><ol class='events'>{items}</ol>{rest}</section>\n"
+
+
+def _event(event: dict[str, Any]) -> str:
+    if {"time", "text"} <= event.keys():
+        return f"{_number(event['time'])} s: {event['text']}"
+    return ", ".join(f"{name}: {_number(value)}" for name, value in event.items())
 
 
 def _scene(text: str) -> str:

@@ -7,12 +7,14 @@ kinetic and potential energy, work, largest gap and largest gap rate.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from multiarm.contacts.frames import write_relative
+from multiarm.contacts.frames import SINGLE_TURN, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import kinetic_energy, largest
-from multiarm.lowlevel import call_back, copy, inner
+from multiarm.lowlevel import call_back, copy, inlined, inner
 from multiarm.plant import CALL_POTENTIAL
 from multiarm.state import Layout
 
@@ -61,7 +63,30 @@ def write_free(plant, buffers, out):
         write_relative(plant.frames[i], buffers.arms[i], buffers.body, rates, places)
         for k in range(first, last):
             out[k] = rates[plant.free[k, 0]]
-            out[count + k] = places[plant.free[k, 1]]
+            out[count + k] = going_on(plant, buffers, i, k, places)
+
+
+@inner
+def follow_joints(plant, buffers):
+    """Note the free coordinates of all joints at the end of a step, in ``buffers.coordinates``."""
+    rates, places = buffers.query[0:6], buffers.query[6:15]
+    for i in range(plant.frames.shape[0]):
+        first, last = plant.free_bounds[i], plant.free_bounds[i + 1]
+        if first == last:
+            continue
+        write_relative(plant.frames[i], buffers.arms[i], buffers.body, rates, places)
+        for k in range(first, last):
+            x = going_on(plant, buffers, i, k, places)
+            buffers.coordinates[i, plant.free[k, 0]] = x
+
+
+@inlined
+def going_on(plant, buffers, i, k, places):
+    """Coordinate ``k``, of arm ``i``; a single angle goes on from the last step's, past pi."""
+    x, before = places[plant.free[k, 1]], buffers.coordinates[i, plant.free[k, 0]]
+    if plant.free[k, 1] >= SINGLE_TURN and before == before:
+        x += 2.0 * math.pi * round((before - x) / (2.0 * math.pi))
+    return x
 
 
 def named_samples(

@@ -12,11 +12,12 @@ import numpy as np
 
 from multiarm.channels import trajectory_channels
 from multiarm.contacts.frames import COMPONENTS, UNITS
-from multiarm.dynamics import failure_text
+from multiarm.dynamics import failure_text, lost_contact_text
 from multiarm.equations import CALLBACK_FAILED, NOT_FINITE
-from multiarm.errors import MultiarmError, TrajectoryError
+from multiarm.errors import MultiarmError, SolverError, TrajectoryError
 from multiarm.integrators.stepper import step_book
 from multiarm.interrupts import deferred_interrupt
+from multiarm.plant import BUSY
 from multiarm.preparation import Run, prepare, run_spec
 from multiarm.programs import ControlFunction
 from multiarm.samples import named_samples
@@ -162,9 +163,12 @@ def _drive(run: Run, progress: Progress | None) -> tuple[str, str, float]:
             run.events.collect(run.system)
             try:
                 if progress is not None:
+                    run.system.buffers.flag[BUSY] = 1
                     progress(float(run.clock.real[T]))
             except KeyboardInterrupt:  # the caller's way to end the run in good order
                 interrupt.pressed = True
+            finally:
+                run.system.buffers.flag[BUSY] = 0
             if reason == FINISHED:
                 ended = "completed", "the run reached its end"
             elif interrupt.pressed:
@@ -209,6 +213,8 @@ def _trouble(run: Run, reason: int) -> tuple[str, str]:
             run.system.reraise()
         except KeyboardInterrupt:
             return "interrupted", f"stopped by the user {where}"
+        except SolverError as error:
+            return "failed", f"{where}: {lost_contact_text(run.system) or error}"
         except MultiarmError as error:
             return "failed", f"{where}: {error}"
         except Exception as error:
@@ -225,7 +231,8 @@ def _trouble(run: Run, reason: int) -> tuple[str, str]:
             f"diverged; take {smaller}, or `stabilization: projection`"
         )
     if reason == NOT_FINITE:
-        return "failed", f"{where}: the state is no longer finite; take {smaller}"
+        lost = lost_contact_text(run.system)
+        return "failed", f"{where}: {lost or f'the state is no longer finite; take {smaller}'}"
     return "failed", f"{where}: {failure_text(run.system, reason)}"
 
 

@@ -175,7 +175,7 @@ class System:
         ModelError
             For a state of a system with other arms.
         ControlError
-            When called from within a controller of this system.
+            When called from within a controller of this system, or from ``progress`` of its run.
         """
         if state.layout != self.layout:
             raise ModelError(
@@ -185,8 +185,8 @@ class System:
         b = self.buffers
         if b.flag[BUSY]:
             raise ControlError(
-                "the controller evaluates the very system that it drives, whose arrays are in use; "
-                "compile a second one for it: `model = multiarm.compile_system(scene)`"
+                "the controller (or `progress`) evaluates the very system that runs, whose arrays "
+                "are in use; compile a second one for it: `model = multiarm.compile_system(scene)`"
             )
         b.time[0] = t
         b.position[:] = state.position[:7]
@@ -195,6 +195,7 @@ class System:
         b.v[:] = state.velocity[6:]
         b.torque[:] = 0.0  # another system's control may have left its torques here
         b.places[:] = self._places
+        b.coordinates[:] = np.nan
         b.margins[:] = np.nan
         b.event_count[0] = 0
         for surface in self.surfaces:

@@ -36,7 +36,7 @@ from multiarm.integrators.stepper import (
 )
 from multiarm.lowlevel import copy, inner, kernel
 from multiarm.plant import open_book
-from multiarm.samples import write_sample
+from multiarm.samples import follow_joints, write_sample
 from multiarm.stabilization import FEEDBACK_RATIO, project
 from multiarm.watching import watch_step
 
@@ -195,6 +195,14 @@ def emit_samples(book, method, step, clock, settings, block):
     return OK
 
 
+@kernel
+def watch_start(book):
+    """Note the joints' coordinates at the start of a run, and what is amiss there already."""
+    plant, buffers, _ = open_book(book)
+    follow_joints(plant, buffers)
+    watch_step(plant, buffers, 0.0, 0.0)
+
+
 @inner
 def planned_step(method, clock, settings):
     """Length of the next step and the time at which it ends."""
@@ -272,6 +280,7 @@ def complete_step(book, method, step, clock, settings, h, end):
     if buffers.places.size > 0:
         for i in range(buffers.places.shape[0]):
             copy(buffers.located[i], buffers.places[i])
+    follow_joints(plant, buffers)
     watch_step(plant, buffers, t, end)
     # the slope of the next step, in this chart for the dense output and in the next one for it
     write_slope(step.z_new, buffers, step.k[method.stages])

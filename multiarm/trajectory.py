@@ -135,7 +135,7 @@ class Trajectory:
 
         A single free turn is told by its angle, several by the rotation vector.
         """
-        return ByArm(self._store, "relative_position", self._unwrapped, optional=True)
+        return ByArm(self._store, "relative_position", self.channel, optional=True)
 
     @property
     def relative_motion_labels(self) -> dict[str, tuple[str, ...]]:
@@ -284,17 +284,6 @@ class Trajectory:
         finally:
             partial.unlink(missing_ok=True)
         return Path(path)
-
-    def _unwrapped(self, name: str) -> np.ndarray:
-        """A channel whose single angles go on where they pass half a turn."""
-        channel, values = self._store.channels[name], self.channel(name)
-        angles = [k for k, unit in enumerate(channel.column_units) if unit == "rad"]
-        if len(angles) != 1:
-            return values
-        values = values.copy()
-        values[:, angles[0]] = np.unwrap(values[:, angles[0]])
-        values.flags.writeable = False
-        return values
 
     def _duration(self) -> float | None:
         if not len(self):

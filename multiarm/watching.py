@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multiarm.contacts.frames import JointFrame, write_relative
+from multiarm.contacts.frames import COMPONENTS
 from multiarm.contacts.kernel import AT, NORMAL
 from multiarm.contacts.records import SURFACE_BODY, SURFACE_ON_OBJECT, TIP_RADIUS, Contact, Patch
 from multiarm.lowlevel import inner, kernel
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Columns of a watch: row of W; body that carries the patch (``ON_OBJECT``, else the arm), ``FORCE``
 # or ``LIMIT``; the patch's frame (rotation row by row, origin) in that body; its corners.  A limit
-# has the arm in place of the row, then its place among the joint's coordinates, and its bounds.
+# has the arm in place of the row, then the component of the joint's motion, and its bounds.
 WATCH_ROW, WATCH_BODY, WATCH_POSE, WATCH_LOWER, WATCH_UPPER, WATCH_WIDTH = 0, 1, 2, 14, 17, 20
 ON_OBJECT, FORCE, LIMIT = -1, -2, -3
 
@@ -42,7 +42,6 @@ NAMED = 3
 
 def make_watches(
     contacts: dict[str, list[Contact]],
-    frames: dict[str, JointFrame],
     limits: dict[str, dict[int, tuple[float, float]]],
     layout: Layout,
 ) -> np.ndarray:
@@ -55,10 +54,9 @@ def make_watches(
     for i, (arm, own) in enumerate(contacts.items()):
         for k, contact in enumerate(own):
             rows += _contact_watches(layout.rows[i] + k, i, contact)
-        place = dict(zip(frames[arm].free, frames[arm].places, strict=True))
         for component, (lower, upper) in limits[arm].items():
             watch = _watch(i, LIMIT)
-            watch[[WATCH_POSE, WATCH_LOWER, WATCH_UPPER]] = place[component], lower, upper
+            watch[[WATCH_POSE, WATCH_LOWER, WATCH_UPPER]] = component, lower, upper
             rows.append(watch)
     return np.array(rows).reshape(-1, WATCH_WIDTH)
 
@@ -115,7 +113,8 @@ class EventLog:
             first: dict[str, float] = {}
             for event in self.told:
                 if event["kind"] == kind:
-                    first.setdefault(f"{event['arm']}: {event['contact']}", event["time"])
+                    name = event["text"].replace(f" {kind}", "")
+                    first.setdefault(name, event["time"])
             if first:
                 who = [f"{name} (from {t:.4g} s)" for name, t in first.items()]
                 more = f" and {len(who) - NAMED} more" if len(who) > NAMED else ""
@@ -143,19 +142,18 @@ def _named(event: np.ndarray, system: System) -> dict[str, Any]:
     watch = system.plant.watches[int(number)]
     row, what = int(watch[WATCH_ROW]), int(watch[WATCH_BODY])
     if what == LIMIT:
-        arm = system.arm_names[row]
-        frame = system.frames[arm]
-        name = f"joint, {frame.labels[frame.places.index(int(watch[WATCH_POSE]))]}"
+        arm, name = system.arm_names[row], f"joint, {COMPONENTS[int(watch[WATCH_POSE])]}"
     else:
         owners = [(arm, contact.name) for arm, own in system.contacts.items() for contact in own]
         arm, name = owners[row]
     kind = _KINDS.get(what, _KINDS[ON_OBJECT])[0 if began else 1]
+    where = {ON_OBJECT: " (on the object)", FORCE: "", LIMIT: ""}.get(what, " (on the arm)")
     return {
         "time": float(time),
         "kind": kind,
         "arm": arm,
-        "contact": name,
-        "text": f"{arm}: {name} {kind}",
+        "joint" if what == LIMIT else "contact": name,
+        "text": f"{arm}: {name} {kind}{where}",
     }
 
 
@@ -189,32 +187,21 @@ def margin_of(watch, plant, buffers):
 
 
 @inner
-def limit_margin(watch, plant, buffers, k):
-    """Margin of a limit [m, rad]; an angle goes on from the one before, past half a turn."""
-    arm, place = int(watch[WATCH_ROW]), int(watch[WATCH_POSE])
-    rates, places = buffers.query[0:6], buffers.query[6:15]
-    write_relative(plant.frames[arm], buffers.arms[arm], buffers.body, rates, places)
-    x, before = places[place], buffers.margins[k, 1]
-    if place >= 3 and before == before:
-        x += 2.0 * math.pi * round((before - x) / (2.0 * math.pi))
-    buffers.margins[k, 1] = x
-    return max(watch[WATCH_LOWER] - x, x - watch[WATCH_UPPER]) - NO_EXCESS
-
-
-@inner
 def watch_step(plant, buffers, begin, end):
     """Note the margins at the end of a step, and every one that changed its sign in it.
 
-    ``buffers.margins`` holds those of the step's beginning, and the joints' coordinates (NaN at the
-    start of a run).
+    ``buffers.margins`` holds those of the step's beginning (NaN at the start of a run);
+    ``buffers.coordinates`` the joints' coordinates at its end.
     """
     for k in range(plant.watches.shape[0]):
-        before = buffers.margins[k, 0]
+        before = buffers.margins[k]
         if int(plant.watches[k, WATCH_BODY]) == LIMIT:
-            now = limit_margin(plant.watches[k], plant, buffers, k)
+            watch = plant.watches[k]
+            x = buffers.coordinates[int(watch[WATCH_ROW]), int(watch[WATCH_POSE])]
+            now = max(watch[WATCH_LOWER] - x, x - watch[WATCH_UPPER]) - NO_EXCESS
         else:
             now = margin_of(plant.watches[k], plant, buffers)
-        buffers.margins[k, 0] = now
+        buffers.margins[k] = now
         began = before <= 0.0 < now or (before != before and now > 0.0)
         if not (began or now <= 0.0 < before):
             continue

@@ -570,7 +570,10 @@ def test_surfaces_that_can_touch_in_a_point_are_accepted_either_way_round(arm, b
             },
             "wrench 4 is a combination of wrenches 1 and 2; wrench 5 is a combination of wrench 3",
         ),
-        ({"kind": "revolute", "limits": [0.1, 1]}, "limits: limits are counted from the start and"),
+        (
+            {"kind": "revolute", "limits": [0.1, 1]},
+            "limits: limits are counted from where the joint's two frames coincide",
+        ),
         ({"kind": "revolute", "limits": [1, -1]}, "must run from a smaller to a larger number"),
         ({"kind": "prismatic", "limits": 0.5}, "must be a list of two numbers, from and to"),
         ({"kind": "cylindrical", "limits": [-1, 1]}, "did you mean 'turn_limits'"),

@@ -27,6 +27,9 @@ from multiarm.lowlevel import kernel
 # A row of joint frames: the arm's in its link (rotation row by row, origin), the object's in it.
 ON_LINK, ON_OBJECT, FRAME_WIDTH = 0, 12, 24
 
+# From here on, :func:`write_relative` leaves the turns about single axes.
+SINGLE_TURN = 6
+
 COMPONENTS = ("slide x", "slide y", "slide z", "turn x", "turn y", "turn z")
 UNITS = ("m", "m", "m", "rad", "rad", "rad")
 

@@ -5,7 +5,7 @@ point is a sphere of radius 0, a fingertip one of positive radius.  Each surface
 frame of the body that carries it: the arm's in the tip frame, the object's in the object frame.
 Its normal is the outward normal of its body; a hollow surface (``inside``) is touched from within.
 
-A *row* of W is one contact's normal force.  Three further kinds of row cover every joint there is:
+A *row* of W is one contact's normal force.  Two further kinds of row cover every joint there is:
 
 * *combinations*: a contact times a factor, or the difference of two contacts times a factor, which
   can be any wrench (thesis, appendix C);

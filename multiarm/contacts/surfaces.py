@@ -39,7 +39,7 @@ from multiarm.lowlevel import call_back, inlined, kernel
 # frame), then the answer: signed distance, gradient, second derivatives (xx, xy, xz, yy, yz, zz).
 FUNCTION, PLACE, DISTANCE, GRADIENT, SECOND, QUERY_WIDTH = 0, 1, 4, 5, 8, 14
 
-_NEWTON_STEPS = 60
+_NEWTON_STEPS = 100
 
 
 @inlined
@@ -88,7 +88,9 @@ def local_distance(shape, query, function_call):
         _write(query, radial - a, r0, r1, 0.0)
         _curve(query, 1.0 / radial, -r1, r0, 0.0, True)
     elif kind == CONE:
-        _write(query, radial * b - y2 * a, b * r0, b * r1, -a)
+        # behind the apex no part of the cone is near
+        there = radial * a + y2 * b > 0.0
+        _write(query, radial * b - y2 * a if there else math.nan, b * r0, b * r1, -a)
         _curve(query, b / radial, -r1, r0, 0.0, True)
     elif kind == TORUS:
         out = radial - a
@@ -105,6 +107,12 @@ def local_distance(shape, query, function_call):
 
 
 @inlined
+def _ratio(numerator, denominator):
+    """Their ratio; 0 over anything is 0: a zero coordinate has no part, wherever its pole is."""
+    return numerator / denominator if numerator != 0.0 else 0.0
+
+
+@inlined
 def _ellipsoid(query, a, b, c):
     r"""Foot ``x_i = a_i^2 y_i / (t + a_i^2)`` of a place ``y``, where ``t`` is the largest root of
     ``sum (a_i y_i / (t + a_i^2))^2 = 1`` (D. Eberly, Distance from a Point to an Ellipsoid, 2013).
@@ -113,25 +121,32 @@ def _ellipsoid(query, a, b, c):
     the root never oversteps it.
     """
     y0, y1, y2 = query[PLACE], query[PLACE + 1], query[PLACE + 2]
+    # the unknown is e = t + the least a_i^2, so that nothing cancels near the planes of symmetry
     A, B, C = a * a, b * b, c * c
-    t = max(-A + a * abs(y0), max(-B + b * abs(y1), -C + c * abs(y2)))
+    least = min(A, min(B, C))
+    A, B, C = A - least, B - least, C - least
+    e = max(0.0, max(a * abs(y0) - A, max(b * abs(y1) - B, c * abs(y2) - C)))
     if (y0 / a) ** 2 + (y1 / b) ** 2 + (y2 / c) ** 2 >= 1.0:
-        t = max(t, 0.0)
+        e = max(e, least)
     for _ in range(_NEWTON_STEPS):
-        u0, u1, u2 = a * y0 / (t + A), b * y1 / (t + B), c * y2 / (t + C)
+        u0, u1, u2 = a * _ratio(y0, e + A), b * _ratio(y1, e + B), c * _ratio(y2, e + C)
         value = u0 * u0 + u1 * u1 + u2 * u2 - 1.0
-        slope = 2.0 * (u0 * u0 / (t + A) + u1 * u1 / (t + B) + u2 * u2 / (t + C))
+        slope = 2.0 * (_ratio(u0 * u0, e + A) + _ratio(u1 * u1, e + B) + _ratio(u2 * u2, e + C))
         step = value / slope
-        t += step
-        if not abs(step) > 1e-16 * (A + abs(t)):
+        e += step
+        if not abs(step) > 4e-16 * e:
             break
-    # gradient of F / 2 = (sum x_i^2 / a_i^2 - 1) / 2 at the foot, and its length
-    g0, g1, g2 = y0 / (t + A), y1 / (t + B), y2 / (t + C)
+    t = e - least
+    # gradient of F / 2 = (sum x_i^2 / a_i^2 - 1) / 2 at the foot, and its length; on the middle of
+    # the inside there is no nearest point
+    g0, g1, g2 = _ratio(y0, e + A), _ratio(y1, e + B), _ratio(y2, e + C)
+    if not e > 0.0:
+        t = math.nan
     length = math.sqrt(g0 * g0 + g1 * g1 + g2 * g2)
     n0, n1, n2 = g0 / length, g1 / length, g2 / length
     _write(query, t * length, n0, n1, n2)
     # S = P diag(1 / a_i^2) P / length, P = I - n n^T; then the offset by s = t length
-    d0, d1, d2 = 1.0 / (A * length), 1.0 / (B * length), 1.0 / (C * length)
+    d0, d1, d2 = 1.0 / (a * a * length), 1.0 / (b * b * length), 1.0 / (c * c * length)
     m0, m1, m2 = d0 * n0, d1 * n1, d2 * n2
     along = n0 * m0 + n1 * m1 + n2 * m2
     query[SECOND] = d0 - 2.0 * m0 * n0 + along * n0 * n0

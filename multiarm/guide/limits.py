@@ -22,7 +22,7 @@ __all__ = ["Limit", "axis_travel", "limits_of"]
 
 @dataclass(frozen=True)
 class Limit:
-    """The limits of one coordinate, counted from the start.
+    """The limits of one coordinate, 0 where the joint's two frames coincide.
 
     Attributes
     ----------

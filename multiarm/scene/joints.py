@@ -44,7 +44,8 @@ _Z = (0.0, 0.0, 1.0)
 def _around_the_start(limits: tuple[float, float]) -> tuple[float, float]:
     if not limits[0] <= 0.0 <= limits[1]:
         raise fault(
-            f"limits are counted from the start and must enclose 0, got [{limits[0]:g}, "
+            f"limits are counted from where the joint's two frames coincide, as they do at the "
+            f"start unless 'at' turns them, and must enclose 0, got [{limits[0]:g}, "
             f"{limits[1]:g}]"
         )
     return limits
