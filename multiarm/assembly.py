@@ -95,7 +95,7 @@ def assemble(system: System, written: State) -> tuple[State, StartReport]:
     size = scene_size(system)
     far = {arm: gap for arm, gap in gaps.items() if not gap <= CLOSE * size}
     if far:
-        raise SceneError(_too_far(far, CLOSE * size))
+        raise SceneError(_too_far(system, far, CLOSE * size))
     start = _close(system, written, gaps)
     status = project_velocities(system.book())
     if status != OK:
@@ -209,13 +209,23 @@ def _by_arm(system: System, column: int) -> dict[str, float]:
     return {arm: float(np.max(values)) for arm, values in parts.items()}
 
 
-def _too_far(far: dict[str, float], limit: float) -> list[str]:
-    return [
-        f"the start does not satisfy the joint of arm '{arm}': a gap of {gap:.4g} m is left, up to "
-        f"{limit:.3g} m is assembled; mend the posture, the base or `at` (or leave `at` out to "
-        f"join the object where the tip is)"
-        for arm, gap in far.items()
-    ]
+def _too_far(system: System, far: dict[str, float], limit: float) -> list[str]:
+    kinds = {joint.arm: joint.kind for joint in system.scene.joints}
+    phi = system.layout.split_contacts(np.abs(system.buffers.contacts[:, GAP]))
+    faults = []
+    for arm, gap in far.items():
+        contact = system.contacts[arm][int(np.argmax(phi[arm]))]
+        remedy = "or `at` (or leave `at` out to join the object where the tip is)"
+        if kinds[arm] == "contacts":
+            remedy = (
+                "or the contact's geometry (of the arm in the tip's frame, of the object in its)"
+            )
+        faults.append(
+            f"the start does not satisfy the joint of arm '{arm}': a gap of {gap:.4g} m is left "
+            f"at '{contact.name}', up to {limit:.3g} m is assembled; mend the posture, the base "
+            f"{remedy}"
+        )
+    return faults
 
 
 def _listed(gaps: dict[str, float]) -> str:

@@ -98,13 +98,20 @@ def _joints(scene: Scene, arms: dict[str, Arm], resolved: dict) -> _Joints:
         name: _joint_pose(specs[name], scene, arm, resolved[name].posture)
         for name, arm in arms.items()
     }
-    contacts = {name: joint_contacts(specs[name], poses[name]) for name in arms}
+    contacts = {name: _own_contacts(specs[name], poses[name]) for name in arms}
     return _Joints(
         contacts=contacts,
         on_links={name: _on_link(arms[name], contacts[name]) for name in arms},
         frames={name: _frame(specs[name], poses[name]) for name in arms},
         limits={name: specs[name].free_limits for name in arms},
     )
+
+
+def _own_contacts(joint, pose: np.ndarray) -> list[Contact]:
+    try:
+        return joint_contacts(joint, pose)
+    except ModelError as error:
+        raise ModelError(f"joint of arm '{joint.arm}': {error}") from error
 
 
 def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: dict) -> System:

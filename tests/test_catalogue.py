@@ -434,7 +434,7 @@ def test_functions_are_found_in_files_and_in_modules(tmp_path, monkeypatch):
     ("given", "expected"),
     [
         ("no_such_module:ball", "cannot load the function 'no_such_module:ball': ModuleNotFound"),
-        ("no_such_file.py:ball", "no file at no_such_file.py"),
+        ("no_such_file.py:ball", "there is no file no_such_file.py"),
         (
             "math:no_such_name",
             "there is no 'no_such_name' in math; its functions are 'acos', 'acosh'",

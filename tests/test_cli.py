@@ -191,6 +191,22 @@ def test_result_is_named_after_the_scene_file(tmp_path, monkeypatch):
     assert ma.load_trajectory("two_ur5_box.h5").status == "completed"
 
 
+def test_run_tells_what_a_completed_run_must_not_hide(tmp_path):
+    """A start that was mended, a hinge that passes its limits, a tip that is pulled."""
+    tip = {"point": [0, 0, 0.005]}
+    hinge = {"arm": "left", "kind": "revolute", "axis": [0, 1, 0], "limits": [-1e-4, 1e-4]}
+    face = {"plane": {"point": [0.6, 0, 0], "normal": [1, 0, 0]}}
+    finger = {"arm": "right", "kind": "contacts", "contacts": [{"arm": tip, "object": face}]}
+    path = scene_file(tmp_path, joints__0=hinge, joints__1=finger, control={"kind": "none"})
+    result = multiarm("run", path, "--duration", 0.3, "--out", tmp_path / "run.h5")
+    assert result.exit_code == 0, result.output
+    told = " ".join(result.stderr.split())
+    assert "the written start was 0.005 m off at arm 'right' and was assembled" in told
+    assert "joints passed their limits, which are not enforced: left: joint, turn z" in told
+    events = ma.load_trajectory(tmp_path / "run.h5").events
+    assert {"passes its limit"} <= {event["kind"] for event in events}
+
+
 def test_run_that_fails_keeps_its_data_and_names_a_remedy(tmp_path):
     out = tmp_path / "run.h5"
     result = multiarm(

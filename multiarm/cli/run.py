@@ -23,6 +23,7 @@ from multiarm.cli.terminal import (
 from multiarm.errors import SceneError
 
 if TYPE_CHECKING:
+    from multiarm.assembly import StartReport
     from multiarm.scene import Scene
     from multiarm.trajectory import Trajectory
 
@@ -30,6 +31,8 @@ __all__ = ["Integrator", "Solver", "Stabilization", "run"]
 
 OF_SCENE = "the scene's"
 METHOD, FILES = "How exactly", "Results"
+# A written start that is further off than this [m] is worth a word.
+NOTABLE_GAP = 1e-3
 
 
 class Integrator(str, Enum):
@@ -209,7 +212,8 @@ def run(
         "solver": solver,
     }
     options = {k: v.value if isinstance(v, Enum) else v for k, v in options.items()}
-    trajectory, compiled = _simulate(loaded, options, target, quiet)
+    trajectory, start, compiled = _simulate(loaded, options, target, quiet)
+    print_warnings(_remarks(trajectory, start))
     figures = run_figures(loaded.name, trajectory, {"result": str(target)}, compiled)
     if not quiet:
         output().print(summary_table(figures))
@@ -225,12 +229,27 @@ def run(
         raise typer.Exit(1)
 
 
+def _remarks(trajectory: Trajectory, start: StartReport) -> list[str]:
+    """What the reader should know although the run went well."""
+    remarks = []
+    gap = max(start.gaps.values(), default=0.0)
+    if gap > NOTABLE_GAP:
+        arm = max(start.gaps, key=lambda name: start.gaps[name])
+        remarks.append(
+            f"the written start was {gap:.3g} m off at arm '{arm}' and was assembled: joints moved "
+            f"by up to {start.joint_change:.3g} rad or m, the object by {start.object_shift:.3g} m"
+        )
+    if trajectory.status == "completed":
+        remarks += trajectory.message.split("; ")[1:]
+    return remarks
+
+
 def _simulate(
     scene: Scene, options: dict[str, Any], target: Path, quiet: bool
-) -> tuple[Trajectory, bool]:
+) -> tuple[Trajectory, StartReport, bool]:
     """Compile and simulate behind a progress bar; Ctrl-C ends the run, not the program.
 
-    Returns the trajectory, and whether kernels had to be compiled.
+    Returns the trajectory, how the start was assembled, and whether kernels had to be compiled.
     """
     duration = options["duration"] if options["duration"] is not None else scene.run.duration
     with RunProgress(messages(), duration, quiet) as progress:
@@ -245,7 +264,7 @@ def _simulate(
             trajectory = simulate(system, **options, out=target, progress=progress.advance)
         except SceneError as error:
             raise SceneError([_about_options(fault) for fault in error.faults]) from None
-        return trajectory, progress.compiling
+        return trajectory, system.start_report, progress.compiling
 
 
 def _about_options(fault: str) -> str:

@@ -202,14 +202,21 @@ def _evaluated(
         value = np.asarray(function(*x) if spread else function(x))
     except Exception as error:
         raise ModelError(
-            f"{subject} failed at {shown(x)}: {type(error).__name__}: {error}"
+            f"{subject} failed at {_place(x)}: {type(error).__name__}: {error}; mend the function"
         ) from error
     if value.size == 1 and shape == ():
         value = value.reshape(())
     if value.shape != shape or value.dtype.kind not in "fciu":
         what = "one number" if shape == () else f"numbers of shape {shape}"
         got = f"shape {value.shape}" if value.shape != shape else f"{value.dtype}"
-        raise ModelError(f"{subject} must return {what}, got {got} at {shown(x)}")
+        raise ModelError(f"{subject} must return {what}, got {got} at {_place(x)}")
     if not np.all(np.isfinite(value)):
-        raise ModelError(f"{subject} is not finite at {shown(x)}: {shown(value)}")
+        raise ModelError(f"{subject} is not finite at {_place(x)}: {shown(value)}")
     return value
+
+
+def _place(x: np.ndarray) -> str:
+    """The place as the user knows it: the imaginary parts are there to differentiate."""
+    if not np.iscomplexobj(x):
+        return shown(x)
+    return f"{shown(np.real(x))} (called with complex numbers, which differentiate it)"

@@ -64,12 +64,17 @@ def load_function(given: Callable | str) -> Callable:
             f"the function {given!r} has no name by which it can be found again; give the function "
             "itself, or name one as 'file.py:name' or 'package.module:name'"
         )
+    if place.endswith(".py") and not Path(place).is_file():
+        raise ModelError(
+            f"cannot load the function {given!r}: there is no file {place}; mend the path, which "
+            "starts at the scene's folder"
+        )
     try:
         module = _file_module(Path(place)) if place.endswith(".py") else _module(place)
     except Exception as error:
         raise ModelError(
-            f"cannot load the function {given!r}: {type(error).__name__}: {error}; name one as "
-            "'file.py:name' or 'package.module:name'"
+            f"cannot load the function {given!r}: {type(error).__name__}: {error}; mend the module "
+            "(functions are named 'file.py:name' or 'package.module:name')"
         ) from error
     found: object = module
     for part in name.split("."):
@@ -121,8 +126,6 @@ def _module(name: str) -> ModuleType:
 
 def _file_module(path: Path) -> ModuleType:
     """Run a file as a module, anew each time; it is not left among the imported ones."""
-    if not path.is_file():
-        raise FileNotFoundError(f"no file at {path}")
     name = f"surfaces_of_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None, "a name that ends in .py has a loader"

@@ -64,7 +64,8 @@ class JointBase(Spec):
     name : str, optional
         A name for reports.
     at : Pose, optional
-        Joint frame in the object frame. Absent: where the arm's joint frame is at the start.
+        Joint frame in the object frame. Absent: where the arm's joint frame is at the start; kind
+        'contacts': the object's own frame.
     at_tip : Pose
         Joint frame in the frame of the arm's tip.
     """
@@ -337,7 +338,8 @@ class ContactsJoint(JointBase):
         Frames in which the object's and the arm's geometry are given; by default the object
         frame and the tip's frame themselves.
     contacts : list of ContactSpec
-        The contacts, at least one; each is a table {arm: ..., object: ...}.
+        The contacts, at least one; each is a table {arm: ..., object: ...}. The arm's geometry is
+        given in the tip's frame (at_tip), the object's in the object's frame (at), patches too.
     """
 
     kind: Literal["contacts"] = "contacts"
