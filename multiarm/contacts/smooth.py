@@ -194,6 +194,16 @@ class ParametricSurface:
         self._check()
         self._goes_round = self._closed_parameters()
 
+    def grid(self, cells: int) -> np.ndarray:
+        """Points of the surface on an even grid of its parameters, (cells + 1, cells + 1, 3).
+
+        The outward normal is across the first and the second direction, in this order.
+        """
+        line = np.linspace(0.0, 1.0, cells + 1)
+        places = [[self._x(self._low + self._width * np.array([u, v])) for v in line] for u in line]
+        points: np.ndarray = np.real(np.array(places))
+        return points if self._side > 0.0 else points.transpose(1, 0, 2)
+
     def closest(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Signed distance [m], its gradient (3,) and its second derivatives (3, 3) at a point.
 

@@ -23,6 +23,7 @@ from multiarm.viewer.film import Body, ContactTracks, Film, along, rotations
 from multiarm.viewer.joints import hinges_of
 from multiarm.viewer.mesh import Mesh, capsule, merge
 from multiarm.viewer.shapes import PLAIN, geometry_mesh, object_mesh
+from multiarm.viewer.surfaces import surface_bodies
 
 if TYPE_CHECKING:
     from multiarm.arm import Arm
@@ -61,6 +62,7 @@ def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
     for name in system.arm_names:
         arm, angles = system.arms[name], trajectory.joint_positions[name][rows]
         bodies += _links(arm, angles, colors[name], meshes, cache)
+    bodies += surface_bodies(system, trajectory, rows, colors)
     bases = [spec.base.matrix()[2, 3] for spec in trajectory.scene.arms.values()]
     note = "" if trajectory.status == "completed" else trajectory.message
     return Film(

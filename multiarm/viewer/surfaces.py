@@ -1,0 +1,145 @@
+"""The surfaces that touch, drawn where the contacts of a joint have them.
+
+A surface that goes on for ever is shown around the place where it is touched at the start, and of
+one with a patch only the patch; a user's surface is shown when it is a parametrisation.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from multiarm.contacts.records import (
+    CONE,
+    CYLINDER,
+    ELLIPSOID,
+    PLANE,
+    SPHERE,
+    TORUS,
+    Surface,
+)
+from multiarm.contacts.smooth import ParametricSurface
+from multiarm.viewer.film import Body
+from multiarm.viewer.mesh import Mesh
+
+if TYPE_CHECKING:
+    from multiarm.system import System
+    from multiarm.trajectory import Trajectory
+
+# Joints whose surfaces are things that one could touch, rather than ways to write a hinge.
+SHOWN = ("contacts", "point_on_plane", "point_on_cylinder", "point_on_sphere")
+OPACITY = 0.45
+# Squares of a grid along each of its two directions.
+CELLS = 40
+
+
+def surface_bodies(
+    system: System, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
+) -> list[Body]:
+    """Return the contact surfaces of all joints of the ``SHOWN`` kinds at some samples (`rows`)."""
+    on_object = trajectory.object_position[rows], trajectory.object_quaternion_xyzw[rows]
+    extent = max(np.ptp(trajectory.object_position, axis=0).max(), _size(system))
+    bodies = []
+    for joint in system.scene.joints:
+        if joint.kind not in SHOWN:
+            continue
+        name, arm = joint.arm, system.arms[joint.arm]
+        angles = trajectory.joint_positions[name][rows]
+        tips = np.array([pin.SE3ToXYZQUAT(pin.SE3(arm.tip_pose(row))) for row in angles])
+        poses = {"arm": (tips[:, :3], tips[:, 3:]), "object": on_object}
+        touched = _touched(system, name)
+        drawn = set()
+        for k, contact in enumerate(system.contacts[name]):
+            for side in ("arm", "object"):
+                surface: Surface = getattr(contact, side)
+                key = (side, surface.kind, surface.origin.tobytes(), surface.axes.tobytes())
+                mesh = None if key in drawn else surface_mesh(surface, touched[side][k], extent)
+                drawn.add(key)
+                if mesh is not None:
+                    path = f"surfaces/{name}/{k + 1}_{side}"
+                    bodies.append(Body(path, mesh, *poses[side], colors[name], OPACITY))
+    return bodies
+
+
+def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> Mesh | None:
+    """Return a surface as triangles in its body's frame; None where there is nothing to draw.
+
+    Parameters
+    ----------
+    surface : Surface
+    touched : array, shape (3,)
+        Where it is touched at the start, in its body's frame [m].
+    extent : float
+        How far an endless surface is shown [m].
+    """
+    around = surface.axes.T @ (touched - surface.origin)
+    points = _grid(surface, around, 0.5 * extent)
+    if points is None:
+        return None
+    vertices = points.reshape(-1, 3) @ surface.axes.T + surface.origin
+    triangles = _triangles()
+    if surface.patch is not None:
+        inside = np.array([surface.patch.excess(p) <= 0.0 for p in vertices])
+        triangles = triangles[inside[triangles].all(axis=1)]
+    if not len(triangles):
+        return None
+    return Mesh(vertices, triangles[:, ::-1] if surface.inside else triangles)
+
+
+def _grid(surface: Surface, around: np.ndarray, reach: float) -> np.ndarray | None:
+    """Return points of a surface in its own frame, shape (CELLS + 1, CELLS + 1, 3)."""
+    a, b, c = surface.sizes
+    line = np.linspace(-1.0, 1.0, CELLS + 1)
+    turn, tilt = np.meshgrid(np.pi * line, 0.5 * np.pi * line, indexing="ij")
+    _, along = np.meshgrid(line, line, indexing="ij")
+    cosine, sine = np.cos(turn), np.sin(turn)
+    if surface.kind == PLANE:
+        x, y = np.meshgrid(line, line, indexing="ij")
+        return np.stack([around[0] + reach * x, around[1] + reach * y, np.zeros_like(x)], -1)
+    if surface.kind == CYLINDER:
+        return np.stack([a * cosine, a * sine, around[2] + reach * along], -1)
+    if surface.kind == CONE:
+        way = 0.5 * (1.0 + along) * (np.linalg.norm(around) + reach)
+        return np.stack([way * a * cosine, way * a * sine, way * b], -1)
+    if surface.kind == TORUS:
+        out = a + b * np.cos(2.0 * tilt)
+        return np.stack([out * cosine, out * sine, b * np.sin(2.0 * tilt)], -1)
+    if surface.kind in (SPHERE, ELLIPSOID):
+        semi = (a, a, a) if surface.kind == SPHERE else (a, b, c)
+        if not a > 0.0:
+            return None  # a point: its contact has a mark of its own
+        unit = np.stack([np.cos(tilt) * cosine, np.cos(tilt) * sine, np.sin(tilt)], -1)
+        return unit * np.array(semi)
+    if isinstance(surface.function, ParametricSurface):
+        return surface.function.grid(CELLS)
+    return None
+
+
+def _triangles() -> np.ndarray:
+    """Two triangles for each square of a grid."""
+    i, j = np.meshgrid(np.arange(CELLS), np.arange(CELLS), indexing="ij")
+    a = i * (CELLS + 1) + j
+    b, c, d = a + CELLS + 1, a + CELLS + 2, a + 1
+    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+
+
+def _touched(system: System, name: str) -> dict[str, np.ndarray]:
+    """Return the contact points of an arm at the start, by side, in that body's frame (N, 3)."""
+    from multiarm.dynamics import evaluate
+
+    start = system.initial_state()
+    points = evaluate(system.with_solver("dense"), 0.0, start).contact_points[name]
+    quaternion, position = pin.Quaternion(start.object_quaternion_xyzw), start.object_position
+    tip = system.arms[name].tip_pose(start.joint_positions[name])
+    return {
+        "arm": (points - tip[:3, 3]) @ tip[:3, :3],
+        "object": (points - position) @ quaternion.toRotationMatrix(),
+    }
+
+
+def _size(system: System) -> float:
+    """Return the radius of gyration of the object [m], about its half size."""
+    spec = system.scene.object
+    return float(np.sqrt(np.trace(spec.inertia_matrix()) / spec.mass))
