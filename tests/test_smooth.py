@@ -285,6 +285,18 @@ def test_functions_that_are_not_what_they_should_be_are_refused(make, expected):
     assert expected in message_of(make)
 
 
+def test_a_branch_that_loses_complex_numbers_is_noticed_when_the_contact_comes_there():
+    def floor(p):
+        return p[2] if p[0] < 0.1 else p[2].real
+
+    surface = SignedDistanceSurface(floor)
+    for x in (0.0, 0.09, 0.101, 0.2, 0.0):
+        distance, gradient, hessian = surface.closest(np.array([x, 0.0, 0.01]))
+        assert distance == pytest.approx(0.01)
+        np.testing.assert_allclose(gradient, [0, 0, 1], atol=1e-9)
+        np.testing.assert_allclose(hessian, 0.0, atol=1e-6)
+
+
 def test_a_contact_on_a_fold_of_the_surface_has_no_normal():
     text = message_of(lambda: ParametricSurface(lambda u, v: [u * u, v, 0], WIDE, WIDE), (-1, 0, 0))
     assert "has no normal at u = " in text

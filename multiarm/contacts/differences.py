@@ -47,6 +47,8 @@ _MEAN = _CIRCLE**-2 / (2.0 * _RADIUS**2)
 # Complex steps and differences agree to this fraction where a function takes complex numbers as it
 # should; one that takes an absolute value on the way does not.
 _COMPLEX_AGREEMENT = 1e-6
+# How far a contact goes, in units of the length, before this is looked at again.
+_PROBE_AGAIN = 0.25
 # How far given derivatives may be from differences, relative to the largest there may be.
 _AGREEMENT = 1e-5
 # How far differences of half the step may be from those used.
@@ -126,15 +128,17 @@ class Differences:
         self.function = function
         self.lengths = np.array(lengths, dtype=float)
         self.takes_complex = False
+        self._probed_at: np.ndarray | None = None
 
     def probe(self, x: np.ndarray) -> None:
         """Find out, at a point (n,), whether the function takes complex numbers."""
-        first, second = self.first(x), self.second(x)
+        self.takes_complex = False
+        first, second = self._first(x), self._second(x)
         self.takes_complex = True
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
-                errors = self.first(x) - first, self.second(x) - second
+                errors = self._first(x) - first, self._second(x) - second
             except Exception:  # whatever a function does with numbers it was not made for
                 self.takes_complex = False
                 return
@@ -144,8 +148,39 @@ class Differences:
         wrong += np.max(np.abs(errors[1]) * np.multiply.outer(self.lengths, lengths))
         self.takes_complex = bool(wrong <= _COMPLEX_AGREEMENT * size)
 
+    def follow(self, x: np.ndarray) -> None:
+        """Probe again where the contact has come far from the last probe.
+
+        A function may take an absolute value in a branch of its own.
+        """
+        at = self._probed_at
+        if at is None or (
+            self.takes_complex and np.max(np.abs(x - at) / self.lengths) > _PROBE_AGAIN
+        ):
+            self.probe(x)
+            self._probed_at = np.array(x)
+
+    def forget(self) -> None:
+        """Probe anew, wherever the next contact is."""
+        self._probed_at = None
+
     def first(self, x: np.ndarray) -> np.ndarray:
         """Derivatives by each variable, shape (n, m)."""
+        return self._carefully(self._first, x)
+
+    def second(self, x: np.ndarray) -> np.ndarray:
+        """Second derivatives, shape (n, n, m)."""
+        return self._carefully(self._second, x)
+
+    def _carefully(self, derive: UserFunction, x: np.ndarray) -> np.ndarray:
+        """Derive; where the function loses complex numbers, without them."""
+        try:
+            return derive(x)
+        except _RealError:
+            self.takes_complex = False
+            return derive(x)
+
+    def _first(self, x: np.ndarray) -> np.ndarray:
         if self.takes_complex:
             places = x + 1j * _COMPLEX_STEP * np.eye(x.size)
             return _complex(np.array([self.function(at) for at in places])).imag / _COMPLEX_STEP
@@ -158,8 +193,8 @@ class Differences:
             rows.append(sum(terms) / step)
         return np.array(rows)
 
-    def second(self, x: np.ndarray) -> np.ndarray:
-        """Second derivatives, shape (n, n, m).
+    def _second(self, x: np.ndarray) -> np.ndarray:
+        """Second derivatives.
 
         They are those along the axes and along their diagonals, from which follow the mixed ones.
         """
@@ -189,9 +224,13 @@ class Differences:
         return (sum(pairs) + _CENTRE * centre) / _SECOND_STEP**2
 
 
+class _RealError(TypeError):
+    """A function was given complex numbers and answered with real ones."""
+
+
 def _complex(values: np.ndarray) -> np.ndarray:
     if values.dtype.kind != "c":
-        raise TypeError("the function drops imaginary parts")
+        raise _RealError("the function drops imaginary parts")
     return values
 
 

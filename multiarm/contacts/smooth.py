@@ -82,6 +82,9 @@ class SignedDistanceSurface:
         self._of_gradient = None
         if self._given_gradient is not None:
             self._of_gradient = Differences(self._given_gradient, np.full(3, length))
+        self._used = [self._of_distance]
+        if self._of_gradient is not None:
+            self._used = [] if hessian is not None else [self._of_gradient]
         self._is_checked = False
 
     def closest(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -96,6 +99,8 @@ class SignedDistanceSurface:
         distance = float(self._distance(point))
         if not self._is_checked:
             self._check(point)
+        for differences in self._used:
+            differences.follow(point)
         gradient = self._gradient(point)
         size = float(np.linalg.norm(gradient))
         if not abs(size - 1.0) <= _UNIT_TOLERANCE:
@@ -107,7 +112,9 @@ class SignedDistanceSurface:
         return distance, gradient, self._hessian(point)
 
     def reset(self) -> None:
-        """Nothing is kept from call to call."""
+        """Forget where the functions were found to take complex numbers."""
+        for differences in self._used:
+            differences.forget()
 
     def _gradient(self, point: np.ndarray) -> np.ndarray:
         return (self._given_gradient or self._of_distance.first)(point)
@@ -215,6 +222,7 @@ class ParametricSurface:
         """
         point = np.array(point, dtype=float)
         foot = self._find_foot(point)
+        self._differences.follow(foot)
         r, rows = point - self._x(foot), self._derivatives(foot)
         normal = np.cross(rows[0], rows[1])
         area = math.sqrt(normal @ normal)
@@ -234,6 +242,7 @@ class ParametricSurface:
     def reset(self) -> None:
         """Forget where the contact was: the next one is looked for on the whole surface."""
         self._foot = self._second = None
+        self._differences.forget()
 
     def _find_foot(self, point: np.ndarray) -> np.ndarray:
         found = None
