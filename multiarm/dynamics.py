@@ -352,13 +352,14 @@ def _contact_terms(system: System) -> dict[str, ContactTerms]:
         normals = contacts[:, NORMAL : NORMAL + 3].copy()
         tips = np.isin(plant.codes[rows, KIND], (PLANE, SPHERE, CYLINDER, CURVED))
         radius = plant.geometry[rows, TIP_RADIUS] * tips
-        on_arm = np.where(plant.codes[rows, SURFACE_BODY] == SURFACE_ON_OBJECT, 1.0, -1.0)
+        # from the tip's centre to its contact point: along the normal if the arm has the tip
+        way = np.where(plant.codes[rows, SURFACE_BODY] == SURFACE_ON_OBJECT, 1.0, -1.0)
         terms[name] = ContactTerms(
             *matrices,
             c=-contacts[:, GAP_BIAS],
             phi=contacts[:, GAP].copy(),
             phi_dot=contacts[:, GAP_RATE].copy(),
-            points=contacts[:, AT : AT + 3] + (on_arm * radius)[:, None] * normals,
+            points=contacts[:, AT : AT + 3] + (way * radius)[:, None] * normals,
             normals=normals,
         )
     return terms

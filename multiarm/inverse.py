@@ -38,7 +38,7 @@ from multiarm.grips import relative_motion_of
 from multiarm.programs import NO_PROGRAM
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.state import State
-from multiarm.system import System
+from multiarm.system import System, checked_vector
 
 # Singular values of an arm's scaled Jacobian below this fraction of the largest count as zero.
 RANK_TOLERANCE = 1e-10
@@ -111,7 +111,7 @@ def inverse_dynamics(
     ModelError
         For an unknown arm or a wrong shape.
     """
-    wanted = _vector("object_acceleration", object_acceleration, 6)
+    wanted = checked_vector("object_acceleration", object_acceleration, 6)
     relative = _relative_accelerations(system, relative_acceleration or {})
     posture = _posture_accelerations(system, posture_acceleration or {})
     ev = _uncontrolled(system, t, state)
@@ -227,7 +227,7 @@ def _relative_accelerations(
     for arm, frame in system.frames.items():
         values = given.get(arm, np.zeros(len(frame.free)))
         what = f"relative_acceleration[{arm!r}] ({', '.join(frame.labels) or 'nothing is free'})"
-        rates[arm] = None if values is None else _vector(what, values, len(frame.free))
+        rates[arm] = None if values is None else checked_vector(what, values, len(frame.free))
     return rates
 
 
@@ -236,7 +236,7 @@ def _posture_accelerations(
 ) -> dict[str, np.ndarray]:
     _require_arms(system, "posture_acceleration", given)
     return {
-        name: _vector(f"posture_acceleration[{name!r}]", given.get(name, np.zeros(n)), n)
+        name: checked_vector(f"posture_acceleration[{name!r}]", given.get(name, np.zeros(n)), n)
         for name, n in ((name, arm.dof) for name, arm in system.arms.items())
     }
 
@@ -246,15 +246,3 @@ def _require_arms(system: System, what: str, given: Mapping[str, object]) -> Non
         if arm not in system.arms:
             names = ", ".join(system.arm_names)
             raise ModelError(f"{what}: unknown arm {arm!r}; arms are {names}")
-
-
-def _vector(what: str, values, size: int) -> np.ndarray:
-    try:
-        vector = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(f"{what}: expected {size} numbers, got {values!r}") from None
-    if vector.shape != (size,):
-        raise ModelError(f"{what}: expected shape ({size},), got {vector.shape}")
-    if not np.all(np.isfinite(vector)):
-        raise ModelError(f"{what}: a number is not finite: {vector.tolist()}")
-    return vector

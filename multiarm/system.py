@@ -115,15 +115,15 @@ class System:
         """
         state = self.initial_state()
         if object_position is not None:
-            state.position[:3] = _vector("object_position", object_position, 3)
+            state.position[:3] = checked_vector("object_position", object_position, 3)
         if object_quaternion_xyzw is not None:
-            quaternion = _vector("object_quaternion_xyzw", object_quaternion_xyzw, 4)
+            quaternion = checked_vector("object_quaternion_xyzw", object_quaternion_xyzw, 4)
             norm = np.linalg.norm(quaternion)
             if not norm > 1e-12:
                 raise ModelError("object_quaternion_xyzw has length zero")
             state.position[3:7] = quaternion / norm
         if object_twist is not None:
-            state.velocity[:6] = _vector("object_twist", object_twist, 6)
+            state.velocity[:6] = checked_vector("object_twist", object_twist, 6)
         self._fill(state.joint_positions, joint_positions, "joint_positions")
         self._fill(state.joint_velocities, joint_velocities, "joint_velocities")
         return state
@@ -224,10 +224,11 @@ class System:
         for arm, values in (given or {}).items():
             if arm not in views:
                 raise ModelError(f"{what}: unknown arm {arm!r}; arms are {', '.join(views)}")
-            views[arm][:] = _vector(f"{what}[{arm!r}]", values, views[arm].size)
+            views[arm][:] = checked_vector(f"{what}[{arm!r}]", values, views[arm].size)
 
 
-def _vector(what: str, values, size: int) -> np.ndarray:
+def checked_vector(what: str, values, size: int) -> np.ndarray:
+    """A vector of the right size whose numbers are finite, or a ModelError that says ``what``."""
     try:
         vector = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
