@@ -15,7 +15,7 @@ from multiarm.contacts.catalogue import FREE, joint_contacts, joint_frame, surfa
 from multiarm.contacts.frames import FRAME_WIDTH, JointFrame
 from multiarm.contacts.kernel import RELATIVE_WIDTH
 from multiarm.contacts.records import Contact, ContactTable, pack
-from multiarm.contacts.surfaces import DISTANCE, FUNCTION, GRADIENT, PLACE, SECOND
+from multiarm.contacts.surfaces import answering
 from multiarm.dense_call import dense_call
 from multiarm.equations import connect_entries
 from multiarm.errors import ModelError
@@ -135,7 +135,8 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
     plant.calls[CALL_TERMS], plant.calls[CALL_DENSE] = (call.address for call in calls.values())
     connect_entries(plant.calls)
     if table.functions:
-        calls["surface"] = CallBack(_surface_call(table, buffers), buffers.flag)
+        answer = answering(table.functions, buffers.query[RELATIVE_WIDTH:])
+        calls["surface"] = CallBack(answer, buffers.flag)
         plant.calls[CALL_SURFACE] = calls["surface"].address
     system = System(
         scene=scene,
@@ -287,21 +288,6 @@ def _terms_call(groups: list[ArmGroup], buffers: Buffers) -> Callable[[], None]:
             update()
 
     return update_all
-
-
-def _surface_call(table: ContactTable, buffers: Buffers) -> Callable[[], None]:
-    """Function that answers the kernel's queries about the user's surfaces."""
-    query = buffers.query[RELATIVE_WIDTH:]
-    upper = np.triu_indices(3)
-
-    def answer() -> None:
-        surface = table.functions[int(query[FUNCTION])]
-        distance, gradient, second = surface.closest(query[PLACE : PLACE + 3].copy())
-        query[DISTANCE] = distance
-        query[GRADIENT : GRADIENT + 3] = gradient
-        query[SECOND : SECOND + 6] = second[upper]
-
-    return answer
 
 
 def _potential_call(system: System) -> Callable[[], None]:

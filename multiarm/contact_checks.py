@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.contacts.kernel import RELATIVE_WIDTH
-from multiarm.contacts.records import KIND, LINK, PAIR, SURFACE_BODY, SURFACE_ON_OBJECT, Contact
+from multiarm.contacts.records import KIND, LINK, PAIR, SURFACE_BODY, SURFACE_ON_OBJECT
 from multiarm.contacts.rows import LINE_CONTACT, locate_pair
 from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
 from multiarm.equations import OK, update_kinematics
@@ -44,7 +44,7 @@ def locate_pairs(system: System, start: State) -> np.ndarray:
     system.forgive()  # what is not located yet may well have failed
     faults = []
     for row in map(int, pairs):
-        arm, contact = owner(system, row)
+        arm, contact = system.owner(row)
         found = _locate(system, row, arm)
         if found is None:
             faults.append(
@@ -113,7 +113,7 @@ def choose_free(system: System, arm: str) -> tuple[int, ...]:
     parts, chosen one after the other (pivoting); turns are measured at the joint's own size.
     """
     _kinematics(system, system.initial_state())
-    wrenches, _ = joint_wrenches(system, arm)
+    wrenches = joint_wrenches(system, arm)
     space = null_space(wrenches).basis  # (6, m)
     chosen: list[int] = []
     for _ in range(space.shape[1]):
@@ -127,8 +127,8 @@ def choose_free(system: System, arm: str) -> tuple[int, ...]:
     return tuple(sorted(chosen))
 
 
-def joint_wrenches(system: System, arm: str) -> tuple[np.ndarray, float]:
-    """Rows ``[e; (p - x) x e / size]`` of a joint at the kinematics in the buffers, and the size.
+def joint_wrenches(system: System, arm: str) -> np.ndarray:
+    """Rows ``[e; (p - x) x e / size]`` of a joint at the kinematics in the buffers.
 
     Shape (N, 6), in the axes of the object's joint frame about the arm's, each of unit length;
     moments are measured at the longest lever arm [m].
@@ -145,14 +145,7 @@ def joint_wrenches(system: System, arm: str) -> tuple[np.ndarray, float]:
     moment = rows[:, 3:] - np.cross(x - body[9:12], force)
     size = float(np.max(np.linalg.norm(moment, axis=1), initial=0.0)) or 1.0
     wrenches = np.hstack([force @ R, moment @ R / size])
-    return wrenches / np.linalg.norm(wrenches, axis=1)[:, None], size
-
-
-def owner(system: System, row: int) -> tuple[str, Contact]:
-    """Arm and contact of a row of W."""
-    i = int(np.searchsorted(system.layout.rows, row, side="right")) - 1
-    arm = system.arm_names[i]
-    return arm, system.contacts[arm][row - system.layout.rows[i]]
+    return wrenches / np.linalg.norm(wrenches, axis=1)[:, None]
 
 
 def _outside(system: System) -> list[str]:
@@ -162,7 +155,7 @@ def _outside(system: System) -> list[str]:
             continue
         excess = margin_of(watch, system.plant, system.buffers)
         if excess > 0.0:
-            arm, contact = owner(system, int(watch[WATCH_ROW]))
+            arm, contact = system.owner(int(watch[WATCH_ROW]))
             faults.append(
                 f"arm '{arm}': '{contact.name}' touches {excess:.3g} m outside the patch of its "
                 f"surface; mend the posture, or the patch's 'min' and 'max'"
@@ -171,7 +164,7 @@ def _outside(system: System) -> list[str]:
 
 
 def _dependent(system: System, arm: str) -> list[str]:
-    wrenches, _ = joint_wrenches(system, arm)
+    wrenches = joint_wrenches(system, arm)
     if not np.all(np.isfinite(wrenches)):
         return []  # a contact without a normal: assembling the start tells which
     space = null_space(wrenches.T)
@@ -232,7 +225,7 @@ def _is_line(second: np.ndarray) -> bool:
 
 def _guesses(system: System, arm: str, row: int, b: np.ndarray) -> np.ndarray:
     """Points in the guiding body's frame around both surfaces, shape (g, 3)."""
-    _, contact = owner(system, row)
+    _, contact = system.owner(row)
     frame, tip = system.frames[arm], system.arms[arm]
     i = system.arm_names.index(arm)
     link, body = system.buffers.arms[i], system.buffers.body

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from multiarm.contact_checks import owner, place_state
+from multiarm.contact_checks import place_state
 from multiarm.contacts.internal_forces import InternalForces
 from multiarm.contacts.kernel import (
     AT,
@@ -281,7 +281,7 @@ def lost_contact_text(system: System) -> str:
 
 def lost_contact(system: System, row: int) -> str:
     """Say that a contact has no normal at the state in the buffers."""
-    arm, contact = owner(system, row)
+    arm, contact = system.owner(row)
     return (
         f"contact '{contact.name}' of arm '{arm}' has no normal where it is: an axis, a centre, an "
         f"apex or the end of a surface was reached, or two surfaces lost each other"

@@ -92,6 +92,12 @@ class System:
         """Number of contacts of all joints together."""
         return self.layout.contacts
 
+    def owner(self, row: int) -> tuple[str, Contact]:
+        """Arm and contact of a row of W."""
+        i = int(np.searchsorted(self.layout.rows, row, side="right")) - 1
+        arm = self.arm_names[i]
+        return arm, self.contacts[arm][row - self.layout.rows[i]]
+
     def initial_state(self) -> State:
         """The scene's start, on the constraints, as a fresh copy."""
         return self._start.copy()

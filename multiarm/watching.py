@@ -144,8 +144,8 @@ def _named(event: np.ndarray, system: System) -> dict[str, Any]:
     if what == LIMIT:
         arm, name = system.arm_names[row], f"joint, {COMPONENTS[int(watch[WATCH_POSE])]}"
     else:
-        owners = [(arm, contact.name) for arm, own in system.contacts.items() for contact in own]
-        arm, name = owners[row]
+        arm, contact = system.owner(row)
+        name = contact.name
     kind = _KINDS.get(what, _KINDS[ON_OBJECT])[0 if began else 1]
     where = {ON_OBJECT: " (on the object)", FORCE: "", LIMIT: ""}.get(what, " (on the arm)")
     return {

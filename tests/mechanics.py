@@ -30,7 +30,7 @@ from multiarm.contacts.records import (
     pack,
 )
 from multiarm.contacts.rows import write_row
-from multiarm.contacts.surfaces import DISTANCE, FUNCTION, GRADIENT, PLACE, SECOND
+from multiarm.contacts.surfaces import answering
 from multiarm.lowlevel import CallBack
 from multiarm.scene import parse_scene
 
@@ -275,7 +275,8 @@ def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
     arm, body = body_row(X_WT, twist_T), body_row(X_WO, twist_O)
     rows, parts = np.zeros((n, CONTACT_WIDTH)), np.zeros((len(table.codes) - n, CONTACT_WIDTH))
     scratch, located = np.zeros(29), np.zeros((len(table.shapes), 3))
-    places, answer = np.zeros_like(located), _user_surfaces(table, scratch[15:])
+    places = np.zeros_like(located)
+    answer = CallBack(answering(table.functions, scratch[15:]), np.zeros(1, dtype=np.int64))
     for k in range(n):
         if table.codes[k, KIND] == PAIR:
             places[table.codes[k, LINK]] = near[k]
@@ -291,18 +292,6 @@ def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
         phi=rows[:, 12], phi_dot=rows[:, 13], c=-rows[:, 14], normals=rows[:, 3:6],
         W_m=W.W_m, W_o=W.W_o, W_m_dot=W.W_m_dot, W_o_dot=W.W_o_dot,
     )  # fmt: skip
-
-
-def _user_surfaces(table, query):
-    """The callback that answers the kernel's queries about surfaces that are Python functions."""
-
-    def answer():
-        surface = table.functions[int(query[FUNCTION])]
-        distance, gradient, second = surface.closest(query[PLACE : PLACE + 3].copy())
-        query[DISTANCE], query[GRADIENT : GRADIENT + 3] = distance, gradient
-        query[SECOND : SECOND + 6] = second[np.triu_indices(3)]
-
-    return CallBack(answer, np.zeros(1, dtype=np.int64))
 
 
 def carried(X: np.ndarray, twist, t: float) -> np.ndarray:

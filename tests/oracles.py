@@ -14,7 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from mechanics import carried, first_difference, kernel_rows, pose, second_difference
+import pytest
+from mechanics import body_twist, carried, first_difference, kernel_rows, pose, second_difference
 from scipy.spatial.transform import Rotation
 
 from multiarm.contacts.records import (
@@ -422,3 +423,36 @@ def _rotation_between(a, b):
 
 def _unit(v):
     return v / np.linalg.norm(v)
+
+
+# --- claims about a meeting, for tips and for pairs alike ----------------------------------------
+
+
+def claim_gap_and_normal(met) -> None:
+    """Gap, normal and both columns of W are those of the surfaces' equations."""
+    rows, pair = met.rows(), met.at(0.0)
+    assert rows.phi[0] == pytest.approx(pair.gap, abs=1e-10)
+    np.testing.assert_allclose(
+        rows.normals[0], met.X_WO[:3, :3] @ pair.into_object, rtol=0, atol=1e-10
+    )
+    W = np.concatenate([rows.W_m[:, 0], rows.W_o[:, 0]])
+    np.testing.assert_allclose(W, met.matrices(0.0), rtol=0, atol=1e-10)
+
+
+def claim_rates(met, step: float) -> None:
+    """Gap rate, c and dW/dt are differences of what the equations give."""
+    rows = met.rows()
+    phi_dot, c, W_dot = met.rates(step)
+    assert rows.phi_dot[0] == pytest.approx(phi_dot, rel=1e-8, abs=1e-9)
+    assert rows.c[0] == pytest.approx(c, rel=1e-8, abs=1e-8)
+    found = np.concatenate([rows.W_m_dot[:, 0], rows.W_o_dot[:, 0]])
+    scale = float(np.max(np.abs(W_dot)))
+    np.testing.assert_allclose(found, W_dot, rtol=0, atol=1e-8 * max(1.0, scale))
+
+
+def claim_power(met) -> None:
+    """W_m^T v_m + W_o^T v_o, each in its own axes, is the gap rate (3.26)."""
+    rows = met.rows()
+    power = rows.W_m.T @ body_twist(met.X_WT, met.twist_T)
+    power += rows.W_o.T @ body_twist(met.X_WO, met.twist_O)
+    np.testing.assert_allclose(power, rows.phi_dot, rtol=0, atol=1e-12)

@@ -9,12 +9,15 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import WORKED, body_twist, kernel_rows, pose
+from mechanics import WORKED, kernel_rows, pose
 from oracles import (
     CommonNormal,
     Meeting,
     Side,
     bowl_side,
+    claim_gap_and_normal,
+    claim_power,
+    claim_rates,
     distance_torus_side,
     meeting,
     parametric_ellipsoid_side,
@@ -94,31 +97,15 @@ def met(request, way_round, gap, rng):
 
 
 def test_gap_and_normal_are_those_of_the_surfaces_equations(met):
-    rows, pair = met.rows(), met.at(0.0)
-    assert rows.phi[0] == pytest.approx(pair.gap, abs=1e-10)
-    np.testing.assert_allclose(
-        rows.normals[0], met.X_WO[:3, :3] @ pair.into_object, rtol=0, atol=1e-10
-    )
-    W = np.concatenate([rows.W_m[:, 0], rows.W_o[:, 0]])
-    np.testing.assert_allclose(W, met.matrices(0.0), rtol=0, atol=1e-10)
+    claim_gap_and_normal(met)
 
 
 def test_rates_are_the_differences_of_what_the_equations_give(met):
-    rows = met.rows()
-    phi_dot, c, W_dot = met.rates(STEP)
-    assert rows.phi_dot[0] == pytest.approx(phi_dot, rel=1e-8, abs=1e-9)
-    assert rows.c[0] == pytest.approx(c, rel=1e-8, abs=1e-8)
-    found = np.concatenate([rows.W_m_dot[:, 0], rows.W_o_dot[:, 0]])
-    scale = float(np.max(np.abs(W_dot)))
-    np.testing.assert_allclose(found, W_dot, rtol=0, atol=1e-8 * max(1.0, scale))
+    claim_rates(met, STEP)
 
 
 def test_gap_rate_is_the_power_of_a_unit_push(met):
-    """W_m^T v_m + W_o^T v_o, each in its own axes, is the gap rate (3.26)."""
-    rows = met.rows()
-    power = rows.W_m.T @ body_twist(met.X_WT, met.twist_T)
-    power += rows.W_o.T @ body_twist(met.X_WO, met.twist_O)
-    np.testing.assert_allclose(power, rows.phi_dot, rtol=0, atol=1e-12)
+    claim_power(met)
 
 
 # --- the worked example --------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from multiarm.contacts.records import (
 )
 from multiarm.contacts.rows import write_rows
 from multiarm.contacts.smooth import SignedDistanceSurface
-from multiarm.contacts.surfaces import DISTANCE, FUNCTION, GRADIENT, PLACE, QUERY_WIDTH, SECOND
+from multiarm.contacts.surfaces import QUERY_WIDTH, answering
 from multiarm.lowlevel import CallBack, kernel
 
 ROWS = 24
@@ -114,7 +114,8 @@ class _Burst:
         shapes = len(self._table.shapes)
         self._places = np.tile([0.47, 0.01, 0.01], (shapes, 1))
         self._located = np.zeros((shapes, 3))
-        self._call = CallBack(self._answer, np.zeros(1, dtype=np.int64))
+        answer = answering(self._table.functions, self._scratch[RELATIVE_WIDTH:])
+        self._call = CallBack(answer, np.zeros(1, dtype=np.int64))
         self._repeats = 1
         self.time()
         self._repeats = max(1, round(2e-3 / (self.time() * self._count)))
@@ -132,13 +133,6 @@ class _Burst:
         self._call.reraise()
         assert np.all(np.isfinite(self._rows)), "the rows that are timed exist"
         return (end - begin) / (self._repeats * self._count)
-
-    def _answer(self) -> None:
-        query = self._scratch[RELATIVE_WIDTH:]
-        surface = self._table.functions[int(query[FUNCTION])]
-        distance, gradient, second = surface.closest(query[PLACE : PLACE + 3].copy())
-        query[DISTANCE], query[GRADIENT : GRADIENT + 3] = distance, gradient
-        query[SECOND : SECOND + 6] = second[np.triu_indices(3)]
 
 
 def _moving(speed: float) -> np.ndarray:

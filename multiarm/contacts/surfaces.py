@@ -18,6 +18,9 @@ opening along z.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+
+import numpy as np
 
 from multiarm.contacts.records import (
     CONE,
@@ -32,6 +35,7 @@ from multiarm.contacts.records import (
     SHAPE_SIZES,
     SPHERE,
     TORUS,
+    SmoothShape,
 )
 from multiarm.lowlevel import call_back, inlined, kernel
 
@@ -40,6 +44,20 @@ from multiarm.lowlevel import call_back, inlined, kernel
 FUNCTION, PLACE, DISTANCE, GRADIENT, SECOND, QUERY_WIDTH = 0, 1, 4, 5, 8, 14
 
 _NEWTON_STEPS = 100
+
+
+def answering(functions: list[SmoothShape], query: np.ndarray) -> Callable[[], None]:
+    """Function that answers the kernel's queries about the user's surfaces, for a callback."""
+    upper = np.triu_indices(3)
+
+    def answer() -> None:
+        surface = functions[int(query[FUNCTION])]
+        distance, gradient, second = surface.closest(query[PLACE : PLACE + 3].copy())
+        query[DISTANCE] = distance
+        query[GRADIENT : GRADIENT + 3] = gradient
+        query[SECOND : SECOND + 6] = second[upper]
+
+    return answer
 
 
 @inlined
