@@ -217,4 +217,10 @@ def _scalar_channels() -> list[Channel]:
         Channel("energy/work", (), "J", "", "work done by control and effects since the start"),
         Channel("drift/position", (), "m", "", "largest gap of a contact, max |phi|"),
         Channel("drift/velocity", (), "m/s", "", "largest rate of a gap, max |W^T v|"),
-    ]
+        Channel("solver/rank", (), "1", "", "independent constraints"),
+        Channel("solver/coupled_arms", (), "1", "", "arms that were solved in the coupled system"),
+        Channel(
+            "solver/residual", (), "1", "",
+            "largest residual of the constraints, relative to the largest term",
+        ),
+    ]  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 
 from multiarm.arm import Arm, ArmFiles, ArmGroup, group_arms
 from multiarm.assembly import StartReport, assemble
-from multiarm.contact_checks import check_patches, check_rows, choose_free, locate_pairs
+from multiarm.contact_checks import check_patches, choose_free, locate_pairs
 from multiarm.contacts.catalogue import FREE, joint_contacts, joint_frame, surface_offset
 from multiarm.contacts.frames import FRAME_WIDTH, JointFrame
 from multiarm.contacts.kernel import RELATIVE_WIDTH
@@ -21,6 +21,7 @@ from multiarm.equations import connect_entries
 from multiarm.errors import ModelError
 from multiarm.lowlevel import CallBack
 from multiarm.node.regular import make_work
+from multiarm.node.singular import make_coupled
 from multiarm.plant import (
     CALL_COUNT,
     CALL_DENSE,
@@ -68,7 +69,6 @@ def compile_system(scene: Scene, control: ControlFunction | None = None) -> Syst
     system = _unassembled(scene, arms, joints, resolved)
     written = system.initial_state()
     system = replace(system, _places=locate_pairs(system, written))
-    check_rows(system, written)
     start, report = assemble(system, written)
     system = replace(system, _start=start, start_report=report)
     check_patches(system)
@@ -127,7 +127,8 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
     watches = make_watches(joints.on_links, joints.limits, layout)
     plant = _plant(scene, arms, table, groups, gravity)._replace(watches=watches)
     buffers = make_buffers(plant, layout.contacts, sum(g.model.nq for g in groups))
-    work = make_work(list(np.diff(layout.dofs)), list(np.diff(layout.rows)))
+    sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
+    work, coupled = make_work(*sizes), make_coupled(*sizes)
     calls = {
         "terms": CallBack(_terms_call(groups, buffers), buffers.flag),
         "dense": CallBack(dense_call(plant.pointers, buffers, work), buffers.flag),
@@ -148,6 +149,7 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
         plant=plant,
         buffers=buffers,
         work=work,
+        coupled=coupled,
         start_report=StartReport(),
         surfaces=tuple(table.functions),
         _start=_written_start(scene, resolved, layout),

@@ -10,7 +10,7 @@ import numpy as np
 from multiarm.errors import SolverError
 from multiarm.node.dense import solve_dense
 from multiarm.node.regular import NodeWork
-from multiarm.plant import Buffers
+from multiarm.plant import COUPLED_ARMS, RANK_OF_ALL, Buffers
 from multiarm.terms import M_AT, M_STRIDE
 
 
@@ -34,6 +34,7 @@ def dense_call(pointers: np.ndarray, buffers: Buffers, work: NodeWork) -> Callab
         buffers.q_o[:] = solution.object_acceleration
         buffers.qdd[:] = np.concatenate(solution.joint_accelerations)
         buffers.force[:] = np.concatenate(solution.contact_forces)
+        buffers.solved[RANK_OF_ALL], buffers.solved[COUPLED_ARMS] = solution.rank, 0
 
     return solve
 

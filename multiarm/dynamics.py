@@ -33,8 +33,15 @@ from multiarm.contacts.records import (
     SURFACE_ON_OBJECT,
     TIP_RADIUS,
 )
+from multiarm.deficiency import lost_motions
 from multiarm.dense_call import read_inertia
-from multiarm.equations import NOT_FINITE, OK, evaluate_buffers, update_kinematics
+from multiarm.equations import (
+    CONTRADICTION,
+    NOT_FINITE,
+    OK,
+    evaluate_buffers,
+    update_kinematics,
+)
 from multiarm.errors import SolverError
 from multiarm.grips import (
     ForceDecomposition,
@@ -45,6 +52,9 @@ from multiarm.grips import (
 )
 from multiarm.node.dense import null_space
 from multiarm.node.regular import NO_INERTIA
+from multiarm.node.singular import ARMS, PART_TOLERANCE, loose_rows
+from multiarm.plant import COUPLED_ARMS, RANK_OF_ALL, RESIDUAL
+from multiarm.solver_watch import note_solution
 from multiarm.stabilization import PROJECTION_FAILED, project_velocities
 from multiarm.state import State
 from multiarm.system import System
@@ -94,7 +104,14 @@ class Evaluation:
     residuals : Residuals
     conditioning : mapping arm -> float
         Smallest relative pivot of ``K = W^T M^-1 W``: how far the arm is from a singular posture
-        (1 at best; empty with the dense solver).
+        (1 at best, 0 at worst; empty with the dense solver).
+    rank : int
+        Independent constraints.
+    coupled_arms : tuple of str
+        Arms that could not be eliminated as a whole: along some of their joint's directions they
+        hardly move, or not at all.
+    lost_motions : mapping arm -> tuple of str
+        What these arms cannot do, in words.
     """
 
     time: float
@@ -111,6 +128,9 @@ class Evaluation:
     velocity_residual: float
     residuals: Residuals
     conditioning: Mapping[str, float]
+    rank: int
+    coupled_arms: tuple[str, ...]
+    lost_motions: Mapping[str, tuple[str, ...]]
     _system: System = field(repr=False, compare=False)
 
     def motion_space(self, arm: str, rows: Sequence[int | str] | None = None) -> MotionSpace:
@@ -173,7 +193,7 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     Raises
     ------
     SolverError
-        When an arm's posture is singular.
+        When an inertia is not positive definite.
     ControlError
         When a Python controller returns something unusable.
     """
@@ -189,8 +209,12 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     b, layout = system.buffers, system.layout
     forces, torques = b.force.copy(), b.torque.copy()
     object_acceleration, qdd = b.q_o.copy(), b.qdd.copy()
+    note_solution(system.book())
+    rank, coupled = int(b.solved[RANK_OF_ALL]), _coupled_arms(system)
     pivots = (
-        {} if system.plant.dense[0] else dict(zip(layout.names, system.work.pivot, strict=False))
+        {}
+        if system.plant.dense[0]
+        else dict(zip(layout.names, system.work.pivot.copy(), strict=False))
     )
     unique = _unique_forces(system)
     residuals = _residuals(system, object_acceleration, qdd, forces)
@@ -209,7 +233,10 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
         position_residual=float(np.max(np.abs(b.contacts[:, GAP]))),
         velocity_residual=float(np.max(np.abs(b.contacts[:, GAP_RATE]))),
         residuals=residuals,
-        conditioning={arm: float(p) for arm, p in pivots.items()},
+        conditioning={arm: max(float(p), 0.0) for arm, p in pivots.items()},
+        rank=rank,
+        coupled_arms=coupled,
+        lost_motions=lost_motions(system, coupled) if coupled else {},
         _system=system,
     )
 
@@ -241,15 +268,6 @@ def failure_text(system: System, status: int) -> str:
             f"the inertia matrix of arm '{names[status]}' is not positive definite: a joint moves "
             f"links without mass or inertia; give them some in the URDF, or lock the joint"
         )
-    if 0 <= status < len(names):
-        name = names[status]
-        rows = len(system.contacts[name])
-        return (
-            f"arm '{name}' cannot move along all {rows} of its joint's constraint directions "
-            f"(relative pivot {system.work.pivot[status]:.2g}): its posture is singular, or its "
-            f"{system.arms[name].dof} joints are too few; use `solver: dense`, another posture or "
-            f"a joint with fewer constraints"
-        )
     if status == len(names):
         return (
             "the object's node matrix is not positive definite; check the object's mass and "
@@ -260,9 +278,21 @@ def failure_text(system: System, status: int) -> str:
             "the state could not be projected back onto the joints; take smaller steps (a smaller "
             "`accuracy` or `step`), or look for a motion that the joints cannot follow"
         )
+    if status == CONTRADICTION:
+        return _contradiction_text(system)
     if status == NOT_FINITE:
         return "the state is not finite; take smaller steps, or check the controller"
     return f"the evaluation failed (status {status})"
+
+
+def _contradiction_text(system: System) -> str:
+    residual = float(system.buffers.solved[RESIDUAL])
+    return (
+        f"no acceleration meets all constraints (relative residual {residual:.2g}): some of them "
+        f"contradict each other, or the chains have come to where they lose a direction with a "
+        f"velocity that fits none of the ways on, and the motion is undetermined; take smaller "
+        f"steps, start elsewhere, or mend contacts that say the same twice"
+    )
 
 
 _FIND_CONTACT = (
@@ -306,10 +336,20 @@ def _residuals(system: System, q_o: np.ndarray, qdd: np.ndarray, force: np.ndarr
     return Residuals(arm, float(np.max(np.abs(on_object))), constraint)
 
 
+def _coupled_arms(system: System) -> tuple[str, ...]:
+    """Arms that went through the coupled system in the last solution."""
+    if not system.buffers.solved[COUPLED_ARMS]:
+        return ()
+    deficient = system.coupled.deficient
+    return tuple(name for name, is_so in zip(system.arm_names, deficient, strict=True) if is_so)
+
+
 def _unique_forces(system: System) -> np.ndarray:
     """Which contact forces are determined: all, when every arm's elimination succeeded."""
     if not system.plant.dense[0]:
-        return np.ones(system.constraint_count, dtype=bool)
+        if not system.coupled.counts[ARMS]:
+            return np.ones(system.constraint_count, dtype=bool)
+        return loose_rows(system.work, system.coupled) < PART_TOLERANCE
     update_kinematics(system.book())
     return null_space(constraint_matrix(system)).untouched
 

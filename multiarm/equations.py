@@ -50,8 +50,10 @@ from multiarm.lowlevel import (
     ints1,
     kernel,
 )
-from multiarm.node.regular import eliminate, solve
+from multiarm.node.regular import DEFICIENT, ELIMINATED, eliminate, solve
+from multiarm.node.singular import ARMS, couple, solve_coupled
 from multiarm.plant import (
+    CALL_COUPLED,
     CALL_DENSE,
     CALL_FORCES,
     CALL_KINEMATICS,
@@ -59,13 +61,15 @@ from multiarm.plant import (
     CALL_SURFACE,
     CALL_TERMS,
     CALLS,
+    COUPLED_COUNTS,
     open_book,
+    open_coupled,
 )
 from multiarm.spatial import write_matrix
 from multiarm.terms import BIAS_AT, DRIFT_AT, GRAVITY_AT, J_AT, M_AT, M_STRIDE, POSE_AT, TWIST_AT
 
 # Results of an evaluation; k >= 0 means that the elimination failed at arm k (or at the object).
-OK, CALLBACK_FAILED, NOT_FINITE = -1, -2, -4
+OK, CALLBACK_FAILED, NOT_FINITE, CONTRADICTION = -1, -2, -4, -5
 
 
 @inner_inlined
@@ -252,10 +256,29 @@ def _solve(address, size, _a, _b):
     if plant.dense[0] != 0:
         call_back(plant.calls[CALL_DENSE])
         return CALLBACK_FAILED if buffers.flag[0] != 0 else OK
-    failed = eliminate(work, buffers.Wo, buffers.inertia)
-    if failed >= 0:
-        return failed
-    solve(work, buffers.h_o, buffers.h, buffers.c, buffers.q_o, buffers.qdd, buffers.force)
+    result = eliminate(work, buffers.Wo, buffers.inertia)
+    if result == DEFICIENT:
+        return call_entry(plant.calls[CALL_COUPLED], book_at(address, size), 0.0, 0.0)
+    if result == ELIMINATED:
+        ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
+        solve(work, buffers.h_o, buffers.h, buffers.c, buffers.q_o, buffers.qdd, buffers.force)
+        return OK
+    return result
+
+
+@entry
+def _solve_coupled(address, size, _a, _b):
+    """Solve a system with deficient arms, whose others are eliminated; returns a status."""
+    book = book_at(address, size)
+    plant, buffers, work = open_book(book)
+    coupled = open_coupled(book)
+    pivot = couple(work, coupled, buffers.Wo, buffers.inertia)
+    work.pivot[plant.pointers.shape[0]] = pivot
+    if not pivot > 0.0:
+        return plant.pointers.shape[0] if pivot == pivot else NOT_FINITE
+    solve_coupled(
+        work, coupled, buffers.h_o, buffers.h, buffers.c, buffers.q_o, buffers.qdd, buffers.force
+    )
     return OK
 
 
@@ -264,6 +287,7 @@ def connect_entries(calls: np.ndarray) -> None:
     calls[CALL_KINEMATICS] = address_of(_kinematics)
     calls[CALL_FORCES] = address_of(_right_hand_sides)
     calls[CALL_SOLVE] = address_of(_solve)
+    calls[CALL_COUPLED] = address_of(_solve_coupled)
 
 
 @kernel
@@ -281,7 +305,7 @@ def solve_constrained(book):
     """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``buffers``.
 
     Needs :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``, or the number of
-    the arm (or of the object, behind the arms) whose elimination failed.
+    the arm (or of the object, behind the arms) whose inertia is not positive definite.
     """
     return call_entry(ints1(book, CALLS)[CALL_SOLVE], book, 0.0, 0.0)
 

@@ -15,13 +15,17 @@ from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.surfaces import QUERY_WIDTH
 from multiarm.lowlevel import address_book, floats1, floats2, floats3, inner_inlined, ints1, ints2
 from multiarm.node.regular import NodeWork
+from multiarm.node.singular import CoupledWork
 
 # Entries of Plant.calls: callbacks into Python, then compiled entries.
 CALL_TERMS, CALL_CONTROL, CALL_DENSE, CALL_POTENTIAL, CALL_SURFACE = range(5)
-CALL_KINEMATICS, CALL_FORCES, CALL_SOLVE, CALL_COUNT = range(5, 9)
+CALL_KINEMATICS, CALL_FORCES, CALL_SOLVE, CALL_COUPLED, CALL_COUNT = range(5, 10)
 
 # Entry of Buffers.flag.
 BUSY = 1
+
+# Entries of Buffers.solved.
+RANK_OF_ALL, COUPLED_ARMS, RESIDUAL, SHIFT, KICK, SOLVED_WIDTH = range(6)
 
 # Columns of an event: time, number of the watch, 1 when its margin became positive (else 0).  More
 # than so many between two looks from outside are only counted.
@@ -49,7 +53,7 @@ class Plant(NamedTuple):
     gravity : (3,)
     control, effects : int64 (k, 2), parameters : float64
         Programs of (code, offset), and the numbers they refer to.
-    calls : int64 (8,)
+    calls : int64 (9,)
         Addresses of the callbacks (arm terms, Python controller, dense solver, potential energy,
         the user's surfaces) and of the compiled parts of an evaluation.
     dense : int64 (1,)
@@ -111,6 +115,20 @@ class Buffers(NamedTuple):
         What is watched, see :mod:`multiarm.watching`.
     flag : int64 (2,)
         Raised by a callback that failed; raised while a Python controller runs (``BUSY``).
+    residual : (joints,)
+        Scratch.
+    kept : (13 + 2 joints,), mixed : (6 + joints + N,)
+        Scratch: a state, and accelerations with forces.
+    stage_gap : (1,)
+        Gap to which the stages of a step are projected before they are evaluated [m]; negative:
+        they are not.
+    solved : (5,)
+        How the equations were solved last: rank of the constraints, arms in the coupled system,
+        largest constraint residual relative to the largest term; largest change of a position and
+        of a velocity by the last projection.
+    lost : int64 (n + 1,), signs : (n,), passed : int64 (n,)
+        Directions that each arm has lost at the end of the last step, and the rank; on which side
+        of its singular postures an arm is (0: unknown), and whether it changed sides.
     """
 
     time: np.ndarray
@@ -147,10 +165,19 @@ class Buffers(NamedTuple):
     events: np.ndarray
     event_count: np.ndarray
     flag: np.ndarray
+    residual: np.ndarray
+    kept: np.ndarray
+    mixed: np.ndarray
+    stage_gap: np.ndarray
+    solved: np.ndarray
+    lost: np.ndarray
+    signs: np.ndarray
+    passed: np.ndarray
 
 
-# Place of ``calls`` in the address book of a system.
+# Places of ``calls`` and of the coupled system's ``counts`` in the address book of a system.
 CALLS = Plant._fields.index("calls")
+COUPLED_COUNTS = 85
 
 
 def make_buffers(plant: Plant, rows: int, configuration: int) -> Buffers:
@@ -192,12 +219,20 @@ def make_buffers(plant: Plant, rows: int, configuration: int) -> Buffers:
         events=np.zeros((MOST_EVENTS if watches else 0, EVENT_WIDTH)),
         event_count=np.zeros(1, dtype=np.int64),
         flag=np.zeros(2, dtype=np.int64),
+        residual=np.zeros(joints),
+        kept=np.zeros(13 + 2 * joints),
+        mixed=np.zeros(6 + joints + rows),
+        stage_gap=np.full(1, -1.0),
+        solved=np.zeros(SOLVED_WIDTH),
+        lost=np.zeros(arms + 1, dtype=np.int64),
+        signs=np.zeros(arms),
+        passed=np.zeros(arms, dtype=np.int64),
     )
 
 
-def system_book(plant: Plant, buffers: Buffers, work: NodeWork) -> np.ndarray:
-    """Address book of one system; :func:`open_book` is its inverse."""
-    return address_book([*plant, *buffers, *work])
+def system_book(plant: Plant, buffers: Buffers, work: NodeWork, coupled: CoupledWork) -> np.ndarray:
+    """Address book of one system; :func:`open_book` and :func:`open_coupled` are its inverse."""
+    return address_book([*plant, *buffers, *work, *coupled])
 
 
 @inner_inlined
@@ -258,17 +293,49 @@ def open_book(book):
         events=floats2(book, 49),
         event_count=ints1(book, 50),
         flag=ints1(book, 51),
+        residual=floats1(book, 52),
+        kept=floats1(book, 53),
+        mixed=floats1(book, 54),
+        stage_gap=floats1(book, 55),
+        solved=floats1(book, 56),
+        lost=ints1(book, 57),
+        signs=floats1(book, 58),
+        passed=ints1(book, 59),
     )
     work = NodeWork(
-        dofs=ints1(book, 52),
-        rows=ints1(book, 53),
-        L=floats3(book, 54),
-        Y=floats3(book, 55),
-        G=floats3(book, 56),
-        Z=floats3(book, 57),
-        S=floats2(book, 58),
-        y=floats1(book, 59),
-        z=floats1(book, 60),
-        pivot=floats1(book, 61),
+        dofs=ints1(book, 60),
+        rows=ints1(book, 61),
+        L=floats3(book, 62),
+        Y=floats3(book, 63),
+        G=floats3(book, 64),
+        Z=floats3(book, 65),
+        S=floats2(book, 66),
+        y=floats1(book, 67),
+        z=floats1(book, 68),
+        pivot=floats1(book, 69),
     )
     return plant, buffers, work
+
+
+@inner_inlined
+def open_coupled(book):
+    """Views of the coupled system's arrays in a system's book."""
+    return CoupledWork(
+        V=floats3(book, 70),
+        A=floats3(book, 71),
+        sigma=floats1(book, 72),
+        deficient=ints1(book, 73),
+        scale=floats1(book, 74),
+        split=floats1(book, 75),
+        inertia=floats2(book, 76),
+        arm=ints1(book, 77),
+        row=ints1(book, 78),
+        C=floats2(book, 79),
+        B=floats2(book, 80),
+        basis=floats2(book, 81),
+        images=floats2(book, 82),
+        right=floats1(book, 83),
+        unknown=floats1(book, 84),
+        counts=ints1(book, 85),
+        margin=floats1(book, 86),
+    )

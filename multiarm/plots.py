@@ -38,7 +38,7 @@ SMALLEST_SPAN = 1e-3
 _AXIS_COLOURS = ("#d1495b", "#2f9e67", "#3b7dd8")  # x, y, z as in every viewer
 _ROLES = {"kinetic": "#d9822b", "potential": "#3b7dd8", "work": "#2f9e67", "balance": "#c2417c"}
 _HUES = (0.59, 0.07, 0.41, 0.87, 0.72, 0.49, 0.98, 0.14)
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "axes.edgecolor": INK,
     "axes.facecolor": "none",
     "axes.grid": True,
@@ -70,6 +70,7 @@ _STYLE: dict[Any, Any] = {
     "xtick.major.width": 0.7,
     "ytick.major.width": 0.7,
 }
+"""Settings of matplotlib under which all figures are drawn."""
 _DEGREES = 180 / np.pi
 _SHOWN = {
     ("joint_position", "rad"): ("angle [deg]", _DEGREES),
@@ -246,7 +247,7 @@ def _prefixed(unit: str, values: np.ndarray) -> tuple[str, float]:
 def _draw(panels: list[_Panel], zero_line: bool = False) -> Figure:
     columns = 1 if len(panels) <= 3 else 2 if len(panels) <= 12 else 4
     rows = max(1, -(-len(panels) // columns))
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure, height = _sheet(panels, rows, columns)
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
         for axes in grid[len(panels) :]:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.assembly import projection_tolerance, scene_size
+from multiarm.adoption import adopt_state
+from multiarm.assembly import StartReport, projection_tolerance, scene_size
 from multiarm.contact_checks import place_state
 from multiarm.dynamics import failure_text
 from multiarm.equations import OK
@@ -24,6 +25,7 @@ from multiarm.samples import sample_width
 from multiarm.scene import RunSpec
 from multiarm.scene.control import DEFAULT_ACCURACY
 from multiarm.sinks import Sink
+from multiarm.solver_log import SolverLog
 from multiarm.state import State
 from multiarm.system import System
 from multiarm.time_loop import (
@@ -61,6 +63,7 @@ class Run:
     sink: Sink
     block: np.ndarray
     events: EventLog
+    solver_log: SolverLog
 
 
 def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) -> RunSpec:
@@ -110,11 +113,17 @@ def prepare(system: System, spec: RunSpec, state: State | None, sink: Sink, max_
         breakpoints=np.array(system.breakpoints, dtype=float),
     )
     method, step = make_method(tableau), make_step(tableau, system.layout.joints)
-    begin = system.initial_state() if state is None else state
+    begin, report = system.initial_state(), system.start_report
+    if state is not None:
+        begin, report = state, StartReport()
+        if stabilization.kind == "projection":
+            begin, report = adopt_state(system, state)
     place_state(system, 0.0, begin)
     store(system.buffers, step.base, step.z)
     _first_slope(system, step, settings)
     watch_start(system.book())
+    solver_log = SolverLog(system)
+    solver_log.collect(system, 0.0, begin)
     settings = settings._replace(
         closed=projection_tolerance(system) if settings.closed >= 0.0 else -1.0,
         apart=APART * scene_size(system),
@@ -132,8 +141,17 @@ def prepare(system: System, spec: RunSpec, state: State | None, sink: Sink, max_
         make_clock(settings),
         sink,
         np.zeros((rows, width)),
-        EventLog(),
+        _event_log(report),
+        solver_log,
     )
+
+
+def _event_log(report: StartReport) -> EventLog:
+    """An event log that begins with what was corrected at the start."""
+    events = EventLog()
+    for line in report.lines():
+        events.told.append({"time": 0.0, "kind": "start", "text": f"start: {line}"})
+    return events
 
 
 def _positive(name: str, value: float) -> float:

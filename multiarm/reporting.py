@@ -149,12 +149,12 @@ def _cards(summary: dict[str, Any]) -> str:
 def _figures(trajectory: Trajectory) -> Iterable[str]:
     for number, (title, figure) in enumerate(plots.figures(trajectory).items()):
         yield (
-            f"<section><h2>{title}</h2><figure>{_svg(figure, f'f{number}-')}"
+            f"<section><h2>{title}</h2><figure>{inline_svg(figure, f'f{number}-')}"
             f"<figcaption>{_CAPTIONS[title]}</figcaption></figure></section>\n"
         )
 
 
-def _svg(figure: Figure, prefix: str) -> str:
+def inline_svg(figure: Figure, prefix: str) -> str:
     """The figure as inline SVG: own names for its parts, ink and grid of the page's theme."""
     buffer = io.StringIO()
     with (

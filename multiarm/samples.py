@@ -2,7 +2,8 @@
 
 The columns are time, object position, quaternion (xyzw), joint positions, object twist, joint
 velocities, control torques, contact forces, free relative rates and coordinates of the joints,
-kinetic and potential energy, work, largest gap and largest gap rate.
+kinetic and potential energy, work, largest gap and largest gap rate; rank of the constraints, arms
+in the coupled system, relative residual.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from multiarm.contacts.frames import SINGLE_TURN, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import kinetic_energy, largest
 from multiarm.lowlevel import call_back, copy, inlined, inner
-from multiarm.plant import CALL_POTENTIAL
+from multiarm.plant import CALL_POTENTIAL, COUPLED_ARMS, RANK_OF_ALL, RESIDUAL
 from multiarm.state import Layout
 
 
 def sample_width(joints: int, contacts: int, free: int) -> int:
     """Numbers a sample: see :func:`write_sample`."""
-    return 1 + 7 + joints + 6 + joints + joints + contacts + 2 * free + 5
+    return 1 + 7 + joints + 6 + joints + joints + contacts + 2 * free + 8
 
 
 @inner
 def write_sample(plant, buffers, work, t, work_done, row):
     """One row of the block from an evaluated state: time, positions, velocities, torques, contact
     forces, relative rates and coordinates, kinetic and potential energy, work, largest gap and gap
-    rate.
+    rate, rank, coupled arms and residual.
     """
     n, m = buffers.angles.size, buffers.force.size
     row[0] = t
@@ -49,6 +50,9 @@ def write_sample(plant, buffers, work, t, work_done, row):
     row[at + 2] = work_done
     row[at + 3] = largest(buffers.contacts, GAP)
     row[at + 4] = largest(buffers.contacts, GAP_RATE)
+    row[at + 5] = buffers.solved[RANK_OF_ALL]
+    row[at + 6] = buffers.solved[COUPLED_ARMS]
+    row[at + 7] = buffers.solved[RESIDUAL]
 
 
 @inner
@@ -94,9 +98,9 @@ def named_samples(
 ) -> dict[str, np.ndarray]:
     """The rows of a block of :func:`write_sample` as named channels."""
     n, m, f = layout.joints, layout.contacts, int(free_bounds[-1])
-    columns = np.split(rows, np.cumsum([1, 3, 4, n, 6, n, n, m, f, f, 1, 1, 1, 1]), axis=1)
+    columns = np.split(rows, np.cumsum([1, 3, 4, n, 6, n, n, m, f, f, 1, 1, 1, 1, 1, 1, 1]), axis=1)
     t, x, quaternion, q, twist, v, torque, force, rates, places, *scalars = columns
-    kinetic, potential, work, gap, rate = scalars
+    kinetic, potential, work, gap, rate, rank, coupled, residual = scalars
     block = {
         "time": t[:, 0],
         "object/position": x,
@@ -107,6 +111,9 @@ def named_samples(
         "energy/work": work[:, 0],
         "drift/position": gap[:, 0],
         "drift/velocity": rate[:, 0],
+        "solver/rank": rank[:, 0],
+        "solver/coupled_arms": coupled[:, 0],
+        "solver/residual": residual[:, 0],
     }
     joints = {"joint_position": q, "joint_velocity": v, "joint_torque": torque}
     for name, values in joints.items():

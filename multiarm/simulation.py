@@ -29,17 +29,23 @@ from multiarm.time_loop import (
     BLOCK_FIRST,
     BLOCK_FULL,
     BUDGET_USED,
+    COUPLED_STEPS,
     DIVERGED,
     ERROR_SUM,
     EVALUATIONS,
     FINISHED,
+    HIGHEST_RANK,
+    LARGE_CORRECTION,
     LARGEST,
+    LOWEST_RANK,
     PROJECTIONS,
     REJECTED,
     SAMPLE,
     SMALLEST,
+    SOLVER_CHANGED,
     STEP_TOO_SMALL,
     STEPS,
+    WORST_RESIDUAL,
     H,
     T,
     advance,
@@ -145,10 +151,10 @@ def simulate(
         with suppress(TrajectoryError):
             _flush(run)
         statistics = _statistics(run, spec, 0.0)
-        run.sink.finish("failed", f"{_where(run)}: {error!r}", statistics, run.events.told)
+        run.sink.finish("failed", f"{_where(run)}: {error!r}", statistics, _events(run))
         raise
     message += run.events.summary()
-    return run.sink.finish(status, message, _statistics(run, spec, wall), run.events.told)
+    return run.sink.finish(status, message, _statistics(run, spec, wall), _events(run))
 
 
 def _drive(run: Run, progress: Progress | None) -> tuple[str, str, float]:
@@ -161,6 +167,8 @@ def _drive(run: Run, progress: Progress | None) -> tuple[str, str, float]:
         while True:
             ended = None
             run.events.collect(run.system)
+            if reason == SOLVER_CHANGED:
+                run.solver_log.collect(run.system, float(run.clock.real[T]), _state(run))
             try:
                 if progress is not None:
                     run.system.buffers.flag[BUSY] = 1
@@ -173,7 +181,7 @@ def _drive(run: Run, progress: Progress | None) -> tuple[str, str, float]:
                 ended = "completed", "the run reached its end"
             elif interrupt.pressed:
                 ended = "interrupted", f"stopped by the user {_where(run)}"
-            elif reason not in (BUDGET_USED, BLOCK_FULL):
+            elif reason not in (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED):
                 ended = _trouble(run, reason)
             due = time.perf_counter() >= next_checkpoint
             try:
@@ -198,6 +206,21 @@ def _advancer(run: Run) -> Callable[[int], int]:
         return advance(book, joints, arrays, run.method, run.clock, run.settings, run.block, budget)
 
     return advance_by
+
+
+def _events(run: Run) -> list[dict]:
+    """Everything that happened, in order of time."""
+    return sorted([*run.events.told, *run.solver_log.told], key=lambda event: event["time"])
+
+
+def _state(run: Run) -> State:
+    """The state at the beginning of the next step."""
+    n, z = run.system.layout.joints, run.step.z
+    return State(
+        np.concatenate([z[:3], run.step.base, z[6 : 6 + n]]),
+        z[6 + n : -1].copy(),
+        run.system.layout,
+    )
 
 
 def _where(run: Run) -> str:
@@ -229,6 +252,11 @@ def _trouble(run: Run, reason: int) -> tuple[str, str]:
         return "failed", (
             f"{where}: the joints came apart by more than {run.settings.apart:.2g} m, the run has "
             f"diverged; take {smaller}, or `stabilization: projection`"
+        )
+    if reason == LARGE_CORRECTION:
+        return "failed", (
+            f"{where}: every step, however short, ends far from the joints; look for a motion that "
+            f"they cannot follow, or start elsewhere"
         )
     if reason == NOT_FINITE:
         lost = lost_contact_text(run.system)
@@ -279,6 +307,10 @@ def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:
         "smallest_step_s": float(real[SMALLEST]) if count[STEPS] else None,
         "largest_step_s": float(real[LARGEST]) if count[STEPS] else None,
         "error_estimate": float(real[ERROR_SUM]) if settings.adaptive else None,
+        "coupled_steps": int(count[COUPLED_STEPS]),
+        "lowest_rank": int(count[LOWEST_RANK]) if count[STEPS] else None,
+        "highest_rank": int(count[HIGHEST_RANK]) if count[STEPS] else None,
+        "residual_max": float(real[WORST_RESIDUAL]),
         "wall_time_s": wall,
         "realtime_factor": simulated / wall if wall > 0.0 else None,
     }

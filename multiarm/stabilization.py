@@ -14,6 +14,8 @@ step: with :math:`\alpha = \beta` the linear stability limits of :math:`\alpha h
 
 Both are the node system with other right-hand sides (``h = 0``, ``c = -\varphi`` or
 ``-\dot\varphi``), so that projection costs as much as an evaluation and stays linear in the arms.
+Where the constraints lose rank it follows: gaps that no motion closes to first order (a flat
+parallelogram, contacts that say the same twice) are left, as long as they are small.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ import math
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import OK, largest, solve_constrained, update_kinematics
-from multiarm.lowlevel import inner_inlined, kernel
-from multiarm.plant import open_book
+from multiarm.lowlevel import inner, inner_inlined, ints1, kernel
+from multiarm.node.singular import ARMS, RANK, UNKNOWNS
+from multiarm.plant import COUPLED_COUNTS, KICK, SHIFT, open_book, open_coupled
 from multiarm.spatial import retract_into
 
 # alpha = beta = FEEDBACK_RATIO / step
@@ -37,6 +40,11 @@ FEEDBACK_LIMITS = {
 
 PROJECTION_FAILED = -3
 MAX_ITERATIONS = 12
+# Constraints that are nearer than this to losing rank magnify what is left of gaps; iterations that
+# are spent there to reduce these to roundings.
+NEAR_LOSS, FURTHER_ITERATIONS = 0.3, 3
+# Gaps that no motion closes may be this many times the tolerance.
+UNREACHED = 1e4
 
 
 @inner_inlined
@@ -65,33 +73,65 @@ def project_positions(book, tolerance, hold_object, longest, iterations):
     -------
     int
         ``OK`` with the kinematics of the projected state in ``buffers``; ``PROJECTION_FAILED``; or
-        what :func:`multiarm.equations.solve_constrained` returned.
+        what :func:`multiarm.equations.solve_constrained` returned.  The largest change of a
+        coordinate is in ``buffers.solved[SHIFT]``.
     """
     _, buffers, _ = open_book(book)
+    buffers.solved[SHIFT] = 0.0
+    before, further = math.inf, FURTHER_ITERATIONS
     for _ in range(iterations):
         status = update_kinematics(book)
         if status != OK:
             return status
         worst = largest(buffers.contacts, GAP)
         if worst <= tolerance:
-            return OK
+            if further == 0 or worst > 0.5 * before or not near_loss(book):
+                return OK
+            further -= 1
         if not math.isfinite(worst):
             return PROJECTION_FAILED
+        if worst > 0.5 * before and worst <= UNREACHED * tolerance and lacks_rank(book):
+            return OK
+        before = worst
         clear_forces(buffers)
         for k in range(buffers.c.size):
             buffers.c[k] = -buffers.contacts[k, GAP]
         status = solve_constrained(book)
         if status != OK:
             return status
-        reach = 0.0
-        for j in range(buffers.qdd.size):
-            reach = max(reach, abs(buffers.qdd[j]))
+        reach = greatest(buffers.qdd)
         scale = 1.0 if reach <= longest else longest / reach
+        if not hold_object:
+            reach = max(reach, greatest(buffers.q_o))
+        buffers.solved[SHIFT] += scale * reach
         for j in range(buffers.qdd.size):
             buffers.angles[j] += scale * buffers.qdd[j]
         if not hold_object:
             move_object(buffers, scale)
     return PROJECTION_FAILED
+
+
+@inner
+def near_loss(book):
+    """Whether the constraints were near a loss of rank when they were solved last."""
+    coupled = open_coupled(book)
+    return coupled.counts[ARMS] > 0 and coupled.margin[0] < NEAR_LOSS
+
+
+@inner
+def lacks_rank(book):
+    """Whether some constraints of the last solution depended on others."""
+    counts = ints1(book, COUPLED_COUNTS)
+    return counts[ARMS] > 0 and counts[RANK] < counts[UNKNOWNS]
+
+
+@inner
+def greatest(vector):
+    """Largest magnitude of a vector's entries."""
+    size = 0.0
+    for k in range(vector.size):
+        size = max(size, abs(vector[k]))
+    return size
 
 
 @inner_inlined
@@ -107,7 +147,10 @@ def move_object(buffers, scale):
 
 @kernel
 def project_velocities(book):
-    """Project ``twist`` and ``v`` on ``W^T v = 0``; needs the state's kinematics in the buffers."""
+    """Project ``twist`` and ``v`` on ``W^T v = 0``; needs the state's kinematics in the buffers.
+
+    The largest change is in ``buffers.solved[KICK]``.
+    """
     _, buffers, _ = open_book(book)
     clear_forces(buffers)
     for k in range(buffers.c.size):
@@ -115,6 +158,7 @@ def project_velocities(book):
     status = solve_constrained(book)
     if status != OK:
         return status
+    buffers.solved[KICK] = max(greatest(buffers.q_o), greatest(buffers.qdd))
     for k in range(6):
         buffers.twist[k] += buffers.q_o[k]
     for j in range(buffers.v.size):

@@ -20,6 +20,7 @@ from multiarm.control import PYTHON
 from multiarm.errors import ControlError, ModelError
 from multiarm.lowlevel import CallBack
 from multiarm.node.regular import NodeWork
+from multiarm.node.singular import CoupledWork
 from multiarm.plant import (
     BUSY,
     CALL_CONTROL,
@@ -53,7 +54,7 @@ class System:
         How far the scene's start was from satisfying the joints, and what was corrected.
     breakpoints : ndarray
         Times at which the control is not smooth; steps end there.
-    plant, buffers, work : Plant, Buffers, NodeWork
+    plant, buffers, work, coupled : Plant, Buffers, NodeWork, CoupledWork
         What the kernels read and write.
     surfaces : tuple of SmoothShape
         Surfaces of the user's.
@@ -71,6 +72,7 @@ class System:
     plant: Plant = field(repr=False)
     buffers: Buffers = field(repr=False)
     work: NodeWork = field(repr=False)
+    coupled: CoupledWork = field(repr=False)
     start_report: StartReport = field(repr=False)
     surfaces: tuple[SmoothShape, ...] = field(repr=False)
     _start: State = field(repr=False)
@@ -85,7 +87,7 @@ class System:
 
     def book(self) -> np.ndarray:
         """Address book of this system for the time loop; valid while the system lives."""
-        return system_book(self.plant, self.buffers, self.work)
+        return system_book(self.plant, self.buffers, self.work, self.coupled)
 
     @property
     def constraint_count(self) -> int:
@@ -204,6 +206,8 @@ class System:
         b.coordinates[:] = np.nan
         b.margins[:] = np.nan
         b.event_count[0] = 0
+        b.lost[:] = 0
+        b.signs[:] = 0.0
         for surface in self.surfaces:
             surface.reset()
 

@@ -92,6 +92,14 @@ class NodeSolution(NamedTuple):
         Which contact forces the equations determine.
     rank : int
         Rank of the stacked constraint matrix.
+    motion_unique : bool
+        Whether the equations determine the accelerations.  Only friction can make them fail to,
+        when contact forces that no constraint sees move the system.
+    loose_arms : tuple of int
+        Arms whose contact forces take part in what is not determined of the motion.
+    residual : float
+        Largest constraint residual relative to the largest of its terms; beyond rounding where
+        the constraints contradict each other.
     """
 
     object_acceleration: np.ndarray
@@ -99,3 +107,6 @@ class NodeSolution(NamedTuple):
     contact_forces: list[np.ndarray]
     unique: list[np.ndarray]
     rank: int
+    motion_unique: bool = True
+    loose_arms: tuple[int, ...] = ()
+    residual: float = 0.0

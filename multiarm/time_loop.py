@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.kernel import GAP
+from multiarm.crossing import evaluate_on_branch
 from multiarm.equations import (
     CALLBACK_FAILED,
+    CONTRADICTION,
     NOT_FINITE,
     OK,
-    evaluate_buffers,
     finite,
     largest,
 )
@@ -35,26 +36,46 @@ from multiarm.integrators.stepper import (
     write_slope,
 )
 from multiarm.lowlevel import copy, inner, kernel
-from multiarm.plant import open_book
+from multiarm.plant import (
+    COUPLED_ARMS,
+    KICK,
+    RANK_OF_ALL,
+    RESIDUAL,
+    SHIFT,
+    open_book,
+    open_coupled,
+)
 from multiarm.samples import follow_joints, write_sample
-from multiarm.stabilization import FEEDBACK_RATIO, project
+from multiarm.solver_watch import RESIDUAL_BOUND, note_solution, watch_solver
+from multiarm.stabilization import FEEDBACK_RATIO, near_loss, project
 from multiarm.watching import watch_step
 
 # Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
 FINISHED, BLOCK_FULL, BUDGET_USED = -10, -11, -12
-STEP_TOO_SMALL, DIVERGED = -13, -14
+STEP_TOO_SMALL, DIVERGED, SOLVER_CHANGED, LARGE_CORRECTION = -13, -14, -15, -16
 
 # Step size control (Hairer, Norsett, Wanner, II.4 and IV.2).
 SAFETY, SHRINK, GROW = 0.9, 0.2, 6.0
 
 # Entries of Clock.real and Clock.counts.
-T, H, T_OLD, H_OLD, ERROR_OLD, ERROR_SUM, SMALLEST, LARGEST, REAL_WIDTH = range(9)
-STEPS, REJECTED, EVALUATIONS, PROJECTIONS, SAMPLE, BLOCK_FIRST, BREAK, CAUSE, COUNT_WIDTH = range(9)
+T, H, T_OLD, H_OLD, ERROR_OLD, ERROR_SUM, SMALLEST, LARGEST = range(8)
+CORRECTION, WORST_RESIDUAL, REAL_WIDTH = range(8, 11)
+STEPS, REJECTED, EVALUATIONS, PROJECTIONS, SAMPLE, BLOCK_FIRST, BREAK, CAUSE = range(8)
+COUPLED_STEPS, LOWEST_RANK, HIGHEST_RANK, CHANGES, CAREFUL, COUNT_WIDTH = range(8, 14)
 
 NONE, FEEDBACK, PROJECTION = 0, 1, 2
 
 # Shortest step, relative to the time: a run that needs shorter ones does not get on.
 SMALLEST_STEP = 1e-12
+# A projection that changes the state by more than so many tolerances of a step makes it shorter, as
+# long as that lessens the change.
+MOST_CORRECTED, LESSENED = 30.0, 0.5
+# Where constraints are near a loss of rank, steps fail that are not short; so many steps are then
+# taken with projected stages, which may be long.
+CAREFUL_STEPS = 3
+# The errors of such steps are not judged by less than what roundings make of a motion that crosses
+# another one [m, rad; m/s, rad/s]: so much over the cube of the distance from the loss, at most so.
+ROUNDED, MOST_ROUNDED = 2e-15, 1e-9
 # Times closer than this, relative to the run, are one.
 CLOSE_IN_TIME = 1e-12
 
@@ -104,12 +125,15 @@ class Settings(NamedTuple):
 class Clock(NamedTuple):
     """What the loop remembers between calls.
 
-    real : (8,)
+    real : (10,)
         Time, next step, beginning and length of the step before, its error, the sum of the accepted
-        steps' error estimates [m, rad], smallest and largest step.
-    counts : int64 (8,)
+        steps' error estimates [m, rad], smallest and largest step, correction for which the step
+        was rejected last (in tolerances), largest relative residual.
+    counts : int64 (13,)
         Steps, rejected steps, evaluations, projections, next sample, the block's first sample, next
-        breakpoint, cause of the last rejection.
+        breakpoint, cause of the last rejection; steps that ended with deficient arms, lowest and
+        highest rank, changes of the solver that nobody has looked at, steps to go with projected
+        stages.
     """
 
     real: np.ndarray
@@ -122,6 +146,7 @@ def make_clock(settings: Settings) -> Clock:
     real[T], real[H], real[ERROR_OLD] = settings.begin, settings.step, 1.0
     real[SMALLEST] = math.inf
     count[CAUSE] = STEP_TOO_SMALL
+    count[LOWEST_RANK] = np.iinfo(np.int64).max
     return Clock(real, count)
 
 
@@ -157,7 +182,7 @@ def settle(book, clock, closed, t, alpha, beta):
             return status
     buffers.time[0] = t
     clock.counts[EVALUATIONS] += 1
-    return evaluate_buffers(book, alpha, beta)
+    return evaluate_on_branch(book, closed, alpha, beta)
 
 
 @inner
@@ -187,6 +212,7 @@ def emit_samples(book, method, step, clock, settings, block):
         status = settle(book, clock, closed, due, alpha, beta)
         if status != OK:
             return status
+        note_solution(book)
         write_sample(plant, buffers, work, due, work_done, block[rows])
         if buffers.flag[0] != 0:
             return CALLBACK_FAILED
@@ -201,6 +227,8 @@ def watch_start(book):
     plant, buffers, _ = open_book(book)
     follow_joints(plant, buffers)
     watch_step(plant, buffers, 0.0, 0.0)
+    note_solution(book)
+    watch_solver(book)
 
 
 @inner
@@ -242,7 +270,9 @@ def try_step(book, joints, method, step, clock, settings, h):
         if status != OK:
             return status, 0.0
     status = run_stages(book, joints, method, step, t, h, alpha, beta)
-    count[EVALUATIONS] += method.stages - 1
+    _, buffers, _ = open_book(book)
+    # a projection is counted as two evaluations
+    count[EVALUATIONS] += (method.stages - 1) * (3 if buffers.stage_gap[0] >= 0.0 else 1)
     if status != OK:
         return status, 0.0
     if not finite(step.z_new):
@@ -256,11 +286,47 @@ def try_step(book, joints, method, step, clock, settings, h):
         count[EVALUATIONS] += 1
         if status != OK:
             return status, 0.0
+    floor = rounding_floor(book, clock)
     error = error_estimate(
-        method, step, h, settings.position_tolerance, settings.velocity_tolerance,
-        joints,
+        method, step, h, max(settings.position_tolerance, floor),
+        max(settings.velocity_tolerance, floor), joints,
     )  # fmt: skip
     return (OK, error) if math.isfinite(error) else (NOT_FINITE, 0.0)
+
+
+@inner
+def judge_solution(book, buffers, clock, settings):
+    """Whether the end of a step can be believed: ``CONTRADICTION``, ``LARGE_CORRECTION`` or ``OK``.
+
+    Near a bifurcation a step may end between two branches, and the projection then takes the state
+    far: a shorter step ends nearer to the branch that the motion is on.
+    """
+    if not buffers.solved[RESIDUAL] <= RESIDUAL_BOUND:
+        return CONTRADICTION
+    if settings.adaptive and settings.closed >= 0.0:
+        floor = rounding_floor(book, clock)
+        correction = max(
+            buffers.solved[SHIFT] / max(settings.position_tolerance, floor),
+            buffers.solved[KICK] / max(settings.velocity_tolerance, floor),
+        )
+        before = clock.real[CORRECTION]
+        if correction > MOST_CORRECTED and (before == 0.0 or correction < LESSENED * before):
+            clock.real[CORRECTION] = correction
+            return LARGE_CORRECTION
+    return OK
+
+
+@inner
+def count_solution(book, buffers, clock):
+    """Statistics of how the end of an accepted step was solved."""
+    real, count, solved = clock.real, clock.counts, buffers.solved
+    rank = int(solved[RANK_OF_ALL])
+    count[LOWEST_RANK] = min(count[LOWEST_RANK], rank)
+    count[HIGHEST_RANK] = max(count[HIGHEST_RANK], rank)
+    if solved[COUPLED_ARMS] > 0.0:
+        count[COUPLED_STEPS] += 1
+    real[WORST_RESIDUAL] = max(real[WORST_RESIDUAL], solved[RESIDUAL])
+    count[CHANGES] += watch_solver(book)
 
 
 @inner
@@ -274,6 +340,10 @@ def complete_step(book, method, step, clock, settings, h, end):
     status = settle(book, clock, settings.closed, end, alpha, beta)
     if status != OK:
         return status
+    note_solution(book)
+    status = judge_solution(book, buffers, clock, settings)
+    if status != OK:
+        return status
     gap = largest(buffers.contacts, GAP)
     if not gap <= settings.apart:
         return DIVERGED if math.isfinite(gap) else NOT_FINITE
@@ -282,6 +352,7 @@ def complete_step(book, method, step, clock, settings, h, end):
             copy(buffers.located[i], buffers.places[i])
     follow_joints(plant, buffers)
     watch_step(plant, buffers, t, end)
+    count_solution(book, buffers, clock)
     # the slope of the next step, in this chart for the dense output and in the next one for it
     write_slope(step.z_new, buffers, step.k[method.stages])
     step.z_stage[:] = 0.0
@@ -298,6 +369,26 @@ def complete_step(book, method, step, clock, settings, h, end):
     copy(step.base_next, step.base)
     copy(step.slope_next, step.slope)
     return OK
+
+
+@inner
+def rounding_floor(book, clock):
+    """Smallest error that a step with projected stages can be asked for."""
+    if clock.counts[CAREFUL] == 0:
+        return 0.0
+    margin = open_coupled(book).margin[1]
+    return min(MOST_ROUNDED, ROUNDED / margin**3)
+
+
+@inner
+def project_stages(book, clock, settings):
+    """Decide whether the stages of the coming step are projected."""
+    _, buffers, _ = open_book(book)
+    open_coupled(book).margin[1] = math.inf
+    careful = clock.counts[CAREFUL] > 0
+    if not settings.adaptive and settings.closed >= 0.0:
+        careful = near_loss(book)
+    buffers.stage_gap[0] = settings.closed if careful else -1.0
 
 
 @inner
@@ -332,15 +423,24 @@ def advance(book, joints, arrays, method, clock, settings, block, budget):
         h, end = planned_step(method, clock, settings)
         if not h > max(SMALLEST_STEP * real[T], 8.0 * np.finfo(np.float64).eps * 1e-3):
             return count[CAUSE]
+        project_stages(book, clock, settings)
         status, error = try_step(book, joints, method, step, clock, settings, h)
         if status == OK and error <= 1.0:
             status = complete_step(book, method, step, clock, settings, h, end)
             if status == OK:
-                accept(method, clock, settings, h, end, error)
+                accept(book, method, clock, settings, h, end, error)
+                if count[CHANGES] > 0:
+                    count[CHANGES] = 0
+                    return SOLVER_CHANGED
                 continue
         if status == CALLBACK_FAILED or not settings.adaptive:
             return status
         count[REJECTED] += 1
+        if near_loss(book) and settings.closed >= 0.0:
+            if count[CAREFUL] == 0:
+                count[CAREFUL] = CAREFUL_STEPS
+                continue  # the same step, with projected stages
+            count[CAREFUL] = CAREFUL_STEPS
         if status == OK:
             count[CAUSE] = STEP_TOO_SMALL
             real[H] = h * max(SHRINK, SAFETY * error ** (-1.0 / (method.error_order + 1.0)))
@@ -350,7 +450,7 @@ def advance(book, joints, arrays, method, clock, settings, block, budget):
 
 
 @inner
-def accept(method, clock, settings, h, end, error):
+def accept(book, method, clock, settings, h, end, error):
     """Move the clock to the end of an accepted step."""
     real, count = clock.real, clock.counts
     if settings.adaptive:
@@ -358,8 +458,10 @@ def accept(method, clock, settings, h, end, error):
         # a step cut short by a breakpoint or the end says little about the one planned
         real[H] = max(proposal, real[H]) if h < real[H] else proposal
         real[ERROR_OLD] = max(error, 1e-4)
-        real[ERROR_SUM] += error * settings.position_tolerance
+        real[ERROR_SUM] += error * max(settings.position_tolerance, rounding_floor(book, clock))
     real[T_OLD], real[H_OLD], real[T] = real[T], h, end
+    real[CORRECTION] = 0.0
+    count[CAREFUL] = max(count[CAREFUL] - 1, 0)
     real[SMALLEST] = min(real[SMALLEST], h)
     real[LARGEST] = max(real[LARGEST], h)
     count[STEPS] += 1

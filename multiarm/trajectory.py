@@ -184,6 +184,21 @@ class Trajectory:
         return self.channel("drift/velocity")
 
     @property
+    def rank(self) -> np.ndarray:
+        """Independent constraints, shape (K,)."""
+        return self.channel("solver/rank")
+
+    @property
+    def coupled_arms(self) -> np.ndarray:
+        """Arms that could not be eliminated as a whole, shape (K,); 0: the linear path alone."""
+        return self.channel("solver/coupled_arms")
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Largest residual of the constraints relative to the largest term, shape (K,)."""
+        return self.channel("solver/residual")
+
+    @property
     def status(self) -> str:
         """One of "completed", "interrupted", "failed"."""
         return self._outcome.status

@@ -56,6 +56,9 @@ def samples(duration=6.0, step=0.01):
         "energy/work": work,
         "drift/position": 2e-9 * np.abs(np.sin(3 * time)) * time,
         "drift/velocity": 4e-8 * np.abs(np.cos(5 * time)) * (time > 0),
+        "solver/rank": np.full_like(time, 12.0),
+        "solver/coupled_arms": np.zeros_like(time),
+        "solver/residual": 3e-15 * np.abs(np.sin(7 * time)),
     }
     for arm, share in (("left", 0.6), ("right", 0.4)):
         joint = np.arange(len(JOINTS[arm]))

@@ -96,11 +96,59 @@ def test_consistent_velocities_are_kept(block_system):
     assert block_system.start_report.velocity_change < 1e-12
 
 
-def test_a_singular_start_says_which_arm_and_what_to_do():
-    singular = [*UR5_POSTURE[:4], 0.0, 0.0]
-    scene = single_arm("ur5", "tool0", singular, {"kind": "weld"})
-    with pytest.raises(MultiarmError, match=r"arm 'arm' cannot move along all 6.*solver: dense"):
-        ma.compile_system(scene)
+def test_the_gaps_of_near_joints_are_told_beside_the_far_one():
+    left = {"kind": "weld", "at": displaced(at_tip("left"), [0.5, 0.0, 0.0])}
+    right = {"kind": "weld", "at": displaced(at_tip("right"), [0.0, 0.01, 0.0])}
+    with pytest.raises(SceneError) as caught:
+        ma.compile_system(ur5_pair(left, right))
+    (fault,) = caught.value.faults
+    assert "arm 'left': a gap of 0.5 m" in fault and "right: 0.01 m" in fault
+
+
+def test_contacts_that_contradict_each_other_are_named():
+    """Two floors at different heights under one fingertip; the wall has no part in it."""
+    tip = {"point": [0, 0, 0]}
+    contacts = [
+        {"name": "floor", "arm": tip, "object": {"plane": {"normal": [0, 0, 1]}}},
+        {"name": "wall", "arm": tip, "object": {"plane": {"normal": [1, 0, 0]}}},
+        {
+            "name": "second floor",
+            "arm": tip,
+            "object": {"plane": {"point": [0, 0, 0.004], "normal": [0, 0, 1]}},
+        },
+    ]
+    posture = [0.3, -0.6, 1.1, 0.4, 0.7, -0.2]
+    tip_pose = (
+        ma.compile_system(single_arm("textbook_6r", "tool", posture, {"kind": "ball"}))
+        .arms["arm"]
+        .tip_pose(np.array(posture))
+    )
+    joint = {"kind": "contacts", "contacts": contacts, "at": {"xyz": tip_pose[:3, 3].tolist()}}
+    with pytest.raises(SceneError) as caught:
+        ma.compile_system(
+            single_arm("textbook_6r", "tool", posture, joint, run={"solver": "dense"})
+        )
+    (fault,) = caught.value.faults
+    assert "'floor', 'second floor' of arm 'arm' contradict each other" in fault
+    assert "0.002 m" in fault and "wall" not in fault
+
+
+def test_a_row_that_says_the_same_twice_is_closed():
+    """One of the doubled floor's rows is redundant, and consistent."""
+    tip = {"point": [0, 0, 0]}
+    floor = {"arm": tip, "object": {"plane": {"point": [0, 0, 0.004], "normal": [0, 0, 1]}}}
+    contacts = [{"name": name, **floor} for name in ("floor", "the same floor")]
+    posture = [0.3, -0.6, 1.1, 0.4, 0.7, -0.2]
+    tip_pose = (
+        ma.compile_system(single_arm("textbook_6r", "tool", posture, {"kind": "ball"}))
+        .arms["arm"]
+        .tip_pose(np.array(posture))
+    )
+    joint = {"kind": "contacts", "contacts": contacts, "at": {"xyz": tip_pose[:3, 3].tolist()}}
+    scene = single_arm("textbook_6r", "tool", posture, joint, run={"solver": "dense"})
+    system = ma.compile_system(scene)
+    assert system.start_report.gaps["arm"] == pytest.approx(0.004)
+    np.testing.assert_allclose(plain_gaps(system, system.initial_state()), 0.0, atol=1e-13)
 
 
 def test_contacts_at_the_centre_of_a_sphere_are_refused_without_a_traceback():

@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import sync_playwright
 
 import multiarm as ma
-from multiarm.errors import ReplayError, SolverError
+from multiarm.errors import ReplayError
 from multiarm.scene import find_robot, parse_scene
 from multiarm.sinks import MemorySink
 from multiarm.viewer import replay
@@ -232,8 +232,8 @@ def test_run_that_ended_in_a_singular_posture_is_shown(trajectory):
     end = {"arms/right/joint_position": angles}
     run = shortened(trajectory, 20, "failed", "the posture is singular", **end)
     system = ma.compile_system(run.scene)
-    with pytest.raises(SolverError):
-        ma.evaluate(system, 0.0, system.state(joint_positions={"right": angles[-1]}))
+    state = system.state(joint_positions={"right": angles[-1]})
+    assert "right" in ma.evaluate(system, 0.0, state).coupled_arms
     film = film_of(run, fps=1000, speed=1, meshes=False)
     assert len(film.time) == 20
     assert all(np.isfinite(contacts.point).all() for contacts in film.contacts)

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.dynamics import project_velocity
-from multiarm.errors import SceneError, SolverError, TrajectoryError
+from multiarm.errors import ControlError, ModelError, SceneError, TrajectoryError
 from multiarm.problems import ring_of_arms
 
 # --- exactness -----------------------------------------------------------------------------------
@@ -160,7 +160,9 @@ def test_energy_is_that_of_all_bodies(block_system, rng):
     h = 1e-5
     moved = state.copy()
     moved.position[:3] += [0, 0, h]
-    shifted = ma.simulate(block_system, duration=1e-3, integrator="rk4", step=1e-3, state=moved)
+    shifted = ma.simulate(
+        block_system, 1e-3, integrator="rk4", step=1e-3, state=moved, stabilization="none"
+    )
     gained = shifted.potential_energy[0] - trajectory.potential_energy[0]
     assert gained == pytest.approx(20.0 * 9.81 * h, rel=1e-6)
 
@@ -418,12 +420,20 @@ def test_arms_that_fall_into_a_singularity_are_reported():
     assert_usable(trajectory)
 
 
-def test_a_start_that_cannot_be_evaluated_is_an_error_not_a_run(ur5_system):
-    singular = ur5_system.state(
+def test_a_start_far_from_the_joints_is_an_error_not_a_run(ur5_system):
+    away = ur5_system.state(
         joint_positions={"left": [-0.264381, -1.509346, 1.788302, 2.862637, 0.0, 0.0]}
     )
-    with pytest.raises(SolverError, match="arm 'left' cannot move"):
-        ma.simulate(ur5_system, duration=0.1, state=singular)
+    with pytest.raises(ModelError, match=r"arm 'left': a gap of .* m is left"):
+        ma.simulate(ur5_system, duration=0.1, state=away)
+
+
+def test_a_start_that_cannot_be_evaluated_is_an_error_not_a_run(ur5_system):
+    def controller(t, state):
+        return {"left": np.full(6, np.nan)}
+
+    with pytest.raises(ControlError):
+        ma.simulate(ur5_system, duration=0.1, control=controller)
 
 
 @pytest.mark.parametrize("source", ["controller", "progress"])

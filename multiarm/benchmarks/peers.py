@@ -1,10 +1,12 @@
 """Pinocchio's own closed-loop algorithms on the same system: an oracle for tests, peers for speed.
 
-All arms and the object (a free-flyer) are one Pinocchio model, each joint of a scene one rigid
-constraint between a tip and the object.  Only welds (6 rows) and balls (3 rows) can be written so.
+All arms and the object (a free-flyer) are one Pinocchio model, each joint of a scene one or two
+rigid constraints between a tip and the object: a weld has 6 rows, a ball 3, and a hinge, for which
+Pinocchio has none, is written as two balls on its axis (6 rows, one of them redundant).
 
-Both algorithms need care: with a regularisation of zero they return NaN or unconverged numbers
-without an exception, and ``lcaba`` keeps state in its ``Data`` between calls.
+Both algorithms need care: with a regularisation of zero, which is what ``constraintDynamics`` has
+as shipped, they return NaN or unconverged numbers without an exception when rows are redundant, and
+``lcaba`` keeps state in its ``Data`` between calls.
 """
 
 from __future__ import annotations
@@ -17,7 +19,16 @@ from multiarm.errors import ModelError
 from multiarm.state import State
 from multiarm.system import System
 
-_TYPES = {"weld": pin.ContactType.CONTACT_6D, "ball": pin.ContactType.CONTACT_3D}
+EXPRESSIBLE = ("weld", "ball", "revolute")
+"""Kinds of joint that can be written with Pinocchio's rigid constraints."""
+_SETTINGS = {
+    "constraintDynamics": (1e-14, 1e-14, 1e-10, 50),
+    "constraintDynamics as shipped": (),
+    "lcaba": (1e-12, 1e-12, 1e-3, 100),
+}
+# Accuracies, regularisation, iterations.  All but the shipped ones were chosen, among four, as the
+# most precise on two welded UR5s, folded and straight; other systems may want others.
+ALGORITHMS = tuple(_SETTINGS)
 
 
 class PinocchioForest:
@@ -26,7 +37,7 @@ class PinocchioForest:
     Parameters
     ----------
     system : System
-        Welds and balls only.
+        Welds, balls and hinges only.
 
     Raises
     ------
@@ -46,44 +57,36 @@ class PinocchioForest:
         model.gravity.linear = plant.gravity
         self.model, self.data = model, model.createData()
         self.constraints = self._constraints(body)
-        self.constraint_data = pin.StdVec_RigidConstraintData()
-        for constraint in self.constraints:
-            self.constraint_data.append(constraint.createData())
-        self.tight = pin.ProximalSettings(1e-14, 1e-14, 1e-10, 50)
+        self.constraint_data = self._constraint_data()
         pin.initConstraintDynamics(model, self.data, self.constraints, self.constraint_data)
 
     def _constraints(self, body: int):
-        start = self.system.initial_state()
-        pose = _se3(start.position[:7])
         constraints = pin.StdVec_RigidConstraintModel()
+        layout = self.system.layout
         for joint in self.system.scene.joints:
-            arm = self.system.arms[joint.arm]
-            first = sum(
-                self.system.arms[name].dof
-                for name in self.system.arm_names[: self.system.arm_names.index(joint.arm)]
-            )
-            if joint.kind not in _TYPES:
-                kinds = ", ".join(_TYPES)
-                raise ModelError(
-                    f"Pinocchio has no rigid constraint for {joint.kind}; only {kinds}"
+            arm, frame = self.system.arms[joint.arm], self.system.frames[joint.arm]
+            first = layout.dofs[layout.names.index(joint.arm)]
+            on_tip = pin.SE3(arm.tip_rotation, arm.tip_translation) * pin.SE3(frame.on_tip)
+            at = pin.SE3(frame.on_object)
+            for kind, place in _parts(joint):
+                constraints.append(
+                    pin.RigidConstraintModel(
+                        kind,
+                        self.model,
+                        first + arm.tip_joint,
+                        on_tip * place,
+                        body,
+                        at * place,
+                        pin.ReferenceFrame.LOCAL,
+                    )
                 )
-            on_tip = pin.SE3(arm.tip_rotation, arm.tip_translation) * pin.SE3(joint.at_tip.matrix())
-            tip = pin.SE3(arm.tip_pose(start.joint_positions[joint.arm]))
-            at = pose.inverse() * tip * pin.SE3(joint.at_tip.matrix())
-            if joint.at is not None:
-                at = pin.SE3(joint.at.matrix())
-            constraints.append(
-                pin.RigidConstraintModel(
-                    _TYPES[joint.kind],
-                    self.model,
-                    first + arm.tip_joint,
-                    on_tip,
-                    body,
-                    at,
-                    pin.ReferenceFrame.LOCAL,
-                )
-            )
         return constraints
+
+    def _constraint_data(self):
+        data = pin.StdVec_RigidConstraintData()
+        for constraint in self.constraints:
+            data.append(constraint.createData())
+        return data
 
     def coordinates(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Pinocchio's configuration and velocity of a state."""
@@ -100,14 +103,25 @@ class PinocchioForest:
         """Generalised forces of joint torques."""
         return np.concatenate([torque, np.zeros(6)])
 
-    def accelerations(self, state: State, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Object's classical acceleration in world axes (6,) and the joints' (n,), to full
-        precision, by ``constraintDynamics``.
+    def accelerations(
+        self, state: State, torque: np.ndarray, algorithm: str = "constraintDynamics"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Object's classical acceleration in world axes (6,) and the joints' (n,).
+
+        ``algorithm`` is one of ``ALGORITHMS``.  What it returns is passed on as it is, NaN too.
         """
         q, v = self.coordinates(state)
-        a = pin.constraintDynamics(
-            self.model, self.data, q, v, self.torques(torque), self.constraints,
-            self.constraint_data, self.tight,
+        settings = pin.ProximalSettings(*_SETTINGS[algorithm])
+        if algorithm == "lcaba":
+            data, constraint_data = self.model.createData(), self._constraint_data()
+            pin.computeJointMinimalOrdering(self.model, data, self.constraints)
+            run = pin.lcaba
+        else:
+            data, constraint_data = self.data, self.constraint_data
+            run = pin.constraintDynamics
+        a = run(
+            self.model, data, q, v, self.torques(torque), self.constraints, constraint_data,
+            settings,
         )  # fmt: skip
         rotation, local = _se3(state.position[:7]).rotation, v[-6:]
         linear = rotation @ (a[-6:-3] + np.cross(local[3:], local[:3]))
@@ -133,10 +147,7 @@ class PinocchioForest:
         tau = self.torques(torque)
         settings = pin.ProximalSettings(1e-10, 1e-10, mu, 10)
         model, data = self.model, self.model.createData()
-        constraints = self.constraints
-        constraint_data = pin.StdVec_RigidConstraintData()
-        for constraint in constraints:
-            constraint_data.append(constraint.createData())
+        constraints, constraint_data = self.constraints, self._constraint_data()
         pin.computeJointMinimalOrdering(model, data, constraints)
         run = pin.lcaba
 
@@ -144,6 +155,19 @@ class PinocchioForest:
             return run(model, data, q, v, tau, constraints, constraint_data, settings)
 
         return call
+
+
+def _parts(joint) -> list[tuple[pin.ContactType, pin.SE3]]:
+    """The rigid constraints of a joint, placed in its frame, whose z axis is a hinge's axis."""
+    if joint.kind == "weld":
+        return [(pin.ContactType.CONTACT_6D, pin.SE3.Identity())]
+    if joint.kind == "ball":
+        return [(pin.ContactType.CONTACT_3D, pin.SE3.Identity())]
+    if joint.kind == "revolute":
+        ends = (np.array([0.0, 0.0, side * joint.size / 2.0]) for side in (-1.0, 1.0))
+        return [(pin.ContactType.CONTACT_3D, pin.SE3(np.eye(3), end)) for end in ends]
+    kinds = ", ".join(EXPRESSIBLE)
+    raise ModelError(f"Pinocchio has no rigid constraint for {joint.kind}; only {kinds}")
 
 
 def _se3(position: np.ndarray) -> pin.SE3:

@@ -1,4 +1,5 @@
-"""The command line: ``multiarm run``, ``check``, ``joints``, ``replay``, ``report``, ``scaling``.
+"""The command line: ``multiarm run``, ``check``, ``joints``, ``replay``, ``report``, ``scaling``,
+``stability``.
 
 Each command is a function in a module of its own; whatever is heavy is imported when a command
 runs, so that ``--help`` answers at once.  Exit codes: 0 all went well; 1 a run failed or was
@@ -18,6 +19,7 @@ from multiarm.cli.joints import joints
 from multiarm.cli.run import run
 from multiarm.cli.scaling import scaling
 from multiarm.cli.show import replay, report
+from multiarm.cli.stability import stability
 from multiarm.cli.terminal import print_error
 from multiarm.errors import MultiarmError
 
@@ -78,5 +80,5 @@ def _program(
     """
 
 
-for _command in (run, check, joints, replay, report, scaling):
+for _command in (run, check, joints, replay, report, scaling, stability):
     app.command()(_command)

@@ -145,9 +145,8 @@ def _start(found: Inspection) -> dict[str, RenderableType]:
     rows: dict[str, RenderableType] = {
         "gaps as written": _by_arm(start.gaps, "m"),
         "gap rates as written": _by_arm(start.gap_rates, "m/s"),
-        "corrections": f"joints {number(start.joint_change)} rad or m, object "
-        f"{number(start.object_shift, 'm')} and {number(start.object_turn, 'rad')}, velocities "
-        f"{number(start.velocity_change)} m/s or rad/s",
+        "corrections": "\n".join(start.lines()) or "none",
+        "gaps after assembly": _by_arm(start.gaps_left, "m"),
         "after assembly": f"gap {number(found.position_residual, 'm')}, "
         f"rate {number(found.velocity_residual, 'm/s')}",
         "residuals of the equations": f"arms {number(found.residuals.arm, 'N m')}, object "

@@ -236,8 +236,8 @@ def _remarks(trajectory: Trajectory, start: StartReport) -> list[str]:
     if gap > NOTABLE_GAP:
         arm = max(start.gaps, key=lambda name: start.gaps[name])
         remarks.append(
-            f"the written start was {gap:.3g} m off at arm '{arm}' and was assembled: joints moved "
-            f"by up to {start.joint_change:.3g} rad or m, the object by {start.object_shift:.3g} m"
+            f"the written start was {gap:.3g} m off at arm '{arm}' and was assembled: "
+            + "; ".join(start.lines())
         )
     if trajectory.status == "completed":
         remarks += trajectory.message.split("; ")[1:]

@@ -20,7 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.equations import NOT_FINITE, OK, evaluate_buffers, finite
+from multiarm.crossing import evaluate_on_branch
+from multiarm.equations import NOT_FINITE, OK, finite
 from multiarm.integrators.tableaus import HERMITE, POLYNOMIAL, Tableau
 from multiarm.lowlevel import (
     address_book,
@@ -34,6 +35,7 @@ from multiarm.lowlevel import (
 )
 from multiarm.plant import open_book
 from multiarm.spatial import retract_into, write_chart_rate
+from multiarm.stabilization import project
 
 # Rows that dense output needs at the most (DOP853: 7 coefficients).
 _DENSE_ROWS = 7
@@ -205,13 +207,21 @@ def write_slope(z, buffers, slope):
 
 @kernel
 def evaluate_slope(book, t, z, base, alpha, beta, slope):
-    """Rate of ``z`` at time ``t`` of the system with this address book; returns a status."""
+    """Rate of ``z`` at time ``t`` of the system with this address book; returns a status.
+
+    With ``buffers.stage_gap`` not negative it is the rate at the projection of ``z``: the same on
+    the constraints, and smooth where they lose rank, since ``z`` beside them would be driven away.
+    """
     if not finite(z):
         return NOT_FINITE
     _, buffers, _ = open_book(book)
     load(z, base, buffers)
+    if buffers.stage_gap[0] >= 0.0:
+        status = project(book, buffers.stage_gap[0])
+        if status != OK:
+            return status
     buffers.time[0] = t
-    status = evaluate_buffers(book, alpha, beta)
+    status = evaluate_on_branch(book, buffers.stage_gap[0], alpha, beta)
     if status == OK:
         write_slope(z, buffers, slope)
     return status

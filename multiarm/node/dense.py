@@ -5,8 +5,14 @@ r"""Independent reference: the whole constrained system as one dense matrix, in 
     \begin{bmatrix} q \\ \lambda \end{bmatrix} = \begin{bmatrix} h \\ c \end{bmatrix}
 
 with the stacked constraint matrix ``W`` and reaction matrix ``W~`` (equal without friction; thesis,
-4.9).  Its cost is cubic in the number of arms; it shares no code with the node algorithm.  When the
-constraints are linearly dependent it returns the contact forces of least norm.
+4.9).  Its cost is cubic in the number of arms; it shares no code with the node algorithm.
+
+A singular matrix is taken apart by its singular values.  A null vector from the right is a
+combination of contact forces that no constraint sees, with the motion that it causes: the forces
+returned are of least norm [N], and when that motion is not zero, which takes friction, the
+equations do not determine the motion, and the result says so.  A null vector from the left is a
+combination of constraints that no contact force can serve: where they contradict each other, the
+right-hand side ``c`` is mended by the least change [m/s^2].
 """
 
 from __future__ import annotations
@@ -19,8 +25,13 @@ from multiarm.terms import NodeSolution
 
 # Singular values of the scaled constraint matrix below this fraction of the largest count as zero.
 RANK_TOLERANCE = 1e-9
+# The same for the whole matrix, whose small singular values are the squares of those of W.
+SYSTEM_TOLERANCE = 1e-12
 # Unknowns with a smaller part in every null vector are determined.
 PART_TOLERANCE = 1e-7
+# A null vector whose motion is smaller than this part of it moves nothing.  Where the constraints
+# are dependent up to rounding only, a motion of the square root of SYSTEM_TOLERANCE is left.
+MOTION_TOLERANCE = 1e-5
 
 
 def solve_dense(
@@ -52,13 +63,12 @@ def solve_dense(
     NodeSolution
         Forces are physical, positive = pushing.
     """
-    sizes, rows = [m.shape[0] for m in M], [w.shape[1] for w in W]
     inertia = _block_diagonal([M_o, *M])
     constraint = _stack(W_o, W)
     reactions = constraint
     if reaction is not None and reaction_o is not None:
         reactions = _stack(reaction_o, reaction)
-    size, count = inertia.shape[0], constraint.shape[1]
+    size, count = constraint.shape
     matrix = np.zeros((size + count, size + count))
     matrix[:size, :size] = inertia
     matrix[:size, size:] = -reactions
@@ -66,26 +76,44 @@ def solve_dense(
     right = np.concatenate([h_o, *h, *c])
     # scale so that metres and radians, kilograms and grams weigh the same
     scale = 1.0 / np.sqrt(np.diag(inertia))
-    norms = np.linalg.norm(scale[:, None] * constraint, axis=0)
-    D = np.concatenate([scale, 1.0 / np.where(norms > 0.0, norms, 1.0)])
-    scaled, target = D[:, None] * matrix * D, D * right
-    solution, rank, unique = _solve_regular(scaled, target), count, np.ones(count, dtype=bool)
-    if solution is None:
-        null, rank, _ = space = null_space(scale[:, None] * constraint * D[size:])
-        solution = np.linalg.lstsq(scaled, target, rcond=RANK_TOLERANCE)[0]
-        unique = space.untouched
-        # the least norm is meant in newtons, not in scaled units
-        force, free = D[size:] * solution[size:], D[size:, None] * null
-        solution[size:] = (force - free @ np.linalg.lstsq(free, force, rcond=None)[0]) / D[size:]
-    solution = D * solution
-    q, force = solution[6:size], solution[size:]
+    rows = np.concatenate([scale, _reciprocal_norms(scale[:, None] * constraint)])
+    columns = np.concatenate([scale, _reciprocal_norms(scale[:, None] * reactions)])
+    scaled = rows[:, None] * matrix * columns
+    x, rank = _solve_regular(scaled, rows * right), count
+    unique, loose = np.ones(count, dtype=bool), np.zeros((count, 0))
+    if x is not None:
+        x = columns * x
+    else:
+        rank = null_space(scale[:, None] * constraint * rows[size:], SYSTEM_TOLERANCE**0.5).rank
+        x, free = _solve_singular(scaled, right, rows, columns, size)
+        unique = np.linalg.norm(free[size:], axis=1) < PART_TOLERANCE
+        loose = _moving(free, size)
+    bounds = np.cumsum([w.shape[1] for w in W])[:-1]
     return NodeSolution(
-        object_acceleration=solution[:6],
-        joint_accelerations=np.split(q, np.cumsum(sizes)[:-1]),
-        contact_forces=np.split(force, np.cumsum(rows)[:-1]),
-        unique=np.split(unique, np.cumsum(rows)[:-1]),
+        object_acceleration=x[:6],
+        joint_accelerations=np.split(x[6:size], np.cumsum([m.shape[0] for m in M])[:-1]),
+        contact_forces=np.split(x[size:], bounds),
+        unique=np.split(unique, bounds),
         rank=rank,
+        motion_unique=not loose.size,
+        loose_arms=_arms_of(np.linalg.norm(loose, axis=1) > PART_TOLERANCE, bounds),
+        residual=_residual([M_o, *M], constraint, right, x),
     )
+
+
+def _solve_singular(
+    scaled: np.ndarray, right: np.ndarray, rows: np.ndarray, columns: np.ndarray, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solution by singular values, and the null vectors from the right, scaled, as columns."""
+    u, singular, vt = np.linalg.svd(scaled)
+    rank = int(np.sum(singular > SYSTEM_TOLERANCE * singular[0]))
+    unserved, free = rows[:, None] * u[:, rank:], vt[rank:].T
+    right = right.copy()
+    right[size:] -= np.linalg.lstsq(unserved[size:].T, unserved.T @ right, rcond=None)[0]
+    x = columns * (vt[:rank].T @ ((u[:, :rank].T @ (rows * right)) / singular[:rank]))
+    # the least norm is meant in newtons, not in scaled units
+    loose = columns[:, None] * free
+    return x - loose @ np.linalg.lstsq(loose[size:], x[size:], rcond=None)[0], free
 
 
 def _solve_regular(matrix: np.ndarray, right: np.ndarray) -> np.ndarray | None:
@@ -96,9 +124,54 @@ def _solve_regular(matrix: np.ndarray, right: np.ndarray) -> np.ndarray | None:
     if failed:
         return None
     reciprocal_condition, _ = lapack.dgecon(lu, np.linalg.norm(matrix, 1))
-    if not reciprocal_condition > RANK_TOLERANCE * 1e-3:
+    if not reciprocal_condition > SYSTEM_TOLERANCE:
         return None
     return lapack.dgetrs(lu, pivots, right)[0]
+
+
+def _moving(free: np.ndarray, size: int) -> np.ndarray:
+    """Force parts (N, k) of those combinations of null vectors that move the system."""
+    _, motion, vt = np.linalg.svd(free[:size], full_matrices=False)
+    return free[size:] @ vt[motion > MOTION_TOLERANCE].T
+
+
+def _arms_of(contacts: np.ndarray, bounds: np.ndarray) -> tuple[int, ...]:
+    """Numbers of the arms that have one of the marked contacts."""
+    return tuple(i for i, own in enumerate(np.split(contacts, bounds)) if np.any(own))
+
+
+def _residual(
+    inertias: list[np.ndarray], constraint: np.ndarray, right: np.ndarray, x: np.ndarray
+) -> float:
+    """Largest ``W^T q - c`` relative to the largest of the terms that should cancel there.
+
+    These are c and, of object and arms, the parts without contact forces and due to them.
+    """
+    size = sum(len(inertia) for inertia in inertias)
+    bounds = np.cumsum([len(inertia) for inertia in inertias])[:-1]
+    loads = np.split(right[:size], bounds)
+    without = np.concatenate([_over(m, load) for m, load in zip(inertias, loads, strict=True)])
+    terms = [right[size:]]
+    for part in (slice(0, 6), slice(6, size)):  # object, arms
+        W = constraint[part]
+        terms += [W.T @ without[part], W.T @ (x[part] - without[part])]
+    largest = max(float(np.max(np.abs(term), initial=0.0)) for term in terms)
+    left = float(np.max(np.abs(constraint.T @ x[:size] - right[size:]), initial=0.0))
+    return left / largest if largest > 0.0 else 0.0
+
+
+def _over(inertia: np.ndarray, load: np.ndarray) -> np.ndarray:
+    """Acceleration without contacts; the smallest one where an inertia matrix is singular."""
+    try:
+        return np.linalg.solve(inertia, load)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(inertia, load, rcond=None)[0]
+
+
+def _reciprocal_norms(matrix: np.ndarray) -> np.ndarray:
+    """One over the length of every column; 1 for columns of zeros."""
+    norms = np.linalg.norm(matrix, axis=0)
+    return 1.0 / np.where(norms > 0.0, norms, 1.0)
 
 
 def _stack(W_o: list[np.ndarray], W: list[np.ndarray]) -> np.ndarray:
@@ -116,7 +189,7 @@ def _block_diagonal(blocks: list[np.ndarray]) -> np.ndarray:
 
 
 class NullSpace(NamedTuple):
-    """Null space of a matrix, its rank decided by ``RANK_TOLERANCE``.
+    """Null space of a matrix, its rank decided by a relative tolerance.
 
     basis : (n, n - rank)
         Orthonormal columns.
@@ -135,9 +208,9 @@ class NullSpace(NamedTuple):
         return np.linalg.norm(self.basis, axis=1) < PART_TOLERANCE
 
 
-def null_space(matrix: np.ndarray) -> NullSpace:
+def null_space(matrix: np.ndarray, tolerance: float = RANK_TOLERANCE) -> NullSpace:
     """Null space of a matrix (m, n) whose rows and columns are scaled to be comparable."""
     _, singular, vt = np.linalg.svd(matrix)
     singular = singular / singular[0]
-    rank = int(np.sum(singular > RANK_TOLERANCE))
+    rank = int(np.sum(singular > tolerance))
     return NullSpace(vt[rank:].T, rank, singular)

@@ -25,7 +25,8 @@ alike (thesis, 4.10 - 4.12).  The work grows linearly with the number of arms; `
 
 It exists when every ``K_i`` is regular, that is when each arm can move along all of its own
 constraint directions.  The smallest pivot of ``K_i`` relative to its diagonal (the pivot after
-Jacobi scaling) measures how far that is from failing; it is returned, never repaired in silence.
+Jacobi scaling) measures how far that is from failing; arms for which it is small are left to
+:mod:`multiarm.node.singular`.
 """
 
 from __future__ import annotations
@@ -37,8 +38,11 @@ import numpy as np
 
 from multiarm.lowlevel import inlined, inner_inlined, kernel
 
-# Relative pivots below this mean: singular in double precision.
-PIVOT_TOLERANCE = 1e-13
+# Arms with a relative pivot below this go to the coupled system (:mod:`multiarm.node.singular`).
+# Elimination loses about as many digits as the pivot has zeros: the choice leaves eleven.
+COUPLED_BELOW = 1e-5
+# What :func:`eliminate` returns when all arms, or not all of them, were eliminated.
+ELIMINATED, DEFICIENT = -1, -6
 # Stands in for the pivot of an arm whose inertia matrix is not positive definite.
 NO_INERTIA = -2.0
 
@@ -127,7 +131,7 @@ def eliminate_arm(i, work, Wo):
     n = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
     m = work.rows[i + 1] - first
-    L, Y, G, Z, S = work.L[i], work.Y[i], work.G[i], work.Z[i], work.S
+    L, Y, G, Z = work.L[i], work.Y[i], work.G[i], work.Z[i]
     inertia_pivot = factor_in_place(L, n)
     if not inertia_pivot > 0.0:
         return NO_INERTIA
@@ -148,7 +152,7 @@ def eliminate_arm(i, work, Wo):
             for b in range(a + 1):
                 G[a, b] += factor * Y[j, b]
     pivot = factor_in_place(G, m)
-    if not pivot > PIVOT_TOLERANCE:
+    if not pivot > COUPLED_BELOW:
         return pivot
     for a in range(m):
         for k in range(6):
@@ -160,33 +164,144 @@ def eliminate_arm(i, work, Wo):
         inverse = G[a, a]
         for k in range(6):
             Z[a, k] *= inverse
-    for a in range(m):
+    add_arm(i, work)
+    return pivot
+
+
+@inner_inlined
+def add_arm(i, work):
+    """Add the share of an eliminated arm to the node matrix."""
+    Z, S = work.Z[i], work.S
+    for a in range(work.rows[i + 1] - work.rows[i]):
         for k in range(6):
             factor = Z[a, k]
             for l in range(k + 1):  # noqa: E741
                 S[k, l] += factor * Z[a, l]
-    return pivot
 
 
 @inlined
 def eliminate(work, Wo, object_inertia):
-    """Factor the whole system; returns -1, or the number of the arm (n: the object) that failed.
+    """Factor the whole system.
 
-    ``object_inertia`` (6, 6) is the object's M_o in world axes; the arms' data are on entry as in
-    :func:`eliminate_arm`.  The pivots are left in ``work.pivot``.
+    Parameters
+    ----------
+    object_inertia : (6, 6)
+        The object's M_o in world axes; the arms' data are on entry as in :func:`eliminate_arm`.
+
+    Returns
+    -------
+    int
+        ``ELIMINATED``; ``DEFICIENT`` when a pivot is below ``COUPLED_BELOW``, so that too many
+        digits would be lost (``work.S`` is then of no use); or the number of the arm whose inertia
+        failed.  The pivots are left in ``work.pivot``.
     """
     n = work.dofs.size - 1
     for k in range(6):
         for l in range(k + 1):  # noqa: E741
             work.S[k, l] = object_inertia[k, l]
+    deficient = 0
     for i in range(n):
         pivot = eliminate_arm(i, work, Wo)
         work.pivot[i] = pivot
-        if not pivot > PIVOT_TOLERANCE:
-            return i
+        if not pivot > COUPLED_BELOW:
+            if pivot == NO_INERTIA:
+                return i
+            deficient += 1
+    if deficient > 0:
+        return DEFICIENT
     pivot = factor_in_place(work.S, 6)
     work.pivot[n] = pivot
-    return -1 if pivot > 0.0 else n
+    # arms that hold the object stiffly in some directions drown its inertia in the others
+    return ELIMINATED if pivot > COUPLED_BELOW else DEFICIENT
+
+
+@inner_inlined
+def free_arm(i, work, h):
+    """``y = L^-1 h`` of an arm."""
+    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    L, y = work.L[i], work.y
+    for j in range(d):
+        s = h[d0 + j]
+        for k in range(j):
+            s -= L[j, k] * y[d0 + k]
+        y[d0 + j] = s * L[j, j]
+
+
+@inner_inlined
+def reduce_arm(i, work, c, q_o):
+    """``z`` of an arm, and its share of the object's right-hand side."""
+    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    Y, G, Z, y, z = work.Y[i], work.G[i], work.Z[i], work.y, work.z
+    for a in range(m):
+        z[r0 + a] = c[r0 + a]
+    for j in range(d):
+        s = y[d0 + j]
+        for a in range(m):
+            z[r0 + a] -= Y[j, a] * s
+    for a in range(m):
+        s = z[r0 + a]
+        for b in range(a):
+            s -= G[a, b] * z[r0 + b]
+        s *= G[a, a]
+        z[r0 + a] = s
+        for k in range(6):
+            q_o[k] += Z[a, k] * s
+
+
+@inner_inlined
+def node_forward(S, q_o):
+    """``L_S^-1 q_o``, in place."""
+    for j in range(6):
+        s = q_o[j]
+        for k in range(j):
+            s -= S[j, k] * q_o[k]
+        q_o[j] = s * S[j, j]
+
+
+@inner_inlined
+def node_backward(S, q_o):
+    """``L_S^-T q_o``, in place."""
+    for j in range(5, -1, -1):
+        s = q_o[j]
+        for k in range(j + 1, 6):
+            s -= S[k, j] * q_o[k]
+        q_o[j] = s * S[j, j]
+
+
+@inner_inlined
+def push_arm(i, work, q_o, force):
+    """Contact forces of an arm."""
+    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    G, Z, z = work.G[i], work.Z[i], work.z
+    for a in range(m):
+        s = z[r0 + a]
+        for k in range(6):
+            s -= Z[a, k] * q_o[k]
+        force[r0 + a] = s
+    for a in range(m - 1, -1, -1):
+        s = force[r0 + a] * G[a, a]
+        force[r0 + a] = s
+        for b in range(a):
+            force[r0 + b] -= G[a, b] * s
+
+
+@inner_inlined
+def move_arm(i, work, force, q):
+    """The joints' unknowns of an arm."""
+    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    L, Y, y = work.L[i], work.Y[i], work.y
+    for j in range(d):
+        s = y[d0 + j]
+        for a in range(m):
+            s += Y[j, a] * force[r0 + a]
+        q[d0 + j] = s
+    for j in range(d - 1, -1, -1):
+        s = q[d0 + j] * L[j, j]
+        q[d0 + j] = s
+        for k in range(j):
+            q[d0 + k] -= L[j, k] * s
 
 
 @inlined
@@ -201,62 +316,13 @@ def solve(work, h_o, h, c, q_o, q, force):
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
     n = work.dofs.size - 1
-    S, y, z = work.S, work.y, work.z
     for k in range(6):
         q_o[k] = h_o[k]
     for i in range(n):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
-        L, Y, G, Z = work.L[i], work.Y[i], work.G[i], work.Z[i]
-        for a in range(m):
-            z[r0 + a] = c[r0 + a]
-        for j in range(d):
-            s = h[d0 + j]
-            for k in range(j):
-                s -= L[j, k] * y[d0 + k]
-            s *= L[j, j]
-            y[d0 + j] = s
-            for a in range(m):
-                z[r0 + a] -= Y[j, a] * s
-        for a in range(m):
-            s = z[r0 + a]
-            for b in range(a):
-                s -= G[a, b] * z[r0 + b]
-            s *= G[a, a]
-            z[r0 + a] = s
-            for k in range(6):
-                q_o[k] += Z[a, k] * s
-    for j in range(6):
-        s = q_o[j]
-        for k in range(j):
-            s -= S[j, k] * q_o[k]
-        q_o[j] = s * S[j, j]
-    for j in range(5, -1, -1):
-        s = q_o[j]
-        for k in range(j + 1, 6):
-            s -= S[k, j] * q_o[k]
-        q_o[j] = s * S[j, j]
+        free_arm(i, work, h)
+        reduce_arm(i, work, c, q_o)
+    node_forward(work.S, q_o)
+    node_backward(work.S, q_o)
     for i in range(n):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
-        L, Y, G, Z = work.L[i], work.Y[i], work.G[i], work.Z[i]
-        for a in range(m):
-            s = z[r0 + a]
-            for k in range(6):
-                s -= Z[a, k] * q_o[k]
-            force[r0 + a] = s
-        for a in range(m - 1, -1, -1):
-            s = force[r0 + a] * G[a, a]
-            force[r0 + a] = s
-            for b in range(a):
-                force[r0 + b] -= G[a, b] * s
-        for j in range(d):
-            s = y[d0 + j]
-            for a in range(m):
-                s += Y[j, a] * force[r0 + a]
-            q[d0 + j] = s
-        for j in range(d - 1, -1, -1):
-            s = q[d0 + j] * L[j, j]
-            q[d0 + j] = s
-            for k in range(j):
-                q[d0 + k] -= L[j, k] * s
+        push_arm(i, work, q_o, force)
+        move_arm(i, work, force, q)

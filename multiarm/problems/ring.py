@@ -1,10 +1,12 @@
-"""Named systems with known properties, shared by tests, examples and benchmarks."""
+"""A ring of UR5 arms around a disc: any number of arms, three kinds of joint."""
 
 from __future__ import annotations
 
 import math
 
 from multiarm.errors import ModelError
+from multiarm.problems.building import tip_pose
+from multiarm.problems.case import HardCase, sound
 from multiarm.scene import Scene
 
 # Start of every arm in the ring scene: tool0 is 0.55 m in front of its base.
@@ -77,10 +79,26 @@ def ring_of_arms(
 
 def _grip_height() -> float:
     """Height of tool0 above the base in ``RING_POSTURE`` [m]."""
-    import numpy as np
+    return float(tip_pose("ur5", "tool0", RING_POSTURE)[2, 3])
 
-    from multiarm.arm import Arm, ArmFiles
-    from multiarm.scene import find_robot
 
-    arm = Arm("arm", ArmFiles(find_robot("ur5").urdf, (), np.eye(4), "tool0", {}))
-    return float(arm.tip_pose(np.array(RING_POSTURE))[2, 3])
+_ACCURACY = 1e-6
+
+CASES = (
+    HardCase(
+        "eight_welded",
+        "Eight arms welded to one disc",
+        "Eight welds hold six freedoms: 42 of 48 contact forces only squeeze the disc, and the "
+        "equilibrium is unstable. A solver of the whole system is slow here and badly scaled.",
+        lambda: ring_of_arms(8, duration=1.0, accuracy=_ACCURACY),
+        sound(_ACCURACY),
+    ),
+    HardCase(
+        "sixty_four_arms",
+        "Sixty-four arms welded to one disc",
+        "384 joints and 384 contacts on one body: what grows with the cube of the arms takes "
+        "minutes, and roundings of 64 arms meet in the object.",
+        lambda: ring_of_arms(64, duration=1.0, accuracy=_ACCURACY),
+        sound(_ACCURACY),
+    ),
+)

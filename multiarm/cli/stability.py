@@ -1,0 +1,213 @@
+"""``multiarm stability``: the hard cases, each judged by its own criteria."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Group, RenderableType
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.progress import COMPILING, kernels_are_cached
+from multiarm.cli.terminal import columns, messages, number, output, print_error, print_written
+
+if TYPE_CHECKING:
+    from multiarm.benchmarks.hard_cases import CaseResult, CriterionResult, SuiteResult
+    from multiarm.benchmarks.peer_trials import Answer
+    from multiarm.problems import HardCase
+
+__all__ = ["stability"]
+
+RIGHT = 1e-6  # relative error of accelerations
+
+
+def stability(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Names of cases; --list shows them.", show_default="all cases", metavar="[NAMES]"
+        ),
+    ] = None,
+    listing: Annotated[
+        bool, typer.Option("--list", help="Only list the cases and what is hard about them.")
+    ] = False,
+    peers: Annotated[
+        bool,
+        typer.Option(
+            "--peers/--no-peers",
+            help="Ask Pinocchio's own algorithms, and MuJoCo if it is installed, about the same "
+            "systems.",
+        ),
+    ] = True,
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write one HTML page with the course of every case and the peers' answers.",
+            show_default="none",
+            metavar="FILE.html",
+        ),
+    ] = None,
+    json: Annotated[
+        Path | None,
+        typer.Option(help="Write the figures as JSON.", show_default="none", metavar="FILE.json"),
+    ] = None,
+) -> None:
+    """Run the hard cases, on which solvers break, and judge each by its own criteria.
+
+    The exit code is 0 when every case is completed within its criteria, 1 when one is not, 2 for a
+    name that is no case. A case that cannot be run fails; the others are run all the same.
+
+    The JSON has the keys passed, total, wall_time_s, machine, cases; a case's keys are those of
+    multiarm.benchmarks.hard_cases.CaseResult. Numbers are finite, or null where there is none.
+    """
+    check_targets({"--html": html, "--json": json})
+    from multiarm.benchmarks.hard_cases import choose_cases, run_suite
+
+    chosen = choose_cases(names or ())
+    if listing:
+        rows = [(Text(case.name, "bold"), case.title, case.difficulty) for case in chosen]
+        output().print(_table("Hard cases", ("name", "case", "what is hard"), rows, chosen))
+        return
+    with _Watched(len(chosen)) as watched:
+        suite = run_suite(names or (), peers=peers, progress=watched.tell)
+    console = output()
+    for part in _parts(suite, peers):
+        console.print(part)
+    if json is not None:
+        write_json(json, suite.as_dict())
+        print_written("figures", json)
+    if html is not None:
+        from multiarm.benchmarks.hard_case_page import write_page
+
+        write_page(suite, html)
+        print_written("page", html)
+    for case in suite.cases:
+        if not case.passed:
+            print_error(f"{case.name}: {'; '.join(case.failures)}")
+    if suite.passed < len(suite.cases):
+        raise typer.Exit(1)
+
+
+class _Watched:
+    """A bar on a terminal; elsewhere one line when kernels have to be compiled first."""
+
+    def __init__(self, cases: int) -> None:
+        console = messages()
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TextColumn(f"{{task.completed:.0f}} of {cases}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        compiling = not kernels_are_cached()
+        self._task = self._bar.add_task(COMPILING if compiling else "preparing", total=cases)
+        if compiling and self._bar.disable:
+            console.print(f"{COMPILING} ...", soft_wrap=True)
+
+    def __enter__(self) -> _Watched:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def tell(self, text: str, done: float) -> None:
+        """Show what is being done, and how many cases are done."""
+        self._bar.update(self._task, description=text, completed=done)
+
+
+def _parts(suite: SuiteResult, peers: bool) -> list[RenderableType]:
+    heads = ("case", "criteria: measured / bound", "run", "verdict")
+    rows = [_row(case) for case in suite.cases]
+    parts: list[RenderableType] = [_table("Hard cases", heads, rows, suite.cases)]
+    if peers and any(case.answers for case in suite.cases):
+        titles = ("solver", "asked", "accelerations", "short runs", "gap", "broke in")
+        parts.append(columns("Beside others", titles, _peer_rows(suite.cases)))
+        parts.append(Text(_PEERS_NOTE, "dim"))
+    passed, total = suite.passed, len(suite.cases)
+    style = "bold green" if passed == total else "bold red"
+    took = f" in {number(suite.wall_time_s, 's')}"
+    parts.append(Text.assemble((f"{passed} of {total} within their criteria", style), took))
+    return parts
+
+
+_PEERS_NOTE = (
+    "asked: cases that it can express. accelerations: how many were right to 1e-6 at the hardest "
+    "moment, against a dense solution. short runs: around it; too slow is a matter of this machine "
+    "and of one second of patience, broke is not. gap: the largest [m] in finished ones. All "
+    "answers are in the page and in the JSON."
+)
+
+
+def _table(
+    title: str,
+    heads: Sequence[str],
+    rows: Sequence[Sequence[RenderableType]],
+    cases: Sequence[CaseResult | HardCase],
+) -> Table:
+    """A table whose first column shows the cases' names whole, so that they can be typed."""
+    table = columns(title, heads, rows)
+    table.columns[0].min_width = max((len(case.name) for case in cases), default=0)
+    return table
+
+
+def _row(case: CaseResult) -> tuple[RenderableType, ...]:
+    from multiarm.benchmarks.hard_cases import path_text, rank_text
+
+    lines = [_criterion(item) for item in case.criteria]
+    if case.status != "completed":
+        lines.insert(0, Text(f"{case.status}: {case.message}", "red"))
+    verdict = Text("pass", "bold green") if case.passed else Text("FAIL", "bold red")
+    title = Group(Text(case.name, "bold"), Text(case.title, "dim"))
+    steps, wall = case.statistics.get("steps"), number(case.wall_time_s, "s")
+    course = [f"rank {rank_text(case)}", path_text(case), f"{number(steps)} steps, {wall}"]
+    run = Text("" if steps is None else "\n".join(course), "dim")
+    return title, Group(*lines, ""), run, verdict
+
+
+def _criterion(item: CriterionResult) -> Text:
+    unit = "" if item.unit == "1" else f" {item.unit}"
+    found = item.message or f"{item.measured:.2g}"
+    style = "" if item.passed else "red"
+    return Text.assemble(
+        (f"{item.quantity} ", "cyan"), (f"{found} / {item.bound:.2g}{unit}", style)
+    )
+
+
+def _peer_rows(cases: Sequence[CaseResult]) -> Iterator[tuple[str, ...]]:
+    """One row a solver, over all cases that it was asked about."""
+    solvers = next(case.answers for case in cases if case.answers)
+    for number_, solver in enumerate(answer.solver for answer in solvers):
+        found = [(case.name, case.answers[number_]) for case in cases if case.answers]
+        asked = [(name, answer) for name, answer in found if not answer.refusal]
+        if not asked:
+            yield solver, "0", "-", "-", "-", found[0][1].refusal
+            continue
+        right = sum(_is_right(answer) for _, answer in asked)
+        finished = [answer for _, answer in asked if not answer.ended]
+        gaps = [answer.drift for answer in finished if answer.drift is not None]
+        late = sum(answer.out_of_time for _, answer in asked)
+        slow = f", {late} too slow" if late else ""
+        broken = [
+            name
+            for name, answer in asked
+            if answer.accelerations or (answer.ended and not answer.out_of_time)
+        ]
+        yield (
+            solver, str(len(asked)), f"{right} right", f"{len(finished)} finished{slow}",
+            f"{max(gaps):.0e}" if gaps else "-", ", ".join(broken) or "-",
+        )  # fmt: skip
+
+
+def _is_right(answer: Answer) -> bool:
+    errors = (answer.object_error, answer.joint_error)
+    return all(error is not None and error <= RIGHT for error in errors)

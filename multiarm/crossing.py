@@ -1,0 +1,145 @@
+r"""Evaluating where closed chains are about to lose a rank: flat linkages, crossing motions.
+
+Where two motions of the chains cross, a singular value ``s`` of the constraints goes through zero.
+The acceleration stays smooth along the motion that the state is on, but computing it there divides
+roundings by ``s^3``: those of a gap by ``s`` give the distance from that motion, and so twice more
+the error of the velocity and of the acceleration.  Within ``ZONE`` of the loss it is therefore
+interpolated along that motion, from three states on either side which lie ``OFFSET`` apart,
+
+.. math::
+    f(0) \approx \tfrac34 (f_1 + f_{-1}) - \tfrac3{10} (f_2 + f_{-2}) + \tfrac1{20} (f_3 + f_{-3}),
+
+an error of ``OFFSET^6 / 20`` times the sixth derivative, where the states are the one at hand moved
+on along its velocity and projected.  That holds for motions that cross; where the constraints stay
+as near to the loss, or the interpolated acceleration misses them, it is not used.  At rest there is
+no such motion, and which way the chains go on is undetermined: then the constraints that are left
+decide.
+"""
+
+from __future__ import annotations
+
+import math
+
+from multiarm.equations import OK, evaluate_buffers
+from multiarm.lowlevel import copy, inner, kernel
+from multiarm.node.singular import ARMS
+from multiarm.plant import KICK, SHIFT, open_book, open_coupled
+from multiarm.solver_watch import RESIDUAL_BOUND, constraint_residual
+from multiarm.spatial import retract_into
+from multiarm.stabilization import greatest, project
+
+# Singular value of the constraints below which accelerations are interpolated.
+ZONE = 2e-2
+# Distance of the states between which this is done [rad, m] of the fastest coordinate.
+OFFSET = 0.017
+# The states next to the one at hand must be further from losing rank by this factor.
+FURTHER = 2.0
+# Coordinates slower than this are at rest [rad/s, m/s].
+AT_REST = 1e-8
+
+
+@kernel
+def evaluate_on_branch(book, closed, alpha, beta):
+    """:func:`multiarm.equations.evaluate_buffers`, interpolated near a loss of rank.
+
+    ``closed`` is the gap to which states are projected [m]; negative: nothing is interpolated.
+    """
+    status = evaluate_buffers(book, alpha, beta)
+    if status != OK or closed < 0.0:
+        return status
+    coupled = open_coupled(book)
+    if coupled.counts[ARMS] == 0 or not coupled.margin[0] < ZONE:
+        return OK
+    plant, buffers, work = open_book(book)
+    rate = max(greatest(buffers.twist), greatest(buffers.v))
+    if rate < AT_REST:
+        return OK
+    shift, kick = buffers.solved[SHIFT], buffers.solved[KICK]
+    keep_state(buffers, buffers.kept)
+    crossing = mix_evaluations(book, closed, alpha, beta, OFFSET / rate)
+    restore_state(buffers.kept, buffers)
+    buffers.solved[SHIFT], buffers.solved[KICK] = shift, kick
+    # everything but the accelerations and forces belongs to the state itself
+    status = evaluate_buffers(book, alpha, beta)
+    if status == OK and crossing:
+        exchange_solution(buffers)
+        if not constraint_residual(plant, buffers, work) <= RESIDUAL_BOUND:
+            exchange_solution(buffers)
+    return status
+
+
+@inner
+def mix_evaluations(book, closed, alpha, beta, delay):
+    """Accelerations and forces from states ``delay`` [s] and its multiples before and behind.
+
+    Returns whether ``buffers.mixed`` has them: not when a state cannot be reached, or when the
+    constraints are no further from losing rank there.
+    """
+    _, buffers, _ = open_book(book)
+    coupled = open_coupled(book)
+    n, mixed = buffers.angles.size, buffers.mixed
+    here, there = coupled.margin[0], 0.0
+    mixed[:] = 0.0
+    for side in range(6):
+        k = 1 + side // 2
+        restore_state(buffers.kept, buffers)
+        move_state(buffers, (k if side % 2 == 0 else -k) * delay)
+        if project(book, closed) != OK or evaluate_buffers(book, alpha, beta) != OK:
+            return False
+        there = max(there, coupled.margin[0] if coupled.counts[ARMS] > 0 else math.inf)
+        if side == 1 and there < FURTHER * here:
+            return False
+        weight = 0.75 if k == 1 else (-0.3 if k == 2 else 0.05)
+        for j in range(6):
+            mixed[j] += weight * buffers.q_o[j]
+        for j in range(n):
+            mixed[6 + j] += weight * buffers.qdd[j]
+        for j in range(buffers.force.size):
+            mixed[6 + n + j] += weight * buffers.force[j]
+    return True
+
+
+@inner
+def exchange_solution(buffers):
+    """Exchange accelerations and forces with those in ``buffers.mixed``."""
+    n, mixed = buffers.angles.size, buffers.mixed
+    for j in range(mixed.size):
+        other = mixed[j]
+        if j < 6:
+            mixed[j], buffers.q_o[j] = buffers.q_o[j], other
+        elif j < 6 + n:
+            mixed[j], buffers.qdd[j - 6] = buffers.qdd[j - 6], other
+        else:
+            mixed[j], buffers.force[j - 6 - n] = buffers.force[j - 6 - n], other
+
+
+@inner
+def keep_state(buffers, kept):
+    """Write the state in the buffers to ``kept``."""
+    n = buffers.angles.size
+    copy(buffers.position, kept[:7])
+    copy(buffers.twist, kept[7:13])
+    copy(buffers.angles, kept[13 : 13 + n])
+    copy(buffers.v, kept[13 + n :])
+
+
+@inner
+def restore_state(kept, buffers):
+    """Write a kept state into the buffers."""
+    n = buffers.angles.size
+    copy(kept[:7], buffers.position)
+    copy(kept[7:13], buffers.twist)
+    copy(kept[13 : 13 + n], buffers.angles)
+    copy(kept[13 + n :], buffers.v)
+
+
+@inner
+def move_state(buffers, delay):
+    """Move the state in the buffers along its velocity."""
+    turn = buffers.q_o  # scratch: an evaluation follows
+    for k in range(3):
+        buffers.position[k] += delay * buffers.twist[k]
+        turn[k] = delay * buffers.twist[3 + k]
+    retract_into(buffers.position[3:7], turn[:3], buffers.position[3:7])
+    for j in range(buffers.angles.size):
+        buffers.angles[j] += delay * buffers.v[j]

@@ -1,0 +1,96 @@
+"""Small parts that the scenes of hard cases share."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from multiarm.scene import find_robot
+
+GRAVITY = 9.81  # [m/s^2]
+DOWN = [0.0, 0.0, -GRAVITY]
+# Linkages stand upright in the x-y plane.
+DOWN_IN_PLANE = [0.0, -GRAVITY, 0.0]
+# Two UR5 arms, 2.2 m apart and face to face, hold the ends of a box 1.2 m long at this posture.
+UR5_AT_BOX = (-0.264381, -1.509346, 1.788302, 2.862637, -1.306415, 0.0)
+
+# Two textbook_6r arms at opposite corners of a block of 0.6 x 0.5 x 0.4 m, 0.6 m high: places and
+# headings of their bases, and postures.
+TEXTBOOK_BASES = (((-0.81, -0.36, 0.0), 0.632749), ((1.07, 0.56, 0.0), -2.516108))
+TEXTBOOK_POSTURES = (
+    (-1.2662300194725, -0.3234842676447, 1.5072171181333)
+    + (0.9466317385773, 1.6744926743206, 0.4019501324399),
+    (-0.6216544586442, 1.0158661605253, 1.7411739925575)
+    + (-0.6517442310392, -1.8941694112518, -1.2883621994469),
+)
+
+
+def own_urdf(name: str) -> str:
+    """File of one of the project's own models."""
+    folder: Path = find_robot("planar_2r").urdf.parents[1]
+    return str(folder / name / f"{name}.urdf")
+
+
+def tip_pose(robot: str, tip: str, posture: tuple[float, ...]) -> np.ndarray:
+    """Pose of a robot's tip in its base, shape (4, 4)."""
+    return _tip_pose(robot, tip, tuple(posture)).copy()
+
+
+@cache
+def _tip_pose(robot: str, tip: str, posture: tuple[float, ...]) -> np.ndarray:
+    from multiarm.arm import Arm, ArmFiles
+
+    arm = Arm("arm", ArmFiles(find_robot(robot).urdf, (), np.eye(4), tip, {}))
+    return arm.tip_pose(np.array(posture))
+
+
+def rod_inertia(mass: float, length: float, width: float = 0.0) -> list[float]:
+    """Principal moments of a square bar along x about its centre [kg m^2]; thin by default."""
+    across = mass * (length**2 + width**2) / 12.0
+    # a thin rod has next to no moment about itself, but an object needs some
+    along = mass * (2.0 * (width or 0.02) ** 2) / 12.0
+    return [along, across, across]
+
+
+def two_ur5_and_box(**changes) -> dict:
+    """Data of the scene in which two UR5 arms, face to face, are welded to the ends of a box."""
+    data = {
+        "gravity": DOWN,
+        "object": {"shape": {"box": [1.2, 0.6, 0.4]}, "mass": 20.0, "pose": {"xyz": [0, 0, 0.5]}},
+        "arms": {
+            "left": {
+                "robot": "ur5",
+                "tip": "tool0",
+                "base": {"xyz": [-1.1, 0, 0]},
+                "posture": list(UR5_AT_BOX),
+            },
+            "right": {
+                "robot": "ur5",
+                "tip": "tool0",
+                "base": {"xyz": [1.1, 0, 0], "rpy": [0, 0, np.pi]},
+                "posture": list(UR5_AT_BOX),
+            },
+        },
+        "joints": [{"arm": "left", "kind": "weld"}, {"arm": "right", "kind": "weld"}],
+    }
+    return {**data, **changes}
+
+
+def grips_on_box() -> dict[str, dict]:
+    """Where the tips of the consistent posture are on the box, by arm."""
+    from multiarm.spatial import matrix_to_quaternion
+
+    tip = tip_pose("ur5", "tool0", UR5_AT_BOX)
+    grips: dict[str, dict] = {}
+    for arm, sign in (("left", 1.0), ("right", -1.0)):
+        base = np.diag([sign, sign, 1.0, 1.0])
+        base[0, 3] = -1.1 * sign
+        pose = base @ tip
+        turn = matrix_to_quaternion(np.ascontiguousarray(pose[:3, :3]))
+        grips[arm] = {
+            "xyz": (pose[:3, 3] - [0.0, 0.0, 0.5]).tolist(),
+            "quaternion_xyzw": turn.tolist(),
+        }
+    return grips

@@ -1,0 +1,160 @@
+"""What a hard case is: a scene, why it is hard, and the numbers that a good run keeps below.
+
+A criterion measures something of a finished run and has a bound that was known before the run: it
+follows from the accuracy that was asked for, from the roundings of the coordinates, or from an
+independent solution.  The bounds that recur, with where they come from:
+
+* ``CLOSED``: projection closes gaps to a hundred roundings of the coordinates, 2e-14 m for each
+  metre that the scene is large; a factor of ten for scenes of some metres.
+* ``CLOSED_RATE``: the rates are what one linear solve leaves of velocities of some m/s; its
+  rounding is eps times the condition of the arms, which 1e-10 leaves room for up to about 1e5.
+* ``balance(accuracy)``: positions and velocities that are off by the accuracy, relative to what
+  moves, shift the energy by twice as much for each of the few coordinates that carry it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from multiarm.scene import Scene
+    from multiarm.system import System
+    from multiarm.trajectory import Trajectory
+
+CLOSED = 1e-12  # [m]
+CLOSED_RATE = 1e-10  # [m/s]
+_ENERGY_FACTOR = 10.0
+
+Measure = Callable[["Trajectory", "System"], float]
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A number that a run has to keep below a bound.
+
+    Attributes
+    ----------
+    quantity : str
+        What is measured, in words.
+    bound : float
+        The run passes when the measured number is at most this.
+    unit : str
+        "m", "J", ...; "1" for pure numbers.
+    measure : callable
+        ``(trajectory, system) -> float``.
+    """
+
+    quantity: str
+    bound: float
+    unit: str
+    measure: Measure
+
+
+@dataclass(frozen=True)
+class HardCase:
+    """A named system on which solvers break.
+
+    Attributes
+    ----------
+    name : str
+        On the command line.
+    title : str
+    difficulty : str
+        What is hard, and why solvers break on it.
+    scene : callable
+        Returns the scene; its ``run`` holds duration and accuracy.
+    criteria : tuple of Criterion
+    hardest : float
+        Time at which the system is at its hardest [s].
+    events : bool
+        The run is expected to tell of a lost direction or of a change of rank.
+    """
+
+    name: str
+    title: str
+    difficulty: str
+    scene: Callable[[], Scene]
+    criteria: tuple[Criterion, ...]
+    hardest: float = 0.0
+    events: bool = False
+
+
+def completed() -> Criterion:
+    """The run reached its end: 0, else 1."""
+    return Criterion(
+        "run ended early", 0.0, "1", lambda run, system: float(run.status != "completed")
+    )
+
+
+def position_drift(bound: float = CLOSED) -> Criterion:
+    """Largest gap of a contact over the run [m]."""
+    return Criterion("position drift", bound, "m", lambda run, system: largest(run.position_drift))
+
+
+def velocity_drift(bound: float = CLOSED_RATE) -> Criterion:
+    """Largest rate of a gap over the run [m/s]."""
+    return Criterion(
+        "velocity drift", bound, "m/s", lambda run, system: largest(run.velocity_drift)
+    )
+
+
+def energy_error(scale: float | None, bound: float, named: str = "") -> Criterion:
+    """Largest energy balance relative to ``scale`` [J]; None: to the largest kinetic energy."""
+    named = named or ("largest kinetic energy" if scale is None else f"{scale:g} J")
+
+    def measure(run: Trajectory, system: System) -> float:
+        moved = largest(run.kinetic_energy) if scale is None else scale
+        return largest(run.energy_balance) / moved
+
+    return Criterion(f"energy error / {named}", bound, "1", measure)
+
+
+def balance(accuracy: float) -> float:
+    """Bound of a relative energy error for a run of this accuracy."""
+    return _ENERGY_FACTOR * accuracy
+
+
+def sound(
+    accuracy: float,
+    *,
+    scale: float | None = None,
+    named: str = "",
+    closed: float = CLOSED,
+    closed_rate: float = CLOSED_RATE,
+) -> tuple[Criterion, ...]:
+    """The four criteria of every case: completed, closed in position and velocity, energy kept."""
+    return (
+        completed(),
+        position_drift(closed),
+        velocity_drift(closed_rate),
+        energy_error(scale, balance(accuracy), named),
+    )
+
+
+def largest(values: np.ndarray) -> float:
+    """Largest magnitude; infinite where a number is not one, so that no bound passes it."""
+    magnitudes = np.abs(np.asarray(values, dtype=float))
+    if magnitudes.size == 0 or not np.all(np.isfinite(magnitudes)):
+        return float("inf")
+    return float(np.max(magnitudes))
+
+
+def apart(first: np.ndarray, second: np.ndarray) -> float:
+    """Largest distance of two sequences of vectors of equal length; infinite where lengths differ.
+
+    A run that ended early has fewer samples than its reference.
+    """
+    first, second = np.asarray(first), np.asarray(second)
+    return largest(first - second) if first.shape == second.shape else float("inf")
+
+
+def turned_apart(first: np.ndarray, second: np.ndarray) -> float:
+    """Largest angle [rad] between two sequences of unit quaternions (K, 4)."""
+    if first.shape != second.shape:
+        return float("inf")
+    gap = np.minimum(np.linalg.norm(first - second, axis=1), np.linalg.norm(first + second, axis=1))
+    return 4.0 * float(np.arcsin(np.clip(0.5 * largest(gap), 0.0, 1.0)))

@@ -1,0 +1,25 @@
+"""Runs of sibling scenes that criteria compare with: made once, when a criterion asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from multiarm.scene import Scene
+    from multiarm.trajectory import Trajectory
+
+
+@cache
+def reference_run(
+    build: Callable[..., Scene], *arguments: Any, solver: str | None = None
+) -> Trajectory:
+    """The run of the scene ``build(*arguments)``, by another solver if one is named."""
+    from multiarm.compilation import compile_system
+    from multiarm.simulation import simulate
+
+    scene = build(*arguments)
+    if solver is not None:
+        scene = scene.replace(run=scene.run.model_copy(update={"solver": solver}))
+    return simulate(compile_system(scene))

@@ -1,0 +1,92 @@
+"""What the solver met on the way, in words: directions that arms lose, and changes of rank."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from multiarm.deficiency import describe, lost_motions
+from multiarm.dense_call import read_inertia
+from multiarm.equations import update_kinematics
+from multiarm.state import State
+from multiarm.system import System
+from multiarm.watching import MOST_TOLD
+
+
+class SolverLog:
+    """Events of one run.
+
+    Attributes
+    ----------
+    told : list of dict
+        ``time`` [s], ``kind``, ``arm`` (absent for the rank), ``text``; at most ``MOST_TOLD``.
+    untold : int
+        How many more there were.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.told: list[dict[str, Any]] = []
+        self.untold = 0
+        self._lost = np.zeros(len(system.arm_names), dtype=np.int64)
+        self._rank = int(system.buffers.lost[-1])
+
+    def collect(self, system: System, t: float, state: State) -> None:
+        """Take over what changed in the step that ended at ``t``, in this state."""
+        buffers = system.buffers
+        lost, rank, passed = buffers.lost[:-1].copy(), int(buffers.lost[-1]), buffers.passed.copy()
+        events = self._of_rank(rank)
+        changed = np.flatnonzero((lost != self._lost) | (passed != 0))
+        if changed.size:
+            _load(system, state)
+            words = lost_motions(system, [system.arm_names[i] for i in changed])
+            for i in map(int, changed):
+                arm = system.arm_names[i]
+                if lost[i] != self._lost[i]:
+                    events.append(_of_arm(arm, int(lost[i]), int(self._lost[i]), words[arm]))
+                else:
+                    text = f"{arm}: passed a singular posture, {_nearest(system, i)}"
+                    events.append({"kind": "passes a singular posture", "arm": arm, "text": text})
+        self._lost, self._rank = lost, rank
+        room = max(MOST_TOLD - len(self.told), 0)
+        self.told += [{"time": float(t), **event} for event in events[:room]]
+        self.untold += len(events[room:])
+
+    def _of_rank(self, rank: int) -> list[dict[str, Any]]:
+        if rank == self._rank:
+            return []
+        kind = "rank falls" if rank < self._rank else "rank rises"
+        text = f"{kind} from {self._rank} to {rank} independent constraints"
+        if rank < self._rank:
+            text += ": more than one way to move on"
+        return [{"kind": kind, "text": text}]
+
+
+def _of_arm(arm: str, now: int, before: int, words: tuple[str, ...]) -> dict[str, Any]:
+    if now > before:
+        what = "; ".join(words) or f"{now} directions of its joint lost"
+        return {"kind": "loses a direction", "arm": arm, "text": f"{arm}: {what}"}
+    left = f", {now} still lost" if now else ""
+    return {
+        "kind": "has it again",
+        "arm": arm,
+        "text": f"{arm}: can move along its joint's directions again{left}",
+    }
+
+
+def _nearest(system: System, i: int) -> str:
+    """The direction along which an arm moves least, in words."""
+    work, d = system.work, system.layout.dofs[i + 1] - system.layout.dofs[i]
+    m = system.layout.rows[i + 1] - system.layout.rows[i]
+    inertia = read_inertia(system.plant.pointers[i], d)
+    Y = np.linalg.solve(np.linalg.cholesky(inertia), work.Y[i, :d, :m])
+    _, _, directions = np.linalg.svd(Y)
+    return "; ".join(describe(system, system.arm_names[i], directions[-1:].T))
+
+
+def _load(system: System, state: State) -> None:
+    """Kinematics of a state into the buffers, which may hold those of another one."""
+    b = system.buffers
+    b.position[:], b.angles[:] = state.position[:7], state.position[7:]
+    b.twist[:], b.v[:] = state.velocity[:6], state.velocity[6:]
+    update_kinematics(system.book())

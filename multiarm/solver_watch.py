@@ -1,0 +1,154 @@
+"""How the equations were solved at the end of every step, and what changed since the step before.
+
+Three numbers are written down: the rank of the constraints, how many arms went through the coupled
+system (:mod:`multiarm.node.singular`), and the largest constraint residual relative to the largest
+term of its equations.  A residual above ``RESIDUAL_BOUND`` refuses the step.
+
+An arm *loses a direction* when it can move along it, for the same force, by less than
+``LOST`` of what it moves along its best one.  A step may also jump over a singular posture; then
+the determinant of the arm's square ``W`` has changed its sign.
+"""
+
+from __future__ import annotations
+
+from multiarm.lowlevel import inner, kernel
+from multiarm.node.regular import COUPLED_BELOW
+from multiarm.node.singular import ARMS, RANK, UNKNOWNS
+from multiarm.plant import COUPLED_ARMS, RANK_OF_ALL, RESIDUAL, open_book, open_coupled
+
+# Constraint residual, relative to the largest term of its equation, that is still a solution.
+RESIDUAL_BOUND = 1e-5
+# Accelerations below this are no scale for a residual [m/s^2].
+AT_REST = 1e-9
+# A direction with a sigma below this fraction of the arm's largest is lost; it is there again at
+# REGAINED times as much.
+LOST, REGAINED = 1e-3, 2.0
+
+
+@kernel
+def note_solution(book):
+    """Write rank, coupled arms and residual of the last solution into ``buffers.solved``."""
+    plant, buffers, work = open_book(book)
+    coupled = open_coupled(book)
+    solved, counts = buffers.solved, coupled.counts
+    solved[RESIDUAL] = constraint_residual(plant, buffers, work)
+    if plant.dense[0] == 0:
+        solved[COUPLED_ARMS] = counts[ARMS]
+        solved[RANK_OF_ALL] = buffers.force.size
+        if counts[ARMS] > 0:
+            solved[RANK_OF_ALL] += counts[RANK] - counts[UNKNOWNS]
+
+
+@inner
+def constraint_residual(plant, buffers, work):
+    """Largest ``|W_o^T q_o + W^T q - c|`` relative to the largest term in any of these rows.
+
+    Terms are those that cancel there: ``c``, the accelerations, and those without contact forces.
+    After an elimination ``work.Y`` holds ``L^-1 W`` and ``work.L`` the factor, so that
+    ``W^T q = Y^T (L^T q)``; the dense solver leaves ``W`` in ``work.Y``.
+    """
+    worst, scale, u = 0.0, max(AT_REST, free_acceleration(buffers)), buffers.residual
+    for i in range(work.dofs.size - 1):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        L, Y = work.L[i], work.Y[i]
+        for j in range(d):
+            u[j] = buffers.qdd[d0 + j]
+            if plant.dense[0] == 0:
+                u[j] /= L[j, j]
+                for k in range(j + 1, d):
+                    u[j] += L[k, j] * buffers.qdd[d0 + k]
+        for a in range(work.rows[i], work.rows[i + 1]):
+            of_object = of_arm = free = 0.0
+            for k in range(6):
+                of_object += buffers.Wo[a, k] * buffers.q_o[k]
+            for j in range(d):
+                of_arm += Y[j, a - work.rows[i]] * u[j]
+                if plant.dense[0] == 0:
+                    free += Y[j, a - work.rows[i]] * work.y[d0 + j]
+            c = buffers.c[a]
+            scale = max(scale, abs(of_object), abs(of_arm), abs(free), abs(c))
+            left = abs(of_object + of_arm - c)
+            if left != left:
+                return left
+            worst = max(worst, left)
+    return worst / scale
+
+
+@inner
+def free_acceleration(buffers):
+    """Acceleration of the object's centre of mass without contact forces [m/s^2]."""
+    force = 0.0
+    for k in range(3):
+        force = max(force, abs(buffers.h_o[k]))
+    return force / buffers.inertia[0, 0]
+
+
+@inner
+def watch_solver(book):
+    """Compare with the step before; returns the number of changes, for Python to put into words."""
+    plant, buffers, work = open_book(book)
+    changes = 0
+    rank = int(buffers.solved[RANK_OF_ALL])
+    last = buffers.lost.size - 1
+    if buffers.lost[last] != rank:
+        buffers.lost[last] = rank
+        changes += 1
+    if plant.dense[0] != 0:
+        return changes
+    coupled = open_coupled(book)
+    for i in range(last):
+        buffers.passed[i] = 0
+        lost = 0
+        if not work.pivot[i] > COUPLED_BELOW:
+            lost = lost_directions(i, buffers.lost[i], work, coupled)
+        elif work.dofs[i + 1] - work.dofs[i] == work.rows[i + 1] - work.rows[i]:
+            sign = determinant_sign(i, work, coupled)
+            if sign * buffers.signs[i] < 0.0:
+                buffers.passed[i] = 1
+                changes += 1
+            buffers.signs[i] = sign
+        if lost != buffers.lost[i]:
+            buffers.lost[i] = lost
+            changes += 1
+    return changes
+
+
+@inner
+def lost_directions(i, before, work, coupled):
+    """How many directions a deficient arm has lost, with some play to either side."""
+    fewest = most = 0
+    for a in range(work.rows[i], work.rows[i + 1]):
+        share = coupled.sigma[a] / coupled.scale[i] if coupled.scale[i] > 0.0 else 0.0
+        fewest += 1 if share < LOST else 0
+        most += 1 if share < REGAINED * LOST else 0
+    if fewest > before:
+        return fewest
+    return most if most < before else before
+
+
+@inner
+def determinant_sign(i, work, coupled):
+    """Sign of ``det(L^-1 W)`` of an arm with as many contacts as joints (elimination by rows)."""
+    n = work.dofs[i + 1] - work.dofs[i]
+    A, Y, sign = coupled.A[i], work.Y[i], 1.0
+    for r in range(n):
+        for k in range(n):
+            A[r, k] = Y[r, k]
+    for k in range(n):
+        best = k
+        for r in range(k + 1, n):
+            if abs(A[r, k]) > abs(A[best, k]):
+                best = r
+        if best != k:
+            sign = -sign
+            for j in range(k, n):
+                A[k, j], A[best, j] = A[best, j], A[k, j]
+        if A[k, k] == 0.0:
+            return 0.0
+        if A[k, k] < 0.0:
+            sign = -sign
+        for r in range(k + 1, n):
+            factor = A[r, k] / A[k, k]
+            for j in range(k + 1, n):
+                A[r, j] -= factor * A[k, j]
+    return sign
