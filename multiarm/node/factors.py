@@ -14,8 +14,9 @@ import numpy as np
 from multiarm.lowlevel import inner, inner_inlined, kernel
 
 _EPS = float(np.finfo(float).eps)
-# Rows count as orthogonal when the cosine between them is below this.
-ORTHOGONAL = 4.0 * _EPS
+# Rows count as orthogonal when the cosine between them is below this: what the sums of their
+# products are rounded by.
+ORTHOGONAL = 64.0 * _EPS
 # Sweeps over all pairs of rows; six to ten are usual.
 MOST_SWEEPS = 60
 
@@ -114,6 +115,11 @@ def orthogonalize(A, count, length, follow, width):
     The rows of ``follow`` (``width`` numbers each) are rotated along; one-sided Jacobi method
     (M. R. Hestenes, J. SIAM 6, 1958), which finds small singular values as exactly as large ones.
     """
+    total = 0.0
+    for i in range(count):
+        for k in range(length):
+            total += A[i, k] * A[i, k]
+    floor = _EPS * _EPS * total  # shorter rows are roundings of zeros
     for _ in range(MOST_SWEEPS):
         settled = True
         for i in range(count - 1):
@@ -123,7 +129,7 @@ def orthogonalize(A, count, length, follow, width):
                     aa += A[i, k] * A[i, k]
                     bb += A[j, k] * A[j, k]
                     ab += A[i, k] * A[j, k]
-                if not abs(ab) > ORTHOGONAL * math.sqrt(aa * bb):
+                if aa <= floor or bb <= floor or not abs(ab) > ORTHOGONAL * math.sqrt(aa * bb):
                     continue
                 settled = False
                 slope = (bb - aa) / (2.0 * ab)
