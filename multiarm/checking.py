@@ -50,6 +50,8 @@ __all__ = [
 # Relative pivot below which an arm is called near singular: its contact directions are within about
 # half a degree of being dependent (the pivot is the squared sine of that angle).
 NEAR_SINGULAR = 1e-4
+# ... and below which there is a direction in which it does not move at all.
+SINGULAR = 1e-12
 # A weight whose unbalanced part is a smaller fraction than this is carried.
 CARRIED = 1e-6
 
@@ -72,7 +74,7 @@ def inspect_system(system: System) -> Inspection:
         scene=scene.name,
         gravity=None if scene.gravity is None else list(scene.gravity),
         object=_object_facts(scene.object),
-        arms={name: _arm_facts(system, name, evaluation.conditioning) for name in system.arm_names},
+        arms={name: _arm_facts(system, name, evaluation) for name in system.arm_names},
         joints=[
             _joint_facts(system, joint, evaluation)
             for joint in sorted(scene.joints, key=lambda j: system.arm_names.index(j.arm))
@@ -172,10 +174,10 @@ def _shape_words(spec: ObjectSpec) -> str:
     return f"mesh {shape.mesh.file.name}"
 
 
-def _arm_facts(system: System, name: str, conditioning) -> ArmFacts:
+def _arm_facts(system: System, name: str, evaluation: Evaluation) -> ArmFacts:
     spec, arm = system.scene.arms[name], system.arms[name]
     position, quaternion = _placement(spec.base.matrix())
-    pivot = conditioning.get(name)
+    pivot = evaluation.conditioning.get(name)
     return ArmFacts(
         robot=_model_name(spec),
         urdf=str(arm.files.urdf),
@@ -187,8 +189,17 @@ def _arm_facts(system: System, name: str, conditioning) -> ArmFacts:
         posture=system.initial_state().joint_positions[name].tolist(),
         locked=dict(arm.files.locked),
         conditioning=pivot,
-        verdict=None if pivot is None else ("good" if pivot >= NEAR_SINGULAR else "near singular"),
+        verdict=_verdict(pivot),
+        lost_motions=list(evaluation.lost_motions.get(name, ())),
     )
+
+
+def _verdict(pivot: float | None) -> str | None:
+    if pivot is None:
+        return None
+    if pivot < SINGULAR:
+        return "cannot follow"
+    return "good" if pivot >= NEAR_SINGULAR else "near singular"
 
 
 def _model_name(spec: ArmSpec | ToolSpec) -> str:

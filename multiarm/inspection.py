@@ -61,7 +61,9 @@ class ArmFacts:
     conditioning : float or None
         Smallest relative pivot at the start; None where the dense solver is used.
     verdict : str or None
-        "good" or "near singular".
+        "good", "near singular" or "cannot follow".
+    lost_motions : list of str
+        What an arm that cannot follow its joint in all directions cannot do.
     """
 
     robot: str
@@ -75,6 +77,7 @@ class ArmFacts:
     locked: dict[str, float]
     conditioning: float | None
     verdict: str | None
+    lost_motions: list[str]
 
 
 @dataclass(frozen=True)

@@ -153,7 +153,7 @@ def simulate(
         statistics = _statistics(run, spec, 0.0)
         run.sink.finish("failed", f"{_where(run)}: {error!r}", statistics, _events(run))
         raise
-    message += run.events.summary()
+    message += run.events.summary() + run.solver_log.summary()
     return run.sink.finish(status, message, _statistics(run, spec, wall), _events(run))
 
 

@@ -11,7 +11,16 @@ from multiarm.dense_call import read_inertia
 from multiarm.equations import update_kinematics
 from multiarm.state import State
 from multiarm.system import System
-from multiarm.watching import MOST_TOLD
+from multiarm.watching import MOST_TOLD, NAMED
+
+# So many events are described; finding the words takes as long as many steps.
+DESCRIBED = 100
+# What kinds of events mean for the run as a whole.
+_MEANINGS = {
+    "loses a direction": "arms could not follow their joint in every direction",
+    "passes a singular posture": "singular postures were passed",
+    "rank falls": "the chains lost constraints on the way",
+}
 
 
 class SolverLog:
@@ -39,18 +48,38 @@ class SolverLog:
         changed = np.flatnonzero((lost != self._lost) | (passed != 0))
         if changed.size:
             _load(system, state)
-            words = lost_motions(system, [system.arm_names[i] for i in changed])
+            in_words = len(self.told) < DESCRIBED
+            arms = [system.arm_names[i] for i in changed] if in_words else []
+            words = lost_motions(system, arms)
             for i in map(int, changed):
                 arm = system.arm_names[i]
                 if lost[i] != self._lost[i]:
-                    events.append(_of_arm(arm, int(lost[i]), int(self._lost[i]), words[arm]))
+                    what = words.get(arm, ())
+                    events.append(_of_arm(arm, int(lost[i]), int(self._lost[i]), what))
                 else:
-                    text = f"{arm}: passed a singular posture, {_nearest(system, i)}"
+                    where = f", {_nearest(system, i)}" if in_words else ""
+                    text = f"{arm}: passed a singular posture{where}"
                     events.append({"kind": "passes a singular posture", "arm": arm, "text": text})
         self._lost, self._rank = lost, rank
         room = max(MOST_TOLD - len(self.told), 0)
         self.told += [{"time": float(t), **event} for event in events[:room]]
         self.untold += len(events[room:])
+
+    def summary(self) -> str:
+        """What a reader of the result's message must know; empty when nothing happened."""
+        parts = []
+        for kind, meaning in _MEANINGS.items():
+            first: dict[str, float] = {}
+            for event in self.told:
+                if event["kind"] == kind:
+                    first.setdefault(event["text"], event["time"])
+            if first:
+                who = [f"{text} (from {t:.4g} s)" for text, t in first.items()]
+                more = f" and {len(who) - NAMED} more" if len(who) > NAMED else ""
+                parts.append(f"; {meaning}: {', '.join(who[:NAMED])}{more}")
+        if self.untold:
+            parts.append(f"; {self.untold} more events of the solver are not listed")
+        return "".join(parts)
 
     def _of_rank(self, rank: int) -> list[dict[str, Any]]:
         if rank == self._rank:
@@ -64,7 +93,7 @@ class SolverLog:
 
 def _of_arm(arm: str, now: int, before: int, words: tuple[str, ...]) -> dict[str, Any]:
     if now > before:
-        what = "; ".join(words) or f"{now} directions of its joint lost"
+        what = "; ".join(words) or f"directions of its joint lost: {now}"
         return {"kind": "loses a direction", "arm": arm, "text": f"{arm}: {what}"}
     left = f", {now} still lost" if now else ""
     return {

@@ -134,7 +134,9 @@ def test_module_and_command_are_one_program():
     assert out.strip() == f"multiarm {ma.__version__}"
 
 
-@pytest.mark.parametrize("command", ["run", "check", "joints", "replay", "report", "scaling"])
+@pytest.mark.parametrize(
+    "command", ["run", "check", "joints", "replay", "report", "scaling", "stability"]
+)
 def test_every_command_has_help(command):
     result = multiarm(command, "--help")
     assert result.exit_code == 0

@@ -95,7 +95,7 @@ def _arm(arm: ArmFacts) -> dict[str, RenderableType]:
         "joints": f"{len(arm.joints)}: "
         + ", ".join(f"{joint} {vector([position], unit)}" for (joint, unit), position in joints),
         "tip": arm.tip if arm.tool is None else f"{arm.tip}, of the tool {arm.tool}",
-        "posture": _posture(arm.conditioning, arm.verdict),
+        "posture": _posture(arm),
     }
     if arm.locked:
         rows["locked"] = ", ".join(f"{joint} {value:g}" for joint, value in arm.locked.items())
@@ -117,10 +117,12 @@ def _joint(joint: JointFacts) -> tuple[RenderableType, ...]:
     return joint.name or joint.arm, joint.kind, rows, "\n".join(free) or "none", contacts
 
 
-def _posture(conditioning: float | None, verdict: str | None) -> Text:
-    if verdict is None:
+def _posture(arm: ArmFacts) -> Text:
+    if arm.verdict is None:
         return Text("not judged by the dense solver", "dim")
-    return Text(f"{verdict} ({conditioning:.2g})", "green" if verdict == "good" else "bold yellow")
+    good = arm.verdict == "good"
+    text = Text(f"{arm.verdict} ({arm.conditioning:.2g})", "green" if good else "bold yellow")
+    return text.append("".join(f"; {words}" for words in arm.lost_motions))
 
 
 def _freedom(freedom: Freedom) -> dict[str, RenderableType]:
