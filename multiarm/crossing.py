@@ -13,7 +13,9 @@ an error of ``OFFSET^6 / 20`` times the sixth derivative, where the states are t
 on along its velocity and projected.  That holds for motions that cross; where the constraints stay
 as near to the loss, or the interpolated acceleration misses them, it is not used.  At rest there is
 no such motion, and which way the chains go on is undetermined: then the constraints that are left
-decide.
+decide.  The contact forces are those of the state itself: they really grow like ``1/s`` there, as a
+toggle's do.  Functions in Python, controllers and surfaces, are asked about the state itself only:
+with them nothing is interpolated.
 """
 
 from __future__ import annotations
@@ -22,9 +24,9 @@ import math
 
 from multiarm.equations import OK, evaluate_buffers
 from multiarm.lowlevel import copy, inner, kernel
-from multiarm.node.singular import ARMS
-from multiarm.plant import KICK, SHIFT, open_book, open_coupled
-from multiarm.solver_watch import RESIDUAL_BOUND, constraint_residual
+from multiarm.node.singular import ARMS, RANK, UNKNOWNS
+from multiarm.plant import CALL_CONTROL, CALL_SURFACE, KICK, SHIFT, open_book, open_coupled
+from multiarm.solver_watch import believable, constraint_residual
 from multiarm.spatial import retract_into
 from multiarm.stabilization import greatest, project
 
@@ -48,9 +50,15 @@ def evaluate_on_branch(book, closed, alpha, beta):
     if status != OK or closed < 0.0:
         return status
     coupled = open_coupled(book)
-    if coupled.counts[ARMS] == 0 or not coupled.margin[0] < ZONE:
+    if coupled.counts[ARMS] == 0:
         return OK
     plant, buffers, work = open_book(book)
+    # before a run nothing is known of the rank elsewhere: the state may be on the very crossing
+    unknown = buffers.lost[buffers.lost.size - 1] == 0 and excess(coupled) > 0
+    if not (coupled.margin[0] < ZONE or unknown):
+        return OK
+    if plant.calls[CALL_CONTROL] != 0 or plant.calls[CALL_SURFACE] != 0:
+        return OK
     rate = max(greatest(buffers.twist), greatest(buffers.v))
     if rate < AT_REST:
         return OK
@@ -59,18 +67,24 @@ def evaluate_on_branch(book, closed, alpha, beta):
     crossing = mix_evaluations(book, closed, alpha, beta, OFFSET / rate)
     restore_state(buffers.kept, buffers)
     buffers.solved[SHIFT], buffers.solved[KICK] = shift, kick
-    # everything but the accelerations and forces belongs to the state itself
+    # everything but the accelerations belongs to the state itself
     status = evaluate_buffers(book, alpha, beta)
     if status == OK and crossing:
         exchange_solution(buffers)
-        if not constraint_residual(plant, buffers, work) <= RESIDUAL_BOUND:
+        if not believable(book, constraint_residual(plant, buffers, work)):
             exchange_solution(buffers)
     return status
 
 
 @inner
+def excess(coupled):
+    """How many of the unknown forces move nothing."""
+    return coupled.counts[UNKNOWNS] - coupled.counts[RANK]
+
+
+@inner
 def mix_evaluations(book, closed, alpha, beta, delay):
-    """Accelerations and forces from states ``delay`` [s] and its multiples before and behind.
+    """Accelerations from states ``delay`` [s] and its multiples before and behind.
 
     Returns whether ``buffers.mixed`` has them: not when a state cannot be reached, or when the
     constraints are no further from losing rank there.
@@ -78,7 +92,8 @@ def mix_evaluations(book, closed, alpha, beta, delay):
     _, buffers, _ = open_book(book)
     coupled = open_coupled(book)
     n, mixed = buffers.angles.size, buffers.mixed
-    here, there = coupled.margin[0], 0.0
+    here, there, fewest = coupled.margin[0], 0.0, excess(coupled)
+    more = fewest
     mixed[:] = 0.0
     for side in range(6):
         k = 1 + side // 2
@@ -87,30 +102,27 @@ def mix_evaluations(book, closed, alpha, beta, delay):
         if project(book, closed) != OK or evaluate_buffers(book, alpha, beta) != OK:
             return False
         there = max(there, coupled.margin[0] if coupled.counts[ARMS] > 0 else math.inf)
-        if side == 1 and there < FURTHER * here:
+        fewest = min(fewest, excess(coupled) if coupled.counts[ARMS] > 0 else 0)
+        if side == 1 and fewest == more and not (here < ZONE and there >= FURTHER * here):
             return False
         weight = 0.75 if k == 1 else (-0.3 if k == 2 else 0.05)
         for j in range(6):
             mixed[j] += weight * buffers.q_o[j]
         for j in range(n):
             mixed[6 + j] += weight * buffers.qdd[j]
-        for j in range(buffers.force.size):
-            mixed[6 + n + j] += weight * buffers.force[j]
     return True
 
 
 @inner
 def exchange_solution(buffers):
-    """Exchange accelerations and forces with those in ``buffers.mixed``."""
-    n, mixed = buffers.angles.size, buffers.mixed
+    """Exchange the accelerations with those in ``buffers.mixed``."""
+    mixed = buffers.mixed
     for j in range(mixed.size):
         other = mixed[j]
         if j < 6:
             mixed[j], buffers.q_o[j] = buffers.q_o[j], other
-        elif j < 6 + n:
-            mixed[j], buffers.qdd[j - 6] = buffers.qdd[j - 6], other
         else:
-            mixed[j], buffers.force[j - 6 - n] = buffers.force[j - 6 - n], other
+            mixed[j], buffers.qdd[j - 6] = buffers.qdd[j - 6], other
 
 
 @inner

@@ -254,6 +254,7 @@ def _solve(address, size, _a, _b):
     """See :func:`solve_constrained`."""
     plant, buffers, work = open_book(book_at(address, size))
     if plant.dense[0] != 0:
+        ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
         call_back(plant.calls[CALL_DENSE])
         return CALLBACK_FAILED if buffers.flag[0] != 0 else OK
     result = eliminate(work, buffers.Wo, buffers.inertia)

@@ -117,8 +117,8 @@ class Buffers(NamedTuple):
         Raised by a callback that failed; raised while a Python controller runs (``BUSY``).
     residual : (joints,)
         Scratch.
-    kept : (13 + 2 joints,), mixed : (6 + joints + N,)
-        Scratch: a state, and accelerations with forces.
+    kept : (13 + 2 joints,), mixed : (6 + joints,)
+        Scratch: a state, and accelerations.
     stage_gap : (1,)
         Gap to which the stages of a step are projected before they are evaluated [m]; negative:
         they are not.
@@ -177,7 +177,9 @@ class Buffers(NamedTuple):
 
 # Places of ``calls`` and of the coupled system's ``counts`` in the address book of a system.
 CALLS = Plant._fields.index("calls")
-COUPLED_COUNTS = 85
+COUPLED_COUNTS = sum(len(part._fields) for part in (Plant, Buffers, NodeWork)) + (
+    CoupledWork._fields.index("counts")
+)
 
 
 def make_buffers(plant: Plant, rows: int, configuration: int) -> Buffers:
@@ -221,7 +223,7 @@ def make_buffers(plant: Plant, rows: int, configuration: int) -> Buffers:
         flag=np.zeros(2, dtype=np.int64),
         residual=np.zeros(joints),
         kept=np.zeros(13 + 2 * joints),
-        mixed=np.zeros(6 + joints + rows),
+        mixed=np.zeros(6 + joints),
         stage_gap=np.full(1, -1.0),
         solved=np.zeros(SOLVED_WIDTH),
         lost=np.zeros(arms + 1, dtype=np.int64),

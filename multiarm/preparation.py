@@ -21,6 +21,7 @@ from multiarm.integrators.stepper import (
     store,
 )
 from multiarm.integrators.tableaus import METHODS, Tableau
+from multiarm.node.singular import ARMS
 from multiarm.samples import sample_width
 from multiarm.scene import RunSpec
 from multiarm.scene.control import DEFAULT_ACCURACY
@@ -121,13 +122,18 @@ def prepare(system: System, spec: RunSpec, state: State | None, sink: Sink, max_
     place_state(system, 0.0, begin)
     store(system.buffers, step.base, step.z)
     _first_slope(system, step, settings)
-    watch_start(system.book())
-    solver_log = SolverLog(system)
-    solver_log.collect(system, 0.0, begin)
     settings = settings._replace(
         closed=projection_tolerance(system) if settings.closed >= 0.0 else -1.0,
         apart=APART * scene_size(system),
     )
+    if settings.closed >= 0.0 and system.coupled.counts[ARMS]:
+        # the start may be where two motions cross
+        system.buffers.stage_gap[0] = settings.closed
+        _first_slope(system, step, settings)
+        system.buffers.stage_gap[0] = -1.0
+    watch_start(system.book())
+    solver_log = SolverLog(system)
+    solver_log.collect(system, 0.0, begin)
     if adaptive:
         settings = settings._replace(step=_first_step(system, step, settings, method))
     width = sample_width(system.layout.joints, system.layout.contacts, system.plant.free.shape[0])

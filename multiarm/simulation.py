@@ -45,6 +45,7 @@ from multiarm.time_loop import (
     SOLVER_CHANGED,
     STEP_TOO_SMALL,
     STEPS,
+    WORST_CORRECTION,
     WORST_RESIDUAL,
     H,
     T,
@@ -311,6 +312,7 @@ def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:
         "lowest_rank": int(count[LOWEST_RANK]) if count[STEPS] else None,
         "highest_rank": int(count[HIGHEST_RANK]) if count[STEPS] else None,
         "residual_max": float(real[WORST_RESIDUAL]),
+        "correction_max": float(real[WORST_CORRECTION]),
         "wall_time_s": wall,
         "realtime_factor": simulated / wall if wall > 0.0 else None,
     }

@@ -24,7 +24,7 @@ _MEANINGS = {
 
 
 class SolverLog:
-    """Events of one run.
+    """Events of one run; their times are those of the steps' ends.
 
     Attributes
     ----------

@@ -4,8 +4,9 @@ Three numbers are written down: the rank of the constraints, how many arms went 
 system (:mod:`multiarm.node.singular`), and the largest constraint residual relative to the largest
 term of its equations.  A residual above ``RESIDUAL_BOUND`` refuses the step.
 
-An arm *loses a direction* when it can move along it, for the same force, by less than
-``LOST`` of what it moves along its best one.  A step may also jump over a singular posture; then
+An arm that is not eliminated as a whole *loses a direction* when it can move along it, for the same
+force, by less than ``LOST`` of what it moves along its best one; it has it again some way after it
+is eliminated as a whole.  A step may also jump over a singular posture; then
 the determinant of the arm's square ``W`` has changed its sign.
 """
 
@@ -18,6 +19,9 @@ from multiarm.plant import COUPLED_ARMS, RANK_OF_ALL, RESIDUAL, open_book, open_
 
 # Constraint residual, relative to the largest term of its equation, that is still a solution.
 RESIDUAL_BOUND = 1e-5
+# What roundings of gaps make of it: so much over the square of the distance from a loss of rank,
+# and at most.
+ROUNDED_RESIDUAL, MOST_ROUNDED_RESIDUAL = 1e-13, 1e-3
 # Accelerations below this are no scale for a residual [m/s^2].
 AT_REST = 1e-9
 # A direction with a sigma below this fraction of the arm's largest is lost; it is there again at
@@ -75,6 +79,21 @@ def constraint_residual(plant, buffers, work):
 
 
 @inner
+def believable(book, residual):
+    """Whether a relative residual is that of a solution.
+
+    Near a loss of rank the roundings of a gap, magnified twice, are part of it: there the state is
+    only so near to the motion that it is on.
+    """
+    coupled = open_coupled(book)
+    if coupled.counts[ARMS] == 0:
+        return residual <= RESIDUAL_BOUND
+    margin = coupled.margin[0]
+    rounded = min(MOST_ROUNDED_RESIDUAL, ROUNDED_RESIDUAL / (margin * margin))
+    return residual <= max(RESIDUAL_BOUND, rounded)
+
+
+@inner
 def free_acceleration(buffers):
     """Acceleration of the object's centre of mass without contact forces [m/s^2]."""
     force = 0.0
@@ -101,6 +120,8 @@ def watch_solver(book):
         lost = 0
         if not work.pivot[i] > COUPLED_BELOW:
             lost = lost_directions(i, buffers.lost[i], work, coupled)
+        elif work.pivot[i] < REGAINED * REGAINED * COUPLED_BELOW:
+            lost = buffers.lost[i]
         elif work.dofs[i + 1] - work.dofs[i] == work.rows[i + 1] - work.rows[i]:
             sign = determinant_sign(i, work, coupled)
             if sign * buffers.signs[i] < 0.0:

@@ -46,7 +46,7 @@ from multiarm.plant import (
     open_coupled,
 )
 from multiarm.samples import follow_joints, write_sample
-from multiarm.solver_watch import RESIDUAL_BOUND, note_solution, watch_solver
+from multiarm.solver_watch import believable, note_solution, watch_solver
 from multiarm.stabilization import FEEDBACK_RATIO, near_loss, project
 from multiarm.watching import watch_step
 
@@ -59,7 +59,7 @@ SAFETY, SHRINK, GROW = 0.9, 0.2, 6.0
 
 # Entries of Clock.real and Clock.counts.
 T, H, T_OLD, H_OLD, ERROR_OLD, ERROR_SUM, SMALLEST, LARGEST = range(8)
-CORRECTION, WORST_RESIDUAL, REAL_WIDTH = range(8, 11)
+CORRECTION, WORST_RESIDUAL, WORST_CORRECTION, REAL_WIDTH = range(8, 12)
 STEPS, REJECTED, EVALUATIONS, PROJECTIONS, SAMPLE, BLOCK_FIRST, BREAK, CAUSE = range(8)
 COUPLED_STEPS, LOWEST_RANK, HIGHEST_RANK, CHANGES, CAREFUL, COUNT_WIDTH = range(8, 14)
 
@@ -68,8 +68,11 @@ NONE, FEEDBACK, PROJECTION = 0, 1, 2
 # Shortest step, relative to the time: a run that needs shorter ones does not get on.
 SMALLEST_STEP = 1e-12
 # A projection that changes the state by more than so many tolerances of a step makes it shorter, as
-# long as that lessens the change.
-MOST_CORRECTED, LESSENED = 30.0, 0.5
+# long as that lessens the change, or as it is hopelessly large.
+MOST_CORRECTED, LESSENED, HOPELESS = 30.0, 0.5, 1e4
+# What roundings of gaps alone change: so much over the distance from a loss of rank in positions,
+# over its square in velocities, and at most.
+ROUNDED_GAP, MOST_ROUNDED_GAP = 1e-14, 1e-5
 # Where constraints are near a loss of rank, steps fail that are not short; so many steps are then
 # taken with projected stages, which may be long.
 CAREFUL_STEPS = 3
@@ -125,10 +128,11 @@ class Settings(NamedTuple):
 class Clock(NamedTuple):
     """What the loop remembers between calls.
 
-    real : (10,)
+    real : (11,)
         Time, next step, beginning and length of the step before, its error, the sum of the accepted
         steps' error estimates [m, rad], smallest and largest step, correction for which the step
-        was rejected last (in tolerances), largest relative residual.
+        was rejected last (in tolerances), largest relative residual, largest correction of an
+        accepted step [m, rad; m/s, rad/s].
     counts : int64 (13,)
         Steps, rejected steps, evaluations, projections, next sample, the block's first sample, next
         breakpoint, cause of the last rejection; steps that ended with deficient arms, lowest and
@@ -169,20 +173,20 @@ def sample_time(settings, k):
 
 
 @inner
-def settle(book, clock, closed, t, alpha, beta):
-    """Project the state in the buffers to gaps below ``closed`` [m] (negative: leave it), then
-    evaluate it; returns a status.
+def settle(book, clock, settings, projected, t, alpha, beta):
+    """Project the state in the buffers, unless it is ``projected``, and evaluate it; returns a
+    status.
     """
     _, buffers, _ = open_book(book)
-    if closed >= 0.0:
-        status = project(book, closed)
+    if settings.closed >= 0.0 and not projected:
+        status = project(book, settings.closed)
         clock.counts[PROJECTIONS] += 1
         clock.counts[EVALUATIONS] += 2
         if status != OK:
             return status
     buffers.time[0] = t
     clock.counts[EVALUATIONS] += 1
-    return evaluate_on_branch(book, closed, alpha, beta)
+    return evaluate_on_branch(book, settings.closed, alpha, beta)
 
 
 @inner
@@ -200,16 +204,16 @@ def emit_samples(book, method, step, clock, settings, block):
         if rows >= block.shape[0]:
             return BLOCK_FULL
         alpha, beta = gains(settings, max(real[H_OLD], settings.step))
-        closed = -1.0
+        projected = True
         if due >= t - near:
             load(step.z, step.base, buffers)
             work_done = step.z[step.z.size - 1]
         else:
-            closed = settings.closed
+            projected = False
             interpolate(method, step, (due - real[T_OLD]) / real[H_OLD], step.z_stage)
             load(step.z_stage, step.base_old, buffers)
             work_done = step.z_stage[step.z.size - 1]
-        status = settle(book, clock, closed, due, alpha, beta)
+        status = settle(book, clock, settings, projected, due, alpha, beta)
         if status != OK:
             return status
         note_solution(book)
@@ -301,16 +305,20 @@ def judge_solution(book, buffers, clock, settings):
     Near a bifurcation a step may end between two branches, and the projection then takes the state
     far: a shorter step ends nearer to the branch that the motion is on.
     """
-    if not buffers.solved[RESIDUAL] <= RESIDUAL_BOUND:
+    if not believable(book, buffers.solved[RESIDUAL]):
         return CONTRADICTION
     if settings.adaptive and settings.closed >= 0.0:
         floor = rounding_floor(book, clock)
+        margin = open_coupled(book).margin[1]
+        moved = min(MOST_ROUNDED_GAP, ROUNDED_GAP / margin)
+        kicked = min(MOST_ROUNDED_GAP, ROUNDED_GAP / (margin * margin))
         correction = max(
-            buffers.solved[SHIFT] / max(settings.position_tolerance, floor),
-            buffers.solved[KICK] / max(settings.velocity_tolerance, floor),
+            buffers.solved[SHIFT] / max(settings.position_tolerance, floor, moved / MOST_CORRECTED),
+            buffers.solved[KICK] / max(settings.velocity_tolerance, floor, kicked / MOST_CORRECTED),
         )
         before = clock.real[CORRECTION]
-        if correction > MOST_CORRECTED and (before == 0.0 or correction < LESSENED * before):
+        lessened = before == 0.0 or correction < LESSENED * before or correction > HOPELESS
+        if correction > MOST_CORRECTED and lessened:
             clock.real[CORRECTION] = correction
             return LARGE_CORRECTION
     return OK
@@ -326,6 +334,7 @@ def count_solution(book, buffers, clock):
     if solved[COUPLED_ARMS] > 0.0:
         count[COUPLED_STEPS] += 1
     real[WORST_RESIDUAL] = max(real[WORST_RESIDUAL], solved[RESIDUAL])
+    real[WORST_CORRECTION] = max(real[WORST_CORRECTION], solved[SHIFT], solved[KICK])
     count[CHANGES] += watch_solver(book)
 
 
@@ -337,7 +346,7 @@ def complete_step(book, method, step, clock, settings, h, end):
     t = clock.real[T]
     alpha, beta = gains(settings, h)
     load(step.z_new, step.base, buffers)
-    status = settle(book, clock, settings.closed, end, alpha, beta)
+    status = settle(book, clock, settings, False, end, alpha, beta)
     if status != OK:
         return status
     note_solution(book)
