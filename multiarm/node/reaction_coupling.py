@@ -32,6 +32,7 @@ import math
 
 from multiarm.lowlevel import inlined, kernel
 from multiarm.node.factors import decompose, solve_lu, solve_lu_transposed
+from multiarm.node.regular import node_backward, node_forward
 
 # Singular values of G below this fraction of the largest count as zero.
 RANK_TOLERANCE = 1e-6
@@ -89,8 +90,8 @@ def _gather(work, Wo, Wr):
             for k in range(6):
                 work.U[row, k] = Wo[first + a, k]
                 work.Ur[row, k] = Wr[first + a, k]
-            to_inertia(work.Ls, work.U[row])
-            to_inertia(work.Ls, work.Ur[row])
+            node_forward(work.Ls, work.U[row])
+            node_forward(work.Ls, work.Ur[row])
             for j in range(d):
                 work.U[row, length + j] = work.Y[i, j, a]
                 work.Ur[row, length + j] = work.Yr[i, j, a]
@@ -202,9 +203,9 @@ def _collect_unserved(work, Wo, Wr):
                     vector[work.place[a]] += part * work.scale[a] * work.V[j, a]
             x = work.six
             _on_object(work, Wo, vector, x)
-            to_inertia(work.Ls, x)
+            node_forward(work.Ls, x)
             solve_lu_transposed(work.node, 6, work.node_pivots, x)
-            from_inertia(work.Ls, x)
+            node_backward(work.Ls, x)
             _extend(work, Wr, x, vector, True)
             counts[UNSERVED] += 1
     _orthonormalise(unserved, counts[UNSERVED], total)
@@ -214,29 +215,9 @@ def _collect_unserved(work, Wo, Wr):
 @kernel
 def object_motion(work, x):
     """Solve with the node matrix ``S`` of the arms that are not coupled, in place."""
-    to_inertia(work.Ls, x)
+    node_forward(work.Ls, x)
     solve_lu(work.node, 6, work.node_pivots, x)
-    from_inertia(work.Ls, x)
-
-
-@kernel
-def to_inertia(L, x):
-    """Solve ``L y = x`` in place, ``L`` (6, 6) lower with its diagonal inverted."""
-    for j in range(6):
-        s = x[j]
-        for k in range(j):
-            s -= L[j, k] * x[k]
-        x[j] = s * L[j, j]
-
-
-@kernel
-def from_inertia(L, x):
-    """Solve ``L^T y = x`` in place."""
-    for j in range(5, -1, -1):
-        s = x[j]
-        for k in range(j + 1, 6):
-            s -= L[k, j] * x[k]
-        x[j] = s * L[j, j]
+    node_backward(work.Ls, x)
 
 
 @kernel

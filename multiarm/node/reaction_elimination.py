@@ -9,12 +9,8 @@ import math
 
 from multiarm.lowlevel import inlined, kernel
 from multiarm.node.factors import factor_lu
-from multiarm.node.reaction_coupling import (
-    couple,
-    over_arm,
-    to_inertia,
-)
-from multiarm.node.regular import NO_INERTIA, factor_in_place
+from multiarm.node.reaction_coupling import couple, over_arm
+from multiarm.node.regular import NO_INERTIA, factor_in_place, node_forward
 
 # Arms (and the node matrix) with relative pivots below this are solved together with the object:
 # more work, the same result.  The elimination loses the digits that this number has.
@@ -95,7 +91,7 @@ def _give(i, work, Wo):
         square = 0.0
         for k in range(6):
             x[k] = Wo[row, k]
-        to_inertia(work.Lo, x)
+        node_forward(work.Lo, x)
         for k in range(6):
             square += x[k] * x[k]
         square *= work.arm_scale[row] * work.arm_scale[row]  # one over that of the arm
@@ -178,7 +174,7 @@ def _whiten(S, L, x):
         for l in range(6):  # noqa: E741
             for k in range(6):
                 x[k] = S[k, l]
-            to_inertia(L, x)
+            node_forward(L, x)
             for k in range(6):
                 S[k, l] = x[k]
         for k in range(6):

@@ -13,11 +13,10 @@ from multiarm.node.reaction_coupling import (
     REACTION_RANK,
     ROWS,
     UNSERVED,
-    from_inertia,
     object_motion,
     over_arm,
-    to_inertia,
 )
+from multiarm.node.regular import node_backward, node_forward
 
 
 @kernel
@@ -68,8 +67,8 @@ def _load(work, Wo, h_o, h, c):
     """
     for k in range(6):
         work.unloaded[k] = h_o[k]
-    to_inertia(work.Lo, work.unloaded)
-    from_inertia(work.Lo, work.unloaded)
+    node_forward(work.Lo, work.unloaded)
+    node_backward(work.Lo, work.unloaded)
     for i in range(work.coupled.size):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         L = work.L[i]
