@@ -11,7 +11,7 @@ from multiarm.dense_call import read_inertia
 from multiarm.equations import update_kinematics
 from multiarm.state import State
 from multiarm.system import System
-from multiarm.watching import MOST_TOLD, NAMED
+from multiarm.watching import MOST_TOLD, some_of
 
 # So many events are described; finding the words takes as long as many steps.
 DESCRIBED = 100
@@ -74,9 +74,7 @@ class SolverLog:
                 if event["kind"] == kind:
                     first.setdefault(event["text"], event["time"])
             if first:
-                who = [f"{text} (from {t:.4g} s)" for text, t in first.items()]
-                more = f" and {len(who) - NAMED} more" if len(who) > NAMED else ""
-                parts.append(f"; {meaning}: {', '.join(who[:NAMED])}{more}")
+                parts.append(f"; {meaning}: {some_of(first)}")
         if self.untold:
             parts.append(f"; {self.untold} more events of the solver are not listed")
         return "".join(parts)

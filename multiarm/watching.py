@@ -116,12 +116,17 @@ class EventLog:
                     name = event["text"].replace(f" {kind}", "")
                     first.setdefault(name, event["time"])
             if first:
-                who = [f"{name} (from {t:.4g} s)" for name, t in first.items()]
-                more = f" and {len(who) - NAMED} more" if len(who) > NAMED else ""
-                parts.append(f"; {meaning}: {', '.join(who[:NAMED])}{more}")
+                parts.append(f"; {meaning}: {some_of(first)}")
         if self.untold:
             parts.append(f"; {self.untold} more events are not listed")
         return "".join(parts)
+
+
+def some_of(first: dict[str, float]) -> str:
+    """The first few of what happened, each with the time from which on [s], and how many more."""
+    who = [f"{name} (from {t:.4g} s)" for name, t in first.items()]
+    more = f" and {len(who) - NAMED} more" if len(who) > NAMED else ""
+    return f"{', '.join(who[:NAMED])}{more}"
 
 
 _MEANINGS = {
