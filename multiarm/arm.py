@@ -207,6 +207,25 @@ class ArmGroup:
 
         return update_with_gravity_torque if self._with_gravity_torque else update
 
+    def bind_coriolis(self, q: np.ndarray, v: np.ndarray) -> tuple[Callable[[], None], np.ndarray]:
+        """Function that updates the matrices of Coriolis forces, and where each arm's is.
+
+        Addresses and strides, int64 (arms, 2); the matrices are those for which the rate of the
+        inertia is ``C + C^T``.
+        """
+        model, data, n = self.model, self.model.createData(), self.model.nv
+        run = pin.computeCoriolisMatrix
+
+        def update() -> None:
+            run(model, data, q, v)
+
+        update()
+        at = _address(data.C)
+        _require_layout(sorted(data.C.strides) == [8, 8 * n] or n == 1, "C is not stored densely")
+        first_dof = (self.pointers[:, 0] - self.pointers[0, 0]) // (8 * (n + 1))
+        places = np.stack([at + 8 * (n + 1) * first_dof, np.full_like(first_dof, n)], axis=1)
+        return update, places
+
     def potential_energy(self, q: np.ndarray) -> float:
         """Potential energy of all links [J], zero at the world's origin."""
         return pin.computePotentialEnergy(self.model, self.data, q)

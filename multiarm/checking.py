@@ -142,8 +142,8 @@ def resolve_run(spec: RunSpec) -> RunFacts:
     return RunFacts(
         duration=spec.duration,
         integrator=integrator,
-        accuracy=spec.accuracy,
-        tolerance=tolerance,
+        accuracy=None if spec.accuracy is None else spec.accuracy.written,
+        tolerance=None if tolerance is None else tolerance.smallest,
         step=spec.step,
         stabilization=spec.stabilization.kind,
         output_step=spec.output_step,

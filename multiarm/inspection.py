@@ -154,7 +154,7 @@ class RunFacts:
 
     duration: float
     integrator: str
-    accuracy: float | None
+    accuracy: float | dict[str, float] | None
     tolerance: float | None
     step: float | None
     stabilization: str

@@ -97,7 +97,7 @@ def address_book(arrays: Sequence[np.ndarray]) -> np.ndarray:
     book = np.ones((len(arrays), 4), dtype=np.int64)
     for row, array in zip(book, arrays, strict=True):
         assert array.flags.c_contiguous and array.dtype in (np.float64, np.int64)
-        row[0] = array.ctypes.data
+        row[0] = array.__array_interface__["data"][0]
         row[1 : 1 + array.ndim] = array.shape
     return book.ravel()
 
@@ -225,7 +225,7 @@ class CallBack:
                 flag[0] = 1
 
         self._keep_alive = ctypes.CFUNCTYPE(None)(guarded)
-        self.address = ctypes.cast(self._keep_alive, ctypes.c_void_p).value
+        self.address: int = ctypes.cast(self._keep_alive, ctypes.c_void_p).value or 0
 
     def reraise(self) -> None:
         """Raise what the function raised, if it did, once."""

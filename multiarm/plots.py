@@ -9,7 +9,7 @@ A line has some thousand points at most, however long the run (see `decimation`)
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -170,6 +170,31 @@ def drift(trajectory: Trajectory) -> Figure:
     return figure
 
 
+def accuracy_course(certificate: Mapping[str, Any]) -> Figure:
+    """Estimated errors over time on logarithmic axes, and what was asked as dashed lines.
+
+    Forces have axes of their own, where an accuracy of forces was asked.
+    """
+    course, asked = certificate["over_time"], certificate["asked"]
+    time = np.array(course["time"])
+    groups: list[tuple[str, str, tuple[str, ...]]] = [
+        ("Estimated error", "error [m, rad]", ("position_m", "rotation_rad"))
+    ]
+    if asked["force_N"] is not None:
+        groups.append(("Estimated error of contact forces", "error [N]", ("force_N",)))
+    names = {"position_m": "position", "rotation_rad": "rotation", "force_N": "force"}
+    colours = dict(zip(names, (*_AXIS_COLOURS[1:], _ROLES["kinetic"]), strict=True))
+    panels = [
+        _Panel(
+            title, quantity, time, np.column_stack([course[kind] for kind in kinds]),
+            tuple(names[kind] for kind in kinds), [colours[kind] for kind in kinds],
+            log=True, levels=tuple(asked[kind] for kind in kinds),
+        )
+        for title, quantity, kinds in groups
+    ]  # fmt: skip
+    return _draw(panels)
+
+
 def family(arm: int, members: int) -> list[str]:
     """Colours of one arm: neighbours in hue, from deep to light.
 
@@ -193,7 +218,7 @@ def family(arm: int, members: int) -> list[str]:
 
 @dataclass(frozen=True)
 class _Panel:
-    """One pair of axes: lines (columns of values) over time."""
+    """One pair of axes: lines (columns of values) over time; dashed levels in their colours."""
 
     title: str
     quantity: str
@@ -201,6 +226,8 @@ class _Panel:
     values: np.ndarray
     labels: tuple[str, ...]
     colours: Sequence[str]
+    log: bool = False
+    levels: tuple[float | None, ...] = ()
 
 
 def _arm_panels(trajectory: Trajectory, quantity: str) -> list[_Panel]:
@@ -294,8 +321,14 @@ def _draw_panel(axes: Axes, panel: _Panel, height: float, zero_line: bool) -> No
         axes.text(0.5, 0.5, "no samples", transform=axes.transAxes, ha="center")
         return
     marker = "o" if len(panel.time) == 1 else None
+    if panel.log:
+        axes.set_yscale("log")
+        axes.minorticks_off()
     for values, colour in zip(panel.values.T, panel.colours, strict=True):
         axes.plot(panel.time, values, color=colour, marker=marker, markersize=4)
+    for level, colour in zip(panel.levels, panel.colours, strict=False):
+        if level is not None:
+            axes.axhline(level, color=colour, linewidth=1.0, linestyle="--")
     axes.margins(x=0)
     low, high = panel.values.min(), panel.values.max()
     span = SMALLEST_SPAN * max(abs(low), abs(high))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,11 @@ from multiarm.contact_checks import place_state
 from multiarm.dynamics import failure_text
 from multiarm.equations import OK
 from multiarm.errors import SolverError
+from multiarm.integrators.rosenbrock import make_rosenbrock, rosenbrock_step
 from multiarm.integrators.stepper import (
+    OWN_BOOK,
+    OWN_SIZE,
+    OWN_STEP,
     Method,
     Step,
     evaluate_slope,
@@ -20,11 +25,13 @@ from multiarm.integrators.stepper import (
     make_step,
     store,
 )
-from multiarm.integrators.tableaus import METHODS, Tableau
+from multiarm.integrators.tableaus import METHODS, ROSENBROCK, VARIATIONAL, Tableau
+from multiarm.integrators.variational import make_variational, variational_step
+from multiarm.lowlevel import address_book, address_of
 from multiarm.node.singular import ARMS
 from multiarm.samples import sample_width
 from multiarm.scene import RunSpec
-from multiarm.scene.control import DEFAULT_ACCURACY
+from multiarm.scene.control import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.sinks import Sink
 from multiarm.solver_log import SolverLog
 from multiarm.state import State
@@ -52,19 +59,73 @@ STABILIZATIONS = {"none": NONE, "feedback": FEEDBACK, "projection": PROJECTION}
 
 
 @dataclass(frozen=True)
-class Run:
-    """Everything one run needs, the samples' sink, and what happened on the way."""
+class Stepping:
+    """A method and its arrays.
 
-    system: System
+    Attributes
+    ----------
+    tableau : Tableau
+    method : Method
+    step : Step
+    own : tuple
+        Arrays that a method with a step of its own reaches by their addresses.
+    """
+
     tableau: Tableau
     method: Method
     step: Step
+    own: tuple = ()
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Largest accepted error estimate of one step of an adaptive method.
+
+    Attributes
+    ----------
+    position : float
+        Of coordinates that are lengths [m], and of their rates [m/s].
+    rotation : float
+        Of coordinates that are angles [rad], and of their rates [rad/s].
+    """
+
+    position: float
+    rotation: float
+
+    @property
+    def smallest(self) -> float:
+        """The smaller of the two."""
+        return min(self.position, self.rotation)
+
+
+@dataclass
+class Run:
+    """Everything one run needs, the samples' sink, and what happened on the way.
+
+    Attributes
+    ----------
+    system, stepping, settings, clock
+        What the loop works on; the method may change on the way.
+    sink, block
+        Where samples go, and the rows that are not there yet.
+    events, solver_log
+        What happened.
+    tolerance : Tolerance or None
+        None: the step is fixed.
+    may_switch : bool
+        The method was not named, and may be exchanged.
+    """
+
+    system: System
+    stepping: Stepping
     settings: Settings
     clock: Clock
     sink: Sink
     block: np.ndarray
     events: EventLog
     solver_log: SolverLog
+    tolerance: Tolerance | None
+    may_switch: bool
 
 
 def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) -> RunSpec:
@@ -78,19 +139,68 @@ def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) 
     return RunSpec(**data)
 
 
-def method_and_tolerance(spec: RunSpec) -> tuple[str, float | None]:
-    """Name of the method that a run uses, and its tolerance of one step (None: fixed step)."""
-    accuracy = DEFAULT_ACCURACY if spec.accuracy is None else spec.accuracy
-    name = spec.integrator or ("dop853" if accuracy < ORDER_8_BELOW else "dopri5")
+def method_and_tolerance(spec: RunSpec, tighten: float = 1.0) -> tuple[str, Tolerance | None]:
+    """Name of the method that a run begins with, and its tolerances (None: fixed step).
+
+    ``tighten`` multiplies the tolerances.
+    """
+    accuracy = AccuracySpec(position=DEFAULT_ACCURACY, rotation=DEFAULT_ACCURACY)
+    if spec.accuracy is not None:
+        accuracy = spec.accuracy
+    name = spec.integrator or ("dop853" if accuracy.smallest < ORDER_8_BELOW else "dopri5")
     if METHODS[name].error_order == 0:
         return name, None
-    return name, STEP_SHARE * accuracy if spec.tolerance is None else spec.tolerance
+    if spec.tolerance is not None:
+        return name, Tolerance(tighten * spec.tolerance, tighten * spec.tolerance)
+    share, smallest = tighten * STEP_SHARE, accuracy.smallest
+    return name, Tolerance(
+        share * (smallest if accuracy.position is None else accuracy.position),
+        share * (smallest if accuracy.rotation is None else accuracy.rotation),
+    )
 
 
-def prepare(system: System, spec: RunSpec, state: State | None, sink: Sink, max_step: float) -> Run:
-    """Settings, arrays and the first evaluation."""
-    name, tolerance = method_and_tolerance(spec)
+def make_stepping(system: System, name: str, tolerance: Tolerance | None) -> Stepping:
+    """A method and its arrays for one system; compiles the method if it has a step of its own."""
     tableau = METHODS[name]
+    method, step = make_method(tableau), make_step(tableau, system.layout.joints)
+    if tolerance is not None:
+        step.tolerance[:] = _tolerances(system, tolerance)
+    if tableau.kind == ROSENBROCK:
+        work = make_rosenbrock(tableau, method, step, system.book())
+        return _with_own_step(Stepping(tableau, method, step), rosenbrock_step, work)
+    if tableau.kind == VARIATIONAL:
+        call, places = system.coriolis()
+        shape, rows = system.work.Y.shape, system.layout.contacts
+        momenta = make_variational(step, system.book(), shape, rows, call.address, places)
+        return _with_own_step(Stepping(tableau, method, step), variational_step, momenta)
+    return Stepping(tableau, method, step)
+
+
+def _with_own_step(stepping: Stepping, step: Any, work: tuple) -> Stepping:
+    """A method whose steps are those of an entry that works on the arrays ``work``."""
+    book = address_book(work)
+    own = stepping.step.own
+    own[OWN_STEP], own[OWN_BOOK], own[OWN_SIZE] = address_of(step), book.ctypes.data, book.size
+    return replace(stepping, own=(work, book))
+
+
+def _tolerances(system: System, tolerance: Tolerance) -> np.ndarray:
+    """One tolerance an entry of the state, but for the work."""
+    units = [unit for arm in system.arms.values() for unit in arm.joint_units.values()]
+    lengths = np.array([True] * 3 + [False] * 3 + [unit == "m" for unit in units])
+    return np.where(np.tile(lengths, 2), tolerance.position, tolerance.rotation)
+
+
+def prepare(
+    system: System,
+    spec: RunSpec,
+    state: State | None,
+    sink: Sink,
+    max_step: float,
+    tighten: float = 1.0,
+) -> Run:
+    """Settings, arrays and the first evaluation; ``tighten`` multiplies the tolerances."""
+    name, tolerance = method_and_tolerance(spec, tighten)
     adaptive = tolerance is not None
     stabilization = spec.stabilization
     samples = int(np.floor(spec.duration / spec.output_step * (1 + 1e-12))) + 1
@@ -104,16 +214,17 @@ def prepare(system: System, spec: RunSpec, state: State | None, sink: Sink, max_
         adaptive=adaptive,
         step=float(spec.step) if spec.step is not None else 1e-3,
         longest_step=_positive("max_step", max_step),
-        position_tolerance=tolerance or 1.0,
-        velocity_tolerance=tolerance or 1.0,
+        tolerance=1.0 if tolerance is None else tolerance.smallest,
         stabilization=STABILIZATIONS[stabilization.kind],
         alpha=-1.0 if stabilization.alpha is None else float(stabilization.alpha),
         beta=-1.0 if stabilization.beta is None else float(stabilization.beta),
         closed=0.0 if stabilization.kind == "projection" else -1.0,
         apart=np.inf,
         breakpoints=np.array(system.breakpoints, dtype=float),
+        switch=adaptive and spec.integrator is None,
     )
-    method, step = make_method(tableau), make_step(tableau, system.layout.joints)
+    stepping = make_stepping(system, name, tolerance)
+    method, step = stepping.method, stepping.step
     begin, report = system.initial_state(), system.start_report
     if state is not None:
         begin, report = state, StartReport()
@@ -140,15 +251,15 @@ def prepare(system: System, spec: RunSpec, state: State | None, sink: Sink, max_
     rows = int(np.clip(BLOCK_NUMBERS // width, 16, samples))
     return Run(
         system,
-        tableau,
-        method,
-        step,
+        stepping,
         settings,
         make_clock(settings),
         sink,
         np.zeros((rows, width)),
         _event_log(report),
         solver_log,
+        tolerance,
+        settings.switch,
     )
 
 
@@ -177,7 +288,7 @@ def _first_slope(system: System, step: Step, settings: Settings) -> None:
 
 def _first_step(system: System, step: Step, settings: Settings, method: Method) -> float:
     """A first step whose error is about the tolerance (Hairer, Norsett, Wanner, II.4)."""
-    scale = np.full(step.z.size - 1, settings.position_tolerance)
+    scale = step.tolerance
     first = np.max(np.abs(step.slope[:-1]) / scale)
     trial = min(1e-6, settings.end) if first == 0.0 else min(0.01 / first * 1e4, settings.end, 1e-3)
     other = np.zeros_like(step.slope)

@@ -7,29 +7,25 @@ Nothing is loaded from anywhere.
 
 from __future__ import annotations
 
-import io
-import json
 import os
-import re
-import warnings
 from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import yaml
-from matplotlib.figure import Figure
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
+from multiarm.reporting_certificate import certificate_section
+from multiarm.reporting_parts import NOTHING, inline_svg, number, quantity, words
 from multiarm.reporting_style import CSS
 
 if TYPE_CHECKING:
     from multiarm.trajectory import Trajectory
 
 SHOWN_EVENTS = 200
-NOTHING, TIMES = "\N{EN DASH}", "\N{MULTIPLICATION SIGN}"
+TIMES = "\N{MULTIPLICATION SIGN}"
 _CAPTIONS = {
     "Object": "Centre of mass and orientation in world axes. The rotation vector is the axis of "
     "the turn since the start times its angle.",
@@ -48,7 +44,6 @@ _STATISTICS = {
     "realtime_factor": "Simulated time / wall time",
     "error_estimate": "Error estimate",
 }
-_PREFIXES = ((1, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"), (1e-15, "f"))
 
 
 def report(trajectory: Trajectory, path: str | os.PathLike = "report.html") -> Path:
@@ -89,9 +84,9 @@ def render(trajectory: Trajectory) -> str:
     parts = [
         _header(title, summary),
         _cards(summary),
+        certificate_section(trajectory.certificate),
         *_figures(trajectory),
         _table("How the run went", _statistics(trajectory, summary)),
-        _certificate(trajectory.certificate),
         _events(trajectory.events),
         _scene(trajectory.scene_text),
         _footer(trajectory.provenance),
@@ -102,17 +97,6 @@ def render(trajectory: Trajectory) -> str:
         f"<title>{escape(title)} · multiarm report</title>\n<style>{CSS}</style>\n</head>\n"
         f"<body>\n<main>\n{''.join(parts)}</main>\n</body>\n</html>\n"
     )
-
-
-def quantity(value: float | None, unit: str) -> str:
-    """A number of three digits with the prefix that suits it: `quantity(2e-9, "m")` is `2 nm`."""
-    if value is None:
-        return NOTHING
-    value = float(f"{value:.3g}")  # 0.9999 m is 1 m, not 1000 mm
-    if value == 0 or abs(value) >= 1e4 or abs(value) < 1e-15:
-        return f"{value:.3g} {unit}"
-    scale, prefix = next(pair for pair in _PREFIXES if abs(value) >= pair[0])
-    return f"{value / scale:.4g} {prefix}{unit}"
 
 
 def _header(title: str, summary: dict[str, Any]) -> str:
@@ -129,7 +113,7 @@ def _cards(summary: dict[str, Any]) -> str:
     arm = max(forces, key=lambda name: forces[name], default=None)
     force = quantity(forces[arm] if arm else None, "N")
     factor = summary["realtime_factor"]
-    wall, count = summary["wall_time_s"], _number(summary["samples"])
+    wall, count = summary["wall_time_s"], number(summary["samples"])
     pace = NOTHING if wall is None else f"real time, in {quantity(wall, 's')}"
     cards = [
         ("Simulated", quantity(summary["duration_s"], "s"), f"{count} samples"),
@@ -147,36 +131,17 @@ def _cards(summary: dict[str, Any]) -> str:
 
 
 def _figures(trajectory: Trajectory) -> Iterable[str]:
-    for number, (title, figure) in enumerate(plots.figures(trajectory).items()):
+    for place, (title, figure) in enumerate(plots.figures(trajectory).items()):
         yield (
-            f"<section><h2>{title}</h2><figure>{inline_svg(figure, f'f{number}-')}"
+            f"<section><h2>{title}</h2><figure>{inline_svg(figure, f'f{place}-')}"
             f"<figcaption>{_CAPTIONS[title]}</figcaption></figure></section>\n"
         )
-
-
-def inline_svg(figure: Figure, prefix: str) -> str:
-    """The figure as inline SVG: own names for its parts, ink and grid of the page's theme."""
-    buffer = io.StringIO()
-    with (
-        matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": prefix}),
-        warnings.catch_warnings(),
-    ):
-        # The page's fonts draw the names, whatever their script.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r'(\sid="|url\(#|href="#)', rf"\g<1>{prefix}", text)
-    text = re.sub(r'(<svg [^>]*?)width="[^"]*" height="[^"]*"', r"\1", text)
-    text = re.sub(r"(font: [^;\"]*?)(?:'[^']*'|sans-serif)[^;\"]*", r"\1var(--font)", text)
-    return text.replace(plots.INK, "var(--ink)").replace(plots.GRID, "var(--grid)")
 
 
 def _statistics(trajectory: Trajectory, summary: dict[str, Any]) -> dict[str, Any]:
     counted = trajectory.statistics
     rows = {name: counted.get(key) for key, name in _STATISTICS.items() if key in counted}
-    rows |= {_words(key): value for key, value in counted.items() if key not in _STATISTICS}
+    rows |= {words(key): value for key, value in counted.items() if key not in _STATISTICS}
     rows["Object at the end, position [m]"] = summary["final_object_position"]
     rows["Object at the end, quaternion x y z w"] = summary["final_object_quaternion_xyzw"]
     for arm, force in summary["contact_force_max_N"].items():
@@ -184,15 +149,9 @@ def _statistics(trajectory: Trajectory, summary: dict[str, Any]) -> dict[str, An
     return rows
 
 
-def _certificate(certificate: dict[str, Any] | None) -> str:
-    if certificate is None:
-        return ""
-    return _table("Certificate", {_words(key): value for key, value in certificate.items()})
-
-
 def _table(title: str, rows: dict[str, Any]) -> str:
     body = "".join(
-        f"<tr><th scope='row'>{escape(name)}</th><td>{escape(_number(value))}</td></tr>"
+        f"<tr><th scope='row'>{escape(name)}</th><td>{escape(number(value))}</td></tr>"
         for name, value in rows.items()
     )
     return f"<section><h2>{escape(title)}</h2><table>{body}</table></section>\n"
@@ -209,8 +168,8 @@ def _events(events: list[dict[str, Any]]) -> str:
 
 def _event(event: dict[str, Any]) -> str:
     if {"time", "text"} <= event.keys():
-        return f"{_number(event['time'])} s: {event['text']}"
-    return ", ".join(f"{name}: {_number(value)}" for name, value in event.items())
+        return f"{number(event['time'])} s: {event['text']}"
+    return ", ".join(f"{name}: {number(value)}" for name, value in event.items())
 
 
 def _scene(text: str) -> str:
@@ -228,9 +187,9 @@ def _footer(provenance: dict[str, Any]) -> str:
         if key == "dependencies":
             flat |= value
         elif key != "scene":
-            flat[_words(key)] = value
+            flat[words(key)] = value
     items = "".join(
-        f"<div><dt>{escape(key)}</dt><dd>{escape(_number(value))}</dd></div>"
+        f"<div><dt>{escape(key)}</dt><dd>{escape(number(value))}</dd></div>"
         for key, value in flat.items()
     )
     return f"<footer><h2>Provenance</h2><dl>{items}</dl></footer>\n"
@@ -244,22 +203,3 @@ def _scene_name(text: str) -> str:
         scene = None
     name = scene.get("name") if isinstance(scene, dict) else None
     return str(name) if name else "A run without a name"
-
-
-def _words(key: str) -> str:
-    words = key.replace("_", " ")
-    return words[:1].upper() + words[1:]
-
-
-def _number(value: Any) -> str:
-    if value is None:
-        return NOTHING
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int):
-        return f"{value:,}".replace(",", "\u202f")
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list) and all(isinstance(item, int | float) for item in value):
-        return ", ".join(_number(item) for item in value)
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

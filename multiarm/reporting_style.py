@@ -62,6 +62,15 @@ th, td { padding: 0.4rem 0; border-top: 1px solid var(--line); vertical-align: t
 tr:first-child > * { border-top: 0; }
 th { text-align: left; font-weight: 400; color: var(--soft); padding-right: 2rem; }
 td { text-align: right; font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
+.grid { margin-top: 1.1rem; }
+.grid thead th { text-align: right; font-size: 0.8rem; padding-right: 0; }
+.grid thead th:first-child { text-align: left; }
+.grid th:not(:first-child), .grid td { padding-left: 1.2rem; }
+.grid tbody tr:first-child > * { border-top: 1px solid var(--line); }
+.certificate figure { margin-top: 1.1rem; }
+.certificate .note { margin: 1rem 0 0; font-size: 0.85rem; color: var(--soft); }
+.verdict { --tone: var(--good); }
+.verdict.interrupted { --tone: var(--warn); }
 .events { margin: 0; padding-left: 1.4rem; font-size: 0.92rem; }
 summary { cursor: pointer; font-weight: 600; font-size: 1.05rem; }
 pre { margin: 1rem 0 0; font: 0.82rem/1.5 var(--mono); white-space: pre-wrap; }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,27 +17,49 @@ class Store(Protocol):
 
     samples: int
     channels: dict[str, Channel]
-    metadata: dict[str, Any]
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """Where the samples come from, and the scene's text under `scene`."""
+        ...
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel."""
         ...
 
+    def close(self) -> None:
+        """Let go of what the samples are read from."""
+        ...
+
 
 class ArrayStore:
-    """Samples in memory: arrays that are read-only from here on."""
+    """Samples in memory: arrays that are read-only from here on.
 
-    def __init__(self, channels: Sequence[Channel], arrays: Block, metadata: dict[str, Any]):
+    ``metadata`` is called when it is first asked for.
+    """
+
+    def __init__(
+        self, channels: Sequence[Channel], arrays: Block, metadata: Callable[[], dict[str, Any]]
+    ):
         self.channels = {channel.name: channel for channel in channels}
         self.samples = len(arrays["time"])
-        self.metadata = metadata
+        self._metadata = metadata
         self._arrays = arrays
         for values in arrays.values():
             values.flags.writeable = False
 
+    @cached_property
+    def metadata(self) -> dict[str, Any]:
+        """Where the samples come from, and the scene's text under `scene`."""
+        return self._metadata()
+
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel."""
         return self._arrays[name][start:stop]
+
+    def close(self) -> None:
+        """Let go of the arrays; nothing more can be read."""
+        self._arrays = {}
 
 
 def arm_names(store: Store) -> tuple[str, ...]:

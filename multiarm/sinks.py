@@ -9,9 +9,10 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import platform
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
+from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -60,7 +61,7 @@ class MemorySink:
 
     def open(self, channels: Sequence[Channel], metadata: dict[str, Any]) -> None:
         """Get ready for blocks of these channels."""
-        self._channels, self._metadata = tuple(channels), plain(metadata)
+        self._channels, self._metadata = tuple(channels), metadata
         self._blocks: list[Block] = []
 
     def append(self, block: Block) -> None:
@@ -83,13 +84,13 @@ class MemorySink:
     ) -> Trajectory:
         """Join the blocks to a trajectory."""
         outcome = _outcome(status, message, statistics, events, certificate)
-        arrays = {}
+        arrays, metadata = {}, self._metadata
         for channel in self._channels:
             nothing = np.empty((0, *channel.shape))
             arrays[channel.name] = np.concatenate(
                 [nothing, *(block.pop(channel.name) for block in self._blocks)]
             )
-        return Trajectory(ArrayStore(self._channels, arrays, self._metadata), outcome)
+        return Trajectory(ArrayStore(self._channels, arrays, lambda: _told(metadata)), outcome)
 
 
 class Hdf5Sink:
@@ -116,7 +117,7 @@ class Hdf5Sink:
         from multiarm.storage import Hdf5Writer
 
         self._channels = tuple(channels)
-        self._writer = Hdf5Writer(self.path, self._channels, plain(metadata))
+        self._writer = Hdf5Writer(self.path, self._channels, _told(metadata))
 
     def append(self, block: Block) -> None:
         """Write the samples before the first number that is not finite."""
@@ -155,13 +156,14 @@ class Hdf5Sink:
         return Trajectory(Hdf5Store(self._writer.path), outcome)
 
 
-def provenance(scene_text: str) -> dict[str, Any]:
+def provenance(scene_text: str | Callable[[], str]) -> dict[str, Any]:
     """Where a result comes from: the scene's text, versions, platform and the time now.
 
     Parameters
     ----------
-    scene_text : str
-        YAML that `multiarm.scene.parse_scene` reads back, with absolute paths.
+    scene_text : str, or callable that returns it
+        YAML that `multiarm.scene.parse_scene` reads back, with absolute paths. A callable is asked
+        when somebody wants to know: writing a scene takes longer than many a run.
     """
     return {
         "program": "multiarm",
@@ -172,6 +174,11 @@ def provenance(scene_text: str) -> dict[str, Any]:
         "created_utc": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "scene": scene_text,
     }
+
+
+def _told(metadata: dict[str, Any]) -> dict[str, Any]:
+    """Metadata in what JSON knows, the scene written out."""
+    return plain({key: value() if callable(value) else value for key, value in metadata.items()})
 
 
 def _outcome(
@@ -185,6 +192,7 @@ def _outcome(
     return Outcome(status, message, *parts)
 
 
+@cache
 def _version(distribution: str) -> str:
     try:
         return importlib.metadata.version(distribution)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -87,6 +88,10 @@ class System:
 
     def book(self) -> np.ndarray:
         """Address book of this system for the time loop; valid while the system lives."""
+        return self._book
+
+    @cached_property
+    def _book(self) -> np.ndarray:
         return system_book(self.plant, self.buffers, self.work, self.coupled)
 
     @property
@@ -158,12 +163,37 @@ class System:
         """The same system solved by ``"node"`` or by the dense reference ``"dense"``."""
         if solver not in ("node", "dense"):
             raise ModelError(f"unknown solver {solver!r}; solvers are 'node', 'dense'")
+        if solver == self.scene.run.solver and self.plant.dense[0] == (solver == "dense"):
+            return self
         run = self.scene.run.model_copy(update={"solver": solver})
         return replace(
             self,
             scene=self.scene.model_copy(update={"run": run}),
             plant=self.plant._replace(dense=np.array([solver == "dense"], dtype=np.int64)),
         )
+
+    def coriolis(self) -> tuple[CallBack, np.ndarray]:
+        """Callback that updates the arms' matrices of Coriolis forces, and where they are.
+
+        Addresses and strides, int64 (arms, 2), see :meth:`multiarm.arm.ArmGroup.bind_coriolis`.
+        The callback and these numbers are valid while the system lives.
+        """
+        updates, places = [], []
+        q = v = 0
+        for group in self._groups:
+            nq, nv = group.model.nq, group.model.nv
+            update, at = group.bind_coriolis(self.buffers.q[q : q + nq], self.buffers.v[v : v + nv])
+            updates.append(update)
+            places.append(at)
+            q, v = q + nq, v + nv
+
+        def update_all() -> None:
+            for update in updates:
+                update()
+
+        call = CallBack(update_all, self.buffers.flag)
+        self.calls["coriolis"] = call  # kept, and asked what it ran into, like the others
+        return call, np.vstack(places)
 
     def potential_energy(self) -> float:
         """Potential energy of arms and object [J] at the state in the buffers, origin = zero."""

@@ -24,17 +24,18 @@ from multiarm.equations import (
     finite,
     largest,
 )
+from multiarm.integrators.dense_output import interpolate, prepare_dense
 from multiarm.integrators.stepper import (
+    OWN_EVALUATIONS,
     error_estimate,
     evaluate_slope,
-    interpolate,
     load,
     open_step,
-    prepare_dense,
     run_stages,
     store,
     write_slope,
 )
+from multiarm.integrators.tableaus import EXPLICIT, SEMI_IMPLICIT, VARIATIONAL
 from multiarm.lowlevel import copy, inner, kernel
 from multiarm.plant import (
     COUPLED_ARMS,
@@ -52,16 +53,17 @@ from multiarm.watching import watch_step
 
 # Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
 FINISHED, BLOCK_FULL, BUDGET_USED = -10, -11, -12
-STEP_TOO_SMALL, DIVERGED, SOLVER_CHANGED, LARGE_CORRECTION = -13, -14, -15, -16
+STEP_TOO_SMALL, DIVERGED, SOLVER_CHANGED, LARGE_CORRECTION, STIFF = -13, -14, -15, -16, -17
 
 # Step size control (Hairer, Norsett, Wanner, II.4 and IV.2).
 SAFETY, SHRINK, GROW = 0.9, 0.2, 6.0
 
 # Entries of Clock.real and Clock.counts.
 T, H, T_OLD, H_OLD, ERROR_OLD, ERROR_SUM, SMALLEST, LARGEST = range(8)
-CORRECTION, WORST_RESIDUAL, WORST_CORRECTION, REAL_WIDTH = range(8, 12)
+CORRECTION, WORST_RESIDUAL, WORST_CORRECTION, STIFF_SINCE, REAL_WIDTH = range(8, 13)
 STEPS, REJECTED, EVALUATIONS, PROJECTIONS, SAMPLE, BLOCK_FIRST, BREAK, CAUSE = range(8)
-COUPLED_STEPS, LOWEST_RANK, HIGHEST_RANK, CHANGES, CAREFUL, COUNT_WIDTH = range(8, 14)
+COUPLED_STEPS, LOWEST_RANK, HIGHEST_RANK, CHANGES, CAREFUL = range(8, 13)
+STIFF_STEPS, SMOOTH_STEPS, COUNT_WIDTH = range(13, 16)
 
 NONE, FEEDBACK, PROJECTION = 0, 1, 2
 
@@ -73,12 +75,18 @@ MOST_CORRECTED, LESSENED, HOPELESS = 30.0, 0.5, 1e4
 # What roundings of gaps alone change: so much over the distance from a loss of rank in positions,
 # over its square in velocities, and at most.
 ROUNDED_GAP, MOST_ROUNDED_GAP = 1e-14, 1e-5
+# Changes of positions and of velocities that are roundings, as multiples of the gap that counts as
+# closed.
+ROUNDED_SHIFT, ROUNDED_KICK = 10.0, 1e3
 # Where constraints are near a loss of rank, steps fail that are not short; so many steps are then
 # taken with projected stages, which may be long.
 CAREFUL_STEPS = 3
 # The errors of such steps are not judged by less than what roundings make of a motion that crosses
 # another one [m, rad; m/s, rad/s]: so much over the cube of the distance from the loss, at most so.
 ROUNDED, MOST_ROUNDED = 2e-15, 1e-9
+# A scene counts as stiff when so many steps were as long as stability allows, with fewer than so
+# many in a row that were not in between (Hairer and Wanner, IV.2).
+STIFF_AFTER, SMOOTH_AFTER = 15, 6
 # Times closer than this, relative to the run, are one.
 CLOSE_IN_TIME = 1e-12
 
@@ -95,8 +103,8 @@ class Settings(NamedTuple):
         The fixed step, or the first one of an adaptive method [s].
     longest_step : float
         Of an adaptive method [s].
-    position_tolerance, velocity_tolerance : float
-        Largest accepted error estimate of one step [m, rad] and [m/s, rad/s].
+    tolerance : float
+        The smallest of ``Step.tolerance``.
     stabilization : int
     alpha, beta : float
         Gains of the feedback [1/s]; negative: ``FEEDBACK_RATIO / step``.
@@ -106,6 +114,8 @@ class Settings(NamedTuple):
         Gap at which the run is given up as diverged [m].
     breakpoints : ndarray
         Increasing times at which an adaptive method ends a step.
+    switch : bool
+        Return when an explicit method turns out to be held up by stiffness.
     """
 
     begin: float
@@ -115,29 +125,29 @@ class Settings(NamedTuple):
     adaptive: bool
     step: float
     longest_step: float
-    position_tolerance: float
-    velocity_tolerance: float
+    tolerance: float
     stabilization: int
     alpha: float
     beta: float
     closed: float
     apart: float
     breakpoints: np.ndarray
+    switch: bool
 
 
 class Clock(NamedTuple):
     """What the loop remembers between calls.
 
-    real : (11,)
+    real : (13,)
         Time, next step, beginning and length of the step before, its error, the sum of the accepted
         steps' error estimates [m, rad], smallest and largest step, correction for which the step
         was rejected last (in tolerances), largest relative residual, largest correction of an
-        accepted step [m, rad; m/s, rad/s].
-    counts : int64 (13,)
+        accepted step [m, rad; m/s, rad/s], time at which the scene turned out to be stiff.
+    counts : int64 (16,)
         Steps, rejected steps, evaluations, projections, next sample, the block's first sample, next
         breakpoint, cause of the last rejection; steps that ended with deficient arms, lowest and
         highest rank, changes of the solver that nobody has looked at, steps to go with projected
-        stages.
+        stages; steps held up by stiffness, and steps since that were not.
     """
 
     real: np.ndarray
@@ -148,7 +158,7 @@ def make_clock(settings: Settings) -> Clock:
     """A clock at the beginning of a run."""
     real, count = np.zeros(REAL_WIDTH), np.zeros(COUNT_WIDTH, dtype=np.int64)
     real[T], real[H], real[ERROR_OLD] = settings.begin, settings.step, 1.0
-    real[SMALLEST] = math.inf
+    real[SMALLEST], real[STIFF_SINCE] = math.inf, math.nan
     count[CAUSE] = STEP_TOO_SMALL
     count[LOWEST_RANK] = np.iinfo(np.int64).max
     return Clock(real, count)
@@ -275,8 +285,11 @@ def try_step(book, joints, method, step, clock, settings, h):
             return status, 0.0
     status = run_stages(book, joints, method, step, t, h, alpha, beta)
     _, buffers, _ = open_book(book)
+    own = method.kind != EXPLICIT and method.kind != SEMI_IMPLICIT
+    stages = step.own[OWN_EVALUATIONS] if own else method.stages - 1
     # a projection is counted as two evaluations
-    count[EVALUATIONS] += (method.stages - 1) * (3 if buffers.stage_gap[0] >= 0.0 else 1)
+    projected = buffers.stage_gap[0] >= 0.0 and method.kind != VARIATIONAL
+    count[EVALUATIONS] += 3 * stages if projected else stages
     if status != OK:
         return status, 0.0
     if not finite(step.z_new):
@@ -290,11 +303,7 @@ def try_step(book, joints, method, step, clock, settings, h):
         count[EVALUATIONS] += 1
         if status != OK:
             return status, 0.0
-    floor = rounding_floor(book, clock)
-    error = error_estimate(
-        method, step, h, max(settings.position_tolerance, floor),
-        max(settings.velocity_tolerance, floor), joints,
-    )  # fmt: skip
+    error = error_estimate(method, step, h, rounding_floor(book, clock))
     return (OK, error) if math.isfinite(error) else (NOT_FINITE, 0.0)
 
 
@@ -302,23 +311,27 @@ def try_step(book, joints, method, step, clock, settings, h):
 def judge_solution(book, buffers, clock, settings):
     """Whether the end of a step can be believed: ``CONTRADICTION``, ``LARGE_CORRECTION`` or ``OK``.
 
-    Near a bifurcation a step may end between two branches, and the projection then takes the state
-    far: a shorter step ends nearer to the branch that the motion is on.
+    What the projection changes is the part of a step's error that led off the joints, and must be
+    within the tolerance as the estimate is.  Near a bifurcation a step may end between two
+    branches, and the projection then takes the state far: a shorter step ends nearer to the branch
+    that the motion is on.  There the change has other causes too, and may be larger.
     """
     if not believable(book, buffers.solved[RESIDUAL]):
         return CONTRADICTION
     if settings.adaptive and settings.closed >= 0.0:
-        floor = rounding_floor(book, clock)
-        margin = open_coupled(book).margin[1]
-        moved = min(MOST_ROUNDED_GAP, ROUNDED_GAP / margin)
-        kicked = min(MOST_ROUNDED_GAP, ROUNDED_GAP / (margin * margin))
+        floor = max(settings.tolerance, rounding_floor(book, clock))
+        margin, most = open_coupled(book).margin[1], 1.0
+        moved, kicked = ROUNDED_SHIFT * settings.closed, ROUNDED_KICK * settings.closed
+        if not math.isinf(margin):
+            most = MOST_CORRECTED
+            moved = min(MOST_ROUNDED_GAP, ROUNDED_GAP / margin) / most
+            kicked = min(MOST_ROUNDED_GAP, ROUNDED_GAP / (margin * margin)) / most
         correction = max(
-            buffers.solved[SHIFT] / max(settings.position_tolerance, floor, moved / MOST_CORRECTED),
-            buffers.solved[KICK] / max(settings.velocity_tolerance, floor, kicked / MOST_CORRECTED),
+            buffers.solved[SHIFT] / max(floor, moved), buffers.solved[KICK] / max(floor, kicked)
         )
         before = clock.real[CORRECTION]
         lessened = before == 0.0 or correction < LESSENED * before or correction > HOPELESS
-        if correction > MOST_CORRECTED and lessened:
+        if correction > most and lessened:
             clock.real[CORRECTION] = correction
             return LARGE_CORRECTION
     return OK
@@ -346,7 +359,8 @@ def complete_step(book, method, step, clock, settings, h, end):
     t = clock.real[T]
     alpha, beta = gains(settings, h)
     load(step.z_new, step.base, buffers)
-    status = settle(book, clock, settings, False, end, alpha, beta)
+    # the variational method keeps the joints closed itself
+    status = settle(book, clock, settings, method.kind == VARIATIONAL, end, alpha, beta)
     if status != OK:
         return status
     note_solution(book)
@@ -364,6 +378,8 @@ def complete_step(book, method, step, clock, settings, h, end):
     count_solution(book, buffers, clock)
     # the slope of the next step, in this chart for the dense output and in the next one for it
     write_slope(step.z_new, buffers, step.k[method.stages])
+    if settings.adaptive and method.kind == EXPLICIT:
+        note_stiffness(method, step, clock, h, end)
     step.z_stage[:] = 0.0
     write_slope(step.z_stage, buffers, step.slope_next)
     due = sample_time(settings, count[SAMPLE]) if count[SAMPLE] < settings.samples else math.inf
@@ -378,6 +394,29 @@ def complete_step(book, method, step, clock, settings, h, end):
     copy(step.base_next, step.base)
     copy(step.slope_next, step.slope)
     return OK
+
+
+@inner
+def note_stiffness(method, step, clock, h, end):
+    r"""Count steps that are as long as stability allows.
+
+    The last stage and the end of the step belong to one time; what separates them shows the largest
+    eigenvalue, :math:`|\lambda| \approx \|f(z_1) - f(z_2)\| / \|z_1 - z_2\|`.
+    """
+    count, last, end_of = clock.counts, method.stages - 1, method.stages
+    rates = states = 0.0
+    for i in range(step.tolerance.size):
+        rates += (step.k[end_of, i] - step.k[last, i]) ** 2
+        states += (step.z_new[i] - step.z_stage[i]) ** 2
+    if states > 0.0 and h * h * rates > method.stability**2 * states:
+        count[STIFF_STEPS] += 1
+        count[SMOOTH_STEPS] = 0
+        if count[STIFF_STEPS] == STIFF_AFTER:
+            clock.real[STIFF_SINCE] = end
+    elif count[STIFF_STEPS] < STIFF_AFTER:
+        count[SMOOTH_STEPS] += 1
+        if count[SMOOTH_STEPS] == SMOOTH_AFTER:
+            count[STIFF_STEPS] = 0
 
 
 @inner
@@ -427,6 +466,8 @@ def advance(book, joints, arrays, method, clock, settings, block, budget):
             return status
         if real[T] >= settings.end:
             return FINISHED
+        if settings.switch and count[STIFF_STEPS] >= STIFF_AFTER:
+            return STIFF
         if count[EVALUATIONS] >= limit:
             return BUDGET_USED
         h, end = planned_step(method, clock, settings)
@@ -467,7 +508,7 @@ def accept(book, method, clock, settings, h, end, error):
         # a step cut short by a breakpoint or the end says little about the one planned
         real[H] = max(proposal, real[H]) if h < real[H] else proposal
         real[ERROR_OLD] = max(error, 1e-4)
-        real[ERROR_SUM] += error * max(settings.position_tolerance, rounding_floor(book, clock))
+        real[ERROR_SUM] += error * max(settings.tolerance, rounding_floor(book, clock))
     real[T_OLD], real[H_OLD], real[T] = real[T], h, end
     real[CORRECTION] = 0.0
     count[CAREFUL] = max(count[CAREFUL] - 1, 0)

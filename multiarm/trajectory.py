@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -220,7 +220,15 @@ class Trajectory:
 
     @property
     def certificate(self) -> dict[str, Any] | None:
-        """The evidence that the asked accuracy was reached, if there is any."""
+        """Whether the accuracy asked was reached, and the evidence; None where nothing was checked.
+
+        ``met``, ``text`` (one sentence), ``reason``; ``asked`` and ``estimated_error`` by
+        ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name -> error, unit, time);
+        ``over_time`` (time and the three errors); ``checks`` (energy, residual, drift: value,
+        bound, unit, passed); ``growth_rate_per_s``; ``attempts`` (each run: tolerance, integrator,
+        evaluations, wall_time_s, errors, returned). The errors are estimates, from a rerun with
+        smaller tolerances.
+        """
         return self._outcome.certificate
 
     @property
@@ -252,8 +260,8 @@ class Trajectory:
             wall_time_s, realtime_factor, error_estimate as far as the run counted them;
             position_drift_max_m, velocity_drift_max_m_per_s, energy_balance_max_J (largest
             magnitudes); final_object_position [m] and final_object_quaternion_xyzw (lists);
-            contact_force_max_N, the largest magnitude per arm. Numbers are finite; what is
-            not known is None.
+            contact_force_max_N, the largest magnitude per arm; rank_lowest, rank_highest and
+            coupled_steps. Numbers are finite; what is not known is None.
         """
         counted = (
             "steps", "rejected_steps", "evaluations", "wall_time_s", "realtime_factor",
@@ -272,6 +280,9 @@ class Trajectory:
             "final_object_position": self._last("object/position"),
             "final_object_quaternion_xyzw": self._last("object/quaternion_xyzw"),
             "contact_force_max_N": {arm: self._largest(name) for arm, name in forces.items()},
+            "rank_lowest": plain(self._outcome.statistics.get("lowest_rank")),
+            "rank_highest": plain(self._outcome.statistics.get("highest_rank")),
+            "coupled_steps": plain(self._outcome.statistics.get("coupled_steps")),
         }
 
     def save(self, path: str | os.PathLike) -> Path:
@@ -299,6 +310,14 @@ class Trajectory:
         finally:
             partial.unlink(missing_ok=True)
         return Path(path)
+
+    def with_outcome(self, **changes: Any) -> Trajectory:
+        """The same samples with other words about how the run ended: entries of `Outcome`."""
+        return Trajectory(self._store, replace(self._outcome, **plain(changes)))
+
+    def close(self) -> None:
+        """Let go of the file or the arrays of samples; channels that were asked for before stay."""
+        self._store.close()
 
     def _duration(self) -> float | None:
         if not len(self):
@@ -345,3 +364,18 @@ def load_trajectory(path: str | os.PathLike) -> Trajectory:
     return Trajectory(
         store, Outcome("interrupted", f"the run was cut {where}: it was killed or is still running")
     )
+
+
+def amend_file(path: str | os.PathLike, changes: dict[str, Any]) -> None:
+    """Change what a stored run says of itself: entries of `Outcome`. Its samples stay.
+
+    A kill at any moment leaves the file as it was or as it shall be.
+
+    Raises
+    ------
+    TrajectoryError
+        The file is none of a complete run, or the disk takes no more.
+    """
+    from multiarm.storage import amend
+
+    amend(Path(path), plain(changes))

@@ -177,7 +177,7 @@ def test_a_controller_that_fails_after_the_start_makes_a_failed_run(free_block_s
 
 
 def test_an_exception_from_outside_leaves_a_finished_file(free_block_system, tmp_path, monkeypatch):
-    monkeypatch.setattr("multiarm.simulation.BUDGET", 50)
+    monkeypatch.setattr("multiarm.driving.BUDGET", 50)
 
     def progress(t):
         if t > 0.02:

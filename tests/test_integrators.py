@@ -11,9 +11,9 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.integrators.tableaus import HERMITE, METHODS, NESTED, POLYNOMIAL
+from multiarm.integrators.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL
 
-RUNGE_KUTTA = [m for m in METHODS.values() if m.name != "semi_implicit_euler"]
+RUNGE_KUTTA = [m for m in METHODS.values() if m.kind == EXPLICIT]
 
 
 # --- coefficients --------------------------------------------------------------------------------
@@ -88,9 +88,14 @@ STEPS = {
     "rk4": (4, [20, 40, 80, 160]),
     "dopri5": (5, [32, 48, 64, 80]),
     "dop853": (8, [7, 8, 9, 10, 12]),
+    "rodas5p": (5, [16, 24, 32, 48]),
+    "variational": (2, [20, 40, 80, 160]),
 }
 CASES = [
-    (name, stabilization) for name in STEPS for stabilization in ("none", "projection", "feedback")
+    (name, stabilization)
+    for name in STEPS
+    for stabilization in ("none", "projection", "feedback")
+    if (name, stabilization) != ("variational", "feedback")
 ]
 
 
@@ -98,7 +103,7 @@ def fixed_step(monkeypatch, name):
     """Let ``integrator='rk4'`` run another method's stages with the given step."""
     if METHODS[name].error_order > 0:
         monkeypatch.setitem(METHODS, "rk4", METHODS[name]._replace(error_order=0))
-    return name if name == "semi_implicit_euler" else "rk4"
+    return name if name in ("semi_implicit_euler", "variational") else "rk4"
 
 
 @pytest.mark.parametrize(("name", "stabilization"), CASES)
@@ -120,14 +125,17 @@ def test_error_falls_with_the_order_of_the_method(
     assert slope == pytest.approx(order, abs=0.2), errors
 
 
-@pytest.mark.parametrize(("name", "order"), [("rk4", 4), ("dopri5", 5), ("dop853", 8)])
+@pytest.mark.parametrize(
+    ("name", "order"), [("rk4", 4), ("dopri5", 5), ("dop853", 8), ("rodas5p", 5)]
+)
 def test_samples_between_steps_keep_the_order_of_the_dense_output(
     name, order, free_block_system, monkeypatch
 ):
     """One step, sampled in its middle: local error h^(q+1) with q = 3, 4, 7."""
     integrator = fixed_step(monkeypatch, name)
     errors, steps = [], {"rk4": [8e-3, 4e-3, 2e-3], "dopri5": [1e-2, 7e-3, 5e-3],
-                         "dop853": [3e-2, 2.4e-2, 1.9e-2]}[name]  # fmt: skip
+                         "dop853": [3e-2, 2.4e-2, 1.9e-2],
+                         "rodas5p": [1e-2, 7e-3, 5e-3]}[name]  # fmt: skip
     for h in steps:
         run = {"stabilization": "none", "output_step": 0.37 * h}
         found = ma.simulate(free_block_system, duration=h, integrator=integrator, step=h, **run)

@@ -10,7 +10,15 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
-from multiarm.cli.terminal import columns, facts, number, output, print_warnings, vector
+from multiarm.cli.terminal import (
+    accuracy,
+    columns,
+    facts,
+    number,
+    output,
+    print_warnings,
+    vector,
+)
 
 if TYPE_CHECKING:
     from multiarm.inspection import ArmFacts, Carrying, Freedom, Inspection, JointFacts, RunFacts
@@ -176,7 +184,7 @@ def _run(run: RunFacts) -> dict[str, RenderableType]:
     if run.step is not None:
         steps = f"fixed step {number(run.step, 's')}"
     else:
-        aim = "" if run.accuracy is None else f"accuracy {number(run.accuracy)} m or rad, "
+        aim = "" if run.accuracy is None else f"accuracy {accuracy(run.accuracy)}, "
         steps = f"{aim}tolerance of a step {number(run.tolerance)}"
     return {
         "duration": f"{run.duration:g} s, a sample every {run.output_step:g} s",

@@ -1,4 +1,4 @@
-"""A run as it is watched: a bar in simulated time."""
+"""A run as it is watched: a bar in simulated time, which starts anew for every rerun."""
 
 from __future__ import annotations
 
@@ -71,6 +71,10 @@ class RunProgress:
     ) -> None:
         self._bar.stop()
 
+    def __call__(self, t: float) -> None:
+        """Show that the run has come to time ``t`` [s]; what ``simulate`` calls."""
+        self.advance(t)
+
     def advance(self, t: float) -> None:
         """Show that the run has come to time ``t`` [s]."""
         now = time.perf_counter()
@@ -79,6 +83,13 @@ class RunProgress:
             self._bar.update(self._task, description="simulating", total=self._duration)
         rate = t / (now - self._began) if now > self._began else None
         self._bar.update(self._task, completed=t, rate=rate)
+
+    def checking(self, t: float, number: int) -> None:
+        """Show that a rerun has come to time ``t`` [s]: the second, third, ... run."""
+        repeated = "" if number < 2 else f" (run {number + 1})"
+        self._bar.update(
+            self._task, description=f"checking the accuracy{repeated}", completed=t, rate=None
+        )
 
 
 class _SimulatedTime(ProgressColumn):

@@ -39,9 +39,11 @@ class Integrator(str, Enum):
     """Methods with a fixed step, then those that choose their steps."""
 
     semi_implicit_euler = "semi_implicit_euler"
+    variational = "variational"
     rk4 = "rk4"
     dopri5 = "dopri5"
     dop853 = "dop853"
+    rodas5p = "rodas5p"
 
 
 class Stabilization(str, Enum):
@@ -70,7 +72,8 @@ def run(
     accuracy: Annotated[
         float | None,
         typer.Option(
-            help="Error of the whole run to aim at, in m and rad: chooses method and steps. "
+            help="Largest error of the whole run, in m and rad: chooses method and steps; the "
+            "run is checked by a rerun with smaller tolerances, and repeated if need be. "
             "This and the next three options replace the scene's choice of all four.",
             show_default=OF_SCENE,
             metavar="A",
@@ -80,7 +83,7 @@ def run(
     integrator: Annotated[
         Integrator | None,
         typer.Option(
-            help="The first two have a fixed --step, the others choose their steps by "
+            help="The first three have a fixed --step, the others choose their steps by "
             "--accuracy or --tolerance.",
             show_default=OF_SCENE,
             rich_help_panel=METHOD,
@@ -95,7 +98,7 @@ def run(
     tolerance: Annotated[
         float | None,
         typer.Option(
-            help="Error of one step of dopri5 or dop853, in m, rad, m/s and rad/s.",
+            help="Error of one step of dopri5, dop853 or rodas5p, in m, rad, m/s and rad/s.",
             show_default=OF_SCENE,
             metavar="T",
             rich_help_panel=METHOD,
@@ -119,12 +122,21 @@ def run(
     solver: Annotated[
         Solver | None,
         typer.Option(
-            help="The node algorithm, or the whole linear system at once, for comparison and for "
-            "arms with too few joints.",
+            help="The node algorithm, or the whole linear system at once, an independent "
+            "reference to compare with.",
             show_default=OF_SCENE,
             rich_help_panel=METHOD,
         ),
     ] = None,
+    certificate: Annotated[
+        bool,
+        typer.Option(
+            "--certificate/--no-certificate",
+            help="Check whether the accuracy is met, which costs a little more than the run "
+            "itself; or make one run and leave it at that.",
+            rich_help_panel=METHOD,
+        ),
+    ] = True,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -174,15 +186,20 @@ def run(
 ) -> None:
     """Simulate a scene and keep the result.
 
-    Ctrl-C ends the run in good order: what was simulated is kept. The exit code is 0 when the run
-    is completed, 1 when it failed or was interrupted, 2 when something given is wrong.
+    Ctrl-C ends the run in good order: what was simulated is kept; while the accuracy is checked,
+    it ends the check. The exit code is 0 when the run is completed, 1 when it failed or was
+    interrupted, 2 when something given is wrong. A completed run whose accuracy is not met is told
+    by a warning.
 
     The JSON has the keys scene, status, message, samples, duration_s, steps, rejected_steps,
     evaluations, wall_time_s, realtime_factor, error_estimate, position_drift_max_m,
     velocity_drift_max_m_per_s, energy_balance_max_J, final_object_position,
-    final_object_quaternion_xyzw, contact_force_max_N (by arm), integrator, stabilization, solver,
-    accuracy, tolerance, compiled_kernels, and files (result, replay, report). Numbers are finite,
-    or null where there is none.
+    final_object_quaternion_xyzw, contact_force_max_N (by arm), rank_lowest, rank_highest
+    (independent constraints), coupled_steps (steps in which some arm could not be eliminated),
+    integrator, stabilization, solver, accuracy, tolerance, certificate (null where nothing was
+    checked; else met, text, reason, asked, estimated_error, by_output, over_time, checks,
+    growth_rate_per_s, safety, attempts), events (time, kind, arm, text), compiled_kernels, and
+    files (result, replay, report). Numbers are finite, or null where there is none.
     """
     from multiarm.scene import load_scene
     from multiarm.storage import writable_target
@@ -210,6 +227,7 @@ def run(
         "stabilization": stabilization,
         "output_step": output_step,
         "solver": solver,
+        "certificate": certificate,
     }
     options = {k: v.value if isinstance(v, Enum) else v for k, v in options.items()}
     trajectory, start, compiled = _simulate(loaded, options, target, quiet)
@@ -241,6 +259,8 @@ def _remarks(trajectory: Trajectory, start: StartReport) -> list[str]:
         )
     if trajectory.status == "completed":
         remarks += trajectory.message.split("; ")[1:]
+    if trajectory.certificate is not None and not trajectory.certificate["met"]:
+        remarks.append(f"the accuracy is {trajectory.certificate['text']}")
     return remarks
 
 
@@ -261,7 +281,7 @@ def _simulate(
             scene = scene.replace(run=changed)
         system = compile_system(scene)
         try:
-            trajectory = simulate(system, **options, out=target, progress=progress.advance)
+            trajectory = simulate(system, **options, out=target, progress=progress)
         except SceneError as error:
             raise SceneError([_about_options(fault) for fault in error.faults]) from None
         return trajectory, system.start_report, progress.compiling

@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.terminal import STATUS_STYLES, facts, number, vector
+from multiarm.cli.terminal import STATUS_STYLES, accuracy, facts, number, vector
 
 if TYPE_CHECKING:
     from multiarm.trajectory import Trajectory
@@ -37,6 +37,8 @@ def run_figures(
         "scene": name,
         **trajectory.summary(),
         **{key: counted.get(key) for key in keys},
+        "certificate": trajectory.certificate,
+        "events": trajectory.events,
         "compiled_kernels": compiled_kernels,
         "files": files,
     }
@@ -55,7 +57,7 @@ def summary_table(figures: dict[str, Any]) -> Table:
         "largest gap (position drift)": number(figures["position_drift_max_m"], "m"),
         "largest gap rate (velocity drift)": number(figures["velocity_drift_max_m_per_s"], "m/s"),
         "largest energy balance error": number(figures["energy_balance_max_J"], "J"),
-        "error": _error(figures),
+        **_exactness(figures),
     }
     if figures["final_object_position"] is not None:
         rows["object at the end"] = vector(figures["final_object_position"], "m")
@@ -73,9 +75,24 @@ def _method(figures: dict[str, Any]) -> str:
     )
 
 
+def _exactness(figures: dict[str, Any]) -> dict[str, RenderableType]:
+    """The certificate where there is one, else what the steps say of themselves."""
+    certificate = figures["certificate"]
+    if certificate is None:
+        return {"error": _error(figures)}
+    style = "bold green" if certificate["met"] else "bold yellow"
+    verdict, _, rest = certificate["text"].partition(":")
+    rows: dict[str, RenderableType] = {"accuracy": Text.assemble((verdict, style), f":{rest}")}
+    checked = [row["wall_time_s"] or 0.0 for row in certificate["attempts"] if not row["returned"]]
+    if checked:
+        runs = f"{len(checked)} more run{'s' if len(checked) > 1 else ''}"
+        rows["checked by"] = f"{runs} with other tolerances, {number(sum(checked), 's')}"
+    return rows
+
+
 def _error(figures: dict[str, Any]) -> str:
-    estimate, accuracy = figures["error_estimate"], figures["accuracy"]
-    asked = "" if accuracy is None else f"; asked accuracy {number(accuracy)}"
+    estimate, asked_for = figures["error_estimate"], figures["accuracy"]
+    asked = "" if asked_for is None else f"; asked accuracy {accuracy(asked_for)}, not checked"
     if estimate is None:
         return f"not estimated: the step is fixed{asked}"
     return f"about {number(estimate)} m or rad{asked} (an estimate: the steps' errors, summed)"

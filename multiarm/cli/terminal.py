@@ -15,6 +15,7 @@ from rich.text import Text
 
 __all__ = [
     "STATUS_STYLES",
+    "accuracy",
     "columns",
     "facts",
     "messages",
@@ -64,6 +65,14 @@ def number(value: float | None, unit: str = "") -> str:
         return "-"
     text = f"{value:,}" if isinstance(value, int) else f"{value:.3g}"
     return f"{text} {unit}".rstrip()
+
+
+def accuracy(asked: float | dict[str, float]) -> str:
+    """``1e-06 m or rad``, or the named parts of what was asked: ``position 1e-06 m, ...``."""
+    if not isinstance(asked, dict):
+        return f"{number(asked)} m or rad"
+    units = {"position": "m", "rotation": "rad", "force": "N"}
+    return ", ".join(f"{name} {number(value, units[name])}" for name, value in asked.items())
 
 
 def vector(values: Sequence[float], unit: str = "", digits: int = 4) -> str:

@@ -1,4 +1,4 @@
-r"""One step of any explicit method, in a chart of the configuration manifold.
+r"""One step of any method, in a chart of the configuration manifold.
 
 Within a step the object's orientation is :math:`R = \exp(\theta) R_0` with ``R_0`` that at the
 beginning of the step, so that the state is a plain vector
@@ -11,6 +11,10 @@ goes into the full quaternion and the next chart begins at :math:`\theta = 0`.
 
 The last entry is the work of control and effects: a quadrature carried along for the energy
 balance, not part of the error norm.
+
+Explicit methods are carried out here.  Other methods are entries of their own, compiled when they
+are first used (:mod:`multiarm.integrators.rosenbrock`, :mod:`multiarm.integrators.variational`);
+``Step.own`` says where.
 """
 
 from __future__ import annotations
@@ -22,15 +26,18 @@ import numpy as np
 
 from multiarm.crossing import evaluate_on_branch
 from multiarm.equations import NOT_FINITE, OK, finite
-from multiarm.integrators.tableaus import HERMITE, POLYNOMIAL, Tableau
+from multiarm.integrators.tableaus import EXPLICIT, SEMI_IMPLICIT, Tableau
 from multiarm.lowlevel import (
     address_book,
+    book_at,
+    call_entry,
     copy,
     floats1,
     floats2,
     inlined,
     inner,
     inner_inlined,
+    ints1,
     kernel,
 )
 from multiarm.plant import open_book
@@ -40,6 +47,9 @@ from multiarm.stabilization import project
 # Rows that dense output needs at the most (DOP853: 7 coefficients).
 _DENSE_ROWS = 7
 
+# Entries of Step.own.
+OWN_STEP, OWN_BOOK, OWN_SIZE, OWN_EVALUATIONS = range(4)
+
 
 class Method(NamedTuple):
     """A tableau as the kernels see it; see :class:`multiarm.integrators.tableaus.Tableau`."""
@@ -47,13 +57,14 @@ class Method(NamedTuple):
     order: int
     error_order: int
     stages: int
-    semi_implicit: bool
+    kind: int
+    stability: float
+    dense_kind: int
     A: np.ndarray
     b: np.ndarray
     c: np.ndarray
     error: np.ndarray
     dense: np.ndarray
-    dense_kind: int
 
 
 class Step(NamedTuple):
@@ -71,6 +82,13 @@ class Step(NamedTuple):
         Slope at the beginning of this step and of the next one, each in its own chart.
     dense : (7, D), z_old : (D,)
         Dense output of the step before.
+    tolerance : (D - 1,)
+        Largest accepted error estimate of one step, of every entry but the work.
+    gains : (2,)
+        Feedback gains of the step at hand [1/s].
+    own : int64 (4,)
+        Of a method that is not explicit: its entry, address and size of its address book, and the
+        evaluations that its last step took.  All 0 for explicit ones.
     """
 
     z: np.ndarray
@@ -85,6 +103,9 @@ class Step(NamedTuple):
     slope_next: np.ndarray
     dense: np.ndarray
     z_old: np.ndarray
+    tolerance: np.ndarray
+    gains: np.ndarray
+    own: np.ndarray
 
 
 def make_method(tableau: Tableau) -> Method:
@@ -93,13 +114,14 @@ def make_method(tableau: Tableau) -> Method:
         order=tableau.order,
         error_order=tableau.error_order,
         stages=tableau.b.size,
-        semi_implicit=tableau.name == "semi_implicit_euler",
+        kind=tableau.kind,
+        stability=float(tableau.stability),
+        dense_kind=tableau.dense_kind,
         A=np.ascontiguousarray(tableau.A),
         b=np.ascontiguousarray(tableau.b),
         c=np.ascontiguousarray(tableau.c),
         error=np.ascontiguousarray(tableau.error),
         dense=np.ascontiguousarray(tableau.dense),
-        dense_kind=tableau.dense_kind,
     )
 
 
@@ -120,12 +142,15 @@ def make_step(tableau: Tableau, joints: int) -> Step:
         slope_next=np.zeros(size),
         dense=np.zeros((_DENSE_ROWS, size)),
         z_old=np.zeros(size),
+        tolerance=np.ones(size - 1),
+        gains=np.zeros(2),
+        own=np.zeros(4, dtype=np.int64),
     )
 
 
 def step_book(method: Method, step: Step) -> np.ndarray:
     """Address book of a method and its step; :func:`open_step` is its inverse."""
-    return address_book([*method[4:9], *step])
+    return address_book([*method[6:], *step])
 
 
 @inner_inlined
@@ -135,13 +160,14 @@ def open_step(book, method):
         order=method.order,
         error_order=method.error_order,
         stages=method.stages,
-        semi_implicit=method.semi_implicit,
+        kind=method.kind,
+        stability=method.stability,
+        dense_kind=method.dense_kind,
         A=floats2(book, 0),
         b=floats1(book, 1),
         c=floats1(book, 2),
         error=floats2(book, 3),
         dense=floats2(book, 4),
-        dense_kind=method.dense_kind,
     )
     step = Step(
         z=floats1(book, 5),
@@ -156,6 +182,9 @@ def open_step(book, method):
         slope_next=floats1(book, 14),
         dense=floats2(book, 15),
         z_old=floats1(book, 16),
+        tolerance=floats1(book, 17),
+        gains=floats1(book, 18),
+        own=ints1(book, 19),
     )
     return opened, step
 
@@ -254,9 +283,12 @@ def weighted_slopes(step, weights, count, h, out):
 @inner
 def run_stages(book, joints, method, step, t, h, alpha, beta):
     """Stages 1.. of a step whose first slope is known, then ``z_new``; returns a status."""
-    if method.semi_implicit:
+    if method.kind == SEMI_IMPLICIT:
         semi_implicit_euler(step, h, joints)
         return OK
+    if method.kind != EXPLICIT:
+        step.gains[0], step.gains[1] = alpha, beta
+        return call_entry(step.own[OWN_STEP], book_at(step.own[OWN_BOOK], step.own[OWN_SIZE]), t, h)
     for i in range(1, method.stages):
         combine(step, method.A[i], i, h, step.z_stage)
         status = evaluate_slope(
@@ -282,11 +314,14 @@ def semi_implicit_euler(step, h, n):
 
 
 @inner
-def error_estimate(method, step, h, position_tolerance, velocity_tolerance, joints):
-    """Largest estimated error of the step in units of the tolerances (NaN stays NaN)."""
+def error_estimate(method, step, h, floor):
+    """Largest estimated error of the step in units of the tolerances (NaN stays NaN).
+
+    Tolerances below ``floor`` count as that.
+    """
     first = second = 0.0
-    for i in range(12 + 2 * joints):
-        scale = h / (position_tolerance if i < 6 + joints else velocity_tolerance)
+    for i in range(step.tolerance.size):
+        scale = h / max(step.tolerance[i], floor)
         a = b = 0.0
         for j in range(method.stages + 1):
             a += method.error[0, j] * step.k[j, i]
@@ -299,52 +334,3 @@ def error_estimate(method, step, h, position_tolerance, velocity_tolerance, join
     if method.error.shape[0] == 1 or first == 0.0:
         return first
     return first * first / math.sqrt(first * first + 0.01 * second * second)
-
-
-@inner
-def prepare_dense(book, method, step, t, h, alpha, beta):
-    """Coefficients of the dense output of the step just made; its end slope is ``k[stages]``."""
-    z, new, k, dense = step.z, step.z_new, step.k, step.dense
-    copy(z, step.z_old)
-    copy(step.base, step.base_old)
-    end = method.stages
-    if method.dense_kind == POLYNOMIAL:
-        for r in range(method.dense.shape[0]):
-            weighted_slopes(step, method.dense[r], end + 1, h, dense[r])
-        return OK
-    for i in range(z.size):
-        delta = new[i] - z[i]
-        dense[0, i] = delta
-        dense[1, i] = h * k[0, i] - delta
-        dense[2, i] = 2.0 * delta - h * (k[end, i] + k[0, i])
-    if method.dense_kind == HERMITE:
-        return OK
-    for s in range(end + 1, method.A.shape[0]):
-        combine(step, method.A[s], s, h, step.z_stage)
-        status = evaluate_slope(
-            book, t + method.c[s] * h, step.z_stage, step.base, alpha, beta, k[s]
-        )
-        if status != OK:
-            return status
-    for r in range(method.dense.shape[0]):
-        weighted_slopes(step, method.dense[r], k.shape[0], h, dense[3 + r])
-    return OK
-
-
-@kernel
-def interpolate(method, step, theta, out):
-    """State at the fraction ``theta`` of the step before, in its chart (``base_old``)."""
-    dense = step.dense
-    out[:] = 0.0
-    if method.dense_kind == POLYNOMIAL:
-        for r in range(method.dense.shape[0] - 1, -1, -1):
-            for i in range(out.size):
-                out[i] = theta * (out[i] + dense[r, i])
-    else:
-        rows = 3 if method.dense_kind == HERMITE else 3 + method.dense.shape[0]
-        for count in range(rows):
-            factor = theta if count % 2 == 0 else 1.0 - theta
-            for i in range(out.size):
-                out[i] = factor * (out[i] + dense[rows - 1 - count, i])
-    for i in range(out.size):
-        out[i] += step.z_old[i]

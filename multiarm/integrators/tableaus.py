@@ -1,12 +1,16 @@
-"""Runge-Kutta methods as data: tableaus, error weights and dense output.
+"""Integration methods as data: tableaus, error weights and dense output.
 
-A method is a :class:`Tableau`; one compiled stepper (:mod:`multiarm.integrators.stepper`) runs them
-all.
+A method is a :class:`Tableau`.  Explicit Runge-Kutta methods need no more than that and the stepper
+(:mod:`multiarm.integrators.stepper`); a Rosenbrock method has further coefficients and a step of its
+own (:mod:`multiarm.integrators.rosenbrock`), and so has the variational method
+(:mod:`multiarm.integrators.variational`), whose tableau only says its order.
 
 References
 ----------
 E. Hairer, S.P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., Springer
-1993: RK4 (II.1), DOPRI5 (II.5, dense output II.6), DOP853 (II.10).
+1993: RK4 (II.1), DOPRI5 (II.5, dense output II.6), DOP853 (II.10).  G. Steinebach, Construction of
+Rosenbrock-Wanner method Rodas5P and numerical benchmarks within the Julia Differential Equations
+package, BIT Numer. Math. 63:27, 2023.
 """
 
 from __future__ import annotations
@@ -15,9 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+EXPLICIT, SEMI_IMPLICIT, ROSENBROCK, VARIATIONAL = range(4)
+
 
 class Tableau(NamedTuple):
-    """An explicit Runge-Kutta method of ``s`` stages.
+    """A one-step method of ``s`` stages.
 
     name : str
     order : int
@@ -34,7 +40,13 @@ class Tableau(NamedTuple):
         Dense output, see ``dense_kind``.
     dense_kind : int
         ``HERMITE`` (cubic), ``POLYNOMIAL`` (rows: coefficients of powers of theta for every slope),
-        or ``NESTED`` (DOP853's nested form).
+        ``NESTED`` (DOP853's nested form), or ``QUARTIC`` (Rodas5P's).
+    kind : int
+        ``EXPLICIT``, ``SEMI_IMPLICIT``, ``ROSENBROCK`` or ``VARIATIONAL``.
+    stability : float
+        Where an adaptive explicit method's region of stability ends on the negative real axis.
+    gamma : float, C : (s, s), d : (s,)
+        A Rosenbrock method's further coefficients: see :mod:`multiarm.integrators.rosenbrock`.
     """
 
     name: str
@@ -46,9 +58,14 @@ class Tableau(NamedTuple):
     error: np.ndarray
     dense: np.ndarray
     dense_kind: int
+    kind: int = EXPLICIT
+    stability: float = np.inf
+    gamma: float = 0.0
+    C: np.ndarray = np.zeros((0, 0))
+    d: np.ndarray = np.zeros(0)
 
 
-HERMITE, POLYNOMIAL, NESTED = 0, 1, 2
+HERMITE, POLYNOMIAL, NESTED, QUARTIC = range(4)
 
 
 def _filled(shape, rows):
@@ -114,6 +131,34 @@ _DOPRI5_DENSE = np.array([
     [-12715105075 / 11282082432, 0.0, 87487479700 / 32700410799, -10690763975 / 1880347072,
      701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423],
 ])
+
+_RODAS5P_A = _filled((8, 8), {
+    1: {0: 3.0},
+    2: {0: 2.849394379747939, 1: 0.45842242204463923},
+    3: {0: -6.954028509809101, 1: 2.489845061869568, 2: -10.358996098473584},
+    4: {0: 2.8029986275628964, 1: 0.5072464736228206, 2: -0.3988312541770524, 3: -0.04721187230404641},
+    5: {0: -7.502846399306121, 1: 2.561846144803919, 2: -11.627539656261098, 3: -0.18268767659942256, 4: 0.030198172008377946},
+})
+# The last stages refine the end of the step: each begins where the one before has come to.
+_RODAS5P_A[6] = _RODAS5P_A[5] + np.eye(8)[5]
+_RODAS5P_A[7] = _RODAS5P_A[6] + np.eye(8)[6]
+
+_RODAS5P_C = _filled((8, 8), {
+    1: {0: -14.155112264123755},
+    2: {0: -17.97296035885952, 1: -2.859693295451294},
+    3: {0: 147.12150275711716, 1: -1.41221402718213, 2: 71.68940251302358},
+    4: {0: 165.43517024871676, 1: -0.4592823456491126, 2: 42.90938336958603, 3: -5.961986721573306},
+    5: {0: 24.854864614690072, 1: -3.0009227002832186, 2: 47.4931110020768, 3: 5.5814197821558125, 4: -0.6610691825249471},
+    6: {0: 30.91273214028599, 1: -3.1208243349937974, 2: 77.79954646070892, 3: 34.28646028294783, 4: -19.097331116725623, 5: -28.087943162872662},
+    7: {0: 37.80277123390563, 1: -3.2571969029072276, 2: 112.26918849496327, 3: 66.9347231244047, 4: -40.06618937091002, 5: -54.66780262877968, 6: -9.48861652309627},
+})
+_RODAS5P_DENSE = np.array([
+    [25.948786856663858, -2.5579724845846235, 10.433815404888879, -2.3679251022685204, 0.524948541321073, 1.1241088310450404, 0.4272876194431874, -0.17202221070155493],
+    [-9.91568850695171, -0.9689944594115154, 3.0438037242978453, -24.495224566215796, 20.176138334709044, 15.98066361424651, -6.789040303419874, -6.710236069923372],
+    [11.419903575922262, 2.8879645146136994, 72.92137995996029, 80.12511834622643, -52.072871366152654, -59.78993625266729, -0.15582684282751913, 4.883087185713722],
+])
+_RODAS5P_NODES = np.array([0.0, 0.6358126895828704, 0.4095798393397535, 0.9769306725060716, 0.4288403609558664, 1.0, 1.0, 1.0])
+_RODAS5P_D = np.array([0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734, 2.325825639765069, 0.0, 0.0, 0.0])
 # fmt: on
 
 _NOTHING = np.zeros((0, 0))
@@ -128,6 +173,7 @@ SEMI_IMPLICIT_EULER = Tableau(
     error=_NOTHING,
     dense=_NOTHING,
     dense_kind=HERMITE,
+    kind=SEMI_IMPLICIT,
 )
 RK4 = Tableau(
     "rk4",
@@ -150,6 +196,7 @@ DOPRI5 = Tableau(
     error=_DOPRI5_ERROR,
     dense=_DOPRI5_DENSE,
     dense_kind=POLYNOMIAL,
+    stability=3.25,
 )
 # Row 12 of Hairer's matrix repeats b: it is the end of the step, where the next one begins.
 DOP853 = Tableau(
@@ -162,6 +209,36 @@ DOP853 = Tableau(
     error=_DOP853_ERROR,
     dense=_DOP853_DENSE,
     dense_kind=NESTED,
+    stability=6.1,
+)
+RODAS5P = Tableau(
+    "rodas5p",
+    order=5,
+    error_order=4,
+    A=_RODAS5P_A,
+    b=_RODAS5P_A[7] + np.eye(8)[7],
+    c=_RODAS5P_NODES,
+    error=np.eye(9)[7:8],
+    dense=_RODAS5P_DENSE,
+    dense_kind=QUARTIC,
+    kind=ROSENBROCK,
+    gamma=0.21193756319429014,
+    C=_RODAS5P_C,
+    d=_RODAS5P_D,
+)
+VARIATIONAL_MIDPOINT = Tableau(
+    "variational",
+    order=2,
+    error_order=0,
+    A=np.zeros((1, 1)),
+    b=np.ones(1),
+    c=np.zeros(1),
+    error=_NOTHING,
+    dense=_NOTHING,
+    dense_kind=HERMITE,
+    kind=VARIATIONAL,
 )
 
-METHODS = {m.name: m for m in (SEMI_IMPLICIT_EULER, RK4, DOPRI5, DOP853)}
+METHODS = {
+    m.name: m for m in (SEMI_IMPLICIT_EULER, VARIATIONAL_MIDPOINT, RK4, DOPRI5, DOP853, RODAS5P)
+}

@@ -4,6 +4,7 @@ from multiarm.scene.arm_spec import ArmSpec, ToolSpec
 from multiarm.scene.base import Pose
 from multiarm.scene.contact_spec import ContactSpec
 from multiarm.scene.control import (
+    AccuracySpec,
     ComputedTorqueControl,
     ConstantControl,
     ControlSpec,
@@ -62,6 +63,7 @@ from multiarm.scene.urdf import JointOutline, UrdfOutline, read_urdf
 from multiarm.scene.values import gain_vector, joint_vector
 
 __all__ = [
+    "AccuracySpec",
     "ArmSpec",
     "BallJoint",
     "ComputedTorqueControl",

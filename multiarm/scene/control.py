@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from typing_extensions import Self
 
+from multiarm.scene.accuracy import DEFAULT_ACCURACY, Accuracy, AccuracySpec
 from multiarm.scene.base import Spec
 from multiarm.scene.object_control import (
     ComputedTorqueControl,
@@ -20,6 +21,7 @@ __all__ = [
     "ADAPTIVE_INTEGRATORS",
     "DEFAULT_ACCURACY",
     "FIXED_STEP_INTEGRATORS",
+    "AccuracySpec",
     "ComputedTorqueControl",
     "ConstantControl",
     "ControlSpec",
@@ -34,9 +36,8 @@ __all__ = [
     "Waypoint",
 ]
 
-FIXED_STEP_INTEGRATORS = ("semi_implicit_euler", "rk4")
-ADAPTIVE_INTEGRATORS = ("dopri5", "dop853")
-DEFAULT_ACCURACY = 1e-6
+FIXED_STEP_INTEGRATORS = ("semi_implicit_euler", "variational", "rk4")
+ADAPTIVE_INTEGRATORS = ("dopri5", "dop853", "rodas5p")
 
 
 class NoControl(Spec):
@@ -167,12 +168,15 @@ class RunSpec(Spec):
     ----------
     duration : float
         [s]
-    accuracy : float, optional
-        Largest error of the whole run that is aimed at (relative to 1 m, 1 rad); the program
-        chooses method and steps. 1e-6 when nothing else is asked for.
+    accuracy : AccuracySpec or float, optional
+        Largest error of the whole run at the worst output time: a number [m and rad], or a table
+        ``{position: [m], rotation: [rad], force: [N]}`` of what is asked. The program chooses
+        method and steps, checks the result against a tightened rerun and repeats the run with
+        smaller tolerances if need be. 1e-6 when nothing else is asked for.
     integrator : str, optional
-        ``semi_implicit_euler`` or ``rk4`` with ``step``; ``dopri5`` or ``dop853`` with
-        ``tolerance`` (per step) or ``accuracy``.
+        ``semi_implicit_euler``, ``variational`` or ``rk4`` with ``step``; ``dopri5``, ``dop853``
+        or ``rodas5p`` with ``tolerance`` (per step) or ``accuracy``.  Absent: chosen, and exchanged
+        for ``rodas5p`` where the scene turns out to be stiff.
     step : float, optional
         Fixed step [s].
     tolerance : float, optional
@@ -186,8 +190,10 @@ class RunSpec(Spec):
     """
 
     duration: Positive = 1.0
-    accuracy: Positive | None = None
-    integrator: Literal["semi_implicit_euler", "rk4", "dopri5", "dop853"] | None = None
+    accuracy: Accuracy | None = None
+    integrator: (
+        Literal["semi_implicit_euler", "variational", "rk4", "dopri5", "dop853", "rodas5p"] | None
+    ) = None
     step: Positive | None = None
     tolerance: Positive | None = None
     stabilization: Annotated[StabilizationSpec, BeforeValidator(_from_name)] = StabilizationSpec()
@@ -218,6 +224,8 @@ class RunSpec(Spec):
             return f"'step' needs an integrator of fixed step: {_or(FIXED_STEP_INTEGRATORS)}"
         if self.integrator is None and self.tolerance is not None:
             return f"'tolerance' needs an adaptive integrator: {_or(ADAPTIVE_INTEGRATORS)}"
+        if self.integrator == "variational" and self.stabilization.kind == "feedback":
+            return "'variational' keeps the joints closed itself; remove 'stabilization: feedback'"
         if self.integrator in FIXED_STEP_INTEGRATORS:
             return self._fixed_step_fault()
         if self.step is not None:

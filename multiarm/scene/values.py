@@ -39,6 +39,7 @@ __all__ = [
     "joint_value_faults",
     "joint_vector",
     "number_list",
+    "positive",
 ]
 
 Parts = tuple[str | int, ...]
@@ -129,6 +130,14 @@ def _real(value: Any) -> float:
         raise fault(f"must be a number, got {shown(value)}") from None
     if not math.isfinite(number):
         raise fault(f"must be finite, got {number}")
+    return number
+
+
+def positive(value: Any) -> float:
+    """Return ``value`` as a float, refusing what is not a finite number above zero."""
+    number = _real(value)
+    if not number > 0.0:
+        raise fault(f"must be greater than 0, got {number}")
     return number
 
 

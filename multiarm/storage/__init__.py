@@ -9,12 +9,14 @@ Layout (format `multiarm trajectory`, version 1)::
                              attributes: unit, frame, description, columns
     /progress                [samples safely written, pieces of the outcome]
     /outcome                 status, message, statistics, events, certificate: JSON in pieces
+    /amended, /amendment     entries of the outcome that were found out after the run, likewise
 
 `writer` grows such a file, `reader` reads it channel by channel, `recovery` opens one that was
-never closed.
+never closed, `amendment` says more about a run that is complete.
 """
 
+from multiarm.storage.amendment import amend
 from multiarm.storage.reader import Hdf5Store
 from multiarm.storage.writer import Hdf5Writer, temporary_beside, writable_target
 
-__all__ = ["Hdf5Store", "Hdf5Writer", "temporary_beside", "writable_target"]
+__all__ = ["Hdf5Store", "Hdf5Writer", "amend", "temporary_beside", "writable_target"]

@@ -45,6 +45,7 @@ class Hdf5Store:
             self.metadata["scene"] = self._file["scene"].asstr()[()]
             if not intact:
                 self._check_extent()
+            self.amendment = self._read_amendment()
             self.outcome = self._read_outcome()
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
@@ -53,15 +54,29 @@ class Hdf5Store:
         with self._reading():
             return self._file[name][start:stop]
 
+    def close(self) -> None:
+        """Close the file; nothing more can be read."""
+        self._file.close()
+
     def _read_outcome(self) -> dict | None:
         if self._pieces == 0:
             return None
-        return json.loads(b"".join(self._file["outcome"][: self._pieces]))
+        outcome = json.loads(b"".join(self._file["outcome"][: self._pieces]))
+        return outcome | (self.amendment or {})
+
+    def _read_amendment(self) -> dict | None:
+        """What was said after the run; None for files of earlier programs, which take nothing."""
+        if "amended" not in self._file:
+            return None
+        begin, end = (int(n) for n in self._file["amended"][:])
+        return json.loads(b"".join(self._file["amendment"][begin:end])) if end else {}
 
     def _check_extent(self) -> None:
         """HDF5 reads zeros behind the end of a file that was not closed: look first."""
         size = self.path.stat().st_size
         parts = dict.fromkeys(self.channels, self.samples) | {"outcome": self._pieces}
+        if "amended" in self._file:
+            parts["amendment"] = int(self._file["amended"][1])
         progress = self._file["progress"].id
         inside = progress.get_offset() + progress.get_storage_size() <= size
         if not inside or not all(

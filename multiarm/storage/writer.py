@@ -25,6 +25,7 @@ import numpy as np
 
 from multiarm.channels import Block, Channel
 from multiarm.errors import TrajectoryError
+from multiarm.storage.amendment import create_amendment
 from multiarm.storage.layout import (
     CACHE_BYTES,
     CHUNK_SAMPLES,
@@ -122,6 +123,7 @@ class Hdf5Writer:
             "outcome", (0,), f"S{PIECE_BYTES}", maxshape=(None,), chunks=(64,)
         )
         self._outcome.attrs["description"] = "how the run ended: JSON, to be joined"
+        create_amendment(file)
         self._progress = file.create_dataset("progress", data=np.zeros(2, dtype=np.int64))
         self._progress.attrs["description"] = "samples safely written; pieces of outcome"
         file.swmr_mode = True

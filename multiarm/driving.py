@@ -1,0 +1,315 @@
+"""Carry out one run: drive the compiled loop, pour out the samples, tell how it ended.
+
+What a run is asked for is settled before (:mod:`multiarm.preparation`), and whether it is accurate
+enough is judged after (:mod:`multiarm.attempts`): here it only takes place.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from multiarm.channels import trajectory_channels
+from multiarm.contacts.frames import COMPONENTS, UNITS
+from multiarm.dynamics import failure_text, lost_contact_text
+from multiarm.equations import CALLBACK_FAILED, NOT_FINITE
+from multiarm.errors import MultiarmError, SolverError, TrajectoryError
+from multiarm.integrators.stepper import step_book
+from multiarm.integrators.variational import NOT_CONVERGED
+from multiarm.interrupts import deferred_interrupt
+from multiarm.plant import BUSY
+from multiarm.preparation import Run, prepare
+from multiarm.samples import named_samples
+from multiarm.scene import RunSpec, dump_scene
+from multiarm.sinks import Sink, provenance
+from multiarm.state import State
+from multiarm.switching import Switch, stiffness_remark
+from multiarm.system import System
+from multiarm.time_loop import (
+    BLOCK_FIRST,
+    BLOCK_FULL,
+    BUDGET_USED,
+    COUPLED_STEPS,
+    DIVERGED,
+    ERROR_SUM,
+    EVALUATIONS,
+    FINISHED,
+    HIGHEST_RANK,
+    LARGE_CORRECTION,
+    LARGEST,
+    LOWEST_RANK,
+    PROJECTIONS,
+    REJECTED,
+    SAMPLE,
+    SMALLEST,
+    SOLVER_CHANGED,
+    STEP_TOO_SMALL,
+    STEPS,
+    STIFF,
+    WORST_CORRECTION,
+    WORST_RESIDUAL,
+    H,
+    T,
+    advance,
+)
+from multiarm.trajectory import Trajectory
+
+BUDGET = 4000  # evaluations between two looks at the clock, progress and Ctrl-C
+CHECKPOINT_INTERVAL = 2.0  # [s] of wall time
+
+TOO_MANY = "steps became so short that the run hardly got on"
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be run: the same for all runs that differ in their tolerance alone.
+
+    Attributes
+    ----------
+    system : System
+    spec : RunSpec
+    state : State or None
+        Where to begin; None: the scene's start.
+    longest_step : float
+        [s]
+    """
+
+    system: System
+    spec: RunSpec
+    state: State | None
+    longest_step: float
+
+
+def carry_out(
+    task: Task,
+    sink: Sink,
+    progress: Progress | None = None,
+    tighten: float = 1.0,
+    most_evaluations: float = math.inf,
+) -> Trajectory:
+    """Run a task once.
+
+    Parameters
+    ----------
+    task : Task
+    sink : Sink
+        Where the samples go.
+    progress : callable, optional
+        Called with the simulated time now and then; may raise ``KeyboardInterrupt`` to end the run.
+    tighten : float
+        Factor on the tolerances of an adaptive method.
+    most_evaluations : float
+        The run fails when it takes more: with tolerances near rounding, steps may become so short
+        that it would hardly get on.
+
+    Raises
+    ------
+    SolverError, ControlError
+        When the very first evaluation is impossible.
+    TrajectoryError
+        When the sink cannot be opened.
+    """
+    system, spec = task.system, task.spec
+    run = prepare(system, spec, task.state, sink, task.longest_step, tighten)
+    run.sink.open(_channels(system), _metadata(task))
+    try:
+        status, message, wall = _drive(run, progress, most_evaluations)
+    except BaseException as error:
+        # not ours to handle, but what was simulated is kept
+        with suppress(TrajectoryError):
+            _flush(run)
+        statistics = _statistics(run, spec, 0.0)
+        run.sink.finish("failed", f"{_where(run)}: {error!r}", statistics, _events(run))
+        raise
+    message += stiffness_remark(run) + run.events.summary() + run.solver_log.summary()
+    return run.sink.finish(status, message, _statistics(run, spec, wall), _events(run))
+
+
+def _metadata(task: Task) -> dict[str, Any]:
+    """Where the result comes from."""
+    system = task.system
+    as_run = system.scene.model_copy(update={"run": task.spec})
+    control = "python function" if "control" in system.calls else system.scene.control.kind
+    start = "scene" if task.state is None else "given state"
+    return {**provenance(lambda: dump_scene(as_run)), "control": control, "start": start}
+
+
+def _drive(run: Run, progress: Progress | None, most_evaluations: float) -> tuple[str, str, float]:
+    """Let the compiled loop run to its end; returns status, message and wall time [s]."""
+    advance_by, switch = _advancer(run), Switch()
+    reason = advance_by(0)  # compiles the loop if need be, which is no part of the run's time
+    started = time.perf_counter()
+    next_checkpoint = started + CHECKPOINT_INTERVAL
+    with deferred_interrupt() as interrupt:
+        while True:
+            ended = None
+            run.events.collect(run.system)
+            if reason == STIFF:
+                switch.take_over(run)
+                advance_by = _advancer(run)
+            elif switch.judge(run):
+                advance_by = _advancer(run)
+            if reason == SOLVER_CHANGED:
+                run.solver_log.collect(run.system, float(run.clock.real[T]), _state(run))
+            try:
+                if progress is not None:
+                    run.system.buffers.flag[BUSY] = 1
+                    progress(float(run.clock.real[T]))
+            except KeyboardInterrupt:  # the caller's way to end the run in good order
+                interrupt.pressed = True
+            finally:
+                run.system.buffers.flag[BUSY] = 0
+            if reason == FINISHED:
+                ended = "completed", "the run reached its end"
+            elif interrupt.pressed:
+                ended = "interrupted", f"stopped by the user {_where(run)}"
+            elif reason not in (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED, STIFF):
+                ended = _trouble(run, reason)
+            elif run.clock.counts[EVALUATIONS] > most_evaluations:
+                ended = "failed", f"{_where(run)}: {TOO_MANY}"
+            due = time.perf_counter() >= next_checkpoint
+            try:
+                if ended or due or reason == BLOCK_FULL:
+                    _flush(run)
+                if due:
+                    run.sink.checkpoint()
+                    next_checkpoint = time.perf_counter() + CHECKPOINT_INTERVAL
+            except TrajectoryError as error:
+                ended = "failed", f"{_where(run)}: {error}"
+            if ended:
+                return *ended, time.perf_counter() - started
+            reason = advance_by(BUDGET)
+
+
+def _advancer(run: Run) -> Callable[[int], int]:
+    """The compiled loop as a function of its budget of evaluations."""
+    book, joints = run.system.book(), run.system.layout.joints
+    method = run.stepping.method
+    arrays = step_book(method, run.stepping.step)
+
+    def advance_by(budget: int) -> int:
+        return advance(book, joints, arrays, method, run.clock, run.settings, run.block, budget)
+
+    return advance_by
+
+
+def _events(run: Run) -> list[dict]:
+    """Everything that happened, in order of time."""
+    return sorted([*run.events.told, *run.solver_log.told], key=lambda event: event["time"])
+
+
+def _state(run: Run) -> State:
+    """The state at the beginning of the next step."""
+    n, z = run.system.layout.joints, run.stepping.step.z
+    return State(
+        np.concatenate([z[:3], run.stepping.step.base, z[6 : 6 + n]]),
+        z[6 + n : -1].copy(),
+        run.system.layout,
+    )
+
+
+def _where(run: Run) -> str:
+    return f"at t = {run.clock.real[T]:.9g} s (step {run.clock.counts[STEPS]})"
+
+
+def _trouble(run: Run, reason: int) -> tuple[str, str]:
+    """Status and message of a run that ended early."""
+    where = _where(run)
+    smaller = "a smaller `accuracy`" if run.settings.adaptive else "a smaller `step`"
+    if reason == CALLBACK_FAILED:
+        try:
+            run.system.reraise()
+        except KeyboardInterrupt:
+            return "interrupted", f"stopped by the user {where}"
+        except SolverError as error:
+            return "failed", f"{where}: {lost_contact_text(run.system) or error}"
+        except MultiarmError as error:
+            return "failed", f"{where}: {error}"
+        except Exception as error:
+            return "failed", f"{where}: a callback raised {type(error).__name__}: {error}"
+    if reason == STEP_TOO_SMALL:
+        return "failed", (
+            f"{where}: the step became too small ({run.clock.real[H]:.2g} s) for the asked "
+            "accuracy; loosen `accuracy`, or look for a discontinuous controller or a singular "
+            "posture there"
+        )
+    if reason == DIVERGED:
+        return "failed", (
+            f"{where}: the joints came apart by more than {run.settings.apart:.2g} m, the run has "
+            f"diverged; take {smaller}, or `stabilization: projection`"
+        )
+    if reason == LARGE_CORRECTION:
+        return "failed", (
+            f"{where}: every step, however short, ends far from the joints; look for a motion that "
+            f"they cannot follow, or start elsewhere"
+        )
+    if reason == NOT_CONVERGED:
+        return "failed", (
+            f"{where}: the equations of a variational step could not be solved; take a smaller "
+            "`step`, or `integrator: dop853` where damping is strong or linkages lie flat"
+        )
+    if reason == NOT_FINITE:
+        lost = lost_contact_text(run.system)
+        return "failed", f"{where}: {lost or f'the state is no longer finite; take {smaller}'}"
+    return "failed", f"{where}: {failure_text(run.system, reason)}"
+
+
+def _flush(run: Run) -> None:
+    """Hand the samples in the block to the sink and begin a new one."""
+    count = run.clock.counts
+    rows = int(count[SAMPLE] - count[BLOCK_FIRST])
+    if rows == 0:
+        return
+    count[BLOCK_FIRST] = count[SAMPLE]
+    run.sink.append(
+        named_samples(run.system.layout, run.system.plant.free_bounds, run.block[:rows])
+    )
+
+
+def _channels(system: System):
+    return trajectory_channels(
+        {name: arm.joint_units for name, arm in system.arms.items()},
+        {
+            name: [contact.name for contact in contacts]
+            for name, contacts in system.contacts.items()
+        },
+        {
+            name: {COMPONENTS[k]: UNITS[k] for k in frame.free}
+            for name, frame in system.frames.items()
+        },
+    )
+
+
+def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:
+    count, real, settings = run.clock.counts, run.clock.real, run.settings
+    simulated = float(real[T])
+    return {
+        "integrator": run.stepping.tableau.name,
+        "solver": spec.solver,
+        "stabilization": spec.stabilization.kind,
+        "accuracy": None if spec.accuracy is None else spec.accuracy.written,
+        "tolerance": settings.tolerance if settings.adaptive else None,
+        "simulated_s": simulated,
+        "steps": int(count[STEPS]),
+        "rejected_steps": int(count[REJECTED]),
+        "evaluations": int(count[EVALUATIONS]),
+        "projections": int(count[PROJECTIONS]),
+        "smallest_step_s": float(real[SMALLEST]) if count[STEPS] else None,
+        "largest_step_s": float(real[LARGEST]) if count[STEPS] else None,
+        "error_estimate": float(real[ERROR_SUM]) if settings.adaptive else None,
+        "coupled_steps": int(count[COUPLED_STEPS]),
+        "lowest_rank": int(count[LOWEST_RANK]) if count[STEPS] else None,
+        "highest_rank": int(count[HIGHEST_RANK]) if count[STEPS] else None,
+        "residual_max": float(real[WORST_RESIDUAL]),
+        "correction_max": float(real[WORST_CORRECTION]),
+        "wall_time_s": wall,
+        "realtime_factor": simulated / wall if wall > 0.0 else None,
+    }

@@ -1,0 +1,76 @@
+"""Going on with another method where a scene turns out to be stiff.
+
+Damping, stiff springs or stiff gains make motions that die out at once but keep the steps of an
+explicit method short.  The loop tells when that is so (:func:`multiarm.time_loop.note_stiffness`);
+then the linearly implicit method takes over, on trial: a step of it costs many evaluations, and it
+stays only if it gets further with each of them.
+"""
+
+from __future__ import annotations
+
+from multiarm.integrators.tableaus import EXPLICIT
+from multiarm.preparation import Run, make_stepping
+from multiarm.time_loop import EVALUATIONS, H_OLD, STEPS, STIFF_AFTER, STIFF_SINCE, STIFF_STEPS, T
+
+FOR_STIFF_SCENES = "rodas5p"
+# The method has shown how long its steps are after so many of them.
+TRIAL_STEPS = 16
+# Evaluations of an explicit step beside its stages: projection (two) and end.
+_BESIDE_STAGES = 2
+
+
+class Switch:
+    """Which method a run goes on with."""
+
+    def __init__(self) -> None:
+        self._explicit: str | None = None
+        self._pace = 0.0
+        self._until = self._evaluations = 0
+        self._since = 0.0
+
+    def take_over(self, run: Run) -> None:
+        """Go on with the method for stiff scenes, on trial."""
+        method, clock = run.stepping.method, run.clock
+        self._explicit = run.stepping.tableau.name
+        self._pace = float(clock.real[H_OLD]) / (method.stages + _BESIDE_STAGES)
+        self._change(run, FOR_STIFF_SCENES)
+        self._tell(run, "the scene is stiff")
+
+    def judge(self, run: Run) -> bool:
+        """Whether the trial has just failed, so that the run goes on with the explicit method."""
+        count, real = run.clock.counts, run.clock.real
+        if self._explicit is None or count[STEPS] < self._until:
+            return False
+        evaluations = int(count[EVALUATIONS]) - self._evaluations
+        kept = float(real[T]) - self._since > self._pace * evaluations
+        explicit, self._explicit = self._explicit, None
+        if kept:
+            return False
+        self._change(run, explicit)
+        self._tell(run, f"steps of {FOR_STIFF_SCENES} are too costly here")
+        return True
+
+    def _change(self, run: Run, name: str) -> None:
+        """Give a run another method; what it has come to stays."""
+        count = run.clock.counts
+        old, run.stepping = run.stepping.step, make_stepping(run.system, name, run.tolerance)
+        new = run.stepping.step
+        new.z[:], new.base[:], new.slope[:] = old.z, old.base, old.slope
+        run.settings = run.settings._replace(switch=False)
+        self._until, self._evaluations = int(count[STEPS]) + TRIAL_STEPS, int(count[EVALUATIONS])
+        self._since = float(run.clock.real[T])
+
+    def _tell(self, run: Run, why: str) -> None:
+        name, t = run.stepping.tableau.name, float(run.clock.real[T])
+        text = f"{why}: the run goes on with {name}"
+        run.events.told.append({"time": t, "kind": "method", "text": text})
+
+
+def stiffness_remark(run: Run) -> str:
+    """What the user of a run should know whose explicit method was named, else empty."""
+    real, count = run.clock.real, run.clock.counts
+    named = run.stepping.tableau.kind == EXPLICIT and not run.may_switch
+    if not named or count[STIFF_STEPS] < STIFF_AFTER:
+        return ""
+    since = f"stiff from t = {real[STIFF_SINCE]:.3g} s"
+    return f"; the scene is {since}: `integrator: {FOR_STIFF_SCENES}` takes longer steps there"
