@@ -11,7 +11,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -82,23 +81,10 @@ def measure_rows(
     best = dict.fromkeys(bursts, math.inf)
     for turn in range(rounds):
         if progress is not None:
-            progress(f"contact rows, round {turn + 1} of {rounds} ...")
+            progress(f"contact rows, round {turn + 1} of {rounds}")
         for name, burst in bursts.items():
             best[name] = min(best[name], burst.time())
     return {name: 1e6 * cost for name, cost in best.items()}
-
-
-def print_rows(cost: dict[str, float], console: Any) -> None:
-    """Print the table of :func:`measure_rows` to a rich console."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(title="one row of W, in microseconds", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("row", no_wrap=True)
-    table.add_column("cost", justify="right")
-    for name, value in cost.items():
-        table.add_row(name, f"{value:.3f}")
-    console.print(table)
 
 
 class _Burst:

@@ -1,36 +1,81 @@
-"""``multiarm scaling``: how the cost of one evaluation grows with the number of arms."""
+"""``multiarm scaling``: what grows how with the number of arms, and where the time goes."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from rich import box
+from rich.console import Group
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table as Grid
+from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
-from multiarm.cli.terminal import messages, output
+from multiarm.cli.progress import COMPILING, kernels_are_cached
+from multiarm.cli.terminal import messages, output, print_warnings, print_written
 from multiarm.errors import MultiarmError
+
+if TYPE_CHECKING:
+    from multiarm.benchmarks.scaling import Plan
+    from multiarm.benchmarks.scaling_tables import Table
 
 __all__ = ["scaling"]
 
 
+class Study(str, Enum):
+    """What is measured."""
+
+    evaluations = "evaluations"
+    thesis = "thesis"
+    shares = "shares"
+    rows = "rows"
+    all = "all"
+
+
 class Kind(str, Enum):
-    """Joints between the arms and the object."""
+    """Joints between the arms and the object; all: weld and ball."""
 
     weld = "weld"
     ball = "ball"
+    revolute = "revolute"
     all = "all"
 
 
 def scaling(
+    study: Annotated[
+        Study,
+        typer.Option(
+            help="Cost of an evaluation beside Pinocchio's algorithms; node algorithm against "
+            "direct elimination (section 4.4 of the thesis); where time goes; cost of a contact "
+            "row."
+        ),
+    ] = Study.all,
     arms: Annotated[
-        str, typer.Option(help="Numbers of arms, separated by commas.", metavar="N,N,...")
-    ] = "2,4,8,16,32",
-    kind: Annotated[Kind, typer.Option(help="Joint between each arm and the object.")] = Kind.all,
+        str | None,
+        typer.Option(
+            help="Numbers of arms of the evaluations, separated by commas.",
+            show_default="2,4,8,16,32,64; to 16 with --quick",
+            metavar="N,N,...",
+        ),
+    ] = None,
+    kind: Annotated[
+        Kind, typer.Option(help="Joint between each arm and the object; all: weld and ball.")
+    ] = Kind.all,
     rounds: Annotated[
-        int, typer.Option(help="Repetitions of every measurement; more smooth out noise.", min=1)
-    ] = 7,
+        int | None,
+        typer.Option(
+            help="Repetitions of every measurement; more smooth out noise.",
+            min=1,
+            show_default="7; 2 with --quick",
+        ),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer arms and repetitions: a first look.")
+    ] = False,
     plot: Annotated[
         Path | None,
         typer.Option(
@@ -39,42 +84,118 @@ def scaling(
             metavar="FILE",
         ),
     ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write one HTML page with figures and tables.",
+            show_default="none",
+            metavar="FILE.html",
+        ),
+    ] = None,
     json: Annotated[
         Path | None,
         typer.Option(help="Write the figures as JSON.", show_default="none", metavar="FILE.json"),
     ] = None,
 ) -> None:
-    """Measure how the cost of one evaluation grows with the number of arms, and print a table.
+    """Measure how cost grows with the number of arms, and where the time goes.
 
-    A second table has the cost of one row of W for every kind of surface. The JSON holds what
-    multiarm.benchmarks.scaling.run_scaling returns, and the rows' microseconds under contact_rows.
+    Takes about two minutes, a few seconds with --quick. The JSON holds what
+    multiarm.benchmarks.scaling.run_scaling returns.
     """
-    counts = _counts(arms)
-    check_targets({"--plot": plot, "--json": json})
-    from multiarm.benchmarks import contact_rows
+    counts = None if arms is None else _counts(arms)
+    check_targets({"--plot": plot, "--html": html, "--json": json})
+    if plot is not None and plot.suffix.lower() not in _FORMATS:
+        raise MultiarmError(f"--plot: '{plot}' must end in {', '.join(_FORMATS)}")
     from multiarm.benchmarks import scaling as benchmark
 
-    kinds = ("weld", "ball") if kind is Kind.all else (kind.value,)
-    with messages().status("measuring ...") as status:
-        result = benchmark.run_scaling(
-            arms=counts, kinds=kinds, rounds=rounds, progress=status.update
-        )
-        result["contact_rows"] = contact_rows.measure_rows(rounds, progress=status.update)
-    benchmark.print_scaling(result, output())
-    contact_rows.print_rows(result["contact_rows"], output())
+    studies = benchmark.STUDIES if study is Study.all else (study.value,)
+    kinds = benchmark.KINDS if kind is Kind.all else (kind.value,)
+    plan = benchmark.quick(studies, kinds) if quick else benchmark.Plan(studies, kinds)
+    plan = replace(plan, arms=counts or plan.arms, rounds=rounds or plan.rounds)
+    with _Watched(plan) as watched:
+        result = benchmark.run_scaling(plan, progress=watched.tell)
+    from multiarm.benchmarks.scaling_tables import disturbance, tables
+
+    console = output()
+    for table in tables(result):
+        console.print(_rendered(table))
+    print_warnings(filter(None, [disturbance(result)]))
     if json is not None:
         write_json(json, result)
+        print_written("figures", json)
     if plot is not None:
-        benchmark.plot_scaling(result, plot)
+        from multiarm.benchmarks.scaling_plots import plot_scaling
+
+        plot_scaling(result, plot)
+        print_written("plot", plot)
+    if html is not None:
+        from multiarm.benchmarks.scaling_page import write_page
+
+        write_page(result, html)
+        print_written("page", html)
+
+
+_FORMATS = (".png", ".svg", ".pdf")
+_TONES = {"": "", "strong": "bold", "good": "green", "bad": "red"}
+
+
+def _rendered(table: Table) -> Group:
+    """Title, table of numbers, notes."""
+    grid = Grid(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for k, head in enumerate(table.heads):
+        side: Literal["left", "right"] = "right" if k else "left"
+        grid.add_column(Text(head), header_style="cyan", justify=side, no_wrap=not k)
+    for row in table.rows:
+        grid.add_row(*(Text(cell.text, _TONES[cell.tone]) for cell in row))
+    notes = [Text(note, "dim") for note in table.notes]
+    return Group(Text(table.title, "bold"), grid, *notes, *([Text()] if notes else []))
+
+
+class _Watched:
+    """A bar over the measurements on a terminal; elsewhere a line when kernels are compiled."""
+
+    def __init__(self, plan: Plan) -> None:
+        console = messages()
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TextColumn("{task.completed:.0f} of {task.total:.0f}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        compiling = not kernels_are_cached()
+        first = COMPILING if compiling else "preparing"
+        self._task = self._bar.add_task(first, total=plan.measurements)
+        self._begun = -1
+        if compiling and self._bar.disable:
+            console.print(f"{COMPILING} ...", soft_wrap=True)
+
+    def __enter__(self) -> _Watched:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def tell(self, text: str) -> None:
+        """Show what is measured now; what was shown before is done."""
+        self._begun += 1
+        self._bar.update(self._task, description=text, completed=self._begun)
 
 
 def _counts(text: str) -> tuple[int, ...]:
+    """Increasing numbers of arms."""
     try:
-        counts = tuple(int(part) for part in text.split(","))
+        counts = tuple(sorted({int(part) for part in text.split(",")}))
     except ValueError:
         counts = ()
-    if not counts or min(counts) < 1:
+    if not counts or counts[0] < 1:
         raise MultiarmError(
             f"--arms: '{text}' is not a list of whole numbers from 1 up; write for example 2,4,8"
         )
+    if counts[0] == 1:
+        raise MultiarmError(f"--arms: '{text}': the ring of the benchmark has at least 2 arms")
     return counts

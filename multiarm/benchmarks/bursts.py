@@ -1,0 +1,114 @@
+"""How the benchmarks measure time: short interleaved bursts of calls, and slopes fitted to them.
+
+What is compared is measured in turn, a burst of each after the other, so that whatever else the
+machine does meets all alike.  Everything runs on one thread, and counted is the time that the
+processor spends on it: the wall time on a quiet machine, and not much more on a busy one.  Of the
+bursts of one contestant either the *fastest* counts (others can only slow a burst down, through
+shared caches) or the *median*.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+BURST = 1e-3
+"""Length of a burst [s], about; a single call that takes longer is a burst."""
+PATIENCE = 0.4
+"""A contestant that has taken this long [s] is given no further burst, once it has had FEWEST."""
+FEWEST = 3
+
+Burst = Callable[[int], object]
+"""Makes that many calls."""
+
+
+def measure(
+    bursts: Mapping[str, Burst], turns: int, rare: Collection[str] = (), rare_every: int = 40
+) -> dict[str, np.ndarray]:
+    """Seconds a call in every burst, of all contestants in turn.
+
+    Parameters
+    ----------
+    bursts : mapping of str to callable
+        Contestant -> function that makes a number of calls.
+    turns : int
+        Bursts of each, at most.
+    rare : collection of str
+        Contestants that take part only in every ``rare_every``-th turn: slow ones whose figures
+        need not be precise.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (bursts,)
+    """
+    calls = {name: calls_a_burst(burst) for name, burst in bursts.items()}
+    found: dict[str, list[float]] = {name: [] for name in bursts}
+    spent = dict.fromkeys(bursts, 0.0)
+    for turn in range(turns):
+        for name, burst in bursts.items():
+            if name in rare and turn % rare_every:
+                continue
+            if spent[name] > PATIENCE and len(found[name]) >= FEWEST:
+                continue
+            begin = time.thread_time()
+            burst(calls[name])
+            took = time.thread_time() - begin
+            spent[name] += took
+            found[name].append(took / calls[name])
+    return {name: np.array(times) for name, times in found.items()}
+
+
+def calls_a_burst(burst: Burst) -> int:
+    """How many calls make a burst of about the usual length."""
+    burst(1)  # whatever happens the first time only
+    begin = time.thread_time()
+    burst(2)
+    return max(1, round(BURST / max((time.thread_time() - begin) / 2, 1e-7)))
+
+
+def fastest(times: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """The fastest burst of each contestant, microseconds a call."""
+    return {name: 1e6 * float(np.min(found)) for name, found in times.items()}
+
+
+def median(times: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """The median burst of each contestant, microseconds a call."""
+    return {name: 1e6 * float(np.median(found)) for name, found in times.items()}
+
+
+def python_burst(call: Callable[[], object]) -> Burst:
+    """A burst of calls from Python."""
+
+    def burst(count: int) -> None:
+        for _ in range(count):
+            call()
+
+    return burst
+
+
+def fitted_slope(sizes: Sequence[float], costs: Sequence[float | None]) -> float | None:
+    """Least-squares slope of log cost over log size; None with fewer than two costs."""
+    known = [(n, cost) for n, cost in zip(sizes, costs, strict=True) if cost is not None]
+    if len(known) < 2:
+        return None
+    n, cost = np.log(np.array(known)).T
+    return float(np.polyfit(n, cost, 1)[0])
+
+
+def upper_half(sizes: Sequence[Any]) -> slice:
+    """The larger half of increasing sizes, at least two of them where there are two."""
+    return slice(len(sizes) // 2 if len(sizes) >= 4 else max(0, len(sizes) - 2), None)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Run linear algebra on one thread: everything else that is measured is single-threaded too."""
+    import scipy.linalg  # noqa: F401 - loaded before the limit, which binds loaded libraries only
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1):
+        yield
