@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -55,6 +54,8 @@ STEP_SHARE = 0.01
 # Gaps larger than this fraction of the scene's size mean that the run has diverged.
 APART = 0.1
 BLOCK_NUMBERS = 200_000
+# Methods with steps of their own, compiled when they are first used.
+OWN_STEPS = {"rodas5p": rosenbrock_step, "variational": variational_step}
 STABILIZATIONS = {"none": NONE, "feedback": FEEDBACK, "projection": PROJECTION}
 
 
@@ -167,20 +168,20 @@ def make_stepping(system: System, name: str, tolerance: Tolerance | None) -> Ste
         step.tolerance[:] = _tolerances(system, tolerance)
     if tableau.kind == ROSENBROCK:
         work = make_rosenbrock(tableau, method, step, system.book())
-        return _with_own_step(Stepping(tableau, method, step), rosenbrock_step, work)
+        return _with_own_step(Stepping(tableau, method, step), work)
     if tableau.kind == VARIATIONAL:
         call, places = system.coriolis()
         shape, rows = system.work.Y.shape, system.layout.contacts
         momenta = make_variational(step, system.book(), shape, rows, call.address, places)
-        return _with_own_step(Stepping(tableau, method, step), variational_step, momenta)
+        return _with_own_step(Stepping(tableau, method, step), momenta)
     return Stepping(tableau, method, step)
 
 
-def _with_own_step(stepping: Stepping, step: Any, work: tuple) -> Stepping:
-    """A method whose steps are those of an entry that works on the arrays ``work``."""
-    book = address_book(work)
-    own = stepping.step.own
-    own[OWN_STEP], own[OWN_BOOK], own[OWN_SIZE] = address_of(step), book.ctypes.data, book.size
+def _with_own_step(stepping: Stepping, work: tuple) -> Stepping:
+    """A method whose step works on the arrays ``work``."""
+    book, own = address_book(work), stepping.step.own
+    own[OWN_STEP] = address_of(OWN_STEPS[stepping.tableau.name])
+    own[OWN_BOOK], own[OWN_SIZE] = book.ctypes.data, book.size
     return replace(stepping, own=(work, book))
 
 

@@ -133,6 +133,20 @@ def test_any_joint_is_the_same_hinge_three_times(printed):
     assert max(gap for (gap,) in figures("largest gap# m", text)) < 1e-11
 
 
+def test_what_accuracy_costs_meets_what_it_asks_for(printed):
+    text = printed("06_what_accuracy_costs.py")
+    rows = np.array(figures(r"asked#: met, estimated# m and# rad, \w+,# evaluations", text))
+    asked, metres, radians, evaluations = rows.T
+    np.testing.assert_array_equal(asked, [1e-3, 1e-6, 1e-9])
+    assert np.all(np.maximum(metres, radians) <= asked) and np.all(np.diff(evaluations) > 0)
+    steps = [count for _, count in figures(r"damping#: \w+,# steps", text)]
+    assert steps[0] > steps[1] > steps[2]
+    assert "damping 1e+06: rodas5p" in text
+    assert figures(r"(?m)^# steps of# ms: completed$", text) == [(20000.0, 2.0)]
+    first, last = figures(r"first quarter#, of the last# of", text)[0]
+    assert max(abs(first), abs(last)) < 1e-3  # it neither grows nor falls
+
+
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"

@@ -15,12 +15,13 @@ __all__ = ["RunProgress", "kernels_are_cached"]
 COMPILING = "compiling kernels (only the first time on this machine)"
 
 
-def kernels_are_cached() -> bool:
-    """Whether the compiled loop is in Numba's cache, as fresh as its source."""
+def kernels_are_cached(integrator: str | None = None) -> bool:
+    """Whether the compiled loop, and this method's step, are in Numba's cache and fresh."""
     from multiarm.lowlevel import is_cached
+    from multiarm.preparation import OWN_STEPS
     from multiarm.time_loop import advance
 
-    return is_cached(advance)
+    return is_cached(advance) and (integrator not in OWN_STEPS or is_cached(OWN_STEPS[integrator]))
 
 
 class RunProgress:
@@ -33,6 +34,8 @@ class RunProgress:
         [s] of simulated time.
     quiet : bool
         Show nothing.
+    integrator : str, optional
+        The method that is asked for.
 
     Attributes
     ----------
@@ -40,7 +43,9 @@ class RunProgress:
         The kernels are not in the cache: the run begins by compiling them.
     """
 
-    def __init__(self, console: Console, duration: float, quiet: bool) -> None:
+    def __init__(
+        self, console: Console, duration: float, quiet: bool, integrator: str | None = None
+    ) -> None:
         self._console, self._duration, self._quiet = console, duration, quiet
         self._bar = Progress(
             SpinnerColumn(),
@@ -53,7 +58,7 @@ class RunProgress:
         )
         self._task = self._bar.add_task("preparing", total=None)
         self._began: float | None = None
-        self.compiling = not kernels_are_cached()
+        self.compiling = not kernels_are_cached(integrator)
 
     def __enter__(self) -> Self:
         self._bar.start()

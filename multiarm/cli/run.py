@@ -272,7 +272,8 @@ def _simulate(
     Returns the trajectory, how the start was assembled, and whether kernels had to be compiled.
     """
     duration = options["duration"] if options["duration"] is not None else scene.run.duration
-    with RunProgress(messages(), duration, quiet) as progress:
+    integrator = options["integrator"] or scene.run.integrator
+    with RunProgress(messages(), duration, quiet, integrator) as progress:
         from multiarm.compilation import compile_system
         from multiarm.simulation import simulate
 
