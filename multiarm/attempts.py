@@ -8,7 +8,7 @@ A rerun is itself the next candidate when its predicted error suffices, so that 
 what is returned is always the run whose error was estimated. Errors are predicted as proportional
 to tolerances, with a margin. The repetition ends early where it is of no use: when the difference
 does not fall any more, when tolerances would have to be smaller than double precision has a use
-for, and when errors grow so fast that roundings alone exceed what was asked.
+for: runs that have parted are taken to go on parting at the rate at which they did.
 
 Samples may go to a file. The first run goes to its place; later ones to a temporary file beside it,
 which is moved there when it is chosen. Until then the file holds a complete run that has no
@@ -47,8 +47,6 @@ MOST_EVALUATIONS = 12.0
 """Of a rerun, times those of the run before it: what takes more is stuck in roundings."""
 STILL_FALLING = 0.5
 """An estimate that falls by less than this, while tolerances fall so much, does not fall."""
-ROUNDED = 1e-16
-"""[m, rad] What errors grow from that no tolerance can avoid."""
 PARTED = 0.01
 """[m, rad] Two runs that are further apart have parted."""
 
@@ -176,10 +174,6 @@ class Attempts:
         spent = (EXHAUSTED, ROUNDING_WORDS) if rate is None else (GROWTH, growth_words(rate))
         if finding.accurate and candidate.tolerance <= SMALLEST_CHECKED:
             return CHECK, ""
-        lengths = [v for k, v in finding.asked.items() if v is not None and k in LENGTHS]
-        rounded = ROUNDED * _grown(rate, self.task.spec.duration)
-        if rate is not None and rounded > min(lengths, default=math.inf):
-            return spent
         if not finding.accurate and _excess(finding) * SMALLEST_CHECKED > candidate.tolerance:
             return spent
         if len(self._judged) > 1:
