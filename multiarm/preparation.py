@@ -49,8 +49,8 @@ from multiarm.watching import EventLog
 
 # Below this accuracy [m, rad] the method of order 8 is the cheaper one.
 ORDER_8_BELOW = 1e-3
-# Tolerance of one step as a fraction of the accuracy of the run: errors of many steps add up.  Of 50
-# random scenes nine in ten come out more accurate than was asked; the others are repeated.
+# Tolerance of one step as a fraction of the accuracy of the run: errors of many steps add up.  Of
+# 50 random scenes nine in ten come out more accurate than was asked; the others are repeated.
 STEP_SHARE = 0.1
 # Below this tolerance, roundings are all that changes.
 SMALLEST_TOLERANCE = 1e-14
