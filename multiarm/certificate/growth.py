@@ -19,6 +19,8 @@ FEWEST, MOST = 12, 150
 """Points that a rate needs, and that are used."""
 NOTABLE = 2.5
 """Natural logarithm of the growth that must be seen before it is spoken of."""
+MOST_POWER = 5.0
+"""Of time, with which errors grow that add up: those of accelerations twice, and some more."""
 
 
 def growth_rate(time: np.ndarray, apart: np.ndarray) -> float | None:
@@ -49,9 +51,9 @@ def growth_rate(time: np.ndarray, apart: np.ndarray) -> float | None:
     rate, spread = _line(t, y)
     if rate * (t[-1] - t[0]) < NOTABLE or rate * time[-1] < 2 * NOTABLE:
         return None
-    # errors that only add up grow as a power of time: a straight line over its logarithm
-    _, spread_of_power = _line(np.log(t), y)
-    return float(rate) if spread <= spread_of_power else None
+    # errors that only add up grow as a small power of time: a straight line over its logarithm
+    power, spread_of_power = _line(np.log(t), y)
+    return float(rate) if spread <= spread_of_power or power > MOST_POWER else None
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
