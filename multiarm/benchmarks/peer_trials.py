@@ -21,11 +21,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import GAP
-from multiarm.dense_call import read_inertia
+from multiarm.benchmarks.probes import (
+    control_torque,
+    inexpressible_effects,
+    is_controlled,
+    joint_damping,
+    largest_gap,
+    total_energy,
+)
 from multiarm.dynamics import evaluate
-from multiarm.effects.program import JOINT_DAMPING
-from multiarm.equations import evaluate_buffers, update_kinematics
 from multiarm.errors import ModelError, MultiarmError
 from multiarm.simulation import simulate
 from multiarm.state import State
@@ -107,8 +111,8 @@ class Trial:
         self.last = min(max(last, self.first + 1), len(times) - 1)
         self.begin = float(times[self.first])
         self.window = float(times[self.last]) - self.begin
-        self.damping = _joint_damping(system)
-        self.controlled = system.plant.control.shape[0] > 0
+        self.damping = joint_damping(system)
+        self.controlled = is_controlled(system)
         self.reference: np.ndarray | None = None
         try:
             dense = evaluate(system.with_solver("dense"), self.time, self.worst)
@@ -124,7 +128,7 @@ class Trial:
         nearest = _sample_at(times, hardest)
         between = abs(times[nearest] - hardest) > 1e-9 and times[0] < hardest < times[-1]
         if between:
-            run = simulate(self.system, duration=hardest, output_step=hardest)
+            run = simulate(self.system, duration=hardest, output_step=hardest, certificate=False)
             if run.status == "completed":
                 return float(run.time[-1]), self.state(-1, run)
         return float(times[nearest]), self.state(nearest)
@@ -142,30 +146,15 @@ class Trial:
 
     def control(self, t: float, state: State) -> np.ndarray:
         """Torques of the scene's control at time ``t`` of our run, shape (n,), without damping."""
-        system = self.system
-        if not self.controlled:
-            return np.zeros(system.layout.joints)
-        system.set_state(t, state)
-        evaluate_buffers(system.book(), 0.0, 0.0)  # torques are there whatever the solver says
-        system.forgive()
-        return system.buffers.torque.copy()
+        return control_torque(self.system, t, state)
 
     def gap(self, state: State) -> float:
         """Largest gap of a contact [m]."""
-        self.system.set_state(0.0, state)
-        update_kinematics(self.system.book())
-        return float(np.max(np.abs(self.system.buffers.contacts[:, GAP]), initial=0.0))
+        return largest_gap(self.system, state)
 
     def energy(self, state: State) -> float:
         """Kinetic and potential energy [J]."""
-        system = self.system
-        system.set_state(0.0, state)
-        update_kinematics(system.book())
-        twist, b = state.object_twist, system.buffers
-        kinetic = twist @ b.inertia @ twist
-        for i, v in enumerate(state.joint_velocities.values()):
-            kinetic += v @ read_inertia(system.plant.pointers[i], v.size) @ v
-        return 0.5 * float(kinetic) + system.potential_energy()
+        return total_energy(self.system, state)
 
     def errors(self, accelerations: np.ndarray) -> tuple[float | None, float | None]:
         """Relative errors of the object's and the joints' accelerations (6 + n,)."""
@@ -208,8 +197,7 @@ Asked = Callable[[], tuple[Callable[[State, np.ndarray], np.ndarray], Callable[[
 
 def ask(trial: Trial, solver: str, make: Asked) -> Answer:
     """Put both questions to a peer; whatever it raises is told in the answer."""
-    effects = trial.system.scene.effects.model_dump(exclude_none=True)
-    strange = sorted(set(effects) - {"joint_damping"})
+    strange = inexpressible_effects(trial.system)
     if strange:
         return Answer(solver, refusal=f"cannot express {', '.join(strange)}")
     with np.errstate(all="ignore"):
@@ -398,16 +386,6 @@ def _quaternion_rate(q: np.ndarray, omega: np.ndarray) -> np.ndarray:
     """``dq/dt`` of a quaternion xyzw, the angular velocity in world axes."""
     vector = q[3] * omega + np.cross(omega, q[:3])
     return 0.5 * np.concatenate([vector, [-omega @ q[:3]]])
-
-
-def _joint_damping(system: System) -> np.ndarray:
-    """Coefficients of the joints' viscous friction, zero without that effect, shape (n,)."""
-    n = system.layout.joints
-    damping = np.zeros(n)
-    for code, at in system.plant.effects:
-        if code == JOINT_DAMPING:
-            damping += system.plant.parameters[at : at + n]
-    return damping
 
 
 def _sample_at(times: np.ndarray, t: float) -> int:

@@ -31,6 +31,19 @@ _SETTINGS = {
 ALGORITHMS = tuple(_SETTINGS)
 
 
+def rigid_parts(joint) -> list[tuple[pin.ContactType, pin.SE3]]:
+    """The rigid constraints of a joint, placed in its frame, whose z axis is a hinge's axis."""
+    if joint.kind == "weld":
+        return [(pin.ContactType.CONTACT_6D, pin.SE3.Identity())]
+    if joint.kind == "ball":
+        return [(pin.ContactType.CONTACT_3D, pin.SE3.Identity())]
+    if joint.kind == "revolute":
+        ends = (np.array([0.0, 0.0, side * joint.size / 2.0]) for side in (-1.0, 1.0))
+        return [(pin.ContactType.CONTACT_3D, pin.SE3(np.eye(3), end)) for end in ends]
+    kinds = ", ".join(EXPRESSIBLE)
+    raise ModelError(f"Pinocchio has no rigid constraint for {joint.kind}; only {kinds}")
+
+
 class PinocchioForest:
     """The system as one Pinocchio model whose loops are closed by rigid constraints.
 
@@ -68,7 +81,7 @@ class PinocchioForest:
             first = layout.dofs[layout.names.index(joint.arm)]
             on_tip = pin.SE3(arm.tip_rotation, arm.tip_translation) * pin.SE3(frame.on_tip)
             at = pin.SE3(frame.on_object)
-            for kind, place in _parts(joint):
+            for kind, place in rigid_parts(joint):
                 constraints.append(
                     pin.RigidConstraintModel(
                         kind,
@@ -155,19 +168,6 @@ class PinocchioForest:
             return run(model, data, q, v, tau, constraints, constraint_data, settings)
 
         return call
-
-
-def _parts(joint) -> list[tuple[pin.ContactType, pin.SE3]]:
-    """The rigid constraints of a joint, placed in its frame, whose z axis is a hinge's axis."""
-    if joint.kind == "weld":
-        return [(pin.ContactType.CONTACT_6D, pin.SE3.Identity())]
-    if joint.kind == "ball":
-        return [(pin.ContactType.CONTACT_3D, pin.SE3.Identity())]
-    if joint.kind == "revolute":
-        ends = (np.array([0.0, 0.0, side * joint.size / 2.0]) for side in (-1.0, 1.0))
-        return [(pin.ContactType.CONTACT_3D, pin.SE3(np.eye(3), end)) for end in ends]
-    kinds = ", ".join(EXPRESSIBLE)
-    raise ModelError(f"Pinocchio has no rigid constraint for {joint.kind}; only {kinds}")
 
 
 def _se3(position: np.ndarray) -> pin.SE3:

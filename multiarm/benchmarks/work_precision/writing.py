@@ -1,0 +1,30 @@
+"""Files that appear when they are complete."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from multiarm.errors import MultiarmError
+
+
+@contextmanager
+def in_one_step(path: Path, option: str) -> Iterator[Path]:
+    """Give a temporary file beside ``path`` to write to, which then takes its place.
+
+    Raises
+    ------
+    MultiarmError
+        It cannot be written; ``option`` is what named it.
+    """
+    target = path.expanduser()
+    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        yield partial
+        partial.replace(target)
+    except OSError as error:
+        raise MultiarmError(f"{option}: cannot write '{path}': {error.strerror}") from None
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,726 @@
+"""Claims about the study of accuracy: its reference, its points, its ladders, its peers."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanics import SCENES, scene_of, single_arm, ur5_pair
+from scipy.spatial.transform import Rotation
+
+import multiarm as ma
+from multiarm.benchmarks.courses import Course, Grid, OutOfTime
+from multiarm.benchmarks.peer_trials import NOT_INSTALLED
+from multiarm.benchmarks.probes import control_torque, joint_damping, sinusoid
+from multiarm.benchmarks.torque_tape import TorqueTape
+from multiarm.benchmarks.work_precision import reference as references
+from multiarm.benchmarks.work_precision import study as studies
+from multiarm.benchmarks.work_precision.choice import (
+    LEVELS,
+    NOISE,
+    all_series,
+    cheapest,
+    decades,
+)
+from multiarm.benchmarks.work_precision.peers import SOLVERS, Peers
+from multiarm.benchmarks.work_precision.points import (
+    COMPLETED,
+    FAILED,
+    TOO_SLOW,
+    Point,
+    measure_ours,
+    too_slow,
+)
+from multiarm.benchmarks.work_precision.reference import Motion, Reference, limited, make_reference
+from multiarm.benchmarks.work_precision.settings import (
+    BY_ACCURACY,
+    COARSEST,
+    OURS,
+    Setting,
+    halved_steps,
+    our_ladders,
+    short,
+)
+from multiarm.benchmarks.work_precision.store import Results, read_results, scene_digest
+from multiarm.benchmarks.work_precision.study import run_study
+from multiarm.benchmarks.work_precision.words import comparison, recommendation, told
+from multiarm.errors import MultiarmError
+from multiarm.problems import ring_of_arms
+from multiarm.scene import find_robot
+from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+
+DRAKE_IS_HERE = importlib.util.find_spec("pydrake") is not None
+MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
+MACHINE = {"processor": "a", "version": "1", "python": "3", "dependencies": {}, "platform": "p"}
+
+
+def ring(kind: str = "weld", duration: float = 0.1):
+    return ring_of_arms(2, kind, duration=duration)
+
+
+@pytest.fixture(scope="module")
+def system():
+    return ma.compile_system(ring())
+
+
+@pytest.fixture(scope="module")
+def reference(system) -> Reference:
+    return make_reference(system)
+
+
+def setting(value: float, method="rk4", kind="projection", knob="step", solver=OURS) -> Setting:
+    return Setting(solver, method, kind, knob, value)
+
+
+def point(wall: float, error: float, **more) -> Point:
+    errors = {"position": error, "rotation": error / 2, "joints": error / 3, "force": 10 * error}
+    about = setting(more.pop("value", wall), **more)
+    return Point(about, COMPLETED, wall_time_s=wall, steps=1, evaluations=4, errors=errors)
+
+
+def results_of(points, digits: float = 1e-13, accuracy: float = 1e-6) -> Results:
+    """Results of the ring scene with these points."""
+    scene = ring_of_arms(2, duration=1.0, accuracy=accuracy)
+    results = Results.of(scene, MACHINE)
+    quantities = dict.fromkeys(("motion", "position", "rotation", "joints", "force"), digits)
+    about = {"integrator": "dop853", "tolerance": 1e-14, "check": {}}
+    results.found_reference(Reference(Motion(np.zeros((1, 8))), quantities, 0.01, 0.01, about))
+    for item in points:
+        results.add(item)
+    return results
+
+
+# --- the reference --------------------------------------------------------------------------------
+
+
+def test_digits_are_what_another_method_and_the_dense_solver_differ_by(system, reference):
+    check = reference.about["check"]
+    assert check["solver"] == "dense"
+    assert check["integrator"] != reference.about["integrator"]
+    run = ma.simulate(
+        system, solver="dense", integrator=check["integrator"], tolerance=check["tolerance"],
+        stabilization="projection",
+    )  # fmt: skip
+    differ = Motion.of(run).errors(reference.motion)
+    assert {name: reference.digits[name] for name in differ} == differ
+    assert reference.digits["motion"] == max(differ[k] for k in ("position", "rotation", "joints"))
+    # roundings of a tenth of a second in a system of some metres and some hundred newtons
+    assert reference.digits["motion"] < 1e-12
+    assert reference.digits["force"] < 1e-10
+
+
+def test_a_wrong_solver_would_show_in_the_digits(system, reference, monkeypatch):
+    heavier = ma.compile_system(ring().replace(gravity=[0.0, 0.0, -9.8101]))
+
+    def wrong(system, limit_s, **options):
+        return limited(heavier if "solver" in options else system, limit_s, **options)
+
+    monkeypatch.setattr(references, "limited", wrong)
+    digits = make_reference(system).digits
+    # holding torques follow the weight: what differs are roundings of nothing but the sinusoids
+    assert digits["force"] == pytest.approx(1e-4 * 5.0, rel=10.0)
+    assert digits["force"] > 1e6 * reference.digits["force"]
+
+
+def test_digits_that_are_known_are_not_found_again(system, reference, monkeypatch):
+    known = {"digits": {"motion": 0.5}, "about": dict(reference.about)}
+    monkeypatch.setattr(references, "_checked", None)
+    assert make_reference(system, known=known).digits == {"motion": 0.5}
+
+
+def test_a_scene_that_cannot_run_has_no_reference(system, monkeypatch):
+    monkeypatch.setattr(references, "PATIENCE", 0.0)
+    with pytest.raises(MultiarmError, match="no reference to compare with: dop853 takes longer"):
+        make_reference(system)
+
+
+# --- errors ---------------------------------------------------------------------------------------
+
+
+def test_errors_of_a_point_are_those_between_two_trajectories(system, reference):
+    about = setting(0.01, kind="none")
+    found = measure_ours(system, about, reference, 10.0)
+    run = ma.simulate(system, integrator="rk4", step=0.01, stabilization="none")
+    exact = ma.simulate(
+        system, integrator=reference.about["integrator"], tolerance=reference.about["tolerance"]
+    )
+    turned = Rotation.from_quat(exact.object_quaternion_xyzw).inv() * Rotation.from_quat(
+        run.object_quaternion_xyzw
+    )
+    off = np.linalg.norm(run.object_position - exact.object_position, axis=1)
+    expected = {
+        "position": off.max(),
+        "rotation": turned.magnitude().max(),
+        "joints": max(
+            np.abs(run.joint_positions[arm] - exact.joint_positions[arm]).max()
+            for arm in run.arm_names
+        ),
+        "force": max(
+            np.abs(run.contact_forces[arm] - exact.contact_forces[arm]).max()
+            for arm in run.arm_names
+        ),
+    }
+    # SciPy's angles of small rotations are right to 1e-16
+    assert found.errors == pytest.approx(expected, rel=1e-6, abs=1e-15)
+    assert found.error("motion") == max(found.errors[k] for k in ("position", "rotation", "joints"))
+    assert found.gap_m == run.position_drift.max() > 1e-12
+    assert found.gap_rate_m_per_s == run.velocity_drift.max()
+    assert found.energy_J == np.abs(run.energy_balance).max()
+    assert (found.steps, found.evaluations) == (10, run.statistics["evaluations"])
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.3, 3.0])
+def test_the_angle_between_rotations_is_right_however_small(angle):
+    rng = np.random.default_rng(7)
+    first = Rotation.random(20, random_state=rng)
+    axis = rng.normal(size=(20, 3))
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    second = first * Rotation.from_rotvec(angle * axis)
+    rows = [np.column_stack([np.zeros((20, 3)), r.as_quat()]) for r in (first, second)]
+    rows[1][::2, 3:] *= -1.0  # the same rotations
+    found = Motion(rows[1]).errors(Motion(rows[0]))["rotation"]
+    assert found == pytest.approx(angle, rel=1e-6, abs=3e-16)
+
+
+def test_errors_are_those_at_the_worst_time():
+    exact = np.zeros((5, 8))
+    exact[:, 6] = 1.0
+    found = exact.copy()
+    found[2, :3], found[3, 7] = [3.0, 0.0, 4.0], -2.0
+    errors = Motion(found).errors(Motion(exact))
+    assert errors == {"position": 5.0, "rotation": 0.0, "joints": 2.0, "force": None}
+
+
+# --- settings and ladders -------------------------------------------------------------------------
+
+
+def test_every_integrator_is_studied_with_each_stabilisation():
+    ladders = our_ladders(0.01, 1.0, 0.005, quick=False)
+    methods = {ladder.settings[0].method for ladder in ladders}
+    assert methods == {BY_ACCURACY, *ADAPTIVE_INTEGRATORS, *FIXED_STEP_INTEGRATORS}
+    kinds = {x.settings[0].stabilization for x in ladders if x.settings[0].method == "dop853"}
+    assert kinds == {"projection", "feedback", "none"}
+    keys = [item.key for ladder in ladders for item in ladder.settings]
+    assert len(set(keys)) == len(keys)
+    for ladder in ladders:
+        values = [item.value for item in ladder.settings]
+        assert values == sorted(values, reverse=True)
+        assert len({item.series for item in ladder.settings}) == 1
+
+
+@pytest.mark.parametrize(("output_step", "coarsest"), [(0.01, 0.04), (0.01, 0.003), (0.25, 0.2)])
+def test_fixed_steps_are_halved_from_the_coarsest_and_meet_the_outputs(output_step, coarsest):
+    steps = halved_steps(output_step, coarsest)
+    assert coarsest / 2.0 < steps[0] <= coarsest
+    assert [a / b for a, b in itertools.pairwise(steps)] == [2.0] * (len(steps) - 1)
+    for step in steps:
+        ratio = output_step / step
+        assert ratio == round(ratio) or 1.0 / ratio == round(1.0 / ratio)
+
+
+def test_a_quick_ladder_is_every_second_setting():
+    full, quick = (our_ladders(0.01, 1.0, 0.005, quick=q) for q in (False, True))
+    for a, b in zip(full, quick, strict=True):
+        assert b.settings == a.settings[::2][: len(b.settings)]
+
+
+def test_fixed_steps_follow_from_the_references_own():
+    slow, fast = (
+        our_ladders(0.01, 1.0, average, False)[-1].settings[0] for average in (1e-2, 1e-4)
+    )
+    assert slow.value <= COARSEST * 1e-2 < 2.0 * slow.value
+    assert fast.value <= COARSEST * 1e-4 < 2.0 * fast.value
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1e-6, "1e-6"), (0.0025, "0.0025"), (1.5625e-4, "1.5625e-4"), (0.0, "0")]
+)
+def test_numbers_are_told_as_one_would_type_them(value, text):
+    assert short(value) == text
+    assert float(text) == value
+
+
+def test_failing_settings_are_points_with_a_reason(system, reference):
+    lost = measure_ours(system, setting(1e-13, "dop853", "feedback", "tolerance"), reference, 10.0)
+    assert (lost.status, lost.wall_time_s, lost.error("motion")) == (FAILED, None, None)
+    assert "the step became too small" in lost.message
+    wrong = measure_ours(system, setting(0.5), reference, 10.0)
+    assert wrong.status == FAILED
+    assert "longer than the run" in wrong.message
+    late = measure_ours(system, setting(1e-6), reference, 0.02)
+    assert (late.status, late.message) == (TOO_SLOW, "not done after 0.02 s")
+
+
+def test_points_survive_their_file(system, reference):
+    for about in (setting(0.01), setting(0.5)):
+        found = measure_ours(system, about, reference, 10.0)
+        assert Point.from_dict(found.as_dict()) == found
+
+
+# --- the study ------------------------------------------------------------------------------------
+
+
+class Law:
+    """Makes points by a law instead of runs, and counts them."""
+
+    def __init__(self, order: float = 4.0, floor: float = 0.0, seconds: float = 1e-4):
+        self.order, self.floor, self.seconds = order, floor, seconds
+        self.runs: list[Setting] = []
+
+    def __call__(self, system, about: Setting, reference, limit_s: float) -> Point:
+        self.runs.append(about)
+        error = max(about.value**self.order, self.floor)
+        found = point(self.seconds / about.value, error)
+        return replace(found, setting=about)
+
+
+@pytest.fixture
+def fast_study(monkeypatch, system, reference):
+    """A study of one ladder of Runge-Kutta steps whose points follow a law."""
+
+    def run(law, results=None, **options):
+        ladder = [our_ladders(0.01, 0.1, 0.005, False)[-1]]
+        made = replace(reference, wall_time_s=0.0)
+        monkeypatch.setattr(studies, "make_reference", lambda *_: made)
+        monkeypatch.setattr(studies, "our_ladders", lambda *_: ladder)
+        monkeypatch.setattr(studies, "measure_ours", law)
+        return run_study(system.scene, results, peers=False, **options)
+
+    return run
+
+
+def values(results: Results) -> list[float]:
+    return [item.setting.value for item in results.points.values()]
+
+
+def test_a_ladder_ends_in_the_digits_of_the_reference(fast_study, reference):
+    results = fast_study(Law(seconds=1e-9))
+    assert min(values(results)) ** 4 <= reference.digits["motion"] < (2 * min(values(results))) ** 4
+
+
+def test_a_ladder_ends_when_errors_no_longer_fall(fast_study):
+    results = fast_study(Law(floor=1e-6, seconds=1e-9))
+    reached = [value for value in values(results) if value**4 <= 1e-6]
+    assert len(reached) == 1 + studies.STALE
+
+
+def test_a_ladder_ends_before_runs_take_too_long(fast_study):
+    results = fast_study(Law(order=1.0, seconds=0.003))
+    last = min(values(results))
+    assert 0.003 / last <= studies.LEAST_PATIENCE < 2 * 0.003 / (last / 2)
+
+
+def test_an_accident_at_the_first_setting_does_not_end_a_ladder(fast_study):
+    law, calls = Law(seconds=1e-9), itertools.count()
+
+    def stalled_once(system, about, reference, limit_s):
+        found = law(system, about, reference, limit_s)
+        return found if next(calls) else too_slow(about, limit_s)
+
+    assert list(fast_study(stalled_once).points) == list(fast_study(Law(seconds=1e-9)).points)
+
+
+def test_quick_settings_are_repeated_and_slow_ones_are_not(fast_study):
+    law = Law(order=1.0, seconds=0.003)
+    results = fast_study(law)
+    for item in results.points.values():
+        wall = 0.003 / item.setting.value
+        assert item.repeats == law.runs.count(item.setting)
+        expected = min(studies.REPEATS, max(1, int(studies.REPEAT_BUDGET / wall + 1e-9)))
+        assert item.repeats == expected
+
+
+def test_the_fastest_run_counts(fast_study):
+    times = itertools.count()
+
+    def law(system, about, reference, limit_s):
+        return replace(point(0.01 / (2 + next(times) % 5), 1e-20), setting=about)
+
+    results = fast_study(law)
+    (found,) = results.points.values()
+    assert (found.repeats, found.wall_time_s) == (studies.REPEATS, 0.01 / 6)
+
+
+def test_an_interrupted_study_goes_on_where_it_was(fast_study, system, tmp_path):
+    path = tmp_path / "study.json"
+    law = Law(seconds=1e-9)
+
+    def interrupt(text, done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fast_study(law, Results.of(system.scene, MACHINE, path), progress=interrupt)
+    assert len(read_results(path).points) == len(law.runs) == 3
+    again = Law(seconds=1e-9)
+    results = fast_study(again, read_results(path))
+    assert list(results.points)[:3] == list(read_results(path).points)[:3]
+    first = [run for run in again.runs if run in law.runs]
+    assert len(first) == 3 * (studies.REPEATS - 1), "they are only repeated"
+    whole = fast_study(Law(seconds=1e-9))
+    assert list(whole.points) == list(results.points)
+
+
+def test_a_finished_study_measures_nothing(fast_study, system, tmp_path):
+    path = tmp_path / "study.json"
+    fast_study(Law(seconds=1e-9), Results.of(system.scene, MACHINE, path))
+    law = Law(seconds=1e-9)
+    fast_study(law, read_results(path))
+    assert law.runs == []
+
+
+def test_progress_names_what_is_measured(fast_study):
+    told_: list[tuple[str, float, float]] = []
+    fast_study(Law(seconds=1e-9), progress=lambda *what: told_.append(what))
+    measured = [item for item in told_ if item[2]]
+    assert measured[0][0].startswith("rk4, none, step ") or "step " in measured[0][0]
+    assert all(done <= total for _, done, total in measured)
+
+
+def test_results_are_of_a_scene_and_a_machine():
+    scene = ring()
+    one = Results.of(scene, MACHINE)
+    assert one.stale(Results.of(scene, MACHINE)) == ""
+    moved = scene.replace(gravity=[0.0, 0.0, -9.0])
+    assert one.stale(Results.of(moved, MACHINE)) == "the scene has changed"
+    assert one.stale(Results.of(scene, {**MACHINE, "processor": "b"})) == "it is of another machine"
+    assert one.stale(Results.of(scene, {**MACHINE, "version": "2"})) == "versions have changed"
+    # how the scene is run is what the study varies
+    other = scene.replace(run={"duration": 0.1, "integrator": "rk4", "step": 1e-3})
+    assert scene_digest(other) == scene_digest(scene)
+    longer = scene.replace(run={"duration": 0.2})
+    assert scene_digest(longer) != scene_digest(scene)
+
+
+def test_a_changed_robot_is_another_scene(tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    text = find_robot("planar_3r").urdf.read_text(encoding="utf-8")
+    urdf.write_text(text, encoding="utf-8")
+    arm = {"urdf": str(urdf), "tip": "tip", "posture": [0.1, 0.2, 0.3]}
+    scene = scene_of({"arm": arm}, [{"arm": "arm", "kind": "weld"}])
+    before = scene_digest(scene)
+    urdf.write_text(text.replace("</robot>", "<!-- another --></robot>"), encoding="utf-8")
+    assert scene_digest(scene) != before
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "multiarm accuracy, 1"}'])
+def test_other_files_are_refused(tmp_path, text):
+    path = tmp_path / "other.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(MultiarmError, match="is not the file of an accuracy study"):
+        read_results(path)
+
+
+# --- what is cheapest -----------------------------------------------------------------------------
+
+
+def test_the_cheapest_of_each_decade_is_that_of_brute_force():
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        digits = 10.0 ** rng.uniform(-12, -8)
+        points = [
+            replace(
+                point(wall, 10.0 ** rng.uniform(-12, 0), value=k + 1.0),
+                setting=setting(k + 1.0, solver=OURS if k % 3 else "Drake"),
+                status=COMPLETED if rng.uniform() < 0.8 else FAILED,
+            )
+            for k, wall in enumerate(rng.uniform(0.1, 1.0, size=12))
+        ]
+        found = {decade.level: decade for decade in decades(results_of(points, digits))}
+        for level in LEVELS:
+            able = [
+                item
+                for item in points
+                if item.status == COMPLETED and item.errors["position"] <= level - digits
+            ]
+            ours = [item for item in able if item.setting.solver == OURS]
+            peers = [item for item in able if item.setting.solver != OURS]
+            if level <= digits or not able:
+                assert level not in found
+                continue
+            best = [min(x, key=lambda p: p.wall_time_s, default=None) for x in (ours, peers)]
+            assert [found[level].ours, found[level].peer] == best
+            if all(best):
+                assert found[level].ratio == best[1].wall_time_s / best[0].wall_time_s
+
+
+def test_one_number_is_advised_where_it_is_as_fast():
+    plain = point(1.0, 1e-7, method="dop853", knob="tolerance")
+    alike = replace(point(1.0 + NOISE, 1e-7), setting=setting(1e-5, BY_ACCURACY, "", "accuracy"))
+    slower = replace(alike, wall_time_s=1.01 + NOISE)
+    assert cheapest([plain, alike], 1e-6, "motion") == alike
+    assert cheapest([plain, slower], 1e-6, "motion") == plain
+
+
+def test_errors_below_the_digits_are_not_ranked():
+    exact = point(1.0, 0.0)
+    found = decades(results_of([exact], digits=2e-7))
+    assert [decade.level for decade in found][-1] == 1e-6
+
+
+def test_the_recommendation_says_what_to_take_and_what_more_costs():
+    by_accuracy = setting(1e-5, BY_ACCURACY, "", "accuracy")
+    first = replace(point(3.1e-3, 5e-7), setting=by_accuracy, used="dop853")
+    second = point(6.2e-3, 5e-10, method="dop853", kind="none", knob="tolerance")
+    assert recommendation(results_of([first, second])) == (
+        "For errors below 1e-6 take accuracy 1e-5 (dop853, projection): 3.1 ms for 1 s of motion; "
+        "1e-9 costs 2 times that."
+    )
+    assert told(second) == "tolerance 0.0062 (dop853, no stabilization)"
+
+
+def test_the_recommendation_aims_at_the_scenes_accuracy():
+    coarse, fine = point(1e-3, 5e-4), point(2e-3, 5e-7)
+    text = recommendation(results_of([coarse, fine], accuracy=1e-3))
+    assert text.startswith("For errors below 0.001 take step 0.001 s (rk4, projection): 1 ms")
+    assert text.endswith("1e-6 costs 2 times that.")
+
+
+def test_each_quantity_has_the_scenes_own_aim():
+    run = {"duration": 0.1, "accuracy": {"position": 1e-4, "rotation": 1e-5, "force": 1e-2}}
+    about = Results.of(ring().replace(run=run), MACHINE).about["scene"]["accuracy"]
+    assert about == {
+        "motion": 1e-5, "position": 1e-4, "rotation": 1e-5, "joints": 1e-5, "force": 1e-2,
+    }  # fmt: skip
+
+
+def test_the_recommendation_admits_what_cannot_be_had():
+    only = point(1e-3, 5e-3)
+    assert recommendation(results_of([only])) == (
+        "No setting reached 1e-6. For errors below 0.01 take step 0.001 s (rk4, projection): 1 ms "
+        "for 1 s of motion."
+    )
+    failed = replace(only, status=FAILED)
+    assert "nothing can be recommended" in recommendation(results_of([failed]))
+    assert "No setting reached 0.001. For errors below 0.1 N take " in recommendation(
+        results_of([only]), "force"
+    )
+
+
+def test_peers_are_compared_at_two_levels():
+    ours, peer = point(1e-3, 1e-10), point(5e-3, 1e-10, solver="Drake", method="discrete", kind="")
+    assert comparison(results_of([ours, peer])) == (
+        "The best peer takes 5 times our time to reach 1e-6 (Drake, discrete, step 0.005 s), and "
+        "5 times our time to reach 1e-9 (Drake, discrete, step 0.005 s)."
+    )
+    assert comparison(results_of([ours])) == ""
+
+
+def test_series_put_ours_first_and_go_from_coarse_to_fine():
+    peer = point(1e-3, 1e-3, solver="Drake", method="discrete", kind="")
+    found = all_series(results_of([peer, point(2.0, 1e-9, value=0.1), point(1.0, 1e-3, value=0.2)]))
+    assert [(item.name, item.ours) for item in found] == [
+        ("rk4, projection", True), ("Drake, discrete", False),
+    ]  # fmt: skip
+    assert [item.setting.value for item in found[0].points] == [0.2, 0.1]
+    assert found[0].best("motion").setting.value == 0.1
+
+
+# --- peers ----------------------------------------------------------------------------------------
+
+
+def course_of(peers: Peers, solver: str, method: str, value: float, reference, system) -> Point:
+    about = Setting(solver, method, "", peers.able[solver].methods[method], value)
+    return peers.measure(about, reference, 60.0)
+
+
+@pytest.fixture(scope="module", params=["weld", "ball", "revolute"])
+def trial(request):
+    """A system, its reference and its peers, for each joint that peers have."""
+    own = ma.compile_system(ring(request.param))
+    return own, make_reference(own), Peers(own)
+
+
+def test_pinocchio_converges_to_the_reference(trial):
+    own, reference, peers = trial
+    fine = course_of(peers, "Pinocchio", "SciPy DOP853", 1e-12, reference, own)
+    # a tolerance of a step, over some ten steps
+    assert fine.status == COMPLETED, fine.message
+    assert fine.error("motion") < 1e-11
+    assert fine.gap_m < 1e-11
+    coarse = [course_of(peers, "Pinocchio", "RK4", h, reference, own) for h in (2.5e-3, 1.25e-3)]
+    order = math.log2(coarse[0].error("motion") / coarse[1].error("motion"))
+    assert order == pytest.approx(4.0, abs=0.2)
+    assert [item.evaluations for item in coarse] == [160, 320]
+
+
+def test_mujoco_at_its_best_converges_to_the_reference_and_as_shipped_does_not(trial):
+    own, reference, peers = trial
+    if not MUJOCO_IS_HERE:
+        assert peers.refusals["MuJoCo"] == NOT_INSTALLED
+        return
+    coarse = [course_of(peers, "MuJoCo", "RK4", h, reference, own) for h in (5e-3, 2.5e-3)]
+    order = math.log2(coarse[0].error("motion") / coarse[1].error("motion"))
+    assert order > 3.5
+    assert coarse[1].error("motion") < 1e-6
+    euler = [course_of(peers, "MuJoCo", "Euler", h, reference, own) for h in (5e-3, 2.5e-3)]
+    assert euler[0].error("motion") / euler[1].error("motion") == pytest.approx(2.0, rel=0.2)
+    soft = course_of(peers, "MuJoCo as shipped", "RK4", 2.5e-3, reference, own)
+    assert soft.error("motion") > 100.0 * coarse[1].error("motion")
+    assert soft.gap_m > 1e-6 > coarse[1].gap_m
+
+
+def test_drake_is_of_order_one_or_is_told_to_be_missing(trial):
+    own, reference, peers = trial
+    if not DRAKE_IS_HERE:
+        assert peers.refusals["Drake"] == NOT_INSTALLED
+        return
+    found = [course_of(peers, "Drake", "discrete", h, reference, own) for h in (2e-3, 1e-3)]
+    errors = [item.error("motion") for item in found]
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
+    assert errors[1] < 5e-3
+
+
+def test_peers_follow_a_feedback_controller_and_damping():
+    control = {"kind": "joint_pd", "stiffness": 100, "damping": 1,
+               "path": [{"time": 0.1, "xyz": [0, 0, 0.51]}]}  # fmt: skip
+    scene = ur5_pair(
+        {"kind": "weld"}, {"kind": "ball"}, control=control, effects={"joint_damping": 3.0},
+        run={"duration": 0.1},
+    )  # fmt: skip
+    own = ma.compile_system(scene)
+    assert sinusoid(own) is None
+    reference, peers = make_reference(own), Peers(own)
+    allowed = {("Pinocchio", "SciPy DOP853", 1e-10): 1e-8}
+    if MUJOCO_IS_HERE:
+        allowed["MuJoCo", "RK4", 2.5e-3] = 1e-5
+    if DRAKE_IS_HERE:
+        allowed["Drake", "discrete", 1e-3] = 1e-3
+    for (solver, method, value), bound in allowed.items():
+        found = course_of(peers, solver, method, value, reference, own)
+        assert found.error("motion") < bound, solver
+
+
+def test_pinocchio_follows_joints_that_turn_without_end():
+    scene = single_arm(
+        "kinova", "j2s6s200_end_effector", [1.0, 2.5, 1.5, 0.3, 0.4, 0.5], {"kind": "ball"},
+        run={"duration": 0.1},
+    )  # fmt: skip
+    own = ma.compile_system(scene)
+    found = course_of(Peers(own), "Pinocchio", "SciPy DOP853", 1e-12, make_reference(own), own)
+    assert found.error("motion") < 1e-10, found.message
+
+
+def test_a_scene_that_peers_cannot_express_names_them_with_the_reason():
+    peers = Peers(ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "point_on_plane"})))
+    assert peers.able == {}
+    assert set(peers.refusals) == set(SOLVERS)
+    missing = {"Drake": DRAKE_IS_HERE, "MuJoCo": MUJOCO_IS_HERE}
+    for solver, reason in peers.refusals.items():
+        here = missing.get(solver.split()[0], True)
+        assert ("point_on_plane" in reason) == here
+        assert reason.startswith("cannot express it: ") == here
+
+
+def test_peers_that_are_not_installed_are_told_so(system, monkeypatch):
+    for name in ("mujoco_peer", "drake_peer"):
+        monkeypatch.delitem(sys.modules, f"multiarm.benchmarks.{name}", raising=False)
+    for name in ("mujoco", "pydrake", "pydrake.multibody.plant"):
+        monkeypatch.setitem(sys.modules, name, None)
+    peers = Peers(system)
+    assert set(peers.able) == {"Pinocchio"}
+    assert set(peers.refusals.values()) == {"not installed: pip install multiarm[peers]"}
+
+
+def test_what_a_peer_raises_is_a_failed_point(system, reference):
+    peers = Peers(system)
+
+    def broken(*_):
+        raise RuntimeError("the tree is broken\nsecond line")
+
+    peers.able["Pinocchio"] = replace(peers.able["Pinocchio"], follow=broken)
+    found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
+    assert (found.status, found.message) == (FAILED, "RuntimeError: the tree is broken")
+
+
+def test_a_peer_that_diverges_or_takes_too_long_is_a_point_too(system, reference):
+    peers = Peers(system)
+
+    def diverging(course, start, *_):
+        course.positions += [start.position, start.position]
+
+    peers.able["Pinocchio"] = replace(peers.able["Pinocchio"], follow=diverging)
+    found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
+    assert found.message == "the state is no longer finite after 0.01 s"
+    late = Peers(system).measure(
+        Setting("Pinocchio", "RK4", "", "step", 1e-5), reference, limit_s=0.02
+    )
+    assert late.status == TOO_SLOW
+
+
+def test_sinusoidal_torques_are_the_scenes(system):
+    found = sinusoid(system)
+    state = system.initial_state()
+    for t in (0.0, 0.013, 0.4):
+        expected = control_torque(system, t, state)
+        assert found.at(np.array([t]))[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_tape_plays_row_by_row_and_stays_at_its_end():
+    target = np.zeros(3)
+    tape = TorqueTape(target)
+    rows = np.arange(6.0).reshape(2, 3)
+    tape.load(rows)
+    for row in (0, 1, 1):
+        tape.play(0, 0)
+        assert target.tolist() == rows[row].tolist()
+
+
+def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
+    if not MUJOCO_IS_HERE:
+        assert NOT_INSTALLED in Peers(system).refusals.values()
+        return
+    from multiarm.benchmarks.mujoco_peer import INTEGRATORS, MujocoModel
+
+    drive, grid = sinusoid(system), Grid.of(system.scene.run)
+    for method in INTEGRATORS:
+        model, ends = MujocoModel(system, joint_damping(system)), []
+        for torques in (drive, lambda t, state: drive.at(np.array([t]))[0]):
+            course = Course()
+            model.follow(course, grid, system.initial_state(), method, 0.005, torques)
+            ends.append(course.positions[-1])
+        # roundings of torques end Newton's method an iteration earlier or later
+        assert ends[0] == pytest.approx(ends[1], abs=1e-8), method
+
+
+def test_the_clock_does_not_count_what_is_off_it():
+    course = Course(limit_s=math.inf)
+    course.start()
+    course.off_the_clock(lambda: [None] * 200_000)()
+    with_it = course.wall_time_s
+    course.stop()
+    assert with_it < 0.0 <= course.wall_time_s
+    late = Course(limit_s=0.0)
+    late.start()
+    with pytest.raises(OutOfTime):
+        late.stop()
+
+
+# --- the common scene -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["weld", "ball"])
+def test_the_shipped_scene_is_the_ring_of_the_benchmark(kind):
+    def flat(value, path=""):
+        if isinstance(value, dict):
+            for key, item in value.items():
+                yield from flat(item, f"{path}/{key}")
+        elif isinstance(value, list | tuple):
+            for key, item in enumerate(value):
+                yield from flat(item, f"{path}/{key}")
+        else:
+            yield path, value
+
+    shipped = dict(flat(ma.load_scene(SCENES / f"ring_{kind}.yaml").model_dump(mode="json")))
+    built = dict(flat(ring_of_arms(2, kind).model_dump(mode="json")))
+    assert shipped.keys() == built.keys()
+    for path, value in shipped.items():
+        if isinstance(value, float):
+            assert value == pytest.approx(built[path], abs=1e-15), path
+        else:
+            assert value == built[path], path
