@@ -20,13 +20,31 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from multiarm.certificate import KINDS, LENGTHS, SAFETY, Finding, judge, unchecked
+from multiarm.certificate import KINDS, LENGTHS, SAFETY, Finding, judge
+from multiarm.certificate.words import (
+    ATTEMPTS,
+    CHECK,
+    EXHAUSTED,
+    FAILED_RERUN,
+    GROWTH,
+    INTERRUPTED,
+    INTERRUPTED_WORDS,
+    MEMORY,
+    MEMORY_WORDS,
+    REMEDY,
+    ROUNDING_WORDS,
+    UNDETERMINED_WORDS,
+    certificate,
+    failed_words,
+    growth_words,
+)
+from multiarm.controller_memory import remembers
 from multiarm.driving import BUDGET, TOO_MANY, Progress, Task, carry_out
 from multiarm.errors import MultiarmError, TrajectoryError
 from multiarm.scene import AccuracySpec
@@ -49,9 +67,10 @@ STILL_FALLING = 0.5
 """An estimate that falls by less than this, while tolerances fall so much, does not fall."""
 PARTED = 0.01
 """[m, rad] Two runs that are further apart have parted."""
-
-GROWTH, EXHAUSTED, ATTEMPTS, CHECK = "growth", "rounding", "attempts", "check"
-FAILED_RERUN, INTERRUPTED = "failed rerun", "interrupted"
+STEPS_SHRINK = 1.0 / 8.0
+"""Power of the tolerance with which the longest step of a rerun shrinks: as with order 8."""
+FEWER = 0.95
+"""Steps of a run over those of a tighter one, at most: else the tolerance had no say in them."""
 
 
 @dataclass
@@ -130,6 +149,8 @@ class Attempts:
 
     def _settle(self) -> tuple[str, str]:
         """Runs until one is accurate enough, or there is no use in another; returns why."""
+        if remembers(self.task.system, self._made[0].trajectory):
+            return MEMORY, MEMORY_WORDS
         candidate, finer = self._first_pair()
         while True:
             finding = judge(
@@ -161,7 +182,10 @@ class Attempts:
             except _Stopped as stop:
                 if stop.reason != EXHAUSTED:
                     raise
-        return self._rerun(TIGHTER * max(first.tolerance, SMALLEST_TOLERANCE)), first
+        looser = self._rerun(TIGHTER * max(first.tolerance, SMALLEST_TOLERANCE))
+        if looser.row["steps"] > FEWER * first.row["steps"]:
+            raise _Stopped(EXHAUSTED, ROUNDING_WORDS)  # then their difference says nothing
+        return looser, first
 
     @property
     def _accuracy(self) -> AccuracySpec:
@@ -170,11 +194,14 @@ class Attempts:
 
     def _why_stop(self, candidate: Attempt, finding: Finding) -> tuple[str, str] | None:
         """Why no further run is of use: the reason, and the words for it; None to go on."""
+        if not finding.judged:
+            return CHECK, UNDETERMINED_WORDS
         rate = finding.growth
         spent = (EXHAUSTED, ROUNDING_WORDS) if rate is None else (GROWTH, growth_words(rate))
         if finding.accurate and candidate.tolerance <= SMALLEST_CHECKED:
             return CHECK, ""
-        if not finding.accurate and _excess(finding) * SMALLEST_CHECKED > candidate.tolerance:
+        hopeless = _excess(finding) * SMALLEST_CHECKED > candidate.tolerance
+        if not finding.accurate and hopeless and (rate is not None or len(self._judged) > 1):
             return spent
         if len(self._judged) > 1:
             before, earlier = self._judged[-2]
@@ -198,13 +225,14 @@ class Attempts:
         path = self._place(len(self._made))
         sink = MemorySink() if path is None else Hdf5Sink(path)
         try:
-            run = carry_out(self.task, sink, self._watch(), tolerance / first.tolerance, most)
-        except KeyboardInterrupt:
-            self._remove(path)
-            raise
+            task = self._with_shorter_steps(tolerance, coarser)
+            run = carry_out(task, sink, self._watch(), tolerance / first.tolerance, most)
         except MultiarmError as error:
             self._remove(path)
-            raise _Stopped(FAILED_RERUN, _failed_words(str(error))) from error
+            raise _Stopped(FAILED_RERUN, failed_words(str(error))) from error
+        except BaseException:
+            self._remove(path)
+            raise
         attempt = Attempt(run, path, _row(run))
         self._made.append(attempt)
         if run.status == "interrupted":
@@ -212,8 +240,18 @@ class Attempts:
         if run.status != "completed" and TOO_MANY in run.message:
             raise _Stopped(EXHAUSTED, f"{TOO_MANY} at a tolerance of {tolerance:.1g}: {REMEDY}")
         if run.status != "completed":
-            raise _Stopped(FAILED_RERUN, _failed_words(run.message))
+            raise _Stopped(FAILED_RERUN, failed_words(run.message))
         return attempt
+
+    def _with_shorter_steps(self, tolerance: float, coarser: Attempt | None) -> Task:
+        """The task for a rerun: where something else than the tolerance limits the steps, the same
+        steps would make the same errors, so that the rerun's longest step is shorter too.
+        """
+        if coarser is None:
+            return self.task
+        ratio = min(1.0, tolerance / coarser.tolerance) ** STEPS_SHRINK
+        before = coarser.trajectory.statistics["largest_step_s"] or math.inf
+        return replace(self.task, longest_step=ratio * min(self.task.longest_step, before))
 
     def _watch(self) -> Callable[[float], None] | None:
         progress, number = self.progress, len(self._made)
@@ -256,7 +294,7 @@ class Attempts:
             rows = [
                 {**attempt.row, "returned": attempt is chosen} for attempt in self._made
             ]  # fmt: skip
-            changes["certificate"] = _certificate(finding, self._accuracy, reason, words, rows)
+            changes["certificate"] = certificate(finding, self._accuracy, reason, words, rows)
         if chosen.path is None:
             return chosen.trajectory.with_outcome(**changes)
         return self._store(chosen, changes)
@@ -275,23 +313,6 @@ class Attempts:
             fault = f"the certificate could not be stored in the file: {error}"
             return kept.with_outcome(message=f"{kept.message}; {fault}")
         return load_trajectory(self.out)
-
-
-INTERRUPTED_WORDS = "the check of its accuracy was interrupted, so that there is no certificate"
-REMEDY = "ask for less accuracy, or simulate a shorter time"
-ROUNDING_WORDS = f"smaller tolerances do not help any more, what is left is rounding: {REMEDY}"
-
-
-def growth_words(rate: float) -> str:
-    """What exponential growth of errors means for a run."""
-    return (
-        f"errors grow about e^({rate:.2g} t) in this motion, whatever the tolerance: simulate a "
-        f"shorter time, ask for less accuracy, or add damping"
-    )
-
-
-def _failed_words(message: str) -> str:
-    return f"the tightened rerun that checks it failed {message}"
 
 
 def _wanted(candidate: Attempt, finding: Finding) -> float:
@@ -328,24 +349,3 @@ def _row(run: Trajectory) -> dict[str, Any]:
     counted = run.statistics
     keys = ("tolerance", "integrator", "steps", "evaluations", "wall_time_s")
     return {**{key: counted.get(key) for key in keys}, **dict.fromkeys(KINDS)}
-
-
-def _certificate(
-    finding: Finding | None,
-    accuracy: AccuracySpec,
-    reason: str,
-    words: str,
-    rows: list[dict[str, Any]],
-) -> dict[str, Any]:
-    """The certificate as it is stored."""
-    if finding is None:
-        found = unchecked(accuracy)
-        text = f"not met, as far as is known: {words}"
-    else:
-        found, verdict = finding.as_dict(), "met" if finding.met else "not met"
-        parts = [f"{verdict}: {finding.numbers()}", *finding.faults, words]
-        if finding.undetermined:
-            names = ", ".join(finding.undetermined)
-            parts.append(f"forces that the equations leave open were not judged ({names})")
-        text = "; ".join(part for part in parts if part)
-    return {**found, "text": text, "reason": reason or "met", "safety": SAFETY, "attempts": rows}

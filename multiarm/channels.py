@@ -19,6 +19,8 @@ from multiarm.errors import TrajectoryError
 
 Block = dict[str, np.ndarray]
 """Samples of all channels: name -> array whose leading axis counts the samples."""
+CLOSED = "this trajectory was closed; load it from its file, or simulate again"
+"""What is wrong when samples are asked for that were let go of."""
 
 
 @dataclass(frozen=True)

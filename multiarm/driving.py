@@ -155,7 +155,7 @@ def _drive(run: Run, progress: Progress | None, most_evaluations: float) -> tupl
             if reason == STIFF:
                 switch.take_over(run)
                 advance_by = _advancer(run)
-            elif switch.judge(run):
+            elif reason == BUDGET_USED and switch.judge(run):  # then no sample is due any more
                 advance_by = _advancer(run)
             if reason == SOLVER_CHANGED:
                 run.solver_log.collect(run.system, float(run.clock.real[T]), _state(run))

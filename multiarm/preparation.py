@@ -52,6 +52,8 @@ ORDER_8_BELOW = 1e-3
 # Tolerance of one step as a fraction of the accuracy of the run: errors of many steps add up.  Of
 # 50 random scenes nine in ten come out more accurate than was asked; the others are repeated.
 STEP_SHARE = 0.1
+# Length of the trial from which the second derivative is taken at the start [s].
+TRIAL_STEP = 1e-5
 # Below this tolerance, roundings are all that changes.
 SMALLEST_TOLERANCE = 1e-14
 # Gaps larger than this fraction of the scene's size mean that the run has diverged.
@@ -292,12 +294,16 @@ def _first_slope(system: System, step: Step, settings: Settings) -> None:
 
 def _first_step(system: System, step: Step, settings: Settings, method: Method) -> float:
     """A first step whose error is about the tolerance (Hairer, Norsett, Wanner, II.4)."""
-    scale = step.tolerance
+    scale, trial = step.tolerance, min(TRIAL_STEP, settings.end)
     first = np.max(np.abs(step.slope[:-1]) / scale)
-    trial = min(1e-6, settings.end) if first == 0.0 else min(0.01 / first * 1e4, settings.end, 1e-3)
     other = np.zeros_like(step.slope)
     status = evaluate_slope(
-        system.book(), trial, step.z + trial * step.slope, step.base, 0.0, 0.0, other
+        system.book(),
+        trial,
+        step.z + trial * step.slope,
+        step.base,
+        *gains(settings, settings.step),
+        other,
     )
     if status != OK:
         system.forgive()  # the run itself will meet the trouble, and tell when
@@ -307,4 +313,4 @@ def _first_step(system: System, step: Step, settings: Settings, method: Method) 
     if worst == 0.0:
         return min(1e-2, settings.end)
     h = (0.01 / worst) ** (1.0 / (method.error_order + 1.0))
-    return float(min(100 * trial, h, settings.end))
+    return float(min(h, settings.end))

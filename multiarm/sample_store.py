@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from multiarm.channels import Block, Channel
+from multiarm.channels import CLOSED, Block, Channel
 from multiarm.errors import TrajectoryError
 
 
@@ -44,7 +44,7 @@ class ArrayStore:
         self.channels = {channel.name: channel for channel in channels}
         self.samples = len(arrays["time"])
         self._metadata = metadata
-        self._arrays = arrays
+        self._arrays, self._closed = arrays, False
         for values in arrays.values():
             values.flags.writeable = False
 
@@ -55,11 +55,16 @@ class ArrayStore:
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel."""
+        if self._closed:
+            raise TrajectoryError(CLOSED)
         return self._arrays[name][start:stop]
 
     def close(self) -> None:
         """Let go of the arrays; nothing more can be read."""
-        self._arrays = {}
+        self._arrays, self._closed = {}, True
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "metadata": self.metadata, "_metadata": None}
 
 
 def arm_names(store: Store) -> tuple[str, ...]:

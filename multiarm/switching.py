@@ -10,7 +10,16 @@ from __future__ import annotations
 
 from multiarm.integrators.tableaus import EXPLICIT
 from multiarm.preparation import Run, make_stepping
-from multiarm.time_loop import EVALUATIONS, H_OLD, STEPS, STIFF_AFTER, STIFF_SINCE, STIFF_STEPS, T
+from multiarm.time_loop import (
+    EVALUATIONS,
+    H_OLD,
+    SAMPLE,
+    STEPS,
+    STIFF_AFTER,
+    STIFF_SINCE,
+    STIFF_STEPS,
+    T,
+)
 
 FOR_STIFF_SCENES = "rodas5p"
 # The method has shown how long its steps are after so many of them.
@@ -25,7 +34,7 @@ class Switch:
     def __init__(self) -> None:
         self._explicit: str | None = None
         self._pace = 0.0
-        self._until = self._evaluations = 0
+        self._until = self._spent = 0
         self._since = 0.0
 
     def take_over(self, run: Run) -> None:
@@ -38,17 +47,20 @@ class Switch:
 
     def judge(self, run: Run) -> bool:
         """Whether the trial has just failed, so that the run goes on with the explicit method."""
-        count, real = run.clock.counts, run.clock.real
-        if self._explicit is None or count[STEPS] < self._until:
+        if self._explicit is None or run.clock.counts[STEPS] < self._until:
             return False
-        evaluations = int(count[EVALUATIONS]) - self._evaluations
-        kept = float(real[T]) - self._since > self._pace * evaluations
-        explicit, self._explicit = self._explicit, None
+        explicit, kept = self._explicit, self._keeps(run)
+        self._explicit = None
         if kept:
             return False
         self._change(run, explicit)
         self._tell(run, f"steps of {FOR_STIFF_SCENES} are too costly here")
         return True
+
+    def _keeps(self, run: Run) -> bool:
+        """Whether the method on trial gets further with an evaluation."""
+        got_on = float(run.clock.real[T]) - self._since
+        return got_on > self._pace * (_spent(run) - self._spent)
 
     def _change(self, run: Run, name: str) -> None:
         """Give a run another method; what it has come to stays."""
@@ -57,13 +69,19 @@ class Switch:
         new = run.stepping.step
         new.z[:], new.base[:], new.slope[:] = old.z, old.base, old.slope
         run.settings = run.settings._replace(switch=False)
-        self._until, self._evaluations = int(count[STEPS]) + TRIAL_STEPS, int(count[EVALUATIONS])
+        self._until, self._spent = int(count[STEPS]) + TRIAL_STEPS, _spent(run)
         self._since = float(run.clock.real[T])
 
     def _tell(self, run: Run, why: str) -> None:
         name, t = run.stepping.tableau.name, float(run.clock.real[T])
         text = f"{why}: the run goes on with {name}"
         run.events.told.append({"time": t, "kind": "method", "text": text})
+
+
+def _spent(run: Run) -> int:
+    """Evaluations without those of the samples, which cost the same with any method."""
+    count, projected = run.clock.counts, run.settings.closed >= 0.0
+    return int(count[EVALUATIONS]) - int(count[SAMPLE]) * (3 if projected else 1)
 
 
 def stiffness_remark(run: Run) -> str:

@@ -41,6 +41,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("deficiency",),
     ("dynamics", "compilation", "solver_log", "adoption"),
     ("preparation", "inspection", "inverse", "certificate"),
+    ("controller_memory",),
     ("switching",),
     ("driving",),
     ("attempts",),

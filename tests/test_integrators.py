@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from mechanics import EPS, single_arm
@@ -62,6 +65,131 @@ def test_dop853_has_the_published_coefficients():
     np.testing.assert_allclose(m.c[13:], SCIPY_DOP853.C_EXTRA, rtol=1e-15, atol=0)
     np.testing.assert_allclose(m.dense, SCIPY_DOP853.D, rtol=1e-15, atol=0)
     assert m.dense_kind == NESTED and METHODS["rk4"].dense_kind == HERMITE
+
+
+# --- the Rosenbrock method in its textbook form (Hairer and Wanner, IV.7) ------------------------
+
+
+@dataclass(frozen=True)
+class Rosenbrock:
+    """``k_i = f(u + h sum alpha_ij k_j) + h J sum gamma_ij k_j``, ``u_1 = u + h sum b_i k_i``.
+
+    The tableau has the form without products with ``J``: its stages are those of the textbook
+    times ``Gamma = (gamma_ij)``.
+    """
+
+    alpha: np.ndarray
+    Gamma: np.ndarray
+    b: np.ndarray
+    embedded: np.ndarray
+    dense: np.ndarray
+
+    @classmethod
+    def of(cls, m):
+        Gamma = np.linalg.inv(np.eye(m.b.size) / m.gamma - m.C)
+        last = np.eye(m.b.size)[-1]  # the last stage is the error estimate
+        return cls(m.A @ Gamma, Gamma, m.b @ Gamma, (m.b - last) @ Gamma, m.dense @ Gamma)
+
+    def weights(self, theta):
+        """Weights of the dense output."""
+        bend = self.dense[0] + theta * (self.dense[1] + theta * self.dense[2])
+        return theta * (self.b + (1 - theta) * bend)
+
+    def elementary(self, tree):
+        """What a rooted tree stands for, one number a stage.
+
+        Where the tree branches f is differentiated twice or more, which only ``alpha`` enters.
+        """
+        if not tree:
+            return np.ones(self.b.size)
+        matrix = self.alpha + self.Gamma if len(tree) == 1 else self.alpha
+        return np.prod([matrix @ self.elementary(branch) for branch in tree], axis=0)
+
+
+def rooted_trees(order):
+    """All rooted trees with so many vertices; a tree is the tuple of its branches."""
+    forests = {0: {()}}
+    for size in range(1, order):
+        forests[size] = {
+            tuple(sorted((*rest, tree)))
+            for first in range(1, size + 1)
+            for tree in rooted_trees(first)
+            for rest in forests[size - first]
+        }
+    return sorted(forests[order - 1])
+
+
+def vertices(tree):
+    return 1 + sum(map(vertices, tree))
+
+
+def density(tree):
+    return vertices(tree) * math.prod(map(density, tree))
+
+
+def missed(textbook, weights, order, theta=1.0):
+    """Largest violation of an order's conditions at the fraction ``theta`` of a step."""
+    return max(
+        abs(weights @ textbook.elementary(tree) - theta**order / density(tree))
+        for tree in rooted_trees(order)
+    )
+
+
+@pytest.fixture(scope="module")
+def rodas():
+    return Rosenbrock.of(METHODS["rodas5p"])
+
+
+def test_all_trees_are_counted():
+    assert [len(rooted_trees(order)) for order in range(1, 7)] == [1, 1, 2, 4, 9, 20]
+
+
+def test_rodas5p_meets_the_conditions_of_order_5_and_compares_with_order_4(rodas):
+    for order in range(1, 6):
+        assert missed(rodas, rodas.b, order) < 100 * EPS
+    for order in range(1, 5):
+        assert missed(rodas, rodas.embedded, order) < 100 * EPS
+    assert missed(rodas, rodas.b, 6) > 1e-3 and missed(rodas, rodas.embedded, 5) > 1e-3
+
+
+def test_dense_output_of_rodas5p_is_of_order_4_everywhere_in_the_step(rodas):
+    for theta in (0.1, 0.37, 0.5, 0.9):
+        for order in range(1, 5):
+            assert missed(rodas, rodas.weights(theta), order, theta) < 200 * EPS
+    np.testing.assert_allclose(rodas.weights(1.0), rodas.b, atol=20 * EPS)
+
+
+def test_nodes_of_rodas5p_are_the_sums_of_its_rows(rodas):
+    m = METHODS["rodas5p"]
+    np.testing.assert_allclose(rodas.alpha.sum(axis=1), m.c, atol=100 * EPS)
+    np.testing.assert_allclose(rodas.Gamma.sum(axis=1), m.d, atol=100 * EPS)
+    np.testing.assert_allclose(np.diag(rodas.Gamma), m.gamma, rtol=10 * EPS)
+    np.testing.assert_array_equal(np.triu(m.A), 0.0)
+    np.testing.assert_array_equal(np.triu(m.C), 0.0)
+
+
+def test_rodas5p_is_stiffly_accurate_and_l_stable(rodas):
+    """Its last stage is the end of the step; R(iy) stays in the unit circle and R(inf) = 0."""
+    beta, ones = rodas.alpha + rodas.Gamma, np.ones(rodas.b.size)
+    np.testing.assert_allclose(beta[-1], rodas.b, atol=20 * EPS)
+    assert rodas.alpha[-1].sum() == pytest.approx(1.0, abs=100 * EPS)
+    np.testing.assert_allclose(beta[-2], rodas.embedded, atol=20 * EPS)
+    for weights in (rodas.b, rodas.embedded):
+        assert 1 - weights @ np.linalg.pinv(beta) @ ones == pytest.approx(0.0, abs=1e-12)
+        for y in np.logspace(-3, 6, 300):
+            stages = np.linalg.solve(np.eye(ones.size) - 1j * y * beta, ones)
+            assert abs(1 + 1j * y * weights @ stages) < 1 + 100 * EPS
+
+
+@pytest.mark.parametrize("m", [METHODS["dopri5"], METHODS["dop853"]], ids=lambda m: m.name)
+def test_the_limit_of_stability_is_where_decay_no_longer_dies_out(m):
+    """A scene counts as stiff where steps get there; R(z) = 1 + z b (1 - z A)^-1 1."""
+    A, ones = m.A[: m.b.size, : m.b.size], np.ones(m.b.size)
+    grows = [
+        z for z in np.arange(0.1, 10.0, 0.01)
+        if abs(1 - z * m.b @ np.linalg.solve(np.eye(ones.size) + z * A, ones)) > 1
+    ]  # fmt: skip
+    assert 0.94 * grows[0] < m.stability < grows[0]
 
 
 # --- orders, on two arms that swing a block ------------------------------------------------------

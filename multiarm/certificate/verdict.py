@@ -65,9 +65,17 @@ class Finding:
         return max(ratios, default=0.0)
 
     @property
+    def judged(self) -> bool:
+        """Whether anything that was asked for could be compared."""
+        return any(
+            asked is not None and self.estimated[kind] is not None
+            for kind, asked in self.asked.items()
+        )
+
+    @property
     def accurate(self) -> bool:
         """Whether the estimated errors are as small as was asked."""
-        return self.complete and bool(self.excess <= 1.0)
+        return self.complete and self.judged and bool(self.excess <= 1.0)
 
     @property
     def faults(self) -> list[str]:

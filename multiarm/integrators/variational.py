@@ -44,7 +44,13 @@ import numpy as np
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.records import KIND, TANGENT
-from multiarm.equations import CALLBACK_FAILED, OK, solve_constrained, update_kinematics
+from multiarm.equations import (
+    CALLBACK_FAILED,
+    OK,
+    finite,
+    solve_constrained,
+    update_kinematics,
+)
 from multiarm.integrators.stepper import OWN_EVALUATIONS, Step, load
 from multiarm.lowlevel import (
     book_at,
@@ -256,13 +262,13 @@ def find_velocities(own, t, h):
             rolls = plant.codes[k, KIND] == TANGENT
             buffers.c[k] = -buffers.contacts[k, GAP_RATE] if rolls else own.gap[k]
         status = solve_constrained(own.system)
-        if status != OK:
-            return status
+        if status != OK:  # far away: inertias were sound at the beginning
+            return status if status == CALLBACK_FAILED else NOT_CONVERGED
         change = correct(own, buffers, iteration)
         fastest = 0.0
         for k in range(6 + n):
             fastest = max(fastest, abs(own.xi[k]))
-        if not math.isfinite(change):
+        if not (math.isfinite(change) and finite(own.xi)):  # no NaN is larger than a number
             return NOT_CONVERGED
         scale = 1.0 + fastest
         # corrections shrink by a nearly constant factor: so much is left after this one

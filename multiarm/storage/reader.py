@@ -11,7 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from multiarm.channels import Channel
+from multiarm.channels import CLOSED, Channel
 from multiarm.errors import TrajectoryError
 from multiarm.storage.layout import FORMAT, FORMAT_VERSION, reason
 from multiarm.storage.recovery import Unclosed, is_unclosed
@@ -50,6 +50,8 @@ class Hdf5Store:
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel."""
+        if not self._file:  # h5py's word for closed
+            raise TrajectoryError(CLOSED)
         stop = self.samples if stop is None else min(stop, self.samples)
         with self._reading():
             return self._file[name][start:stop]
