@@ -357,7 +357,7 @@ def test_scenes_that_are_not_stiff_never_change_the_method(accuracy, welded_ur5_
 
 def test_a_trial_that_does_not_pay_is_given_up():
     """Many joints, mild damping, high accuracy: a long step costs more than some short ones."""
-    scene = ring_of_arms(4).replace(effects={"joint_damping": 1000.0})
+    scene = ring_of_arms(8).replace(effects={"joint_damping": 1000.0})
     system, run = ma.compile_system(scene), {"duration": 0.5, "output_step": 0.05}
     found = ma.simulate(system, accuracy=1e-6, certificate=False, **run)
     told = [event["text"] for event in method_events(found)]
