@@ -22,7 +22,7 @@ from multiarm.equations import CALLBACK_FAILED, NOT_FINITE
 from multiarm.errors import MultiarmError, SolverError, TrajectoryError
 from multiarm.integrators.stepper import step_book
 from multiarm.integrators.variational import NOT_CONVERGED
-from multiarm.interrupts import deferred_interrupt
+from multiarm.interrupts import Interrupt, deferred_interrupt
 from multiarm.plant import BUSY
 from multiarm.preparation import Run, prepare
 from multiarm.samples import named_samples
@@ -120,8 +120,9 @@ def carry_out(
     system, spec = task.system, task.spec
     run = prepare(system, spec, task.state, sink, task.longest_step, tighten)
     run.sink.open(_channels(system), _metadata(task))
+    interrupt = Interrupt()
     try:
-        status, message, wall = _drive(run, progress, most_evaluations)
+        status, message, wall = _drive(run, progress, most_evaluations, interrupt)
     except BaseException as error:
         # not ours to handle, but what was simulated is kept
         with suppress(TrajectoryError):
@@ -130,7 +131,9 @@ def carry_out(
         run.sink.finish("failed", f"{_where(run)}: {error!r}", statistics, _events(run))
         raise
     message += stiffness_remark(run) + run.events.summary() + run.solver_log.summary()
-    return run.sink.finish(status, message, _statistics(run, spec, wall), _events(run))
+    trajectory = run.sink.finish(status, message, _statistics(run, spec, wall), _events(run))
+    interrupt.deliver()
+    return trajectory
 
 
 def _metadata(task: Task) -> dict[str, Any]:
@@ -142,13 +145,18 @@ def _metadata(task: Task) -> dict[str, Any]:
     return {**provenance(lambda: dump_scene(as_run)), "control": control, "start": start}
 
 
-def _drive(run: Run, progress: Progress | None, most_evaluations: float) -> tuple[str, str, float]:
-    """Let the compiled loop run to its end; returns status, message and wall time [s]."""
+def _drive(
+    run: Run, progress: Progress | None, most_evaluations: float, interrupt: Interrupt
+) -> tuple[str, str, float]:
+    """Let the compiled loop run to its end; returns status, message and wall time [s].
+
+    A Ctrl-C that came too late to end the run is left in ``interrupt``.
+    """
     advance_by, switch = _advancer(run), Switch()
     reason = advance_by(0)  # compiles the loop if need be, which is no part of the run's time
     started = time.perf_counter()
     next_checkpoint = started + CHECKPOINT_INTERVAL
-    with deferred_interrupt() as interrupt:
+    with deferred_interrupt(interrupt):
         while True:
             ended = None
             run.events.collect(run.system)
@@ -164,12 +172,13 @@ def _drive(run: Run, progress: Progress | None, most_evaluations: float) -> tupl
                     run.system.buffers.flag[BUSY] = 1
                     progress(float(run.clock.real[T]))
             except KeyboardInterrupt:  # the caller's way to end the run in good order
-                interrupt.pressed = True
+                interrupt.pressed = reason != FINISHED
             finally:
                 run.system.buffers.flag[BUSY] = 0
             if reason == FINISHED:
                 ended = "completed", "the run reached its end"
             elif interrupt.pressed:
+                interrupt.pressed = False
                 ended = "interrupted", f"stopped by the user {_where(run)}"
             elif reason not in (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED, STIFF):
                 ended = _trouble(run, reason)

@@ -85,8 +85,12 @@ def _spent(run: Run) -> int:
 
 
 def stiffness_remark(run: Run) -> str:
-    """What the user of a run should know whose explicit method was named, else empty."""
+    """What the user should know of a scene that is stiff: what was done, or should be; or empty."""
     real, count = run.clock.real, run.clock.counts
+    if run.stepping.tableau.name == FOR_STIFF_SCENES and run.may_switch:
+        return (
+            f"; the scene is stiff: {FOR_STIFF_SCENES} took over at t = {real[STIFF_SINCE]:.3g} s"
+        )
     named = run.stepping.tableau.kind == EXPLICIT and not run.may_switch
     if not named or count[STIFF_STEPS] < STIFF_AFTER:
         return ""

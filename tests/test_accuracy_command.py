@@ -157,12 +157,14 @@ def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_
     ]
 
 
-def test_a_study_of_another_scene_is_measured_anew_with_a_word(
-    two_ladders, tmp_path, monkeypatch, study_file
-):
-    result = accuracy(SCENE, "--duration", "0.05", "--no-peers", "--results", study_file)
-    assert result.exit_code == 0, result.output
-    assert "is not used, everything is measured anew: the scene has changed" in result.stderr
+def test_a_study_of_another_scene_is_kept_unless_it_may_be_replaced(two_ladders, study_file):
+    other = (SCENE, "--duration", "0.05", "--no-peers", "--results", study_file)
+    before = study_file.read_bytes()
+    result = accuracy(*other)
+    assert result.exit_code == 2
+    assert "holds another study (the scene has changed)" in " ".join(result.stderr.split())
+    assert study_file.read_bytes() == before
+    assert accuracy(*other, "--redo").exit_code == 0
     assert len(read_results(study_file).points) == 4
 
 

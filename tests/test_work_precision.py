@@ -246,7 +246,7 @@ def test_numbers_are_told_as_one_would_type_them(value, text):
 
 
 def test_failing_settings_are_points_with_a_reason(system, reference):
-    lost = measure_ours(system, setting(1e-13, "dop853", "feedback", "tolerance"), reference, 10.0)
+    lost = measure_ours(system, setting(1e-18, "dop853", "feedback", "tolerance"), reference, 10.0)
     assert (lost.status, lost.wall_time_s, lost.error("motion")) == (FAILED, None, None)
     assert "the step became too small" in lost.message
     wrong = measure_ours(system, setting(0.5), reference, 10.0)

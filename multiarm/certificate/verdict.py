@@ -93,11 +93,10 @@ class Finding:
         return [name for name, d in self.comparison.outputs.items() if d.left_out]
 
     def numbers(self) -> str:
-        """``estimated error 2e-09 m, 4e-09 rad (asked 1e-06 m, 1e-06 rad)``."""
+        """``estimated error 2e-09 m, 4e-09 rad, 3e-06 N (asked 1e-06 m, 1e-06 rad)``."""
         known = {kind: value for kind, value in self.estimated.items() if value is not None}
         wanted = {kind: value for kind, value in self.asked.items() if value is not None}
-        shown = {kind: value for kind, value in known.items() if kind in wanted or kind != FORCE}
-        return f"estimated error {_listed(shown)} (asked {_listed(wanted)})"
+        return f"estimated error {_listed(known)} (asked {_listed(wanted)})"
 
     def as_dict(self) -> dict[str, Any]:
         """All of it but the words and the attempts, in what JSON knows."""

@@ -198,8 +198,10 @@ def _kept(target: Path, empty: Results, redo: bool) -> Results:
     old = read_results(target)
     reason = old.stale(empty)
     if reason:
-        print_warnings([f"'{target}' is not used, everything is measured anew: {reason}"])
-        return empty
+        raise MultiarmError(
+            f"--results: '{target}' holds another study ({reason}); name another file, or give "
+            "--redo to replace it"
+        )
     return old
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +19,8 @@ from multiarm.storage.recovery import Unclosed, is_unclosed
 
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError)
 """What h5py raises for a file that is not what it should be."""
+TRIES, PAUSE = 4, 0.1
+"""To open a file that may be in the middle of being written; seconds in between."""
 
 
 class Hdf5Store:
@@ -34,6 +37,16 @@ class Hdf5Store:
 
     def __init__(self, path: str | os.PathLike):
         self.path = Path(path)
+        for tries_left in range(TRIES - 1, -1, -1):
+            try:
+                self._open()
+                return
+            except TrajectoryError:  # a file that is being written changes while it is read
+                if not tries_left or not (self.path.is_file() and is_unclosed(self.path)):
+                    raise
+                time.sleep(PAUSE)
+
+    def _open(self) -> None:
         self._file, intact = _open_for_reading(self.path)
         with self._reading():
             _check_format(self.path, self._file)
