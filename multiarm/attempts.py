@@ -47,14 +47,13 @@ from multiarm.certificate.words import (
 from multiarm.controller_memory import remembers
 from multiarm.driving import BUDGET, TOO_MANY, Progress, Task, carry_out
 from multiarm.errors import MultiarmError, TrajectoryError
+from multiarm.preparation import SMALLEST_TOLERANCE
 from multiarm.scene import AccuracySpec
 from multiarm.sinks import Hdf5Sink, MemorySink
 from multiarm.trajectory import Trajectory, amend_file, load_trajectory
 
 TIGHTER = 30.0
 """How much smaller the tolerances of a rerun are."""
-SMALLEST_TOLERANCE = 1e-14
-"""Below it, roundings are all that changes."""
 SMALLEST_CHECKED = 8.0 * SMALLEST_TOLERANCE
 """Of a run that can be checked: a rerun that is hardly any tighter says too little."""
 MOST_RUNS = 7

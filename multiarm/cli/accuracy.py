@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from multiarm.cli.accuracy_tables import decade_table, method_table, point_table
 from multiarm.cli.files import check_targets, write_json
-from multiarm.cli.progress import COMPILING, kernels_are_cached
+from multiarm.cli.progress import StudyProgress
 from multiarm.cli.terminal import (
-    messages,
     output,
     print_error,
     print_warnings,
@@ -172,7 +170,7 @@ def _measure(
     scene = load_scene(path)
     print_warnings(scene.warnings)
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
-    with _Watched() as watched:
+    with StudyProgress() as watched:
         from multiarm.benchmarks.hard_cases import machine
         from multiarm.benchmarks.work_precision.store import Results
         from multiarm.benchmarks.work_precision.study import run_study
@@ -203,41 +201,6 @@ def _kept(target: Path, empty: Results, redo: bool) -> Results:
             "--redo to replace it"
         )
     return old
-
-
-class _Watched:
-    """A bar on a terminal; elsewhere one line when kernels have to be compiled first."""
-
-    def __init__(self) -> None:
-        console = messages()
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TimeElapsedColumn(),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-        compiling = not kernels_are_cached()
-        self._task = self._bar.add_task(COMPILING if compiling else "preparing", total=None)
-        if compiling and self._bar.disable:
-            console.print(f"{COMPILING} ...", soft_wrap=True)
-
-    def __enter__(self) -> _Watched:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def stop(self) -> None:
-        """Take the bar away."""
-        self._bar.stop()
-
-    def tell(self, text: str, done: float, total: float) -> None:
-        """Show what is being measured, and how much of what there may be is done."""
-        self._bar.update(self._task, description=text, completed=done, total=total or None)
 
 
 def _print(results: Results, quantity: str, every: bool) -> None:

@@ -6,11 +6,21 @@ import time
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.text import Text
 from typing_extensions import Self
 
-__all__ = ["RunProgress", "kernels_are_cached"]
+from multiarm.cli.terminal import messages
+
+__all__ = ["RunProgress", "StudyProgress", "kernels_are_cached"]
 
 COMPILING = "compiling kernels (only the first time on this machine)"
 
@@ -95,6 +105,57 @@ class RunProgress:
         self._bar.update(
             self._task, description=f"checking the accuracy{repeated}", completed=t, rate=None
         )
+
+
+class StudyProgress:
+    """A bar over the parts of a study on a terminal; elsewhere a line when kernels are compiled.
+
+    Parameters
+    ----------
+    total : float, optional
+        How many parts there are, where that is known from the start.
+    counted : bool
+        Show how many of them are done.
+    """
+
+    def __init__(self, total: float | None = None, counted: bool = False) -> None:
+        console = messages()
+        count = [TextColumn("{task.completed:.0f} of {task.total:.0f}")] if counted else []
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            *count,
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        compiling = not kernels_are_cached()
+        self._task = self._bar.add_task(COMPILING if compiling else "preparing", total=total)
+        self._begun = -1
+        if compiling and self._bar.disable:
+            console.print(f"{COMPILING} ...", soft_wrap=True)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Take the bar away."""
+        self._bar.stop()
+
+    def tell(self, text: str, done: float | None = None, total: float = 0.0) -> None:
+        """Show what is being done, and how many parts are done of how many there may be.
+
+        Without ``done``, what was shown before is done; a ``total`` of 0 says nothing new.
+        """
+        self._begun += 1
+        completed = self._begun if done is None else done
+        self._bar.update(self._task, description=text, completed=completed, total=total or None)
 
 
 class _SimulatedTime(ProgressColumn):

@@ -10,17 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich import box
 from rich.console import Group
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table as Grid
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
-from multiarm.cli.progress import COMPILING, kernels_are_cached
-from multiarm.cli.terminal import messages, output, print_warnings, print_written
+from multiarm.cli.progress import StudyProgress
+from multiarm.cli.terminal import output, print_warnings, print_written
 from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
-    from multiarm.benchmarks.scaling import Plan
     from multiarm.benchmarks.scaling_tables import Table
 
 __all__ = ["scaling"]
@@ -112,7 +110,7 @@ def scaling(
     kinds = benchmark.KINDS if kind is Kind.all else (kind.value,)
     plan = benchmark.quick(studies, kinds) if quick else benchmark.Plan(studies, kinds)
     plan = replace(plan, arms=counts or plan.arms, rounds=rounds or plan.rounds)
-    with _Watched(plan) as watched:
+    with StudyProgress(plan.measurements, counted=True) as watched:
         result = benchmark.run_scaling(plan, progress=watched.tell)
     from multiarm.benchmarks.scaling_tables import disturbance, tables
 
@@ -149,41 +147,6 @@ def _rendered(table: Table) -> Group:
         grid.add_row(*(Text(cell.text, _TONES[cell.tone]) for cell in row))
     notes = [Text(note, "dim") for note in table.notes]
     return Group(Text(table.title, "bold"), grid, *notes, *([Text()] if notes else []))
-
-
-class _Watched:
-    """A bar over the measurements on a terminal; elsewhere a line when kernels are compiled."""
-
-    def __init__(self, plan: Plan) -> None:
-        console = messages()
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TextColumn("{task.completed:.0f} of {task.total:.0f}"),
-            TimeElapsedColumn(),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-        compiling = not kernels_are_cached()
-        first = COMPILING if compiling else "preparing"
-        self._task = self._bar.add_task(first, total=plan.measurements)
-        self._begun = -1
-        if compiling and self._bar.disable:
-            console.print(f"{COMPILING} ...", soft_wrap=True)
-
-    def __enter__(self) -> _Watched:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def tell(self, text: str) -> None:
-        """Show what is measured now; what was shown before is done."""
-        self._begun += 1
-        self._bar.update(self._task, description=text, completed=self._begun)
 
 
 def _counts(text: str) -> tuple[int, ...]:

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Group, RenderableType
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
-from multiarm.cli.progress import COMPILING, kernels_are_cached
-from multiarm.cli.terminal import columns, messages, number, output, print_error, print_written
+from multiarm.cli.progress import StudyProgress
+from multiarm.cli.terminal import columns, number, output, print_error, print_written
 
 if TYPE_CHECKING:
     from multiarm.benchmarks.hard_cases import CaseResult, CriterionResult, SuiteResult
@@ -73,7 +72,7 @@ def stability(
         rows = [(Text(case.name, "bold"), case.title, case.difficulty) for case in chosen]
         output().print(_table("Hard cases", ("name", "case", "what is hard"), rows, chosen))
         return
-    with _Watched(len(chosen)) as watched:
+    with StudyProgress(len(chosen), counted=True) as watched:
         suite = run_suite(names or (), peers=peers, progress=watched.tell)
     console = output()
     for part in _parts(suite, peers):
@@ -91,38 +90,6 @@ def stability(
             print_error(f"{case.name}: {'; '.join(case.failures)}")
     if suite.passed < len(suite.cases):
         raise typer.Exit(1)
-
-
-class _Watched:
-    """A bar on a terminal; elsewhere one line when kernels have to be compiled first."""
-
-    def __init__(self, cases: int) -> None:
-        console = messages()
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TextColumn(f"{{task.completed:.0f}} of {cases}"),
-            TimeElapsedColumn(),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-        compiling = not kernels_are_cached()
-        self._task = self._bar.add_task(COMPILING if compiling else "preparing", total=cases)
-        if compiling and self._bar.disable:
-            console.print(f"{COMPILING} ...", soft_wrap=True)
-
-    def __enter__(self) -> _Watched:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def tell(self, text: str, done: float) -> None:
-        """Show what is being done, and how many cases are done."""
-        self._bar.update(self._task, description=text, completed=done)
 
 
 def _parts(suite: SuiteResult, peers: bool) -> list[RenderableType]:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.benchmarks.courses import OutOfTime
+from multiarm.certificate import rotation_apart
 from multiarm.errors import MultiarmError
 from multiarm.scene.control import ADAPTIVE_INTEGRATORS
 from multiarm.simulation import simulate
@@ -90,7 +91,7 @@ class Motion:
             force = float(np.max(np.abs(self.forces[:count] - exact.forces[:count]), initial=0.0))
         return {
             "position": float(np.max(np.linalg.norm(off[:, :3], axis=1))),
-            "rotation": float(np.max(_angles(own[:, 3:7], other[:, 3:7]))),
+            "rotation": float(np.max(rotation_apart(own[:, 3:7], other[:, 3:7]))),
             "joints": float(np.max(off[:, 7:], initial=0.0)),
             "force": force,
         }
@@ -266,11 +267,3 @@ def _check(
         if left < 3.0 * took:  # what the next one would take
             break
     return best
-
-
-def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angles between rotations given by quaternions xyzw, shapes (K, 4), to full precision."""
-    vector = (
-        a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(a[:, :3], b[:, :3])
-    )  # of conj(a) b, up to its sign
-    return 2.0 * np.arctan2(np.linalg.norm(vector, axis=1), np.abs(np.sum(a * b, axis=1)))
