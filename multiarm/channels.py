@@ -69,6 +69,7 @@ def trajectory_channels(
     joints: Mapping[str, Mapping[str, str]],
     contacts: Mapping[str, Sequence[str]],
     free: Mapping[str, Mapping[str, str]] | None = None,
+    works: Sequence[str] = (),
 ) -> tuple[Channel, ...]:
     """The channels of a run.
 
@@ -80,6 +81,8 @@ def trajectory_channels(
         Arm name -> name of each contact, in the order of the rows of W.
     free : mapping
         Arm name -> (free motion of its joint to the object -> unit of its coordinate).
+    works : sequence of str
+        Names of the effects whose work is recorded.
 
     Returns
     -------
@@ -91,6 +94,10 @@ def trajectory_channels(
     for arm, units in joints.items():
         channels += _arm_channels(arm, units, contacts[arm])
         channels += _free_channels(arm, (free or {}).get(arm, {}))
+    channels += [
+        Channel(f"effects/{name}/work", (), "J", "", f"work done by {name} since the start")
+        for name in works
+    ]
     return (*channels, *_scalar_channels())
 
 

@@ -17,6 +17,8 @@ from multiarm.contacts.kernel import RELATIVE_WIDTH
 from multiarm.contacts.records import Contact, ContactTable, pack
 from multiarm.contacts.surfaces import answering
 from multiarm.dense_call import dense_call
+from multiarm.effects.building import build_pieces
+from multiarm.effects.piece import Pieces, Site
 from multiarm.equations import connect_entries
 from multiarm.errors import ModelError
 from multiarm.lowlevel import CallBack
@@ -36,7 +38,6 @@ from multiarm.programs import (
     NO_PROGRAM,
     ControlFunction,
     control_program,
-    effects_program,
     needs_gravity_torque,
 )
 from multiarm.scene import Scene, resolve_arm
@@ -80,7 +81,8 @@ def compile_system(scene: Scene, control: ControlFunction | None = None) -> Syst
         control=program.codes,
         parameters=np.concatenate([system.plant.parameters, program.parameters]),
     )
-    return replace(system, plant=plant, breakpoints=program.breakpoints)
+    breakpoints = np.union1d(system.pieces.breakpoints, program.breakpoints)
+    return replace(system, plant=plant, breakpoints=breakpoints)
 
 
 class _Joints(NamedTuple):
@@ -125,11 +127,14 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
     groups = group_arms(list(arms.values()), gravity, needs_gravity_torque(scene))
     table = pack([contact for own in joints.on_links.values() for contact in own])
     watches = make_watches(joints.on_links, joints.limits, layout)
-    plant = _plant(scene, arms, table, groups, gravity)._replace(watches=watches)
-    buffers = make_buffers(plant, layout.contacts, sum(g.model.nq for g in groups))
+    pieces = build_pieces(Site(scene, arms, layout))
+    plant = _plant(scene, arms, table, groups, gravity, pieces)._replace(watches=watches)
+    configuration = sum(g.model.nq for g in groups)
+    buffers = make_buffers(plant, layout.contacts, configuration, len(pieces.works), pieces.states)
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     work, coupled = make_work(*sizes), make_coupled(*sizes)
     calls = {
+        **pieces.calls,
         "terms": CallBack(_terms_call(groups, buffers), buffers.flag),
         "dense": CallBack(dense_call(plant.pointers, buffers, work), buffers.flag),
     }
@@ -145,11 +150,12 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
         contacts=joints.contacts,
         frames=joints.frames,
         layout=layout,
-        breakpoints=np.zeros(0),
+        breakpoints=pieces.breakpoints,
         plant=plant,
         buffers=buffers,
         work=work,
         coupled=coupled,
+        pieces=pieces,
         start_report=StartReport(),
         surfaces=tuple(table.functions),
         _start=_written_start(scene, resolved, layout),
@@ -234,10 +240,11 @@ def _plant(
     table: ContactTable,
     groups: list[ArmGroup],
     gravity: np.ndarray,
+    pieces: Pieces,
 ) -> Plant:
     """Everything constant but the control; the callbacks' addresses are filled in later."""
     first_q = np.cumsum([0] + [g.model.nq for g in groups[:-1]])
-    effects = effects_program(scene, arms)
+    effects, phases = pieces.program()
     return Plant(
         pointers=np.vstack([g.pointers for g in groups]),
         q_slots=np.concatenate([g.q_slots + q for g, q in zip(groups, first_q, strict=True)]),
@@ -253,8 +260,9 @@ def _plant(
         object_inertia=np.ascontiguousarray(scene.object.inertia_matrix()),
         gravity=gravity,
         control=NO_PROGRAM,
-        effects=effects.codes,
-        parameters=effects.parameters,
+        effects=effects,
+        phases=phases,
+        parameters=np.zeros(0),
         calls=np.zeros(CALL_COUNT, dtype=np.int64),
         dense=np.array([scene.run.solver == "dense"], dtype=np.int64),
     )

@@ -220,7 +220,7 @@ def _state(run: Run) -> State:
     n, z = run.system.layout.joints, run.stepping.step.z
     return State(
         np.concatenate([z[:3], run.stepping.step.base, z[6 : 6 + n]]),
-        z[6 + n : -1].copy(),
+        z[6 + n : 12 + 2 * n].copy(),
         run.system.layout,
     )
 
@@ -279,7 +279,12 @@ def _flush(run: Run) -> None:
         return
     count[BLOCK_FIRST] = count[SAMPLE]
     run.sink.append(
-        named_samples(run.system.layout, run.system.plant.free_bounds, run.block[:rows])
+        named_samples(
+            run.system.layout,
+            run.system.plant.free_bounds,
+            run.system.pieces.works,
+            run.block[:rows],
+        )
     )
 
 
@@ -294,6 +299,7 @@ def _channels(system: System):
             name: {COMPONENTS[k]: UNITS[k] for k in frame.free}
             for name, frame in system.frames.items()
         },
+        system.pieces.works,
     )
 
 

@@ -37,7 +37,6 @@ from multiarm.contacts.kernel import (
 from multiarm.contacts.records import COMBINED, KIND
 from multiarm.contacts.rows import write_rows
 from multiarm.control import control_torques
-from multiarm.effects.program import apply_effects
 from multiarm.lowlevel import (
     address_of,
     book_at,
@@ -53,6 +52,7 @@ from multiarm.lowlevel import (
 from multiarm.node.regular import DEFICIENT, ELIMINATED, eliminate, solve
 from multiarm.node.singular import ARMS, couple, solve_coupled
 from multiarm.plant import (
+    CALL_CLOSE,
     CALL_COUPLED,
     CALL_DENSE,
     CALL_FORCES,
@@ -222,21 +222,36 @@ def _right_hand_sides(address, size, alpha, beta):
         bias = floats_at(plant.pointers[i, BIAS_AT], d)
         for j in range(d):
             h[d0 + j] = -bias[j]
+    phases = plant.phases
+    for k in range(phases[0]):
+        call_effect(plant.effects[k], address, size, buffers)
     power = 0.0
     if plant.control.shape[0] > 0:
         load_gravity_torque(plant, buffers, work)
         control_torques(
             buffers.time[0], buffers.angles, plant.control, plant.parameters, plant, buffers, work
         )
+        for k in range(phases[0], phases[1]):
+            call_effect(plant.effects[k], address, size, buffers)
         for j in range(h.size):
             h[j] += buffers.torque[j]
             power += buffers.torque[j] * v[j]
-    power += apply_effects(plant.effects, plant.parameters, v, h)
-    buffers.power[0] = power
+    for k in range(phases[1], phases[2]):
+        call_effect(plant.effects[k], address, size, buffers)
+    last = buffers.power.size - 1
+    for k in range(last):
+        power += buffers.power[k]
+    buffers.power[last] = power
     for k in range(buffers.c.size):
         row = buffers.contacts[k]
         buffers.c[k] = -(row[GAP_BIAS] + 2.0 * alpha * row[GAP_RATE] + beta * beta * row[GAP])
     return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
+
+
+@inner_inlined
+def call_effect(effect, address, size, buffers):
+    """Let one effect add its part; ``effect`` is its row of ``Plant.effects``."""
+    call_entry(effect[0], book_at(address, size), float(effect[1]), buffers.time[0])
 
 
 @inner_inlined
@@ -287,7 +302,7 @@ def connect_entries(calls: np.ndarray) -> None:
     """Write the addresses of the compiled parts of an evaluation into ``Plant.calls``."""
     calls[CALL_KINEMATICS] = address_of(_kinematics)
     calls[CALL_FORCES] = address_of(_right_hand_sides)
-    calls[CALL_SOLVE] = address_of(_solve)
+    calls[CALL_SOLVE] = calls[CALL_CLOSE] = address_of(_solve)
     calls[CALL_COUPLED] = address_of(_solve_coupled)
 
 
@@ -305,10 +320,12 @@ def update_kinematics(book):
 def solve_constrained(book):
     """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``buffers``.
 
-    Needs :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``, or the number of
-    the arm (or of the object, behind the arms) whose inertia is not positive definite.
+    Contacts push along their normals here, as impulses that close gaps do; friction has its part in
+    evaluations only.  Needs :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``,
+    or the number of the arm (or of the object, behind the arms) whose inertia is not positive
+    definite.
     """
-    return call_entry(ints1(book, CALLS)[CALL_SOLVE], book, 0.0, 0.0)
+    return call_entry(ints1(book, CALLS)[CALL_CLOSE], book, 0.0, 0.0)
 
 
 @kernel

@@ -32,7 +32,6 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.contacts.kernel import GAP_BIAS
-from multiarm.effects.program import apply_effects
 from multiarm.load_sharing import share_load, solve_semidefinite, static_forces
 from multiarm.lowlevel import allocating, inner
 from multiarm.node.regular import factor_in_place
@@ -210,7 +209,7 @@ def add_computed_torque(t, parameters, at, plant, buffers, work, torque):
 
     Until the equations of motion are solved ``buffers.q_o, qdd, c`` hold what the law wants.
     """
-    wanted, wrench, v = buffers.q_o, buffers.weight, buffers.v
+    wanted, wrench = buffers.q_o, buffers.weight
     path = path_offset(parameters, at, work)
     write_object_acceleration(t, parameters, at, path, buffers.position, buffers.twist, wanted)
     for a in range(6):
@@ -218,12 +217,9 @@ def add_computed_torque(t, parameters, at, plant, buffers, work, torque):
         for b in range(6):
             wrench[a] += buffers.inertia[a, b] * wanted[b]
     write_contact_forces(parameters, at, buffers, work)
-    # the law carries bias and effects: h = -b here, effects are added to what they act on
+    # the law carries the bias and what the joints do by themselves, which is all of h so far
     for j in range(torque.size):
-        torque[j] = -torque[j]
-    apply_effects(plant.effects, plant.parameters, v, torque)
-    for j in range(torque.size):
-        torque[j] = -torque[j] - buffers.h[j]
+        torque[j] -= buffers.h[j]
     for k in range(buffers.c.size):
         buffers.c[k] = -buffers.contacts[k, GAP_BIAS]
         for a in range(6):

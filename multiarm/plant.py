@@ -7,6 +7,7 @@ in calls between the functions of the time loop.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,9 @@ from multiarm.node.singular import CoupledWork
 
 # Entries of Plant.calls: callbacks into Python, then compiled entries.
 CALL_TERMS, CALL_CONTROL, CALL_DENSE, CALL_POTENTIAL, CALL_SURFACE = range(5)
-CALL_KINEMATICS, CALL_FORCES, CALL_SOLVE, CALL_COUPLED, CALL_COUNT = range(5, 10)
+CALL_KINEMATICS, CALL_FORCES, CALL_SOLVE, CALL_COUPLED, CALL_CLOSE = range(5, 10)
+# Entries of scenes whose contacts come and go: 0 in others.
+CALL_SHOW, CALL_GUARDS, CALL_COUNT = range(10, 13)
 
 # Entry of Buffers.flag.
 BUSY = 1
@@ -51,11 +54,15 @@ class Plant(NamedTuple):
     object_mass : (1,), object_inertia : (3, 3)
         About the centre of mass, object axes.
     gravity : (3,)
-    control, effects : int64 (k, 2), parameters : float64
-        Programs of (code, offset), and the numbers they refer to.
-    calls : int64 (9,)
+    control : int64 (k, 2), parameters : float64
+        Program of (code, offset), and the numbers it refers to.
+    effects : int64 (k, 2), phases : int64 (3,)
+        Address of each effect's kernel and place of its first array in the system's book; where
+        the three phases of an evaluation end in this list, see :mod:`multiarm.effects.piece`.
+    calls : int64 (12,)
         Addresses of the callbacks (arm terms, Python controller, dense solver, potential energy,
-        the user's surfaces) and of the compiled parts of an evaluation.
+        the user's surfaces), of the compiled parts of an evaluation, and of those of scenes whose
+        contacts come and go (:mod:`multiarm.hybrid`).
     dense : int64 (1,)
         1: solve by the dense reference instead of the node algorithm.
     """
@@ -75,6 +82,7 @@ class Plant(NamedTuple):
     gravity: np.ndarray
     control: np.ndarray
     effects: np.ndarray
+    phases: np.ndarray
     parameters: np.ndarray
     calls: np.ndarray
     dense: np.ndarray
@@ -103,12 +111,18 @@ class Buffers(NamedTuple):
         The object's inertia and right-hand sides of the node system.
     q_o : (6,), qdd : (joints,), force : (N,)
         Accelerations and contact forces (positive = pushing).
+    shown : (N,)
+        Contact forces as they are recorded: ``force`` itself, but where only some contacts are held
+        at a time.
     torque, gravity_torque : (joints,)
         Control torques; gravity forces of the joints (filled only for control that needs them).
     weight : (6,), static_force : (N,)
         Wrench that the control wants on the object, and the contact forces for it.
-    power : (1,), energy : (2,)
-        Power of control and effects [W]; kinetic and potential energy [J] (at samples only).
+    power : (1 + w,), energy : (2,)
+        Power of each effect that does work, and last of control and effects together [W]; kinetic
+        and potential energy [J] (at samples only).
+    inner, inner_rate : (e,)
+        States of effects that have their own, such as lagging actuators, and their rates.
     coordinates : (n, 6)
         Free coordinates of the joints at the end of the last step; angles go on past half a turn.
     margins : (w,), events : (e, 3), event_count : int64 (1,)
@@ -154,12 +168,15 @@ class Buffers(NamedTuple):
     q_o: np.ndarray
     qdd: np.ndarray
     force: np.ndarray
+    shown: np.ndarray
     torque: np.ndarray
     gravity_torque: np.ndarray
     weight: np.ndarray
     static_force: np.ndarray
     power: np.ndarray
     energy: np.ndarray
+    inner: np.ndarray
+    inner_rate: np.ndarray
     coordinates: np.ndarray
     margins: np.ndarray
     events: np.ndarray
@@ -180,12 +197,19 @@ CALLS = Plant._fields.index("calls")
 COUPLED_COUNTS = sum(len(part._fields) for part in (Plant, Buffers, NodeWork)) + (
     CoupledWork._fields.index("counts")
 )
+# Place of the first of the effects' arrays.
+OWN_ARRAYS = sum(len(part._fields) for part in (Plant, Buffers, NodeWork, CoupledWork))
 
 
-def make_buffers(plant: Plant, rows: int, configuration: int) -> Buffers:
-    """Allocate the buffers of one system with so many rows of W, and numbers in Pinocchio's q."""
+def make_buffers(
+    plant: Plant, rows: int, configuration: int, works: int = 0, states: int = 0
+) -> Buffers:
+    """Allocate the buffers of one system.
+
+    It has so many rows of W, numbers in Pinocchio's q, effects that do work, and states of effects.
+    """
     arms, joints, shapes = plant.pointers.shape[0], plant.q_slots.size, plant.shapes.shape[0]
-    watches = plant.watches.shape[0]
+    watches, force = plant.watches.shape[0], np.zeros(rows)
     return Buffers(
         time=np.zeros(1),
         position=np.zeros(7),
@@ -209,13 +233,16 @@ def make_buffers(plant: Plant, rows: int, configuration: int) -> Buffers:
         c=np.zeros(rows),
         q_o=np.zeros(6),
         qdd=np.zeros(joints),
-        force=np.zeros(rows),
+        force=force,
+        shown=force,
         torque=np.zeros(joints),
         gravity_torque=np.zeros(joints),
         weight=np.zeros(6),
         static_force=np.zeros(rows),
-        power=np.zeros(1),
+        power=np.zeros(1 + works),
         energy=np.zeros(2),
+        inner=np.zeros(states),
+        inner_rate=np.zeros(states),
         coordinates=np.full((arms, 6), np.nan),
         margins=np.full(watches, np.nan),
         events=np.zeros((MOST_EVENTS if watches else 0, EVENT_WIDTH)),
@@ -232,9 +259,18 @@ def make_buffers(plant: Plant, rows: int, configuration: int) -> Buffers:
     )
 
 
-def system_book(plant: Plant, buffers: Buffers, work: NodeWork, coupled: CoupledWork) -> np.ndarray:
-    """Address book of one system; :func:`open_book` and :func:`open_coupled` are its inverse."""
-    return address_book([*plant, *buffers, *work, *coupled])
+def system_book(
+    plant: Plant,
+    buffers: Buffers,
+    work: NodeWork,
+    coupled: CoupledWork,
+    others: Sequence[np.ndarray] = (),
+) -> np.ndarray:
+    """Address book of one system; :func:`open_book` and :func:`open_coupled` are its inverse.
+
+    ``others`` are the effects' own arrays, from place ``OWN_ARRAYS`` on.
+    """
+    return address_book([*plant, *buffers, *work, *coupled, *others])
 
 
 @inner_inlined
@@ -256,65 +292,69 @@ def open_book(book):
         gravity=floats1(book, 12),
         control=ints2(book, 13),
         effects=ints2(book, 14),
-        parameters=floats1(book, 15),
-        calls=ints1(book, 16),
-        dense=ints1(book, 17),
+        phases=ints1(book, 15),
+        parameters=floats1(book, 16),
+        calls=ints1(book, 17),
+        dense=ints1(book, 18),
     )
     buffers = Buffers(
-        time=floats1(book, 18),
-        position=floats1(book, 19),
-        angles=floats1(book, 20),
-        twist=floats1(book, 21),
-        q=floats1(book, 22),
-        v=floats1(book, 23),
-        arms=floats2(book, 24),
-        body=floats1(book, 25),
-        relative=floats1(book, 26),
-        contacts=floats2(book, 27),
-        parts=floats2(book, 28),
-        query=floats1(book, 29),
-        places=floats2(book, 30),
-        located=floats2(book, 31),
-        Wo=floats2(book, 32),
-        wrench=floats2(book, 33),
-        inertia=floats2(book, 34),
-        h_o=floats1(book, 35),
-        h=floats1(book, 36),
-        c=floats1(book, 37),
-        q_o=floats1(book, 38),
-        qdd=floats1(book, 39),
-        force=floats1(book, 40),
-        torque=floats1(book, 41),
-        gravity_torque=floats1(book, 42),
-        weight=floats1(book, 43),
-        static_force=floats1(book, 44),
-        power=floats1(book, 45),
-        energy=floats1(book, 46),
-        coordinates=floats2(book, 47),
-        margins=floats1(book, 48),
-        events=floats2(book, 49),
-        event_count=ints1(book, 50),
-        flag=ints1(book, 51),
-        residual=floats1(book, 52),
-        kept=floats1(book, 53),
-        mixed=floats1(book, 54),
-        stage_gap=floats1(book, 55),
-        solved=floats1(book, 56),
-        lost=ints1(book, 57),
-        signs=floats1(book, 58),
-        passed=ints1(book, 59),
+        time=floats1(book, 19),
+        position=floats1(book, 20),
+        angles=floats1(book, 21),
+        twist=floats1(book, 22),
+        q=floats1(book, 23),
+        v=floats1(book, 24),
+        arms=floats2(book, 25),
+        body=floats1(book, 26),
+        relative=floats1(book, 27),
+        contacts=floats2(book, 28),
+        parts=floats2(book, 29),
+        query=floats1(book, 30),
+        places=floats2(book, 31),
+        located=floats2(book, 32),
+        Wo=floats2(book, 33),
+        wrench=floats2(book, 34),
+        inertia=floats2(book, 35),
+        h_o=floats1(book, 36),
+        h=floats1(book, 37),
+        c=floats1(book, 38),
+        q_o=floats1(book, 39),
+        qdd=floats1(book, 40),
+        force=floats1(book, 41),
+        shown=floats1(book, 42),
+        torque=floats1(book, 43),
+        gravity_torque=floats1(book, 44),
+        weight=floats1(book, 45),
+        static_force=floats1(book, 46),
+        power=floats1(book, 47),
+        energy=floats1(book, 48),
+        inner=floats1(book, 49),
+        inner_rate=floats1(book, 50),
+        coordinates=floats2(book, 51),
+        margins=floats1(book, 52),
+        events=floats2(book, 53),
+        event_count=ints1(book, 54),
+        flag=ints1(book, 55),
+        residual=floats1(book, 56),
+        kept=floats1(book, 57),
+        mixed=floats1(book, 58),
+        stage_gap=floats1(book, 59),
+        solved=floats1(book, 60),
+        lost=ints1(book, 61),
+        signs=floats1(book, 62),
+        passed=ints1(book, 63),
     )
     work = NodeWork(
-        dofs=ints1(book, 60),
-        rows=ints1(book, 61),
-        L=floats3(book, 62),
-        Y=floats3(book, 63),
-        G=floats3(book, 64),
-        Z=floats3(book, 65),
-        S=floats2(book, 66),
-        y=floats1(book, 67),
-        z=floats1(book, 68),
-        pivot=floats1(book, 69),
+        dofs=ints1(book, 64),
+        rows=ints1(book, 65),
+        L=floats3(book, 66),
+        Y=floats3(book, 67),
+        G=floats3(book, 68),
+        Z=floats3(book, 69),
+        S=floats2(book, 70),
+        y=floats1(book, 71),
+        z=floats1(book, 72),
+        pivot=floats1(book, 73),
     )
     return plant, buffers, work
 
@@ -323,21 +363,21 @@ def open_book(book):
 def open_coupled(book):
     """Views of the coupled system's arrays in a system's book."""
     return CoupledWork(
-        V=floats3(book, 70),
-        A=floats3(book, 71),
-        sigma=floats1(book, 72),
-        deficient=ints1(book, 73),
-        scale=floats1(book, 74),
-        split=floats1(book, 75),
-        inertia=floats2(book, 76),
-        arm=ints1(book, 77),
-        row=ints1(book, 78),
-        C=floats2(book, 79),
-        B=floats2(book, 80),
-        basis=floats2(book, 81),
-        images=floats2(book, 82),
-        right=floats1(book, 83),
-        unknown=floats1(book, 84),
-        counts=ints1(book, 85),
-        margin=floats1(book, 86),
+        V=floats3(book, 74),
+        A=floats3(book, 75),
+        sigma=floats1(book, 76),
+        deficient=ints1(book, 77),
+        scale=floats1(book, 78),
+        split=floats1(book, 79),
+        inertia=floats2(book, 80),
+        arm=ints1(book, 81),
+        row=ints1(book, 82),
+        C=floats2(book, 83),
+        B=floats2(book, 84),
+        basis=floats2(book, 85),
+        images=floats2(book, 86),
+        right=floats1(book, 87),
+        unknown=floats1(book, 88),
+        counts=ints1(book, 89),
+        margin=floats1(book, 90),
     )

@@ -168,11 +168,13 @@ def method_and_tolerance(spec: RunSpec, tighten: float = 1.0) -> tuple[str, Tole
 def make_stepping(system: System, name: str, tolerance: Tolerance | None) -> Stepping:
     """A method and its arrays for one system; compiles the method if it has a step of its own."""
     tableau = METHODS[name]
-    method, step = make_method(tableau), make_step(tableau, system.layout.joints)
+    pieces = system.pieces
+    method = make_method(tableau)
+    step = make_step(tableau, system.layout.joints, pieces.states, 1 + len(pieces.works))
     if tolerance is not None:
         step.tolerance[:] = _tolerances(system, tolerance)
     if tableau.kind == ROSENBROCK:
-        work = make_rosenbrock(tableau, method, step, system.book())
+        work = make_rosenbrock(tableau, method, step, system.layout.joints, system.book())
         return _with_own_step(Stepping(tableau, method, step), work)
     if tableau.kind == VARIATIONAL:
         call, places = system.coriolis()
@@ -191,10 +193,11 @@ def _with_own_step(stepping: Stepping, work: tuple) -> Stepping:
 
 
 def _tolerances(system: System, tolerance: Tolerance) -> np.ndarray:
-    """One tolerance an entry of the state, but for the work."""
+    """One tolerance an entry of the state, but for the works."""
     units = [unit for arm in system.arms.values() for unit in arm.joint_units.values()]
     lengths = np.array([True] * 3 + [False] * 3 + [unit == "m" for unit in units])
-    return np.where(np.tile(lengths, 2), tolerance.position, tolerance.rotation)
+    own = np.where(np.tile(lengths, 2), tolerance.position, tolerance.rotation)
+    return np.concatenate([own, np.full(system.pieces.states, tolerance.smallest)])
 
 
 def prepare(
@@ -239,6 +242,11 @@ def prepare(
     place_state(system, 0.0, begin)
     store(system.buffers, step.base, step.z)
     _first_slope(system, step, settings)
+    if system.pieces.states:
+        step.z[12 + 2 * system.layout.joints :][: system.pieces.states] = system.pieces.start(
+            system
+        )
+        _first_slope(system, step, settings)
     settings = settings._replace(
         closed=projection_tolerance(system) if settings.closed >= 0.0 else -1.0,
         apart=APART * scene_size(system),
@@ -253,7 +261,12 @@ def prepare(
     solver_log.collect(system, 0.0, begin)
     if adaptive:
         settings = settings._replace(step=_first_step(system, step, settings, method))
-    width = sample_width(system.layout.joints, system.layout.contacts, system.plant.free.shape[0])
+    width = sample_width(
+        system.layout.joints,
+        system.layout.contacts,
+        system.plant.free.shape[0],
+        1 + len(system.pieces.works),
+    )
     rows = int(np.clip(BLOCK_NUMBERS // width, 16, samples))
     return Run(
         system,
@@ -295,7 +308,8 @@ def _first_slope(system: System, step: Step, settings: Settings) -> None:
 def _first_step(system: System, step: Step, settings: Settings, method: Method) -> float:
     """A first step whose error is about the tolerance (Hairer, Norsett, Wanner, II.4)."""
     scale, trial = step.tolerance, min(TRIAL_STEP, settings.end)
-    first = np.max(np.abs(step.slope[:-1]) / scale)
+    judged = scale.size
+    first = np.max(np.abs(step.slope[:judged]) / scale)
     other = np.zeros_like(step.slope)
     status = evaluate_slope(
         system.book(),
@@ -308,7 +322,7 @@ def _first_step(system: System, step: Step, settings: Settings, method: Method) 
     if status != OK:
         system.forgive()  # the run itself will meet the trouble, and tell when
         return float(trial)
-    second = np.max(np.abs(other - step.slope)[:-1] / scale) / trial
+    second = np.max(np.abs(other - step.slope)[:judged] / scale) / trial
     worst = max(first, second)
     if worst == 0.0:
         return min(1e-2, settings.end)

@@ -1,4 +1,4 @@
-"""What the scene names, turned into the programs of control and effects that the kernels run."""
+"""The scene's control, turned into the program that the kernels run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from multiarm.control import (
     pack_path,
     write_holding_torque,
 )
-from multiarm.effects.program import JOINT_DAMPING
 from multiarm.equations import OK, update_kinematics
 from multiarm.errors import ControlError, MultiarmError
 from multiarm.object_programs import object_law, pose_of, route
@@ -66,16 +65,6 @@ def needs_gravity_torque(scene: Scene) -> bool:
     return control.kind in ("gravity_compensation", "object_impedance") or (
         control.kind == "joint_pd" and control.gravity_compensation
     )
-
-
-def effects_program(scene: Scene, arms: dict[str, Arm]) -> Program:
-    """Program of the effects that the scene names."""
-    codes, parameters = [], np.zeros(0)
-    damping = scene.effects.joint_damping
-    if damping is not None:
-        codes.append((JOINT_DAMPING, parameters.size))
-        parameters = np.concatenate([parameters, _stacked(damping, arms)])
-    return Program(_codes(codes), parameters, np.zeros(0))
 
 
 def control_program(system: System) -> Program:

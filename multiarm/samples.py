@@ -2,13 +2,14 @@
 
 The columns are time, object position, quaternion (xyzw), joint positions, object twist, joint
 velocities, control torques, contact forces, free relative rates and coordinates of the joints,
-kinetic and potential energy, work, largest gap and largest gap rate; rank of the constraints, arms
-in the coupled system, relative residual.
+kinetic and potential energy, work of each effect and of all together, largest gap and largest gap
+rate; rank of the constraints, arms in the coupled system, relative residual.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,18 +21,18 @@ from multiarm.plant import CALL_POTENTIAL, COUPLED_ARMS, RANK_OF_ALL, RESIDUAL
 from multiarm.state import Layout
 
 
-def sample_width(joints: int, contacts: int, free: int) -> int:
+def sample_width(joints: int, contacts: int, free: int, works: int) -> int:
     """Numbers a sample: see :func:`write_sample`."""
-    return 1 + 7 + joints + 6 + joints + joints + contacts + 2 * free + 8
+    return 1 + 7 + joints + 6 + joints + joints + contacts + 2 * free + 7 + works
 
 
 @inner
-def write_sample(plant, buffers, work, t, work_done, row):
+def write_sample(plant, buffers, work, t, works, row):
     """One row of the block from an evaluated state: time, positions, velocities, torques, contact
-    forces, relative rates and coordinates, kinetic and potential energy, work, largest gap and gap
+    forces, relative rates and coordinates, kinetic and potential energy, works, largest gap and gap
     rate, rank, coupled arms and residual.
     """
-    n, m = buffers.angles.size, buffers.force.size
+    n, m = buffers.angles.size, buffers.shown.size
     row[0] = t
     copy(buffers.position, row[1:8])
     copy(buffers.angles, row[8 : 8 + n])
@@ -39,7 +40,7 @@ def write_sample(plant, buffers, work, t, work_done, row):
     copy(buffers.v, row[14 + n : 14 + 2 * n])
     copy(buffers.torque, row[14 + 2 * n : 14 + 3 * n])
     at = 14 + 3 * n
-    copy(buffers.force, row[at : at + m])
+    copy(buffers.shown, row[at : at + m])
     at += m
     write_free(plant, buffers, row[at:])
     at += 2 * plant.free.shape[0]
@@ -47,12 +48,14 @@ def write_sample(plant, buffers, work, t, work_done, row):
         call_back(plant.calls[CALL_POTENTIAL])
     row[at] = kinetic_energy(plant, buffers, work)
     row[at + 1] = buffers.energy[1]
-    row[at + 2] = work_done
-    row[at + 3] = largest(buffers.contacts, GAP)
-    row[at + 4] = largest(buffers.contacts, GAP_RATE)
-    row[at + 5] = buffers.solved[RANK_OF_ALL]
-    row[at + 6] = buffers.solved[COUPLED_ARMS]
-    row[at + 7] = buffers.solved[RESIDUAL]
+    at += 2
+    copy(works, row[at : at + works.size])
+    at += works.size
+    row[at] = largest(buffers.contacts, GAP)
+    row[at + 1] = largest(buffers.contacts, GAP_RATE)
+    row[at + 2] = buffers.solved[RANK_OF_ALL]
+    row[at + 3] = buffers.solved[COUPLED_ARMS]
+    row[at + 4] = buffers.solved[RESIDUAL]
 
 
 @inner
@@ -94,13 +97,17 @@ def going_on(plant, buffers, i, k, places):
 
 
 def named_samples(
-    layout: Layout, free_bounds: np.ndarray, rows: np.ndarray
+    layout: Layout, free_bounds: np.ndarray, works: Sequence[str], rows: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """The rows of a block of :func:`write_sample` as named channels."""
-    n, m, f = layout.joints, layout.contacts, int(free_bounds[-1])
-    columns = np.split(rows, np.cumsum([1, 3, 4, n, 6, n, n, m, f, f, 1, 1, 1, 1, 1, 1, 1]), axis=1)
+    """The rows of a block of :func:`write_sample` as named channels.
+
+    ``works`` are the names of the effects whose work is recorded.
+    """
+    n, m, f, w = layout.joints, layout.contacts, int(free_bounds[-1]), len(works)
+    sizes = [1, 3, 4, n, 6, n, n, m, f, f, 1, 1, w, 1, 1, 1, 1, 1]
+    columns = np.split(rows, np.cumsum(sizes), axis=1)
     t, x, quaternion, q, twist, v, torque, force, rates, places, *scalars = columns
-    kinetic, potential, work, gap, rate, rank, coupled, residual = scalars
+    kinetic, potential, own, work, gap, rate, rank, coupled, residual = scalars
     block = {
         "time": t[:, 0],
         "object/position": x,
@@ -121,6 +128,8 @@ def named_samples(
             block[f"arms/{arm}/{name}"] = part
     for arm, part in layout.split_contacts(force).items():
         block[f"arms/{arm}/contact_force"] = part
+    for k, name in enumerate(works):
+        block[f"effects/{name}/work"] = own[:, k]
     for arm, first, last in zip(layout.names, free_bounds[:-1], free_bounds[1:], strict=True):
         if first < last:
             block[f"arms/{arm}/relative_rate"] = rates[:, first:last]

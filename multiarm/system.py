@@ -18,6 +18,7 @@ from multiarm.assembly import StartReport
 from multiarm.contacts.frames import JointFrame
 from multiarm.contacts.records import Contact, SmoothShape
 from multiarm.control import PYTHON
+from multiarm.effects.piece import Pieces
 from multiarm.errors import ControlError, ModelError
 from multiarm.lowlevel import CallBack
 from multiarm.node.regular import NodeWork
@@ -57,6 +58,8 @@ class System:
         Times at which the control is not smooth; steps end there.
     plant, buffers, work, coupled : Plant, Buffers, NodeWork, CoupledWork
         What the kernels read and write.
+    pieces : Pieces
+        What the scene's effects add to an evaluation.
     surfaces : tuple of SmoothShape
         Surfaces of the user's.
     calls : dict of str to CallBack
@@ -74,6 +77,7 @@ class System:
     buffers: Buffers = field(repr=False)
     work: NodeWork = field(repr=False)
     coupled: CoupledWork = field(repr=False)
+    pieces: Pieces = field(repr=False)
     start_report: StartReport = field(repr=False)
     surfaces: tuple[SmoothShape, ...] = field(repr=False)
     _start: State = field(repr=False)
@@ -92,7 +96,7 @@ class System:
 
     @cached_property
     def _book(self) -> np.ndarray:
-        return system_book(self.plant, self.buffers, self.work, self.coupled)
+        return system_book(self.plant, self.buffers, self.work, self.coupled, self.pieces.arrays)
 
     @property
     def constraint_count(self) -> int:
@@ -155,7 +159,7 @@ class System:
         return replace(
             self,
             plant=plant,
-            breakpoints=np.zeros(0),
+            breakpoints=self.pieces.breakpoints,
             calls={**self.calls, "control": call},
         )
 

@@ -217,17 +217,17 @@ def emit_samples(book, method, step, clock, settings, block):
         projected = True
         if due >= t - near:
             load(step.z, step.base, buffers)
-            work_done = step.z[step.z.size - 1]
+            works = step.z[step.tolerance.size :]
         else:
             projected = False
             interpolate(method, step, (due - real[T_OLD]) / real[H_OLD], step.z_stage)
             load(step.z_stage, step.base_old, buffers)
-            work_done = step.z_stage[step.z.size - 1]
+            works = step.z_stage[step.tolerance.size :]
         status = settle(book, clock, settings, projected, due, alpha, beta)
         if status != OK:
             return status
         note_solution(book)
-        write_sample(plant, buffers, work, due, work_done, block[rows])
+        write_sample(plant, buffers, work, due, works, block[rows])
         if buffers.flag[0] != 0:
             return CALLBACK_FAILED
         rows += 1
@@ -384,7 +384,7 @@ def complete_step(book, method, step, clock, settings, h, end):
     write_slope(step.z_stage, buffers, step.slope_next)
     due = sample_time(settings, count[SAMPLE]) if count[SAMPLE] < settings.samples else math.inf
     store(buffers, step.base_next, step.z_next)
-    step.z_next[step.z.size - 1] = step.z_new[step.z.size - 1]
+    copy(step.z_new[step.tolerance.size :], step.z_next[step.tolerance.size :])
     if due < end - 1e-9 * h:
         status = prepare_dense(book, method, step, t, h, alpha, beta)
         count[EVALUATIONS] += max(0, method.A.shape[0] - method.stages - 1)

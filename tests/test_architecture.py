@@ -26,10 +26,9 @@ PACKAGE = ROOT / "multiarm"
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "interrupts", "lowlevel", "reporting_style", "state", "terms"),
     ("spatial", "channels", "outcome", "decimation"),
-    ("contacts", "effects", "load_sharing", "node", "scene", "arm", "payload", "storage")
-    + ("sample_store",),
+    ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage") + ("sample_store",),
     ("plant", "trajectory", "guide", "object_control"),
-    ("control", "dense_call", "sinks"),
+    ("control", "dense_call", "effects", "sinks"),
     ("equations",),
     ("stabilization", "samples", "watching", "solver_watch"),
     ("crossing",),

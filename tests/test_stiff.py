@@ -61,8 +61,8 @@ class Textbook:
         self.system, self.start = system, start
         self.n = 6 + system.layout.joints
         self.damping = system.scene.effects.joint_damping or 0.0
-        v = start.velocity
-        self.z = np.concatenate([start.object_position, np.zeros(3), start.position[7:], v, [0.0]])
+        v, works = start.velocity, np.zeros(2 if self.damping else 1)
+        self.z = np.concatenate([start.object_position, np.zeros(3), start.position[7:], v, works])
 
     def slope(self, t, z):
         n, theta = self.n, z[3:6]
@@ -78,9 +78,10 @@ class Textbook:
         acceleration = np.concatenate(
             [found.object_acceleration, *found.joint_accelerations.values()]
         )
-        power = v @ torque - self.damping * v @ v
+        lost = -self.damping * v @ v
+        powers = ([lost] if self.damping else []) + [v @ torque + lost]
         turning = np.linalg.solve(left_jacobian(theta), twist[3:])
-        return np.concatenate([twist[:3], turning, v, acceleration, [power]])
+        return np.concatenate([twist[:3], turning, v, acceleration, powers])
 
     def jacobian(self, t):
         """By differences of order 8."""
@@ -162,7 +163,7 @@ def test_derivatives_of_a_step_are_those_of_the_accelerations(spun):
     work, n, J = step_of_the_package(system, state, 1e-3), textbook.n, textbook.jacobian(0.0)
     for found, exact in (
         (work.by_position, J[n:, :n]),
-        (work.by_velocity, J[n:, n:-1]),
+        (work.by_velocity, J[n:, n : 2 * n]),
         (work.time_slope[:, None], textbook.time_slope(0.0)[:, None]),
     ):
         scale = np.maximum(np.max(np.abs(exact), axis=0), 1.0)
@@ -185,14 +186,14 @@ def test_a_step_is_that_of_the_whole_matrix(spun, h):
 
 
 def test_stages_solve_the_whole_system_to_rounding(spun):
-    """With the step's own derivatives in the matrix of all 2 N + 1 unknowns."""
+    """With the step's own derivatives in the matrix of all unknowns, works included."""
     system, state, textbook = spun
     h, n, z, m = 0.03, textbook.n, textbook.z, METHODS["rodas5p"]
     work = step_of_the_package(system, state, h)
     J = np.zeros((z.size, z.size))
-    J[:n, n:-1] = np.eye(n)
+    J[:n, n : 2 * n] = np.eye(n)
     J[3:6, 3:6] = np.cross(np.eye(3), z[n + 3 : n + 6]) / 2  # of omega - theta x omega / 2
-    J[n:, :n], J[n:, n:-1] = work.by_position, work.by_velocity
+    J[n:, :n], J[n:, n : 2 * n] = work.by_position, work.by_velocity
     matrix = np.eye(z.size) / m.gamma - h * J
     for i in range(8):
         right = textbook.slope(m.c[i] * h, z + h * m.A[i, :i] @ work.k[:i])

@@ -49,7 +49,14 @@ def part_bursts(system: System, integrator: str) -> dict[str, Burst]:
     _kinematics_often(book, 1)
     L, Y = work.L.copy(), work.Y.copy()
     joints = system.layout.joints
-    sample = np.zeros(sample_width(joints, system.layout.contacts, system.plant.free.shape[0]))
+    sample = np.zeros(
+        sample_width(
+            joints,
+            system.layout.contacts,
+            system.plant.free.shape[0],
+            system.buffers.power.size,
+        )
+    )
     closed = projection_tolerance(system)
     evaluate(system, 0.0, state)  # all that samples are made of
 
@@ -149,7 +156,7 @@ def _pass_often(book, z, base, slope, count):
 def _sample_often(book, row, count):
     plant, buffers, work = open_book(book)
     for i in range(count):
-        write_sample(plant, buffers, work, 1e-3 * i, 0.0, row)
+        write_sample(plant, buffers, work, 1e-3 * i, buffers.power, row)
     return OK
 
 

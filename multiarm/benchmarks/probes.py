@@ -9,7 +9,6 @@ import numpy as np
 from multiarm.contacts.kernel import GAP
 from multiarm.control import HARMONIC
 from multiarm.dense_call import read_inertia
-from multiarm.effects.program import JOINT_DAMPING
 from multiarm.equations import evaluate_buffers, update_kinematics
 from multiarm.state import State
 from multiarm.system import System
@@ -96,15 +95,13 @@ def total_energy(system: System, state: State) -> float:
 
 def joint_damping(system: System) -> np.ndarray:
     """Coefficients of the joints' viscous friction, zero without that effect, shape (n,)."""
-    n = system.layout.joints
-    damping = np.zeros(n)
-    for code, at in system.plant.effects:
-        if code == JOINT_DAMPING:
-            damping += system.plant.parameters[at : at + n]
+    damping = np.zeros(system.layout.joints)
+    for piece in system.pieces.every:
+        if piece.name == "joint_damping":
+            damping += piece.arrays[0]
     return damping
 
 
 def inexpressible_effects(system: System) -> list[str]:
     """Names of the scene's effects that no other program here has."""
-    effects = system.scene.effects.model_dump(exclude_none=True)
-    return sorted(set(effects) - {"joint_damping"})
+    return sorted(set(system.scene.effects.named) - {"joint_damping"})

@@ -1,5 +1,7 @@
 """Optional effects: each file one effect; a scene runs only those that it names.
 
-A compiled scene holds a program, a list of ``(code, offset)`` pairs.  An effect that is not named
-is not in it: no branch, no array, no parameter.
+``multiarm/effects/<name>.py`` holds what ``effects: {<name>: ...}`` of a scene adds to the model:
+its equation, its compiled kernel, and ``build(spec, site)``, which returns the pieces that the
+evaluation calls (:mod:`multiarm.effects.piece`).  What a scene does not name is not imported, has
+no array, and is not called.
 """

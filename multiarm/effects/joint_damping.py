@@ -1,19 +1,27 @@
-"""Viscous friction in the joints: ``tau_j = -d_j q'_j`` [N m s/rad, N s/m]."""
+r"""Viscous friction in the joints: :math:`\tau_j = -d_j \dot q_j` [N m s/rad, N s/m]."""
 
 from __future__ import annotations
 
-from multiarm.lowlevel import kernel
+from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
+from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.plant import open_book
 
 
-@kernel
-def add_joint_damping(velocity, parameters, at, h):
-    """Add the damping forces to ``h``; returns their power [W], never positive.
-
-    ``parameters[at:]``: one coefficient a joint.
-    """
+@entry
+def add_joint_damping(address, size, at, _t):
+    """Own array: one coefficient a joint."""
+    book = book_at(address, size)
+    _, buffers, _ = open_book(book)
+    slots, damping = ints1(book, int(at)), floats1(book, int(at) + 1)
     power = 0.0
-    for j in range(h.size):
-        force = -parameters[at + j] * velocity[j]
-        h[j] += force
-        power += force * velocity[j]
-    return power
+    for j in range(buffers.h.size):
+        force = -damping[j] * buffers.v[j]
+        buffers.h[j] += force
+        power += force * buffers.v[j]
+    buffers.power[slots[POWER]] = power
+    return 0
+
+
+def build(spec, site: Site) -> list[Piece]:
+    """The piece of a system with viscous friction."""
+    return [Piece("joint_damping", add_joint_damping, PASSIVE, (site.stacked(spec),))]

@@ -12,17 +12,18 @@ G. Wanner, Solving Ordinary Differential Equations II, IV.7).  The method is of 
 L-stable: motions that damping, stiff springs or stiff gains make fast do not limit the step once
 they have died out.
 
-*The matrix.*  The state is ``[positions, velocities, work]``.  Only accelerations and power need
-differences; the positions' rates are known.  At the beginning of a step, where the chart's rotation
-vector is zero, they are ``B p + v`` with ``B = blkdiag(0, S(omega)/2, 0)``, and so with
-``R = (1/gamma - hB)^{-1}``, which is written down,
+*The matrix.*  The state is ``[positions, velocities, inner states, works]``; inner states are those
+of effects, and are treated like velocities that move no position.  Only accelerations, inner rates
+and powers need differences; the positions' rates are known.  At the beginning of a step, where the
+chart's rotation vector is zero, they are ``B p + v`` with ``B = blkdiag(0, S(omega)/2, 0)``, and so
+with ``R = (1/gamma - hB)^{-1}``, which is written down,
 
 .. math::
     k_p = R\,(r_p + h k_v), \qquad
     \Big(\frac1\gamma - h J_v - h^2 J_p R\Big) k_v = r_v + h J_p R\, r_p, \qquad
     k_w = \gamma\,\big(r_w + h (J_{wp} k_p + J_{wv} k_v)\big):
 
-one matrix as large as there are velocities, half as large as the state.
+one matrix as large as there are velocities, half as large as the state, without inner states.
 
 *The differences* are central in the positions, on which everything depends in the most curved way,
 and forward in the velocities, of which accelerations are quadratic functions: 3 (6 + n) evaluations
@@ -64,7 +65,8 @@ POSITION_CHANGE, VELOCITY_CHANGE, TIME_CHANGE = 2e-6, 1e-6, 1e-5
 
 
 class RosenbrockWork(NamedTuple):
-    """A step's arrays for ``D = 2 N + 1`` entries of the state, ``N = 6 + joints``.
+    """A step's arrays for ``D = N + M + w`` entries of the state: ``N = 6 + joints`` positions,
+    ``M = N + e`` velocities and inner states, ``w`` works.
 
     system : int64
         Address book of the system.
@@ -74,11 +76,11 @@ class RosenbrockWork(NamedTuple):
         Of :class:`multiarm.integrators.stepper.Step`; ``k[0]`` holds the first slope on entry.
     slope, other, time_slope : (D,)
         First slope, scratch, derivative with respect to time.
-    by_position, by_velocity : (N + 1, N)
-        Derivatives of the accelerations and, last, of the power.
-    turned : (N, N)
+    by_position : (M + w, N), by_velocity : (M + w, M)
+        Derivatives of the accelerations, inner rates and, last, of the powers.
+    turned : (M, N)
         ``J_p R``.
-    matrix : (N, N), pivots : int64 (N,)
+    matrix : (M, M), pivots : int64 (M,)
         Factors of the linear system.
     """
 
@@ -107,11 +109,11 @@ class RosenbrockWork(NamedTuple):
 
 
 def make_rosenbrock(
-    tableau: Tableau, method: Method, step: Step, system_book: np.ndarray
+    tableau: Tableau, method: Method, step: Step, joints: int, system_book: np.ndarray
 ) -> RosenbrockWork:
     """Allocate the arrays of a Rosenbrock method's steps."""
-    size = step.z.size
-    n = (size - 1) // 2
+    size, n = step.z.size, 6 + joints
+    m = step.tolerance.size - n
     return RosenbrockWork(
         system=system_book,
         A=method.A,
@@ -130,11 +132,11 @@ def make_rosenbrock(
         slope=np.zeros(size),
         other=np.zeros(size),
         time_slope=np.zeros(size),
-        by_position=np.zeros((n + 1, n)),
-        by_velocity=np.zeros((n + 1, n)),
-        turned=np.zeros((n, n)),
-        matrix=np.zeros((n, n)),
-        pivots=np.zeros(n, dtype=np.int64),
+        by_position=np.zeros((size - n, n)),
+        by_velocity=np.zeros((size - n, m)),
+        turned=np.zeros((m, n)),
+        matrix=np.zeros((m, m)),
+        pivots=np.zeros(m, dtype=np.int64),
     )
 
 
@@ -205,9 +207,10 @@ def slope_at(work, t, z, slope):
 @inner
 def differentiate(work, t, h):
     """Derivatives at the beginning of the step; returns a status."""
-    z, n, other, before = work.z_stage, work.matrix.shape[0], work.other, work.time_slope
+    z, n, other, before = work.z_stage, work.by_position.shape[1], work.other, work.time_slope
+    m, rows = work.matrix.shape[0], work.by_position.shape[0]
     fastest = 1.0
-    for i in range(n):
+    for i in range(m):
         fastest = max(fastest, abs(work.z[n + i]))
     change = VELOCITY_CHANGE * fastest
     copy(work.z, z)
@@ -221,14 +224,15 @@ def differentiate(work, t, h):
         if status != OK:
             return status
         z[j] = work.z[j]
-        for i in range(n + 1):
+        for i in range(rows):
             work.by_position[i, j] = (other[n + i] - before[n + i]) / (2.0 * POSITION_CHANGE)
+    for j in range(m):
         z[n + j] = work.z[n + j] + change
         status = slope_at(work, t, z, other)
         if status != OK:
             return status
         z[n + j] = work.z[n + j]
-        for i in range(n + 1):
+        for i in range(rows):
             work.by_velocity[i, j] = (other[n + i] - work.slope[n + i]) / change
     return differentiate_by_time(work, t, h)
 
@@ -239,7 +243,7 @@ def differentiate_by_time(work, t, h):
     plant, _, _ = open_book(work.system)
     rate, other = work.time_slope, work.other
     rate[:] = 0.0
-    if plant.control.shape[0] == 0:
+    if plant.control.shape[0] == 0 and plant.effects.shape[0] == 0:
         return OK
     change = TIME_CHANGE * min(h, 1.0)
     status = slope_at(work, t + 2.0 * change, work.z, other)
@@ -257,16 +261,18 @@ def differentiate_by_time(work, t, h):
 @inner
 def factor(work, h):
     """Factors of the linear system; returns whether they can be used."""
-    n, a = work.matrix.shape[0], 1.0 / work.gamma[0]
-    for i in range(n):
+    n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / work.gamma[0]
+    for i in range(m):
         row = work.turned[i]
         for j in range(n):
             row[j] = work.by_position[i, j] / a
         turn(a, -0.5 * h, work.z[n + 3 : n + 6], work.by_position[i, 3:6], row[3:6])
+        for j in range(m):
+            work.matrix[i, j] = -h * work.by_velocity[i, j]
         for j in range(n):
-            work.matrix[i, j] = -h * work.by_velocity[i, j] - h * h * row[j]
+            work.matrix[i, j] -= h * h * row[j]
         work.matrix[i, i] += a
-    return factor_lu(work.matrix, n, work.pivots) > 0.0
+    return factor_lu(work.matrix, m, work.pivots) > 0.0
 
 
 @inner
@@ -284,19 +290,22 @@ def turn(a, half, omega, vector, out):
 @inner
 def solve_stage(work, h, right, out):
     """Solve the stage's system for the right-hand side ``right``, which is spent."""
-    n, a = work.matrix.shape[0], 1.0 / work.gamma[0]
-    velocity = out[n : 2 * n]
-    for i in range(n):
+    n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / work.gamma[0]
+    velocity = out[n : n + m]
+    for i in range(m):
         s = right[n + i]
         for j in range(n):
             s += h * work.turned[i, j] * right[j]
         velocity[i] = s
-    solve_lu(work.matrix, n, work.pivots, velocity)
+    solve_lu(work.matrix, m, work.pivots, velocity)
     for i in range(n):
         right[i] += h * velocity[i]
         out[i] = right[i] / a
     turn(a, 0.5 * h, work.z[n + 3 : n + 6], right[3:6], out[3:6])
-    power = right[2 * n]
-    for j in range(n):
-        power += h * (work.by_position[n, j] * out[j] + work.by_velocity[n, j] * velocity[j])
-    out[2 * n] = power / a
+    for i in range(m, work.by_position.shape[0]):
+        s = right[n + i]
+        for j in range(n):
+            s += h * work.by_position[i, j] * out[j]
+        for j in range(m):
+            s += h * work.by_velocity[i, j] * velocity[j]
+        out[n + i] = s / a

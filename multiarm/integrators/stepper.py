@@ -3,14 +3,17 @@ r"""One step of any method, in a chart of the configuration manifold.
 Within a step the object's orientation is :math:`R = \exp(\theta) R_0` with ``R_0`` that at the
 beginning of the step, so that the state is a plain vector
 
-.. math:: z = [\,x_o\ (3),\ \theta\ (3),\ q\ (n),\ v_o\ (6),\ \dot q\ (n),\ \text{work}\ (1)\,]
+.. math::
+    z = [\,x_o\ (3),\ \theta\ (3),\ q\ (n),\ v_o\ (6),\ \dot q\ (n),\ \text{inner}\ (e),\
+        \text{work}\ (w)\,]
 
 with :math:`\dot\theta` from :func:`multiarm.spatial.write_chart_rate`.  Runge-Kutta methods keep
 their order and their dense output in it (H. Munthe-Kaas, BIT 38, 1998); after the step the rotation
 goes into the full quaternion and the next chart begins at :math:`\theta = 0`.
 
-The last entry is the work of control and effects: a quadrature carried along for the energy
-balance, not part of the error norm.
+*inner* are the states of effects that have their own.  The last entries are the work of each effect
+and of control and effects together: quadratures carried along for the energy balance, not part of
+the error norm.
 
 Explicit methods are carried out here.  Other methods are entries of their own, compiled when they
 are first used (:mod:`multiarm.integrators.rosenbrock`, :mod:`multiarm.integrators.variational`);
@@ -68,7 +71,7 @@ class Method(NamedTuple):
 
 
 class Step(NamedTuple):
-    """Arrays of one step for ``n`` joints, ``D = 13 + 2 n``.
+    """Arrays of one step for ``n`` joints, ``D = 12 + 2 n + e + w``.
 
     z, z_new, z_stage : (D,)
         State at the beginning, at the end (before projection), at a stage.
@@ -82,8 +85,8 @@ class Step(NamedTuple):
         Slope at the beginning of this step and of the next one, each in its own chart.
     dense : (7, D), z_old : (D,)
         Dense output of the step before.
-    tolerance : (D - 1,)
-        Largest accepted error estimate of one step, of every entry but the work.
+    tolerance : (D - w,)
+        Largest accepted error estimate of one step, of every entry but the works.
     gains : (2,)
         Feedback gains of the step at hand [1/s].
     own : int64 (4,)
@@ -125,9 +128,9 @@ def make_method(tableau: Tableau) -> Method:
     )
 
 
-def make_step(tableau: Tableau, joints: int) -> Step:
-    """Allocate for a method and a number of joints."""
-    size = 13 + 2 * joints
+def make_step(tableau: Tableau, joints: int, states: int = 0, works: int = 1) -> Step:
+    """Allocate for a method, a number of joints, of effects' own states and of works."""
+    size = 12 + 2 * joints + states + works
     slopes = max(tableau.b.size + 1, tableau.A.shape[0])
     return Step(
         z=np.zeros(size),
@@ -142,7 +145,7 @@ def make_step(tableau: Tableau, joints: int) -> Step:
         slope_next=np.zeros(size),
         dense=np.zeros((_DENSE_ROWS, size)),
         z_old=np.zeros(size),
-        tolerance=np.ones(size - 1),
+        tolerance=np.ones(size - works),
         gains=np.zeros(2),
         own=np.zeros(4, dtype=np.int64),
     )
@@ -201,11 +204,13 @@ def load(z, base, buffers):
     for j in range(n):
         buffers.angles[j] = z[6 + j]
         buffers.v[j] = z[12 + n + j]
+    for k in range(buffers.inner.size):
+        buffers.inner[k] = z[12 + 2 * n + k]
 
 
 @inlined
 def store(buffers, base, z):
-    """Begin a chart at the state in the buffers: ``theta = 0``; the work entry stays."""
+    """Begin a chart at the state in the buffers: ``theta = 0``; the works stay."""
     n = buffers.angles.size
     for k in range(3):
         z[k] = buffers.position[k]
@@ -217,6 +222,8 @@ def store(buffers, base, z):
     for j in range(n):
         z[6 + j] = buffers.angles[j]
         z[12 + n + j] = buffers.v[j]
+    for k in range(buffers.inner.size):
+        z[12 + 2 * n + k] = buffers.inner[k]
 
 
 @inner_inlined
@@ -231,7 +238,12 @@ def write_slope(z, buffers, slope):
     for j in range(n):
         slope[6 + j] = buffers.v[j]
         slope[12 + n + j] = buffers.qdd[j]
-    slope[12 + 2 * n] = buffers.power[0]
+    at = 12 + 2 * n
+    for k in range(buffers.inner_rate.size):
+        slope[at + k] = buffers.inner_rate[k]
+    at += buffers.inner_rate.size
+    for k in range(buffers.power.size):
+        slope[at + k] = buffers.power[k]
 
 
 @kernel

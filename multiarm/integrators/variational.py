@@ -133,7 +133,7 @@ def make_variational(
     ``W_shape`` is that of ``NodeWork.Y``, ``rows`` the number of contacts; ``call`` and
     ``coriolis`` are described in :class:`VariationalWork`.
     """
-    size = (step.z.size - 1) // 2
+    size = (step.z.size - 1) // 2  # an own state of an effect is refused before, works are last
     return VariationalWork(
         system=system_book,
         z=step.z,
@@ -404,7 +404,6 @@ def end(own, t, h):
     """Momenta at the end, and the velocities on the joints that have them: ``z_new``."""
     _, buffers, work = open_book(own.system)
     n, z, new = buffers.angles.size, own.z, own.z_new
-    power = buffers.power[0]
     momentum = own.scratch
     for k in range(6 + n):
         momentum[k] = own.start[k] + 2.0 * own.push[k]
@@ -429,5 +428,6 @@ def end(own, t, h):
     for j in range(n):
         new[6 + j] = z[6 + j] + h * own.xi[6 + j]
         new[12 + n + j] = buffers.qdd[j]
-    new[12 + 2 * n] = z[12 + 2 * n] + h * power
+    for k in range(buffers.power.size):
+        new[12 + 2 * n + k] = z[12 + 2 * n + k] + h * buffers.power[k]
     return OK

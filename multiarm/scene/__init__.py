@@ -8,7 +8,6 @@ from multiarm.scene.control import (
     ComputedTorqueControl,
     ConstantControl,
     ControlSpec,
-    EffectsSpec,
     GravityCompensationControl,
     HarmonicControl,
     JointPDControl,
@@ -18,6 +17,7 @@ from multiarm.scene.control import (
     StabilizationSpec,
     Waypoint,
 )
+from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.functions import function_text
 from multiarm.scene.geometry import (
     ConeGeometry,

@@ -19,11 +19,11 @@ from multiarm.scene.control import (
     ComputedTorqueControl,
     ConstantControl,
     ControlSpec,
-    EffectsSpec,
     HarmonicControl,
     JointPDControl,
     ObjectImpedanceControl,
 )
+from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.object_spec import ObjectSpec
 from multiarm.scene.resolve import examine_arm
 from multiarm.scene.values import joint_value_faults

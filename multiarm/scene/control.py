@@ -1,4 +1,4 @@
-"""What drives the arms, which effects are modelled, and how the run is carried out."""
+"""What drives the arms, and how the run is carried out."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ __all__ = [
     "ComputedTorqueControl",
     "ConstantControl",
     "ControlSpec",
-    "EffectsSpec",
     "GravityCompensationControl",
     "HarmonicControl",
     "JointPDControl",
@@ -124,18 +123,6 @@ ControlSpec = Annotated[
     Field(discriminator="kind"),
     BeforeValidator(_control),
 ]
-
-
-class EffectsSpec(Spec):
-    """Optional physics; what is not named is not modelled and costs nothing.
-
-    Attributes
-    ----------
-    joint_damping : number or table 'arm: values', optional
-        Viscous damping of the arms' joints [N m s/rad] or [N s/m].
-    """
-
-    joint_damping: Gain | None = None
 
 
 class StabilizationSpec(Spec):

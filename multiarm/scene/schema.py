@@ -17,7 +17,8 @@ from multiarm.errors import SceneError
 from multiarm.scene.arm_spec import ArmSpec
 from multiarm.scene.base import Spec
 from multiarm.scene.check import SceneParts, check
-from multiarm.scene.control import ControlSpec, EffectsSpec, NoControl, RunSpec
+from multiarm.scene.control import ControlSpec, NoControl, RunSpec
+from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.faults import explain
 from multiarm.scene.joints import JointSpec
 from multiarm.scene.object_spec import ObjectSpec
