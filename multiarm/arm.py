@@ -270,6 +270,21 @@ def _address(array: np.ndarray) -> int:
     return array.__array_interface__["data"][0]
 
 
+class Ground:
+    """The surroundings as an arm without joints: a body at rest at the world's origin.
+
+    ``pointers`` (8,) are those of an :class:`ArmGroup`; valid while this lives.
+    """
+
+    def __init__(self, gravity: np.ndarray):
+        pose = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+        still, drift = np.zeros(6), np.concatenate([-gravity, np.zeros(3)])
+        self._kept = pose, still, drift
+        at = [array.ctypes.data for array in (still, pose, still, drift)]
+        # inertia and its stride, Jacobian, bias, gravity: none; pose, twist, drift
+        self.pointers = np.array([at[0], 1, at[0], at[0], at[0], *at[1:]], dtype=np.int64)
+
+
 def _require_layout(condition: bool, what: str) -> None:
     if not condition:
         raise ModelError(

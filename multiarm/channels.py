@@ -19,6 +19,11 @@ from multiarm.errors import TrajectoryError
 
 Block = dict[str, np.ndarray]
 """Samples of all channels: name -> array whose leading axis counts the samples."""
+FLOOR = "floor"
+"""What stands in an arm's place where contacts are the object's own, with its surroundings."""
+CONTACT_STATES = ("open", "touching", "sliding", "sticking", "resting")
+"""What a contact does, by its code in a channel; resting: it touches, and other contacts carry."""
+OPEN, TOUCHING, SLIDING, STICKING, RESTING = range(len(CONTACT_STATES))
 CLOSED = "this trajectory was closed; load it from its file, or simulate again"
 """What is wrong when samples are asked for that were let go of."""
 
@@ -70,6 +75,8 @@ def trajectory_channels(
     contacts: Mapping[str, Sequence[str]],
     free: Mapping[str, Mapping[str, str]] | None = None,
     works: Sequence[str] = (),
+    states: Mapping[str, Sequence[str]] | None = None,
+    environment: Sequence[str] = (),
 ) -> tuple[Channel, ...]:
     """The channels of a run.
 
@@ -83,17 +90,24 @@ def trajectory_channels(
         Arm name -> (free motion of its joint to the object -> unit of its coordinate).
     works : sequence of str
         Names of the effects whose work is recorded.
+    states : mapping
+        Arm name, or ``"floor"`` -> names of its contacts that can open, slide or stick.
+    environment : sequence of str
+        Names of the rows of the object's contacts with the floor.
 
     Returns
     -------
     tuple of Channel
-        Time first, then the object, the arms, energy and drift.
+        Time first, then the object, the arms, the floor, effects, energy and drift.
     """
     channels = [Channel("time", (), "s", "", "time of the sample")]
     channels += _object_channels()
     for arm, units in joints.items():
         channels += _arm_channels(arm, units, contacts[arm])
+        channels += _state_channels(f"arms/{arm}", (states or {}).get(arm, ()))
         channels += _free_channels(arm, (free or {}).get(arm, {}))
+    channels += _floor_channels(environment)
+    channels += _state_channels("environment", (states or {}).get(FLOOR, ()))
     channels += [
         Channel(f"effects/{name}/work", (), "J", "", f"work done by {name} since the start")
         for name in works
@@ -204,6 +218,25 @@ def _arm_channels(arm: str, units: Mapping[str, str], contacts: Sequence[str]) -
             "force at each contact along its normal; positive pushes the object", tuple(contacts),
         ),
     ]  # fmt: skip
+
+
+def _state_channels(path: str, contacts: Sequence[str]) -> list[Channel]:
+    if not contacts:
+        return []
+    codes = ", ".join(f"{code} {state}" for code, state in enumerate(CONTACT_STATES))
+    labels = tuple(contacts)
+    return [Channel(f"{path}/contact_state", (len(labels),), "1", "", codes, labels)]
+
+
+def _floor_channels(contacts: Sequence[str]) -> list[Channel]:
+    if not contacts:
+        return []
+    force = Channel(
+        "environment/contact_force", (len(contacts),), "N", "contact normals",
+        "force of the floor at each contact along its normal; positive pushes the object",
+        tuple(contacts),
+    )  # fmt: skip
+    return [force]
 
 
 def _free_channels(arm: str, free: Mapping[str, str]) -> list[Channel]:

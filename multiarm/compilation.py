@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arm import Arm, ArmFiles, ArmGroup, group_arms
+from multiarm.arm import Arm, ArmFiles, ArmGroup, Ground, group_arms
 from multiarm.assembly import StartReport, assemble
+from multiarm.candidates.building import COME_AND_GO, scene_candidates
+from multiarm.candidates.plan import make_plan
+from multiarm.candidates.units import SURROUNDINGS, Candidates
 from multiarm.contact_checks import check_patches, choose_free, locate_pairs
 from multiarm.contacts.catalogue import FREE, joint_contacts, joint_frame, surface_offset
 from multiarm.contacts.frames import FRAME_WIDTH, JointFrame
@@ -18,13 +21,16 @@ from multiarm.contacts.records import Contact, ContactTable, pack
 from multiarm.contacts.surfaces import answering
 from multiarm.dense_call import dense_call
 from multiarm.effects.building import build_pieces
+from multiarm.effects.dry_friction import plan_pieces
 from multiarm.effects.piece import Pieces, Site
 from multiarm.equations import connect_entries
 from multiarm.errors import ModelError
+from multiarm.hybrid.selection import joint_rows, select
 from multiarm.lowlevel import CallBack
 from multiarm.node.regular import make_work
 from multiarm.node.singular import make_coupled
 from multiarm.plant import (
+    CALL_CONTROL,
     CALL_COUNT,
     CALL_DENSE,
     CALL_POTENTIAL,
@@ -68,12 +74,43 @@ def compile_system(scene: Scene, control: ControlFunction | None = None) -> Syst
     arms = {name: _make_arm(name, scene.arms[name], resolved[name]) for name in scene.arms}
     joints = _joints(scene, arms, resolved)
     system = _unassembled(scene, arms, joints, resolved)
+    if system.plan is not None:
+        return _come_and_go(system, control)
+    return _controlled(_with_free_motions(_at_start(system)), control)
+
+
+def _come_and_go(full: System, control: ControlFunction | None) -> System:
+    """A system whose contacts come and go: what holds of its model, its start and its control."""
+    assert full.plan is not None, "something comes and goes"
+    start = _at_start(replace(select(full, full.plan.assembled), plan=None))
+    model = replace(select(full, full.plan.model), plan=None, _start=start._start)
+    model = _controlled(_with_free_motions(model), control)
+    taken = ("control", "parameters", "frames", "free", "free_bounds")
+    plant = full.plant._replace(**{name: getattr(model.plant, name) for name in taken})
+    plant.calls[CALL_CONTROL] = model.plant.calls[CALL_CONTROL]
+    return replace(
+        full,
+        plant=plant,
+        calls={**model.calls, **full.calls},
+        frames=model.frames,
+        breakpoints=model.breakpoints,
+        start_report=start.start_report,
+        _start=start._start,
+    )
+
+
+def _at_start(system: System) -> System:
+    """A system at its start, on its contacts."""
     written = system.initial_state()
     system = replace(system, _places=locate_pairs(system, written))
     start, report = assemble(system, written)
     system = replace(system, _start=start, start_report=report)
     check_patches(system)
-    system = _with_free_motions(system)
+    return system
+
+
+def _controlled(system: System, control: ControlFunction | None) -> System:
+    """A system with its control."""
     if control is not None:
         return system.with_control(control)
     program = control_program(system)
@@ -118,17 +155,32 @@ def _own_contacts(joint, pose: np.ndarray) -> list[Contact]:
 
 def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: dict) -> System:
     """The system without control, its start as it is written."""
+    found = _candidates(scene, arms, joints)
+    records: Mapping[str, list] = joints.contacts if found is None else found.records
+    around = records.get(SURROUNDINGS, [])
+    owners = [*arms, *([SURROUNDINGS] if around else [])]
     layout = Layout(
         names=tuple(arms),
-        dofs=_bounds([arm.dof for arm in arms.values()]),
-        rows=_bounds([len(joints.contacts[name]) for name in arms]),
+        dofs=_bounds([arms[name].dof if name in arms else 0 for name in owners]),
+        rows=_bounds([len(records[name]) for name in owners]),
     )
+    on_links = {name: _on_link(arms[name], records[name]) for name in arms}
+    if around:
+        on_links[SURROUNDINGS] = around
     gravity = np.array(scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0))
     groups = group_arms(list(arms.values()), gravity, needs_gravity_torque(scene))
-    table = pack([contact for own in joints.on_links.values() for contact in own])
-    watches = make_watches(joints.on_links, joints.limits, layout)
-    pieces = build_pieces(Site(scene, arms, layout))
+    every_row = [record for own in on_links.values() for record in own]
+    table = pack(every_row)
+    watches = make_watches(
+        on_links if found is None else {name: [] for name in arms}, joints.limits, layout
+    )
+    plan = None if found is None else make_plan(scene, found, joints.contacts, layout)
+    pieces = build_pieces(Site(scene, arms, layout), () if plan is None else plan_pieces(plan))
     plant = _plant(scene, arms, table, groups, gravity, pieces)._replace(watches=watches)
+    plant = plant._replace(joint_rows=joint_rows(table, layout))
+    ground = Ground(gravity) if around else None
+    if ground is not None:
+        plant = plant._replace(pointers=np.vstack([plant.pointers, ground.pointers]))
     configuration = sum(g.model.nq for g in groups)
     buffers = make_buffers(plant, layout.contacts, configuration, len(pieces.works), pieces.states)
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
@@ -147,7 +199,7 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
     system = System(
         scene=scene,
         arms=arms,
-        contacts=joints.contacts,
+        contacts={name: records[name] for name in arms},
         frames=joints.frames,
         layout=layout,
         breakpoints=pieces.breakpoints,
@@ -158,8 +210,11 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
         pieces=pieces,
         start_report=StartReport(),
         surfaces=tuple(table.functions),
+        records=tuple(every_row),
+        plan=plan,
         _start=_written_start(scene, resolved, layout),
         _groups=groups,
+        _ground=ground,
         _places=np.zeros_like(buffers.places),
         calls=calls,
     )
@@ -167,6 +222,17 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
         calls["potential"] = CallBack(_potential_call(system), buffers.flag)
         plant.calls[CALL_POTENTIAL] = calls["potential"].address
     return system
+
+
+def _candidates(scene: Scene, arms: dict[str, Arm], joints: _Joints) -> Candidates | None:
+    """What comes and goes in the scene; None: nothing."""
+    if not set(scene.effects.named) & set(COME_AND_GO):
+        return None
+    limits = {
+        name: dict(zip(arm.joint_names, map(tuple, arm.position_limits), strict=True))
+        for name, arm in arms.items()
+    }
+    return scene_candidates(scene, joints.contacts, limits, None)
 
 
 def _make_arm(name: str, spec, resolved) -> Arm:
@@ -229,7 +295,7 @@ def _with_free_motions(system: System) -> System:
     return replace(system, frames=frames, plant=plant)
 
 
-def _on_link(arm: Arm, contacts: list[Contact]) -> list[Contact]:
+def _on_link(arm: Arm, contacts: list) -> list:
     """The contacts with the arm's geometry in the frame of the link that carries the tip."""
     return [contact.moved_on_arm(arm.tip_rotation, arm.tip_translation) for contact in contacts]
 
@@ -265,6 +331,8 @@ def _plant(
         parameters=np.zeros(0),
         calls=np.zeros(CALL_COUNT, dtype=np.int64),
         dense=np.array([scene.run.solver == "dense"], dtype=np.int64),
+        joint_rows=np.zeros((0, 3), dtype=np.int64),
+        links=np.zeros(0, dtype=np.int64),
     )
 
 

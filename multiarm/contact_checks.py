@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.contacts.kernel import RELATIVE_WIDTH
-from multiarm.contacts.records import KIND, LINK, PAIR, SURFACE_BODY, SURFACE_ON_OBJECT
+from multiarm.contacts.records import KIND, LINK, PAIR, SURFACE_BODY, SURFACE_ON_OBJECT, Contact
 from multiarm.contacts.rows import LINE_CONTACT, locate_pair
 from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
 from multiarm.equations import OK, update_kinematics
@@ -226,6 +226,7 @@ def _is_line(second: np.ndarray) -> bool:
 def _guesses(system: System, arm: str, row: int, b: np.ndarray) -> np.ndarray:
     """Points in the guiding body's frame around both surfaces, shape (g, 3)."""
     _, contact = system.owner(row)
+    assert isinstance(contact, Contact), "two surfaces are a contact's"
     frame, tip = system.frames[arm], system.arms[arm]
     i = system.arm_names.index(arm)
     link, body = system.buffers.arms[i], system.buffers.body

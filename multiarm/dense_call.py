@@ -14,8 +14,17 @@ from multiarm.plant import COUPLED_ARMS, RANK_OF_ALL, Buffers
 from multiarm.terms import M_AT, M_STRIDE
 
 
-def dense_call(pointers: np.ndarray, buffers: Buffers, work: NodeWork) -> Callable[[], None]:
-    """Function without arguments that solves for ``q_o, qdd, force`` in ``buffers``."""
+def dense_call(
+    pointers: np.ndarray,
+    buffers: Buffers,
+    work: NodeWork,
+    reactions: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Callable[[], None]:
+    """Function without arguments that solves for ``q_o, qdd, force`` in ``buffers``.
+
+    ``reactions`` are the object's rows (N, 6) and the arms' matrices (n, d, m) where forces act
+    along other directions than the constraints.
+    """
     dofs, rows = work.dofs, work.rows
     arms = range(len(dofs) - 1)
 
@@ -30,6 +39,7 @@ def dense_call(pointers: np.ndarray, buffers: Buffers, work: NodeWork) -> Callab
             W_o=[buffers.Wo[rows[i] : rows[i + 1]].T for i in arms],
             W=[work.Y[i, : dofs[i + 1] - dofs[i], : rows[i + 1] - rows[i]] for i in arms],
             c=[buffers.c[rows[i] : rows[i + 1]] for i in arms],
+            **_reactions(reactions, dofs, rows),
         )
         buffers.q_o[:] = solution.object_acceleration
         buffers.qdd[:] = np.concatenate(solution.joint_accelerations)
@@ -37,6 +47,17 @@ def dense_call(pointers: np.ndarray, buffers: Buffers, work: NodeWork) -> Callab
         buffers.solved[RANK_OF_ALL], buffers.solved[COUPLED_ARMS] = solution.rank, 0
 
     return solve
+
+
+def _reactions(given: tuple[np.ndarray, np.ndarray] | None, dofs, rows) -> dict:
+    if given is None:
+        return {}
+    on_object, on_arms = given
+    arms = range(len(dofs) - 1)
+    return {
+        "reaction_o": [on_object[rows[i] : rows[i + 1]].T for i in arms],
+        "reaction": [on_arms[i, : dofs[i + 1] - dofs[i], : rows[i + 1] - rows[i]] for i in arms],
+    }
 
 
 def _require_usable(inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]) -> None:

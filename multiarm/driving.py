@@ -10,21 +10,23 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from multiarm.candidates.units import SURROUNDINGS
 from multiarm.channels import trajectory_channels
 from multiarm.contacts.frames import COMPONENTS, UNITS
 from multiarm.dynamics import failure_text, lost_contact_text
 from multiarm.equations import CALLBACK_FAILED, NOT_FINITE
 from multiarm.errors import MultiarmError, SolverError, TrajectoryError
+from multiarm.event_driving import EventDriving
 from multiarm.integrators.stepper import step_book
 from multiarm.integrators.variational import NOT_CONVERGED
 from multiarm.interrupts import Interrupt, deferred_interrupt
 from multiarm.plant import BUSY
-from multiarm.preparation import Run, prepare
+from multiarm.preparation import Run, method_and_tolerance, prepare
 from multiarm.samples import named_samples
 from multiarm.scene import RunSpec, dump_scene
 from multiarm.sinks import Sink, provenance
@@ -39,6 +41,7 @@ from multiarm.time_loop import (
     DIVERGED,
     ERROR_SUM,
     EVALUATIONS,
+    EVENT,
     FINISHED,
     HIGHEST_RANK,
     LARGE_CORRECTION,
@@ -52,6 +55,7 @@ from multiarm.time_loop import (
     STEP_TOO_SMALL,
     STEPS,
     STIFF,
+    STOPPED,
     WORST_CORRECTION,
     WORST_RESIDUAL,
     H,
@@ -118,7 +122,14 @@ def carry_out(
         When the sink cannot be opened.
     """
     system, spec = task.system, task.spec
-    run = prepare(system, spec, task.state, sink, task.longest_step, tighten)
+    comings = None
+    if system.plan is not None:
+        comings = EventDriving(system, method_and_tolerance(spec, tighten)[1])
+        task = replace(task, **comings.begin(task.state))
+    run = prepare(task.system, spec, task.state, sink, task.longest_step, tighten)
+    if comings is not None:
+        comings.arm(run)
+    run.comings, run.home = comings, system
     run.sink.open(_channels(system), _metadata(task))
     interrupt = Interrupt()
     try:
@@ -160,12 +171,19 @@ def _drive(
         while True:
             ended = None
             run.events.collect(run.system)
+            if run.comings is not None and reason in (EVENT, STOPPED):
+                trouble = run.comings.happens(run, reason == STOPPED)
+                ended = ("failed", f"{_where(run)}: {trouble}") if trouble else None
+                advance_by = _advancer(run)
+                reason = BUDGET_USED
             if reason == STIFF:
                 switch.take_over(run)
                 advance_by = _advancer(run)
             elif reason == BUDGET_USED and switch.judge(run):  # then no sample is due any more
                 advance_by = _advancer(run)
-            if reason == SOLVER_CHANGED:
+            if reason == SOLVER_CHANGED and run.comings is not None:
+                run.solver_log.settle(run.system)  # contacts that come and go have their own events
+            elif reason == SOLVER_CHANGED:
                 run.solver_log.collect(run.system, float(run.clock.real[T]), _state(run))
             try:
                 if progress is not None:
@@ -180,9 +198,9 @@ def _drive(
             elif interrupt.pressed:
                 interrupt.pressed = False
                 ended = "interrupted", f"stopped by the user {_where(run)}"
-            elif reason not in (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED, STIFF):
+            elif reason not in (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED, STIFF) and not ended:
                 ended = _trouble(run, reason)
-            elif run.clock.counts[EVALUATIONS] > most_evaluations:
+            elif run.clock.counts[EVALUATIONS] > most_evaluations and not ended:
                 ended = "failed", f"{_where(run)}: {TOO_MANY}"
             due = time.perf_counter() >= next_checkpoint
             try:
@@ -212,7 +230,9 @@ def _advancer(run: Run) -> Callable[[int], int]:
 
 def _events(run: Run) -> list[dict]:
     """Everything that happened, in order of time."""
-    return sorted([*run.events.told, *run.solver_log.told], key=lambda event: event["time"])
+    of_contacts = [] if run.comings is None else run.comings.told
+    every = [*run.events.told, *run.solver_log.told, *of_contacts]
+    return sorted(every, key=lambda event: event["time"])
 
 
 def _state(run: Run) -> State:
@@ -280,15 +300,25 @@ def _flush(run: Run) -> None:
     count[BLOCK_FIRST] = count[SAMPLE]
     run.sink.append(
         named_samples(
-            run.system.layout,
+            run.home.layout,
             run.system.plant.free_bounds,
             run.system.pieces.works,
             run.block[:rows],
+            states_of(run.home),
         )
     )
 
 
+def states_of(system: System) -> dict[str, tuple[str, ...]] | None:
+    """Contacts that come and go, by their owners."""
+    if system.plan is None:
+        return None
+    owners = [*system.arm_names, SURROUNDINGS]
+    return {owner: system.plan.contacts_of(owner) for owner in owners}
+
+
 def _channels(system: System):
+    around = system.records[system.layout.surroundings]
     return trajectory_channels(
         {name: arm.joint_units for name, arm in system.arms.items()},
         {
@@ -300,6 +330,8 @@ def _channels(system: System):
             for name, frame in system.frames.items()
         },
         system.pieces.works,
+        states_of(system),
+        [record.name for record in around],
     )
 
 

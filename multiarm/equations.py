@@ -34,7 +34,7 @@ from multiarm.contacts.kernel import (
     SPIN_RATE,
     VELOCITY,
 )
-from multiarm.contacts.records import COMBINED, KIND
+from multiarm.contacts.records import COMBINED, KIND, RADIUS, SIDE, WEIGHT
 from multiarm.contacts.rows import write_rows
 from multiarm.control import control_torques
 from multiarm.lowlevel import (
@@ -180,6 +180,19 @@ def arm_rows(i, plant, buffers, work):
 
 
 @inner_inlined
+def write_joint_rows(plant, buffers, work):
+    """Rows that belong to joints: their gaps, and their columns of ``W``."""
+    for k in range(plant.joint_rows.shape[0]):
+        i, row, joint = plant.joint_rows[k, 0], plant.joint_rows[k, 1], plant.joint_rows[k, 2]
+        side, geometry = plant.geometry[row, SIDE], plant.geometry[row]
+        buffers.contacts[row, GAP] = (
+            geometry[WEIGHT] * side * (buffers.angles[joint] - geometry[RADIUS])
+        )
+        buffers.contacts[row, GAP_RATE] = side * buffers.v[joint]
+        work.Y[i, joint - work.dofs[i], row - work.rows[i]] = side
+
+
+@inner_inlined
 def load_inertia(i, plant, work):
     """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.L``."""
     d = work.dofs[i + 1] - work.dofs[i]
@@ -204,6 +217,7 @@ def _kinematics(address, size, _a, _b):
         link_motion(plant.pointers[i], plant.gravity, buffers.arms[i])
         arm_rows(i, plant, buffers, work)
         load_inertia(i, plant, work)
+    write_joint_rows(plant, buffers, work)
     # a surface of the user's may have failed
     return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
 
@@ -216,36 +230,60 @@ def _right_hand_sides(address, size, alpha, beta):
     ``CALLBACK_FAILED``.
     """
     plant, buffers, work = open_book(book_at(address, size))
-    h, v = buffers.h, buffers.v
-    for i in range(plant.pointers.shape[0]):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        bias = floats_at(plant.pointers[i, BIAS_AT], d)
-        for j in range(d):
-            h[d0 + j] = -bias[j]
-    phases = plant.phases
-    for k in range(phases[0]):
-        call_effect(plant.effects[k], address, size, buffers)
+    passive_forces(address, size, plant, buffers, work)
     power = 0.0
     if plant.control.shape[0] > 0:
         load_gravity_torque(plant, buffers, work)
         control_torques(
             buffers.time[0], buffers.angles, plant.control, plant.parameters, plant, buffers, work
         )
-        for k in range(phases[0], phases[1]):
-            call_effect(plant.effects[k], address, size, buffers)
-        for j in range(h.size):
-            h[j] += buffers.torque[j]
-            power += buffers.torque[j] * v[j]
-    for k in range(phases[1], phases[2]):
+        power = add_torques(address, size, plant, buffers)
+    applied_forces(address, size, plant, buffers, power)
+    drift_terms(buffers, alpha, beta)
+    return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
+
+
+@inner_inlined
+def passive_forces(address, size, plant, buffers, work):
+    """``h = -b``, and what the joints do by themselves."""
+    for i in range(plant.pointers.shape[0]):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        bias = floats_at(plant.pointers[i, BIAS_AT], d)
+        for j in range(d):
+            buffers.h[d0 + j] = -bias[j]
+    for k in range(plant.phases[0]):
+        call_effect(plant.effects[k], address, size, buffers)
+
+
+@inner_inlined
+def add_torques(address, size, plant, buffers):
+    """Add the control's torques, as the actuators pass them on; returns their power [W]."""
+    for k in range(plant.phases[0], plant.phases[1]):
+        call_effect(plant.effects[k], address, size, buffers)
+    power = 0.0
+    for j in range(buffers.h.size):
+        buffers.h[j] += buffers.torque[j]
+        power += buffers.torque[j] * buffers.v[j]
+    return power
+
+
+@inner_inlined
+def applied_forces(address, size, plant, buffers, power):
+    """Add what comes from outside, and write the power of all: the control's is ``power`` [W]."""
+    for k in range(plant.phases[1], plant.phases[2]):
         call_effect(plant.effects[k], address, size, buffers)
     last = buffers.power.size - 1
     for k in range(last):
         power += buffers.power[k]
     buffers.power[last] = power
+
+
+@inner_inlined
+def drift_terms(buffers, alpha, beta):
+    """``c``, with feedback on the drift."""
     for k in range(buffers.c.size):
         row = buffers.contacts[k]
         buffers.c[k] = -(row[GAP_BIAS] + 2.0 * alpha * row[GAP_RATE] + beta * beta * row[GAP])
-    return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
 
 
 @inner_inlined
@@ -314,6 +352,15 @@ def update_kinematics(book):
     ``OK`` or ``CALLBACK_FAILED``.
     """
     return call_entry(ints1(book, CALLS)[CALL_KINEMATICS], book, 0.0, 0.0)
+
+
+@kernel
+def update_rows(book):
+    """Contact rows alone, of a system that shares its bodies' motion with one that has it."""
+    plant, buffers, work = open_book(book)
+    for i in range(plant.pointers.shape[0]):
+        arm_rows(i, plant, buffers, work)
+    write_joint_rows(plant, buffers, work)
 
 
 @kernel

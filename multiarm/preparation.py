@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -46,6 +47,9 @@ from multiarm.time_loop import (
     watch_start,
 )
 from multiarm.watching import EventLog
+
+if TYPE_CHECKING:
+    from multiarm.event_driving import EventDriving
 
 # Below this accuracy [m, rad] the method of order 8 is the cheaper one.
 ORDER_8_BELOW = 1e-3
@@ -120,6 +124,10 @@ class Run:
         None: the step is fixed.
     may_switch : bool
         The method was not named, and may be exchanged.
+    home : System
+        With all rows; ``system`` itself but where contacts come and go.
+    comings : EventDriving or None
+        What deals with them.
     """
 
     system: System
@@ -132,6 +140,8 @@ class Run:
     solver_log: SolverLog
     tolerance: Tolerance | None
     may_switch: bool
+    home: System
+    comings: EventDriving | None = None
 
 
 def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) -> RunSpec:
@@ -231,6 +241,7 @@ def prepare(
         apart=np.inf,
         breakpoints=np.array(system.breakpoints, dtype=float),
         switch=adaptive and spec.integrator is None,
+        stop=np.inf,
     )
     stepping = make_stepping(system, name, tolerance)
     method, step = stepping.method, stepping.step
@@ -263,7 +274,7 @@ def prepare(
         settings = settings._replace(step=_first_step(system, step, settings, method))
     width = sample_width(
         system.layout.joints,
-        system.layout.contacts,
+        system.buffers.shown.size,
         system.plant.free.shape[0],
         1 + len(system.pieces.works),
     )
@@ -279,6 +290,7 @@ def prepare(
         solver_log,
         tolerance,
         settings.switch,
+        system,
     )
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 
-from multiarm.channels import CLOSED, Block, Channel
+from multiarm.channels import CLOSED, FLOOR, Block, Channel
 from multiarm.errors import TrajectoryError
 
 
@@ -73,6 +73,19 @@ def arm_names(store: Store) -> tuple[str, ...]:
     return tuple(dict.fromkeys(n.removeprefix("arms/").rpartition("/")[0] for n in names))
 
 
+def channels_of(channels: Iterable[str], quantity: str) -> dict[str, str]:
+    """Arm, or "floor" -> name of its channel of a quantity, of the channels of a run."""
+    channels = tuple(channels)
+    found = {}
+    for name in channels:
+        place, _, last = name.rpartition("/")
+        if last == quantity and place.startswith("arms/"):
+            found[place.removeprefix("arms/")] = name
+    if f"environment/{quantity}" in channels:
+        found.setdefault(FLOOR, f"environment/{quantity}")
+    return found
+
+
 class _UnknownArmError(TrajectoryError, KeyError):
     """A KeyError whose text is a sentence."""
 
@@ -118,3 +131,24 @@ class ByArm(Mapping[str, np.ndarray]):
 
     def __len__(self) -> int:
         return len(arm_names(self._store))
+
+
+class ByContacts(ByArm):
+    """A channel of contacts: of every arm, and under "floor" of the object's own, if it has any."""
+
+    def __getitem__(self, bearer: str) -> np.ndarray:
+        if bearer in self._floor:
+            return self._read(f"environment/{self._quantity}")
+        return super().__getitem__(bearer)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*arm_names(self._store), *self._floor))
+
+    def __len__(self) -> int:
+        return len(arm_names(self._store)) + len(self._floor)
+
+    @property
+    def _floor(self) -> tuple[str, ...]:
+        """The floor, where it has contacts; no name where an arm has taken it."""
+        exists = f"environment/{self._quantity}" in self._store.channels
+        return (FLOOR,) if exists and FLOOR not in arm_names(self._store) else ()

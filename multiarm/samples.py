@@ -9,15 +9,22 @@ rate; rank of the constraints, arms in the coupled system, relative residual.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from multiarm.contacts.frames import SINGLE_TURN, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import kinetic_energy, largest
-from multiarm.lowlevel import call_back, copy, inlined, inner
-from multiarm.plant import CALL_POTENTIAL, COUPLED_ARMS, RANK_OF_ALL, RESIDUAL
+from multiarm.lowlevel import call_back, call_entry, copy, inlined, inner
+from multiarm.plant import (
+    CALL_POTENTIAL,
+    CALL_SHOW,
+    COUPLED_ARMS,
+    RANK_OF_ALL,
+    RESIDUAL,
+    open_book,
+)
 from multiarm.state import Layout
 
 
@@ -27,11 +34,12 @@ def sample_width(joints: int, contacts: int, free: int, works: int) -> int:
 
 
 @inner
-def write_sample(plant, buffers, work, t, works, row):
+def write_sample(book, t, works, row):
     """One row of the block from an evaluated state: time, positions, velocities, torques, contact
     forces, relative rates and coordinates, kinetic and potential energy, works, largest gap and gap
     rate, rank, coupled arms and residual.
     """
+    plant, buffers, work = open_book(book)
     n, m = buffers.angles.size, buffers.shown.size
     row[0] = t
     copy(buffers.position, row[1:8])
@@ -40,6 +48,8 @@ def write_sample(plant, buffers, work, t, works, row):
     copy(buffers.v, row[14 + n : 14 + 2 * n])
     copy(buffers.torque, row[14 + 2 * n : 14 + 3 * n])
     at = 14 + 3 * n
+    if plant.calls[CALL_SHOW] != 0:
+        call_entry(plant.calls[CALL_SHOW], book, t, 0.0)
     copy(buffers.shown, row[at : at + m])
     at += m
     write_free(plant, buffers, row[at:])
@@ -97,16 +107,22 @@ def going_on(plant, buffers, i, k, places):
 
 
 def named_samples(
-    layout: Layout, free_bounds: np.ndarray, works: Sequence[str], rows: np.ndarray
+    layout: Layout,
+    free_bounds: np.ndarray,
+    works: Sequence[str],
+    rows: np.ndarray,
+    states: Mapping[str, Sequence[str]] | None = None,
 ) -> dict[str, np.ndarray]:
     """The rows of a block of :func:`write_sample` as named channels.
 
-    ``works`` are the names of the effects whose work is recorded.
+    ``works`` are the names of the effects whose work is recorded; ``states`` those of the contacts
+    of every owner that come and go.
     """
     n, m, f, w = layout.joints, layout.contacts, int(free_bounds[-1]), len(works)
-    sizes = [1, 3, 4, n, 6, n, n, m, f, f, 1, 1, w, 1, 1, 1, 1, 1]
+    contacts = {owner: len(names) for owner, names in (states or {}).items()}
+    sizes = [1, 3, 4, n, 6, n, n, m, sum(contacts.values()), f, f, 1, 1, w, 1, 1, 1, 1, 1]
     columns = np.split(rows, np.cumsum(sizes), axis=1)
-    t, x, quaternion, q, twist, v, torque, force, rates, places, *scalars = columns
+    t, x, quaternion, q, twist, v, torque, force, does, rates, places, *scalars = columns
     kinetic, potential, own, work, gap, rate, rank, coupled, residual = scalars
     block = {
         "time": t[:, 0],
@@ -128,6 +144,13 @@ def named_samples(
             block[f"arms/{arm}/{name}"] = part
     for arm, part in layout.split_contacts(force).items():
         block[f"arms/{arm}/contact_force"] = part
+    if layout.surroundings.start < layout.surroundings.stop:
+        block["environment/contact_force"] = force[:, layout.surroundings]
+    bounds = np.cumsum([0, *contacts.values()])
+    for owner, first, last in zip(contacts, bounds[:-1], bounds[1:], strict=True):
+        if first < last:
+            place = f"arms/{owner}" if owner in layout.names else "environment"
+            block[f"{place}/contact_state"] = does[:, first:last]
     for k, name in enumerate(works):
         block[f"effects/{name}/work"] = own[:, k]
     for arm, first, last in zip(layout.names, free_bounds[:-1], free_bounds[1:], strict=True):

@@ -43,7 +43,8 @@ class SolverLog:
     def collect(self, system: System, t: float, state: State) -> None:
         """Take over what changed in the step that ended at ``t``, in this state."""
         buffers = system.buffers
-        lost, rank, passed = buffers.lost[:-1].copy(), int(buffers.lost[-1]), buffers.passed.copy()
+        count, rank = len(system.arm_names), int(buffers.lost[-1])
+        lost, passed = buffers.lost[:count].copy(), buffers.passed[:count].copy()
         events = self._of_rank(rank)
         changed = np.flatnonzero((lost != self._lost) | (passed != 0))
         if changed.size:
@@ -64,6 +65,11 @@ class SolverLog:
         room = max(MOST_TOLD - len(self.told), 0)
         self.told += [{"time": float(t), **event} for event in events[:room]]
         self.untold += len(events[room:])
+
+    def settle(self, system: System) -> None:
+        """Take the solution that was noted last as the one to compare with, and tell nothing."""
+        self._lost = system.buffers.lost[: len(system.arm_names)].copy()
+        self._rank = int(system.buffers.lost[-1])
 
     def summary(self) -> str:
         """What a reader of the result's message must know; empty when nothing happened."""

@@ -11,7 +11,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each arm's joints (``dofs``) and contacts (``rows``) are in stacked vectors."""
+    """Where each arm's joints (``dofs``) and contacts (``rows``) are in stacked vectors.
+
+    Contacts of the object with its surroundings come last: those of an arm without joints that has
+    no name.
+    """
 
     names: tuple[str, ...]
     dofs: tuple[int, ...]
@@ -24,8 +28,17 @@ class Layout:
 
     @property
     def contacts(self) -> int:
-        """Number of contacts of all arms."""
+        """Number of contacts of all arms, and of the surroundings."""
         return self.rows[-1]
+
+    @property
+    def surroundings(self) -> slice:
+        """Contacts of the object with its surroundings."""
+        return slice(self.rows[len(self.names)], self.rows[-1])
+
+    def same_joints(self, other: Layout) -> bool:
+        """Whether states of the two are made alike; their contacts may differ."""
+        return (self.names, self.dofs) == (other.names, other.dofs)
 
     def split_joints(self, vector: np.ndarray) -> dict[str, np.ndarray]:
         """Views ``arm -> vector[..., its joints]``."""
@@ -36,7 +49,7 @@ class Layout:
         return self._split(vector, self.rows)
 
     def _split(self, vector: np.ndarray, bounds: tuple[int, ...]) -> dict[str, np.ndarray]:
-        pairs = zip(self.names, bounds[:-1], bounds[1:], strict=True)
+        pairs = zip(self.names, bounds[:-1], bounds[1:], strict=False)
         return {name: vector[..., a:b] for name, a, b in pairs}
 
 

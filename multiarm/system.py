@@ -13,10 +13,12 @@ from functools import cached_property
 
 import numpy as np
 
-from multiarm.arm import Arm, ArmGroup
+from multiarm.arm import Arm, ArmGroup, Ground
 from multiarm.assembly import StartReport
+from multiarm.candidates.plan import Plan
+from multiarm.candidates.units import SURROUNDINGS
 from multiarm.contacts.frames import JointFrame
-from multiarm.contacts.records import Contact, SmoothShape
+from multiarm.contacts.records import Contact, JointRow, SmoothShape
 from multiarm.control import PYTHON
 from multiarm.effects.piece import Pieces
 from multiarm.errors import ControlError, ModelError
@@ -58,6 +60,11 @@ class System:
         Times at which the control is not smooth; steps end there.
     plant, buffers, work, coupled : Plant, Buffers, NodeWork, CoupledWork
         What the kernels read and write.
+    records : tuple of Contact or JointRow
+        All rows of W, the arms' geometry in the frame of the link that carries the tip.
+    plan : Plan or None
+        Of a scene whose contacts come and go: which rows are held when.  The system itself then has
+        all rows that may be held at some time, and is simulated a mode at a time.
     pieces : Pieces
         What the scene's effects add to an evaluation.
     surfaces : tuple of SmoothShape
@@ -80,10 +87,13 @@ class System:
     pieces: Pieces = field(repr=False)
     start_report: StartReport = field(repr=False)
     surfaces: tuple[SmoothShape, ...] = field(repr=False)
+    records: tuple[Contact | JointRow, ...] = field(repr=False)
     _start: State = field(repr=False)
     _groups: list[ArmGroup] = field(repr=False)
+    _ground: Ground | None = field(repr=False)
     _places: np.ndarray = field(repr=False)
     calls: dict[str, CallBack] = field(repr=False)
+    plan: Plan | None = field(repr=False, default=None)
 
     @property
     def arm_names(self) -> tuple[str, ...]:
@@ -103,11 +113,17 @@ class System:
         """Number of contacts of all joints together."""
         return self.layout.contacts
 
-    def owner(self, row: int) -> tuple[str, Contact]:
-        """Arm and contact of a row of W."""
+    def owner(self, row: int) -> tuple[str, Contact | JointRow]:
+        """Arm (or surroundings) and record of a row of W."""
         i = int(np.searchsorted(self.layout.rows, row, side="right")) - 1
-        arm = self.arm_names[i]
-        return arm, self.contacts[arm][row - self.layout.rows[i]]
+        if i >= len(self.arm_names):
+            return SURROUNDINGS, self.records[row]
+        return self.arm_names[i], self.records[row]
+
+    def joint_name(self, joint: int) -> str:
+        """Name of a joint, given by its place in the stacked vectors."""
+        i = int(np.searchsorted(self.layout.dofs, joint, side="right")) - 1
+        return self.arms[self.arm_names[i]].joint_names[joint - self.layout.dofs[i]]
 
     def initial_state(self) -> State:
         """The scene's start, on the constraints, as a fresh copy."""
@@ -219,7 +235,7 @@ class System:
         ControlError
             When called from within a controller of this system, or from ``progress`` of its run.
         """
-        if state.layout != self.layout:
+        if not state.layout.same_joints(self.layout):
             raise ModelError(
                 f"this state belongs to a system with arms {', '.join(state.layout.names)} "
                 f"({state.layout.joints} joints), not to this one; make it with `system.state(...)`"

@@ -36,8 +36,9 @@ from multiarm.integrators.stepper import (
     write_slope,
 )
 from multiarm.integrators.tableaus import EXPLICIT, SEMI_IMPLICIT, VARIATIONAL
-from multiarm.lowlevel import copy, inner, kernel
+from multiarm.lowlevel import call_entry, copy, inner, kernel
 from multiarm.plant import (
+    CALL_GUARDS,
     COUPLED_ARMS,
     KICK,
     RANK_OF_ALL,
@@ -54,6 +55,8 @@ from multiarm.watching import watch_step
 # Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
 FINISHED, BLOCK_FULL, BUDGET_USED = -10, -11, -12
 STEP_TOO_SMALL, DIVERGED, SOLVER_CHANGED, LARGE_CORRECTION, STIFF = -13, -14, -15, -16, -17
+# An event lies within the step just made, which was not accepted; the run came to its stop.
+EVENT, STOPPED = -19, -20
 
 # Step size control (Hairer, Norsett, Wanner, II.4 and IV.2).
 SAFETY, SHRINK, GROW = 0.9, 0.2, 6.0
@@ -116,6 +119,8 @@ class Settings(NamedTuple):
         Increasing times at which an adaptive method ends a step.
     switch : bool
         Return when an explicit method turns out to be held up by stiffness.
+    stop : float
+        Time at which a step ends and the loop returns, before the end [s]; infinite: none.
     """
 
     begin: float
@@ -133,6 +138,7 @@ class Settings(NamedTuple):
     apart: float
     breakpoints: np.ndarray
     switch: bool
+    stop: float
 
 
 class Clock(NamedTuple):
@@ -202,7 +208,7 @@ def settle(book, clock, settings, projected, t, alpha, beta):
 @inner
 def emit_samples(book, method, step, clock, settings, block):
     """Write the samples that are due up to now; returns a status (``OK``: all written)."""
-    plant, buffers, work = open_book(book)
+    _, buffers, _ = open_book(book)
     real, count = clock.real, clock.counts
     t = real[T]
     rows = count[SAMPLE] - count[BLOCK_FIRST]
@@ -227,7 +233,7 @@ def emit_samples(book, method, step, clock, settings, block):
         if status != OK:
             return status
         note_solution(book)
-        write_sample(plant, buffers, work, due, works, block[rows])
+        write_sample(book, due, works, block[rows])
         if buffers.flag[0] != 0:
             return CALLBACK_FAILED
         rows += 1
@@ -251,11 +257,13 @@ def planned_step(method, clock, settings):
     real, count = clock.real, clock.counts
     t = real[T]
     if not settings.adaptive:
-        end = settings.begin + (count[STEPS] + 1) * settings.step
-        if end > settings.end - 1e-9 * settings.step:
-            end = settings.end
+        past = math.floor((t - settings.begin) / settings.step + 1e-9)
+        end = settings.begin + (past + 1) * settings.step
+        last = min(settings.end, settings.stop)
+        if end > last - 1e-9 * settings.step:
+            end = last
         return end - t, end
-    stop = settings.end
+    stop = min(settings.end, settings.stop)
     breakpoints = settings.breakpoints
     near = CLOSE_IN_TIME * (1.0 + settings.end)
     while count[BREAK] < breakpoints.size and breakpoints[count[BREAK]] <= t + near:
@@ -370,14 +378,17 @@ def complete_step(book, method, step, clock, settings, h, end):
     gap = largest(buffers.contacts, GAP)
     if not gap <= settings.apart:
         return DIVERGED if math.isfinite(gap) else NOT_FINITE
+    # the slope of the next step, in this chart for the dense output and in the next one for it
+    write_slope(step.z_new, buffers, step.k[method.stages])
+    if plant.calls[CALL_GUARDS] != 0 and call_entry(plant.calls[CALL_GUARDS], book, t, end) != OK:
+        status = prepare_dense(book, method, step, t, h, alpha, beta)
+        return EVENT if status == OK else status
     if buffers.places.size > 0:
         for i in range(buffers.places.shape[0]):
             copy(buffers.located[i], buffers.places[i])
     follow_joints(plant, buffers)
     watch_step(plant, buffers, t, end)
     count_solution(book, buffers, clock)
-    # the slope of the next step, in this chart for the dense output and in the next one for it
-    write_slope(step.z_new, buffers, step.k[method.stages])
     if settings.adaptive and method.kind == EXPLICIT:
         note_stiffness(method, step, clock, h, end)
     step.z_stage[:] = 0.0
@@ -466,6 +477,8 @@ def advance(book, joints, arrays, method, clock, settings, block, budget):
             return status
         if real[T] >= settings.end:
             return FINISHED
+        if real[T] >= settings.stop:
+            return STOPPED
         if settings.switch and count[STIFF_STEPS] >= STIFF_AFTER:
             return STIFF
         if count[EVALUATIONS] >= limit:
@@ -483,7 +496,7 @@ def advance(book, joints, arrays, method, clock, settings, block, budget):
                     count[CHANGES] = 0
                     return SOLVER_CHANGED
                 continue
-        if status == CALLBACK_FAILED or not settings.adaptive:
+        if status in (CALLBACK_FAILED, EVENT) or not settings.adaptive:
             return status
         count[REJECTED] += 1
         if near_loss(book) and settings.closed >= 0.0:

@@ -22,7 +22,7 @@ import numpy as np
 from multiarm.channels import Channel
 from multiarm.errors import TrajectoryError
 from multiarm.outcome import Outcome, plain
-from multiarm.sample_store import ByArm, Store, arm_names
+from multiarm.sample_store import ByArm, ByContacts, Store, arm_names, channels_of
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -118,8 +118,20 @@ class Trajectory:
 
     @property
     def contact_forces(self) -> Mapping[str, np.ndarray]:
-        """Arm -> forces along the contact normals, shape (K, N) [N]; positive pushes."""
-        return ByArm(self._store, "contact_force", self.channel)
+        """Arm -> forces along the contact normals, shape (K, N) [N]; positive pushes.
+
+        ``"floor"`` has those of the object's contacts with the floor, in scenes that have one.
+        """
+        return ByContacts(self._store, "contact_force", self.channel)
+
+    @property
+    def contact_states(self) -> Mapping[str, np.ndarray]:
+        """Arm, or "floor" -> what each contact does, codes of `channels.CONTACT_STATES`, (K, N).
+
+        0 open, 1 touching, 2 sliding, 3 sticking, 4 resting: touching, carried by other contacts.
+        An arm whose contacts hold in every way has shape (K, 0).
+        """
+        return ByContacts(self._store, "contact_state", self.channel, optional=True)
 
     @property
     def relative_motion(self) -> Mapping[str, np.ndarray]:
@@ -260,14 +272,14 @@ class Trajectory:
             wall_time_s, realtime_factor, error_estimate as far as the run counted them;
             position_drift_max_m, velocity_drift_max_m_per_s, energy_balance_max_J (largest
             magnitudes); final_object_position [m] and final_object_quaternion_xyzw (lists);
-            contact_force_max_N, the largest magnitude per arm; rank_lowest, rank_highest and
-            coupled_steps. Numbers are finite; what is not known is None.
+            contact_force_max_N, the largest magnitude per arm, and of the floor; rank_lowest,
+            rank_highest and coupled_steps. Numbers are finite; what is not known is None.
         """
         counted = (
             "steps", "rejected_steps", "evaluations", "wall_time_s", "realtime_factor",
             "error_estimate",
         )  # fmt: skip
-        forces = {arm: f"arms/{arm}/contact_force" for arm in self.arm_names}
+        forces = channels_of(self._store.channels, "contact_force")
         return {
             "status": self.status,
             "message": self.message,

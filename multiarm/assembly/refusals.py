@@ -27,7 +27,7 @@ _NAMED = 6
 def gaps_by_arm(system: System, column: int = GAP) -> dict[str, float]:
     """Largest magnitude of one column of the contact kinematics, by arm."""
     parts = system.layout.split_contacts(np.abs(system.buffers.contacts[:, column]))
-    return {arm: float(np.max(values)) for arm, values in parts.items()}
+    return {arm: float(np.max(values, initial=0.0)) for arm, values in parts.items()}
 
 
 def joint_names(system: System) -> list[str]:

@@ -51,7 +51,7 @@ def close_rates(system: System) -> float:
     v = np.concatenate([b.twist, b.v]) / linkage.unit
     closed = ROUNDING * float(np.max(np.abs(place.rows) @ np.abs(v), initial=0.0))
     for _ in range(_PASSES):
-        if not np.max(np.abs(b.contacts[:, GAP_RATE])) > closed:
+        if not np.max(np.abs(b.contacts[:, GAP_RATE]), initial=0.0) > closed:
             break
         A = np.linalg.solve(place.factor, place.rows.T).T  # (N, 6 + n)
         _, s, Vt = np.linalg.svd(A, full_matrices=False)

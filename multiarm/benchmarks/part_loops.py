@@ -154,9 +154,9 @@ def _pass_often(book, z, base, slope, count):
 
 @kernel
 def _sample_often(book, row, count):
-    plant, buffers, work = open_book(book)
+    _, buffers, _ = open_book(book)
     for i in range(count):
-        write_sample(plant, buffers, work, 1e-3 * i, buffers.power, row)
+        write_sample(book, 1e-3 * i, buffers.power, row)
     return OK
 
 

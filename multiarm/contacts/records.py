@@ -10,7 +10,9 @@ A *row* of W is one contact's normal force.  Two further kinds of row cover ever
 * *combinations*: a contact times a factor, or the difference of two contacts times a factor, which
   can be any wrench (thesis, appendix C);
 * *tangents*: no slip at a contact along one of two directions of the tangent plane; such a row
-  constrains velocities only, it has no position function (nonholonomic; thesis, 3.9.2).
+  constrains velocities only, it has no position function (nonholonomic; thesis, 3.9.2);
+* *joint rows*: one joint of an arm, at a limit of its range or held by its friction; the object
+  takes no part in them.
 
 Everything the dynamics need (W, dW/dt, c, phi) follows from the records in one kernel, see
 :mod:`multiarm.contacts.kernel`.
@@ -18,7 +20,7 @@ Everything the dynamics need (W, dW/dt, c, phi) follows from the records in one 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
@@ -27,7 +29,7 @@ import numpy as np
 # Kinds of surface.
 PLANE, SPHERE, CYLINDER, CONE, TORUS, ELLIPSOID, SMOOTH = range(7)
 # Kinds of row: a tip on a plane, sphere or cylinder has the surface's kind; these have their own.
-CURVED, PAIR, TANGENT, COMBINED = range(7, 11)
+CURVED, PAIR, TANGENT, COMBINED, JOINT = range(7, 12)
 SURFACE_ON_OBJECT, SURFACE_ON_ARM = 0, 1
 
 # Columns of ContactTable.codes, .geometry and .shapes.
@@ -241,13 +243,43 @@ class Contact:
         return self.arm if self.surface_body == SURFACE_ON_OBJECT else self.object
 
 
+@dataclass(frozen=True)
+class JointRow:
+    """One row of W that belongs to a joint of an arm and not to the object.
+
+    Attributes
+    ----------
+    name : str
+        Shown in messages and results.
+    joint : int
+        Number of the joint in its arm.
+    side : float
+        1: the force moves the joint forward, the gap is ``q - bound``; -1: backward, ``bound - q``.
+    bound : float or None
+        Where the gap is zero [rad, m]; None: the row holds velocities only.
+    """
+
+    name: str
+    joint: int
+    side: float = 1.0
+    bound: float | None = None
+    tangent: int = 0
+    pushes_only: bool = False
+
+    def moved_on_arm(self, rotation: np.ndarray, translation: np.ndarray) -> JointRow:
+        """The same row: it knows no frame."""
+        return self
+
+
 class ContactTable(NamedTuple):
     """Records packed for the kernel.
 
     codes : int64 (N + P, 4)
         One row each of W, arm after arm, then the P parts of the combined rows.  Kind; the body
         that carries the guiding surface; ``LINK``: first row in ``shapes`` (curved, pair), number
-        of the tangent, or first part (combined); number of parts.
+        of the tangent, first part (combined), or number of the joint; number of parts.  A tangent
+        whose normal row does not stand before it has that row's place among the parts in place of
+        their number.
     geometry : float64 (N + P, 13)
         Tip's centre (3); the guide's origin (3), axis (3), radius, side (+1 outer, -1 hollow); tip
         radius; weight.  A tangent has in place of axis and origin two directions of the guide's
@@ -264,22 +296,28 @@ class ContactTable(NamedTuple):
     functions: list[SmoothShape]
 
 
-def pack(contacts: list[Contact]) -> ContactTable:
+def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
     """Pack records for the kernel."""
     codes: list[list[int]] = []
     geometry: list[np.ndarray] = []
     parts: list[Contact] = []
     shapes: list[np.ndarray] = []
     functions: list[SmoothShape] = []
-    for contact in contacts:
-        if contact.is_combined:
+    for k, contact in enumerate(contacts):
+        if isinstance(contact, JointRow):
+            codes.append([JOINT, 0, contact.joint, 0])
+        elif contact.is_combined:
             pieces = [replace(contact, minus=None, weight=1.0)]
             pieces += [] if contact.minus is None else [contact.minus]
             link = len(contacts) + len(parts)
             codes.append([COMBINED, contact.surface_body, link, len(pieces)])
             parts += pieces
         elif contact.tangent:
-            codes.append([TANGENT, contact.surface_body, contact.tangent, 0])
+            place = 0
+            if not _stands_before(contact, contacts, k):
+                place = len(contacts) + len(parts)
+                parts.append(replace(contact, tangent=0))
+            codes.append([TANGENT, contact.surface_body, contact.tangent, place])
         else:
             codes.append(_contact_codes(contact, shapes, functions))
         geometry.append(_geometry_row(contact))
@@ -291,6 +329,14 @@ def pack(contacts: list[Contact]) -> ContactTable:
         np.array(geometry).reshape(-1, GEOMETRY_WIDTH),
         np.array(shapes).reshape(-1, SHAPE_WIDTH),
         functions,
+    )
+
+
+def _stands_before(tangent: Contact, contacts: Sequence[Contact | JointRow], k: int) -> bool:
+    """Whether the normal row of the tangent at place ``k`` is where its number says."""
+    normal = contacts[k - tangent.tangent] if k >= tangent.tangent else None
+    return isinstance(normal, Contact) and (
+        normal.arm is tangent.arm and normal.object is tangent.object and not normal.tangent
     )
 
 
@@ -306,8 +352,13 @@ def _contact_codes(contact: Contact, shapes: list, functions: list) -> list[int]
     return [PAIR, contact.surface_body, first, 0]
 
 
-def _geometry_row(contact: Contact) -> np.ndarray:
-    row, guide, follower = np.zeros(GEOMETRY_WIDTH), contact.guide, contact.follower
+def _geometry_row(contact: Contact | JointRow) -> np.ndarray:
+    row = np.zeros(GEOMETRY_WIDTH)
+    if isinstance(contact, JointRow):
+        row[SIDE], row[WEIGHT] = contact.side, float(contact.bound is not None)
+        row[RADIUS] = contact.bound or 0.0
+        return row
+    guide, follower = contact.guide, contact.follower
     row[POINT : POINT + 3] = follower.origin
     row[ORIGIN : ORIGIN + 3] = guide.origin
     row[AXIS : AXIS + 3] = guide.axes[:, 2]

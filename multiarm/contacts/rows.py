@@ -58,6 +58,7 @@ from multiarm.contacts.records import (
     COUNT,
     CURVED,
     CYLINDER,
+    JOINT,
     KIND,
     LINK,
     ORIGIN,
@@ -134,12 +135,23 @@ def write_row(k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch
     """
     kind = codes[k, KIND]
     if kind == TANGENT:
+        normal, base = k - codes[k, LINK], rows[k - codes[k, LINK]]
+        if codes[k, COUNT] > 0:  # it has its normal row among the parts
+            normal, base = codes[k, COUNT], parts[codes[k, COUNT] - rows.shape[0]]
+            write_contact(
+                codes[normal], geometry[normal], arm, body, shapes, calls, base, scratch, places,
+                located,
+            )  # fmt: skip
         if codes[k, SURFACE_BODY] == SURFACE_ON_OBJECT:
             relative_motion(arm, body, scratch)
-            _no_slip(k, -1.0, arm, body, codes, geometry, rows, scratch)
+            _no_slip(k, normal, -1.0, arm, body, codes, geometry, base, rows[k], scratch)
         else:
             relative_motion(body, arm, scratch)
-            _no_slip(k, 1.0, body, arm, codes, geometry, rows, scratch)
+            _no_slip(k, normal, 1.0, body, arm, codes, geometry, base, rows[k], scratch)
+        return
+    if kind == JOINT:  # nothing of it belongs to a contact
+        for i in range(CONTACT_WIDTH):
+            rows[k, i] = 0.0
         return
     if kind != COMBINED:
         write_contact(
@@ -341,17 +353,16 @@ def _pair(sign, a, b, shapes, first, relative, query, calls, place, located, row
 
 
 @inlined
-def _no_slip(k, sign, a, b, codes, geometry, rows, relative):
-    """No slip along a tangent at the contact whose normal row stands before row ``k``."""
+def _no_slip(k, normal, sign, a, b, codes, geometry, base, row, relative):
+    """No slip along the tangent of row ``k`` at the contact whose normal row has this number."""
     number = codes[k, LINK]
-    base, row = rows[k - number], rows[k]
     n0, n1, n2 = sign * base[NORMAL], sign * base[NORMAL + 1], sign * base[NORMAL + 2]
     h0, h1, h2 = base[NORMAL_RATE], base[NORMAL_RATE + 1], base[NORMAL_RATE + 2]
     # the contact point on B and its rate; a tip's centre is a radius and a gap away
     away = 0.0
-    if codes[k - number, KIND] != PAIR:
-        away = base[GAP] + geometry[k - number, TIP_RADIUS]
-    rate = base[GAP_RATE] if codes[k - number, KIND] != PAIR else 0.0
+    if codes[normal, KIND] != PAIR:
+        away = base[GAP] + geometry[normal, TIP_RADIUS]
+    rate = base[GAP_RATE] if codes[normal, KIND] != PAIR else 0.0
     c0, c1, c2 = base[AT] - away * n0, base[AT + 1] - away * n1, base[AT + 2] - away * n2
     q0 = base[POINT_RATE] - rate * n0 - away * h0
     q1 = base[POINT_RATE + 1] - rate * n1 - away * h1

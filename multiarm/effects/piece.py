@@ -45,7 +45,8 @@ class Piece:
     ----------
     name : str
         Of the effect, as in the scene.
-    kernel : entry
+    kernel : entry or None
+        None: something else does the work that is noted under this name.
         A function decorated with :func:`multiarm.lowlevel.entry`, called with address and size of
         the system's book, the place ``at`` of the piece's first array there (a float), and the time
         [s].  That first array, int64 (2,), holds ``POWER`` and ``STATE``; ``arrays`` follow it.
@@ -128,6 +129,10 @@ class Pieces:
         """Names of those that do work, in the order of ``Buffers.power``."""
         return tuple(piece.name for piece in self.every if piece.works)
 
+    def slot(self, name: str) -> int:
+        """Place of an effect's power in ``Buffers.power``, and of its work among the works."""
+        return self.works.index(name)
+
     @property
     def states(self) -> int:
         """Number of states of their own."""
@@ -156,9 +161,11 @@ class Pieces:
         """``Plant.effects`` and ``Plant.phases``."""
         rows, at = [], OWN_ARRAYS
         for piece in self.every:
-            rows.append([address_of(piece.kernel), at])
+            if piece.kernel is not None:
+                rows.append([address_of(piece.kernel), at])
             at += 1 + len(piece.arrays)
-        last = [sum(p.phase <= phase for p in self.every) for phase in (PASSIVE, ACTUATOR, APPLIED)]
+        called = [piece.phase for piece in self.every if piece.kernel is not None]
+        last = [sum(p <= phase for p in called) for phase in (PASSIVE, ACTUATOR, APPLIED)]
         return np.array(rows, dtype=np.int64).reshape(-1, 2), np.array(last, dtype=np.int64)
 
     def start(self, system: System) -> np.ndarray:

@@ -1,0 +1,39 @@
+r"""What contacts and joints that come and go do between their events.
+
+*Dry friction of a joint* that moves is a constant torque against its motion,
+:math:`\tau = -\tau_c \operatorname{sign}\dot q`; a joint at rest is held by a row of W, and nothing
+is added here.  The mode that a run is in says which (:mod:`multiarm.hybrid`).  Sliding friction of
+contacts and impacts have their work noted under names of their own.
+"""
+
+from __future__ import annotations
+
+from multiarm.candidates.plan import Plan
+from multiarm.candidates.units import DRY_JOINT
+from multiarm.effects.piece import APPLIED, PASSIVE, POWER, Piece
+from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.plant import open_book
+
+
+@entry
+def add_dry_friction(address, size, at, _t):
+    """Own array: the torque on every joint."""
+    book = book_at(address, size)
+    _, buffers, _ = open_book(book)
+    slots, torque = ints1(book, int(at)), floats1(book, int(at) + 1)
+    power = 0.0
+    for j in range(buffers.h.size):
+        buffers.h[j] += torque[j]
+        power += torque[j] * buffers.v[j]
+    buffers.power[slots[POWER]] = power
+    return 0
+
+
+def plan_pieces(plan: Plan) -> list[Piece]:
+    """The pieces of a scene whose contacts come and go."""
+    pieces = [Piece("impacts", None, APPLIED)]
+    if any(unit.tangents for unit in plan.units):
+        pieces.append(Piece("contact_friction", None, APPLIED))
+    if any(unit.kind == DRY_JOINT for unit in plan.units):
+        pieces.append(Piece("joint_friction", add_dry_friction, PASSIVE, (plan.dry,)))
+    return pieces

@@ -1,0 +1,241 @@
+"""A run whose contacts come and go: between events it is driven like any other.
+
+The loop returns when a guard has changed its sign inside a step, before that step is accepted.  The
+time is found on the step's dense output, the loop goes on to stop exactly there, and what comes
+next is decided (:mod:`multiarm.hybrid`): the run then goes on in another mode, which is another
+system with the same state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multiarm.assembly import scene_size
+from multiarm.candidates.units import DRY_JOINT
+from multiarm.contact_checks import place_state
+from multiarm.equations import OK, update_kinematics, update_rows
+from multiarm.errors import MultiarmError, SolverError
+from multiarm.hybrid.arrays import THRESHOLD, UNIT
+from multiarm.hybrid.kernels import start_guards
+from multiarm.hybrid.locating import first_event
+from multiarm.hybrid.modes import Choice, Mode, Modes
+from multiarm.hybrid.probing import Probe
+from multiarm.hybrid.telling import decision_events
+from multiarm.hybrid.transition import Decision, Transition, closed_units
+from multiarm.integrators.stepper import evaluate_slope, step_book, store
+from multiarm.preparation import make_stepping
+from multiarm.stabilization import project
+from multiarm.time_loop import ERROR_OLD, H_OLD, T_OLD, H, T, gains
+from multiarm.watching import MOST_TOLD
+
+if TYPE_CHECKING:
+    from multiarm.preparation import Run, Tolerance
+    from multiarm.state import State
+    from multiarm.system import System
+
+# Gaps of contacts that touch at the start, or at the time of another one's event, as a part of the
+# scene's size.
+TOUCHING = 1e-9
+# Gaps of those that have just hit are as small as the step's errors.
+HIT_SHARE = 4.0
+# Bounces are followed down to this part of the tolerance of a step; of a run with fixed steps to
+# this part of the scene's size.
+REST_SHARE, REST_SIZE = 1.0, 1e-9
+# So many events with no time between them end the run.
+MOST_AT_ONCE, AT_ONCE = 60, 1e-11
+# After an event the first step is this part of the last one.
+SHORTER = 0.5
+
+
+@dataclass
+class Pending:
+    """An event that was found: its time and its guards; the run is on its way there."""
+
+    time: float
+    guards: list[int]
+
+
+class EventDriving:
+    """Modes and events of one run.
+
+    Attributes
+    ----------
+    told : list of dict
+        Events, as the result has them.
+    untold : int
+        How many more there were.
+    residual : float
+        Largest residual of the complementarity problems.
+    """
+
+    def __init__(self, system: System, tolerance: Tolerance | None):
+        self.modes = Modes(system)
+        self.told: list[dict[str, Any]] = []
+        self.untold = 0
+        self.residual = 0.0
+        self.count = 0
+        self._size = 1.0
+        self._tolerance = tolerance
+        self._rest_height = 0.0
+        self._pending: Pending | None = None
+        self._trouble = ""
+        self._last_length = 0.0
+        self._crowd, self._crowd_since = 0, -np.inf
+        self.mode: Mode
+
+    # --- beginning --------------------------------------------------------------------------------
+
+    def begin(self, state: State | None) -> dict[str, Any]:
+        """The mode in which a run begins, as ``system``, and its ``state``, behind an impact."""
+        full, bare = self.modes.full, self.modes.bare
+        place_state(bare, 0.0, full.initial_state() if state is None else state)
+        if update_kinematics(bare.book()) != OK:
+            bare.reraise()
+        update_rows(full.book())
+        self._size = scene_size(self.modes.model)
+        of_step = None if self._tolerance is None else self._tolerance.smallest
+        self._rest_height = REST_SIZE * self._size if of_step is None else REST_SHARE * of_step
+        decision = self._decide(0.0, closed_units(self.modes, TOUCHING * self._size))
+        before = Choice((), ())
+        self._tell(0.0, decision, before)
+        if self._trouble:
+            raise SolverError(f"at the start: {self._trouble}")
+        self.mode = self.modes.enter(decision.choice, decision.directions)
+        changed = decision.hits or state is not None
+        return {
+            "system": self.mode.system,
+            "state": self.mode.system.get_state() if changed else None,
+        }
+
+    # --- events -----------------------------------------------------------------------------------
+
+    def happens(self, run: Run, stopped: bool) -> str:
+        """Deal with an event: find it, or decide what follows where the run has ``stopped``.
+
+        Returns what ended the run, or nothing.
+        """
+        try:
+            return self.cross(run) if stopped else self.locate(run)
+        except MultiarmError as error:
+            return str(error)
+
+    def locate(self, run: Run) -> str:
+        """Find the first event in the step just made, and let the loop stop there."""
+        arrays, t = self.mode.arrays, float(run.clock.real[T])
+        begin, end = arrays.span
+        book, method = run.system.book(), run.stepping.method
+        probe = Probe(book, step_book(method, run.stepping.step), method, self.mode, begin, end)
+        theta, guards = first_event(probe, arrays.found.copy(), arrays.levels[:, THRESHOLD])
+        arrays.least[:] = np.inf
+        arrays.muted[0] = 1
+        if not guards:  # what looked like an event is none: the step is made again, and accepted
+            return ""
+        self._last_length = end - begin
+        time = begin + theta * (end - begin)
+        self._pending = Pending(time, guards)
+        if time - t <= 1e-13 * max(1.0, t):
+            return self.cross(run)
+        run.settings = run.settings._replace(stop=time)
+        return ""
+
+    def cross(self, run: Run) -> str:
+        """Decide what comes after the event at which the run has stopped; trouble or nothing."""
+        assert self._pending is not None, "the run stops where an event was found"
+        pending, self._pending = self._pending, None
+        t, step = float(run.clock.real[T]), run.stepping.step
+        before = self.mode.choice
+        self._load(run)
+        decision = self._decide(t, self._touching(pending))
+        self._tell(t, decision, before)
+        self._crowded(t)
+        if self._trouble:
+            return self._trouble
+        self.mode = self.modes.enter(decision.choice, decision.directions)
+        self._go_on(run, decision, step)
+        return ""
+
+    def _load(self, run: Run) -> None:
+        """Write the run's state into the buffers, with the kinematics of all rows."""
+        step, bare = run.stepping.step, self.modes.bare
+        b, n, z = bare.buffers, bare.layout.joints, step.z
+        b.position[:3], b.position[3:] = z[:3], step.base  # a chart begins at every step
+        b.angles[:], b.twist[:], b.v[:] = z[6 : 6 + n], z[6 + n : 12 + n], z[12 + n : 12 + 2 * n]
+        b.inner[:] = z[12 + 2 * n :][: b.inner.size]
+        b.time[0] = run.clock.real[T]
+        if update_kinematics(bare.book()) != OK:
+            bare.reraise()
+        update_rows(self.modes.full.book())
+
+    def _touching(self, pending: Pending) -> set[int]:
+        """Units that touch at an event: those that were held, and those that came."""
+        units, choice = self.modes.plan.units, self.mode.choice
+        came = {int(self.mode.arrays.guards[g, UNIT]) for g in pending.guards}
+        held = {
+            u for u, unit in enumerate(units) if choice.states[u] != 0 and unit.kind != DRY_JOINT
+        }
+        gaps = self.modes.full.buffers.contacts[:, 12]
+        sunk = max((abs(float(gaps[units[u].row])) for u in came - held), default=0.0)
+        near = closed_units(self.modes, max(TOUCHING * self._size, HIT_SHARE * sunk))
+        return {u for u in near | came | held if units[u].kind != DRY_JOINT}
+
+    def _decide(self, t: float, touching: set[int]) -> Decision:
+        self.modes.full.buffers.time[0] = t
+        decision = Transition(self.modes, touching, self._rest_height).decide()
+        self.residual = max(self.residual, decision.residual)
+        self._trouble = decision.trouble
+        return decision
+
+    def _go_on(self, run: Run, decision: Decision, step) -> None:
+        """Let the run go on in the new mode from the state in the buffers."""
+        system = self.mode.system
+        joints = system.layout.joints
+        run.system = system
+        if run.settings.closed >= 0.0 and project(system.book(), run.settings.closed) != OK:
+            raise SolverError("the state could not be put on the contacts that closed")
+        run.stepping = make_stepping(system, run.stepping.tableau.name, run.tolerance)
+        new = run.stepping.step
+        new.z[:] = step.z
+        store(system.buffers, new.base, new.z)
+        if decision.energy:
+            works = new.z[12 + 2 * joints + system.pieces.states :]
+            works[system.pieces.slot("impacts")] += decision.energy
+            works[-1] += decision.energy
+        real = run.clock.real
+        length = max(SHORTER * self._last_length, 1e-12)
+        if run.settings.adaptive:
+            real[H] = min(max(real[H], length), length)
+        real[ERROR_OLD], real[T_OLD], real[H_OLD] = 1.0, real[T], 0.0
+        run.settings = run.settings._replace(stop=np.inf)
+        alpha, beta = gains(run.settings, run.settings.step)
+        t = float(real[T])
+        status = evaluate_slope(system.book(), t, new.z, new.base, alpha, beta, new.slope)
+        if status != OK:
+            system.reraise()
+            raise SolverError(f"the motion after the event could not be evaluated ({status})")
+        self.arm(run)
+
+    def arm(self, run: Run) -> None:
+        """Let the guards begin at the state in the buffers, which has been evaluated."""
+        start_guards(run.system.book())
+        run.solver_log.settle(run.system)
+
+    def _tell(self, t: float, decision: Decision, before: Choice) -> None:
+        events = decision_events(self.modes, t, decision, before)
+        self.count += len(events)
+        room = max(MOST_TOLD - len(self.told), 0)
+        self.told += events[:room]
+        self.untold += len(events[room:])
+
+    def _crowded(self, t: float) -> None:
+        """Give up where events come without end at one time."""
+        if t - self._crowd_since > AT_ONCE * max(1.0, t):
+            self._crowd, self._crowd_since = 0, t
+        self._crowd += 1
+        if self._crowd > MOST_AT_ONCE and not self._trouble:
+            self._trouble = (
+                f"{self._crowd} events at one time: contacts open and close without the motion "
+                f"getting on; lessen restitution or friction, or start elsewhere"
+            )

@@ -1,0 +1,47 @@
+"""Guards at any time inside the step just made, from its dense output."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.equations import OK, evaluate_buffers
+from multiarm.hybrid.kernels import write_guards
+from multiarm.integrators.dense_output import interpolate
+from multiarm.integrators.stepper import load, open_step
+from multiarm.lowlevel import address_of, call_entry, kernel
+from multiarm.plant import open_book
+
+
+@kernel
+def probe(book, arrays, method, entry, t, h, theta):
+    """Evaluate the mode with this book at the fraction ``theta`` of a step; returns a status.
+
+    ``entry`` is the address of :func:`multiarm.hybrid.kernels.write_guards`, which leaves the
+    values in the mode's arrays.
+    """
+    method, step = open_step(arrays, method)
+    _, buffers, _ = open_book(book)
+    interpolate(method, step, theta, step.z_stage)
+    load(step.z_stage, step.base_old, buffers)
+    buffers.time[0] = t + theta * h
+    status = evaluate_buffers(book, 0.0, 0.0)
+    if status != OK:
+        return status
+    return call_entry(entry, book, 0.0, 0.0)
+
+
+class Probe:
+    """Values of all guards as a function of the fraction of a step."""
+
+    def __init__(self, book, arrays, method, mode, begin: float, end: float):
+        self._call = book, arrays, method, address_of(write_guards), begin, end - begin
+        self._mode = mode
+        self._known: dict[float, np.ndarray] = {}
+
+    def __call__(self, theta: float) -> np.ndarray:
+        """Values of all guards; NaN where the state cannot be evaluated."""
+        if theta not in self._known:
+            status = probe(*self._call, theta)
+            values = self._mode.arrays.values.copy()
+            self._known[theta] = values if status == OK else np.full_like(values, np.nan)
+        return self._known[theta]

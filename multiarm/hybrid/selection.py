@@ -1,0 +1,125 @@
+"""A system with some of the rows of another: the same bodies, state and effects, other contacts.
+
+All selections of one system share the arrays of the state, of the bodies' motion and of the joints.
+What has a row for every contact they have for themselves, so that each is evaluated, projected and
+watched like the system of a scene that has these contacts and no others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from multiarm.contacts.kernel import CONTACT_WIDTH, RELATIVE_WIDTH
+from multiarm.contacts.records import (
+    COUNT,
+    JOINT,
+    KIND,
+    LINK,
+    PAIR,
+    TANGENT,
+    ContactTable,
+    pack,
+)
+from multiarm.contacts.surfaces import answering
+from multiarm.dense_call import dense_call
+from multiarm.lowlevel import CallBack
+from multiarm.node.regular import make_work
+from multiarm.node.singular import make_coupled
+from multiarm.plant import CALL_DENSE, CALL_SURFACE
+from multiarm.state import Layout
+from multiarm.system import System
+
+
+def select(full: System, chosen: Sequence[int] | np.ndarray) -> System:
+    """The system that holds some rows of ``full``, given by their numbers in increasing order."""
+    rows = np.array(chosen, dtype=np.int64)
+    layout = _layout(full.layout, rows)
+    records = [full.records[row] for row in rows]
+    contacts = {
+        name: [full.contacts[name][row - first] for row in rows if first <= row < last]
+        for name, first, last in zip(
+            full.layout.names, full.layout.rows[:-1], full.layout.rows[1:], strict=False
+        )
+    }
+    table = pack(records)
+    plant = full.plant._replace(
+        codes=table.codes,
+        geometry=table.geometry,
+        shapes=table.shapes,
+        joint_rows=joint_rows(table, layout),
+        calls=full.plant.calls.copy(),
+    )
+    buffers = _row_buffers(full, table, len(rows))
+    sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
+    work, coupled = make_work(*sizes), make_coupled(*sizes)
+    calls = {
+        **full.calls,
+        "dense": CallBack(dense_call(plant.pointers, buffers, work), buffers.flag),
+    }
+    plant.calls[CALL_DENSE] = calls["dense"].address
+    if table.functions:
+        answer = answering(table.functions, buffers.query[RELATIVE_WIDTH:])
+        calls["surface"] = CallBack(answer, buffers.flag)
+        plant.calls[CALL_SURFACE] = calls["surface"].address
+    selection = replace(
+        full,
+        layout=layout,
+        contacts=contacts,
+        records=tuple(records),
+        plant=plant,
+        buffers=buffers,
+        work=work,
+        coupled=coupled,
+        calls=calls,
+        surfaces=tuple(table.functions),
+        _places=np.zeros_like(buffers.places),
+    )
+    take_places(full, selection, rows)
+    return selection
+
+
+def take_places(full: System, selection: System, rows: np.ndarray) -> None:
+    """Let contacts of two surfaces begin their search where those of ``full`` are."""
+    for own, row in enumerate(rows):
+        code = selection.plant.codes[own]
+        if code[KIND] == TANGENT and code[COUNT] > 0:
+            normal = selection.plant.codes[code[COUNT]]
+            source = full.plant.codes[row - code[LINK]]
+        else:
+            normal, source = code, full.plant.codes[row]
+        if normal[KIND] == PAIR:
+            selection.buffers.places[normal[LINK]] = full.buffers.places[source[LINK]]
+            selection._places[normal[LINK]] = full._places[source[LINK]]
+
+
+def joint_rows(table: ContactTable, layout: Layout) -> np.ndarray:
+    """``Plant.joint_rows`` of a contact table."""
+    found = []
+    for row in np.flatnonzero(table.codes[: layout.contacts, KIND] == JOINT):
+        arm = int(np.searchsorted(layout.rows, row, side="right")) - 1
+        found.append([arm, row, layout.dofs[arm] + table.codes[row, LINK]])
+    return np.array(found, dtype=np.int64).reshape(-1, 3)
+
+
+def _layout(full: Layout, rows: np.ndarray) -> Layout:
+    bounds = tuple(int(np.searchsorted(rows, bound)) for bound in full.rows)
+    return Layout(full.names, full.dofs, bounds)
+
+
+def _row_buffers(full: System, table: ContactTable, rows: int):
+    shapes, force = table.shapes.shape[0], np.zeros(rows)
+    return full.buffers._replace(
+        contacts=np.zeros((rows, CONTACT_WIDTH)),
+        parts=np.zeros((table.codes.shape[0] - rows, CONTACT_WIDTH)),
+        places=np.zeros((shapes, 3)),
+        located=np.zeros((shapes, 3)),
+        Wo=np.zeros((rows, 6)),
+        wrench=np.zeros((6, rows)),
+        c=np.zeros(rows),
+        force=force,
+        shown=force,
+        static_force=np.zeros(rows),
+    )
