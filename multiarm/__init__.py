@@ -15,10 +15,13 @@ from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
     from multiarm.compilation import compile_system
-    from multiarm.dynamics import Evaluation, evaluate
+    from multiarm.dynamics import Evaluation
+    from multiarm.effects.effect import Effect, Loads
+    from multiarm.evaluation import evaluate
     from multiarm.inverse import inverse_dynamics
     from multiarm.reporting import report
     from multiarm.scene import Scene, load_scene
+    from multiarm.scene.own_effects import register_effect
     from multiarm.simulation import simulate
     from multiarm.state import State
     from multiarm.system import System
@@ -27,23 +30,28 @@ if TYPE_CHECKING:
 
 # Public name -> module that has it.  Imported when first used, so that `import multiarm` is light.
 _HOMES = {
+    "Effect": "effects.effect",
     "Evaluation": "dynamics",
+    "Loads": "effects.effect",
     "Scene": "scene",
     "State": "state",
     "System": "system",
     "Trajectory": "trajectory",
     "compile_system": "compilation",
-    "evaluate": "dynamics",
+    "evaluate": "evaluation",
     "inverse_dynamics": "inverse",
     "load_scene": "scene",
     "load_trajectory": "trajectory",
+    "register_effect": "scene.own_effects",
     "replay": "viewer",
     "report": "reporting",
     "simulate": "simulation",
 }
 
 __all__ = [
+    "Effect",
     "Evaluation",
+    "Loads",
     "MultiarmError",
     "Scene",
     "State",
@@ -54,6 +62,7 @@ __all__ = [
     "inverse_dynamics",
     "load_scene",
     "load_trajectory",
+    "register_effect",
     "replay",
     "report",
     "simulate",

@@ -54,7 +54,8 @@ class Arm:
     ----------
     name : str
     model : pinocchio.Model
-        Tool appended, locked joints folded in, base placed; joints keep their URDF names.
+        Tool appended, locked joints folded in, base placed; joints keep their URDF names.  Its
+        ``armature`` is the inertia of the drives as seen from the joints, part of M.
     joint_names : tuple of str
         Movable joints from base to tip; all joint vectors are in this order, one number a joint
         (an angle in rad also for continuous joints, metres for prismatic ones).
@@ -69,11 +70,19 @@ class Arm:
         From the URDF; infinite where it gives none.
     """
 
-    def __init__(self, name: str, files: ArmFiles, color: str | None = None):
+    def __init__(
+        self,
+        name: str,
+        files: ArmFiles,
+        color: tuple[float, ...] | None = None,
+        rotor_inertia: np.ndarray | None = None,
+    ):
         self.name = name
         self.files = files
         self.color = color
         self.model = _build_model(name, files)
+        if rotor_inertia is not None:
+            self.model.armature = rotor_inertia  # `crba` adds it to the diagonal of M
         self.dof = self.model.nv
         self.joint_names = tuple(self.model.names[1:])
         self.circular = np.array([j.nq == 2 for j in self.model.joints[1:]], dtype=bool)
@@ -114,6 +123,15 @@ class Arm:
         for angle, circular in zip(angles, self.circular, strict=True):
             parts += [np.cos(angle), np.sin(angle)] if circular else [angle]
         return np.array(parts)
+
+    def link(self, name: str) -> tuple[int, np.ndarray, np.ndarray]:
+        """Number of the joint that carries a link; the link's frame in that joint's frame.
+
+        Rotation (3, 3) and origin (3,) [m].
+        """
+        frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.BODY)]
+        place = frame.placement
+        return frame.parentJoint, place.rotation.copy(), place.translation.copy()
 
     def terms(self, angles: np.ndarray, velocity: np.ndarray) -> ArmTerms:
         """Everything the dynamics need of this arm at one state, as copies.
@@ -177,6 +195,7 @@ class ArmGroup:
         for arm in arms:
             model = pin.appendModel(model, named_with_prefix(arm), 0, pin.SE3.Identity())
         model.gravity.linear = gravity
+        model.armature = np.concatenate([arm.model.armature for arm in arms])  # not appended
         self.model, self.data = model, model.createData()
         self.q = pin.neutral(model)
         self.v = np.zeros(model.nv)
@@ -185,6 +204,7 @@ class ArmGroup:
         if not np.array_equal([j.idx_v for j in model.joints[1:]], np.arange(model.nv)):
             raise ModelError("Pinocchio did not number the joints of several arms in order")
         self.pointers = np.zeros((len(arms), POINTER_WIDTH), dtype=np.int64)
+        self._first_dof = first_dof
         tips = [int(d) + arm.tip_joint for arm, d in zip(arms, first_dof, strict=False)]
         self._fill_pointers(first_dof[:-1], tips)
         self._with_gravity_torque = with_gravity_torque
@@ -225,6 +245,10 @@ class ArmGroup:
         first_dof = (self.pointers[:, 0] - self.pointers[0, 0]) // (8 * (n + 1))
         places = np.stack([at + 8 * (n + 1) * first_dof, np.full_like(first_dof, n)], axis=1)
         return update, places
+
+    def pose_address(self, arm: int, joint: int) -> int:
+        """Where the pose of a joint of the group's arm number ``arm`` is; see ``POSE_AT``."""
+        return _address(self.data.oMi[int(self._first_dof[arm]) + joint].rotation)
 
     def potential_energy(self, q: np.ndarray) -> float:
         """Potential energy of all links [J], zero at the world's origin."""

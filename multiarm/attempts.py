@@ -36,15 +36,14 @@ from multiarm.certificate.words import (
     INTERRUPTED,
     INTERRUPTED_WORDS,
     MEMORY,
-    MEMORY_WORDS,
     REMEDY,
     ROUNDING_WORDS,
     UNDETERMINED_WORDS,
     certificate,
     failed_words,
     growth_words,
+    memory_words,
 )
-from multiarm.controller_memory import remembers
 from multiarm.driving import BUDGET, TOO_MANY, Progress, Task, carry_out
 from multiarm.errors import MultiarmError, TrajectoryError
 from multiarm.preparation import SMALLEST_TOLERANCE
@@ -148,8 +147,9 @@ class Attempts:
 
     def _settle(self) -> tuple[str, str]:
         """Runs until one is accurate enough, or there is no use in another; returns why."""
-        if remembers(self.task.system, self._made[0].trajectory):
-            return MEMORY, MEMORY_WORDS
+        for function in self.task.system.asked:
+            if function.remembers():
+                return MEMORY, memory_words(function.name)
         candidate, finer = self._first_pair()
         while True:
             finding = judge(

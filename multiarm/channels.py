@@ -211,7 +211,8 @@ def _arm_channels(arm: str, units: Mapping[str, str], contacts: Sequence[str]) -
         Channel(f"{path}/joint_velocity", n, velocities, order, "joint velocity", joints),
         Channel(
             f"{path}/joint_torque", n, torques, order,
-            "torque (force, if the joint slides) of the controller", joints,
+            "torque (force, if the joint slides) of the drive: the controller's, within limits and "
+            "lag of the drive if there are any", joints,
         ),
         Channel(
             f"{path}/contact_force", (len(contacts),), "N", "contact normals",

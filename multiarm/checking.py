@@ -14,13 +14,18 @@ Nothing here prints; the command ``multiarm check`` shows what :func:`inspect_sy
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
-from multiarm.dynamics import Evaluation, constraint_matrix, evaluate, failure_text
+from multiarm.candidates.units import CONTACT, DRY_JOINT, LIMIT, Unit
+from multiarm.dynamics import Evaluation, constraint_matrix, failure_text
 from multiarm.equations import OK, update_kinematics
 from multiarm.errors import SolverError
+from multiarm.evaluation import evaluate
 from multiarm.guide.limits import axis_travel, limits_of
 from multiarm.guide.motions import free_motions, seen_from
+from multiarm.hybrid.selection import held_model
 from multiarm.inspection import (
     ArmFacts,
     Carrying,
@@ -42,6 +47,7 @@ from multiarm.system import System
 __all__ = [
     "active_effects",
     "carrying_capacity",
+    "coming_and_going",
     "count_freedom",
     "inspect_system",
     "resolve_run",
@@ -68,32 +74,36 @@ def inspect_system(system: System) -> Inspection:
     SolverError
         When the equations of motion cannot be solved at the start.
     """
-    scene = system.scene
-    evaluation = evaluate(system)
+    scene, evaluation = system.scene, evaluate(system)
+    model = held_model(system)
     return Inspection(
         scene=scene.name,
         gravity=None if scene.gravity is None else list(scene.gravity),
         object=_object_facts(scene.object),
         arms={name: _arm_facts(system, name, evaluation) for name in system.arm_names},
         joints=[
-            _joint_facts(system, joint, evaluation)
+            _joint_facts(model, joint, evaluation)
             for joint in sorted(scene.joints, key=lambda j: system.arm_names.index(j.arm))
         ],
-        freedom=count_freedom(system),
-        effects=active_effects(scene),
+        freedom=count_freedom(model),
+        coming_and_going=coming_and_going(system),
+        effects=dict.fromkeys(active_effects(scene)),
         control=scene.control.kind,
         run=resolve_run(scene.run),
         start=system.start_report,
         position_residual=evaluation.position_residual,
         velocity_residual=evaluation.velocity_residual,
         residuals=evaluation.residuals,
-        carrying=carrying_capacity(system) if _carries(scene) else None,
+        carrying=carrying_capacity(model) if _carries(scene) else None,
         warnings=scene.warnings,
     )
 
 
 def count_freedom(system: System) -> Freedom:
-    """Degrees of freedom, constraints, their rank and the mobility at the start."""
+    """Degrees of freedom, constraints, their rank and the mobility at the start.
+
+    Of a system that holds all its rows, see :func:`multiarm.hybrid.selection.held_model`.
+    """
     _place_at_start(system)
     matrix = constraint_matrix(system)  # (6 + n, N)
     space = null_space(matrix)
@@ -129,11 +139,28 @@ def carrying_capacity(system: System) -> Carrying:
     )
 
 
+def coming_and_going(system: System) -> list[str]:
+    """What comes and goes in a system, counted by what it belongs to."""
+    if system.plan is None:
+        return []
+    counts = Counter((unit.arm, _unit_words(unit)) for unit in system.plan.units)
+    lines = [f"{arm}: {words} ({count})" for (arm, words), count in counts.items()]
+    springs = system.plan.springs
+    soft = 0 if springs is None else len(springs.rows)
+    return lines + ([f"springs in place of contacts ({soft})"] if soft else [])
+
+
+def _unit_words(unit: Unit) -> str:
+    words = {LIMIT: "ends of joints' ranges", DRY_JOINT: "joints with dry friction"}
+    if unit.kind != CONTACT:
+        return words[unit.kind]
+    return "contacts" + (" with friction" if unit.tangents else " that give way" * unit.soft)
+
+
 def active_effects(scene: Scene) -> list[str]:
     """Names of the effects that the scene models; what is not here costs nothing."""
     gravity = ["gravity"] if scene.gravity is not None and any(scene.gravity) else []
-    optional = type(scene.effects).model_fields
-    return gravity + [name for name in optional if getattr(scene.effects, name) is not None]
+    return gravity + list(scene.effects.named)
 
 
 def resolve_run(spec: RunSpec) -> RunFacts:
@@ -255,11 +282,11 @@ def _placement(matrix: np.ndarray) -> tuple[list[float], list[float]]:
 
 
 def _carries(scene: Scene) -> bool:
-    """Whether the control applies the torques that carry the object."""
+    """Whether the control applies the torques that carry the object, and no floor does."""
     control = scene.control
     holds = control.kind == "harmonic" and control.hold
     weighs = scene.gravity is not None and any(scene.gravity)
-    return weighs and (holds or needs_gravity_torque(scene))
+    return weighs and scene.effects.floor is None and (holds or needs_gravity_torque(scene))
 
 
 def _place_at_start(system: System) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 
 from multiarm.arm import Arm, ArmFiles, ArmGroup, Ground, group_arms
 from multiarm.assembly import StartReport, assemble
-from multiarm.candidates.building import COME_AND_GO, scene_candidates
-from multiarm.candidates.plan import make_plan
+from multiarm.candidates.building import scene_candidates
+from multiarm.candidates.plan import Plan, make_plan
 from multiarm.candidates.units import SURROUNDINGS, Candidates
 from multiarm.contact_checks import check_patches, choose_free, locate_pairs
 from multiarm.contacts.catalogue import FREE, joint_contacts, joint_frame, surface_offset
@@ -21,11 +21,11 @@ from multiarm.contacts.records import Contact, ContactTable, pack
 from multiarm.contacts.surfaces import answering
 from multiarm.dense_call import dense_call
 from multiarm.effects.building import build_pieces
-from multiarm.effects.dry_friction import plan_pieces
-from multiarm.effects.piece import Pieces, Site
+from multiarm.effects.piece import Piece, Pieces, Site, joint_numbers
 from multiarm.equations import connect_entries
 from multiarm.errors import ModelError
-from multiarm.hybrid.selection import joint_rows, select
+from multiarm.hybrid.beginning import check_beginning
+from multiarm.hybrid.selection import joint_rows, link_springs, select
 from multiarm.lowlevel import CallBack
 from multiarm.node.regular import make_work
 from multiarm.node.singular import make_coupled
@@ -33,6 +33,7 @@ from multiarm.plant import (
     CALL_CONTROL,
     CALL_COUNT,
     CALL_DENSE,
+    CALL_FUNCTION,
     CALL_POTENTIAL,
     CALL_SURFACE,
     CALL_TERMS,
@@ -46,7 +47,7 @@ from multiarm.programs import (
     control_program,
     needs_gravity_torque,
 )
-from multiarm.scene import Scene, resolve_arm
+from multiarm.scene import Scene, friction_of, resolve_arm
 from multiarm.spatial import matrix_to_quaternion
 from multiarm.state import Layout, State
 from multiarm.system import System
@@ -71,7 +72,7 @@ def compile_system(scene: Scene, control: ControlFunction | None = None) -> Syst
         When a robot cannot be used.
     """
     resolved = {name: resolve_arm(spec, scene.folder) for name, spec in scene.arms.items()}
-    arms = {name: _make_arm(name, scene.arms[name], resolved[name]) for name in scene.arms}
+    arms = {name: _make_arm(name, scene, resolved[name]) for name in scene.arms}
     joints = _joints(scene, arms, resolved)
     system = _unassembled(scene, arms, joints, resolved)
     if system.plan is not None:
@@ -83,6 +84,7 @@ def _come_and_go(full: System, control: ControlFunction | None) -> System:
     """A system whose contacts come and go: what holds of its model, its start and its control."""
     assert full.plan is not None, "something comes and goes"
     start = _at_start(replace(select(full, full.plan.assembled), plan=None))
+    check_beginning(full, start.initial_state())
     model = replace(select(full, full.plan.model), plan=None, _start=start._start)
     model = _controlled(_with_free_motions(model), control)
     taken = ("control", "parameters", "frames", "free", "free_bounds")
@@ -155,7 +157,8 @@ def _own_contacts(joint, pose: np.ndarray) -> list[Contact]:
 
 def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: dict) -> System:
     """The system without control, its start as it is written."""
-    found = _candidates(scene, arms, joints)
+    outlines = {name: own.joints for name, own in resolved.items()}
+    found = _candidates(scene, arms, joints, outlines)
     records: Mapping[str, list] = joints.contacts if found is None else found.records
     around = records.get(SURROUNDINGS, [])
     owners = [*arms, *([SURROUNDINGS] if around else [])]
@@ -171,11 +174,11 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
     groups = group_arms(list(arms.values()), gravity, needs_gravity_torque(scene))
     every_row = [record for own in on_links.values() for record in own]
     table = pack(every_row)
-    watches = make_watches(
-        on_links if found is None else {name: [] for name in arms}, joints.limits, layout
-    )
     plan = None if found is None else make_plan(scene, found, joints.contacts, layout)
-    pieces = build_pieces(Site(scene, arms, layout), () if plan is None else plan_pieces(plan))
+    site = Site(scene, arms, layout, outlines, groups)
+    pieces = build_pieces(site, _plan_pieces(plan))
+    watched = on_links if found is None else {name: [] for name in arms}
+    watches = make_watches(watched, joints.limits, layout, pieces.watched)
     plant = _plant(scene, arms, table, groups, gravity, pieces)._replace(watches=watches)
     plant = plant._replace(joint_rows=joint_rows(table, layout))
     ground = Ground(gravity) if around else None
@@ -186,11 +189,13 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     work, coupled = make_work(*sizes), make_coupled(*sizes)
     calls = {
-        **pieces.calls,
         "terms": CallBack(_terms_call(groups, buffers), buffers.flag),
         "dense": CallBack(dense_call(plant.pointers, buffers, work), buffers.flag),
     }
     plant.calls[CALL_TERMS], plant.calls[CALL_DENSE] = (call.address for call in calls.values())
+    for name, call in pieces.connect(buffers).items():
+        calls[name] = call
+        plant.calls[CALL_FUNCTION] = call.address
     connect_entries(plant.calls)
     if table.functions:
         answer = answering(table.functions, buffers.query[RELATIVE_WIDTH:])
@@ -218,24 +223,43 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
         _places=np.zeros_like(buffers.places),
         calls=calls,
     )
+    if plan is not None and plan.springs is not None:
+        link_springs(system, plan.springs)
     if np.any(gravity):
         calls["potential"] = CallBack(_potential_call(system), buffers.flag)
         plant.calls[CALL_POTENTIAL] = calls["potential"].address
     return system
 
 
-def _candidates(scene: Scene, arms: dict[str, Arm], joints: _Joints) -> Candidates | None:
+def _plan_pieces(plan: Plan | None) -> list[Piece]:
+    """What comes and goes adds to an evaluation; its kernels are not even imported elsewhere."""
+    if plan is None:
+        return []
+    from multiarm.effects.dry_friction import plan_pieces
+    from multiarm.hybrid.compliance import compliance_pieces
+
+    return [*plan_pieces(plan), *compliance_pieces(plan.springs)]
+
+
+def _candidates(
+    scene: Scene, arms: dict[str, Arm], joints: _Joints, outlines: Mapping
+) -> Candidates | None:
     """What comes and goes in the scene; None: nothing."""
-    if not set(scene.effects.named) & set(COME_AND_GO):
+    effects = scene.effects
+    if not effects.with_events:
         return None
     limits = {
         name: dict(zip(arm.joint_names, map(tuple, arm.position_limits), strict=True))
         for name, arm in arms.items()
     }
-    return scene_candidates(scene, joints.contacts, limits, None)
+    dry = None
+    if "joint_friction" in effects.with_events and effects.joint_friction is not None:
+        dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
+    return scene_candidates(scene, joints.contacts, limits, dry)
 
 
-def _make_arm(name: str, spec, resolved) -> Arm:
+def _make_arm(name: str, scene: Scene, resolved) -> Arm:
+    spec, rotors = scene.arms[name], scene.effects.rotor_inertia
     tool = spec.tool
     files = ArmFiles(
         urdf=resolved.urdf,
@@ -248,7 +272,12 @@ def _make_arm(name: str, spec, resolved) -> Arm:
         mount=tool.mount if tool is not None else None,
         tool_placement=tool.at.matrix() if tool is not None else None,
     )
-    arm = Arm(name, files, spec.color)
+    own = None
+    if rotors is not None:
+        from multiarm.effects.rotor_inertia import of_arm
+
+        own = of_arm(rotors, name, resolved.joint_names)
+    arm = Arm(name, files, spec.color, own)
     if arm.joint_names != resolved.joint_names:
         raise ModelError(
             f"arm '{name}': Pinocchio orders its joints {arm.joint_names}, the URDF's chain is "

@@ -18,7 +18,7 @@ from multiarm.node.dense import null_space
 from multiarm.plant import CALL_SURFACE
 from multiarm.state import State
 from multiarm.system import System
-from multiarm.watching import FORCE, LIMIT, WATCH_BODY, WATCH_ROW, margin_of
+from multiarm.watching import DRIVE, FORCE, LIMIT, WATCH_BODY, WATCH_ROW, margin_of
 
 # Directions in which a contact of two surfaces is looked for.
 _GUESSES = 60
@@ -131,7 +131,8 @@ def joint_wrenches(system: System, arm: str) -> np.ndarray:
     """Rows ``[e; (p - x) x e / size]`` of a joint at the kinematics in the buffers.
 
     Shape (N, 6), in the axes of the object's joint frame about the arm's, each of unit length;
-    moments are measured at the longest lever arm [m].
+    moments are measured at the longest lever arm [m].  Rows that belong to the arm's own joints
+    have none, and are left out.
     """
     i = system.arm_names.index(arm)
     buffers, frame = system.buffers, system.frames[arm]
@@ -141,6 +142,7 @@ def joint_wrenches(system: System, arm: str) -> np.ndarray:
     at = tip.tip_rotation @ frame.on_tip[:3, 3] + tip.tip_translation
     x = link[9:12] + link[:9].reshape(3, 3) @ at
     rows = buffers.Wo[system.layout.rows[i] : system.layout.rows[i + 1]]
+    rows = rows[np.any(rows != 0.0, axis=1)]
     force = rows[:, :3]
     moment = rows[:, 3:] - np.cross(x - body[9:12], force)
     size = float(np.max(np.linalg.norm(moment, axis=1), initial=0.0)) or 1.0
@@ -151,7 +153,7 @@ def joint_wrenches(system: System, arm: str) -> np.ndarray:
 def _outside(system: System) -> list[str]:
     faults = []
     for watch in system.plant.watches:
-        if int(watch[WATCH_BODY]) in (FORCE, LIMIT):
+        if int(watch[WATCH_BODY]) in (FORCE, LIMIT, DRIVE):
             continue
         excess = margin_of(watch, system.plant, system.buffers)
         if excess > 0.0:

@@ -14,8 +14,8 @@ on along its velocity and projected.  That holds for motions that cross; where t
 as near to the loss, or the interpolated acceleration misses them, it is not used.  At rest there is
 no such motion, and which way the chains go on is undetermined: then the constraints that are left
 decide.  The contact forces are those of the state itself: they really grow like ``1/s`` there, as a
-toggle's do.  Functions in Python, controllers and surfaces, are asked about the state itself only:
-with them nothing is interpolated.
+toggle's do.  Functions in Python (controllers, surfaces, wrenches) are asked about the state itself
+only: with them nothing is interpolated.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import math
 from multiarm.equations import OK, evaluate_buffers
 from multiarm.lowlevel import copy, inner, kernel
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
-from multiarm.plant import CALL_CONTROL, CALL_SURFACE, KICK, SHIFT, open_book, open_coupled
+from multiarm.plant import KICK, SHIFT, asks_python, open_book, open_coupled
 from multiarm.solver_watch import believable, constraint_residual
 from multiarm.spatial import retract_into
 from multiarm.stabilization import greatest, project
@@ -57,7 +57,7 @@ def evaluate_on_branch(book, closed, alpha, beta):
     unknown = buffers.lost[buffers.lost.size - 1] == 0 and excess(coupled) > 0
     if not (coupled.margin[0] < ZONE or unknown):
         return OK
-    if plant.calls[CALL_CONTROL] != 0 or plant.calls[CALL_SURFACE] != 0:
+    if asks_python(plant):
         return OK
     rate = max(greatest(buffers.twist), greatest(buffers.v))
     if rate < AT_REST:

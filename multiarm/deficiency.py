@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contact_checks import joint_wrenches
+from multiarm.contacts.records import Contact
 from multiarm.node.dense import null_space
 from multiarm.system import System
 
@@ -161,7 +162,8 @@ def _of_arm(system: System, arm: str) -> tuple[str, ...]:
 def _redundant(system: System, arm: str) -> tuple[str, ...]:
     """Contacts that depend on each other."""
     space = null_space(joint_wrenches(system, arm).T)
-    names = [contact.name for contact in system.contacts[arm]]
+    own_contacts = [row for row in system.contacts[arm] if isinstance(row, Contact)]
+    names = [contact.name for contact in own_contacts]
     many = len(names) - space.rank
     if not many:
         return ()

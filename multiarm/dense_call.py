@@ -75,6 +75,8 @@ def _require_usable(inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]) -
 
 def read_inertia(pointers: np.ndarray, n: int) -> np.ndarray:
     """The arm's inertia as Pinocchio has it now, symmetric, copied, shape (n, n)."""
+    if n == 0:  # the surroundings
+        return np.zeros((0, 0))
     stride = int(pointers[M_STRIDE])
     size = (n - 1) * stride + n
     numbers = (ctypes.c_double * size).from_address(int(pointers[M_AT]))

@@ -124,7 +124,7 @@ def carry_out(
     system, spec = task.system, task.spec
     comings = None
     if system.plan is not None:
-        comings = EventDriving(system, method_and_tolerance(spec, tighten)[1])
+        comings = EventDriving(system, method_and_tolerance(spec, tighten)[1], spec.step)
         task = replace(task, **comings.begin(task.state))
     run = prepare(task.system, spec, task.state, sink, task.longest_step, tighten)
     if comings is not None:
@@ -357,6 +357,7 @@ def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:
         "highest_rank": int(count[HIGHEST_RANK]) if count[STEPS] else None,
         "residual_max": float(real[WORST_RESIDUAL]),
         "correction_max": float(real[WORST_CORRECTION]),
+        **({} if run.comings is None else run.comings.statistics()),
         "wall_time_s": wall,
         "realtime_factor": simulated / wall if wall > 0.0 else None,
     }

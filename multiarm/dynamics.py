@@ -91,7 +91,8 @@ class Evaluation:
     object_acceleration : ndarray, shape (6,)
         Acceleration of the centre of mass (classical) and angular acceleration, world axes.
     joint_accelerations, joint_torques : mapping arm -> ndarray, shape (n_i,)
-        [rad/s^2, m/s^2]; torques of the control [N m, N].
+        [rad/s^2, m/s^2]; torques of the drives [N m, N]: what the control wants, or what their
+        limits and lag leave of it.
     contact_forces : mapping arm -> ndarray, shape (N_i,)
         Magnitudes [N]; positive pushes the object along ``contact_normals``.
     contact_forces_unique : mapping arm -> ndarray of bool, shape (N_i,)
@@ -112,6 +113,9 @@ class Evaluation:
         hardly move, or not at all.
     lost_motions : mapping arm -> tuple of str
         What these arms cannot do, in words.
+    contact_states : mapping arm -> tuple of str
+        Of contacts that come and go: what each does ("open", "touching", "sticking", ...). Those
+        with a floor are named ``floor``, here and among forces, points and normals.
     """
 
     time: float
@@ -132,6 +136,8 @@ class Evaluation:
     coupled_arms: tuple[str, ...]
     lost_motions: Mapping[str, tuple[str, ...]]
     _system: System = field(repr=False, compare=False)
+    contact_states: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    _joint_forces: Mapping[str, np.ndarray] | None = field(repr=False, default=None)
 
     def motion_space(self, arm: str, rows: Sequence[int | str] | None = None) -> MotionSpace:
         """Motions that an arm's joint leaves free, ``v = T alpha``, and ``dT/dt`` (thesis, 3.8).
@@ -172,11 +178,10 @@ class Evaluation:
         """Contact forces as those that move the object and those that only squeeze it [N].
 
         The resultant is about the centre of mass, in object axes [N, N m].  ``internal`` is the
-        basis of its coordinates ``mu_I``, orthonormal when left out.
+        basis of its coordinates ``mu_I``, orthonormal when left out.  Friction has no part in it.
         """
-        return force_decomposition_of(
-            self._system, self.contact_terms, self.contact_forces, internal, length
-        )
+        own = self.contact_forces if self._joint_forces is None else self._joint_forces
+        return force_decomposition_of(self._system, self.contact_terms, own, internal, length)
 
 
 def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Evaluation:
@@ -188,7 +193,8 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     t : float
         Time, for the control [s].
     state : State, optional
-        The start when left out.  It is taken as it is: nothing is projected.
+        The start when left out.  It is taken as it is: nothing is projected.  Effects that have
+        states of their own, such as lagging drives, are as at the start of a run.
 
     Raises
     ------
@@ -200,6 +206,9 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     state = system.initial_state() if state is None else state.copy()
     place_state(system, t, state)
     status = evaluate_buffers(system.book(), 0.0, 0.0)
+    if status == OK and system.pieces.states:
+        system.buffers.inner[:] = system.pieces.start(system)
+        status = evaluate_buffers(system.book(), 0.0, 0.0)
     if status != OK:
         try:
             system.reraise()
@@ -208,7 +217,7 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
         raise SolverError(failure_text(system, status))
     b, layout = system.buffers, system.layout
     forces, torques = b.force.copy(), b.torque.copy()
-    object_acceleration, qdd = b.q_o.copy(), b.qdd.copy()
+    object_acceleration, qdd, h_o = b.q_o.copy(), b.qdd.copy(), b.h_o.copy()
     note_solution(system.book())
     rank, coupled = int(b.solved[RANK_OF_ALL]), _coupled_arms(system)
     pivots = (
@@ -217,8 +226,9 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
         else dict(zip(layout.names, system.work.pivot.copy(), strict=False))
     )
     unique = _unique_forces(system)
-    residuals = _residuals(system, object_acceleration, qdd, forces)
-    terms = _contact_terms(system)
+    residuals = _residuals(system, h_o, object_acceleration, qdd, forces)
+    terms = contact_terms(system)
+    b.h_o[:] = h_o  # kinematics alone leave out the loads from outside
     return Evaluation(
         time=float(t),
         state=state,
@@ -230,8 +240,8 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
         contact_points={arm: term.points for arm, term in terms.items()},
         contact_normals={arm: term.normals for arm, term in terms.items()},
         contact_terms=terms,
-        position_residual=float(np.max(np.abs(b.contacts[:, GAP]))),
-        velocity_residual=float(np.max(np.abs(b.contacts[:, GAP_RATE]))),
+        position_residual=float(np.max(np.abs(b.contacts[:, GAP]), initial=0.0)),
+        velocity_residual=float(np.max(np.abs(b.contacts[:, GAP_RATE]), initial=0.0)),
         residuals=residuals,
         conditioning={arm: max(float(p), 0.0) for arm, p in pivots.items()},
         rank=rank,
@@ -318,10 +328,12 @@ def lost_contact(system: System, row: int) -> str:
     )
 
 
-def _residuals(system: System, q_o: np.ndarray, qdd: np.ndarray, force: np.ndarray) -> Residuals:
+def _residuals(
+    system: System, h_o: np.ndarray, q_o: np.ndarray, qdd: np.ndarray, force: np.ndarray
+) -> Residuals:
     """Put the result back into the equations, with matrices that were not factored."""
     plant, b, work = system.plant, system.buffers, system.work
-    h, h_o, c = b.h.copy(), b.h_o.copy(), b.c.copy()
+    h, c = b.h.copy(), b.c.copy()
     update_kinematics(system.book())
     arm = constraint = 0.0
     on_object = b.inertia @ q_o - h_o - b.Wo.T @ force
@@ -341,7 +353,7 @@ def _coupled_arms(system: System) -> tuple[str, ...]:
     if not system.buffers.solved[COUPLED_ARMS]:
         return ()
     deficient = system.coupled.deficient
-    return tuple(name for name, is_so in zip(system.arm_names, deficient, strict=True) if is_so)
+    return tuple(name for name, is_so in zip(system.arm_names, deficient, strict=False) if is_so)
 
 
 def _unique_forces(system: System) -> np.ndarray:
@@ -377,7 +389,37 @@ def constraint_matrix(system: System) -> np.ndarray:
     return matrix / np.linalg.norm(matrix, axis=0)
 
 
-def _contact_terms(system: System) -> dict[str, ContactTerms]:
+def contact_places(system: System, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] and normals into the object of all rows, world axes, shapes (N, 3).
+
+    Rows of all arms, then those of the surroundings: see ``Layout``.  Nothing is solved.
+
+    Raises
+    ------
+    SolverError
+        When a surface of the user's own fails.
+    """
+    place_state(system, 0.0, state)
+    status = update_kinematics(system.book())
+    if status != OK:
+        system.reraise()
+        raise SolverError(failure_text(system, status))
+    return _places(system, slice(None))
+
+
+def _places(system: System, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals of some rows at the kinematics in the buffers."""
+    plant, contacts = system.plant, system.buffers.contacts[rows]
+    normals = contacts[:, NORMAL : NORMAL + 3].copy()
+    codes, geometry = plant.codes[: system.layout.contacts], plant.geometry
+    tips = np.isin(codes[rows, KIND], (PLANE, SPHERE, CYLINDER, CURVED))
+    radius = geometry[: system.layout.contacts][rows, TIP_RADIUS] * tips
+    # from the tip's centre to its contact point: along the normal if the arm has the tip
+    way = np.where(codes[rows, SURFACE_BODY] == SURFACE_ON_OBJECT, 1.0, -1.0)
+    return contacts[:, AT : AT + 3] + (way * radius)[:, None] * normals, normals
+
+
+def contact_terms(system: System) -> dict[str, ContactTerms]:
     """Contact matrices of every arm at the kinematics in the buffers."""
     b, plant = system.buffers, system.plant
     every_row = np.vstack([b.contacts, b.parts])
@@ -389,17 +431,13 @@ def _contact_terms(system: System) -> dict[str, ContactTerms]:
             b.arms[i], b.body, _tip_kinematics(system, name, b.arms[i]),
         )  # fmt: skip
         contacts = b.contacts[rows]
-        normals = contacts[:, NORMAL : NORMAL + 3].copy()
-        tips = np.isin(plant.codes[rows, KIND], (PLANE, SPHERE, CYLINDER, CURVED))
-        radius = plant.geometry[rows, TIP_RADIUS] * tips
-        # from the tip's centre to its contact point: along the normal if the arm has the tip
-        way = np.where(plant.codes[rows, SURFACE_BODY] == SURFACE_ON_OBJECT, 1.0, -1.0)
+        points, normals = _places(system, rows)
         terms[name] = ContactTerms(
             *matrices,
             c=-contacts[:, GAP_BIAS],
             phi=contacts[:, GAP].copy(),
             phi_dot=contacts[:, GAP_RATE].copy(),
-            points=contacts[:, AT : AT + 3] + (way * radius)[:, None] * normals,
+            points=points,
             normals=normals,
         )
     return terms

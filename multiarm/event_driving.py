@@ -8,7 +8,7 @@ system with the same state.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,13 +16,24 @@ import numpy as np
 from multiarm.assembly import scene_size
 from multiarm.candidates.units import DRY_JOINT
 from multiarm.contact_checks import place_state
-from multiarm.equations import OK, update_kinematics, update_rows
+from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.equations import OK, evaluate_buffers, update_kinematics, update_rows
 from multiarm.errors import MultiarmError, SolverError
-from multiarm.hybrid.arrays import THRESHOLD, UNIT
+from multiarm.hybrid.arrays import (
+    GUARD_KIND,
+    PATCH_GUARD,
+    PUSH_GUARD,
+    RATE_GUARD,
+    SLIP_GUARD,
+    THRESHOLD,
+    UNIT,
+)
+from multiarm.hybrid.edges import beside_units
 from multiarm.hybrid.kernels import start_guards
 from multiarm.hybrid.locating import first_event
-from multiarm.hybrid.modes import Choice, Mode, Modes
+from multiarm.hybrid.modes import GAP_THRESHOLD, Choice, Mode, Modes
 from multiarm.hybrid.probing import Probe
+from multiarm.hybrid.springs import pressed_units
 from multiarm.hybrid.telling import decision_events
 from multiarm.hybrid.transition import Decision, Transition, closed_units
 from multiarm.integrators.stepper import evaluate_slope, step_book, store
@@ -41,11 +52,21 @@ if TYPE_CHECKING:
 TOUCHING = 1e-9
 # Gaps of those that have just hit are as small as the step's errors.
 HIT_SHARE = 4.0
+# Slip that has come to rest is as small as so many tolerances of a step; else it has only turned.
+STILL_SHARE = 1e3
 # Bounces are followed down to this part of the tolerance of a step; of a run with fixed steps to
 # this part of the scene's size.
 REST_SHARE, REST_SIZE = 1.0, 1e-9
+# Of lower hops no guard would notice that they left the ground [m].
+LOWEST_HOP = 4.0 * GAP_THRESHOLD
+# Slip of so many tolerances of a step has hardly a direction of its own, of fixed steps what so
+# large an acceleration [m/s^2] makes of it in one; at least so much [m/s].
+SLOW, SLOW_OF_STEP, SLOWEST = 1000.0, 10.0, 1e-9
 # So many events with no time between them end the run.
 MOST_AT_ONCE, AT_ONCE = 60, 1e-11
+# A decision that does not hold at once is made again with what comes later by so much of the
+# longest step that led to an event.
+AHEAD = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 # After an event the first step is this part of the last one.
 SHORTER = 0.5
 
@@ -56,6 +77,16 @@ class Pending:
 
     time: float
     guards: list[int]
+
+
+@dataclass(frozen=True)
+class _News:
+    """What is known at an event: see :class:`multiarm.hybrid.transition.Transition`."""
+
+    touching: set[int]
+    at_rest: dict[int, float] = field(default_factory=dict)
+    unloaded: set[int] = field(default_factory=set)
+    beside: frozenset[int] = frozenset()
 
 
 class EventDriving:
@@ -71,8 +102,13 @@ class EventDriving:
         Largest residual of the complementarity problems.
     """
 
-    def __init__(self, system: System, tolerance: Tolerance | None):
-        self.modes = Modes(system)
+    def __init__(self, system: System, tolerance: Tolerance | None, step: float | None):
+        if tolerance is None:
+            assert step is not None, "steps are either fixed or chosen"
+            slow = SLOW_OF_STEP * step
+        else:
+            slow = SLOW * tolerance.position
+        self.modes = Modes(system, max(slow, SLOWEST))
         self.told: list[dict[str, Any]] = []
         self.untold = 0
         self.residual = 0.0
@@ -82,7 +118,7 @@ class EventDriving:
         self._rest_height = 0.0
         self._pending: Pending | None = None
         self._trouble = ""
-        self._last_length = 0.0
+        self._last_length = self._usual_length = 0.0
         self._crowd, self._crowd_since = 0, -np.inf
         self.mode: Mode
 
@@ -97,9 +133,13 @@ class EventDriving:
         update_rows(full.book())
         self._size = scene_size(self.modes.model)
         of_step = None if self._tolerance is None else self._tolerance.smallest
-        self._rest_height = REST_SIZE * self._size if of_step is None else REST_SHARE * of_step
-        decision = self._decide(0.0, closed_units(self.modes, TOUCHING * self._size))
+        height = REST_SIZE * self._size if of_step is None else REST_SHARE * of_step
+        self._rest_height = max(height, LOWEST_HOP)
         before = Choice((), ())
+        touching = closed_units(self.modes, TOUCHING * self._size)
+        touching |= pressed_units(self.modes, before, set())
+        beside = beside_units(self.modes, before, set())
+        decision = self._decide(0.0, _News(touching, beside=beside))
         self._tell(0.0, decision, before)
         if self._trouble:
             raise SolverError(f"at the start: {self._trouble}")
@@ -109,6 +149,10 @@ class EventDriving:
             "system": self.mode.system,
             "state": self.mode.system.get_state() if changed else None,
         }
+
+    def statistics(self) -> dict[str, Any]:
+        """How many events there were, and the largest residual of what was decided at them."""
+        return {"contact_events": self.count, "complementarity_residual": self.residual}
 
     # --- events -----------------------------------------------------------------------------------
 
@@ -134,6 +178,7 @@ class EventDriving:
         if not guards:  # what looked like an event is none: the step is made again, and accepted
             return ""
         self._last_length = end - begin
+        self._usual_length = max(self._usual_length, end - begin)
         time = begin + theta * (end - begin)
         self._pending = Pending(time, guards)
         if time - t <= 1e-13 * max(1.0, t):
@@ -148,14 +193,70 @@ class EventDriving:
         t, step = float(run.clock.real[T]), run.stepping.step
         before = self.mode.choice
         self._load(run)
-        decision = self._decide(t, self._touching(pending))
+        guards = self.mode.arrays.guards[pending.guards]
+        news = _News(
+            self._touching(pending),
+            self._at_rest(pending),
+            {int(g[UNIT]) for g in guards if g[GUARD_KIND] == PUSH_GUARD},
+            beside_units(
+                self.modes, before, {int(g[UNIT]) for g in guards if g[GUARD_KIND] == PATCH_GUARD}
+            ),
+        )
+        decision = self._settle(t, news)
         self._tell(t, decision, before)
         self._crowded(t)
         if self._trouble:
             return self._trouble
-        self.mode = self.modes.enter(decision.choice, decision.directions)
         self._go_on(run, decision, step)
         return ""
+
+    def _at_rest(self, pending: Pending) -> dict[int, float]:
+        """Speeds of units whose slip has just come to rest: as small as the step's errors."""
+        units, guards = self.modes.plan.units, self.mode.arrays.guards
+        rates, found = self.modes.full.buffers.contacts[:, GAP_RATE], {}
+        of_step = SLOWEST if self._tolerance is None else self._tolerance.smallest
+        for g in pending.guards:
+            if guards[g, GUARD_KIND] in (SLIP_GUARD, RATE_GUARD):
+                unit = units[guards[g, UNIT]]
+                speed = float(np.linalg.norm(rates[list(unit.tangents or (unit.row,))]))
+                if speed <= STILL_SHARE * max(of_step, SLOWEST) or self._tolerance is None:
+                    found[int(guards[g, UNIT])] = HIT_SHARE * speed
+        return found
+
+    def _settle(self, t: float, news: _News) -> Decision:
+        """Decide, and enter a mode whose guards are not against it at once.
+
+        Where a bound has just been reached, the decision is made with what comes a little later.
+        """
+        before = self.mode.choice
+        decision = self._decide(t, news)
+        made = [decision]
+        for share in AHEAD:
+            if self._trouble:
+                return decision
+            self.mode = self.modes.enter(made[-1].choice, made[-1].directions)
+            # the same mode as before would come to the same event with the same forces
+            if made[-1].choice != before and self._holds():
+                return made[-1]
+            later = self._decide(t, news, share * self._usual_length)
+            made.append(
+                replace(later, hits=decision.hits, energy=decision.energy, rested=decision.rested)
+            )
+        for later in reversed(made):  # whose least forces do not obey the laws, but others do
+            self.mode = self.modes.enter(later.choice, later.directions)
+            self.mode.set_prestress(later.forces)
+            if self._holds():
+                return later
+        return made[-1]
+
+    def _holds(self) -> bool:
+        """Whether the mode agrees with the state in the buffers."""
+        book, arrays = self.mode.system.book(), self.mode.arrays
+        if evaluate_buffers(book, 0.0, 0.0) != OK:
+            self.mode.system.reraise()
+            return False
+        start_guards(book)
+        return bool(np.all(arrays.values >= -arrays.levels[:, THRESHOLD]))
 
     def _load(self, run: Run) -> None:
         """Write the run's state into the buffers, with the kinematics of all rows."""
@@ -164,7 +265,7 @@ class EventDriving:
         b.position[:3], b.position[3:] = z[:3], step.base  # a chart begins at every step
         b.angles[:], b.twist[:], b.v[:] = z[6 : 6 + n], z[6 + n : 12 + n], z[12 + n : 12 + 2 * n]
         b.inner[:] = z[12 + 2 * n :][: b.inner.size]
-        b.time[0] = run.clock.real[T]
+        b.time[0], b.time[1] = run.clock.real[T], np.inf
         if update_kinematics(bare.book()) != OK:
             bare.reraise()
         update_rows(self.modes.full.book())
@@ -172,18 +273,26 @@ class EventDriving:
     def _touching(self, pending: Pending) -> set[int]:
         """Units that touch at an event: those that were held, and those that came."""
         units, choice = self.modes.plan.units, self.mode.choice
-        came = {int(self.mode.arrays.guards[g, UNIT]) for g in pending.guards}
+        guards = self.mode.arrays.guards[pending.guards]
+        came = {int(g[UNIT]) for g in guards if g[GUARD_KIND] != PATCH_GUARD}
         held = {
-            u for u, unit in enumerate(units) if choice.states[u] != 0 and unit.kind != DRY_JOINT
+            u
+            for u, unit in enumerate(units)
+            if choice.states[u] != 0 and unit.kind != DRY_JOINT and not unit.soft
         }
-        gaps = self.modes.full.buffers.contacts[:, 12]
+        pressed = pressed_units(self.modes, choice, came)
+        came = {u for u in came if units[u].kind != DRY_JOINT and not units[u].soft}
+        gaps = self.modes.full.buffers.contacts[:, GAP]
         sunk = max((abs(float(gaps[units[u].row])) for u in came - held), default=0.0)
         near = closed_units(self.modes, max(TOUCHING * self._size, HIT_SHARE * sunk))
-        return {u for u in near | came | held if units[u].kind != DRY_JOINT}
+        return near | came | held | pressed
 
-    def _decide(self, t: float, touching: set[int]) -> Decision:
+    def _decide(self, t: float, news: _News, ahead: float = 0.0) -> Decision:
         self.modes.full.buffers.time[0] = t
-        decision = Transition(self.modes, touching, self._rest_height).decide()
+        decision = Transition(
+            self.modes, news.touching, self._rest_height, news.at_rest, news.unloaded,
+            news.beside, ahead,
+        ).decide()  # fmt: skip
         self.residual = max(self.residual, decision.residual)
         self._trouble = decision.trouble
         return decision

@@ -15,6 +15,7 @@ from multiarm.trajectory import plain
 __all__ = [
     "ArmFacts",
     "Carrying",
+    "EffectFacts",
     "Freedom",
     "Inspection",
     "JointFacts",
@@ -183,6 +184,36 @@ class Carrying:
 
 
 @dataclass(frozen=True)
+class EffectFacts:
+    """What an effect adds to an evaluation at the start.
+
+    Attributes
+    ----------
+    microseconds, uncertainty_microseconds : float or None
+        Time, and twice its standard error; None where it was not measured.
+    bytes, states, rows, callbacks : int
+        Of arrays; states of its own; constraint rows; functions in Python.
+    trouble : str
+        Why it was not measured.
+    """
+
+    microseconds: float | None = None
+    uncertainty_microseconds: float | None = None
+    bytes: int = 0
+    states: int = 0
+    rows: int = 0
+    callbacks: int = 0
+    trouble: str = ""
+
+    @property
+    def within_noise(self) -> bool:
+        """Whether the time may as well be zero."""
+        if self.microseconds is None or self.uncertainty_microseconds is None:
+            return False
+        return abs(self.microseconds) <= self.uncertainty_microseconds
+
+
+@dataclass(frozen=True)
 class Inspection:
     """What a scene compiles to.
 
@@ -195,8 +226,11 @@ class Inspection:
     arms : dict arm -> ArmFacts
     joints : list of JointFacts
     freedom : Freedom
-    effects : list of str
-        Effects that are modelled, gravity among them.
+        With all contacts of the joints held, and those with a floor open.
+    coming_and_going : list of str
+        What may let go, close, slide or stick.
+    effects : dict effect -> EffectFacts or None
+        Effects that are modelled, gravity among them; None where nothing was measured.
     control : str
     run : RunFacts
     start : StartReport
@@ -216,7 +250,8 @@ class Inspection:
     arms: dict[str, ArmFacts]
     joints: list[JointFacts]
     freedom: Freedom
-    effects: list[str]
+    coming_and_going: list[str]
+    effects: dict[str, EffectFacts | None]
     control: str
     run: RunFacts
     start: StartReport

@@ -35,6 +35,7 @@ from multiarm.dynamics import Evaluation, Residuals, evaluate
 from multiarm.equations import OK, update_kinematics
 from multiarm.errors import ModelError, SolverError
 from multiarm.grips import relative_motion_of
+from multiarm.hybrid.selection import held_model
 from multiarm.programs import NO_PROGRAM
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.state import State
@@ -85,6 +86,8 @@ def inverse_dynamics(
     ----------
     system : System
         Its control is left out of account, its effects (joint damping, ...) are compensated.
+        Where contacts come and go, all contacts of the joints are held, and those with a floor are
+        open.
     state : State
         On the constraints, positions and velocities.
     object_acceleration : array-like, shape (6,)
@@ -111,6 +114,7 @@ def inverse_dynamics(
     ModelError
         For an unknown arm or a wrong shape.
     """
+    system = held_model(system)
     wanted = checked_vector("object_acceleration", object_acceleration, 6)
     relative = _relative_accelerations(system, relative_acceleration or {})
     posture = _posture_accelerations(system, posture_acceleration or {})

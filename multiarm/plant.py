@@ -22,7 +22,9 @@ from multiarm.node.singular import CoupledWork
 CALL_TERMS, CALL_CONTROL, CALL_DENSE, CALL_POTENTIAL, CALL_SURFACE = range(5)
 CALL_KINEMATICS, CALL_FORCES, CALL_SOLVE, CALL_COUPLED, CALL_CLOSE = range(5, 10)
 # Entries of scenes whose contacts come and go: 0 in others.
-CALL_SHOW, CALL_GUARDS, CALL_COUNT = range(10, 13)
+CALL_SHOW, CALL_GUARDS = range(10, 12)
+# One of the user's functions that effects ask: 0 where there are none.
+CALL_FUNCTION, CALL_COUNT = range(12, 14)
 
 # Entry of Buffers.flag.
 BUSY = 1
@@ -59,10 +61,10 @@ class Plant(NamedTuple):
     effects : int64 (k, 2), phases : int64 (3,)
         Address of each effect's kernel and place of its first array in the system's book; where
         the three phases of an evaluation end in this list, see :mod:`multiarm.effects.piece`.
-    calls : int64 (12,)
+    calls : int64 (13,)
         Addresses of the callbacks (arm terms, Python controller, dense solver, potential energy,
-        the user's surfaces), of the compiled parts of an evaluation, and of those of scenes whose
-        contacts come and go (:mod:`multiarm.hybrid`).
+        the user's surfaces), of the compiled parts of an evaluation, of those of scenes whose
+        contacts come and go (:mod:`multiarm.hybrid`), and of a function that an effect asks.
     dense : int64 (1,)
         1: solve by the dense reference instead of the node algorithm.
     joint_rows : int64 (r, 3)
@@ -97,9 +99,10 @@ class Plant(NamedTuple):
 class Buffers(NamedTuple):
     """What one evaluation reads and writes.
 
-    time : (1,), position : (7,), angles : (joints,), twist : (6,)
-        The state being evaluated: object position and quaternion (xyzw), joint positions, object
-        twist.  ``v`` (joints,) holds the joint velocities.
+    time : (2,), position : (7,), angles : (joints,), twist : (6,)
+        The state being evaluated: its time, and the latest at which stages of the step at hand are
+        evaluated; object position and quaternion (xyzw), joint positions, object twist.  ``v``
+        (joints,) holds the joint velocities.
     q : (pinocchio's,), v : (joints,)
         Arrays that Pinocchio reads.
     arms : (n, 24), body : (24,), relative : (15,)
@@ -134,7 +137,7 @@ class Buffers(NamedTuple):
     margins : (w,), events : (e, 3), event_count : int64 (1,)
         What is watched, see :mod:`multiarm.watching`.
     flag : int64 (2,)
-        Raised by a callback that failed; raised while a Python controller runs (``BUSY``).
+        Raised by a callback that failed; raised while a function of the user's runs (``BUSY``).
     residual : (joints,)
         Scratch.
     kept : (13 + 2 joints,), mixed : (6 + joints,)
@@ -217,7 +220,7 @@ def make_buffers(
     arms, joints, shapes = plant.pointers.shape[0], plant.q_slots.size, plant.shapes.shape[0]
     watches, force = plant.watches.shape[0], np.zeros(rows)
     return Buffers(
-        time=np.zeros(1),
+        time=np.array([0.0, np.inf]),
         position=np.zeros(7),
         angles=np.zeros(joints),
         twist=np.zeros(6),
@@ -365,6 +368,16 @@ def open_book(book):
         pivot=floats1(book, 75),
     )
     return plant, buffers, work
+
+
+@inner_inlined
+def asks_python(plant):
+    """Whether functions of the user's take part: a controller, surfaces, wrenches from outside."""
+    return (
+        plant.calls[CALL_CONTROL] != 0
+        or plant.calls[CALL_SURFACE] != 0
+        or plant.calls[CALL_FUNCTION] != 0
+    )
 
 
 @inner_inlined

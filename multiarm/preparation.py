@@ -12,7 +12,7 @@ from multiarm.assembly import StartReport, projection_tolerance, scene_size
 from multiarm.contact_checks import place_state
 from multiarm.dynamics import failure_text
 from multiarm.equations import OK
-from multiarm.errors import SolverError
+from multiarm.errors import SceneError, SolverError
 from multiarm.integrators.rosenbrock import make_rosenbrock, rosenbrock_step
 from multiarm.integrators.stepper import (
     OWN_BOOK,
@@ -31,6 +31,7 @@ from multiarm.lowlevel import address_book, address_of
 from multiarm.node.singular import ARMS
 from multiarm.samples import sample_width
 from multiarm.scene import RunSpec
+from multiarm.scene.check import method_fault
 from multiarm.scene.control import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.sinks import Sink
 from multiarm.solver_log import SolverLog
@@ -187,6 +188,9 @@ def make_stepping(system: System, name: str, tolerance: Tolerance | None) -> Ste
         work = make_rosenbrock(tableau, method, step, system.layout.joints, system.book())
         return _with_own_step(Stepping(tableau, method, step), work)
     if tableau.kind == VARIATIONAL:
+        fault = method_fault(name, pieces.with_states, system.scene.effects.with_events)
+        if fault:
+            raise SceneError(f"integrator: {fault}")
         call, places = system.coriolis()
         shape, rows = system.work.Y.shape, system.layout.contacts
         momenta = make_variational(step, system.book(), shape, rows, call.address, places)

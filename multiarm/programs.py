@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from multiarm.asking import Asked
 from multiarm.assembly import follow_object
 from multiarm.control import (
     COMPUTED_TORQUE,
@@ -19,9 +20,9 @@ from multiarm.control import (
     write_holding_torque,
 )
 from multiarm.equations import OK, update_kinematics
-from multiarm.errors import ControlError, MultiarmError
+from multiarm.errors import ControlError
 from multiarm.object_programs import object_law, pose_of, route
-from multiarm.plant import BUSY, Buffers
+from multiarm.plant import Buffers
 from multiarm.scene import Scene, gain_vector
 from multiarm.scene.control import (
     ComputedTorqueControl,
@@ -89,35 +90,23 @@ def control_program(system: System) -> Program:
     return program._replace(codes=codes)
 
 
-def control_call(function: ControlFunction, layout: Layout, buffers: Buffers):
-    """Function without arguments that writes the torques of a Python controller."""
+def control_call(function: ControlFunction, layout: Layout, buffers: Buffers) -> Asked:
+    """Callback that writes the torques of a Python controller."""
 
-    def call() -> None:
-        state = State(
-            np.concatenate([buffers.position, buffers.angles]),
-            np.concatenate([buffers.twist, buffers.v]),
-            layout,
-        )
-        buffers.flag[BUSY] = 1
-        try:
-            torques = function(float(buffers.time[0]), state)
-        except MultiarmError:
-            raise
-        except Exception as error:
-            raise ControlError(f"the controller raised {type(error).__name__}: {error}") from error
-        finally:
-            buffers.flag[BUSY] = 0
-        _write_torques(torques, layout, buffers)
+    def read(torques: object) -> np.ndarray:
+        return _read_torques(torques, layout, float(buffers.time[0]))
 
-    return call
+    return Asked(function, "the controller", read, buffers.torque, layout, buffers)
 
 
-def _write_torques(torques, layout: Layout, buffers: Buffers) -> None:
+def _read_torques(torques: object, layout: Layout, t: float) -> np.ndarray:
+    """Torques of all joints (n,) from those by arm; arms that are left out get none."""
     if not isinstance(torques, Mapping):
         raise ControlError(
             f"the controller returned {type(torques).__name__}; return a dict arm -> torques"
         )
-    views = layout.split_joints(buffers.torque)
+    stacked = np.zeros(layout.joints)
+    views = layout.split_joints(stacked)
     for arm, values in torques.items():
         if arm not in views:
             raise ControlError(
@@ -138,9 +127,10 @@ def _write_torques(torques, layout: Layout, buffers: Buffers) -> None:
         if not np.all(np.isfinite(vector)):
             raise ControlError(
                 f"the controller returned a torque that is not finite for arm {arm!r} at "
-                f"t = {buffers.time[0]:.6g} s: {vector.tolist()}"
+                f"t = {t:.6g} s: {vector.tolist()}"
             )
         views[arm][:] = vector
+    return stacked
 
 
 def _constant(system: System, control: ConstantControl) -> Program:
@@ -211,9 +201,8 @@ def _rigidly_held(system: System) -> System:
         for name, spec in scene.arms.items()
     }
     body = scene.object.model_copy(update={"pose": pose_of(start), "twist": None})
-    return compile_system(
-        scene.replace(joints=joints, arms=arms, object=body, control={"kind": "none"})
-    )
+    parts = {"joints": joints, "arms": arms, "object": body}
+    return compile_system(scene.replace(**parts, control={"kind": "none"}, effects={}))
 
 
 def _segment(

@@ -18,20 +18,23 @@ import yaml
 from multiarm import plots
 from multiarm.errors import TrajectoryError
 from multiarm.reporting_certificate import certificate_section
-from multiarm.reporting_parts import NOTHING, inline_svg, number, quantity, words
+from multiarm.reporting_events import events_section
+from multiarm.reporting_parts import NOTHING, grid, inline_svg, number, quantity, words
 from multiarm.reporting_style import CSS
 
 if TYPE_CHECKING:
     from multiarm.trajectory import Trajectory
 
-SHOWN_EVENTS = 200
 TIMES = "\N{MULTIPLICATION SIGN}"
 _CAPTIONS = {
     "Object": "Centre of mass and orientation in world axes. The rotation vector is the axis of "
     "the turn since the start times its angle.",
     "Joint positions": "One panel per arm and unit; joints from base to tip.",
     "Joint torques": "What the controller applied. Passive effects are not included.",
-    "Contact forces": "Along the contact normals; positive pushes the object.",
+    "Contact forces": "Along the contact normals; positive pushes the object. Friction is along "
+    "the surface.",
+    "Contact states": "What each contact does. A change and its undoing between two samples are "
+    "seen by their events only.",
     "Energy": "Work is that of control and effects since the start. What does not add up is "
     "error of the integration.",
     "Drift": "How far the contacts are from closing. Zeros are drawn at the bottom.",
@@ -83,11 +86,11 @@ def render(trajectory: Trajectory) -> str:
     title = _scene_name(trajectory.scene_text)
     parts = [
         _header(title, summary),
-        _cards(summary),
-        certificate_section(trajectory.certificate),
+        _cards(trajectory, summary),
+        certificate_section(trajectory.certificate, trajectory.events),
         *_figures(trajectory),
         _table("How the run went", _statistics(trajectory, summary)),
-        _events(trajectory.events),
+        events_section(trajectory.events),
         _scene(trajectory.scene_text),
         _footer(trajectory.provenance),
     ]
@@ -108,7 +111,7 @@ def _header(title: str, summary: dict[str, Any]) -> str:
     )
 
 
-def _cards(summary: dict[str, Any]) -> str:
+def _cards(trajectory: Trajectory, summary: dict[str, Any]) -> str:
     forces = {arm: f for arm, f in summary["contact_force_max_N"].items() if f is not None}
     arm = max(forces, key=lambda name: forces[name], default=None)
     force = quantity(forces[arm] if arm else None, "N")
@@ -121,7 +124,7 @@ def _cards(summary: dict[str, Any]) -> str:
         ("Largest gap", quantity(summary["position_drift_max_m"], "m"),
          f"rate {quantity(summary['velocity_drift_max_m_per_s'], 'm/s')}"),
         ("Energy balance", quantity(summary["energy_balance_max_J"], "J"), "largest deviation"),
-        ("Largest contact force", force, f"arm {arm}" if arm else ""),
+        ("Largest contact force", force, _bearer(arm, trajectory)),
     ]  # fmt: skip
     items = "".join(
         f"<li><h2>{name}</h2><p class='value'>{value}</p><p class='note'>{escape(note)}</p></li>"
@@ -130,12 +133,30 @@ def _cards(summary: dict[str, Any]) -> str:
     return f"<ul class='cards'>{items}</ul>\n"
 
 
+def _bearer(name: str | None, trajectory: Trajectory) -> str:
+    return "" if name is None else f"arm {name}" if name in trajectory.arm_names else name
+
+
 def _figures(trajectory: Trajectory) -> Iterable[str]:
     for place, (title, figure) in enumerate(plots.figures(trajectory).items()):
         yield (
             f"<section><h2>{title}</h2><figure>{inline_svg(figure, f'f{place}-')}"
-            f"<figcaption>{_CAPTIONS[title]}</figcaption></figure></section>\n"
+            f"<figcaption>{_CAPTIONS[title]}</figcaption></figure>"
+            f"{_works(trajectory) if title == 'Energy' else ''}</section>\n"
         )
+
+
+def _works(trajectory: Trajectory) -> str:
+    """What each effect has done, and the rest: the control."""
+    works = plots.work_channels(trajectory.channels)
+    if not works or not len(trajectory):
+        return ""
+    end = len(trajectory) - 1
+    done = {name: float(trajectory.read(channel, end)[0]) for name, channel in works.items()}
+    total = float(trajectory.read("energy/work", end)[0])
+    done |= {"control": total - sum(done.values()), "all together": total}
+    rows = [(name, quantity(work, "J")) for name, work in done.items()]
+    return grid(("Work done by", "at the end"), rows)
 
 
 def _statistics(trajectory: Trajectory, summary: dict[str, Any]) -> dict[str, Any]:
@@ -155,21 +176,6 @@ def _table(title: str, rows: dict[str, Any]) -> str:
         for name, value in rows.items()
     )
     return f"<section><h2>{escape(title)}</h2><table>{body}</table></section>\n"
-
-
-def _events(events: list[dict[str, Any]]) -> str:
-    if not events:
-        return ""
-    items = "".join(f"<li>{escape(_event(event))}</li>" for event in events[:SHOWN_EVENTS])
-    more = len(events) - SHOWN_EVENTS
-    rest = f"<p>… and {more} more, in the trajectory's <code>events</code>.</p>" if more > 0 else ""
-    return f"<section><h2>Events</h2><ol class='events'>{items}</ol>{rest}</section>\n"
-
-
-def _event(event: dict[str, Any]) -> str:
-    if {"time", "text"} <= event.keys():
-        return f"{number(event['time'])} s: {event['text']}"
-    return ", ".join(f"{name}: {number(value)}" for name, value in event.items())
 
 
 def _scene(text: str) -> str:

@@ -7,7 +7,8 @@ from html import escape
 from typing import Any
 
 from multiarm import plots
-from multiarm.reporting_parts import NOTHING, inline_svg, number, quantity, words
+from multiarm.event_words import Event
+from multiarm.reporting_parts import NOTHING, grid, inline_svg, number, quantity, words
 
 KINDS = {
     "position_m": ("Position", "m"),
@@ -21,8 +22,8 @@ CHECKS = {
 }
 
 
-def certificate_section(certificate: Mapping[str, Any] | None) -> str:
-    """The section of a report; empty where nothing was checked."""
+def certificate_section(certificate: Mapping[str, Any] | None, events: Sequence[Event] = ()) -> str:
+    """The section of a report; its figure shows the run's events. Empty if nothing was checked."""
     if certificate is None:
         return ""
     if not {"met", "text", "asked", "estimated_error"} <= certificate.keys():
@@ -34,7 +35,7 @@ def certificate_section(certificate: Mapping[str, Any] | None) -> str:
         f"<div class='verdict {tone}'><p class='status'><span>{verdict}</span></p>"
         f"<p class='message'>{escape(text)}</p></div>",
         _asked_and_estimated(certificate),
-        _course(certificate),
+        _course(certificate, events),
         _outputs(certificate),
         _checks(certificate),
         _attempts(certificate),
@@ -46,7 +47,7 @@ def certificate_section(certificate: Mapping[str, Any] | None) -> str:
 def _foreign(certificate: Mapping[str, Any]) -> str:
     """What another program wrote as a certificate, as it is."""
     rows = [(words(str(key)), number(value)) for key, value in certificate.items()]
-    return f"<section><h2>Certificate</h2>{_grid(('', ''), rows)}</section>\n"
+    return f"<section><h2>Certificate</h2>{grid(('', ''), rows)}</section>\n"
 
 
 def _meaning(certificate: Mapping[str, Any]) -> str:
@@ -63,7 +64,7 @@ def _asked_and_estimated(certificate: Mapping[str, Any]) -> str:
         for kind, (name, unit) in KINDS.items()
         if asked[kind] is not None or found[kind] is not None
     ]
-    return _grid(("", "asked", "estimated error", ""), rows)
+    return grid(("", "asked", "estimated error", ""), rows)
 
 
 def _mark(asked: Mapping[str, Any], found: Mapping[str, Any], kind: str) -> str:
@@ -81,7 +82,7 @@ def _outputs(certificate: Mapping[str, Any]) -> str:
         note = f"forces left open by the equations at {number(left)} samples" if left else ""
         when = quantity(output.get("time"), "s") if output["error"] is not None else NOTHING
         rows.append((name, quantity(output["error"], output["unit"]), when, note))
-    return _grid(("By output", "estimated error", "worst at", ""), rows)
+    return grid(("By output", "estimated error", "worst at", ""), rows)
 
 
 def _checks(certificate: Mapping[str, Any]) -> str:
@@ -91,7 +92,7 @@ def _checks(certificate: Mapping[str, Any]) -> str:
         value, bound = (quantity(check[key], unit) if unit else number(check[key])
                         for key in ("value", "bound"))  # fmt: skip
         rows.append((CHECKS.get(name, name), value, bound, "yes" if check["passed"] else "no"))
-    return _grid(("The run on its own", "largest", "bound", "passed"), rows)
+    return grid(("The run on its own", "largest", "bound", "passed"), rows)
 
 
 def _attempts(certificate: Mapping[str, Any]) -> str:
@@ -111,13 +112,13 @@ def _attempts(certificate: Mapping[str, Any]) -> str:
             )
         )
     heads = ("Runs", "method", "tolerance of a step", "evaluations", "wall time", "estimated error")
-    return _grid(heads, rows)
+    return grid(heads, rows)
 
 
-def _course(certificate: Mapping[str, Any]) -> str:
+def _course(certificate: Mapping[str, Any], events: Sequence[Event]) -> str:
     if not certificate["over_time"]["time"]:
         return ""
-    svg = inline_svg(plots.accuracy_course(certificate), "accuracy-")
+    svg = inline_svg(plots.accuracy_course(certificate, events), "accuracy-")
     return (
         f"<figure>{svg}<figcaption>Estimated error over time, and what was asked (dashed)."
         f"{_growth(certificate)}</figcaption></figure>"
@@ -127,16 +128,3 @@ def _course(certificate: Mapping[str, Any]) -> str:
 def _growth(certificate: Mapping[str, Any]) -> str:
     rate = certificate["growth_rate_per_s"]
     return "" if rate is None else f" Errors grow about e<sup>{rate:.2g} t</sup>, t in s."
-
-
-def _grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    if not rows:
-        return ""
-    head = "".join(f"<th scope='col'>{escape(text)}</th>" for text in heads)
-    body = "".join(
-        f"<tr><th scope='row'>{escape(row[0])}</th>"
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
-        + "</tr>"
-        for row in rows
-    )
-    return f"<table class='grid'><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

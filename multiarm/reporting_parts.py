@@ -6,6 +6,8 @@ import io
 import json
 import re
 import warnings
+from collections.abc import Sequence
+from html import escape
 from typing import Any
 
 import matplotlib
@@ -45,6 +47,20 @@ def inline_svg(figure: Figure, prefix: str) -> str:
     text = re.sub(r'(<svg [^>]*?)width="[^"]*" height="[^"]*"', r"\1", text)
     text = re.sub(r"(font: [^;\"]*?)(?:'[^']*'|sans-serif)[^;\"]*", r"\1var(--font)", text)
     return text.replace(plots.INK, "var(--ink)").replace(plots.GRID, "var(--grid)")
+
+
+def grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table with a heading for each column; empty without rows. All texts are escaped."""
+    if not rows:
+        return ""
+    head = "".join(f"<th scope='col'>{escape(text)}</th>" for text in heads)
+    body = "".join(
+        f"<tr><th scope='row'>{escape(row[0])}</th>"
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+        + "</tr>"
+        for row in rows
+    )
+    return f"<table class='grid'><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def words(key: str) -> str:

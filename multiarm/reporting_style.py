@@ -71,7 +71,11 @@ td { text-align: right; font-variant-numeric: tabular-nums; overflow-wrap: anywh
 .certificate .note { margin: 1rem 0 0; font-size: 0.85rem; color: var(--soft); }
 .verdict { --tone: var(--good); }
 .verdict.interrupted { --tone: var(--warn); }
-.events { margin: 0; padding-left: 1.4rem; font-size: 0.92rem; }
+section > .note { margin: 0; font-size: 0.85rem; color: var(--soft); }
+.events td, .events .grid thead th { text-align: left; }
+.events th:first-child { white-space: nowrap; }
+.events tr { break-inside: avoid; }
+section:has(.events) { break-inside: auto; }
 summary { cursor: pointer; font-weight: 600; font-size: 1.05rem; }
 pre { margin: 1rem 0 0; font: 0.82rem/1.5 var(--mono); white-space: pre-wrap; }
 footer { margin-top: 2rem; color: var(--soft); font-size: 0.8rem; }

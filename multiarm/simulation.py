@@ -62,11 +62,12 @@ def simulate(
     output_step : float, optional
         Time between samples [s].
     max_step : float, optional
-        Longest step of an adaptive method [s].  With a Python controller it is the time between
-        samples when left out, so that no sudden change of its torques is stepped over.
+        Longest step of an adaptive method [s].  With a Python controller, or a function that gives
+        a wrench, it is the time between samples when left out, so that no sudden change of its
+        answers is stepped over.
     solver : {"node", "dense"}, optional
     state : State, optional
-        Where to begin; the scene's start when left out.
+        Where to begin; the scene's start when left out.  Drives that lag begin as at any start.
     control : callable, optional
         ``f(t, state) -> {arm: torques}`` in place of the scene's control.
     out : path-like, optional
@@ -78,7 +79,7 @@ def simulate(
     certificate : bool
         Check a run of some ``accuracy`` against a rerun with smaller tolerances, and repeat it if
         it is not accurate enough; ``trajectory.certificate`` tells the estimated errors. False:
-        one run, unchecked. The reruns call a Python controller again from t = 0 on: one that
+        one run, unchecked. The reruns call functions in Python again from t = 0 on: one that
         remembers earlier calls may act otherwise then, and should be run unchecked. Runs by
         ``step`` or ``tolerance`` are never checked.
 
@@ -106,7 +107,7 @@ def simulate(
     if control is not None:
         system = system.with_control(control)
     if max_step is None:
-        max_step = spec.output_step if "control" in system.calls else np.inf
+        max_step = spec.output_step if system.asked else np.inf
     task = Task(system, spec, state, max_step)
     attempts = Attempts(task, None if out is None else Path(out), progress)
     trajectory = attempts.first()

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from multiarm.arm import Arm, ArmGroup, Ground
+from multiarm.asking import Asked
 from multiarm.assembly import StartReport
 from multiarm.candidates.plan import Plan
 from multiarm.candidates.units import SURROUNDINGS
@@ -70,8 +71,8 @@ class System:
     surfaces : tuple of SmoothShape
         Surfaces of the user's.
     calls : dict of str to CallBack
-        What they call in Python: terms, dense, potential, surface, and control when that is in
-        Python.
+        What they call in Python: terms, dense, potential, surface, functions of effects, and
+        control when that is in Python.
     """
 
     scene: Scene
@@ -109,6 +110,11 @@ class System:
         return system_book(self.plant, self.buffers, self.work, self.coupled, self.pieces.arrays)
 
     @property
+    def asked(self) -> list[Asked]:
+        """The user's functions ``f(t, state)``: a controller, wrenches from outside."""
+        return [call for call in self.calls.values() if isinstance(call, Asked)]
+
+    @property
     def constraint_count(self) -> int:
         """Number of contacts of all joints together."""
         return self.layout.contacts
@@ -124,6 +130,11 @@ class System:
         """Name of a joint, given by its place in the stacked vectors."""
         i = int(np.searchsorted(self.layout.dofs, joint, side="right")) - 1
         return self.arms[self.arm_names[i]].joint_names[joint - self.layout.dofs[i]]
+
+    def joint_unit(self, joint: int) -> str:
+        """Unit of a joint's coordinate, ``"rad"`` or ``"m"``, given by its place."""
+        units = [unit for arm in self.arms.values() for unit in arm.joint_units.values()]
+        return units[joint]
 
     def initial_state(self) -> State:
         """The scene's start, on the constraints, as a fresh copy."""
@@ -167,7 +178,7 @@ class System:
         Arms that the function leaves out get no torque.  It may evaluate another system, compiled
         for it, but not this one: the two share their arrays.
         """
-        call = CallBack(control_call(control, self.layout, self.buffers), self.buffers.flag)
+        call = control_call(control, self.layout, self.buffers)
         calls = self.plant.calls.copy()
         calls[CALL_CONTROL] = call.address
         program = np.array([[PYTHON, 0]], dtype=np.int64)
@@ -233,7 +244,8 @@ class System:
         ModelError
             For a state of a system with other arms.
         ControlError
-            When called from within a controller of this system, or from ``progress`` of its run.
+            When called from within a controller of this system, or a function of a wrench, or from
+            ``progress`` of its run.
         """
         if not state.layout.same_joints(self.layout):
             raise ModelError(
@@ -243,8 +255,9 @@ class System:
         b = self.buffers
         if b.flag[BUSY]:
             raise ControlError(
-                "the controller (or `progress`) evaluates the very system that runs, whose arrays "
-                "are in use; compile a second one for it: `model = multiarm.compile_system(scene)`"
+                "the controller (or a wrench's function, or `progress`) evaluates the very system "
+                "that runs, whose arrays are in use; compile a second one for it: "
+                "`model = multiarm.compile_system(scene)`"
             )
         b.time[0] = t
         b.position[:] = state.position[:7]
@@ -252,6 +265,8 @@ class System:
         b.twist[:] = state.velocity[:6]
         b.v[:] = state.velocity[6:]
         b.torque[:] = 0.0  # another system's control may have left its torques here
+        b.time[1] = np.inf
+        b.inner[:] = b.inner_rate[:] = 0.0
         b.places[:] = self._places
         b.coordinates[:] = np.nan
         b.margins[:] = np.nan

@@ -116,7 +116,8 @@ class Settings(NamedTuple):
     apart : float
         Gap at which the run is given up as diverged [m].
     breakpoints : ndarray
-        Increasing times at which an adaptive method ends a step.
+        Increasing times at which something is not smooth.  An adaptive method ends a step there; a
+        step that ends there is evaluated just before, and the next one begins just after it.
     switch : bool
         Return when an explicit method turns out to be held up by stiffness.
     stop : float
@@ -246,7 +247,7 @@ def watch_start(book):
     """Note the joints' coordinates at the start of a run, and what is amiss there already."""
     plant, buffers, _ = open_book(book)
     follow_joints(plant, buffers)
-    watch_step(plant, buffers, 0.0, 0.0)
+    watch_step(book, 0.0, 0.0)
     note_solution(book)
     watch_solver(book)
 
@@ -256,6 +257,10 @@ def planned_step(method, clock, settings):
     """Length of the next step and the time at which it ends."""
     real, count = clock.real, clock.counts
     t = real[T]
+    breakpoints = settings.breakpoints
+    near = CLOSE_IN_TIME * (1.0 + settings.end)
+    while count[BREAK] < breakpoints.size and breakpoints[count[BREAK]] <= t + near:
+        count[BREAK] += 1
     if not settings.adaptive:
         past = math.floor((t - settings.begin) / settings.step + 1e-9)
         end = settings.begin + (past + 1) * settings.step
@@ -264,10 +269,6 @@ def planned_step(method, clock, settings):
             end = last
         return end - t, end
     stop = min(settings.end, settings.stop)
-    breakpoints = settings.breakpoints
-    near = CLOSE_IN_TIME * (1.0 + settings.end)
-    while count[BREAK] < breakpoints.size and breakpoints[count[BREAK]] <= t + near:
-        count[BREAK] += 1
     if count[BREAK] < breakpoints.size and breakpoints[count[BREAK]] < stop - near:
         stop = breakpoints[count[BREAK]]
     h = min(real[H], settings.longest_step)
@@ -276,6 +277,16 @@ def planned_step(method, clock, settings):
     if t + 2.0 * h > stop:
         h = 0.5 * (stop - t)  # two equal steps rather than a long and a tiny one
     return h, t + h
+
+
+@inner
+def breakpoint_at(clock, settings, end):
+    """The breakpoint at which a step ends; infinite when it ends at none."""
+    k = clock.counts[BREAK]
+    near = CLOSE_IN_TIME * (1.0 + settings.end)
+    if k < settings.breakpoints.size and abs(settings.breakpoints[k] - end) <= near:
+        return settings.breakpoints[k]
+    return math.inf
 
 
 @inner
@@ -368,7 +379,8 @@ def complete_step(book, method, step, clock, settings, h, end):
     alpha, beta = gains(settings, h)
     load(step.z_new, step.base, buffers)
     # the variational method keeps the joints closed itself
-    status = settle(book, clock, settings, method.kind == VARIATIONAL, end, alpha, beta)
+    closed = method.kind == VARIATIONAL
+    status = settle(book, clock, settings, closed, min(end, buffers.time[1]), alpha, beta)
     if status != OK:
         return status
     note_solution(book)
@@ -387,10 +399,15 @@ def complete_step(book, method, step, clock, settings, h, end):
         for i in range(buffers.places.shape[0]):
             copy(buffers.located[i], buffers.places[i])
     follow_joints(plant, buffers)
-    watch_step(plant, buffers, t, end)
+    watch_step(book, t, end)
     count_solution(book, buffers, clock)
     if settings.adaptive and method.kind == EXPLICIT:
         note_stiffness(method, step, clock, h, end)
+    if not math.isinf(buffers.time[1]):
+        after = max(end, breakpoint_at(clock, settings, end))
+        status = settle(book, clock, settings, True, after, alpha, beta)
+        if status != OK:
+            return status
     step.z_stage[:] = 0.0
     write_slope(step.z_stage, buffers, step.slope_next)
     due = sample_time(settings, count[SAMPLE]) if count[SAMPLE] < settings.samples else math.inf
@@ -437,6 +454,14 @@ def rounding_floor(book, clock):
         return 0.0
     margin = open_coupled(book).margin[1]
     return min(MOST_ROUNDED, ROUNDED / margin**3)
+
+
+@inner
+def before_breakpoint(book, clock, settings, end):
+    """See to it that a step that ends at a breakpoint does not see what comes after it."""
+    _, buffers, _ = open_book(book)
+    ahead = not math.isinf(breakpoint_at(clock, settings, end))
+    buffers.time[1] = end - CLOSE_IN_TIME * (1.0 + settings.end) if ahead else math.inf
 
 
 @inner
@@ -487,6 +512,7 @@ def advance(book, joints, arrays, method, clock, settings, block, budget):
         if not h > max(SMALLEST_STEP * real[T], 8.0 * np.finfo(np.float64).eps * 1e-3):
             return count[CAUSE]
         project_stages(book, clock, settings)
+        before_breakpoint(book, clock, settings, end)
         status, error = try_step(book, joints, method, step, clock, settings, h)
         if status == OK and error <= 1.0:
             status = complete_step(book, method, step, clock, settings, h, end)

@@ -176,6 +176,13 @@ class Trajectory:
         return self.channel("energy/work")
 
     @property
+    def effect_works(self) -> dict[str, np.ndarray]:
+        """Effect -> work that it did since the start, shape (K,) [J]; those that do work."""
+        names = (name.split("/") for name in self._store.channels)
+        effects = [parts[1] for parts in names if parts[0] == "effects" and parts[-1] == "work"]
+        return {effect: self.channel(f"effects/{effect}/work") for effect in effects}
+
+    @property
     def energy(self) -> np.ndarray:
         """Kinetic plus potential energy, shape (K,) [J]."""
         return self.kinetic_energy + self.potential_energy
@@ -259,7 +266,7 @@ class Trajectory:
         if self._scene is None:
             from multiarm.scene import parse_scene
 
-            self._scene = parse_scene(self.scene_text, folder=None)
+            self._scene = parse_scene(self.scene_text, folder=None, stored=True)
         return self._scene
 
     def summary(self) -> dict[str, Any]:

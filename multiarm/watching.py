@@ -1,8 +1,9 @@
-"""What to keep an eye on during a run: contacts that pull or leave their patch, joints at limits.
+"""What to watch during a run: contacts that pull or leave their patch, limits of joints and drives.
 
 The contacts of the model hold both ways and their surfaces go on for ever.  A contact that stands
 for a real one can only push, on a surface that ends somewhere, and a real hinge has its limits:
 where the model goes on and the real thing would not, an event of the result says so, with its time.
+So does one where a drive comes to its limit, which is part of the model.
 
 A *margin* is watched at the end of every step: it is negative as long as all is well.  The time at
 which it changed its sign is found by a straight line between the ends of the step.
@@ -11,6 +12,7 @@ which it changed its sign is found by a straight line between the ends of the st
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,17 +20,20 @@ import numpy as np
 from multiarm.contacts.frames import COMPONENTS
 from multiarm.contacts.kernel import AT, NORMAL
 from multiarm.contacts.records import SURFACE_BODY, SURFACE_ON_OBJECT, TIP_RADIUS, Contact, Patch
-from multiarm.lowlevel import inner, kernel
+from multiarm.lowlevel import floats1, inner, kernel
+from multiarm.plant import open_book
 
 if TYPE_CHECKING:
     from multiarm.state import Layout
     from multiarm.system import System
 
-# Columns of a watch: row of W; body that carries the patch (``ON_OBJECT``, else the arm), ``FORCE``
-# or ``LIMIT``; the patch's frame (rotation row by row, origin) in that body; its corners.  A limit
-# has the arm in place of the row, then the component of the joint's motion, and its bounds.
+# Columns of a watch: row of W; body that carries the patch (``ON_OBJECT``, else the arm), or
+# ``FORCE``, ``LIMIT``, ``DRIVE``; the patch's frame (rotation row by row, origin) in that body; its
+# corners.  A limit has the arm in place of the row, then the component of the joint's motion, and
+# its bounds.  A drive has the arm, then where its margin is: place of an array in the address book,
+# and the joint's number, which is the entry there.
 WATCH_ROW, WATCH_BODY, WATCH_POSE, WATCH_LOWER, WATCH_UPPER, WATCH_WIDTH = 0, 1, 2, 14, 17, 20
-ON_OBJECT, FORCE, LIMIT = -1, -2, -3
+ON_OBJECT, FORCE, LIMIT, DRIVE = -1, -2, -3, -4
 
 # A pull smaller than this fraction of the largest contact force [N], or of 1 N, is rounding.
 NO_PULL = 1e-6
@@ -44,11 +49,13 @@ def make_watches(
     contacts: dict[str, list[Contact]],
     limits: dict[str, dict[int, tuple[float, float]]],
     layout: Layout,
+    drives: Sequence[tuple[int, int]] = (),
 ) -> np.ndarray:
-    """One row for every force, patch and limit to watch, shape (w, 20).
+    """One row for every force, patch, limit and drive to watch, shape (w, 20).
 
     The contacts have the arms' geometry in the frame of the link that carries the tip; ``limits``
-    are by arm and component of the joint's relative motion.
+    are by arm and component of the joint's relative motion; ``drives`` are places of margins in the
+    system's address book and joints.
     """
     rows: list[np.ndarray] = []
     for i, (arm, own) in enumerate(contacts.items()):
@@ -58,6 +65,10 @@ def make_watches(
             watch = _watch(i, LIMIT)
             watch[[WATCH_POSE, WATCH_LOWER, WATCH_UPPER]] = component, lower, upper
             rows.append(watch)
+    for place, joint in drives:
+        watch = _watch(int(np.searchsorted(layout.dofs, joint, side="right")) - 1, DRIVE)
+        watch[[WATCH_POSE, WATCH_POSE + 1]] = place, joint
+        rows.append(watch)
     return np.array(rows).reshape(-1, WATCH_WIDTH)
 
 
@@ -133,11 +144,13 @@ _MEANINGS = {
     "pulls": "contacts that can only push were pulled, where real ones would come apart",
     "leaves its patch": "contact points left the patch of their surface",
     "passes its limit": "joints passed their limits, which are not enforced",
+    "saturates": "drives came to their torque limits",
 }
 _KINDS = {
     ON_OBJECT: ("leaves its patch", "is back on its patch"),
     FORCE: ("pulls", "pushes again"),
     LIMIT: ("passes its limit", "is back within its limit"),
+    DRIVE: ("saturates", "is no longer saturated"),
 }
 
 
@@ -148,16 +161,20 @@ def _named(event: np.ndarray, system: System) -> dict[str, Any]:
     row, what = int(watch[WATCH_ROW]), int(watch[WATCH_BODY])
     if what == LIMIT:
         arm, name = system.arm_names[row], f"joint, {COMPONENTS[int(watch[WATCH_POSE])]}"
+    elif what == DRIVE:
+        arm = system.arm_names[row]
+        joint = int(watch[WATCH_POSE + 1]) - system.layout.dofs[row]
+        name = system.arms[arm].joint_names[joint]
     else:
         arm, contact = system.owner(row)
         name = contact.name
     kind = _KINDS.get(what, _KINDS[ON_OBJECT])[0 if began else 1]
-    where = {ON_OBJECT: " (on the object)", FORCE: "", LIMIT: ""}.get(what, " (on the arm)")
+    where = " (on the object)" if what == ON_OBJECT else " (on the arm)" if what >= 0 else ""
     return {
         "time": float(time),
         "kind": kind,
         "arm": arm,
-        "joint" if what == LIMIT else "contact": name,
+        "joint" if what in (LIMIT, DRIVE) else "contact": name,
         "text": f"{arm}: {name} {kind}{where}",
     }
 
@@ -192,20 +209,22 @@ def margin_of(watch, plant, buffers):
 
 
 @inner
-def watch_step(plant, buffers, begin, end):
+def watch_step(book, begin, end):
     """Note the margins at the end of a step, and every one that changed its sign in it.
 
     ``buffers.margins`` holds those of the step's beginning (NaN at the start of a run);
     ``buffers.coordinates`` the joints' coordinates at its end.
     """
+    plant, buffers, _ = open_book(book)
     for k in range(plant.watches.shape[0]):
-        before = buffers.margins[k]
-        if int(plant.watches[k, WATCH_BODY]) == LIMIT:
-            watch = plant.watches[k]
+        before, watch = buffers.margins[k], plant.watches[k]
+        if int(watch[WATCH_BODY]) == DRIVE:
+            now = floats1(book, int(watch[WATCH_POSE]))[int(watch[WATCH_POSE + 1])]
+        elif int(watch[WATCH_BODY]) == LIMIT:
             x = buffers.coordinates[int(watch[WATCH_ROW]), int(watch[WATCH_POSE])]
             now = max(watch[WATCH_LOWER] - x, x - watch[WATCH_UPPER]) - NO_EXCESS
         else:
-            now = margin_of(plant.watches[k], plant, buffers)
+            now = margin_of(watch, plant, buffers)
         buffers.margins[k] = now
         began = before <= 0.0 < now or (before != before and now > 0.0)
         if not (began or now <= 0.0 < before):

@@ -25,10 +25,11 @@ PACKAGE = ROOT / "multiarm"
 # rooms of lower layers only, none of its own layer. "multiarm" is the public surface.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "interrupts", "lowlevel", "reporting_style", "state", "terms"),
-    ("spatial", "channels", "outcome", "decimation"),
+    ("spatial", "channels", "outcome", "decimation", "event_words"),
     ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage")
     + ("complementarity", "sample_store"),
     ("plant", "trajectory", "guide", "object_control", "candidates"),
+    ("asking",),
     ("control", "dense_call", "effects", "sinks"),
     ("equations",),
     ("stabilization", "samples", "watching", "solver_watch"),
@@ -40,8 +41,9 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("contact_checks", "grips", "hybrid"),
     ("deficiency",),
     ("dynamics", "compilation", "solver_log", "adoption"),
-    ("preparation", "inspection", "inverse", "certificate"),
-    ("controller_memory",),
+    ("mode_evaluation", "inspection", "inverse"),
+    ("evaluation",),
+    ("preparation", "certificate"),
     ("event_driving", "switching"),
     ("driving",),
     ("attempts",),
@@ -49,7 +51,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("problems",),
     ("checking", "plots", "viewer"),
     ("reporting_parts",),
-    ("reporting_certificate",),
+    ("reporting_certificate", "reporting_events"),
     ("reporting",),
     ("benchmarks",),
     ("multiarm",),
@@ -65,7 +67,7 @@ EXCEPTIONS = {
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
-    "coal": ("viewer.shapes",),
+    "coal": ("candidates.floor", "viewer.shapes"),
     "h5py": ("storage",),
     "llvmlite": ("lowlevel",),
     "matplotlib": (
@@ -73,6 +75,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "reporting_parts",
         "benchmarks.scaling_plots",
         "benchmarks.hard_case_plots",
+        "benchmarks.effect_costs.plots",
         "benchmarks.work_precision.plots",
     ),
     "meshcat": ("viewer",),
@@ -84,10 +87,12 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pydrake": ("benchmarks.drake_peer",),
     "rich": ("cli",),
     "scipy": (
+        "candidates.floor",
         "hybrid.locating",
         "node.dense",
         "assembly.closing",
         "contacts.internal_forces",
+        "effects.external_wrenches",
         "problems",
         "benchmarks.bursts",
         "benchmarks.solver_forms",
@@ -105,16 +110,18 @@ HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydant
 
 # What scripts written for this package rely on.
 PUBLIC_ATTRIBUTES = {
+    "Effect": "name Spec forces build",
     "Evaluation": "object_acceleration joint_accelerations contact_forces contact_forces_unique "
     "contact_points contact_normals position_residual velocity_residual residuals",
+    "Loads": "object_wrench joint_torques",
     "Scene": "name gravity object arms joints control effects run",
     "State": "position velocity object_position object_quaternion_xyzw object_twist "
     "joint_positions joint_velocities",
     "System": "scene arm_names arms initial_state state",
     "Trajectory": "time object_position object_quaternion_xyzw object_twist joint_positions "
-    "joint_velocities joint_torques contact_forces energy kinetic_energy potential_energy work "
-    "energy_balance position_drift velocity_drift status message certificate events statistics "
-    "provenance scene save arm_names",
+    "joint_velocities joint_torques contact_forces contact_states energy kinetic_energy "
+    "potential_energy work energy_balance position_drift velocity_drift status message "
+    "certificate events statistics provenance scene save arm_names",
 }
 PUBLIC_PARAMETERS = {
     "compile_system": "scene",
@@ -122,6 +129,7 @@ PUBLIC_PARAMETERS = {
     "inverse_dynamics": "system state object_acceleration relative_acceleration internal_forces",
     "load_scene": "path",
     "load_trajectory": "path",
+    "register_effect": "effect",
     "replay": "trajectory path open_browser fps speed",
     "report": "trajectory path",
     "simulate": "system duration state control accuracy integrator step stabilization "

@@ -147,6 +147,16 @@ def test_what_accuracy_costs_meets_what_it_asks_for(printed):
     assert max(abs(first), abs(last)) < 1e-3  # it neither grows nor falls
 
 
+def test_a_magnet_in_python_and_a_compiled_one_move_the_object_alike(printed, monkeypatch):
+    monkeypatch.setattr(sys, "path", list(sys.path))  # the example adds its package's folder
+    monkeypatch.setattr("multiarm.scene.own_effects._REGISTERED", {})
+    text = printed("07_own_effect.py")
+    moved = figures("completed, moves the object by# mm, does# mJ of work, .* balanced to# J", text)
+    assert moved[0][:2] == moved[1][:2] and moved[0][0] > 1.0
+    assert max(imbalance for *_, imbalance in moved) < 1e-5
+    assert "$.effects.magnet.strenght: unknown key 'strenght'; did you mean 'strength'?" in text
+
+
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"
@@ -173,3 +183,12 @@ def test_readme_names_all_kinds_of_joints_and_control_and_all_integrators():
     names = [*kinds, *ADAPTIVE_INTEGRATORS, *FIXED_STEP_INTEGRATORS]
     assert len(names) > 15
     assert [name for name in names if f"`{name}`" not in README] == []
+
+
+def test_grip_by_friction_lifts_the_box_or_lets_it_slip(printed):
+    text = printed("08_grip_by_friction.py")
+    found = figures(r"mu = #: completed, lifted by# mm", text)
+    assert [mu for mu, _ in found] == [0.6, 0.2]
+    assert found[0][1] > 90.0 and found[1][1] < 30.0
+    assert "lets go" in text and "slides" in text
+    assert max(figures("energy balance# J", text))[0] < 1e-5

@@ -140,7 +140,7 @@ def test_samples_do_not_change_when_the_caller_reuses_its_arrays():
 def test_scene_is_parsed_once_from_the_stored_text(monkeypatch):
     calls = []
     scene_module = types.ModuleType("multiarm.scene")
-    scene_module.parse_scene = lambda text, folder: calls.append((text, folder)) or object()
+    scene_module.parse_scene = lambda text, folder, stored: calls.append((text, folder)) or object()
     monkeypatch.setitem(sys.modules, "multiarm.scene", scene_module)
     run = record(MemorySink())
     assert calls == []

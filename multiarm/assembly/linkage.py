@@ -45,7 +45,7 @@ def scene_size(system: System) -> float:
     levers = np.linalg.norm(buffers.contacts[:, :3] - buffers.position[:3], axis=1)
     gyration = np.sqrt(np.trace(plant.object_inertia) / plant.object_mass[0])
     bases = np.array([arm.files.base[:3, 3] for arm in system.arms.values()])
-    reach = np.linalg.norm(buffers.arms[:, 9:12] - bases, axis=1)
+    reach = np.linalg.norm(buffers.arms[: len(bases), 9:12] - bases, axis=1)
     return float(max(np.max(levers, initial=0.0), gyration, np.max(reach)))
 
 

@@ -93,8 +93,10 @@ def moving_state(system: System, seed: int) -> State:
 
 def slope_burst(system: System) -> Burst:
     """Evaluations as the time loop performs them, at the state in the buffers."""
-    step, book = make_step(RK4, system.layout.joints), system.book()
+    joints, pieces, book = system.layout.joints, system.pieces, system.book()
+    step = make_step(RK4, joints, pieces.states, 1 + len(pieces.works))
     store(system.buffers, step.base, step.z)
+    step.z[12 + 2 * joints :][: pieces.states] = pieces.start(system)
 
     def burst(count: int) -> None:
         if _evaluate_often(book, step.z, step.base, step.slope, count) != OK:

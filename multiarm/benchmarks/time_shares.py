@@ -20,13 +20,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from multiarm.benchmarks.bursts import calls_a_burst, fastest, measure, one_thread
+from multiarm.benchmarks.clocked_run import clocked_run
 from multiarm.benchmarks.evaluation_costs import moving_state, slope_burst
 from multiarm.benchmarks.part_loops import part_bursts
 from multiarm.compilation import compile_system
 from multiarm.errors import SolverError
 from multiarm.problems import ring_of_arms
 from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
-from multiarm.simulation import simulate
 from multiarm.system import System
 from multiarm.trajectory import Trajectory
 
@@ -183,24 +183,12 @@ def _measure(count: int, rounds: int) -> dict[str, Any]:
 
 
 def _run(system: System, integrator: str) -> tuple[Trajectory, float]:
-    """A run, and its wall time [s] without that for which the processor did something else."""
-    clocks: list[tuple[float, float]] = []
-
-    def look(_: float) -> None:  # called before the first step and after the last
-        clocks.append((time.perf_counter(), time.thread_time()))
-
+    """A run, and the time that the processor spent on it [s]."""
     if integrator in FIXED_STEP_INTEGRATORS:
-        run = simulate(
-            system, FIXED_STEPS * STEP, integrator=integrator, step=STEP, progress=look,
-            certificate=False,
-        )  # fmt: skip
+        options = {"duration": FIXED_STEPS * STEP, "step": STEP}
     else:
-        run = simulate(
-            system, DURATION, integrator=integrator, tolerance=TOLERANCE, progress=look,
-            certificate=False,
-        )  # fmt: skip
+        options = {"duration": DURATION, "tolerance": TOLERANCE}
+    run, seconds = clocked_run(system, integrator=integrator, **options)
     if run.status != "completed":
         raise SolverError(f"the run of {integrator} for the benchmark {run.status}: {run.message}")
-    (begin, begin_busy), (end, end_busy) = clocks[0], clocks[-1]
-    waited = max(0.0, (end - begin) - (end_busy - begin_busy))
-    return run, run.statistics["wall_time_s"] - waited
+    return run, seconds

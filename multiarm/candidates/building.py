@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
+from multiarm.candidates.floor import floor_contacts
 from multiarm.candidates.units import Candidates, JointLaw, Law, candidates
-from multiarm.contacts.records import Contact, Patch, plane, sphere
-from multiarm.errors import ModelError
+from multiarm.contacts.records import Contact
+from multiarm.errors import SceneError
 from multiarm.scene import Scene
-
-COME_AND_GO = ("unilateral_contacts", "contact_friction", "joint_limits", "floor")
-"""Effects by which contacts and joints come and go; they have no force of their own."""
+from multiarm.scene.contact_effects import SomeContacts
+from multiarm.scene.words import place, unknown
 
 
 def scene_candidates(
@@ -33,6 +32,11 @@ def scene_candidates(
         Of the robots, in chain order [rad, m].
     dry : mapping arm -> (n,), optional
         Dry friction of the joints [N m, N].
+
+    Raises
+    ------
+    SceneError
+        Naming contacts that do not exist, or that cannot do what the effect is about.
     """
     laws = _contact_laws(scene, contacts)
     joints = _joint_laws(scene, limits, dry)
@@ -43,24 +47,82 @@ def scene_candidates(
 
 
 def _contact_laws(scene: Scene, contacts: Mapping[str, list[Contact]]) -> dict[str, dict[int, Law]]:
-    apart, rough = scene.effects.unilateral_contacts, scene.effects.contact_friction
+    effects = scene.effects
+    faults: list[str] = []
+    apart, rough = effects.unilateral_contacts, effects.contact_friction
+    soft = effects.contact_compliance
+    for name, spec, pushing in (
+        ("unilateral_contacts", apart, True),
+        ("contact_friction", rough, True),
+        ("contact_compliance", soft, False),
+    ):
+        if spec is not None:
+            faults += _name_faults(name, spec, contacts, pushing)
     laws: dict[str, dict[int, Law]] = {arm: {} for arm in contacts}
     for arm, own in contacts.items():
         for k, contact in enumerate(own):
-            if not contact.pushes_only:
-                continue
             law = None
-            if apart is not None and _meant(apart.contacts, arm, contact):
+            if apart is not None and contact.pushes_only and _meant(apart, arm, contact):
                 law = Law(restitution=apart.restitution)
-            if rough is not None and _meant(rough.contacts, arm, contact):
+            if rough is not None and contact.pushes_only and _meant(rough, arm, contact):
                 law = replace(law or Law(), mu=rough.mu)
-            if law is not None:
-                laws[arm][k] = law
+            if soft is not None and contact.tangent == 0 and _meant(soft, arm, contact):
+                if law is not None and law.mu is not None:
+                    faults.append(_soft_and_rough(arm, contact))
+                law = Law(stiffness=soft.stiffness, damping=soft.damping)
+            if law is None:
+                continue
+            laws[arm][k] = law
+            if k + 1 < len(own) and own[k + 1].tangent:
+                faults.append(_rolls(arm, contact))
+    if faults:
+        raise SceneError(list(dict.fromkeys(faults)))
     return laws
 
 
-def _meant(names: tuple[str, ...] | None, arm: str, contact: Contact) -> bool:
+def _meant(spec: SomeContacts, arm: str, contact: Contact) -> bool:
+    names = spec.contacts
     return names is None or arm in names or f"{arm}/{contact.name}" in names
+
+
+def _name_faults(
+    effect: str, spec: SomeContacts, contacts: Mapping[str, list[Contact]], pushing: bool
+) -> Iterator[str]:
+    """Names of ``contacts`` that no contact has which can only push, where that is asked."""
+    known = {
+        f"{arm}/{contact.name}": contact.pushes_only or not pushing
+        for arm, own in contacts.items()
+        for contact in own
+        if contact.tangent == 0
+    }
+    usable = [name for name, fits in known.items() if fits]
+    for k, name in enumerate(spec.contacts or ()):
+        where = place(("effects", effect, "contacts", k))
+        if name in contacts:
+            if not any(other.startswith(f"{name}/") for other in usable):
+                yield f"{where}: arm {name!r} has no contact that only pushes; name others"
+        elif name not in known:
+            yield f"{where}: {unknown('contact', name, usable)}"
+        elif not known[name]:
+            yield (
+                f"{where}: contact {name!r} also pulls, and cannot let go or slide; contacts that "
+                f"only push are {', '.join(map(repr, usable)) or '(none)'}"
+            )
+
+
+def _rolls(arm: str, contact: Contact) -> str:
+    return (
+        f"$.effects: contact '{arm}/{contact.name}' rolls ('rolling: true'): it cannot let go, "
+        f"slide or give way; leave it out of 'contacts' of the effect, or give it friction and "
+        f"no 'rolling'"
+    )
+
+
+def _soft_and_rough(arm: str, contact: Contact) -> str:
+    return (
+        f"$.effects.contact_compliance: contact '{arm}/{contact.name}' is one of contact_friction, "
+        f"which needs a rigid contact; name the contacts of each with 'contacts'"
+    )
 
 
 def _joint_laws(
@@ -84,36 +146,3 @@ def _joint_laws(
             if law != JointLaw(restitution=law.restitution):
                 own[number] = (name, law)
     return found
-
-
-def floor_contacts(scene: Scene) -> list[tuple[Contact, Law]]:
-    """Contacts of the object with the floor, and their law."""
-    spec = scene.effects.floor
-    assert spec is not None, "a scene with a floor"
-    pose, law = spec.at.matrix(), Law(spec.mu, spec.restitution)
-    ground = plane(pose[:3, 3], pose[:3, 2])
-    if spec.size is not None:
-        half = 0.5 * np.array([*spec.size, np.inf])
-        ground = replace(ground, patch=Patch(-half, half, pose))
-    return [
-        (Contact(name, ground, sphere(point, radius), pushes_only=True), law)
-        for name, point, radius in _touching_points(scene)
-    ]
-
-
-def _touching_points(scene: Scene) -> list[tuple[str, np.ndarray, float]]:
-    """Name, place in the object frame and radius of what can touch the floor."""
-    assert scene.effects.floor is not None
-    given, shape = scene.effects.floor.points, scene.object.shape
-    if given is not None:
-        return [(f"point {k + 1}", np.array(point), 0.0) for k, point in enumerate(given)]
-    if shape.sphere is not None:
-        return [("ball", np.zeros(3), float(shape.sphere))]
-    if shape.box is not None:
-        half = 0.5 * np.array(shape.box)
-        corners = [np.array(signs) * half for signs in product((-1.0, 1.0), repeat=3)]
-        return [(f"corner {k + 1}", corner, 0.0) for k, corner in enumerate(corners)]
-    raise ModelError(
-        "effects.floor: the corners of the object's shape are not known; name the points that can "
-        "touch the floor with 'points', in the object frame"
-    )

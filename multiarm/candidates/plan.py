@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from multiarm.candidates.springs import Springs, make_springs
 from multiarm.candidates.units import (
     CONTACT,
     SURROUNDINGS,
@@ -41,6 +42,8 @@ class Plan:
         Torques of dry friction in the joints that move now [N m, N]: a mode's, read by a kernel.
     shown : ndarray
         Forces of all rows and states of all contacts, as they are recorded.
+    springs : Springs or None
+        Contacts that give way.
     """
 
     units: tuple[Unit, ...]
@@ -49,6 +52,7 @@ class Plan:
     bare: tuple[int, ...]
     dry: np.ndarray
     shown: np.ndarray
+    springs: Springs | None = None
 
     @property
     def contacts(self) -> tuple[Unit, ...]:
@@ -81,4 +85,5 @@ def make_plan(
         bare=tuple(bare),
         dry=np.zeros(layout.joints),
         shown=np.zeros(layout.contacts + states),
+        springs=make_springs(found, layout),
     )

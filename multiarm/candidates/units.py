@@ -1,7 +1,7 @@
 """What comes and goes in a scene: its units, and the rows that they have.
 
-A *unit* is a contact that can let go (with its two tangents, if it has friction), a joint at the
-end of its range, or a joint with dry friction.
+A *unit* is a contact that can let go (with its two tangents, if it has friction; or a compliant
+one), a joint at the end of its range, or a joint with dry friction.
 """
 
 from __future__ import annotations
@@ -29,10 +29,14 @@ class Law:
         Coefficient of friction; None: it has no tangents.
     restitution : float
         Newton's, between 0 and 1.
+    stiffness, damping : float
+        Of a contact that gives way and is no constraint [N/m, N s/m]; stiffness 0: it is one.
     """
 
     mu: float | None = None
     restitution: float = 0.0
+    stiffness: float = 0.0
+    damping: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,8 @@ class Unit:
         Largest torque of dry friction [N m] or force [N].
     joint : int
         Of limits and dry joints: place in the stacked vectors; else -1.
+    soft : bool
+        The contact is a spring that only pushes, and its row is never held.
     """
 
     kind: str
@@ -64,6 +70,7 @@ class Unit:
     restitution: float = 0.0
     bound: float = 0.0
     joint: int = -1
+    soft: bool = False
 
 
 @dataclass(frozen=True)
@@ -165,7 +172,10 @@ def make_units(found: Candidates, layout: Layout) -> tuple[Unit, ...]:
     for i, (owner, kinds) in enumerate(found.laws.items()):
         for k, law in enumerate(kinds):
             row, record = layout.rows[i] + k, found.records[owner][k]
-            if isinstance(law, Law):
+            if isinstance(law, Law) and law.stiffness > 0.0:
+                if record.pushes_only:  # a spring that also pulls acts at all times
+                    units.append(Unit(CONTACT, owner, record.name, row, soft=True))
+            elif isinstance(law, Law):
                 tangents = () if law.mu is None else (row + 1, row + 2)
                 units.append(
                     Unit(CONTACT, owner, record.name, row, tangents, law.mu or 0.0, law.restitution)

@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from multiarm.dynamics import evaluate
 from multiarm.errors import MultiarmError
+from multiarm.evaluation import evaluate
 from multiarm.state import State
 from multiarm.system import System
 from multiarm.trajectory import Trajectory

@@ -10,16 +10,20 @@ from multiarm.scene import AccuracySpec
 GROWTH, EXHAUSTED, ATTEMPTS, CHECK = "growth", "rounding", "attempts", "check"
 FAILED_RERUN, INTERRUPTED, MEMORY = "failed rerun", "interrupted", "memory"
 
-MEMORY_WORDS = (
-    "the controller gives other torques when it is asked again for the same time and state, so "
-    "that a rerun would not be the same motion; simulate with `certificate=False`"
-)
 UNDETERMINED_WORDS = (
     "the equations determine none of the forces asked for; ask for position or rotation"
 )
 INTERRUPTED_WORDS = "the check of its accuracy was interrupted, so that there is no certificate"
 REMEDY = "ask for less accuracy, or simulate a shorter time"
 ROUNDING_WORDS = f"smaller tolerances do not help any more, what is left is rounding: {REMEDY}"
+
+
+def memory_words(function: str) -> str:
+    """What it means for a run that a function of the user's remembers."""
+    return (
+        f"{function} answers otherwise when it is asked again for the same time and state, so that "
+        f"a rerun would not be the same motion; simulate with `certificate=False`"
+    )
 
 
 def growth_words(rate: float) -> str:

@@ -1,5 +1,5 @@
 """The command line: ``multiarm run``, ``check``, ``joints``, ``replay``, ``report``, ``accuracy``,
-``scaling``, ``stability``.
+``effects``, ``scaling``, ``stability``.
 
 Each command is a function in a module of its own; whatever is heavy is imported when a command
 runs, so that ``--help`` answers at once.  Exit codes: 0 all went well; 1 a run failed or was
@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 import multiarm
 from multiarm.cli.accuracy import accuracy
 from multiarm.cli.check import check
+from multiarm.cli.effects import effects
 from multiarm.cli.joints import joints
 from multiarm.cli.run import run
 from multiarm.cli.scaling import scaling
@@ -81,5 +82,5 @@ def _program(
     """
 
 
-for _command in (run, check, joints, replay, report, accuracy, scaling, stability):
+for _command in (run, check, joints, replay, report, accuracy, effects, scaling, stability):
     app.command()(_command)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +23,15 @@ from multiarm.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from multiarm.inspection import ArmFacts, Carrying, Freedom, Inspection, JointFacts, RunFacts
+    from multiarm.inspection import (
+        ArmFacts,
+        Carrying,
+        EffectFacts,
+        Freedom,
+        Inspection,
+        JointFacts,
+        RunFacts,
+    )
 
 __all__ = ["check"]
 
@@ -35,25 +45,28 @@ def check(
         ),
     ] = None,
 ) -> None:
-    """Show what a scene compiles to: arms, joints, freedom, settings, and how good its start is.
+    """Show what a scene compiles to: arms, joints, effects, freedom, and how good its start is.
 
     All faults of a scene are told together, each with its place and the alternatives; the exit
     code is then 2.
 
-    The JSON has the keys scene, gravity, object, arms, joints, freedom, effects, control, run,
-    start, position_residual, velocity_residual, residuals, carrying, warnings; their meaning and
-    units are those of multiarm.inspection.Inspection. Numbers are finite, or null where there is
-    none.
+    The JSON has the keys scene, gravity, object, arms, joints, freedom, coming_and_going, effects,
+    control, run, start, position_residual, velocity_residual, residuals, carrying, warnings; their
+    meaning and units are those of multiarm.inspection.Inspection. Numbers are finite, or null where
+    there is none.
     """
     check_targets({"--json": json}, source=scene)
     from multiarm.scene import load_scene
 
     loaded = load_scene(scene)
     print_warnings(loaded.warnings)
+    from multiarm.benchmarks.effect_costs.evaluations import effects_of_evaluation
     from multiarm.checking import inspect_system
     from multiarm.compilation import compile_system
 
-    inspection = inspect_system(compile_system(loaded))
+    system = compile_system(loaded)
+    inspection = inspect_system(system)
+    inspection = replace(inspection, effects={**effects_of_evaluation(system)})
     if json is not None:
         write_json(json, inspection.as_dict())
     console = output()
@@ -70,7 +83,8 @@ def _tables(found: Inspection) -> list[RenderableType]:
             ("arm", "kind", "rows", "free motions", "contacts"),
             [_joint(joint) for joint in found.joints],
         ),
-        facts("Freedom", _freedom(found.freedom)),
+        _effects(found.effects),
+        facts("Freedom", _freedom(found.freedom, found.coming_and_going)),
         facts("Start", _start(found)),
         facts("Run", _run(found.run)),
     ]
@@ -82,7 +96,6 @@ def _general(found: Inspection) -> dict[str, RenderableType]:
         "gravity": "none" if found.gravity is None else vector(found.gravity, "m/s^2"),
         "object": f"{body.shape}, {number(body.mass, 'kg')}, at {vector(body.position, 'm')}",
         "inertia": _inertia(body.inertia),
-        "effects": ", ".join(found.effects) or "none",
         "control": found.control,
     }
 
@@ -133,7 +146,25 @@ def _posture(arm: ArmFacts) -> Text:
     return text.append("".join(f"; {words}" for words in arm.lost_motions))
 
 
-def _freedom(freedom: Freedom) -> dict[str, RenderableType]:
+def _effects(effects: Mapping[str, EffectFacts | None]) -> RenderableType:
+    """What each effect adds to an evaluation."""
+    title = "Effects, and what each adds to an evaluation"
+    if not effects:
+        return facts(title, {"none": "no effects: nothing is added"})
+    heads = ("effect", "\N{MICRO SIGN}s", "arrays", "states", "rows", "Python calls")
+    return columns(title, heads, [_effect(name, added) for name, added in effects.items()])
+
+
+def _effect(name: str, added: EffectFacts | None) -> tuple[RenderableType, ...]:
+    if added is None or added.microseconds is None:
+        return name, Text("" if added is None else added.trouble, "dim")
+    spread = f"{added.microseconds:.2f} \N{PLUS-MINUS SIGN} {added.uncertainty_microseconds:.2f}"
+    time = Text(f"{spread}, within noise" if added.within_noise else spread)
+    counts = (added.states, added.rows, added.callbacks)
+    return name, time, f"{added.bytes:,} bytes", *(str(count or "-") for count in counts)
+
+
+def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
     kept, dropped = freedom.smallest_kept, freedom.largest_dropped
     cut = f"smallest relative singular value {number(kept)}"
     if dropped is not None:
@@ -147,6 +178,8 @@ def _freedom(freedom: Freedom) -> dict[str, RenderableType]:
         count = freedom.constraints - freedom.rank
         text = f"{count} too many among: {', '.join(freedom.redundant_rows)}"
         rows["redundant"] = Text(text, "yellow")
+    if loose:
+        rows["come and go"] = "\n".join(loose)
     return rows
 
 

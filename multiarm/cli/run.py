@@ -194,12 +194,13 @@ def run(
     The JSON has the keys scene, status, message, samples, duration_s, steps, rejected_steps,
     evaluations, wall_time_s, realtime_factor, error_estimate, position_drift_max_m,
     velocity_drift_max_m_per_s, energy_balance_max_J, final_object_position,
-    final_object_quaternion_xyzw, contact_force_max_N (by arm), rank_lowest, rank_highest
-    (independent constraints), coupled_steps (steps in which some arm could not be eliminated),
-    integrator, stabilization, solver, accuracy, tolerance, certificate (null where nothing was
-    checked; else met, text, reason, asked, estimated_error, by_output, over_time, checks,
-    growth_rate_per_s, safety, attempts), events (time, kind, arm, text), compiled_kernels, and
-    files (result, replay, report). Numbers are finite, or null where there is none.
+    final_object_quaternion_xyzw, contact_force_max_N (by arm; floor, if there is one), rank_lowest,
+    rank_highest (independent constraints), coupled_steps (steps in which some arm could not be
+    eliminated), integrator, stabilization, solver, accuracy, tolerance, certificate (null where
+    nothing was checked; else met, text, reason, asked, estimated_error, by_output, over_time,
+    checks, growth_rate_per_s, safety, attempts), events (time, kind, text; arm, contact or joint,
+    where in m, before and after as they apply), compiled_kernels, and files (result, replay,
+    report). Numbers are finite, or null where there is none.
     """
     from multiarm.scene import load_scene
     from multiarm.storage import writable_target

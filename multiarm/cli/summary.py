@@ -9,11 +9,15 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.terminal import STATUS_STYLES, accuracy, facts, number, vector
+from multiarm.event_words import counts, who
 
 if TYPE_CHECKING:
     from multiarm.trajectory import Trajectory
 
 __all__ = ["run_figures", "summary_table"]
+
+# Kinds of events named in the summary.
+SHOWN_KINDS = 12
 
 
 def run_figures(
@@ -63,7 +67,23 @@ def summary_table(figures: dict[str, Any]) -> Table:
         rows["object at the end"] = vector(figures["final_object_position"], "m")
     for arm, force in figures["contact_force_max_N"].items():
         rows[f"largest contact force, {arm}"] = number(force, "N")
+    rows |= _events(figures["events"])
     return facts(figures["scene"], rows)
+
+
+def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:
+    """A line for each kind of event; the first of its kind is named with its time."""
+    kinds = counts(events)
+    if not kinds:
+        return {}
+    lines = []
+    for kind in kinds[:SHOWN_KINDS]:
+        times = f", {number(kind.count)} times, first" if kind.count > 1 else ""
+        whose = f" ({who(kind.first)})" if who(kind.first) else ""
+        lines.append(f"{kind.kind}{times} at {number(float(kind.first['time']), 's')}{whose}")
+    if len(kinds) > SHOWN_KINDS:
+        lines.append(f"and {len(kinds) - SHOWN_KINDS} more kinds")
+    return {"events": "\n".join(lines)}
 
 
 def _method(figures: dict[str, Any]) -> str:

@@ -335,8 +335,19 @@ def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
 def _stands_before(tangent: Contact, contacts: Sequence[Contact | JointRow], k: int) -> bool:
     """Whether the normal row of the tangent at place ``k`` is where its number says."""
     normal = contacts[k - tangent.tangent] if k >= tangent.tangent else None
-    return isinstance(normal, Contact) and (
-        normal.arm is tangent.arm and normal.object is tangent.object and not normal.tangent
+    return (
+        isinstance(normal, Contact)
+        and not normal.tangent
+        and (_same(normal.arm, tangent.arm) and _same(normal.object, tangent.object))
+    )
+
+
+def _same(a: Surface, b: Surface) -> bool:
+    """Whether two surfaces are one, written twice."""
+    return a is b or (
+        (a.kind, a.sizes, a.inside, a.function) == (b.kind, b.sizes, b.inside, b.function)
+        and np.array_equal(a.origin, b.origin)
+        and np.array_equal(a.axes, b.axes)
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
 from multiarm.lowlevel import book_at, entry, floats1, ints1
 from multiarm.plant import open_book
+from multiarm.scene import damping_of
 
 
 @entry
@@ -24,4 +25,5 @@ def add_joint_damping(address, size, at, _t):
 
 def build(spec, site: Site) -> list[Piece]:
     """The piece of a system with viscous friction."""
-    return [Piece("joint_damping", add_joint_damping, PASSIVE, (site.stacked(spec),))]
+    damping = site.stacked(spec, damping_of)
+    return [Piece("joint_damping", add_joint_damping, PASSIVE, (damping,))]

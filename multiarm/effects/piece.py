@@ -16,17 +16,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from multiarm.lowlevel import CallBack, address_of
+from multiarm.lowlevel import address_of
 from multiarm.plant import OWN_ARRAYS
-from multiarm.scene import gain_vector
+from multiarm.scene import joint_vector
+from multiarm.terms import J_AT
 
 if TYPE_CHECKING:
-    from multiarm.arm import Arm
-    from multiarm.scene import Scene
+    from multiarm.arm import Arm, ArmGroup
+    from multiarm.asking import Asked
+    from multiarm.plant import Buffers
+    from multiarm.scene import JointOutline, Scene
     from multiarm.state import Layout
     from multiarm.system import System
 
@@ -64,8 +67,12 @@ class Piece:
         the system's buffers.  Zero when left out.
     breakpoints : ndarray
         Times at which the effect is not smooth [s]; steps end there.
-    calls : dict of str to CallBack
-        Python functions that the kernel calls.
+    connect : callable, optional
+        ``connect(buffers) -> {name: Asked}``, called once the system's buffers exist: Python
+        functions that the kernel calls, whose addresses are then in the piece's arrays.
+    watched : tuple of (int, int)
+        Which of ``arrays``, and which joint's entry there, is a margin: while it is positive, the
+        joint's drive is saturated, and the result's events say from when to when.
     """
 
     name: str
@@ -76,7 +83,28 @@ class Piece:
     states: int = 0
     start: Callable[[System], np.ndarray] | None = None
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    calls: Mapping[str, CallBack] = field(default_factory=dict)
+    connect: Callable[[Buffers], Mapping[str, Asked]] | None = None
+    watched: tuple[tuple[int, int], ...] = ()
+
+
+class Link(NamedTuple):
+    """Where a link of an arm is, in Pinocchio's own arrays, and what it is carried by.
+
+    pose, jacobian : int
+        Addresses of the pose of the joint that carries it (12 numbers: rotation by columns, origin)
+        and of the arm's Jacobian (columns of 6, world axes, about the world's origin).
+    first, joints : int
+        The arm's first joint among all, and how many of them carry the link.
+    rotation, translation : (3, 3), (3,)
+        The link's frame in the frame of that joint.
+    """
+
+    pose: int
+    jacobian: int
+    first: int
+    joints: int
+    rotation: np.ndarray
+    translation: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -89,17 +117,67 @@ class Site:
     arms : dict of str to Arm
     layout : Layout
         Where each arm's joints and contacts are in stacked vectors.
+    outlines : dict of str to tuple of JointOutline
+        Each arm's joints as its URDF has them.
+    groups : list of ArmGroup
+        The Pinocchio models, which have the arms one after the other.
     """
 
     scene: Scene
     arms: dict[str, Arm]
     layout: Layout
+    outlines: dict[str, tuple[JointOutline, ...]]
+    groups: list[ArmGroup]
 
-    def stacked(self, values: Any) -> np.ndarray:
-        """One number for every joint of all arms, from a scene's number, list or table."""
+    def stacked(
+        self,
+        values: Any,
+        from_urdf: Callable[[JointOutline], float] | None = None,
+        default: float = 0.0,
+    ) -> np.ndarray:
+        """One number for every joint of all arms; see :func:`joint_numbers`."""
         return np.concatenate(
-            [gain_vector(values, name, arm.joint_names) for name, arm in self.arms.items()]
+            list(joint_numbers(values, self.outlines, from_urdf, default).values())
         )
+
+    def link(self, arm: str, name: str) -> Link:
+        """Where a link is; Pinocchio computes it at every evaluation in any case."""
+        joint, rotation, translation = self.arms[arm].link(name)
+        number = at = self.layout.names.index(arm)
+        for group in self.groups:
+            if at < len(group.pointers):
+                break
+            at -= len(group.pointers)
+        return Link(
+            pose=group.pose_address(at, joint),
+            jacobian=int(group.pointers[at, J_AT]),
+            first=self.layout.dofs[number],
+            joints=joint,
+            rotation=rotation,
+            translation=translation,
+        )
+
+
+def joint_numbers(
+    values: Any,
+    outlines: Mapping[str, Sequence[JointOutline]],
+    from_urdf: Callable[[JointOutline], float] | None = None,
+    default: float = 0.0,
+) -> dict[str, np.ndarray]:
+    """One number for every joint, by arm, from a scene's number, list or table.
+
+    ``from_urdf`` finds the number where ``urdf`` stands for it; joints that are not named have
+    the default.
+    """
+    found = {}
+    for name, joints in outlines.items():
+        own = values.get(name) if isinstance(values, Mapping) else values
+        if isinstance(own, str):
+            assert from_urdf is not None, "a text stands for the robot's own numbers"
+            found[name] = np.array([from_urdf(joint) for joint in joints])
+        else:
+            found[name] = joint_vector(own, [joint.name for joint in joints], default)
+    return found
 
 
 @dataclass(frozen=True)
@@ -140,13 +218,25 @@ class Pieces:
 
     @property
     def breakpoints(self) -> np.ndarray:
-        """Times at which one of them is not smooth."""
-        return np.concatenate([np.zeros(0), *(piece.breakpoints for piece in self.every)])
+        """Times at which one of them is not smooth, increasing."""
+        times = [np.zeros(0), *(piece.breakpoints for piece in self.every)]
+        return np.unique(np.concatenate(times))
 
     @property
-    def calls(self) -> dict[str, CallBack]:
-        """Python functions that they call."""
-        return {name: call for piece in self.every for name, call in piece.calls.items()}
+    def with_states(self) -> tuple[str, ...]:
+        """Names of those that have states of their own."""
+        return tuple(piece.name for piece in self.every if piece.states)
+
+    @property
+    def watched(self) -> list[tuple[int, int]]:
+        """Margins to watch: place of the array in the address book, joint."""
+        places = zip(self.every, self._places(), strict=True)
+        return [(at + 1 + k, joint) for piece, at in places for k, joint in piece.watched]
+
+    def connect(self, buffers: Buffers) -> dict[str, Asked]:
+        """Python functions that they call, once the system's buffers exist."""
+        made = (piece.connect(buffers) for piece in self.every if piece.connect is not None)
+        return {name: call for calls in made for name, call in calls.items()}
 
     @property
     def arrays(self) -> list[np.ndarray]:
@@ -159,14 +249,15 @@ class Pieces:
 
     def program(self) -> tuple[np.ndarray, np.ndarray]:
         """``Plant.effects`` and ``Plant.phases``."""
-        rows, at = [], OWN_ARRAYS
-        for piece in self.every:
-            if piece.kernel is not None:
-                rows.append([address_of(piece.kernel), at])
-            at += 1 + len(piece.arrays)
-        called = [piece.phase for piece in self.every if piece.kernel is not None]
-        last = [sum(p <= phase for p in called) for phase in (PASSIVE, ACTUATOR, APPLIED)]
+        called = [(p, at) for p, at in zip(self.every, self._places(), strict=True) if p.kernel]
+        rows = [[address_of(piece.kernel), at] for piece, at in called]
+        last = [sum(p.phase <= phase for p, _ in called) for phase in (PASSIVE, ACTUATOR, APPLIED)]
         return np.array(rows, dtype=np.int64).reshape(-1, 2), np.array(last, dtype=np.int64)
+
+    def _places(self) -> list[int]:
+        """Place of each piece's first array in the system's address book."""
+        sizes = [1 + len(piece.arrays) for piece in self.every]
+        return [OWN_ARRAYS + sum(sizes[:k]) for k in range(len(sizes))]
 
     def start(self, system: System) -> np.ndarray:
         """Their own states at the start of a run, once it has been evaluated there."""

@@ -23,7 +23,10 @@ SLIP_GUARD = 3  # speed of slide a along its direction [m/s]
 RATE_GUARD = 4  # speed of joint a times the parameter [rad/s, m/s]
 HOLD_GUARD = 5  # parameter, less the size of the force of held row a [N m, N]
 REST_GUARD = 6  # gap of row a of all rows, plus what counts as closed [m]
-PATCH_GUARD = 7  # how far inside its patch the contact of row a of all rows is [m]
+PATCH_GUARD = 7  # c times how far inside its patch the contact of row a of all rows is [m]
+LIFT_GUARD = 8  # what still counts as closed, less the gap of row a of all rows [m]
+ONSET_GUARD = 9  # what still counts as rest, less the speed along slide a [m/s]
+SPRING_GUARD = 10  # c times the length of the spring in row a beyond rest, see spring_length [m]
 # Columns of ModeArrays.guards and .levels.
 GUARD_KIND, A, B, C, UNIT, GUARD_WIDTH = range(6)
 PARAMETER, THRESHOLD, LEVEL_WIDTH = range(3)
@@ -39,6 +42,8 @@ class ModeArrays(NamedTuple):
     slides : int64 (s, 4), slide_mu : (s,), direction, turning : (s, 2), speed : (s,)
         Contacts that slide: their rows, coefficients, direction of slip at the end of the last step
         and at the state evaluated last, and the speed along it [m/s].
+    slow : (1,)
+        Slip slower than this has hardly a direction of its own [m/s].
     slots : int64 (1,)
         Place of the power of sliding friction in ``Buffers.power``.
     states : (u,)
@@ -59,6 +64,10 @@ class ModeArrays(NamedTuple):
         Of patch guards: frame of the patch (rotation row by row, origin) in its body, and corners.
     Wr : (m, 6)
         The object's rows of the reactions.
+    prestress : (m,), stressed : int64 (1,)
+        Forces from which those of the mode differ by the least norm, and whether there are any.
+    springs : int64 (s,), spring_force : (s,)
+        Compliant contacts: their rows among all, and their forces.
     """
 
     held: np.ndarray
@@ -67,6 +76,7 @@ class ModeArrays(NamedTuple):
     direction: np.ndarray
     turning: np.ndarray
     speed: np.ndarray
+    slow: np.ndarray
     slots: np.ndarray
     states: np.ndarray
     guards: np.ndarray
@@ -81,6 +91,10 @@ class ModeArrays(NamedTuple):
     span: np.ndarray
     patches: np.ndarray
     Wr: np.ndarray
+    prestress: np.ndarray
+    stressed: np.ndarray
+    springs: np.ndarray
+    spring_force: np.ndarray
 
 
 REACTIONS_AT = len(ModeArrays._fields)
@@ -101,20 +115,25 @@ def open_mode(book):
         direction=floats2(book, 3),
         turning=floats2(book, 4),
         speed=floats1(book, 5),
-        slots=ints1(book, 6),
-        states=floats1(book, 7),
-        guards=ints2(book, 8),
-        levels=floats2(book, 9),
-        values=floats1(book, 10),
-        before=floats1(book, 11),
-        rates=floats1(book, 12),
-        least=floats1(book, 13),
-        armed=ints1(book, 14),
-        found=ints1(book, 15),
-        muted=ints1(book, 16),
-        span=floats1(book, 17),
-        patches=floats2(book, 18),
-        Wr=floats2(book, 19),
+        slow=floats1(book, 6),
+        slots=ints1(book, 7),
+        states=floats1(book, 8),
+        guards=ints2(book, 9),
+        levels=floats2(book, 10),
+        values=floats1(book, 11),
+        before=floats1(book, 12),
+        rates=floats1(book, 13),
+        least=floats1(book, 14),
+        armed=ints1(book, 15),
+        found=ints1(book, 16),
+        muted=ints1(book, 17),
+        span=floats1(book, 18),
+        patches=floats2(book, 19),
+        Wr=floats2(book, 20),
+        prestress=floats1(book, 21),
+        stressed=ints1(book, 22),
+        springs=ints1(book, 23),
+        spring_force=floats1(book, 24),
     )
 
 

@@ -9,9 +9,21 @@ that its columns of the reaction matrices are
 of object and arm alike, while its constraint stays along the normal (thesis, footnote to 4.9).  Its
 power is :math:`-\mu\lambda_n |s|`.
 
+*Redundant contacts.*  Forces that the motion leaves open are of least norm, which may pull or leave
+the cones of friction, where others that make the same motion do not.  Then the mode begins with
+forces :math:`\lambda_0` that obey the laws, and :math:`\lambda = \lambda_0 + \delta` with
+:math:`\delta` of least norm.
+
 Where slip comes to rest the direction of :math:`s` turns round.  Within a step the force must be
 smooth nevertheless, so that the step ends beyond that point as if nothing were there, and the time
-can be found: the direction taken is the one of :math:`\pm s` that is nearer to the last step's.
+can be found: the direction taken is the one of :math:`\pm s` that is nearer to the last step's,
+:math:`d_0`.  And where slip begins, velocities across it die out at the rate :math:`\mu a_n / |s|`,
+which no method could follow.  With :math:`s = a d_0 + p`, p across :math:`d_0`, and a speed
+:math:`s_0` that belongs to the accuracy of the run, the direction is therefore that of
+
+.. math:: \sqrt{a^2 + s_0^2}\; d_0 + \frac{a}{\sqrt{a^2 + s_0^2}}\; p ,
+
+which is :math:`\pm s` but for speeds near :math:`s_0`.  The force has its full size at any speed.
 """
 
 from __future__ import annotations
@@ -43,7 +55,9 @@ from multiarm.hybrid.arrays import (
     GUARD_KIND,
     HELD,
     HOLD_GUARD,
+    LIFT_GUARD,
     MODEL,
+    ONSET_GUARD,
     OWN,
     PARAMETER,
     PATCH_GUARD,
@@ -52,6 +66,7 @@ from multiarm.hybrid.arrays import (
     RATE_GUARD,
     REST_GUARD,
     SLIP_GUARD,
+    SPRING_GUARD,
     TANGENT_AT,
     TANGENT_OF_ALL,
     THRESHOLD,
@@ -66,6 +81,7 @@ from multiarm.lowlevel import (
     call_back,
     call_entry,
     entry,
+    inlined,
     inner,
     kernel,
 )
@@ -76,9 +92,6 @@ from multiarm.node.reaction_solution import solve_for_reactions
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
 from multiarm.plant import CALL_CLOSE, CALL_DENSE, open_book, open_coupled
 from multiarm.solver_watch import note_solution, watch_solver
-
-# Slip slower than this has no direction of its own [m/s].
-AT_REST = 1e-11
 
 
 @entry
@@ -108,10 +121,35 @@ def forces_by_model(address, size, alpha, beta):
 def solve_held(address, size, _a, _b):
     """Solve a mode in which nothing slides, and note how near its guards come to zero."""
     book = book_at(address, size)
-    plant, buffers, _ = open_book(book)
+    plant, buffers, work = open_book(book)
+    mode = open_mode(book_at(plant.links[OWN], plant.links[OWN + 1]))
+    if mode.stressed[0] != 0:
+        add_prestress(mode, buffers.Wo, work.Y, buffers, work)
     status = call_entry(plant.calls[CALL_CLOSE], book, 0.0, 0.0)
+    if mode.stressed[0] != 0:
+        add_forces(mode, buffers)
     note_least(plant, buffers)
     return status
+
+
+@inner
+def add_prestress(mode, on_object, on_arms, buffers, work):
+    """Add what the forces of ``mode.prestress`` do to the right-hand sides."""
+    for i in range(work.dofs.size - 1):
+        d0, first = work.dofs[i], work.rows[i]
+        for k in range(first, work.rows[i + 1]):
+            force = mode.prestress[k]
+            for l in range(6):  # noqa: E741
+                buffers.h_o[l] += on_object[k, l] * force
+            for j in range(work.dofs[i + 1] - d0):
+                buffers.h[d0 + j] += on_arms[i, j, k - first] * force
+
+
+@inner
+def add_forces(mode, buffers):
+    """Add the forces of ``mode.prestress`` to those that were solved for."""
+    for k in range(buffers.force.size):
+        buffers.force[k] += mode.prestress[k]
 
 
 @entry
@@ -122,6 +160,8 @@ def solve_sliding(address, size, _a, _b):
     own = book_at(plant.links[OWN], plant.links[OWN + 1])
     mode, reactions = open_mode(own), open_reactions(own)
     write_reactions(plant, buffers, work, mode, reactions)
+    if mode.stressed[0] != 0:
+        add_prestress(mode, mode.Wr, reactions.Yr, buffers, work)
     coupled = open_coupled(book)
     coupled.counts[ARMS] = 0
     if plant.dense[0] != 0:
@@ -142,6 +182,8 @@ def solve_sliding(address, size, _a, _b):
             coupled.counts[UNKNOWNS] = reactions.counts[REACTION_ROWS]
             coupled.counts[RANK] = reactions.counts[REACTION_RANK]
             coupled.margin[0] = math.inf
+    if mode.stressed[0] != 0:
+        add_forces(mode, buffers)
     power = 0.0
     for s in range(mode.slides.shape[0]):
         power -= mode.slide_mu[s] * buffers.force[mode.slides[s, HELD]] * mode.speed[s]
@@ -178,12 +220,13 @@ def write_reactions(plant, buffers, work, mode, reactions):
 @inner
 def write_direction(s, mode, first, second):
     """Direction of slip now, of the two that are possible the one nearer to the last step's."""
-    d0, d1 = mode.direction[s, 0], mode.direction[s, 1]
-    size = math.sqrt(first * first + second * second)
-    if size > AT_REST:
-        along = first * d0 + second * d1
-        sign = 1.0 if along >= 0.0 else -1.0
-        d0, d1 = sign * first / size, sign * second / size
+    d0, d1, slow = mode.direction[s, 0], mode.direction[s, 1], mode.slow[0]
+    along = first * d0 + second * d1
+    p0, p1 = first - along * d0, second - along * d1
+    root = math.sqrt(along * along + slow * slow)
+    e0, e1 = root * d0 + along / root * p0, root * d1 + along / root * p1
+    size = math.sqrt(e0 * e0 + e1 * e1)
+    d0, d1 = e0 / size, e1 / size
     mode.turning[s, 0], mode.turning[s, 1] = d0, d1
     mode.speed[s] = first * d0 + second * d1
 
@@ -201,6 +244,8 @@ def show_forces(address, size, _t, _b):
         drag = -mode.slide_mu[s] * buffers.force[mode.slides[s, HELD]]
         t = mode.slides[s, TANGENT_OF_ALL]
         shown[t], shown[t + 1] = drag * mode.turning[s, 0], drag * mode.turning[s, 1]
+    for k in range(mode.springs.size):
+        shown[mode.springs[k]] = mode.spring_force[k]
     first = shown.size - mode.states.size
     for k in range(mode.states.size):
         shown[first + k] = mode.states[k]
@@ -230,6 +275,13 @@ def is_about_forces(kind):
 
 
 @inner
+def is_about_a_gap(g, mode):
+    """Whether a guard is about an open contact."""
+    kind = mode.guards[g, GUARD_KIND]
+    return kind == GAP_GUARD or (kind == SPRING_GUARD and mode.guards[g, C] > 0)
+
+
+@inner
 def note_least(plant, buffers):
     """Note the least values of guards about forces in the stages of a step."""
     mode = open_mode(book_at(plant.links[OWN], plant.links[OWN + 1]))
@@ -250,6 +302,16 @@ def patch_guard(g, mode, plant, buffers, contact):
     return inside
 
 
+@inlined
+def spring_length(gap, rate, lag):
+    """Length beyond rest of a spring and damper that only push; they do where it is negative [m].
+
+    They push while they are pressed in and their force ``-k (gap + lag rate)`` is positive, with
+    ``lag`` the damping over the stiffness ``k`` [s].
+    """
+    return max(gap, gap + lag * rate)
+
+
 @inner
 def guard_value(g, mode, plant, buffers, everything):
     """Value of a guard at the state evaluated last; ``everything`` are the buffers of all rows."""
@@ -257,15 +319,24 @@ def guard_value(g, mode, plant, buffers, everything):
     if kind == GAP_GUARD:
         return everything.contacts[a, GAP]
     if kind == REST_GUARD:
-        return everything.contacts[a, GAP] + parameter
+        return parameter + everything.contacts[a, GAP]
+    if kind == LIFT_GUARD:
+        return parameter - everything.contacts[a, GAP]
     if kind == SLIP_GUARD:
         t = mode.slides[a, TANGENT_OF_ALL]
         first, second = everything.contacts[t, GAP_RATE], everything.contacts[t + 1, GAP_RATE]
         return first * mode.direction[a, 0] + second * mode.direction[a, 1]
+    if kind == ONSET_GUARD:
+        t = mode.slides[a, TANGENT_OF_ALL]
+        first, second = everything.contacts[t, GAP_RATE], everything.contacts[t + 1, GAP_RATE]
+        return parameter - math.sqrt(first * first + second * second)
     if kind == RATE_GUARD:
         return parameter * buffers.v[a]
+    if kind == SPRING_GUARD:
+        row = everything.contacts[a]
+        return mode.guards[g, C] * spring_length(row[GAP], row[GAP_RATE], parameter)
     if kind == PATCH_GUARD:
-        return patch_guard(g, mode, plant, buffers, everything.contacts[a])
+        return mode.guards[g, C] * patch_guard(g, mode, plant, buffers, everything.contacts[a])
     return force_guard(g, mode, buffers)
 
 
@@ -315,10 +386,11 @@ def judge_guard(g, mode, everything, h):
         return FIRED
     if is_about_forces(kind):
         return DIPPED if mode.least[g] < -least else QUIET
-    if kind == GAP_GUARD and mode.armed[g] != 0:
+    if is_about_a_gap(g, mode) and mode.armed[g] != 0:
         # a cubic through both ends and their rates has a minimum below zero
-        before, rate = mode.before[g], everything.contacts[mode.guards[g, A], GAP_RATE]
-        if mode.rates[g] < 0.0 < rate and dips(before, mode.rates[g], now, rate, h):
+        end = everything.contacts[mode.guards[g, A]]
+        before, gap, rate = mode.before[g], end[GAP], end[GAP_RATE]
+        if mode.rates[g] < 0.0 < rate and dips(before, mode.rates[g], gap, rate, h):
             return DIPPED
     return QUIET
 
@@ -345,7 +417,7 @@ def accept_guards(mode, everything):
     for g in range(mode.guards.shape[0]):
         mode.before[g] = mode.values[g]
         mode.least[g] = math.inf
-        if mode.guards[g, GUARD_KIND] == GAP_GUARD:
+        if is_about_a_gap(g, mode):
             mode.rates[g] = everything.contacts[mode.guards[g, A], GAP_RATE]
         if mode.values[g] > mode.levels[g, THRESHOLD]:
             mode.armed[g] = 1

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from multiarm.candidates.plan import Plan
 from multiarm.candidates.units import CONTACT, DRY_JOINT, Unit
-from multiarm.contacts.records import SURFACE_ON_ARM, Contact, Patch
 from multiarm.dense_call import dense_call
 from multiarm.hybrid.arrays import (
     ASIDE,
@@ -18,8 +18,10 @@ from multiarm.hybrid.arrays import (
     GUARD_WIDTH,
     HOLD_GUARD,
     LEVEL_WIDTH,
+    LIFT_GUARD,
     LINKS,
     MODEL,
+    ONSET_GUARD,
     OWN,
     PATCH_GUARD,
     PUSH_GUARD,
@@ -27,6 +29,7 @@ from multiarm.hybrid.arrays import (
     REST_GUARD,
     SLIDE_WIDTH,
     SLIP_GUARD,
+    SPRING_GUARD,
     ModeArrays,
     mode_book,
 )
@@ -37,6 +40,7 @@ from multiarm.hybrid.kernels import (
     solve_held,
     solve_sliding,
 )
+from multiarm.hybrid.patches import patch_of
 from multiarm.hybrid.selection import select
 from multiarm.lowlevel import CallBack, address_of
 from multiarm.node.reactions import ReactionWork, make_reaction_work
@@ -45,17 +49,26 @@ from multiarm.system import System
 
 # What a unit does, as it is recorded; a joint that moves against dry friction has its sign instead.
 OPEN, TOUCHING, SLIDING, STICKING, RESTING = range(5)
-FORWARD, BACKWARD = 5, 6
+# Not recorded as such: joints that move against dry friction; contacts whose friction is at its
+# bound although they do not slip, because others keep them from it.
+FORWARD, BACKWARD, AT_BOUND = 5, 6, 7
 STATE_NAMES = {
     OPEN: "open", TOUCHING: "touching", SLIDING: "sliding", STICKING: "sticking",
-    RESTING: "resting", FORWARD: "moving", BACKWARD: "moving",
+    RESTING: "resting", FORWARD: "moving", BACKWARD: "moving", AT_BOUND: "sticking",
 }  # fmt: skip
 
 # A guard that is at zero when a mode begins counts as positive above so much: gaps [m], speeds
 # [m/s, rad/s], and forces as a part of the largest one.
-GAP_THRESHOLD, SPEED_THRESHOLD, FORCE_THRESHOLD = 1e-10, 1e-8, 1e-9
-# Contacts that touch without force may sink in by so much before they are looked at again [m].
+GAP_THRESHOLD, SPEED_THRESHOLD, FORCE_THRESHOLD = 1e-10, 2e-8, 1e-9
+# A slip is at rest below this part of what is slow; a contact at the bound of friction that is
+# faster has begun to slip.
+STILL = 0.01
+# Contacts that touch without force may sink in or lift by so much before they are looked at [m].
 REST = 1e-9
+
+
+# Kind, (a, b, c), parameter and threshold of a guard.
+Guard = tuple[int, tuple[int, int, int], float, float]
 
 
 @dataclass(frozen=True)
@@ -68,17 +81,21 @@ class Choice:
         By unit, ``OPEN`` to ``BACKWARD``.
     rows : tuple of int
         Rows of units that are held, increasing.
+    beside, below : frozenset of int
+        Open units that are beside their patch, or below it, see :mod:`multiarm.hybrid.edges`.
     """
 
     states: tuple[int, ...]
     rows: tuple[int, ...]
+    beside: frozenset[int] = frozenset()
+    below: frozenset[int] = frozenset()
 
     def sliding(self, units: tuple[Unit, ...]) -> list[int]:
         """Numbers of the units that slide with their normal row held."""
         return [
             u
             for u, unit in enumerate(units)
-            if self.states[u] == SLIDING and unit.row in self.rows and unit.tangents
+            if self.states[u] in (SLIDING, AT_BOUND) and unit.row in self.rows and unit.tangents
         ]
 
 
@@ -99,6 +116,11 @@ class Mode:
     arrays: ModeArrays
     _kept: tuple[object, ...]  # arrays and systems that the kernels reach by their addresses
 
+    def set_prestress(self, forces: dict[int, float]) -> None:
+        """Let the forces of the mode be those nearest to these, given by their rows among all."""
+        self.arrays.prestress[:] = [forces.get(int(row), 0.0) for row in self.arrays.held]
+        self.arrays.stressed[0] = 1
+
     def set_directions(self, directions: dict[int, np.ndarray], units: tuple[Unit, ...]) -> None:
         """Set the directions of slip, by number of the unit."""
         for s, u in enumerate(self.choice.sliding(units)):
@@ -112,25 +134,37 @@ class Modes:
     ----------
     full : System
         With all rows.
+    slow : float
+        Slip slower than this has hardly a direction of its own [m/s].
     model, bare : System
         See :class:`multiarm.candidates.plan.Plan`; in ``bare`` every unit is open.
     """
 
-    def __init__(self, full: System):
+    def __init__(self, full: System, slow: float):
         assert full.plan is not None, "a system whose contacts come and go"
-        self.full, self.plan = full, full.plan
+        self.full, self.plan, self.slow = full, full.plan, slow
         self.model = select(full, self.plan.model)
         self._nothing = select(full, [])
         self._made: dict[Choice, Mode] = {}
         everything_open = tuple(
             FORWARD if unit.kind == DRY_JOINT else OPEN for unit in self.plan.units
         )
-        self.bare = self.mode(Choice(everything_open, ())).system
+        self._open = Choice(everything_open, ())
+        self.bare = self.mode(self._open).system
+
+    @property
+    def loose(self) -> System:
+        """The bodies without any contact."""
+        return self._loose.system
+
+    @cached_property
+    def _loose(self) -> Mode:  # kept whole: kernels reach its arrays by their addresses
+        return self._make(self._open, ())
 
     def mode(self, choice: Choice) -> Mode:
         """The mode of a choice, made when it is first asked for."""
         if choice not in self._made:
-            self._made[choice] = self._make(choice)
+            self._made[choice] = self._make(choice, self.plan.bare)
         return self._made[choice]
 
     def enter(self, choice: Choice, directions: dict[int, np.ndarray]) -> Mode:
@@ -138,14 +172,14 @@ class Modes:
         mode = self.mode(choice)
         mode.set_directions(directions, self.plan.units)
         arrays = mode.arrays
-        arrays.armed[:] = arrays.muted[:] = 0
+        arrays.armed[:] = arrays.muted[:] = arrays.stressed[:] = 0
         arrays.least[:] = np.inf
-        set_dry_friction(self.plan, choice)
+        set_unit_forces(self.plan, choice)
         return mode
 
-    def _make(self, choice: Choice) -> Mode:
+    def _make(self, choice: Choice, bare: tuple[int, ...]) -> Mode:
         full, units = self.full, self.plan.units
-        rows = np.array(sorted([*self.plan.bare, *choice.rows]), dtype=np.int64)
+        rows = np.array(sorted([*bare, *choice.rows]), dtype=np.int64)
         sliding = choice.sliding(units)
         held = select(full, rows)
         tangents = [t for u in sliding for t in units[u].tangents]
@@ -175,7 +209,7 @@ class Modes:
         )
 
     def _arrays(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> ModeArrays:
-        units, full = self.plan.units, self.full
+        units, full, springs = self.plan.units, self.full, self.plan.springs
         place = {int(row): k for k, row in enumerate(rows)}
         slides = np.zeros((len(sliding), SLIDE_WIDTH), dtype=np.int64)
         for s, u in enumerate(sliding):
@@ -183,17 +217,22 @@ class Modes:
             slides[s] = place[units[u].row], arm, 2 * s, units[u].tangents[0]
         guards, levels, patches = [], [], []
         for u, unit in enumerate(units):
-            for kind, abc, parameter, threshold in _guards(u, unit, choice, place, sliding):
+            patch = patch_of(full, unit)
+            found = _guards(u, unit, choice, place, sliding, self.slow)
+            if unit.soft:
+                found = [_spring_guard(self.plan, unit, choice.states[u])]
+            elif patch is not None:
+                found = _at_a_patch(u, unit, choice, found)
+            for kind, abc, parameter, threshold in found:
                 guards.append([kind, *abc, u])
                 levels.append([parameter, threshold])
-                patches.append(np.zeros(18))
-            patch = _patch(full, unit)
-            if patch is not None and unit.row in place:
-                guards.append([PATCH_GUARD, unit.row, -1, -1, u])
-                levels.append([0.0, GAP_THRESHOLD])
-                patches.append(patch)
+                patches.append(patch if kind == PATCH_GUARD else np.zeros(18))
         g = len(guards)
-        states = [choice.states[u] for u, unit in enumerate(units) if unit.kind == CONTACT]
+        states = [
+            STICKING if state == AT_BOUND else state
+            for state, unit in zip(choice.states, units, strict=True)
+            if unit.kind == CONTACT
+        ]
         return ModeArrays(
             held=rows,
             slides=slides,
@@ -201,6 +240,7 @@ class Modes:
             direction=np.zeros((len(sliding), 2)),
             turning=np.zeros((len(sliding), 2)),
             speed=np.zeros(len(sliding)),
+            slow=np.array([self.slow]),
             slots=np.array([_friction_slot(full)], dtype=np.int64),
             states=np.array(states, dtype=float),
             guards=np.array(guards, dtype=np.int64).reshape(-1, GUARD_WIDTH),
@@ -215,6 +255,10 @@ class Modes:
             span=np.zeros(2),
             patches=np.array(patches).reshape(-1, 18),
             Wr=np.zeros((len(rows), 6)),
+            prestress=np.zeros(len(rows)),
+            stressed=np.zeros(1, dtype=np.int64),
+            springs=np.zeros(0, dtype=np.int64) if springs is None else springs.rows,
+            spring_force=np.zeros(0) if springs is None else springs.force,
         )
 
 
@@ -224,10 +268,15 @@ def _friction_slot(full: System) -> int:
     return full.pieces.slot("contact_friction" if has_it else "impacts")
 
 
-def set_dry_friction(plan: Plan, choice: Choice) -> None:
-    """Torques of dry friction of the joints that move, zero of those that are held."""
+def set_unit_forces(plan: Plan, choice: Choice) -> None:
+    """Torques of dry friction of the joints that move, zero of those that are held; which springs
+    push.
+    """
     plan.dry[:] = 0.0
     for unit, state in zip(plan.units, choice.states, strict=True):
+        if unit.soft:
+            assert plan.springs is not None, "a compliant contact is a spring"
+            plan.springs.active[plan.springs.number(unit.row)] = state != OPEN
         if unit.kind == DRY_JOINT and state in (FORWARD, BACKWARD):
             plan.dry[unit.joint] = -unit.bound if state == FORWARD else unit.bound
 
@@ -242,38 +291,54 @@ def _reactions(held: System) -> ReactionWork:
 
 
 def _guards(
-    u: int, unit: Unit, choice: Choice, place: dict[int, int], sliding: list[int]
-) -> list[tuple[int, tuple[int, int, int], float, float]]:
+    u: int, unit: Unit, choice: Choice, place: dict[int, int], sliding: list[int], slow: float
+) -> list[Guard]:
     """Kind, (a, b, c), parameter and threshold of the guards of one unit."""
     state = choice.states[u]
     row = place.get(unit.row, -1)
     if unit.kind == DRY_JOINT:
         if state in (FORWARD, BACKWARD):
             sign = 1.0 if state == FORWARD else -1.0
-            return [(RATE_GUARD, (unit.joint, -1, -1), sign, SPEED_THRESHOLD)]
+            return [(RATE_GUARD, (unit.joint, -1, -1), sign, _still(slow))]
         limit = FORCE_THRESHOLD * unit.bound
         return [(HOLD_GUARD, (row, -1, -1), unit.bound, limit)] if row >= 0 else []
     if state == OPEN:
         return [(GAP_GUARD, (unit.row, -1, -1), 0.0, GAP_THRESHOLD)]
     if row < 0:
-        return [(REST_GUARD, (unit.row, -1, -1), REST, 0.0)]
+        place_of_all = (unit.row, -1, -1)
+        return [(REST_GUARD, place_of_all, REST, 0.0), (LIFT_GUARD, place_of_all, REST, 0.0)]
     guards = [(PUSH_GUARD, (row, -1, -1), 0.0, FORCE_THRESHOLD)]
     if state == STICKING:
         tangents = [place.get(t, -1) for t in unit.tangents]
         if max(tangents) >= 0:
             guards.append((CONE_GUARD, (row, tangents[0], tangents[1]), unit.mu, FORCE_THRESHOLD))
     if u in sliding:
-        guards.append((SLIP_GUARD, (sliding.index(u), -1, -1), 0.0, SPEED_THRESHOLD))
+        place_of_slide = (sliding.index(u), -1, -1)
+        if state == AT_BOUND:
+            guards.append((ONSET_GUARD, place_of_slide, _still(slow), 0.0))
+        else:
+            guards.append((SLIP_GUARD, place_of_slide, 0.0, _still(slow)))
     return guards
 
 
-def _patch(full: System, unit: Unit) -> np.ndarray | None:
-    """Frame and corners of the patch of the surroundings that a contact must stay on."""
-    record = full.records[unit.row]
-    if unit.arm in full.arms or not isinstance(record, Contact):
-        return None
-    patch: Patch | None = record.arm.patch
-    if patch is None or record.surface_body != SURFACE_ON_ARM:
-        return None
-    lower, upper = (np.clip(c, -1e300, 1e300) for c in (patch.lower, patch.upper))
-    return np.concatenate([patch.pose[:3, :3].ravel(), patch.pose[:3, 3], lower, upper])
+def _still(slow: float) -> float:
+    """Speed that a slip which has just come to rest may have left."""
+    return max(SPEED_THRESHOLD, STILL * slow)
+
+
+def _spring_guard(plan: Plan, unit: Unit, state: int) -> Guard:
+    """The guard of a compliant contact that only pushes."""
+    assert plan.springs is not None, "a compliant contact is a spring"
+    lag = float(plan.springs.lags[plan.springs.number(unit.row)])
+    return SPRING_GUARD, (unit.row, -1, 1 if state == OPEN else -1), lag, GAP_THRESHOLD
+
+
+def _at_a_patch(u: int, unit: Unit, choice: Choice, guards: list[Guard]) -> list[Guard]:
+    """The guards of a contact that is on its patch, over it, beside it or below it."""
+    sign = -1 if u in choice.beside else 1
+    edge = PATCH_GUARD, (unit.row, -1, sign), 0.0, GAP_THRESHOLD
+    if u in choice.beside:
+        return [edge]
+    if u in choice.below:  # a spring without damping: its length is the gap
+        return [edge, (SPRING_GUARD, (unit.row, -1, -1), 0.0, GAP_THRESHOLD)]
+    return [*guards, edge]

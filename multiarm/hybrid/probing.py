@@ -23,7 +23,7 @@ def probe(book, arrays, method, entry, t, h, theta):
     _, buffers, _ = open_book(book)
     interpolate(method, step, theta, step.z_stage)
     load(step.z_stage, step.base_old, buffers)
-    buffers.time[0] = t + theta * h
+    buffers.time[0] = min(t + theta * h, buffers.time[1])
     status = evaluate_buffers(book, 0.0, 0.0)
     if status != OK:
         return status

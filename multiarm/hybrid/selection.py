@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from multiarm.candidates.springs import Springs
 from multiarm.contacts.kernel import CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.records import (
     COUNT,
@@ -79,6 +80,30 @@ def select(full: System, chosen: Sequence[int] | np.ndarray) -> System:
     )
     take_places(full, selection, rows)
     return selection
+
+
+def held_model(system: System) -> System:
+    """The system with all contacts of its joints held, as if nothing came or went.
+
+    Friction of contacts, ends of joints' ranges and the surroundings are not in it; joints with dry
+    friction move freely.  A system in which nothing comes or goes is its own model.
+    """
+    if system.plan is None:
+        return system
+    gone = system.scene.effects.with_events
+    every = [replace(p, kernel=None) if p.name in gone else p for p in system.pieces.every]
+    effects, phases = replace(system.pieces, every=tuple(every)).program()
+    model = select(system, system.plan.model)
+    plant = model.plant._replace(effects=effects, phases=phases)
+    return replace(model, plant=plant, plan=None)
+
+
+def link_springs(full: System, springs: Springs) -> None:
+    """Give the springs of a system their rows, with which all its modes reckon."""
+    rows = select(full, springs.rows)
+    book = rows.book()
+    springs.kept[:] = rows, book
+    springs.links[:] = book.ctypes.data, book.size
 
 
 def take_places(full: System, selection: System, rows: np.ndarray) -> None:

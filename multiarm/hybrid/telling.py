@@ -4,9 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from multiarm.candidates.units import CONTACT, DRY_JOINT, LIMIT, Unit
-from multiarm.contacts.kernel import AT
+from multiarm.contacts.kernel import AT, NORMAL
+from multiarm.contacts.records import (
+    CURVED,
+    CYLINDER,
+    KIND,
+    PLANE,
+    SPHERE,
+    SURFACE_BODY,
+    SURFACE_ON_OBJECT,
+    TIP_RADIUS,
+    JointRow,
+)
 from multiarm.hybrid.modes import (
+    AT_BOUND,
     BACKWARD,
     FORWARD,
     OPEN,
@@ -17,6 +31,9 @@ from multiarm.hybrid.modes import (
     Modes,
 )
 from multiarm.hybrid.transition import Decision, Hit
+
+# Kinds of contact whose point is the centre of a tip with a radius.
+WITH_TIP = (PLANE, SPHERE, CYLINDER, CURVED)
 
 
 def decision_events(
@@ -51,6 +68,7 @@ def _kind(unit: Unit, was: int, now: int, hit: Hit | None, rested: bool) -> str:
         return "lets go" if now == OPEN else "touches"
     if hit is not None:
         return "touches"
+    was, now = (STICKING if state == AT_BOUND else state for state in (was, now))
     if was in (SLIDING, STICKING) and now in (SLIDING, STICKING) and was != now:
         return "slides" if now == SLIDING else "sticks"
     return ""
@@ -67,16 +85,33 @@ def _event(
         "contact" if unit.kind == CONTACT else "joint": what,
         "before": {"state": STATE_NAMES[was]},
         "after": {"state": STATE_NAMES[now]},
-        "text": f"{unit.arm}: {what} {_WORDS.get(kind, kind)}",
+        "text": f"{unit.arm}: {what} {_words(modes, unit, kind)}",
     }
     if unit.kind == CONTACT:
-        event["where"] = [float(x) for x in modes.full.buffers.contacts[unit.row, AT : AT + 3]]
+        event["where"] = _place(modes, unit).tolist()
     if hit is not None:
-        unit_of_rate = "m_s" if unit.kind == CONTACT else "1_s"
+        turns = unit.kind != CONTACT and modes.full.joint_unit(unit.joint) == "rad"
+        unit_of_rate = "rad_s" if turns else "m_s"
         event["before"][f"gap_rate_{unit_of_rate}"] = hit.before
         event["after"][f"gap_rate_{unit_of_rate}"] = hit.after
         event["after"]["impulse"] = hit.impulse
     return event
 
 
-_WORDS = {"joint slips": "slips", "joint sticks": "sticks"}
+def _words(modes: Modes, unit: Unit, kind: str) -> str:
+    """What happened, of a joint at its limit with the end at which it did."""
+    if unit.kind != LIMIT:
+        return kind.removeprefix("joint ")
+    record = modes.full.records[unit.row]
+    assert isinstance(record, JointRow), "a limit is a joint's"
+    end = "its lower limit" if record.side > 0.0 else "its upper limit"
+    return f"bounces off {end}" if kind == "bounces" else kind.replace("its limit", end)
+
+
+def _place(modes: Modes, unit: Unit) -> np.ndarray:
+    """Point of contact [m], world axes: the tip's centre, moved on to its surface."""
+    contact, plant = modes.full.buffers.contacts[unit.row], modes.full.plant
+    code = plant.codes[unit.row]
+    radius = plant.geometry[unit.row, TIP_RADIUS] if code[KIND] in WITH_TIP else 0.0
+    way = radius if code[SURFACE_BODY] == SURFACE_ON_OBJECT else -radius
+    return contact[AT : AT + 3] + way * contact[NORMAL : NORMAL + 3]

@@ -250,6 +250,8 @@ def write_slope(z, buffers, slope):
 def evaluate_slope(book, t, z, base, alpha, beta, slope):
     """Rate of ``z`` at time ``t`` of the system with this address book; returns a status.
 
+    Later times than ``buffers.time[1]`` count as that: a step that ends where something jumps does
+    not see what comes after.
     With ``buffers.stage_gap`` not negative it is the rate at the projection of ``z``: the same on
     the constraints, and smooth where they lose rank, since ``z`` beside them would be driven away.
     """
@@ -261,7 +263,7 @@ def evaluate_slope(book, t, z, base, alpha, beta, slope):
         status = project(book, buffers.stage_gap[0])
         if status != OK:
             return status
-    buffers.time[0] = t
+    buffers.time[0] = min(t, buffers.time[1])
     status = evaluate_on_branch(book, buffers.stage_gap[0], alpha, beta)
     if status == OK:
         write_slope(z, buffers, slope)

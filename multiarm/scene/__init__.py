@@ -30,6 +30,13 @@ from multiarm.scene.geometry import (
     SurfaceGeometry,
     TorusGeometry,
 )
+from multiarm.scene.joint_effects import (
+    ActuatorLag,
+    JointFriction,
+    damping_of,
+    effort_limit_of,
+    friction_of,
+)
 from multiarm.scene.joints import (
     BallJoint,
     ContactsJoint,
@@ -48,6 +55,12 @@ from multiarm.scene.joints import (
     WrenchesJoint,
 )
 from multiarm.scene.loader import dump_scene, load_scene, parse_scene
+from multiarm.scene.loads import (
+    Drag,
+    ExternalWrench,
+    Pulse,
+    Sinusoid,
+)
 from multiarm.scene.object_control import ObjectGain
 from multiarm.scene.object_spec import Cylinder, Mesh, ObjectSpec, Shape
 from multiarm.scene.resolve import ResolvedArm, resolve_arm
@@ -61,9 +74,11 @@ from multiarm.scene.robots import (
 from multiarm.scene.schema import Scene
 from multiarm.scene.urdf import JointOutline, UrdfOutline, read_urdf
 from multiarm.scene.values import gain_vector, joint_vector
+from multiarm.scene.wrench_table import WrenchTable, read_wrench_table
 
 __all__ = [
     "AccuracySpec",
+    "ActuatorLag",
     "ArmSpec",
     "BallJoint",
     "ComputedTorqueControl",
@@ -76,12 +91,15 @@ __all__ = [
     "Cylinder",
     "CylinderGeometry",
     "CylindricalJoint",
+    "Drag",
     "EffectsSpec",
     "EllipsoidGeometry",
+    "ExternalWrench",
     "Geometry",
     "GravityCompensationControl",
     "HarmonicControl",
     "JointBase",
+    "JointFriction",
     "JointOutline",
     "JointPDControl",
     "JointSpec",
@@ -98,12 +116,14 @@ __all__ = [
     "PointOnSphereJoint",
     "Pose",
     "PrismaticJoint",
+    "Pulse",
     "ResolvedArm",
     "RevoluteJoint",
     "RobotEntry",
     "RunSpec",
     "Scene",
     "Shape",
+    "Sinusoid",
     "SphereGeometry",
     "StabilizationSpec",
     "SurfaceGeometry",
@@ -113,16 +133,21 @@ __all__ = [
     "UrdfOutline",
     "Waypoint",
     "WeldJoint",
+    "WrenchTable",
     "WrenchesJoint",
     "available_robots",
+    "damping_of",
     "dump_scene",
+    "effort_limit_of",
     "find_robot",
+    "friction_of",
     "function_text",
     "gain_vector",
     "joint_vector",
     "load_scene",
     "parse_scene",
     "read_urdf",
+    "read_wrench_table",
     "resolve_arm",
     "resolve_mesh",
     "resolve_package_dirs",

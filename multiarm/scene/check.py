@@ -7,7 +7,7 @@ The check works on whatever parts are sound by themselves, so that a scene with 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,14 +22,18 @@ from multiarm.scene.control import (
     HarmonicControl,
     JointPDControl,
     ObjectImpedanceControl,
+    RunSpec,
 )
 from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.object_spec import ObjectSpec
+from multiarm.scene.per_joint import KnownArm, gain_faults
 from multiarm.scene.resolve import examine_arm
-from multiarm.scene.values import joint_value_faults
-from multiarm.scene.words import place, unknown
+from multiarm.scene.words import listed, place, unknown
 
-__all__ = ["Findings", "SceneParts", "check"]
+__all__ = ["Findings", "SceneParts", "check", "method_fault"]
+
+PUSHING = {"contacts", "corner_gripper", "point_on_cylinder", "point_on_plane", "point_on_sphere"}
+"""Kinds of joints with contacts that only push."""
 
 
 @dataclass
@@ -54,7 +58,9 @@ class SceneParts:
         Position in the list and arm of every joint that names one.
     joints_readable : bool
         Whether every joint names an arm, so that unconnected arms can be told.
-    object, control, effects
+    joint_kinds : tuple
+        Kind of every joint, None where it has none.
+    object, control, effects, run
         None where unsound.
     """
 
@@ -62,9 +68,11 @@ class SceneParts:
     arms: dict[str, ArmSpec]
     joint_arms: list[tuple[int, Any]]
     joints_readable: bool
+    joint_kinds: tuple[Any, ...]
     object: ObjectSpec | None
     control: Any
     effects: EffectsSpec | None
+    run: RunSpec | None
 
     @classmethod
     def of(cls, data: Mapping[str, Any], folder: Path) -> SceneParts:
@@ -77,17 +85,20 @@ class SceneParts:
                 sound[str(name)] = spec.located(folder)
         joints = data.get("joints")
         listing = list(joints) if isinstance(joints, (list, tuple)) else []
-        named = [(i, _arm_of(joint)) for i, joint in enumerate(listing)]
+        named = [(i, _entry(joint, "arm")) for i, joint in enumerate(listing)]
         thing = _sound(ObjectSpec, data.get("object"))
+        effects = _sound(EffectsSpec, data.get("effects", {}))
         return cls(
             arm_names=[str(name) for name in arms] if isinstance(arms, Mapping) else None,
             arms=sound,
             joint_arms=[(i, arm) for i, arm in named if arm is not None],
             joints_readable=isinstance(joints, (list, tuple))
             and all(arm is not None for _, arm in named),
+            joint_kinds=tuple(_entry(joint, "kind") for joint in listing),
             object=None if thing is None else thing.located(folder),
             control=_sound(ControlSpec, data.get("control")),
-            effects=_sound(EffectsSpec, data.get("effects", {})),
+            effects=None if effects is None else effects.located(folder),
+            run=_sound(RunSpec, data.get("run")),
         )
 
 
@@ -96,12 +107,12 @@ def check(parts: SceneParts) -> Findings:
     findings = Findings()
     if parts.arm_names is not None:
         _check_connections(parts, findings)
-    joint_names = _check_arms(parts, findings)
+    known = _check_arms(parts, findings)
     _check_object(parts.object, findings)
-    _check_control(parts, joint_names, findings)
-    if parts.effects is not None:
-        damping = parts.effects.joint_damping
-        _check_gain(damping, ("effects", "joint_damping"), parts, joint_names, findings)
+    if parts.arm_names is not None:
+        arms = {name: known.get(name, KnownArm(None, None)) for name in parts.arm_names}
+        _check_control(parts, arms, findings)
+        _check_effects(parts, arms, findings)
     return findings
 
 
@@ -129,17 +140,17 @@ def _check_connections(parts: SceneParts, findings: Findings) -> None:
             )
 
 
-def _check_arms(parts: SceneParts, findings: Findings) -> dict[str, tuple[str, ...] | None]:
-    """Check every sound arm, and return the movable joints of those whose chain is known."""
-    joint_names = {}
+def _check_arms(parts: SceneParts, findings: Findings) -> dict[str, KnownArm]:
+    """Check every sound arm, and return what is known of it."""
+    known = {}
     for name, spec in parts.arms.items():
         found = examine_arm(spec)
-        joint_names[name] = found.joint_names
+        known[name] = KnownArm(found.joints, found.links, found.moving)
         for where, text in found.faults:
             findings.faults.append(f"{place(('arms', name, *where))}: {text}")
         for text in found.warnings:
             findings.warnings.append(f"{place(('arms', name))}: {text}")
-    return joint_names
+    return known
 
 
 def _check_object(thing: ObjectSpec | None, findings: Findings) -> None:
@@ -151,44 +162,71 @@ def _check_object(thing: ObjectSpec | None, findings: Findings) -> None:
         )
 
 
-def _check_control(
-    parts: SceneParts, joint_names: dict[str, tuple[str, ...] | None], findings: Findings
-) -> None:
+def _check_control(parts: SceneParts, arms: dict[str, KnownArm], findings: Findings) -> None:
     fields: dict[type, tuple[str, ...]] = {
         ConstantControl: ("torques",),
         JointPDControl: ("stiffness", "damping"),
         HarmonicControl: ("amplitude", "phase"),
     }
     for key in fields.get(type(parts.control), ()):
-        value = getattr(parts.control, key)
-        _check_gain(value, ("control", key), parts, joint_names, findings)
+        for where, text in gain_faults(getattr(parts.control, key), arms):
+            findings.faults.append(f"{place(('control', key, *where))}: {text}")
     if isinstance(parts.control, (ComputedTorqueControl, ObjectImpedanceControl)):
         for arm in parts.control.internal_forces or {}:
-            if parts.arm_names is not None and arm not in parts.arm_names:
-                where = place(("control", "internal_forces", arm))
-                findings.faults.append(f"{where}: {unknown('arm', arm, parts.arm_names)}")
+            if arm not in arms:
+                path = place(("control", "internal_forces", arm))
+                findings.faults.append(f"{path}: {unknown('arm', arm, arms)}")
 
 
-def _check_gain(
-    value: Any,
-    where: tuple[str, ...],
-    parts: SceneParts,
-    joint_names: dict[str, tuple[str, ...] | None],
-    findings: Findings,
-) -> None:
-    """Check a value for all arms, or a table by arm, against the arms' movable joints."""
-    if value is None or parts.arm_names is None:
+def _check_effects(parts: SceneParts, arms: dict[str, KnownArm], findings: Findings) -> None:
+    if parts.effects is None:
         return
-    by_arm = value if isinstance(value, Mapping) else dict.fromkeys(parts.arm_names, value)
-    for arm, own in by_arm.items():
-        here = (*where, arm) if isinstance(value, Mapping) else where
-        if arm not in parts.arm_names:
-            findings.faults.append(f"{place(here)}: {unknown('arm', arm, parts.arm_names)}")
-            continue
-        names = joint_names.get(arm)
-        for below, text in joint_value_faults(own, names) if names is not None else ():
-            subject = "" if isinstance(value, Mapping) else f"arm {arm!r}: "
-            findings.faults.append(f"{place((*here, *below))}: {subject}{text}")
+    for where, text in parts.effects.faults(arms):
+        findings.faults.append(f"{place(('effects', *where))}: {text}")
+    for where, text in parts.effects.warnings(arms):
+        findings.warnings.append(f"{place(('effects', *where))}: {text}")
+    if parts.run is not None:
+        message = method_fault(
+            parts.run.integrator, parts.effects.with_states, parts.effects.with_events
+        )
+        if message:
+            findings.faults.append(f"$.run.integrator: {message}")
+    _check_pushing(parts, findings)
+
+
+def _check_pushing(parts: SceneParts, findings: Findings) -> None:
+    """Tell effects of contacts that only push where no joint has any."""
+    effects = parts.effects
+    assert effects is not None
+    if not parts.joint_kinds or None in parts.joint_kinds or PUSHING & {*parts.joint_kinds}:
+        return
+    for name in ("unilateral_contacts", "contact_friction"):
+        if getattr(effects, name) is not None:
+            findings.warnings.append(
+                f"$.effects.{name}: adds nothing, since no joint has contacts that only push; such "
+                f"joints are {listed(sorted(PUSHING))}"
+            )
+
+
+def method_fault(
+    integrator: str | None, with_states: Sequence[str], with_events: Sequence[str] = ()
+) -> str:
+    """Say why a method cannot carry effects that have states or events of their own.
+
+    Empty when it can.
+    """
+    if integrator == "variational" and with_events:
+        return (
+            f"'variational' takes its steps as wholes and knows no events of "
+            f"{listed(with_events)}; use another method, such as 'dop853' or 'rk4', or leave the "
+            f"effect out"
+        )
+    if integrator != "variational" or not with_states:
+        return ""
+    return (
+        f"'variational' knows positions and velocities only, no states of {listed(with_states)}; "
+        f"use another method, such as 'dop853' or 'rk4', or leave the effect out"
+    )
 
 
 def _sound(kind: Any, data: Any) -> Any:
@@ -200,5 +238,5 @@ def _sound(kind: Any, data: Any) -> Any:
         return None
 
 
-def _arm_of(joint: Any) -> Any:
-    return joint.get("arm") if isinstance(joint, Mapping) else getattr(joint, "arm", None)
+def _entry(joint: Any, key: str) -> Any:
+    return joint.get(key) if isinstance(joint, Mapping) else getattr(joint, key, None)

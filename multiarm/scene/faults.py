@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 
 from multiarm.scene.words import listed, place, shown, unknown
 
-__all__ = ["explain"]
+__all__ = ["explain", "sentences"]
 
 # How the keys of some tables are called, in the singular and the plural.
 _KEY_NOUNS = {"EffectsSpec": ("effect", "effects"), "Shape": ("shape", "shapes")}
@@ -39,15 +39,21 @@ def explain(error: ValidationError, root: type[BaseModel], root_name: str = "$")
     list of str
         In the order of the scene, without repetitions.
     """
-    lines = [_line(details, root, root_name) for details in error.errors(include_url=False)]
+    lines = [f"{place(parts, root_name)}: {text}" for parts, text, _ in sentences(error, root)]
     return list(dict.fromkeys(lines))
 
 
-def _line(details: ErrorDetails, root: type[BaseModel], root_name: str) -> str:
-    parts, owner, models = _walk(details["loc"], root)
-    if details["type"] == "union_tag_invalid":
-        return f"{place([*parts, 'kind'], root_name)}: {_sentence(details, parts, owner, models)}"
-    return f"{place(parts, root_name)}: {_sentence(details, parts, owner, models)}"
+def sentences(
+    error: ValidationError, root: type[BaseModel]
+) -> list[tuple[list[str | int], str, Any]]:
+    """Return place below ``root``, sentence and offending value of every fault."""
+    found = []
+    for details in error.errors(include_url=False):
+        parts, owner, models = _walk(details["loc"], root)
+        text = _sentence(details, parts, owner, models)
+        tail = ["kind"] if details["type"] == "union_tag_invalid" else []
+        found.append(([*parts, *tail], text, details["input"]))
+    return found
 
 
 def _sentence(
@@ -82,6 +88,7 @@ _EXPECTED = {
     "string_type": "must be text",
     "bool_type": "must be true or false",
     "bool_parsing": "must be true or false",
+    "finite_number": "must be finite",
     "path_type": "must be a path",
     "tuple_type": "must be a list",
     "list_type": "must be a list",

@@ -1,7 +1,8 @@
 """Scenes as YAML text: reading with every fault at its place, and writing back.
 
-Two habits of YAML 1.1 that bite are mended on reading: ``1e-6`` is a number (not text), and a key
-that stands twice in one table is a fault (not a silent loss of the first).
+Three habits of YAML 1.1 that bite are mended on reading: ``1e-6`` is a number (not text), ``on`` is
+a word (not true), and a key that stands twice in one table is a fault (not a silent loss of the
+first).
 """
 
 from __future__ import annotations
@@ -55,7 +56,9 @@ def load_scene(path: Path | str) -> Scene:
         raise SceneError(error.faults, source=str(path)) from None
 
 
-def parse_scene(source: str | Mapping[str, Any], folder: Path | str | None = None) -> Scene:
+def parse_scene(
+    source: str | Mapping[str, Any], folder: Path | str | None = None, stored: bool = False
+) -> Scene:
     """Return the scene that a YAML text or a table describes.
 
     Parameters
@@ -64,13 +67,16 @@ def parse_scene(source: str | Mapping[str, Any], folder: Path | str | None = Non
         The text, or what it stands for.
     folder : path, optional
         Where relative paths start; the current folder by default.
+    stored : bool
+        It is that of a run, to be looked at: effects of one's own need not be there.
 
     Raises
     ------
     SceneError
         Naming every fault.
     """
-    return Scene.from_mapping(_yaml(source) if isinstance(source, str) else source, folder)
+    data = _yaml(source) if isinstance(source, str) else source
+    return Scene.from_mapping(data, folder, stored)
 
 
 def dump_scene(scene: Scene) -> str:
@@ -83,8 +89,11 @@ def dump_scene(scene: Scene) -> str:
     )
 
 
+_MERGE, _TRUTH = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:bool"
+
+
 class _Loader(yaml.SafeLoader):
-    """YAML with ``1e-6`` as a number and without repeated keys."""
+    """YAML with ``1e-6`` as a number, ``on`` as a word, and without repeated keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         """Refuse keys that stand twice."""
@@ -99,7 +108,11 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
-_MERGE = "tag:yaml.org,2002:merge"
+# of the truth values, only those of YAML 1.2
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in known if first in "tTfF" or tag != _TRUTH]
+    for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+$"),

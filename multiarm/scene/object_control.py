@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
+from functools import partial
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from multiarm.scene.base import Pose, Spec
+from multiarm.scene.per_axis import axis_numbers
 from multiarm.scene.values import ArmName, NonNegative, fault, number_list
 from multiarm.scene.words import shown
 
@@ -49,19 +50,7 @@ def _ordered(path: tuple[Waypoint, ...] | None) -> tuple[Waypoint, ...] | None:
 ObjectPath = Annotated[tuple[Waypoint, ...] | None, AfterValidator(_ordered)]
 
 
-def _axis_gain(value: Any) -> tuple[float, ...]:
-    value = value.tolist() if isinstance(value, np.ndarray) else value
-    if isinstance(value, (list, tuple)) and len(value) == 3:
-        numbers = tuple(number_list(value))
-    elif isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
-        numbers = (float(value),) * 3
-    else:
-        raise fault(f"must be a number, or a list of 3 for the world's axes, got {shown(value)}")
-    if min(numbers) < 0.0:
-        raise fault(f"must not be negative, got {shown(value)}")
-    return numbers
-
-
+_axis_gain = partial(axis_numbers, "the world's axes")
 AxisGain = Annotated[tuple[float, float, float], BeforeValidator(_axis_gain)]
 
 

@@ -63,10 +63,24 @@ class ResolvedArm:
 
 @dataclass
 class Examination:
-    """What was found out about one arm; faults and warnings are pairs (place below it, text)."""
+    """What was found out about one arm.
+
+    Attributes
+    ----------
+    arm : ResolvedArm or None
+        None where there are faults.
+    joints : tuple of JointOutline or None
+        The movable joints from base to tip; None where the chain is not known.
+    links, moving : tuple of str
+        All links of robot and tool; those that the movable joints carry.
+    faults : list of (place below the arm, text)
+    warnings : list of str
+    """
 
     arm: ResolvedArm | None = None
-    joint_names: tuple[str, ...] | None = None
+    joints: tuple[JointOutline, ...] | None = None
+    links: tuple[str, ...] | None = None
+    moving: tuple[str, ...] = ()
     faults: list[tuple[tuple[str | int, ...], str]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
@@ -112,7 +126,13 @@ def examine_arm(spec: ArmSpec) -> Examination:
     if chain is None:
         return found
     free = _free_joints(spec, chain, found)
-    found.joint_names = tuple(joint.name for joint in free)
+    found.joints = free
+    names = {joint.name for joint in free}
+    found.links, found.moving = robot.links, robot.carried_by(names)
+    if tool is not None and spec.tool is not None:
+        found.links += tool.links
+        moved = spec.tool.mount in found.moving
+        found.moving += tool.links if moved else tool.carried_by(names)
     locked = _locked(spec, joints, free, found)
     posture, velocity = _start(spec, free, found)
     _note_missing_meshes(spec, robot, tool, found)

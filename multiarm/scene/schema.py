@@ -77,13 +77,18 @@ class Scene(Spec):
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     @classmethod
-    def from_mapping(cls, data: Mapping[str, Any], folder: Path | str | None = None) -> Self:
-        """Return the scene that ``data``, such as a parsed YAML file, describes."""
+    def from_mapping(
+        cls, data: Mapping[str, Any], folder: Path | str | None = None, stored: bool = False
+    ) -> Self:
+        """Return the scene that ``data``, such as a parsed YAML file, describes.
+
+        A ``stored`` one is that of a run: effects of one's own need not be there to look at it.
+        """
         if not isinstance(data, Mapping):
             keys = ", ".join(cls.model_fields)
             raise SceneError(f"$: a scene is a table with the keys {keys}; got {shown(data)}")
         scene = cls.__new__(cls)
-        scene._fill(data, folder)
+        scene._fill(data, folder, stored)
         return scene
 
     @classmethod
@@ -111,23 +116,25 @@ class Scene(Spec):
 
     __hash__ = None  # type: ignore[assignment]
 
-    @field_validator("object", "arms", "joints", mode="after")
+    @field_validator("object", "arms", "joints", "effects", mode="after")
     @classmethod
     def _paths_are_absolute(cls, value: Any, info: ValidationInfo) -> Any:
         assert info.context is not None, "a scene is read with its folder"
         folder = info.context["folder"]
-        if isinstance(value, ObjectSpec):
+        if isinstance(value, (ObjectSpec, EffectsSpec)):
             return value.located(folder)
         if isinstance(value, tuple):
             return tuple(joint.located(folder) for joint in value)
         return {name: arm.located(folder) for name, arm in value.items()}
 
-    def _fill(self, data: Mapping[str, Any], folder: Path | str | None) -> None:
+    def _fill(
+        self, data: Mapping[str, Any], folder: Path | str | None, stored: bool = False
+    ) -> None:
         folder = Path(folder or ".").expanduser().resolve()
         faults: list[str] = []
         try:
             self.__pydantic_validator__.validate_python(
-                data, self_instance=self, context={"folder": folder}
+                data, self_instance=self, context={"folder": folder, "stored": stored}
             )
             parts = SceneParts.of(self.__dict__, folder)
         except ValidationError as error:

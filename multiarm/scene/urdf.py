@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -49,6 +50,9 @@ class JointOutline:
         [rad/s] or [m/s], [N m] or [N]; infinite where there are none.
     mimic : Mimic or None
         The joint it copies.
+    damping, friction : float
+        Of ``<dynamics>``: viscous [N m s/rad] or [N s/m] and dry friction [N m] or [N]; 0 where
+        there are none.
     """
 
     name: str
@@ -61,6 +65,8 @@ class JointOutline:
     velocity_limit: float
     effort_limit: float
     mimic: Mimic | None = None
+    damping: float = 0.0
+    friction: float = 0.0
 
     @property
     def movable(self) -> bool:
@@ -113,6 +119,12 @@ class UrdfOutline:
             chain.append(above[tip])
             tip = above[tip].parent
         return tuple(reversed(chain))
+
+    def carried_by(self, joints: Collection[str]) -> tuple[str, ...]:
+        """Return the links that some of these joints carry."""
+        return tuple(
+            link for link in self.links if any(joint.name in joints for joint in self.chain(link))
+        )
 
 
 def read_urdf(path: Path | str) -> UrdfOutline:
@@ -182,7 +194,7 @@ def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
         raise ModelError(f"{where}: needs <parent link=.../> and <child link=.../>")
     limit = element.find("limit")
     bounded = limit is not None and kind in ("revolute", "prismatic")
-    axis = element.find("axis")
+    axis, dynamics = element.find("axis"), element.find("dynamics")
     text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
     return JointOutline(
         name=name,
@@ -195,6 +207,8 @@ def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
         velocity_limit=_number(limit, "velocity", math.inf, where),
         effort_limit=_number(limit, "effort", math.inf, where),
         mimic=_mimic(element.find("mimic"), where, path),
+        damping=_number(dynamics, "damping", 0.0, where),
+        friction=_number(dynamics, "friction", 0.0, where),
     )
 
 

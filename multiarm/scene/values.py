@@ -38,6 +38,7 @@ __all__ = [
     "gain_vector",
     "joint_value_faults",
     "joint_vector",
+    "non_negative_gain",
     "number_list",
     "positive",
 ]
@@ -198,7 +199,8 @@ def _gain(value: Any) -> float | tuple[float, ...] | dict[str, Any]:
     return _scalar_or_joint_values(value)
 
 
-def _non_negative_gain(value: Any) -> float | tuple[float, ...] | dict[str, Any]:
+def non_negative_gain(value: Any) -> float | tuple[float, ...] | dict[str, Any]:
+    """Return a value for the joints of all arms, or a table by arm, refusing negative numbers."""
     gain = _gain(value)
     lowest = min(_leaves(gain), default=0.0)
     if lowest < 0.0:
@@ -282,5 +284,5 @@ PerArm = Annotated[
 ]
 Gain = Annotated[
     float | tuple[float, ...] | dict[str, float | tuple[float, ...] | dict[str, float]],
-    BeforeValidator(_non_negative_gain),
+    BeforeValidator(non_negative_gain),
 ]

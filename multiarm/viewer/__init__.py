@@ -40,7 +40,9 @@ def replay(
     contact, a pulling one, lighter, begins there; the longest stands for the largest force of the
     run (a short spike far above the rest is drawn no longer, and the page gives its value). Hinges,
     slides and balls are drawn with their axes; limits as a sector or a rail with a pointer, which
-    is red beyond them. A run that failed is shown up to where it came.
+    is red beyond them. Contacts that can open, slide or stick have a mark for each state, and no
+    arrow while they are open; what happens at a place flashes there, and the page lists the events
+    beside ticks on its time line. A run that failed is shown up to where it came.
 
     Parameters
     ----------
@@ -93,6 +95,7 @@ def _facts(film: Film, speed: float) -> dict[str, Any]:
     """Return what the page tells about a film beside the scene itself."""
     from multiarm.viewer.camera import ASPECT
     from multiarm.viewer.commands import hexadecimal
+    from multiarm.viewer.happenings import time_line
 
     return {
         "title": film.title,
@@ -104,8 +107,19 @@ def _facts(film: Film, speed: float) -> dict[str, Any]:
         "force_scale": film.force_scale,
         "peak_force": film.peak_force,
         "times": film.time - film.time[0],
+        "states": _states(film),
+        "events": time_line(film.events, film.time, speed),
         "dials": [_dial(hinge, dial) for hinge in film.hinges for dial in hinge.dials],
     }
+
+
+def _states(film: Film) -> list[list[str]]:
+    """Return name, sign and colour of each state that a contact of the film has."""
+    from multiarm.channels import CONTACT_STATES
+    from multiarm.event_words import STATE_COLOURS, STATE_SIGNS
+
+    found = {int(code) for c in film.contacts if c.state is not None for code in set(c.state.flat)}
+    return [[CONTACT_STATES[k], STATE_SIGNS[k], STATE_COLOURS[k]] for k in sorted(found)]
 
 
 def _dial(hinge: HingeTracks, dial: Dial) -> dict[str, Any]:

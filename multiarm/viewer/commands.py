@@ -163,6 +163,11 @@ def hexadecimal(color: np.ndarray) -> int:
     return r << 16 | g << 8 | b
 
 
+def rgb(text: str) -> np.ndarray:
+    """Return the sRGB colour in 0..1, shape (3,), of ``#rrggbb``."""
+    return np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+
+
 def _drawable(kind: str, geometry: Command, materials: list[Command]) -> dict[str, Any]:
     names = [m["uuid"] for m in materials]
     body = {

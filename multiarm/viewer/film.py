@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from multiarm.channels import OPEN
+from multiarm.event_words import Event, Family
 from multiarm.viewer.mesh import Mesh
 
 SPIKE = 3.0  # times the usual force
@@ -34,6 +36,8 @@ class Body:
         Tint, sRGB in 0..1; it multiplies the colours of the mesh.
     opacity : float
         1 hides what is inside.
+    touched : bool array, shape (K,), optional
+        False where the body is a surface that nothing touches: it is faint then.
     """
 
     name: str
@@ -42,15 +46,17 @@ class Body:
     quaternion_xyzw: np.ndarray
     color: np.ndarray
     opacity: float = 1.0
+    touched: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class ContactTracks:
-    """The N contacts of one arm.
+    """The N contacts of one arm, or of the object with the floor.
 
     Parameters
     ----------
     arm : str
+        The arm, or "floor".
     color : array, shape (3,)
         sRGB in 0..1.
     point : array, shape (K, N, 3)
@@ -59,6 +65,12 @@ class ContactTracks:
         Unit vector into the object, world axes.
     force : array, shape (K, N)
         Force along the normal [N]; positive pushes the object.
+    state : int array, shape (K, N), optional
+        Codes of `channels.CONTACT_STATES`; absent where contacts hold in every way.
+    names : tuple of str
+        By which events know the contacts.
+    friction : tuple of bool
+        Which of them are friction at another one's point: arrows without a mark.
     """
 
     arm: str
@@ -66,6 +78,9 @@ class ContactTracks:
     point: np.ndarray
     normal: np.ndarray
     force: np.ndarray
+    state: np.ndarray | None = None
+    names: tuple[str, ...] = ()
+    friction: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -117,6 +132,25 @@ class HingeTracks:
 
 
 @dataclass(frozen=True)
+class Moment:
+    """Something that happens at a place.
+
+    Parameters
+    ----------
+    time : float
+        [s], as that of the frames.
+    family : Family
+        Of the kind of event.
+    where : array, shape (3,)
+        World position [m].
+    """
+
+    time: float
+    family: Family
+    where: np.ndarray
+
+
+@dataclass(frozen=True)
 class Film:
     """A scene in motion over K frames.
 
@@ -133,6 +167,10 @@ class Film:
         Height of the floor [m].
     note : str
         A remark for the viewer, such as why the run ended early; may be empty.
+    moments : list of Moment
+        What flashes.
+    events : list of dict
+        What happened, as in `Trajectory.events`.
     """
 
     title: str
@@ -142,6 +180,8 @@ class Film:
     hinges: list[HingeTracks] = field(default_factory=list)
     floor: float = 0.0
     note: str = ""
+    moments: list[Moment] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
 
     @property
     def peak_force(self) -> float:
@@ -164,9 +204,10 @@ class Film:
         return np.max(peaks, axis=0) if peaks else np.zeros(len(self.time))
 
     def arrow_lengths(self, contacts: ContactTracks) -> np.ndarray:
-        """Return forces over `force_scale`, shape (K, N), within -1..1."""
+        """Return forces over `force_scale`, shape (K, N), within -1..1; 0 for an open contact."""
         scale = self.force_scale
-        return np.clip(contacts.force / scale, -1, 1) if scale else 0 * contacts.force
+        lengths = np.clip(contacts.force / scale, -1, 1) if scale else 0 * contacts.force
+        return lengths if contacts.state is None else np.where(contacts.state == OPEN, 0.0, lengths)
 
     def extent(self) -> np.ndarray:
         """Return points whose hull holds every body and contact at every frame, shape (P, 3)."""

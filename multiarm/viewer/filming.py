@@ -2,7 +2,8 @@
 
 Frames are samples of the trajectory, never interpolations between them, so that what is shown was
 computed. Link poses come from each arm's kinematics, contact points and normals from the system's
-own evaluation, contact forces from the trajectory, joints from their frames (`joints`).
+own evaluation, contact forces and states from the trajectory (`touching`), joints from their
+frames (`joints`), and what happened from the trajectory's events (`happenings`).
 """
 
 from __future__ import annotations
@@ -17,17 +18,19 @@ import numpy as np
 import pinocchio as pin
 
 from multiarm.compilation import compile_system
-from multiarm.dynamics import evaluate
-from multiarm.errors import ReplayError, SolverError
-from multiarm.viewer.film import Body, ContactTracks, Film, along, rotations
+from multiarm.errors import ReplayError
+from multiarm.viewer.commands import rgb
+from multiarm.viewer.film import Body, Film, along, rotations
+from multiarm.viewer.ground import ground_bodies, lowest
+from multiarm.viewer.happenings import moments_of
 from multiarm.viewer.joints import hinges_of
 from multiarm.viewer.mesh import Mesh, capsule, merge
 from multiarm.viewer.shapes import PLAIN, geometry_mesh, object_mesh
-from multiarm.viewer.surfaces import surface_bodies
+from multiarm.viewer.surfaces import object_size, surface_bodies
+from multiarm.viewer.touching import contacts_of
 
 if TYPE_CHECKING:
     from multiarm.arm import Arm
-    from multiarm.dynamics import Evaluation
     from multiarm.system import System
     from multiarm.trajectory import Trajectory
 
@@ -63,16 +66,22 @@ def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
         arm, angles = system.arms[name], trajectory.joint_positions[name][rows]
         bodies += _links(arm, angles, colors[name], meshes, cache)
     bodies += surface_bodies(system, trajectory, rows, colors)
-    bases = [spec.base.matrix()[2, 3] for spec in trajectory.scene.arms.values()]
+    ground = ground_bodies(trajectory, rows, object_size(system))
+    bodies += ground
+    heights = [spec.base.matrix()[2, 3] for spec in trajectory.scene.arms.values()]
+    heights += [lowest(body) for body in ground]
+    contacts = contacts_of(system, trajectory, rows, colors)
     note = "" if trajectory.status == "completed" else trajectory.message
     return Film(
         title=trajectory.scene.name,
         time=trajectory.time[rows],
         bodies=bodies,
-        contacts=_contacts(system, trajectory, rows, colors),
+        contacts=contacts,
         hinges=hinges_of(system, trajectory, rows, colors),
-        floor=float(min(bases)),
+        floor=float(min(heights)),
         note=f"{trajectory.status}: {note}" if note else "",
+        moments=moments_of(trajectory, trajectory.time[rows], contacts),
+        events=trajectory.events,
     )
 
 
@@ -112,7 +121,7 @@ def arm_colors(system: System) -> dict[str, np.ndarray]:
 
 def _palette_color(i: int) -> np.ndarray:
     if i < len(PALETTE):
-        return np.array([int(PALETTE[i][k : k + 2], 16) for k in (1, 3, 5)]) / 255
+        return rgb(PALETTE[i])
     return np.array(colorsys.hsv_to_rgb(0.618034 * i % 1.0, 0.55, 0.8))  # hues far apart
 
 
@@ -146,7 +155,8 @@ def _links(
     data = arm.model.createData()
     for k, row in enumerate(angles):
         pin.forwardKinematics(arm.model, data, arm.configuration(row))
-        poses[:, k] = [pin.SE3ToXYZQUAT(data.oMi[p.joint] * p.placement) for p in parts]
+        placed = [pin.SE3ToXYZQUAT(data.oMi[p.joint] * p.placement) for p in parts]
+        poses[:, k] = np.reshape(placed, (-1, 7))
     names = _distinct([part.name.replace("/", "_") for part in parts])
     return [
         Body(f"arms/{arm.name}/{name}", part.mesh, pose[:, :3], pose[:, 3:], color)
@@ -221,32 +231,3 @@ def _distinct(names: list[str]) -> list[str]:
         seen[name] += 1
         result.append(name if counts[name] == 1 else f"{name}_{seen[name]}")
     return result
-
-
-def _contacts(
-    system: System, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
-) -> list[ContactTracks]:
-    moments = [_evaluation(system, trajectory, row) for row in rows]
-    return [
-        ContactTracks(
-            arm=name,
-            color=colors[name],
-            point=np.array([m.contact_points[name] for m in moments]),
-            normal=np.array([m.contact_normals[name] for m in moments]),
-            force=trajectory.contact_forces[name][rows],
-        )
-        for name in system.arm_names
-        if trajectory.contact_forces[name].shape[1]
-    ]
-
-
-def _evaluation(system: System, trajectory: Trajectory, row: int) -> Evaluation:
-    state = system.state(
-        object_position=trajectory.object_position[row],
-        object_quaternion_xyzw=trajectory.object_quaternion_xyzw[row],
-        joint_positions={name: trajectory.joint_positions[name][row] for name in system.arm_names},
-    )
-    try:
-        return evaluate(system, float(trajectory.time[row]), state)
-    except SolverError:  # a singular posture, such as may have ended the run, still has contacts
-        return evaluate(system.with_solver("dense"), float(trajectory.time[row]), state)

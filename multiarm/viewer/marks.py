@@ -4,6 +4,10 @@ A contact force is an arrow outside the object, along the contact normal: pushin
 touches the contact point; pulling, it starts there and points away, in a lighter colour. Its
 length is in proportion to the force, its width to the root of that, so that small forces stay
 visible. Marks that something hides shine through it faintly.
+
+Where contacts can open, slide or stick, the mark at the point tells their state: a dot with its
+normal that touches, with a ring around it while it slides, with a square plate while it sticks; a
+ring without normal where it rests; and hardly more than the shade of a ring where it is open.
 """
 
 from __future__ import annotations
@@ -12,12 +16,15 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.channels import CONTACT_STATES, OPEN, RESTING, SLIDING, STICKING, TOUCHING
+from multiarm.event_words import STATE_COLOURS
 from multiarm.viewer import commands
 from multiarm.viewer.film import ContactTracks, Film, along
-from multiarm.viewer.mesh import Mesh, ShadedMesh, merge, revolve, shade, sphere
+from multiarm.viewer.mesh import Mesh, ShadedMesh, box, merge, revolve, shade, sphere
 from multiarm.viewer.script import Script
 
 NORMAL_COLOR = np.array([0.25, 0.28, 0.33])
+FAINT = 0.25  # opacity of the mark of an open contact
 HAIR = 1e-4  # scale of what should not be seen: zero would make a matrix singular
 HEAD, WIDTH = 0.17, 0.02  # length of the head and radius of the shaft of an arrow of length 1
 
@@ -43,22 +50,68 @@ class Marks:
         down = np.array([1.0, -1.0, -1.0])  # half a turn about x
         to_tip = np.eye(4)
         to_tip[2, 3] = -self.longest
+        self._states = _state_shapes(min(0.006 * size, 0.05 * body))
         self._push, self._pull = shade(full.moved(to_tip)), shade(full.scaled(down))
 
     def draw(self, contacts: ContactTracks, script: Script) -> None:
         """Draw the contacts of one arm."""
         lengths = self._film.arrow_lengths(contacts)  # (K, N)
         turns = along(contacts.normal)
-        mark = shade(merge([self._dot.painted(0.75 * contacts.color), self._needle]))
+        marks = self._marks(contacts)
         for i in range(contacts.point.shape[1]):
             name = f"{contacts.arm}/{i + 1}"
-            script.put(f"contacts/{name}", seen_through(mark, np.ones(3)))
-            script.move(f"contacts/{name}", contacts.point[:, i], turns[:, i])
+            if not (contacts.friction and contacts.friction[i]):
+                states = None if contacts.state is None else contacts.state[:, i]
+                _draw_mark(f"contacts/{name}", marks, states, script)
+                script.move(f"contacts/{name}", contacts.point[:, i], turns[:, i])
             push, pull = np.maximum(lengths[:, i], 0), np.maximum(-lengths[:, i], 0)
             if push.any() or pull.any():
                 script.move(f"forces/{name}", contacts.point[:, i], turns[:, i])
             _draw_force(f"forces/{name}/push", self._push, push, 0.9 * contacts.color, script)
             _draw_force(f"forces/{name}/pull", self._pull, pull, (1 + contacts.color) / 2, script)
+
+    def _marks(self, contacts: ContactTracks) -> dict[int, dict[str, Any]]:
+        """Return the mark of each state, by its code."""
+        dot = self._dot.painted(0.75 * contacts.color)
+        parts = {TOUCHING: [], **{state: [shape] for state, shape in self._states.items()}}
+        marks = {}
+        for state, extra in parts.items():
+            mark = shade(merge([dot, *([] if state == RESTING else [self._needle]), *extra]))
+            marks[state] = seen_through(mark, np.ones(3))
+        open_mark = shade(self._states[RESTING].painted(np.ones(3)))
+        marks[OPEN] = commands.mesh_object(open_mark, commands.ghost(contacts.color, FAINT))
+        return marks
+
+
+def _state_shapes(dot: float) -> dict[int, Mesh]:
+    """Return what a dot of some radius [m] has around it in a state, in the state's colour."""
+    shapes = {
+        SLIDING: ring(2.0 * dot, 3.0 * dot, 0.35 * dot),
+        STICKING: box([4.4 * dot, 4.4 * dot, 0.7 * dot]),
+        RESTING: ring(1.5 * dot, 1.9 * dot, 0.35 * dot),
+    }
+    return {
+        state: shape.painted(commands.rgb(STATE_COLOURS[state])) for state, shape in shapes.items()
+    }
+
+
+def ring(inner: float, outer: float, thick: float) -> Mesh:
+    """Return a flat ring about z between two radii [m]."""
+    low, high = -thick / 2, thick / 2
+    return revolve([(inner, low), (outer, low), (outer, high), (inner, high), (inner, low)])
+
+
+def _draw_mark(
+    path: str, marks: dict[int, dict[str, Any]], states: np.ndarray | None, script: Script
+) -> None:
+    """Draw one mark for each state that a contact has in the film; its codes have shape (K,)."""
+    if states is None:
+        script.put(path, marks[TOUCHING])
+        return
+    for code in np.unique(states):
+        node = f"{path}/{CONTACT_STATES[code]}"
+        script.put(node, marks[int(code)])
+        script.set(node, "scale", np.where(states == code, 1.0, HAIR)[:, None] * np.ones(3))
 
 
 def arrow(length: float, head: float, radius: float) -> Mesh:

@@ -34,8 +34,9 @@ def render(commands: list[Command], facts: dict[str, Any]) -> str:
     facts : dict
         What the player shows and needs: ``title``, ``note``, ``start`` [s], ``speed``, ``aspect``,
         ``legend`` (pairs of name and colour), ``force_scale`` and ``peak_force`` [N], ``times``
-        (K,) [s] and ``dials``: coordinates with limits, each a table of ``arm``, ``unit``,
-        ``limits`` and ``values`` (K,).
+        (K,) [s], ``states`` of contacts (name, sign, colour), ``events`` (see
+        `happenings.time_line`) and ``dials``: coordinates with limits, each a table of ``arm``,
+        ``unit``, ``limits`` and ``values`` (K,).
     """
     block = _Block()
     text = json.dumps(block.lower({"facts": facts, "commands": commands}), allow_nan=False)

@@ -6,11 +6,13 @@ one with a patch only the patch; a user's surface is shown when it is a parametr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
+from multiarm.channels import OPEN
 from multiarm.contacts.records import (
     CONE,
     CYLINDER,
@@ -18,11 +20,14 @@ from multiarm.contacts.records import (
     PLANE,
     SPHERE,
     TORUS,
+    Contact,
     Surface,
 )
 from multiarm.contacts.smooth import ParametricSurface
+from multiarm.dynamics import contact_places
 from multiarm.viewer.film import Body
 from multiarm.viewer.mesh import Mesh
+from multiarm.viewer.touching import row_states, rows_of
 
 if TYPE_CHECKING:
     from multiarm.system import System
@@ -40,7 +45,7 @@ def surface_bodies(
 ) -> list[Body]:
     """Return the contact surfaces of all joints of the ``SHOWN`` kinds at some samples (`rows`)."""
     on_object = trajectory.object_position[rows], trajectory.object_quaternion_xyzw[rows]
-    extent = max(np.ptp(trajectory.object_position, axis=0).max(), _size(system))
+    extent = max(np.ptp(trajectory.object_position, axis=0).max(), object_size(system))
     bodies = []
     for joint in system.scene.joints:
         if joint.kind not in SHOWN:
@@ -49,18 +54,29 @@ def surface_bodies(
         angles = trajectory.joint_positions[name][rows]
         tips = np.array([pin.SE3ToXYZQUAT(pin.SE3(arm.tip_pose(row))) for row in angles])
         poses = {"arm": (tips[:, :3], tips[:, 3:]), "object": on_object}
+        records = [record for record in system.contacts[name] if isinstance(record, Contact)]
         touched = _touched(system, name)
-        drawn = set()
-        for k, contact in enumerate(system.contacts[name]):
-            for side in ("arm", "object"):
-                surface: Surface = getattr(contact, side)
-                key = (side, surface.kind, surface.origin.tobytes(), surface.axes.tobytes())
-                mesh = None if key in drawn else surface_mesh(surface, touched[side][k], extent)
-                drawn.add(key)
-                if mesh is not None:
-                    path = f"surfaces/{name}/{k + 1}_{side}"
-                    bodies.append(Body(path, mesh, *poses[side], colors[name], OPACITY))
+        states = row_states(trajectory, name, records, rows)
+        for (side, *_), of_it in _surfaces(records).items():
+            k = of_it[0]
+            mesh = surface_mesh(getattr(records[k], side), touched[side][k], extent)
+            if mesh is None:
+                continue
+            met = None if states is None else (states[:, of_it] != OPEN).any(axis=1)
+            path = f"surfaces/{name}/{k + 1}_{side}"
+            bodies.append(Body(path, mesh, *poses[side], colors[name], OPACITY, met))
     return bodies
+
+
+def _surfaces(contacts: Sequence[Contact]) -> dict[tuple, list[int]]:
+    """Return which contacts each surface has: the same surface may be touched at many points."""
+    found: dict[tuple, list[int]] = {}
+    for k, contact in enumerate(contacts):
+        for side in ("arm", "object"):
+            surface: Surface = getattr(contact, side)
+            key = (side, surface.kind, surface.origin.tobytes(), surface.axes.tobytes())
+            found.setdefault(key, []).append(k)
+    return found
 
 
 def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> Mesh | None:
@@ -127,10 +143,9 @@ def _triangles() -> np.ndarray:
 
 def _touched(system: System, name: str) -> dict[str, np.ndarray]:
     """Return the contact points of an arm at the start, by side, in that body's frame (N, 3)."""
-    from multiarm.dynamics import evaluate
-
     start = system.initial_state()
-    points = evaluate(system.with_solver("dense"), 0.0, start).contact_points[name]
+    rows = [k for k in rows_of(system, name) if isinstance(system.records[k], Contact)]
+    points = contact_places(system, start)[0][rows]
     quaternion, position = pin.Quaternion(start.object_quaternion_xyzw), start.object_position
     tip = system.arms[name].tip_pose(start.joint_positions[name])
     return {
@@ -139,7 +154,7 @@ def _touched(system: System, name: str) -> dict[str, np.ndarray]:
     }
 
 
-def _size(system: System) -> float:
+def object_size(system: System) -> float:
     """Return the radius of gyration of the object [m], about its half size."""
     spec = system.scene.object
     return float(np.sqrt(np.trace(spec.inertia_matrix()) / spec.mass))

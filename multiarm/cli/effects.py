@@ -1,0 +1,188 @@
+"""``multiarm effects``: what each effect of a scene costs, and what it changes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.progress import StudyProgress
+from multiarm.cli.terminal import columns, output, print_warnings, print_written
+from multiarm.errors import MultiarmError
+
+if TYPE_CHECKING:
+    from multiarm.benchmarks.effect_costs.entries import Entry, Ledger
+
+__all__ = ["effects"]
+
+PLOTS = ("png", "svg", "pdf")
+FILES = "Results"
+
+
+def effects(
+    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
+    candidates: Annotated[
+        bool,
+        typer.Option(
+            "--candidates",
+            help="Add each effect that the scene does not have too, with its usual parameters.",
+        ),
+    ] = False,
+    duration: Annotated[
+        float | None,
+        typer.Option(help="Simulated time, in s.", show_default="the scene's", metavar="S"),
+    ] = None,
+    repeats: Annotated[
+        int, typer.Option(help="Timed runs of each, at most; more smooth out noise.", min=1)
+    ] = 9,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw the ledger to a file; its ending (png, svg, pdf) is the format.",
+            show_default="none",
+            metavar="FILE",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write one HTML page: the ledger, drawn and in numbers.",
+            show_default="none",
+            metavar="FILE.html",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    json: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the figures as JSON.",
+            show_default="none",
+            metavar="FILE.json",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+) -> None:
+    """Measure what each effect of a scene costs, and what it changes.
+
+    The scene is run once more without each of its effects, gravity among them, to the accuracy
+    that it asks for. Beside the time stand the largest changes of the object's path and
+    orientation, of the joints and of the contact forces; an effect whose changes all stay below
+    the accuracy can be left out. Further lines tell what stabilization, recording and certificate
+    cost.
+
+    Times are those of runs in turn; what lies within their noise is marked.
+
+    The JSON has the keys scene, asked, asked_by_scene, run, entries, machine, wall_time_s, summary;
+    their meaning and units are those of multiarm.benchmarks.effect_costs.entries. Numbers are
+    finite, or null where there is none.
+    """
+    if plot is not None and plot.suffix.lower().lstrip(".") not in PLOTS:
+        raise MultiarmError(f"--plot: '{plot}' ends in none of .{', .'.join(PLOTS)}")
+    check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
+    found = _measure(scene, duration, candidates, repeats)
+    _print(found)
+    _write(found, plot, html, json)
+
+
+def _measure(path: Path, duration: float | None, candidates: bool, repeats: int) -> Ledger:
+    from multiarm.preparation import run_spec
+    from multiarm.scene import load_scene
+
+    loaded = load_scene(path)
+    print_warnings(loaded.warnings)
+    loaded = loaded.replace(run=run_spec(loaded.run, {"duration": duration}, {}, None))
+    with StudyProgress() as watched:
+        from multiarm.benchmarks.effect_costs.study import ledger
+
+        return ledger(loaded, candidates=candidates, repeats=repeats, progress=watched.tell)
+
+
+def _print(found: Ledger) -> None:
+    from multiarm.benchmarks.effect_costs.words import accuracy_text, summary
+
+    console = output()
+    console.print(Text(found.scene["name"], "bold"))
+    console.print(Text(accuracy_text(found), "dim"))
+    console.print(_table(found))
+    for entry in found.entries:
+        text, style = _remark(entry)
+        if text:
+            console.print(Text(f"{entry.name}: {text}", style), soft_wrap=True)
+    if found.run["certificate"].startswith("not met"):
+        console.print(Text(f"The scene's own run: {found.run['certificate']}", "yellow"))
+    console.print(Text(summary(found), "bold green"), soft_wrap=True)
+
+
+def _table(found: Ledger) -> Table:
+    """One line an entry: what it costs, and what it changes."""
+    heads = ("", "ms/s", "% time", "evals", "path mm", "turn deg", "joints deg", "force N",
+             "at s")  # fmt: skip
+    rows = [_row(found, entry) for entry in found.entries]
+    table = columns("What each costs, and what it changes", heads, rows)
+    table.padding, table.pad_edge = 0, False
+    for k in range(1, len(heads)):
+        table.columns[k].justify = "right"
+        table.columns[k].min_width = max(len(str(row[k])) for row in rows)
+    return table
+
+
+def _row(found: Ledger, entry: Entry) -> list[Text]:
+    from multiarm.benchmarks.effect_costs.entries import FORCE, JOINTS, PATH, SLIDES, TURN
+    from multiarm.benchmarks.effect_costs.variants import CANDIDATE
+    from multiarm.benchmarks.effect_costs.words import percent, said
+
+    name = f"+ {entry.name}" if entry.kind == CANDIDATE else entry.name
+    costs = [Text("-")] * 3
+    if entry.milliseconds is not None and entry.share is not None:
+        style = "dim" if entry.share.within_noise else ""
+        shown = (f"{entry.milliseconds.value:.2g}", percent(entry.share))
+        costs = [*(Text(text, style) for text in shown), Text(f"{entry.evaluations:,}")]
+    slides = entry.value(JOINTS) is None and entry.value(SLIDES) is not None
+    changed = [
+        Text(said(entry.changes.get(quantity), quantity, slides and quantity == SLIDES),
+             "" if _above(found, entry, quantity) else "dim")
+        for quantity in (PATH, TURN, SLIDES if slides else JOINTS, FORCE)
+    ]  # fmt: skip
+    worst = entry.changes.get(found.moves(entry) or PATH)
+    at = Text("-" if worst is None else f"{worst.time:.3g}")
+    return [Text(name, "green" if found.can_go(entry) else ""), *costs, *changed, at]
+
+
+def _above(found: Ledger, entry: Entry, quantity: str) -> bool:
+    value = entry.value(quantity)
+    return value is not None and value > found.asked[quantity]
+
+
+def _remark(entry: Entry) -> tuple[str, str]:
+    """What is to be said beside an entry's numbers, and its style."""
+    from multiarm.benchmarks.effect_costs.variants import PRESENT
+    from multiarm.benchmarks.effect_costs.words import trouble
+
+    if entry.trouble:
+        return trouble(entry), "yellow"
+    doubt = "" if entry.certified else "its run is not as accurate as was asked"
+    about = "" if entry.kind == PRESENT else entry.about
+    return ", ".join(filter(None, (about, doubt))), "dim"
+
+
+def _write(found: Ledger, plot: Path | None, html: Path | None, json: Path | None) -> None:
+    from multiarm.benchmarks.effect_costs.words import figures
+
+    if plot is not None:
+        from multiarm.benchmarks.effect_costs.plots import write_plot
+
+        write_plot(found, plot)
+        print_written("plot", plot)
+    if html is not None:
+        from multiarm.benchmarks.effect_costs.page import write_page
+
+        write_page(found, html)
+        print_written("page", html)
+    if json is not None:
+        write_json(json, figures(found))
+        print_written("figures", json)

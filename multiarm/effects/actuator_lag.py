@@ -1,0 +1,58 @@
+r"""Drives that follow the command with a delay: :math:`T_j \dot\tau_j = \tau^*_j - \tau_j`.
+
+Each lagging joint has one state of its own, the torque that acts [N m, N].  The command is what the
+control asks for, within ``torque_limits``.  The torque that acts does the control's work.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multiarm.effects.piece import ACTUATOR, STATE, Piece, Site
+from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.plant import open_book
+
+if TYPE_CHECKING:
+    from multiarm.system import System
+
+
+@entry
+def lag_torques(address, size, at, _t):
+    """Own arrays: the lagging joints; their time constants [s]; their commands, written here."""
+    book = book_at(address, size)
+    _, buffers, _ = open_book(book)
+    first = int(at)
+    slots, lagging = ints1(book, first), ints1(book, first + 1)
+    constants, commands = floats1(book, first + 2), floats1(book, first + 3)
+    torque, state = buffers.torque, slots[STATE]
+    for k in range(lagging.size):
+        j = lagging[k]
+        commands[k] = torque[j]
+        torque[j] = buffers.inner[state + k]
+        buffers.inner_rate[state + k] = (commands[k] - torque[j]) / constants[k]
+    return 0
+
+
+def build(spec, site: Site) -> list[Piece]:
+    """The piece of a system whose drives lag; joints without a time constant follow at once."""
+    constants = site.stacked(spec.time_constant)
+    lagging = np.flatnonzero(constants).astype(np.int64)
+    commands = np.zeros(lagging.size)
+
+    def start(_system: System) -> np.ndarray:
+        return commands.copy() if spec.start == "command" else np.zeros_like(commands)
+
+    arrays = (lagging, constants[lagging], commands)
+    return [
+        Piece(
+            "actuator_lag",
+            lag_torques,
+            ACTUATOR,
+            arrays,
+            works=False,
+            states=lagging.size,
+            start=start,
+        )
+    ]

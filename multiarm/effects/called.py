@@ -1,0 +1,85 @@
+"""Forces that a Python function computes, asked at every evaluation.
+
+What it returns, a wrench on the object and torques of the joints, is checked and added by a kernel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from multiarm.asking import Asked
+from multiarm.effects.effect import Loads
+from multiarm.effects.piece import APPLIED, POWER, Piece
+from multiarm.errors import ControlError
+from multiarm.lowlevel import book_at, call_back, entry, floats1, ints1
+from multiarm.plant import Buffers, open_book
+from multiarm.state import Layout, State
+
+
+@entry
+def add_called_loads(address, size, at, _t):
+    """Own arrays: address of the function, and what it answers: wrench, then torques."""
+    book = book_at(address, size)
+    _, buffers, _ = open_book(book)
+    slots, function = ints1(book, int(at)), ints1(book, int(at) + 1)
+    loads, power = floats1(book, int(at) + 2), 0.0
+    if buffers.flag[0] != 0:
+        return 0  # another function failed: nobody is asked any more
+    call_back(function[0])
+    for k in range(6):
+        buffers.h_o[k] += loads[k]
+        power += loads[k] * buffers.twist[k]
+    for j in range(buffers.h.size):
+        buffers.h[j] += loads[6 + j]
+        power += loads[6 + j] * buffers.v[j]
+    buffers.power[slots[POWER]] = power
+    return 0
+
+
+def called_piece(name: str, function: Callable[[float, State], Loads], layout: Layout) -> Piece:
+    """The piece of an effect whose forces a Python function computes."""
+    address, loads = np.zeros(1, dtype=np.int64), np.zeros(6 + layout.joints)
+
+    def connect(buffers: Buffers) -> dict[str, Asked]:
+        def read(answer: object) -> np.ndarray:
+            return _stacked(name, answer, layout, float(buffers.time[0]))
+
+        call = Asked(function, f"the effect {name!r}", read, loads, layout, buffers)
+        address[0] = call.address
+        return {f"effects/{name}": call}
+
+    return Piece(name, add_called_loads, APPLIED, (address, loads), connect=connect)
+
+
+def _stacked(name: str, found: object, layout: Layout, t: float) -> np.ndarray:
+    """Wrench and torques of all joints, shape (6 + n,)."""
+    who = f"the effect {name!r}"
+    if not isinstance(found, Loads):
+        raise ControlError(f"{who} returned {type(found).__name__}; return multiarm.Loads(...)")
+    loads = np.zeros(6 + layout.joints)
+    loads[:6] = _numbers(f"{who}: object_wrench", found.object_wrench, 6, t)
+    if not isinstance(found.joint_torques, Mapping):
+        raise ControlError(f"{who}: joint_torques must be a dict arm -> torques")
+    views = layout.split_joints(loads[6:])
+    for arm, torques in found.joint_torques.items():
+        if arm not in views:
+            raise ControlError(
+                f"{who}: joint_torques names an unknown arm {arm!r}; arms are {', '.join(views)}"
+            )
+        views[arm][:] = _numbers(f"{who}: joint_torques[{arm!r}]", torques, views[arm].size, t)
+    return loads
+
+
+def _numbers(what: str, values: object, size: int, t: float) -> np.ndarray:
+    """A vector of the right size of finite numbers, or an error that says ``what``."""
+    try:
+        vector = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ControlError(f"{what} must be {size} numbers, got {values!r}") from None
+    if vector.shape != (size,):
+        raise ControlError(f"{what} must have shape ({size},), got {vector.shape}")
+    if not np.all(np.isfinite(vector)):
+        raise ControlError(f"{what} is not finite at t = {t:.6g} s: {vector.tolist()}")
+    return vector

@@ -1,0 +1,273 @@
+r"""Forces and torques from outside, on the object or on links of the arms.
+
+A force ``f`` and a torque ``m`` at a point ``p``, in world axes, add to the right-hand sides
+
+.. math::
+    h_o \mathrel{+}= \begin{bmatrix} f \\ m + (p - x_o)\times f \end{bmatrix}
+    \quad\text{or}\quad
+    h_j \mathrel{+}= J_j^T \begin{bmatrix} f \\ m + p\times f \end{bmatrix}
+
+for the joints ``j`` that carry the link, ``J`` being Pinocchio's Jacobian about the world's origin.
+The pose of every joint is there after any evaluation, so that a link costs nothing in Pinocchio.
+
+Over time a wrench is constant, or times :math:`\sin(2\pi f t + \psi)`, or there from ``begin`` to
+``end``, or a table, or the answer of a function.  Tables are interpolated by cubics with a
+continuous slope that do not overshoot (F.N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5,
+1984).  Steps end at the rows of tables and at the ends of pulses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from multiarm.asking import Asked
+from multiarm.contacts.kernel import SPIN, VELOCITY
+from multiarm.contacts.written import load_function
+from multiarm.effects.piece import APPLIED, POWER, Piece, Site
+from multiarm.errors import ControlError
+from multiarm.lowlevel import (
+    book_at,
+    call_back,
+    copy,
+    entry,
+    floats1,
+    floats2,
+    floats_at,
+    inner,
+    ints1,
+    ints2,
+)
+from multiarm.plant import Buffers, open_book
+from multiarm.scene import read_wrench_table
+
+# Courses over time.
+CONSTANT, SINUSOID, PULSE, TABLE, FUNCTION = range(5)
+# Columns of the table of integers: course; whether on a link; whether in body axes; addresses of
+# the carrying joint's pose and of the Jacobian; the arm's first joint, how many carry the link;
+# address of a function or first row of a table, and how many.
+COURSE, ON_LINK, IN_BODY, POSE, JACOBIAN, FIRST, JOINTS, SOURCE, ROWS, INTEGERS = range(10)
+# Columns of the table of numbers: the link's frame in the joint's (rotation row by row), the point
+# in the joint's or object's frame, force and torque, frequency and phase or begin and end.
+FRAME, POINT, SIZE, TIMES, NUMBERS = 0, 9, 12, 18, 20
+# Columns of a row of a table: begin and end [s], then the cubics of the six components.
+CUBICS, ROW = 2, 26
+
+
+@entry
+def add_external_wrenches(address, size, at, t):
+    """Own arrays: integers, numbers, rows of tables, the wrenches now, scratch (12,), (3,)."""
+    book = book_at(address, size)
+    _, buffers, _ = open_book(book)
+    first, power = int(at), 0.0
+    slots, integers, numbers = ints1(book, first), ints2(book, first + 1), floats2(book, first + 2)
+    rows, wrenches = floats2(book, first + 3), floats2(book, first + 4)
+    pose, lever = floats1(book, first + 5), floats1(book, first + 6)
+    for k in range(integers.shape[0]):
+        which, own, wrench = integers[k], numbers[k], wrenches[k]
+        write_wrench(which, own, rows, t, wrench)
+        if which[ON_LINK] != 0:
+            joint_pose(which[POSE], pose)
+        else:
+            copy(buffers.body[:12], pose)
+        if which[IN_BODY] != 0:
+            to_world(pose, own, wrench)
+        for a in range(3):
+            # the moment is that about the object's centre of mass, or about the world's origin
+            lever[a] = pose[9 + a] if which[ON_LINK] != 0 else 0.0
+            for b in range(3):
+                lever[a] += pose[3 * a + b] * own[POINT + b]
+        power += apply_wrench(which, wrench, lever, buffers)
+    buffers.power[slots[POWER]] = power
+    return 0
+
+
+@inner
+def write_wrench(which, own, rows, t, wrench):
+    """Force and torque at time ``t``, in the axes in which they are given."""
+    course, factor = which[COURSE], 1.0
+    if course == FUNCTION:
+        call_back(which[SOURCE])  # writes them
+        return
+    if course == TABLE:
+        interpolate(rows[which[SOURCE] : which[SOURCE] + which[ROWS]], t, wrench)
+        return
+    if course == SINUSOID:
+        factor = math.sin(2.0 * math.pi * own[TIMES] * t + own[TIMES + 1])
+    elif course == PULSE:
+        factor = 1.0 if own[TIMES] <= t < own[TIMES + 1] else 0.0
+    for a in range(6):
+        wrench[a] = factor * own[SIZE + a]
+
+
+@inner
+def interpolate(rows, t, wrench):
+    """The six cubics of the row in which ``t`` lies; zero before the first and after the last."""
+    low, high = 0, rows.shape[0] - 1
+    if not rows[low, 0] <= t < rows[high, 1]:
+        wrench[:] = 0.0
+        return
+    while low < high:
+        middle = (low + high + 1) // 2
+        if rows[middle, 0] <= t:
+            low = middle
+        else:
+            high = middle - 1
+    x, cubics = t - rows[low, 0], rows[low, CUBICS:]
+    for a in range(6):
+        at = 4 * a
+        wrench[a] = ((cubics[at] * x + cubics[at + 1]) * x + cubics[at + 2]) * x + cubics[at + 3]
+
+
+@inner
+def joint_pose(address, pose):
+    """Rotation row by row, and origin, of a joint in Pinocchio's arrays."""
+    stored = floats_at(address, 12)  # the rotation by columns
+    for a in range(3):
+        for b in range(3):
+            pose[3 * a + b] = stored[3 * b + a]
+        pose[9 + a] = stored[9 + a]
+
+
+@inner
+def to_world(pose, own, wrench):
+    """Turn force and torque from the axes of the link or object into those of the world."""
+    for first in (0, 3):
+        f0, f1, f2 = wrench[first], wrench[first + 1], wrench[first + 2]
+        g0 = own[FRAME] * f0 + own[FRAME + 1] * f1 + own[FRAME + 2] * f2
+        g1 = own[FRAME + 3] * f0 + own[FRAME + 4] * f1 + own[FRAME + 5] * f2
+        g2 = own[FRAME + 6] * f0 + own[FRAME + 7] * f1 + own[FRAME + 8] * f2
+        for a in range(3):
+            wrench[first + a] = pose[3 * a] * g0 + pose[3 * a + 1] * g1 + pose[3 * a + 2] * g2
+
+
+@inner
+def apply_wrench(which, wrench, lever, buffers):
+    """Add a wrench to the right-hand sides; returns its power [W]."""
+    r0, r1, r2, power = lever[0], lever[1], lever[2], 0.0
+    f0, f1, f2 = wrench[0], wrench[1], wrench[2]
+    m0 = wrench[3] + r1 * f2 - r2 * f1
+    m1 = wrench[4] + r2 * f0 - r0 * f2
+    m2 = wrench[5] + r0 * f1 - r1 * f0
+    if which[ON_LINK] == 0:
+        h_o, body = buffers.h_o, buffers.body
+        h_o[0] += f0
+        h_o[1] += f1
+        h_o[2] += f2
+        h_o[3] += m0
+        h_o[4] += m1
+        h_o[5] += m2
+        power += f0 * body[VELOCITY] + f1 * body[VELOCITY + 1] + f2 * body[VELOCITY + 2]
+        return power + m0 * body[SPIN] + m1 * body[SPIN + 1] + m2 * body[SPIN + 2]
+    joints, first = which[JOINTS], which[FIRST]
+    J = floats_at(which[JACOBIAN], 6 * joints)
+    for j in range(joints):
+        c = J[6 * j : 6 * j + 6]
+        force = c[0] * f0 + c[1] * f1 + c[2] * f2 + c[3] * m0 + c[4] * m1 + c[5] * m2
+        buffers.h[first + j] += force
+        power += force * buffers.v[first + j]
+    return power
+
+
+def build(spec, site: Site) -> list[Piece]:
+    """The piece of a system on which wrenches from outside act.
+
+    Raises
+    ------
+    ModelError
+        When a function cannot be found.
+    """
+    count = len(spec)
+    integers, numbers = np.zeros((count, INTEGERS), dtype=np.int64), np.zeros((count, NUMBERS))
+    wrenches, rows, times = np.zeros((count, 6)), np.zeros((0, ROW)), [np.zeros(0)]
+    functions: dict[int, Callable] = {}
+    for k, wrench in enumerate(spec):
+        _place(wrench, site, integers[k], numbers[k])
+        numbers[k, SIZE : SIZE + 6] = [*(wrench.force or (0, 0, 0)), *(wrench.torque or (0, 0, 0))]
+        if wrench.sinusoid is not None:
+            integers[k, COURSE] = SINUSOID
+            numbers[k, TIMES:] = wrench.sinusoid.frequency, wrench.sinusoid.phase
+        elif wrench.pulse is not None:
+            integers[k, COURSE] = PULSE
+            numbers[k, TIMES:] = wrench.pulse.begin, wrench.pulse.end
+            times.append(numbers[k, TIMES:])
+        elif wrench.table is not None:
+            own = _table_rows(wrench.table, numbers[k, SIZE : SIZE + 6])
+            integers[k, [COURSE, SOURCE, ROWS]] = TABLE, len(rows), len(own)
+            rows = np.vstack([rows, own])
+            times.append(np.append(own[:, 0], own[-1, 1]))
+        elif wrench.function is not None:
+            integers[k, COURSE] = FUNCTION
+            functions[k] = load_function(wrench.function)
+
+    def connect(buffers: Buffers) -> dict[str, Asked]:
+        calls = {}
+        for k, function in functions.items():
+            name = f"external_wrenches[{k}]"
+            calls[name] = _asked(function, name, wrenches[k], site, buffers)
+            integers[k, SOURCE] = calls[name].address
+        return calls
+
+    return [
+        Piece(
+            "external_wrenches",
+            add_external_wrenches,
+            APPLIED,
+            (integers, numbers, rows, wrenches, np.zeros(12), np.zeros(3)),
+            breakpoints=np.concatenate(times),
+            connect=connect,
+        )
+    ]
+
+
+def _place(wrench, site: Site, integers: np.ndarray, numbers: np.ndarray) -> None:
+    """Write what a wrench acts on, and where."""
+    rotation, point = np.eye(3), np.array(wrench.at)
+    if wrench.target is not None:
+        link = site.link(*wrench.target)
+        integers[[ON_LINK, POSE, JACOBIAN, FIRST, JOINTS]] = (
+            1, link.pose, link.jacobian, link.first, link.joints,
+        )  # fmt: skip
+        rotation, point = link.rotation, link.rotation @ point + link.translation
+    integers[IN_BODY] = wrench.axes == "body"
+    numbers[FRAME : FRAME + 9] = rotation.ravel()
+    numbers[POINT : POINT + 3] = point
+
+
+def _table_rows(table, size: np.ndarray) -> np.ndarray:
+    """Begin, end and cubics between the rows of a table, shape (rows - 1, 26)."""
+    from scipy.interpolate import PchipInterpolator
+
+    if table.file is not None:
+        values = np.array(read_wrench_table(table.file)[0])
+        times, values = values[:, 0], values[:, 1:]
+    else:
+        times, values = np.array(table.times), np.outer(table.values, size)
+    cubics = PchipInterpolator(times, values).c  # (4, rows - 1, 6), highest power first
+    by_row = cubics.transpose(1, 2, 0).reshape(len(times) - 1, -1)
+    return np.column_stack([times[:-1], times[1:], by_row])
+
+
+def _asked(function: Callable, name: str, out: np.ndarray, site: Site, buffers: Buffers) -> Asked:
+    """A function ``f(t, state)`` that writes force and torque."""
+    words = f"the function of {name}"
+
+    def read(answer: object) -> np.ndarray:
+        try:
+            vector = np.array(answer, dtype=float)
+        except (TypeError, ValueError):
+            raise ControlError(f"{words} returned no numbers: {answer!r}") from None
+        if vector.shape != (6,):
+            raise ControlError(
+                f"{words} returned shape {vector.shape}; return 6 numbers, force and torque"
+            )
+        if not np.all(np.isfinite(vector)):
+            raise ControlError(
+                f"{words} returned a number that is not finite at t = {buffers.time[0]:.6g} s: "
+                f"{vector.tolist()}"
+            )
+        return vector
+
+    return Asked(function, words, read, out, site.layout, buffers)

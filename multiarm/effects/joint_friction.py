@@ -1,0 +1,42 @@
+r"""Dry friction in the joints, smoothed: :math:`\tau_j = -c_j \tanh(\dot q_j / s)` [N m, N].
+
+The Coulomb law :math:`\tau = -c\,\mathrm{sign}(\dot q)` with its jump at rest drawn out over a
+speed ``s``.  A joint under a load ``l < c`` does not stick: it creeps at ``s artanh(l / c)``.
+Where joints are slow, the law is a viscous friction of ``c / s``, which makes scenes stiff (such
+laws: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30(7), 1994).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
+from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.plant import open_book
+from multiarm.scene import friction_of
+
+
+@entry
+def add_joint_friction(address, size, at, _t):
+    """Own arrays: one friction torque a joint; the speed ``s``."""
+    book = book_at(address, size)
+    _, buffers, _ = open_book(book)
+    first = int(at)
+    slots, friction, speed = ints1(book, first), floats1(book, first + 1), floats1(book, first + 2)
+    power = 0.0
+    for j in range(buffers.h.size):
+        force = -friction[j] * math.tanh(buffers.v[j] / speed[0])
+        buffers.h[j] += force
+        power += force * buffers.v[j]
+    buffers.power[slots[POWER]] = power
+    return 0
+
+
+def build(spec, site: Site) -> list[Piece]:
+    """The piece of a system with smooth dry friction."""
+    if spec.model != "smooth":
+        return []
+    arrays = (site.stacked(spec.torque, friction_of), np.array([spec.smoothing_speed]))
+    return [Piece("joint_friction", add_joint_friction, PASSIVE, arrays)]

@@ -1,0 +1,56 @@
+"""Whether the start of a scene is where its contacts and joints can be."""
+
+from __future__ import annotations
+
+from multiarm.assembly import scene_size
+from multiarm.candidates.units import LIMIT, SURROUNDINGS, Unit
+from multiarm.contacts.kernel import GAP
+from multiarm.contacts.records import JointRow
+from multiarm.equations import update_kinematics
+from multiarm.errors import SceneError
+from multiarm.hybrid.patches import patch_margin
+from multiarm.state import State
+from multiarm.system import System
+
+# Parts of the scene's size that count as touching.
+TOUCHING = 1e-9
+
+
+def check_beginning(full: System, start: State) -> None:
+    """Check that nothing that comes and goes is inside of what it may touch, or beyond its range.
+
+    Raises
+    ------
+    SceneError
+        Naming all contacts and joints that are.
+    """
+    assert full.plan is not None, "something comes and goes"
+    full.set_state(0.0, start)
+    if update_kinematics(full.book()) != 0:
+        full.reraise()
+    allowed, gaps = TOUCHING * scene_size(full), full.buffers.contacts[:, GAP]
+    inside = [
+        unit
+        for unit in full.plan.units
+        if gaps[unit.row] < -allowed and not unit.soft and patch_margin(full, unit) >= 0.0
+    ]
+    faults = [_fault(full, unit, -float(gaps[unit.row])) for unit in inside]
+    if faults:
+        raise SceneError(faults)
+
+
+def _fault(full: System, unit: Unit, depth: float) -> str:
+    if unit.kind != LIMIT:
+        where, remedy = f"'{unit.arm}/{unit.name}' is inside the arm's surface", "the posture"
+        if unit.arm == SURROUNDINGS:
+            where, remedy = f"'{unit.name}' of the object is below the floor", "'object.pose'"
+        return f"at the start {where} by {depth:.3g} m; mend {remedy}, or the surfaces"
+    first = full.layout.dofs[full.arm_names.index(unit.arm)]
+    limit = full.records[unit.row]
+    assert isinstance(limit, JointRow) and limit.bound is not None, "a limit is a joint's"
+    at = full.buffers.angles[first + limit.joint]
+    end = "below its lower end" if limit.side > 0.0 else "above its upper end"
+    return (
+        f"$.effects.joint_limits: '{unit.arm}/{full.joint_name(unit.joint)}' starts at {at:.6g}, "
+        f"{end} {limit.bound:.6g}; mend the posture, or the range"
+    )

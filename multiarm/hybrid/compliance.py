@@ -1,0 +1,58 @@
+r"""Contacts that give way: a spring and a damper in place of a constraint.
+
+The contact force is a function of the gap :math:`\varphi` and its rate,
+
+.. math:: \lambda = -(k\,\varphi + d\,\dot\varphi),
+
+on the object along the contact's wrench, :math:`W_o\lambda`, and on the arm :math:`W\lambda`; its
+power is :math:`\lambda\dot\varphi`.  It is determined however many contacts there are.  A contact
+that can only push does so while it is pressed in (:math:`\varphi < 0`) and the force is positive;
+both ends of pushing are events, at which steps end, so that no step sees the kink.  The model:
+K.L. Johnson, Contact Mechanics, Cambridge 1985, linearised about a load.
+"""
+
+from __future__ import annotations
+
+from multiarm.candidates.springs import Springs
+from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.effects.piece import APPLIED, POWER, Piece
+from multiarm.equations import update_rows
+from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.plant import open_book
+
+
+@entry
+def add_contact_compliance(address, size, at, _t):
+    """Own arrays: those of :class:`multiarm.candidates.springs.Springs`."""
+    book, first = book_at(address, size), int(at)
+    _, buffers, _ = open_book(book)
+    slots, links, owners = ints1(book, first), ints1(book, first + 1), ints1(book, first + 2)
+    stiffness, damping = floats1(book, first + 3), floats1(book, first + 4)
+    active, force = ints1(book, first + 5), floats1(book, first + 6)
+    own = book_at(links[0], links[1])
+    update_rows(own)
+    _, rows, work = open_book(own)
+    power = 0.0
+    for s in range(owners.size):
+        i, rate = owners[s], rows.contacts[s, GAP_RATE]
+        force[s] = 0.0
+        if active[s] != 0:
+            force[s] = -(stiffness[s] * rows.contacts[s, GAP] + damping[s] * rate)
+        for k in range(6):
+            buffers.h_o[k] += rows.Wo[s, k] * force[s]
+        for j in range(work.dofs[i + 1] - work.dofs[i]):
+            buffers.h[work.dofs[i] + j] += work.Y[i, j, s - work.rows[i]] * force[s]
+        power += force[s] * rate
+    buffers.power[slots[POWER]] = power
+    return 0
+
+
+def compliance_pieces(springs: Springs | None) -> list[Piece]:
+    """The piece of a scene whose contacts give way."""
+    if springs is None:
+        return []
+    arrays = (
+        springs.links, springs.owners, springs.stiffness, springs.damping, springs.active,
+        springs.force,
+    )  # fmt: skip
+    return [Piece("contact_compliance", add_contact_compliance, APPLIED, arrays)]

@@ -1,0 +1,167 @@
+"""An evaluation where contacts come and go: in the mode that the state asks for.
+
+Such a system has all rows that may be held at some time (:attr:`multiarm.system.System.plan`), and
+is never solved as it is: which contacts push, slide, stick or let go at a state follows from the
+state, as it does at the beginning of a run, but without impacts.  The equations of that mode are
+solved by :func:`multiarm.dynamics.evaluate`; here its results are spread to all rows, and put into
+the equations with the friction forces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from multiarm import dynamics
+from multiarm.assembly import scene_size
+from multiarm.candidates.units import CONTACT, SURROUNDINGS
+from multiarm.contact_checks import place_state
+from multiarm.dense_call import read_inertia
+from multiarm.dynamics import (
+    Evaluation,
+    Residuals,
+    constraint_matrix,
+    contact_places,
+    contact_terms,
+)
+from multiarm.equations import OK, evaluate_buffers, update_kinematics, update_rows
+from multiarm.errors import SolverError
+from multiarm.hybrid.arrays import HELD, TANGENT_OF_ALL, THRESHOLD
+from multiarm.hybrid.edges import beside_units
+from multiarm.hybrid.kernels import start_guards
+from multiarm.hybrid.modes import STATE_NAMES, Choice, Mode, Modes
+from multiarm.hybrid.selection import held_model
+from multiarm.hybrid.springs import pressed_units
+from multiarm.hybrid.transition import Transition, closed_units
+from multiarm.node.dense import null_space
+from multiarm.state import State
+from multiarm.system import System
+
+# Slip slower than this has hardly a direction of its own [m/s].
+SLOW = 1e-9
+# Contacts whose gaps are smaller than this part of the scene's size touch.
+TOUCHING = 1e-9
+
+
+def evaluate_mode(system: System, t: float, state: State) -> Evaluation:
+    """Accelerations and forces of a system whose contacts come and go, at one state.
+
+    See :func:`multiarm.evaluation.evaluate`.
+    """
+    modes = Modes(system, SLOW)
+    return _spread(modes, _standing(modes, t, state), t, state)
+
+
+def standing_mode(system: System, t: float, state: State) -> Mode:
+    """The mode that a state of a system asks for, evaluated there.
+
+    Its ``system`` is valid as long as the mode lives.
+    """
+    return _standing(Modes(system, SLOW), t, state)
+
+
+def _standing(modes: Modes, t: float, state: State) -> Mode:
+    full, bare = modes.full, modes.bare
+    place_state(bare, t, state)
+    if update_kinematics(bare.book()) != OK:
+        bare.reraise()
+    update_rows(full.book())
+    touching = closed_units(modes, TOUCHING * scene_size(modes.model))
+    touching |= pressed_units(modes, Choice((), ()), set())
+    beside = beside_units(modes, Choice((), ()), set())
+    decision = Transition(modes, touching, 0.0, beside=beside).stay()
+    if decision.trouble:
+        raise SolverError(decision.trouble)
+    mode = modes.enter(decision.choice, decision.directions)
+    if evaluate_buffers(mode.system.book(), 0.0, 0.0) != OK:
+        mode.system.reraise()
+    start_guards(mode.system.book())
+    if np.any(mode.arrays.values < -mode.arrays.levels[:, THRESHOLD]):
+        mode.set_prestress(decision.forces)  # least forces do not obey the laws, but others do
+    return mode
+
+
+def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
+    """The evaluation of a mode, in the rows of the whole system."""
+    full, model = modes.full, held_model(modes.full)
+    own = dynamics.evaluate(mode.system, t, state)
+    forces, unique = _all_forces(full, mode)
+    residuals = _residuals(full, mode, forces, own.residuals.constraint)
+    points, normals = contact_places(full, state)
+    update_rows(model.book())
+    plan, split = modes.plan, partial(_by_owner, full)
+    doing: dict[str, list[str]] = {}
+    for unit, does in zip(plan.units, mode.choice.states, strict=True):
+        if unit.kind == CONTACT:
+            doing.setdefault(unit.arm, []).append(STATE_NAMES[does])
+    return replace(
+        own,
+        state=state,
+        contact_forces=split(forces),
+        contact_forces_unique=split(unique),
+        contact_points=split(points),
+        contact_normals=split(normals),
+        contact_terms=contact_terms(model),
+        residuals=residuals,
+        contact_states={owner: tuple(words) for owner, words in doing.items()},
+        _system=model,
+        _joint_forces=model.layout.split_contacts(forces[list(plan.model)]),
+    )
+
+
+def _by_owner(full: System, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Values of all rows by arm, and of the surroundings where there are any."""
+    found = full.layout.split_contacts(values)
+    around = values[full.layout.surroundings]
+    return {**found, SURROUNDINGS: around} if len(around) else found
+
+
+def _all_forces(full: System, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
+    """Forces of all rows [N], and which of them are determined."""
+    forces, unique = np.zeros(full.constraint_count), np.ones(full.constraint_count, dtype=bool)
+    arrays, own = mode.arrays, mode.system.buffers.force
+    forces[arrays.held] = own
+    columns = _columns(full)
+    reactions = columns[:, arrays.held]
+    for s, slide in enumerate(arrays.slides):
+        first, drag = slide[TANGENT_OF_ALL], -arrays.slide_mu[s] * arrays.turning[s]
+        forces[first : first + 2] = drag * own[slide[HELD]]
+        reactions[:, slide[HELD]] += columns[:, first : first + 2] @ drag
+    forces[arrays.springs] = arrays.spring_force
+    if arrays.held.size:
+        unique[arrays.held] = null_space(reactions).untouched
+    for slide in arrays.slides:
+        first = slide[TANGENT_OF_ALL]
+        unique[first : first + 2] = unique[arrays.held[slide[HELD]]]
+    return forces, unique
+
+
+def _columns(full: System) -> np.ndarray:
+    """``[W_o; W]`` of all rows at the state in the buffers, shape (6 + n, N), as for a rank.
+
+    Coordinates are scaled by the square root of their inertia, rows to unit length.
+    """
+    update_kinematics(full.book())
+    return constraint_matrix(full)
+
+
+def _residuals(full: System, mode: Mode, forces: np.ndarray, constraint: float) -> Residuals:
+    """Put forces of all rows into the equations of motion."""
+    b, work = mode.system.buffers, full.work
+    if evaluate_buffers(mode.system.book(), 0.0, 0.0) != OK:
+        mode.system.reraise()
+    q_o, qdd, h, h_o = b.q_o.copy(), b.qdd.copy(), b.h.copy(), b.h_o.copy()
+    update_kinematics(full.book())
+    pushing = forces.copy()
+    pushing[mode.arrays.springs] = 0.0  # effects have their part in h and h_o
+    arm = 0.0
+    for i in range(len(full.arm_names)):
+        d = slice(work.dofs[i], work.dofs[i + 1])
+        r = slice(work.rows[i], work.rows[i + 1])
+        W = work.Y[i, : d.stop - d.start, : r.stop - r.start]
+        M = read_inertia(full.plant.pointers[i], d.stop - d.start)
+        arm = max(arm, float(np.max(np.abs(M @ qdd[d] - h[d] - W @ pushing[r]))))
+    on_object = b.inertia @ q_o - h_o - full.buffers.Wo.T @ pushing
+    return Residuals(arm, float(np.max(np.abs(on_object))), constraint)

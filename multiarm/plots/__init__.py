@@ -1,0 +1,61 @@
+"""Figures of a run: what moved, what it took, and how far the result can be trusted.
+
+Each function takes a trajectory and returns a matplotlib `Figure` that belongs to no window; save
+it with `figure.savefig`. Every arm has its own family of colours, in all figures the same. Events
+of the run are thin upright lines, one style for each family of kinds, explained below the axes.
+
+A line has some thousand points at most, however long the run (see `decimation`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from multiarm.plots.contact_strip import contact_states
+from multiarm.plots.quantities import (
+    accuracy_course,
+    contact_forces,
+    drift,
+    energy,
+    joint_positions,
+    joint_torques,
+    object_pose,
+    work_channels,
+)
+from multiarm.plots.style import GRID, INK, STYLE, family
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from multiarm.trajectory import Trajectory
+
+__all__ = [
+    "GRID",
+    "INK",
+    "STYLE",
+    "accuracy_course",
+    "contact_forces",
+    "contact_states",
+    "drift",
+    "energy",
+    "family",
+    "figures",
+    "joint_positions",
+    "joint_torques",
+    "object_pose",
+    "work_channels",
+]
+
+
+def figures(trajectory: Trajectory) -> dict[str, Figure]:
+    """All figures of a run, by title, in the order in which one wants to see them."""
+    drawn = {
+        "Object": object_pose(trajectory),
+        "Joint positions": joint_positions(trajectory),
+        "Joint torques": joint_torques(trajectory),
+        "Contact forces": contact_forces(trajectory),
+        "Contact states": contact_states(trajectory),
+        "Energy": energy(trajectory),
+        "Drift": drift(trajectory),
+    }
+    return {title: figure for title, figure in drawn.items() if figure is not None}

@@ -1,0 +1,72 @@
+"""Colours and type of all figures of a run."""
+
+from __future__ import annotations
+
+import colorsys
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+INK, GRID = "#2b3440", "#d9dee5"
+"""Colours of text and axes, and of the grid."""
+AXIS_COLOURS = ("#d1495b", "#2f9e67", "#3b7dd8")
+"""Of x, y and z, as in every viewer."""
+ROLES = {"kinetic": "#d9822b", "potential": "#3b7dd8", "work": "#2f9e67", "balance": "#c2417c"}
+"""Colours of the parts of the energy."""
+STYLE: dict[Any, Any] = {
+    "axes.edgecolor": INK,
+    "axes.facecolor": "none",
+    "axes.grid": True,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9.5,
+    "axes.linewidth": 0.7,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 8,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.formatter.limits": (-4, 5),
+    "axes.formatter.use_mathtext": False,
+    "axes.unicode_minus": True,
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "lines.solid_joinstyle": "round",
+    "text.color": INK,
+    "text.usetex": False,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+}
+"""Settings of matplotlib under which all figures are drawn."""
+
+_HUES = (0.59, 0.07, 0.41, 0.87, 0.72, 0.49, 0.98, 0.14)
+
+
+def family(arm: int, members: int) -> list[str]:
+    """Colours of one arm: neighbours in hue, from deep to light.
+
+    Parameters
+    ----------
+    arm : int
+        Number of the arm in the scene.
+    members : int
+        How many lines there are to tell apart.
+    """
+    rounds, place = divmod(arm, len(_HUES))
+    hue = _HUES[place] + 0.035 * rounds
+    shades = np.linspace(0.0, 1.0, members) if members > 1 else [0.4]
+    return [
+        matplotlib.colors.to_hex(
+            colorsys.hls_to_rgb((hue + 0.11 * (s - 0.5)) % 1, 0.38 + 0.21 * s, 0.66)
+        )
+        for s in shades
+    ]

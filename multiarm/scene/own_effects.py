@@ -1,0 +1,204 @@
+"""Effects that others wrote: found by the name under which a scene has them.
+
+A name under ``effects`` that is none of ours is looked for among the classes that were handed to
+:func:`register_effect`, and then among the entry points ``multiarm.effects`` of the installed
+packages,
+
+.. code-block:: toml
+
+    [project.entry-points."multiarm.effects"]
+    magnet = "my_package.magnet:Magnet"
+
+A package is imported only by scenes that name its effect.  The class's ``Spec`` validates what
+stands under the name, and every fault is told at its place, as for our own effects.  What the class
+must offer says :class:`multiarm.effects.effect.Effect`; here only its name and its ``Spec`` matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, ValidationInfo
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from multiarm.errors import ModelError
+from multiarm.scene.base import Spec
+from multiarm.scene.faults import sentences
+from multiarm.scene.values import fault
+from multiarm.scene.words import unknown
+
+__all__ = [
+    "GROUP",
+    "Named",
+    "OwnEffect",
+    "OwnSpec",
+    "find_effect",
+    "own_effect_names",
+    "register_effect",
+]
+
+GROUP = "multiarm.effects"
+"""Of the entry points."""
+
+AnyEffect = TypeVar("AnyEffect", bound=type)
+
+# The one place that remembers: classes handed over at run time, and those of entry points.
+_REGISTERED: dict[str, type] = {}
+_LOADED: dict[str, type] = {}
+
+
+class OwnSpec(Spec):
+    """Parameters of an effect: keys that are not declared, NaN and infinity are refused."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+def register_effect(effect: AnyEffect) -> AnyEffect:
+    """Let scenes name an effect of one's own; also a decorator of its class.
+
+    Parameters
+    ----------
+    effect : type
+        A subclass of :class:`multiarm.Effect`.  Defined and registered once more, as notebooks do,
+        it replaces the former one.
+
+    Returns
+    -------
+    type
+        The class.
+
+    Raises
+    ------
+    ModelError
+        It lacks something, or another effect has its name.
+    """
+    from multiarm.scene.effects import EffectsSpec
+
+    _check(effect, "cannot be registered")
+    name = effect.name  # type: ignore[attr-defined]
+    if name in EffectsSpec.model_fields:
+        raise ModelError(f"effect {name!r}: multiarm itself has one of that name; choose another")
+    taken = _REGISTERED.get(name)
+    if taken is not None and _path(taken) != _path(effect):
+        raise ModelError(f"effect {name!r}: {_path(taken)} is registered under that name already")
+    for point in _entry_points(name):
+        if point.value.replace(" ", "") != _path(effect):
+            raise ModelError(
+                f"effect {name!r}: {_offered(point)} has that name already; choose another one"
+            )
+    _REGISTERED[name] = effect
+    return effect
+
+
+def find_effect(name: str) -> type | None:
+    """The class of an effect; None where nobody has one of that name.
+
+    Raises
+    ------
+    ModelError
+        Its package is broken, or several have one.
+    """
+    known = _REGISTERED.get(name) or _LOADED.get(name)
+    if known is not None:
+        return known
+    points = {point.value: point for point in _entry_points(name)}
+    if not points:
+        return None
+    if len(points) > 1:
+        offers = " and ".join(_offered(point) for point in points.values())
+        raise ModelError(f"effect {name!r} is ambiguous: {offers} have that name; remove one")
+    (point,) = points.values()
+    try:
+        effect = point.load()
+    except Exception as error:
+        raise ModelError(
+            f"effect {name!r}: {_offered(point)} cannot be loaded, {type(error).__name__}: {error}"
+        ) from error
+    _check(effect, f"of {_offered(point)} cannot be used", name)
+    _LOADED[name] = effect
+    return effect
+
+
+def own_effect_names() -> list[str]:
+    """Names of all effects that are registered or installed."""
+    return sorted({*_REGISTERED, *(point.name for point in metadata.entry_points(group=GROUP))})
+
+
+@dataclass(frozen=True)
+class Named:
+    """An entry under ``effects`` that is no field: its name, what stands there, our own names."""
+
+    name: str
+    value: Any
+    ours: Collection[str]
+
+
+def _read(entry: Any, info: ValidationInfo) -> Any:
+    """The validated parameters of an effect; None where a scene leaves it out by ``name: null``.
+
+    A stored scene is read without the effect's package too; its parameters stay what they are.
+    """
+    if not isinstance(entry, Named):
+        return entry
+    try:
+        effect = find_effect(entry.name)
+    except ModelError as error:
+        raise fault(str(error)) from None
+    if effect is None:
+        if (info.context or {}).get("stored"):
+            return entry.value
+        text = unknown("effect", entry.name, [*entry.ours, *own_effect_names()], "effects")
+        raise fault(f"{text}; effects of your own need multiarm.register_effect, or their package")
+    if entry.value is None:
+        return None
+    return _validated(effect, entry.value)
+
+
+def _validated(effect: Any, value: Any) -> Any:
+    """What an effect's ``Spec`` makes of the scene's text, every fault at its own place."""
+    try:
+        return TypeAdapter(effect.Spec).validate_python(value)
+    except ValidationError as error:
+        details = [
+            InitErrorDetails(type=fault(text), loc=tuple(parts), input=given)
+            for parts, text, given in sentences(error, effect.Spec)
+        ]
+        raise ValidationError.from_exception_data(effect.name, details) from None
+    except PydanticCustomError:
+        raise
+    except Exception as error:
+        raise fault(
+            f"the Spec of effect {effect.name!r} raised {type(error).__name__}: {error}"
+        ) from None
+
+
+OwnEffect = Annotated[Any, BeforeValidator(_read)]
+"""An entry under ``effects`` that is no field; :class:`Named` before it is validated."""
+
+
+def _check(effect: Any, trouble: str, name: str | None = None) -> None:
+    """Refuse what is no effect, or one without the name it is offered under."""
+    lacks = getattr(effect, "lacks", None)
+    if not isinstance(effect, type) or lacks is None:
+        raise ModelError(f"{effect!r} {trouble}: it is no subclass of multiarm.Effect")
+    reason = lacks()
+    if not reason and name is not None and effect.name != name:  # type: ignore[attr-defined]
+        reason = f"its name is {effect.name!r}, not {name!r}"  # type: ignore[attr-defined]
+    if reason:
+        raise ModelError(f"{_path(effect)} {trouble}: {reason}")
+
+
+def _entry_points(name: str) -> list[metadata.EntryPoint]:
+    return list(metadata.entry_points(group=GROUP, name=name))
+
+
+def _offered(point: metadata.EntryPoint) -> str:
+    package = "an installed package" if point.dist is None else f"package {point.dist.name!r}"
+    return f"{package} ({point.value})"
+
+
+def _path(effect: type) -> str:
+    return f"{effect.__module__}:{effect.__qualname__}"

@@ -1,0 +1,139 @@
+"""Hands that hold by friction alone: two UR5s lift a box between their fingertips."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from event_scenes import AS_WRITTEN, GRAVITY, times
+from mechanics import UR5_POSTURE, G
+
+import multiarm as ma
+from multiarm.problems.building import tip_pose
+from multiarm.scene import find_robot, parse_scene
+
+MASS, SQUEEZE, RADIUS = 2.0, 40.0, 0.01  # [kg], [N], [m]
+# Fingertips of a hand, in a plane that stands upright [m].
+PADS = [(0.02, 0.0), (-0.01, 0.017), (-0.01, -0.017)]
+
+
+def held_box(mu: float):
+    """A box between the pads of two UR5s, which press on its ends."""
+    tip = tip_pose("ur5", "tool0", tuple(UR5_POSTURE))
+    half = 1.1 - tip[0, 3] - RADIUS
+    arms, joints = {}, []
+    for name, side in (("left", -1.0), ("right", 1.0)):
+        base = {"xyz": [side * 1.1, side * tip[1, 3], 0]}
+        if side > 0.0:
+            base["rpy"] = [0, 0, math.pi]
+        arms[name] = {"robot": "ur5", "tip": "tool0", "posture": UR5_POSTURE, "base": base}
+        face = {"plane": {"point": [side * half, 0, 0], "normal": [side, 0, 0]}}
+        contacts = [
+            {"arm": {"sphere": {"center": (tip[:3, :3].T @ [0, *pad]).tolist(), "radius": RADIUS}},
+             "object": face}
+            for pad in PADS
+        ]  # fmt: skip
+        joints.append({"arm": name, "kind": "contacts", "contacts": contacts})
+    return parse_scene(
+        {
+            "gravity": G,
+            "object": {
+                "shape": {"box": [2 * half, 0.3, 0.3]}, "mass": MASS,
+                "pose": {"xyz": [0, 0, tip[2, 3]]},
+            },
+            "arms": arms,
+            "joints": joints,
+            "effects": {"unilateral_contacts": AS_WRITTEN, "contact_friction": mu},
+        }
+    )  # fmt: skip
+
+
+def lifting(rise: float):
+    """Each arm carries itself and half of the box, presses, and follows its posture stiffly.
+
+    The tips are pushed up with ``rise`` [N] more than the box weighs.
+    """
+    model = pin.buildModelFromUrdf(str(find_robot("ur5").urdf))
+    data, tool = model.createData(), model.getFrameId("tool0")
+    push = np.array([SQUEEZE, 0, 0.5 * (MASS * GRAVITY + rise), 0, 0, 0])
+
+    def torques(t, state):
+        found = {}
+        for name in ("left", "right"):
+            q, v = state.joint_positions[name], state.joint_velocities[name]
+            pin.computeJointJacobians(model, data, q)
+            pin.updateFramePlacements(model, data)
+            J = pin.getFrameJacobian(model, data, tool, pin.LOCAL_WORLD_ALIGNED)
+            carried = pin.computeGeneralizedGravity(model, data, q)
+            found[name] = carried + J.T @ push - 20.0 * v
+        return found
+
+    return torques
+
+
+def simulate(mu: float, rise: float = 0.0, duration: float = 0.4):
+    system = ma.compile_system(held_box(mu))
+    return ma.simulate(
+        system, duration, accuracy=1e-6, certificate=False, control=lifting(rise),
+        max_step=0.05, output_step=0.002,
+    )  # fmt: skip
+
+
+def upward(trajectory) -> np.ndarray:
+    """Force of all pads on the box, along the world's z, from Newton's law: m (a + g)."""
+    speed, t = trajectory.object_twist[:, 2], trajectory.time
+    return MASS * (np.gradient(speed, t) + GRAVITY)
+
+
+def in_cone(trajectory, mu: float) -> bool:
+    for name in ("left", "right"):
+        force = trajectory.contact_forces[name]
+        normal, drag = force[:, 0::3], np.hypot(force[:, 1::3], force[:, 2::3])
+        if np.min(normal) < -1e-9 or np.max(drag - mu * normal) > 1e-8:
+            return False
+    return True
+
+
+def test_two_hands_hold_a_box_by_friction_alone():
+    trajectory = simulate(0.6)
+    assert trajectory.status == "completed" and in_cone(trajectory, 0.6)
+    assert len(times(trajectory, "slides")) == 0
+    start = trajectory.object_position[0]
+    np.testing.assert_allclose(trajectory.object_position, [start] * 201, atol=1e-5)
+    for name in ("left", "right"):
+        normal = trajectory.contact_forces[name][:, 0::3]
+        np.testing.assert_allclose(np.sum(normal, axis=1), SQUEEZE, atol=0.1)
+
+
+def test_two_hands_lift_a_box_and_newton_agrees():
+    trajectory = simulate(0.6, rise=6.0)
+    assert trajectory.status == "completed" and in_cone(trajectory, 0.6)
+    assert trajectory.object_position[-1, 2] > trajectory.object_position[0, 2] + 0.005
+    drag = sum(
+        np.sum(np.abs(trajectory.contact_forces[name][:, 1::3]), axis=1)
+        for name in ("left", "right")
+    )
+    # friction is along the tangent that is upright, as long as the box does not turn
+    inside = slice(5, -5)
+    np.testing.assert_allclose(drag[inside], upward(trajectory)[inside], rtol=2e-3)
+    assert np.max(np.abs(trajectory.energy_balance)) < 1e-5
+
+
+@pytest.mark.parametrize("mu", [0.1, 0.2])
+def test_a_box_slips_out_of_hands_that_press_too_little(mu):
+    """Friction holds at most 2 mu times the squeeze: 8 N or 16 N of the 19.6 N that it weighs."""
+    trajectory = simulate(mu, duration=0.1)
+    assert trajectory.status == "completed" and in_cone(trajectory, mu)
+    assert trajectory.object_position[-1, 2] < trajectory.object_position[0, 2] - 1e-3
+    most = np.array(
+        [
+            mu * np.sum(trajectory.contact_forces[name][:, 0::3], axis=1)
+            for name in ("left", "right")
+        ]
+    )
+    inside = slice(5, -5)
+    assert np.all(upward(trajectory)[inside] <= np.sum(most, axis=0)[inside] * (1 + 1e-3))
+    states = trajectory.contact_states["left"]
+    assert np.any(states == 2.0)  # sliding
