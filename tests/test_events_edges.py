@@ -126,7 +126,7 @@ def test_a_box_thrown_on_the_floor_comes_to_rest_without_clatter(restitution, mu
 
 
 def test_a_flat_landing_with_friction_ends_alike_for_all_accuracies_and_masses():
-    """Four corners land at once with friction: which impulses share the blow is left to roundings."""
+    """Four corners land at once: which impulses share the blow is left to roundings."""
     ends = []
     for accuracy, mass in ((1e-6, 2.0), (1e-8, 2.0), (1e-8, 2e-3)):
         thrown = box(mass=mass, rpy=(0.6, 0.5, 0.1), height=0.5, twist=[2, 0.2, 0, 5, 2, 1])
