@@ -38,7 +38,8 @@ def changes(system: System, run: Trajectory, other: Trajectory) -> dict[str, Cha
     if not len(run) or not len(other):
         return found
     first, second = _Shared(run, other), _Shared(other, run)
-    lost = {arm: first.own(arm, flags) for arm, flags in undetermined_forces(system, run).items()}
+    open_forces = undetermined_forces(system, run)  # of the floor too, which is not compared
+    lost = {arm: first.own(arm, open_forces[arm]) for arm in run.arm_names if arm in open_forces}
     for name, difference in compare(_seen(first), _seen(second), lost).outputs.items():
         arm, _, noun = name.rpartition(": ")
         quantity = _QUANTITY_OF[noun]
