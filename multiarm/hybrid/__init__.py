@@ -7,7 +7,7 @@ mode the motion is smooth, and it is simulated as that of any other scene: a mod
 :class:`multiarm.system.System` of its own with the rows that it holds
 (:mod:`multiarm.hybrid.selection`), which shares state, arms and effects with all others.
 
-*Guards* (:mod:`multiarm.hybrid.guards`) say after every step whether the mode still holds: gaps of
+*Guards* (:mod:`multiarm.hybrid.kernels`) say after every step whether the mode still holds: gaps of
 open contacts are not negative, held contacts push, sticking ones stay within the cone of friction,
 sliding ones still slide.  Where one changes its sign inside a step, the time is found on the step's
 dense output, the step is repeated to end there, and a *transition*

@@ -9,6 +9,7 @@ import numpy as np
 
 from multiarm.candidates.plan import Plan
 from multiarm.candidates.units import CONTACT, DRY_JOINT, Unit
+from multiarm.channels import OPEN, RESTING, SLIDING, STICKING, TOUCHING
 from multiarm.dense_call import dense_call
 from multiarm.hybrid.arrays import (
     ASIDE,
@@ -47,10 +48,9 @@ from multiarm.node.reactions import ReactionWork, make_reaction_work
 from multiarm.plant import CALL_DENSE, CALL_FORCES, CALL_GUARDS, CALL_SHOW, CALL_SOLVE
 from multiarm.system import System
 
-# What a unit does, as it is recorded; a joint that moves against dry friction has its sign instead.
-OPEN, TOUCHING, SLIDING, STICKING, RESTING = range(5)
-# Not recorded as such: joints that move against dry friction; contacts whose friction is at its
-# bound although they do not slip, because others keep them from it.
+# Beside the states that are recorded (:mod:`multiarm.channels`): joints that move against dry
+# friction; contacts whose friction is at its bound although they do not slip, because others keep
+# them from it.
 FORWARD, BACKWARD, AT_BOUND = 5, 6, 7
 STATE_NAMES = {
     OPEN: "open", TOUCHING: "touching", SLIDING: "sliding", STICKING: "sticking",
