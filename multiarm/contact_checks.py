@@ -8,8 +8,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.contacts.kernel import RELATIVE_WIDTH
-from multiarm.contacts.records import KIND, LINK, PAIR, SURFACE_BODY, SURFACE_ON_OBJECT, Contact
+from multiarm.contacts.kernel import AT, NORMAL, RELATIVE_WIDTH
+from multiarm.contacts.records import (
+    CURVED,
+    CYLINDER,
+    KIND,
+    LINK,
+    PAIR,
+    PLANE,
+    SPHERE,
+    SURFACE_BODY,
+    SURFACE_ON_OBJECT,
+    TIP_RADIUS,
+    Contact,
+)
 from multiarm.contacts.rows import LINE_CONTACT, locate_pair
 from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
 from multiarm.equations import OK, update_kinematics
@@ -247,3 +259,18 @@ def _guesses(system: System, arm: str, row: int, b: np.ndarray) -> np.ndarray:
     around = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
     world = np.vstack([np.vstack([c, c + 1e-3 * reach, c + reach * around]) for c in centres])
     return (world - b[9:12]) @ b[:9].reshape(3, 3)
+
+
+def points_and_normals(system: System, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Contact points [m] and normals into the object of some rows, world axes, shapes (k, 3).
+
+    At the kinematics in the buffers.
+    """
+    plant, contacts = system.plant, system.buffers.contacts[rows]
+    normals = contacts[:, NORMAL : NORMAL + 3].copy()
+    codes, geometry = plant.codes[: system.layout.contacts], plant.geometry
+    tips = np.isin(codes[rows, KIND], (PLANE, SPHERE, CYLINDER, CURVED))
+    radius = geometry[: system.layout.contacts][rows, TIP_RADIUS] * tips
+    # from the tip's centre to its contact point: along the normal if the arm has the tip
+    way = np.where(codes[rows, SURFACE_BODY] == SURFACE_ON_OBJECT, 1.0, -1.0)
+    return contacts[:, AT : AT + 3] + (way * radius)[:, None] * normals, normals

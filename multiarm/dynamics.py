@@ -11,28 +11,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from multiarm.contact_checks import place_state
+from multiarm.contact_checks import place_state, points_and_normals
 from multiarm.contacts.internal_forces import InternalForces
 from multiarm.contacts.kernel import (
-    AT,
     BODY_WIDTH,
     GAP,
     GAP_BIAS,
     GAP_RATE,
-    NORMAL,
 )
 from multiarm.contacts.matrices import contact_matrices
 from multiarm.contacts.motion_space import MotionSpace
-from multiarm.contacts.records import (
-    CURVED,
-    CYLINDER,
-    KIND,
-    PLANE,
-    SPHERE,
-    SURFACE_BODY,
-    SURFACE_ON_OBJECT,
-    TIP_RADIUS,
-)
 from multiarm.deficiency import lost_motions
 from multiarm.dense_call import read_inertia
 from multiarm.equations import (
@@ -404,19 +392,7 @@ def contact_places(system: System, state: State) -> tuple[np.ndarray, np.ndarray
     if status != OK:
         system.reraise()
         raise SolverError(failure_text(system, status))
-    return _places(system, slice(None))
-
-
-def _places(system: System, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-    """Points and normals of some rows at the kinematics in the buffers."""
-    plant, contacts = system.plant, system.buffers.contacts[rows]
-    normals = contacts[:, NORMAL : NORMAL + 3].copy()
-    codes, geometry = plant.codes[: system.layout.contacts], plant.geometry
-    tips = np.isin(codes[rows, KIND], (PLANE, SPHERE, CYLINDER, CURVED))
-    radius = geometry[: system.layout.contacts][rows, TIP_RADIUS] * tips
-    # from the tip's centre to its contact point: along the normal if the arm has the tip
-    way = np.where(codes[rows, SURFACE_BODY] == SURFACE_ON_OBJECT, 1.0, -1.0)
-    return contacts[:, AT : AT + 3] + (way * radius)[:, None] * normals, normals
+    return points_and_normals(system, slice(None))
 
 
 def contact_terms(system: System) -> dict[str, ContactTerms]:
@@ -431,7 +407,7 @@ def contact_terms(system: System) -> dict[str, ContactTerms]:
             b.arms[i], b.body, _tip_kinematics(system, name, b.arms[i]),
         )  # fmt: skip
         contacts = b.contacts[rows]
-        points, normals = _places(system, rows)
+        points, normals = points_and_normals(system, rows)
         terms[name] = ContactTerms(
             *matrices,
             c=-contacts[:, GAP_BIAS],

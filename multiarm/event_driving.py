@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multiarm.assembly import scene_size
 from multiarm.candidates.units import DRY_JOINT
-from multiarm.contact_checks import place_state
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import OK, evaluate_buffers, update_kinematics, update_rows
 from multiarm.errors import MultiarmError, SolverError
@@ -28,6 +26,7 @@ from multiarm.hybrid.arrays import (
     THRESHOLD,
     UNIT,
 )
+from multiarm.hybrid.beginning import TOUCHING, touching_units
 from multiarm.hybrid.edges import beside_units
 from multiarm.hybrid.kernels import start_guards
 from multiarm.hybrid.locating import first_event
@@ -47,9 +46,6 @@ if TYPE_CHECKING:
     from multiarm.state import State
     from multiarm.system import System
 
-# Gaps of contacts that touch at the start, or at the time of another one's event, as a part of the
-# scene's size.
-TOUCHING = 1e-9
 # Gaps of those that have just hit are as small as the step's errors.
 HIT_SHARE = 4.0
 # Slip that has come to rest is as small as so many tolerances of a step; else it has only turned.
@@ -126,19 +122,12 @@ class EventDriving:
 
     def begin(self, state: State | None) -> dict[str, Any]:
         """The mode in which a run begins, as ``system``, and its ``state``, behind an impact."""
-        full, bare = self.modes.full, self.modes.bare
-        place_state(bare, 0.0, full.initial_state() if state is None else state)
-        if update_kinematics(bare.book()) != OK:
-            bare.reraise()
-        update_rows(full.book())
-        self._size = scene_size(self.modes.model)
+        start = self.modes.full.initial_state() if state is None else state
+        touching, beside, self._size = touching_units(self.modes, 0.0, start)
         of_step = None if self._tolerance is None else self._tolerance.smallest
         height = REST_SIZE * self._size if of_step is None else REST_SHARE * of_step
         self._rest_height = max(height, LOWEST_HOP)
         before = Choice((), ())
-        touching = closed_units(self.modes, TOUCHING * self._size)
-        touching |= pressed_units(self.modes, before, set())
-        beside = beside_units(self.modes, before, set())
         decision = self._decide(0.0, _News(touching, beside=beside))
         self._tell(0.0, decision, before)
         if self._trouble:

@@ -15,9 +15,7 @@ from functools import partial
 import numpy as np
 
 from multiarm import dynamics
-from multiarm.assembly import scene_size
 from multiarm.candidates.units import CONTACT, SURROUNDINGS
-from multiarm.contact_checks import place_state
 from multiarm.dense_call import read_inertia
 from multiarm.dynamics import (
     Evaluation,
@@ -29,20 +27,17 @@ from multiarm.dynamics import (
 from multiarm.equations import OK, evaluate_buffers, update_kinematics, update_rows
 from multiarm.errors import SolverError
 from multiarm.hybrid.arrays import HELD, TANGENT_OF_ALL, THRESHOLD
-from multiarm.hybrid.edges import beside_units
+from multiarm.hybrid.beginning import touching_units
 from multiarm.hybrid.kernels import start_guards
-from multiarm.hybrid.modes import STATE_NAMES, Choice, Mode, Modes
+from multiarm.hybrid.modes import STATE_NAMES, Mode, Modes
 from multiarm.hybrid.selection import held_model
-from multiarm.hybrid.springs import pressed_units
-from multiarm.hybrid.transition import Transition, closed_units
+from multiarm.hybrid.transition import Transition
 from multiarm.node.dense import null_space
 from multiarm.state import State
 from multiarm.system import System
 
 # Slip slower than this has hardly a direction of its own [m/s].
 SLOW = 1e-9
-# Contacts whose gaps are smaller than this part of the scene's size touch.
-TOUCHING = 1e-9
 
 
 def evaluate_mode(system: System, t: float, state: State) -> Evaluation:
@@ -63,14 +58,7 @@ def standing_mode(system: System, t: float, state: State) -> Mode:
 
 
 def _standing(modes: Modes, t: float, state: State) -> Mode:
-    full, bare = modes.full, modes.bare
-    place_state(bare, t, state)
-    if update_kinematics(bare.book()) != OK:
-        bare.reraise()
-    update_rows(full.book())
-    touching = closed_units(modes, TOUCHING * scene_size(modes.model))
-    touching |= pressed_units(modes, Choice((), ()), set())
-    beside = beside_units(modes, Choice((), ()), set())
+    touching, beside, _ = touching_units(modes, t, state)
     decision = Transition(modes, touching, 0.0, beside=beside).stay()
     if decision.trouble:
         raise SolverError(decision.trouble)

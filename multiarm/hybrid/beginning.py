@@ -1,14 +1,19 @@
-"""Whether the start of a scene is where its contacts and joints can be."""
+"""Where contacts and joints begin: whether they can be there, and what touches at a state."""
 
 from __future__ import annotations
 
 from multiarm.assembly import scene_size
 from multiarm.candidates.units import LIMIT, SURROUNDINGS, Unit
+from multiarm.contact_checks import place_state
 from multiarm.contacts.kernel import GAP
 from multiarm.contacts.records import JointRow
-from multiarm.equations import update_kinematics
+from multiarm.equations import OK, update_kinematics, update_rows
 from multiarm.errors import SceneError
+from multiarm.hybrid.edges import beside_units
+from multiarm.hybrid.modes import Choice, Modes
 from multiarm.hybrid.patches import patch_margin
+from multiarm.hybrid.springs import pressed_units
+from multiarm.hybrid.transition import closed_units
 from multiarm.state import State
 from multiarm.system import System
 
@@ -54,3 +59,18 @@ def _fault(full: System, unit: Unit, depth: float) -> str:
         f"$.effects.joint_limits: '{unit.arm}/{full.joint_name(unit.joint)}' starts at {at:.6g}, "
         f"{end} {limit.bound:.6g}; mend the posture, or the range"
     )
+
+
+def touching_units(modes: Modes, t: float, state: State) -> tuple[set[int], frozenset[int], float]:
+    """Write a state into the buffers; units that touch there, and that are beside their patches.
+
+    Compliant contacts that push touch too.  The third is the size of the scene [m].
+    """
+    full, bare = modes.full, modes.bare
+    place_state(bare, t, state)
+    if update_kinematics(bare.book()) != OK:
+        bare.reraise()
+    update_rows(full.book())
+    size, nothing = scene_size(modes.model), Choice((), ())
+    touching = closed_units(modes, TOUCHING * size) | pressed_units(modes, nothing, set())
+    return touching, beside_units(modes, nothing, set()), size

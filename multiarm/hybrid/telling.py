@@ -4,19 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from multiarm.candidates.units import CONTACT, DRY_JOINT, LIMIT, Unit
-from multiarm.contacts.kernel import AT, NORMAL
+from multiarm.contact_checks import points_and_normals
 from multiarm.contacts.records import (
-    CURVED,
-    CYLINDER,
-    KIND,
-    PLANE,
-    SPHERE,
-    SURFACE_BODY,
-    SURFACE_ON_OBJECT,
-    TIP_RADIUS,
     JointRow,
 )
 from multiarm.hybrid.modes import (
@@ -31,9 +21,6 @@ from multiarm.hybrid.modes import (
     Modes,
 )
 from multiarm.hybrid.transition import Decision, Hit
-
-# Kinds of contact whose point is the centre of a tip with a radius.
-WITH_TIP = (PLANE, SPHERE, CYLINDER, CURVED)
 
 
 def decision_events(
@@ -88,7 +75,8 @@ def _event(
         "text": f"{unit.arm}: {what} {_words(modes, unit, kind)}",
     }
     if unit.kind == CONTACT:
-        event["where"] = _place(modes, unit).tolist()
+        points, _ = points_and_normals(modes.full, slice(unit.row, unit.row + 1))
+        event["where"] = points[0].tolist()
     if hit is not None:
         turns = unit.kind != CONTACT and modes.full.joint_unit(unit.joint) == "rad"
         unit_of_rate = "rad_s" if turns else "m_s"
@@ -106,12 +94,3 @@ def _words(modes: Modes, unit: Unit, kind: str) -> str:
     assert isinstance(record, JointRow), "a limit is a joint's"
     end = "its lower limit" if record.side > 0.0 else "its upper limit"
     return f"bounces off {end}" if kind == "bounces" else kind.replace("its limit", end)
-
-
-def _place(modes: Modes, unit: Unit) -> np.ndarray:
-    """Point of contact [m], world axes: the tip's centre, moved on to its surface."""
-    contact, plant = modes.full.buffers.contacts[unit.row], modes.full.plant
-    code = plant.codes[unit.row]
-    radius = plant.geometry[unit.row, TIP_RADIUS] if code[KIND] in WITH_TIP else 0.0
-    way = radius if code[SURFACE_BODY] == SURFACE_ON_OBJECT else -radius
-    return contact[AT : AT + 3] + way * contact[NORMAL : NORMAL + 3]
