@@ -117,7 +117,7 @@ def _controlled(system: System, control: ControlFunction | None) -> System:
         return system.with_control(control)
     program = control_program(system)
     plant = system.plant._replace(
-        control=program.codes,
+        control=program.laws,
         parameters=np.concatenate([system.plant.parameters, program.parameters]),
     )
     breakpoints = np.union1d(system.pieces.breakpoints, program.breakpoints)

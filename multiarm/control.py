@@ -1,7 +1,8 @@
 r"""Control laws as compiled pieces: what the scene names becomes a short program over arrays.
 
-A program is a list of ``(code, offset)`` pairs; each code adds its torques to ``torque`` with the
-parameters found at ``offset``.  A scene without control has an empty program.
+A program is a list of laws: the address of a kernel that adds its torques to ``torque``, and where
+its parameters begin.  Only the laws that a scene names are compiled; one without control has an
+empty program.
 
 * *harmonic*: :math:`\tau_j = \tau_{0j} + A_j \sin(2\pi f t + \psi_j)`; constant torques have no A.
 * *gravity compensation*: the torques that hold the whole system still where it is,
@@ -19,16 +20,15 @@ import math
 
 import numpy as np
 
+from multiarm.books import book_at
 from multiarm.load_sharing import static_forces
-from multiarm.lowlevel import call_back, inner, inner_inlined, kernel
+from multiarm.lowlevel import call_back, call_entry, entry, inlined, kernel
 from multiarm.object_control import (
     add_computed_torque,
     add_object_impedance,
     take_contact_forces,
 )
 from multiarm.plant import CALL_CONTROL, open_book
-
-HARMONIC, GRAVITY_COMPENSATION, JOINT_PD, PYTHON, COMPUTED_TORQUE, OBJECT_IMPEDANCE = range(6)
 
 
 @kernel
@@ -94,25 +94,61 @@ def add_joint_pd(t, angles, velocity, parameters, at, torque):
         torque[j] += parameters[at + n + j] * (rate - velocity[j])
 
 
-@inner_inlined
-def control_torques(t, angles, program, parameters, plant, buffers, work):
-    """Run the control program; the torques are left in ``buffers.torque``."""
-    torque = buffers.torque
-    torque[:] = 0.0
-    for k in range(program.shape[0]):
-        code, at = program[k, 0], program[k, 1]
-        if code == HARMONIC:
-            add_harmonic(t, parameters, at, torque)
-        elif code == JOINT_PD:
-            add_joint_pd(t, angles, buffers.v, parameters, at, torque)
-        elif code == GRAVITY_COMPENSATION:
-            add_gravity_compensation(plant, buffers, work, torque)
-        elif code == COMPUTED_TORQUE:
-            add_computed_torque(t, parameters, at, plant, buffers, work, torque)
-        elif code == OBJECT_IMPEDANCE:
-            add_object_impedance(t, parameters, at, plant, buffers, work, torque)
-        else:
-            call_back(plant.calls[CALL_CONTROL])
+@inlined
+def control_torques(address, size, t, plant, buffers):
+    """Let the laws of ``plant.control`` write ``buffers.torque``, at the system with this book."""
+    for j in range(buffers.torque.size):
+        buffers.torque[j] = 0.0
+    for k in range(plant.control.shape[0]):
+        call_entry(plant.control[k, 0], book_at(address, size), float(plant.control[k, 1]), t)
+
+
+@entry
+def harmonic(address, size, at, t):
+    """See :func:`add_harmonic`; constant torques have no amplitude."""
+    plant, buffers, _ = open_book(book_at(address, size))
+    add_harmonic(t, plant.parameters, int(at), buffers.torque)
+    return 0
+
+
+@entry
+def joint_pd(address, size, at, t):
+    """See :func:`add_joint_pd`."""
+    plant, buffers, _ = open_book(book_at(address, size))
+    add_joint_pd(t, buffers.angles, buffers.v, plant.parameters, int(at), buffers.torque)
+    return 0
+
+
+@entry
+def gravity_compensation(address, size, _at, _t):
+    """See :func:`add_gravity_compensation`."""
+    plant, buffers, work = open_book(book_at(address, size))
+    add_gravity_compensation(plant, buffers, work, buffers.torque)
+    return 0
+
+
+@entry
+def computed_torque(address, size, at, t):
+    """See :func:`multiarm.object_control.add_computed_torque`."""
+    plant, buffers, work = open_book(book_at(address, size))
+    add_computed_torque(t, plant.parameters, int(at), buffers, work, buffers.torque)
+    return 0
+
+
+@entry
+def object_impedance(address, size, at, t):
+    """See :func:`multiarm.object_control.add_object_impedance`."""
+    plant, buffers, work = open_book(book_at(address, size))
+    add_object_impedance(t, plant.parameters, int(at), plant, buffers, work, buffers.torque)
+    return 0
+
+
+@entry
+def python_control(address, size, _at, _t):
+    """The user's function, which writes all torques."""
+    plant, _, _ = open_book(book_at(address, size))
+    call_back(plant.calls[CALL_CONTROL])
+    return 0
 
 
 @kernel
@@ -122,11 +158,12 @@ def write_holding_torque(book):
     Needs its kinematics and ``gravity_torque`` in the buffers.
     """
     plant, buffers, work = open_book(book)
-    buffers.torque[:] = 0.0
+    for j in range(buffers.torque.size):
+        buffers.torque[j] = 0.0
     add_gravity_compensation(plant, buffers, work, buffers.torque)
 
 
-@inner
+@kernel
 def add_gravity_compensation(plant, buffers, work, torque):
     """Torques that hold arms and object still where they are, see the module's text."""
     weight = buffers.weight

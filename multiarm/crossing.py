@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 
 from multiarm.equations import OK, evaluate_buffers
-from multiarm.lowlevel import copy, inner, kernel
+from multiarm.lowlevel import clear, copy, kernel
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
 from multiarm.plant import KICK, SHIFT, asks_python, open_book, open_coupled
 from multiarm.solver_watch import believable, constraint_residual
@@ -76,13 +76,13 @@ def evaluate_on_branch(book, closed, alpha, beta):
     return status
 
 
-@inner
+@kernel
 def excess(coupled):
     """How many of the unknown forces move nothing."""
     return coupled.counts[UNKNOWNS] - coupled.counts[RANK]
 
 
-@inner
+@kernel
 def mix_evaluations(book, closed, alpha, beta, delay):
     """Accelerations from states ``delay`` [s] and its multiples before and behind.
 
@@ -94,7 +94,7 @@ def mix_evaluations(book, closed, alpha, beta, delay):
     n, mixed = buffers.angles.size, buffers.mixed
     here, there, fewest = coupled.margin[0], 0.0, excess(coupled)
     more = fewest
-    mixed[:] = 0.0
+    clear(mixed)
     for side in range(6):
         k = 1 + side // 2
         restore_state(buffers.kept, buffers)
@@ -113,7 +113,7 @@ def mix_evaluations(book, closed, alpha, beta, delay):
     return True
 
 
-@inner
+@kernel
 def exchange_solution(buffers):
     """Exchange the accelerations with those in ``buffers.mixed``."""
     mixed = buffers.mixed
@@ -125,7 +125,7 @@ def exchange_solution(buffers):
             mixed[j], buffers.qdd[j - 6] = buffers.qdd[j - 6], other
 
 
-@inner
+@kernel
 def keep_state(buffers, kept):
     """Write the state in the buffers to ``kept``."""
     n = buffers.angles.size
@@ -135,7 +135,7 @@ def keep_state(buffers, kept):
     copy(buffers.v, kept[13 + n :])
 
 
-@inner
+@kernel
 def restore_state(kept, buffers):
     """Write a kept state into the buffers."""
     n = buffers.angles.size
@@ -145,7 +145,7 @@ def restore_state(kept, buffers):
     copy(kept[13 + n :], buffers.v)
 
 
-@inner
+@kernel
 def move_state(buffers, delay):
     """Move the state in the buffers along its velocity."""
     turn = buffers.q_o  # scratch: an evaluation follows

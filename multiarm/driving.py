@@ -61,6 +61,7 @@ from multiarm.time_loop import (
     H,
     T,
     advance,
+    run_book,
 )
 from multiarm.trajectory import Trajectory
 
@@ -219,11 +220,11 @@ def _drive(
 def _advancer(run: Run) -> Callable[[int], int]:
     """The compiled loop as a function of its budget of evaluations."""
     book, joints = run.system.book(), run.system.layout.joints
-    method = run.stepping.method
-    arrays = step_book(method, run.stepping.step)
+    arrays = step_book(run.stepping.method, run.stepping.step)
 
     def advance_by(budget: int) -> int:
-        return advance(book, joints, arrays, method, run.clock, run.settings, run.block, budget)
+        times = run_book(run.clock, run.settings)
+        return advance(book, joints, arrays, times, run.block, budget)
 
     return advance_by
 

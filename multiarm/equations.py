@@ -21,6 +21,7 @@ import math
 
 import numpy as np
 
+from multiarm.books import book_at, floats_at, ints1
 from multiarm.contacts.kernel import (
     ACCELERATION,
     AT,
@@ -35,20 +36,10 @@ from multiarm.contacts.kernel import (
     VELOCITY,
 )
 from multiarm.contacts.records import COMBINED, KIND, RADIUS, SIDE, WEIGHT
-from multiarm.contacts.rows import write_rows
+from multiarm.contacts.rows import write_row, write_rows
 from multiarm.control import control_torques
-from multiarm.lowlevel import (
-    address_of,
-    book_at,
-    call_back,
-    call_entry,
-    entry,
-    floats_at,
-    inner,
-    inner_inlined,
-    ints1,
-    kernel,
-)
+from multiarm.late_entries import LateEntry
+from multiarm.lowlevel import address_of, call_back, call_entry, entry, inlined, kernel
 from multiarm.node.regular import DEFICIENT, ELIMINATED, eliminate, solve
 from multiarm.node.singular import ARMS, couple, solve_coupled
 from multiarm.plant import (
@@ -57,6 +48,7 @@ from multiarm.plant import (
     CALL_DENSE,
     CALL_FORCES,
     CALL_KINEMATICS,
+    CALL_ROW,
     CALL_SOLVE,
     CALL_SURFACE,
     CALL_TERMS,
@@ -72,7 +64,7 @@ from multiarm.terms import BIAS_AT, DRIFT_AT, GRAVITY_AT, J_AT, M_AT, M_STRIDE, 
 OK, CALLBACK_FAILED, NOT_FINITE, CONTRADICTION = -1, -2, -4, -5
 
 
-@inner_inlined
+@inlined
 def fill_configuration(plant, buffers):
     """Write Pinocchio's configuration from the joint positions."""
     for j in range(buffers.angles.size):
@@ -84,7 +76,7 @@ def fill_configuration(plant, buffers):
             buffers.q[slot] = buffers.angles[j]
 
 
-@inner_inlined
+@inlined
 def object_terms(plant, buffers):
     """Pose, motion, inertia ``blkdiag(m I, R I R^T)`` and bias of the object (thesis, 3.2)."""
     body, inertia, h_o = buffers.body, buffers.inertia, buffers.h_o
@@ -112,7 +104,7 @@ def object_terms(plant, buffers):
     h_o[5] = w1 * l0 - w0 * l1
 
 
-@inner_inlined
+@inlined
 def link_motion(pointers, gravity, row):
     """Motion of the link that carries an arm's tip, in world axes, from Pinocchio's own arrays.
 
@@ -135,9 +127,12 @@ def link_motion(pointers, gravity, row):
         row[SPIN_RATE + k] = r0 * a[3] + r1 * a[4] + r2 * a[5]
 
 
-@inner_inlined
-def arm_rows(i, plant, buffers, work):
-    """Contact kinematics of arm ``i``, its rows of ``W_o`` and its ``W`` (into ``work.Y``)."""
+@inlined
+def arm_rows(i, book, plant, buffers, work):
+    """Contact kinematics of arm ``i``, its rows of ``W_o`` and its ``W`` (into ``work.Y``).
+
+    ``plant, buffers, work`` are the views of ``book``.
+    """
     d = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
     m = work.rows[i + 1] - first
@@ -146,8 +141,7 @@ def arm_rows(i, plant, buffers, work):
     Y, wrench = work.Y[i], buffers.wrench
     write_rows(
         first, m, buffers.arms[i], buffers.body, buffers.relative, plant.codes, plant.geometry,
-        plant.shapes, plant.calls[CALL_SURFACE], buffers.contacts, buffers.parts, buffers.query,
-        buffers.places, buffers.located,
+        buffers.contacts, book, i, plant.calls[CALL_ROW],
     )  # fmt: skip
     for k in range(m):
         row = buffers.contacts[first + k]
@@ -179,7 +173,7 @@ def arm_rows(i, plant, buffers, work):
             )
 
 
-@inner_inlined
+@inlined
 def write_joint_rows(plant, buffers, work):
     """Rows that belong to joints: their gaps, and their columns of ``W``."""
     for k in range(plant.joint_rows.shape[0]):
@@ -192,7 +186,7 @@ def write_joint_rows(plant, buffers, work):
         work.Y[i, joint - work.dofs[i], row - work.rows[i]] = side
 
 
-@inner_inlined
+@inlined
 def load_inertia(i, plant, work):
     """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.L``."""
     d = work.dofs[i + 1] - work.dofs[i]
@@ -207,7 +201,8 @@ def load_inertia(i, plant, work):
 @entry
 def _kinematics(address, size, _a, _b):
     """See :func:`update_kinematics`."""
-    plant, buffers, work = open_book(book_at(address, size))
+    book = book_at(address, size)
+    plant, buffers, work = open_book(book)
     fill_configuration(plant, buffers)
     call_back(plant.calls[CALL_TERMS])
     if buffers.flag[0] != 0:
@@ -215,7 +210,7 @@ def _kinematics(address, size, _a, _b):
     object_terms(plant, buffers)
     for i in range(plant.pointers.shape[0]):
         link_motion(plant.pointers[i], plant.gravity, buffers.arms[i])
-        arm_rows(i, plant, buffers, work)
+        arm_rows(i, book, plant, buffers, work)
         load_inertia(i, plant, work)
     write_joint_rows(plant, buffers, work)
     # a surface of the user's may have failed
@@ -234,16 +229,14 @@ def _right_hand_sides(address, size, alpha, beta):
     power = 0.0
     if plant.control.shape[0] > 0:
         load_gravity_torque(plant, buffers, work)
-        control_torques(
-            buffers.time[0], buffers.angles, plant.control, plant.parameters, plant, buffers, work
-        )
+        control_torques(address, size, buffers.time[0], plant, buffers)
         power = add_torques(address, size, plant, buffers)
     applied_forces(address, size, plant, buffers, power)
     drift_terms(buffers, alpha, beta)
     return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
 
 
-@inner_inlined
+@inlined
 def passive_forces(address, size, plant, buffers, work):
     """``h = -b``, and what the joints do by themselves."""
     for i in range(plant.pointers.shape[0]):
@@ -255,7 +248,7 @@ def passive_forces(address, size, plant, buffers, work):
         call_effect(plant.effects[k], address, size, buffers)
 
 
-@inner_inlined
+@inlined
 def add_torques(address, size, plant, buffers):
     """Add the control's torques, as the actuators pass them on; returns their power [W]."""
     for k in range(plant.phases[0], plant.phases[1]):
@@ -267,7 +260,7 @@ def add_torques(address, size, plant, buffers):
     return power
 
 
-@inner_inlined
+@inlined
 def applied_forces(address, size, plant, buffers, power):
     """Add what comes from outside, and write the power of all: the control's is ``power`` [W]."""
     for k in range(plant.phases[1], plant.phases[2]):
@@ -278,7 +271,7 @@ def applied_forces(address, size, plant, buffers, power):
     buffers.power[last] = power
 
 
-@inner_inlined
+@inlined
 def drift_terms(buffers, alpha, beta):
     """``c``, with feedback on the drift."""
     for k in range(buffers.c.size):
@@ -286,13 +279,13 @@ def drift_terms(buffers, alpha, beta):
         buffers.c[k] = -(row[GAP_BIAS] + 2.0 * alpha * row[GAP_RATE] + beta * beta * row[GAP])
 
 
-@inner_inlined
+@inlined
 def call_effect(effect, address, size, buffers):
     """Let one effect add its part; ``effect`` is its row of ``Plant.effects``."""
     call_entry(effect[0], book_at(address, size), float(effect[1]), buffers.time[0])
 
 
-@inner_inlined
+@inlined
 def load_gravity_torque(plant, buffers, work):
     """Copy the joints' gravity forces; Pinocchio fills them only when the control asks for them."""
     for i in range(plant.pointers.shape[0]):
@@ -336,12 +329,29 @@ def _solve_coupled(address, size, _a, _b):
     return OK
 
 
+@entry
+def _other_row(address, size, row, arm):
+    """Write a row of an arm that is not a tip on a plane, a sphere or a cylinder."""
+    plant, buffers, _ = open_book(book_at(address, size))
+    write_row(
+        int(row), buffers.arms[int(arm)], buffers.body, plant.codes, plant.geometry, plant.shapes,
+        plant.calls[CALL_SURFACE], buffers.contacts, buffers.parts, buffers.query, buffers.places,
+        buffers.located,
+    )  # fmt: skip
+    return OK
+
+
+# What regular scenes of idealised joints do without.
+_COUPLED = LateEntry(_solve_coupled, CALL_COUPLED, CALLBACK_FAILED)
+_ROW = LateEntry(_other_row, CALL_ROW, CALLBACK_FAILED)
+
+
 def connect_entries(calls: np.ndarray) -> None:
     """Write the addresses of the compiled parts of an evaluation into ``Plant.calls``."""
     calls[CALL_KINEMATICS] = address_of(_kinematics)
     calls[CALL_FORCES] = address_of(_right_hand_sides)
     calls[CALL_SOLVE] = calls[CALL_CLOSE] = address_of(_solve)
-    calls[CALL_COUPLED] = address_of(_solve_coupled)
+    calls[CALL_COUPLED], calls[CALL_ROW] = _COUPLED.address, _ROW.address
 
 
 @kernel
@@ -359,7 +369,7 @@ def update_rows(book):
     """Contact rows alone, of a system that shares its bodies' motion with one that has it."""
     plant, buffers, work = open_book(book)
     for i in range(plant.pointers.shape[0]):
-        arm_rows(i, plant, buffers, work)
+        arm_rows(i, book, plant, buffers, work)
     write_joint_rows(plant, buffers, work)
 
 
@@ -392,7 +402,7 @@ def evaluate_buffers(book, alpha, beta):
     return call_entry(calls[CALL_SOLVE], book, 0.0, 0.0)
 
 
-@inner
+@kernel
 def kinetic_energy(plant, buffers, work):
     """Kinetic energy of arms and object [J] at the state evaluated last."""
     energy = 0.0
@@ -424,7 +434,7 @@ def largest(contacts, column):
     return worst
 
 
-@inner
+@kernel
 def finite(vector):
     """Whether all entries are finite."""
     for i in range(vector.size):  # noqa: SIM110  compiled code has no generators

@@ -160,7 +160,7 @@ class EventDriving:
         arrays, t = self.mode.arrays, float(run.clock.real[T])
         begin, end = arrays.span
         book, method = run.system.book(), run.stepping.method
-        probe = Probe(book, step_book(method, run.stepping.step), method, self.mode, begin, end)
+        probe = Probe(book, step_book(method, run.stepping.step), self.mode, begin, end)
         theta, guards = first_event(probe, arrays.found.copy(), arrays.levels[:, THRESHOLD])
         arrays.least[:] = np.inf
         arrays.muted[0] = 1

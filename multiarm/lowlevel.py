@@ -1,29 +1,26 @@
 """Primitives that let compiled code reach Pinocchio: read an address, call back into Python.
 
 Numba types plain integers, so that a table of addresses is ordinary data: kernels compiled once
-serve every scene, whatever arms it has.
-
-An *address book* is one integer vector that stands for many arrays.  Functions of the time loop
-hand it to each other instead of fifty arrays, and open it into views that are not reference
-counted; an evaluation costs half of what it does with the arrays as arguments.
+serve every scene, whatever arms it has.  Arrays behind addresses are :mod:`multiarm.books`.
 """
 
 from __future__ import annotations
 
 import ctypes
+import functools
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
-from numba.np.arrayobj import populate_array
 
-_KERNEL = re.compile(rb"^@(kernel|inlined|inner|inner_inlined|entry|allocating)\b", re.MULTILINE)
+from multiarm.translation import PART, WHOLE
+
+_KERNEL = re.compile(rb"^@(kernel|inlined|entry|allocating)\b", re.MULTILINE)
 _IMPORTED = re.compile(rb"^from multiarm\.([\w.]+) import", re.MULTILINE)
 
 
@@ -50,106 +47,56 @@ def _source_stamp() -> str:
 _STAMP = _source_stamp()
 
 
-def _decorator(with_cfunc_wrapper: bool = False, **options: Any) -> Callable:
-    """Numba's decorator whose cache is fresh as long as no kernel of the package has changed."""
-    options["no_cfunc_wrapper"] = not with_cfunc_wrapper
+class Kernel:
+    """A compiled function: whole when it is called from Python, part of others when from kernels.
 
-    def decorate(function: Callable) -> Any:
+    Each of the two is compiled when it is first asked for.
+    """
+
+    def __init__(self, function: Callable, **options: Any) -> None:
         # as in NumPy, a division by zero gives inf or NaN, which the callers look for
-        dispatcher = njit(cache=True, error_model="numpy", **options)(function)
+        self.py_func = function
+        self._options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
+        part = {**self._options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        self._part = njit(**PART, **part)(function)
+        self._numba_type_ = self._part._numba_type_  # by this name Numba asks what a global is
+        functools.update_wrapper(self, function)
+
+    @functools.cached_property
+    def whole(self) -> Any:
+        """Numba's dispatcher of the function as a whole, cached while no kernel has changed."""
+        dispatcher = njit(cache=True, **WHOLE, **self._options)(self.py_func)
         _cache_file(dispatcher)._source_stamp = _STAMP
         return dispatcher
 
-    return decorate
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the whole."""
+        return self.whole(*arguments)
+
+    def is_cached(self) -> bool:
+        """Whether fresh machine code is in the cache."""
+        return bool(_cache_file(self.whole)._load_index())
+
+
+def _decorator(**options: Any) -> Callable[[Callable], Kernel]:
+    return functools.partial(Kernel, **options)
 
 
 # Kernels that make no arrays are compiled without Numba's reference counting (`_nrt`): it would
-# count every slice they hand to each other, which doubles the cost of an evaluation.  `kernel` and
-# `inlined` may be called from Python too; `inner` and `inner_inlined` have no Python entry, which
-# saves most of the compile time of functions that take many arrays.
+# count every slice they hand to each other, which doubles the cost of an evaluation.
 kernel = _decorator(_nrt=False)
 inlined = _decorator(_nrt=False, forceinline=True)
-inner = _decorator(_nrt=False, no_cpython_wrapper=True)
-inner_inlined = _decorator(_nrt=False, no_cpython_wrapper=True, forceinline=True)
+# For kernels that do make arrays; they must not return them to one of the other kind.
+allocating = _decorator(_nrt=True)
 # A large kernel that others call by its address (`address_of`, `call_entry`): it is compiled once,
 # and not once more into every function above it, which is most of what compiling would cost.  Its
 # arguments are those of ENTRY: address and size of an address book, two numbers; it returns an int.
-entry = _decorator(_nrt=False, no_cpython_wrapper=True, with_cfunc_wrapper=True)
-# For kernels that do make arrays; they must not return them to one of the other kind.
-allocating = _decorator(_nrt=True)
-
-
-def is_cached(dispatcher: Any) -> bool:
-    """Whether fresh machine code of a kernel is in the cache."""
-    return bool(_cache_file(dispatcher)._load_index())
+entry = _decorator(_nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=False)
 
 
 def _cache_file(dispatcher: Any) -> Any:
     """Where Numba keeps a kernel's code; Numba has no public name for it."""
     return dispatcher._cache._cache_file
-
-
-def address_book(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Addresses and shapes of C-contiguous float64 and int64 arrays, shape (4 k,).
-
-    The arrays must stay alive as long as the book is used.
-    """
-    book = np.ones((len(arrays), 4), dtype=np.int64)
-    for row, array in zip(book, arrays, strict=True):
-        assert array.flags.c_contiguous and array.dtype in (np.float64, np.int64)
-        row[0] = array.__array_interface__["data"][0]
-        row[1 : 1 + array.ndim] = array.shape
-    return book.ravel()
-
-
-def _view(context, builder, dtype, address, shape):
-    """LLVM value of a C-contiguous array at an address, without reference counting."""
-    kind = types.Array(dtype, len(shape), "C")
-    array = context.make_array(kind)(context, builder)
-    pointer = builder.inttoptr(address, context.get_value_type(types.CPointer(dtype)))
-    item = context.get_constant(types.intp, 8)
-    strides = [item]
-    for size in reversed(shape[1:]):
-        strides.insert(0, builder.mul(strides[0], size))
-    populate_array(array, pointer, shape, strides, item, meminfo=None)
-    return array._getvalue()
-
-
-@intrinsic
-def floats_at(typing_context, address, count):
-    """Vector of ``count`` float64 at an integer address."""
-
-    def generate(context, builder, signature, arguments):
-        return _view(context, builder, types.float64, arguments[0], [arguments[1]])
-
-    return types.Array(types.float64, 1, "C")(types.int64, types.intp), generate
-
-
-def _entry_of_book(dtype, axes: int):
-    """Intrinsic ``(book, k) -> array``: the view at entry ``k`` of an address book."""
-
-    @intrinsic
-    def entry(typing_context, book, k):
-        def generate(context, builder, signature, arguments):
-            base = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-            first = builder.mul(arguments[1], context.get_constant(types.intp, 4))
-            numbers = []
-            for offset in range(1 + axes):
-                at = builder.add(first, context.get_constant(types.intp, offset))
-                numbers.append(builder.load(builder.gep(base, [at])))
-            return _view(context, builder, dtype, numbers[0], numbers[1:])
-
-        return types.Array(dtype, axes, "C")(book, types.intp), generate
-
-    return entry
-
-
-# Views of the arrays in an address book: of float64 with 1, 2, 3 axes and of int64 with 1, 2.
-floats1 = _entry_of_book(types.float64, 1)
-floats2 = _entry_of_book(types.float64, 2)
-floats3 = _entry_of_book(types.float64, 3)
-ints1 = _entry_of_book(types.int64, 1)
-ints2 = _entry_of_book(types.int64, 2)
 
 
 @inlined
@@ -159,13 +106,20 @@ def copy(source, out):
         out[i] = source[i]
 
 
+@inlined
+def clear(out):
+    """Write zeros into a vector (slice assignment takes long to compile)."""
+    for i in range(out.size):
+        out[i] = 0.0
+
+
 ENTRY = types.int64(types.int64, types.int64, types.float64, types.float64)
 
 
-def address_of(function: Any) -> int:
+def address_of(function: Kernel) -> int:
     """Address of a kernel decorated with `entry`, compiled if need be."""
-    function.compile(ENTRY)
-    result = function.overloads[ENTRY.args]
+    function.whole.compile(ENTRY)
+    result = function.whole.overloads[ENTRY.args]
     return result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
 
 
@@ -185,16 +139,6 @@ def call_entry(typing_context, address, book, a, b):
 
 
 @intrinsic
-def book_at(typing_context, address, size):
-    """Address book of ``size`` integers at an integer address."""
-
-    def generate(context, builder, signature, arguments):
-        return _view(context, builder, types.int64, arguments[0], [arguments[1]])
-
-    return types.Array(types.int64, 1, "C")(types.int64, types.int64), generate
-
-
-@intrinsic
 def call_back(typing_context, address):
     """Call the function without arguments or result at an integer address."""
 
@@ -206,17 +150,27 @@ def call_back(typing_context, address):
     return types.void(types.int64), generate
 
 
-class CallBack:
-    """A Python function that compiled code can call, and the trouble it ran into.
+class Trouble:
+    """Something that compiled code calls in Python, and the exception that it ran into.
 
     An exception must not cross compiled code (it would be printed and lost).  It is kept here, the
     flag array is raised, and the loop returns; :meth:`reraise` then raises it where Python can see
     it.  ``KeyboardInterrupt`` goes the same way.
     """
 
-    def __init__(self, function: Callable[[], None], flag) -> None:
-        self.error: BaseException | None = None
+    error: BaseException | None = None
 
+    def reraise(self) -> None:
+        """Raise what the function raised, if it did, once."""
+        error, self.error = self.error, None
+        if error is not None:
+            raise error
+
+
+class CallBack(Trouble):
+    """A Python function without arguments or result that compiled code can call."""
+
+    def __init__(self, function: Callable[[], None], flag) -> None:
         def guarded() -> None:
             try:
                 function()
@@ -226,9 +180,3 @@ class CallBack:
 
         self._keep_alive = ctypes.CFUNCTYPE(None)(guarded)
         self.address: int = ctypes.cast(self._keep_alive, ctypes.c_void_p).value or 0
-
-    def reraise(self) -> None:
-        """Raise what the function raised, if it did, once."""
-        error, self.error = self.error, None
-        if error is not None:
-            raise error

@@ -33,7 +33,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import GAP_BIAS
 from multiarm.load_sharing import share_load, solve_semidefinite, static_forces
-from multiarm.lowlevel import allocating, inner
+from multiarm.lowlevel import allocating, kernel
 from multiarm.node.regular import factor_in_place
 from multiarm.spatial import difference, retract_into, write_chart_rate
 
@@ -157,7 +157,7 @@ def add_arm_forces(inertia, W, preferred, target, torque):
             torque[j] += W[j, a] * scale[a] * kappa[a]
 
 
-@inner
+@kernel
 def path_offset(parameters, at, work):
     """Where a law's path begins among its numbers."""
     if parameters[at + SQUEEZES] == 0.0:
@@ -166,7 +166,7 @@ def path_offset(parameters, at, work):
     return at + LAW_WIDTH + work.rows[arms] + 6 * arms
 
 
-@inner
+@kernel
 def write_contact_forces(parameters, at, buffers, work):
     """Let the contacts share ``buffers.weight`` as the law wants; writes ``static_force``."""
     weight, Wo, force = buffers.weight, buffers.Wo, buffers.static_force
@@ -181,7 +181,7 @@ def write_contact_forces(parameters, at, buffers, work):
     )  # fmt: skip
 
 
-@inner
+@kernel
 def add_motion_forces(rate, buffers, work, torque):
     """Add ``M q''`` of all arms: targets in ``buffers.c``, free motions damped at ``rate``."""
     for j in range(buffers.v.size):
@@ -192,7 +192,7 @@ def add_motion_forces(rate, buffers, work, torque):
         add_arm_forces(work.L[i], work.Y[i], buffers.qdd[d0:d1], buffers.c[r0:r1], torque[d0:d1])
 
 
-@inner
+@kernel
 def take_contact_forces(buffers, work, torque):
     """Take ``W lambda`` of the contact forces in ``buffers.static_force`` off the torques."""
     force = buffers.static_force
@@ -203,8 +203,8 @@ def take_contact_forces(buffers, work, torque):
                 torque[d0 + j] -= work.Y[i, j, a] * force[r0 + a]
 
 
-@inner
-def add_computed_torque(t, parameters, at, plant, buffers, work, torque):
+@kernel
+def add_computed_torque(t, parameters, at, buffers, work, torque):
     """Add the torques of computed torque, see the module's text.
 
     Until the equations of motion are solved ``buffers.q_o, qdd, c`` hold what the law wants.
@@ -228,7 +228,7 @@ def add_computed_torque(t, parameters, at, plant, buffers, work, torque):
     take_contact_forces(buffers, work, torque)
 
 
-@inner
+@kernel
 def add_object_impedance(t, parameters, at, plant, buffers, work, torque):
     """Add the torques of the object impedance, see the module's text."""
     wrench = buffers.weight

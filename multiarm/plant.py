@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.books import Floats1, Floats2, Ints1, Ints2, address_book, view
 from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.surfaces import QUERY_WIDTH
-from multiarm.lowlevel import address_book, floats1, floats2, floats3, inner_inlined, ints1, ints2
+from multiarm.lowlevel import inlined
 from multiarm.node.regular import NodeWork
 from multiarm.node.singular import CoupledWork
 
@@ -24,7 +25,9 @@ CALL_KINEMATICS, CALL_FORCES, CALL_SOLVE, CALL_COUPLED, CALL_CLOSE = range(5, 10
 # Entries of scenes whose contacts come and go: 0 in others.
 CALL_SHOW, CALL_GUARDS = range(10, 12)
 # One of the user's functions that effects ask: 0 where there are none.
-CALL_FUNCTION, CALL_COUNT = range(12, 14)
+CALL_FUNCTION = 12
+# Writes a row of W that is not a tip on a plane, a sphere or a cylinder.
+CALL_ROW, CALL_COUNT = range(13, 15)
 
 # Entry of Buffers.flag.
 BUSY = 1
@@ -57,11 +60,11 @@ class Plant(NamedTuple):
         About the centre of mass, object axes.
     gravity : (3,)
     control : int64 (k, 2), parameters : float64
-        Program of (code, offset), and the numbers it refers to.
+        Address of each control law's kernel and offset of its numbers in ``parameters``.
     effects : int64 (k, 2), phases : int64 (3,)
         Address of each effect's kernel and place of its first array in the system's book; where
         the three phases of an evaluation end in this list, see :mod:`multiarm.effects.piece`.
-    calls : int64 (13,)
+    calls : int64 (14,)
         Addresses of the callbacks (arm terms, Python controller, dense solver, potential energy,
         the user's surfaces), of the compiled parts of an evaluation, of those of scenes whose
         contacts come and go (:mod:`multiarm.hybrid`), and of a function that an effect asks.
@@ -73,27 +76,27 @@ class Plant(NamedTuple):
         Addresses and sizes of other books, of scenes whose contacts come and go.
     """
 
-    pointers: np.ndarray
-    q_slots: np.ndarray
-    circular: np.ndarray
-    codes: np.ndarray
-    geometry: np.ndarray
-    shapes: np.ndarray
-    frames: np.ndarray
-    free_bounds: np.ndarray
-    free: np.ndarray
-    watches: np.ndarray
-    object_mass: np.ndarray
-    object_inertia: np.ndarray
-    gravity: np.ndarray
-    control: np.ndarray
-    effects: np.ndarray
-    phases: np.ndarray
-    parameters: np.ndarray
-    calls: np.ndarray
-    dense: np.ndarray
-    joint_rows: np.ndarray
-    links: np.ndarray
+    pointers: Ints2
+    q_slots: Ints1
+    circular: Ints1
+    codes: Ints2
+    geometry: Floats2
+    shapes: Floats2
+    frames: Floats2
+    free_bounds: Ints1
+    free: Ints2
+    watches: Floats2
+    object_mass: Floats1
+    object_inertia: Floats2
+    gravity: Floats1
+    control: Ints2
+    effects: Ints2
+    phases: Ints1
+    parameters: Floats1
+    calls: Ints1
+    dense: Ints1
+    joint_rows: Ints2
+    links: Ints1
 
 
 class Buffers(NamedTuple):
@@ -154,60 +157,51 @@ class Buffers(NamedTuple):
         of its singular postures an arm is (0: unknown), and whether it changed sides.
     """
 
-    time: np.ndarray
-    position: np.ndarray
-    angles: np.ndarray
-    twist: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    arms: np.ndarray
-    body: np.ndarray
-    relative: np.ndarray
-    contacts: np.ndarray
-    parts: np.ndarray
-    query: np.ndarray
-    places: np.ndarray
-    located: np.ndarray
-    Wo: np.ndarray
-    wrench: np.ndarray
-    inertia: np.ndarray
-    h_o: np.ndarray
-    h: np.ndarray
-    c: np.ndarray
-    q_o: np.ndarray
-    qdd: np.ndarray
-    force: np.ndarray
-    shown: np.ndarray
-    torque: np.ndarray
-    gravity_torque: np.ndarray
-    weight: np.ndarray
-    static_force: np.ndarray
-    power: np.ndarray
-    energy: np.ndarray
-    inner: np.ndarray
-    inner_rate: np.ndarray
-    coordinates: np.ndarray
-    margins: np.ndarray
-    events: np.ndarray
-    event_count: np.ndarray
-    flag: np.ndarray
-    residual: np.ndarray
-    kept: np.ndarray
-    mixed: np.ndarray
-    stage_gap: np.ndarray
-    solved: np.ndarray
-    lost: np.ndarray
-    signs: np.ndarray
-    passed: np.ndarray
-
-
-# Places of ``calls`` and of the coupled system's ``counts`` in the address book of a system.
-CALLS = Plant._fields.index("calls")
-COUPLED_COUNTS = sum(len(part._fields) for part in (Plant, Buffers, NodeWork)) + (
-    CoupledWork._fields.index("counts")
-)
-# Place of the first of the effects' arrays.
-OWN_ARRAYS = sum(len(part._fields) for part in (Plant, Buffers, NodeWork, CoupledWork))
+    time: Floats1
+    position: Floats1
+    angles: Floats1
+    twist: Floats1
+    q: Floats1
+    v: Floats1
+    arms: Floats2
+    body: Floats1
+    relative: Floats1
+    contacts: Floats2
+    parts: Floats2
+    query: Floats1
+    places: Floats2
+    located: Floats2
+    Wo: Floats2
+    wrench: Floats2
+    inertia: Floats2
+    h_o: Floats1
+    h: Floats1
+    c: Floats1
+    q_o: Floats1
+    qdd: Floats1
+    force: Floats1
+    shown: Floats1
+    torque: Floats1
+    gravity_torque: Floats1
+    weight: Floats1
+    static_force: Floats1
+    power: Floats1
+    energy: Floats1
+    inner: Floats1
+    inner_rate: Floats1
+    coordinates: Floats2
+    margins: Floats1
+    events: Floats2
+    event_count: Ints1
+    flag: Ints1
+    residual: Floats1
+    kept: Floats1
+    mixed: Floats1
+    stage_gap: Floats1
+    solved: Floats1
+    lost: Ints1
+    signs: Floats1
+    passed: Ints1
 
 
 def make_buffers(
@@ -282,123 +276,33 @@ def system_book(
     return address_book([*plant, *buffers, *work, *coupled, *others])
 
 
-@inner_inlined
+_PARTS = (Plant, Buffers, NodeWork, CoupledWork)
+_FIRST = [sum(len(part._fields) for part in _PARTS[:k]) for k in range(len(_PARTS) + 1)]
+_open_plant, _open_buffers, _open_work = (
+    view(part, at) for part, at in zip(_PARTS[:3], _FIRST[:3], strict=True)
+)
+# Views of the coupled system's arrays in a system's book.
+open_coupled = view(CoupledWork, _FIRST[3])
+
+# Places of ``calls``, ``flag`` and of the coupled system's ``counts`` in the address book of a
+# system, and of the first of the effects' arrays.
+CALLS = Plant._fields.index("calls")
+FLAG = _FIRST[1] + Buffers._fields.index("flag")
+COUPLED_COUNTS = _FIRST[3] + CoupledWork._fields.index("counts")
+OWN_ARRAYS = _FIRST[4]
+
+
+@inlined
 def open_book(book):
-    """Views ``plant, buffers, work`` of the arrays in a system's book (fields in their order)."""
-    plant = Plant(
-        pointers=ints2(book, 0),
-        q_slots=ints1(book, 1),
-        circular=ints1(book, 2),
-        codes=ints2(book, 3),
-        geometry=floats2(book, 4),
-        shapes=floats2(book, 5),
-        frames=floats2(book, 6),
-        free_bounds=ints1(book, 7),
-        free=ints2(book, 8),
-        watches=floats2(book, 9),
-        object_mass=floats1(book, 10),
-        object_inertia=floats2(book, 11),
-        gravity=floats1(book, 12),
-        control=ints2(book, 13),
-        effects=ints2(book, 14),
-        phases=ints1(book, 15),
-        parameters=floats1(book, 16),
-        calls=ints1(book, 17),
-        dense=ints1(book, 18),
-        joint_rows=ints2(book, 19),
-        links=ints1(book, 20),
-    )
-    buffers = Buffers(
-        time=floats1(book, 21),
-        position=floats1(book, 22),
-        angles=floats1(book, 23),
-        twist=floats1(book, 24),
-        q=floats1(book, 25),
-        v=floats1(book, 26),
-        arms=floats2(book, 27),
-        body=floats1(book, 28),
-        relative=floats1(book, 29),
-        contacts=floats2(book, 30),
-        parts=floats2(book, 31),
-        query=floats1(book, 32),
-        places=floats2(book, 33),
-        located=floats2(book, 34),
-        Wo=floats2(book, 35),
-        wrench=floats2(book, 36),
-        inertia=floats2(book, 37),
-        h_o=floats1(book, 38),
-        h=floats1(book, 39),
-        c=floats1(book, 40),
-        q_o=floats1(book, 41),
-        qdd=floats1(book, 42),
-        force=floats1(book, 43),
-        shown=floats1(book, 44),
-        torque=floats1(book, 45),
-        gravity_torque=floats1(book, 46),
-        weight=floats1(book, 47),
-        static_force=floats1(book, 48),
-        power=floats1(book, 49),
-        energy=floats1(book, 50),
-        inner=floats1(book, 51),
-        inner_rate=floats1(book, 52),
-        coordinates=floats2(book, 53),
-        margins=floats1(book, 54),
-        events=floats2(book, 55),
-        event_count=ints1(book, 56),
-        flag=ints1(book, 57),
-        residual=floats1(book, 58),
-        kept=floats1(book, 59),
-        mixed=floats1(book, 60),
-        stage_gap=floats1(book, 61),
-        solved=floats1(book, 62),
-        lost=ints1(book, 63),
-        signs=floats1(book, 64),
-        passed=ints1(book, 65),
-    )
-    work = NodeWork(
-        dofs=ints1(book, 66),
-        rows=ints1(book, 67),
-        L=floats3(book, 68),
-        Y=floats3(book, 69),
-        G=floats3(book, 70),
-        Z=floats3(book, 71),
-        S=floats2(book, 72),
-        y=floats1(book, 73),
-        z=floats1(book, 74),
-        pivot=floats1(book, 75),
-    )
-    return plant, buffers, work
+    """Views ``plant, buffers, work`` of the arrays in a system's book."""
+    return _open_plant(book), _open_buffers(book), _open_work(book)
 
 
-@inner_inlined
+@inlined
 def asks_python(plant):
     """Whether functions of the user's take part: a controller, surfaces, wrenches from outside."""
     return (
         plant.calls[CALL_CONTROL] != 0
         or plant.calls[CALL_SURFACE] != 0
         or plant.calls[CALL_FUNCTION] != 0
-    )
-
-
-@inner_inlined
-def open_coupled(book):
-    """Views of the coupled system's arrays in a system's book."""
-    return CoupledWork(
-        V=floats3(book, 76),
-        A=floats3(book, 77),
-        sigma=floats1(book, 78),
-        deficient=ints1(book, 79),
-        scale=floats1(book, 80),
-        split=floats1(book, 81),
-        inertia=floats2(book, 82),
-        arm=ints1(book, 83),
-        row=ints1(book, 84),
-        C=floats2(book, 85),
-        B=floats2(book, 86),
-        basis=floats2(book, 87),
-        images=floats2(book, 88),
-        right=floats1(book, 89),
-        unknown=floats1(book, 90),
-        counts=ints1(book, 91),
-        margin=floats1(book, 92),
     )

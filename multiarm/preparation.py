@@ -9,6 +9,7 @@ import numpy as np
 
 from multiarm.adoption import adopt_state
 from multiarm.assembly import StartReport, projection_tolerance, scene_size
+from multiarm.books import address_book
 from multiarm.contact_checks import place_state
 from multiarm.dynamics import failure_text
 from multiarm.equations import OK
@@ -27,7 +28,7 @@ from multiarm.integrators.stepper import (
 )
 from multiarm.integrators.tableaus import METHODS, ROSENBROCK, VARIATIONAL, Tableau
 from multiarm.integrators.variational import make_variational, variational_step
-from multiarm.lowlevel import address_book, address_of
+from multiarm.lowlevel import address_of
 from multiarm.node.singular import ARMS
 from multiarm.samples import sample_width
 from multiarm.scene import RunSpec

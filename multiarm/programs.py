@@ -10,17 +10,18 @@ import numpy as np
 from multiarm.asking import Asked
 from multiarm.assembly import follow_object
 from multiarm.control import (
-    COMPUTED_TORQUE,
-    GRAVITY_COMPENSATION,
-    HARMONIC,
-    JOINT_PD,
-    OBJECT_IMPEDANCE,
+    computed_torque,
+    gravity_compensation,
+    harmonic,
+    joint_pd,
+    object_impedance,
     pack_harmonic,
     pack_path,
     write_holding_torque,
 )
 from multiarm.equations import OK, update_kinematics
 from multiarm.errors import ControlError
+from multiarm.lowlevel import Kernel, address_of
 from multiarm.object_programs import object_law, pose_of, route
 from multiarm.plant import Buffers
 from multiarm.scene import Scene, gain_vector
@@ -51,9 +52,9 @@ PATH_TOLERANCE = 1e-8
 
 
 class Program(NamedTuple):
-    """Pairs (code, offset), the numbers they refer to, and times where smoothness ends."""
+    """Laws (address, offset), the numbers they refer to, and times where smoothness ends."""
 
-    codes: np.ndarray
+    laws: np.ndarray
     parameters: np.ndarray
     breakpoints: np.ndarray
 
@@ -80,14 +81,14 @@ def control_program(system: System) -> Program:
         case HarmonicControl() as control:
             program = _harmonic(system, control)
         case ComputedTorqueControl() as control:
-            program = Program(_codes([(COMPUTED_TORQUE, 0)]), *object_law(system, control))
+            program = Program(_laws(computed_torque), *object_law(system, control))
         case ObjectImpedanceControl() as control:
-            program = Program(_codes([(OBJECT_IMPEDANCE, 0)]), *object_law(system, control))
+            program = Program(_laws(object_impedance), *object_law(system, control))
         case NoControl():
             program = Program(NO_PROGRAM, np.zeros(0), np.zeros(0))
-    codes = program.codes.copy()
-    codes[:, 1] += system.plant.parameters.size
-    return program._replace(codes=codes)
+    laws = program.laws.copy()
+    laws[:, 1] += system.plant.parameters.size
+    return program._replace(laws=laws)
 
 
 def control_call(function: ControlFunction, layout: Layout, buffers: Buffers) -> Asked:
@@ -136,12 +137,12 @@ def _read_torques(torques: object, layout: Layout, t: float) -> np.ndarray:
 def _constant(system: System, control: ConstantControl) -> Program:
     torques = _stacked(control.torques, system.arms)
     zero = np.zeros_like(torques)
-    return Program(_codes([(HARMONIC, 0)]), pack_harmonic(0.0, torques, zero, zero), np.zeros(0))
+    return Program(_laws(harmonic), pack_harmonic(0.0, torques, zero, zero), np.zeros(0))
 
 
 def _gravity_compensation(system: System) -> Program:
-    codes = [(GRAVITY_COMPENSATION, 0)] if needs_gravity_torque(system.scene) else []
-    return Program(_codes(codes), np.zeros(0), np.zeros(0))
+    laws = [gravity_compensation] if needs_gravity_torque(system.scene) else []
+    return Program(_laws(*laws), np.zeros(0), np.zeros(0))
 
 
 def _harmonic(system: System, control: HarmonicControl) -> Program:
@@ -150,18 +151,18 @@ def _harmonic(system: System, control: HarmonicControl) -> Program:
     parameters = pack_harmonic(
         control.frequency, hold, _stacked(control.amplitude, arms), _stacked(control.phase, arms)
     )
-    return Program(_codes([(HARMONIC, 0)]), parameters, np.zeros(0))
+    return Program(_laws(harmonic), parameters, np.zeros(0))
 
 
 def _joint_pd(system: System, control: JointPDControl) -> Program:
     arms = system.arms
     gains = np.concatenate([_stacked(control.stiffness, arms), _stacked(control.damping, arms)])
     bounds, coefficients = _reference(system, control.path)
-    codes = [(JOINT_PD, 0)]
+    laws = [joint_pd]
     if needs_gravity_torque(system.scene):
-        codes.append((GRAVITY_COMPENSATION, 0))
+        laws.append(gravity_compensation)
     parameters = np.concatenate([gains, pack_path(bounds, coefficients)])
-    return Program(_codes(codes), parameters, bounds if control.path else np.zeros(0))
+    return Program(_laws(*laws), parameters, bounds if control.path else np.zeros(0))
 
 
 def _reference(system: System, path: tuple[Waypoint, ...] | None) -> tuple[np.ndarray, np.ndarray]:
@@ -255,5 +256,6 @@ def _stacked(values, arms: dict[str, Arm]) -> np.ndarray:
     )
 
 
-def _codes(pairs: list[tuple[int, int]]) -> np.ndarray:
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+def _laws(*laws: Kernel) -> np.ndarray:
+    """Addresses of control laws, whose numbers begin at 0."""
+    return np.array([(address_of(law), 0) for law in laws], dtype=np.int64).reshape(-1, 2)

@@ -16,7 +16,7 @@ import numpy as np
 from multiarm.contacts.frames import SINGLE_TURN, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import kinetic_energy, largest
-from multiarm.lowlevel import call_back, call_entry, copy, inlined, inner
+from multiarm.lowlevel import call_back, call_entry, copy, inlined, kernel
 from multiarm.plant import (
     CALL_POTENTIAL,
     CALL_SHOW,
@@ -33,7 +33,7 @@ def sample_width(joints: int, contacts: int, free: int, works: int) -> int:
     return 1 + 7 + joints + 6 + joints + joints + contacts + 2 * free + 7 + works
 
 
-@inner
+@kernel
 def write_sample(book, t, works, row):
     """One row of the block from an evaluated state: time, positions, velocities, torques, contact
     forces, relative rates and coordinates, kinetic and potential energy, works, largest gap and gap
@@ -68,7 +68,7 @@ def write_sample(book, t, works, row):
     row[at + 4] = buffers.solved[RESIDUAL]
 
 
-@inner
+@kernel
 def write_free(plant, buffers, out):
     """Free relative rates of all joints, then their coordinates."""
     rates, places = buffers.query[0:6], buffers.query[6:15]
@@ -83,7 +83,7 @@ def write_free(plant, buffers, out):
             out[count + k] = going_on(plant, buffers, i, k, places)
 
 
-@inner
+@kernel
 def follow_joints(plant, buffers):
     """Note the free coordinates of all joints at the end of a step, in ``buffers.coordinates``."""
     rates, places = buffers.query[0:6], buffers.query[6:15]

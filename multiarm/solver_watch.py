@@ -12,7 +12,7 @@ the determinant of the arm's square ``W`` has changed its sign.
 
 from __future__ import annotations
 
-from multiarm.lowlevel import inner, kernel
+from multiarm.lowlevel import kernel
 from multiarm.node.regular import COUPLED_BELOW
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
 from multiarm.plant import COUPLED_ARMS, RANK_OF_ALL, RESIDUAL, open_book, open_coupled
@@ -43,7 +43,7 @@ def note_solution(book):
             solved[RANK_OF_ALL] += counts[RANK] - counts[UNKNOWNS]
 
 
-@inner
+@kernel
 def constraint_residual(plant, buffers, work):
     """Largest ``|W_o^T q_o + W^T q - c|`` relative to the largest term in any of these rows.
 
@@ -78,7 +78,7 @@ def constraint_residual(plant, buffers, work):
     return worst / scale
 
 
-@inner
+@kernel
 def believable(book, residual):
     """Whether a relative residual is that of a solution.
 
@@ -93,7 +93,7 @@ def believable(book, residual):
     return residual <= max(RESIDUAL_BOUND, rounded)
 
 
-@inner
+@kernel
 def free_acceleration(buffers):
     """Acceleration of the object's centre of mass without contact forces [m/s^2]."""
     force = 0.0
@@ -102,7 +102,7 @@ def free_acceleration(buffers):
     return force / buffers.inertia[0, 0]
 
 
-@inner
+@kernel
 def watch_solver(book):
     """Compare with the step before; returns the number of changes, for Python to put into words."""
     plant, buffers, work = open_book(book)
@@ -134,7 +134,7 @@ def watch_solver(book):
     return changes
 
 
-@inner
+@kernel
 def lost_directions(i, before, work, coupled):
     """How many directions a deficient arm has lost, with some play to either side."""
     fewest = most = 0
@@ -147,7 +147,7 @@ def lost_directions(i, before, work, coupled):
     return most if most < before else before
 
 
-@inner
+@kernel
 def determinant_sign(i, work, coupled):
     """Sign of ``det(L^-1 W)`` of an arm with as many contacts as joints (elimination by rows)."""
     n = work.dofs[i + 1] - work.dofs[i]

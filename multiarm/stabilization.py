@@ -22,9 +22,10 @@ from __future__ import annotations
 
 import math
 
+from multiarm.books import ints1
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import OK, largest, solve_constrained, update_kinematics
-from multiarm.lowlevel import inner, inner_inlined, ints1, kernel
+from multiarm.lowlevel import clear, inlined, kernel
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
 from multiarm.plant import COUPLED_COUNTS, KICK, SHIFT, open_book, open_coupled
 from multiarm.spatial import retract_into
@@ -47,11 +48,11 @@ NEAR_LOSS, FURTHER_ITERATIONS = 0.3, 3
 UNREACHED = 1e4
 
 
-@inner_inlined
+@inlined
 def clear_forces(buffers):
     """Set the right-hand sides ``h_o`` and ``h`` to zero."""
-    buffers.h_o[:] = 0.0
-    buffers.h[:] = 0.0
+    clear(buffers.h_o)
+    clear(buffers.h)
 
 
 @kernel
@@ -111,21 +112,21 @@ def project_positions(book, tolerance, hold_object, longest, iterations):
     return PROJECTION_FAILED
 
 
-@inner
+@kernel
 def near_loss(book):
     """Whether the constraints were near a loss of rank when they were solved last."""
     coupled = open_coupled(book)
     return coupled.counts[ARMS] > 0 and coupled.margin[0] < NEAR_LOSS
 
 
-@inner
+@kernel
 def lacks_rank(book):
     """Whether some constraints of the last solution depended on others."""
     counts = ints1(book, COUPLED_COUNTS)
     return counts[ARMS] > 0 and counts[RANK] < counts[UNKNOWNS]
 
 
-@inner
+@kernel
 def greatest(vector):
     """Largest magnitude of a vector's entries."""
     size = 0.0
@@ -134,7 +135,7 @@ def greatest(vector):
     return size
 
 
-@inner_inlined
+@inlined
 def move_object(buffers, scale):
     """Apply ``scale * q_o`` as a displacement and a rotation vector to the object's pose."""
     q_o, position = buffers.q_o, buffers.position

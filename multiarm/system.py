@@ -20,10 +20,11 @@ from multiarm.candidates.plan import Plan
 from multiarm.candidates.units import SURROUNDINGS
 from multiarm.contacts.frames import JointFrame
 from multiarm.contacts.records import Contact, JointRow, SmoothShape
-from multiarm.control import PYTHON
+from multiarm.control import python_control
 from multiarm.effects.piece import Pieces
 from multiarm.errors import ControlError, ModelError
-from multiarm.lowlevel import CallBack
+from multiarm.late_entries import LateEntry
+from multiarm.lowlevel import CallBack, address_of
 from multiarm.node.regular import NodeWork
 from multiarm.node.singular import CoupledWork
 from multiarm.plant import (
@@ -181,7 +182,7 @@ class System:
         call = control_call(control, self.layout, self.buffers)
         calls = self.plant.calls.copy()
         calls[CALL_CONTROL] = call.address
-        program = np.array([[PYTHON, 0]], dtype=np.int64)
+        program = np.array([[address_of(python_control), 0]], dtype=np.int64)
         plant = self.plant._replace(control=program, calls=calls)
         return replace(
             self,
@@ -286,13 +287,13 @@ class System:
     def reraise(self) -> None:
         """Raise what a callback ran into, and lower the flag."""
         self.buffers.flag[0] = 0
-        for call in self.calls.values():
+        for call in [*self.calls.values(), *LateEntry.every]:
             call.reraise()
 
     def forgive(self) -> None:
         """Forget what a callback ran into, and lower the flag."""
         self.buffers.flag[0] = 0
-        for call in self.calls.values():
+        for call in [*self.calls.values(), *LateEntry.every]:
             call.error = None
 
     def _fill(self, views, given, what: str) -> None:

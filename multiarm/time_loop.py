@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.books import Flag, Float, Floats1, Int, Ints1, address_book, view
 from multiarm.contacts.kernel import GAP
 from multiarm.crossing import evaluate_on_branch
 from multiarm.equations import (
@@ -36,7 +37,7 @@ from multiarm.integrators.stepper import (
     write_slope,
 )
 from multiarm.integrators.tableaus import EXPLICIT, SEMI_IMPLICIT, VARIATIONAL
-from multiarm.lowlevel import call_entry, copy, inner, kernel
+from multiarm.lowlevel import call_entry, clear, copy, kernel
 from multiarm.plant import (
     CALL_GUARDS,
     COUPLED_ARMS,
@@ -124,22 +125,22 @@ class Settings(NamedTuple):
         Time at which a step ends and the loop returns, before the end [s]; infinite: none.
     """
 
-    begin: float
-    end: float
-    sample_step: float
-    samples: int
-    adaptive: bool
-    step: float
-    longest_step: float
-    tolerance: float
-    stabilization: int
-    alpha: float
-    beta: float
-    closed: float
-    apart: float
-    breakpoints: np.ndarray
-    switch: bool
-    stop: float
+    begin: Float
+    end: Float
+    sample_step: Float
+    samples: Int
+    adaptive: Flag
+    step: Float
+    longest_step: Float
+    tolerance: Float
+    stabilization: Int
+    alpha: Float
+    beta: Float
+    closed: Float
+    apart: Float
+    breakpoints: Floats1
+    switch: Flag
+    stop: Float
 
 
 class Clock(NamedTuple):
@@ -157,8 +158,16 @@ class Clock(NamedTuple):
         stages; steps held up by stiffness, and steps since that were not.
     """
 
-    real: np.ndarray
-    counts: np.ndarray
+    real: Floats1
+    counts: Ints1
+
+
+_open_clock, _open_settings = view(Clock), view(Settings, len(Clock._fields))
+
+
+def run_book(clock: Clock, settings: Settings) -> np.ndarray:
+    """Address book of a run's clock and settings, as :func:`advance` takes it."""
+    return address_book([*clock, *settings])
 
 
 def make_clock(settings: Settings) -> Clock:
@@ -181,7 +190,7 @@ def gains(settings, h):
     return alpha, beta
 
 
-@inner
+@kernel
 def sample_time(settings, k):
     """Time of sample ``k``."""
     if k == settings.samples - 1:
@@ -189,7 +198,7 @@ def sample_time(settings, k):
     return settings.begin + k * settings.sample_step
 
 
-@inner
+@kernel
 def settle(book, clock, settings, projected, t, alpha, beta):
     """Project the state in the buffers, unless it is ``projected``, and evaluate it; returns a
     status.
@@ -206,7 +215,7 @@ def settle(book, clock, settings, projected, t, alpha, beta):
     return evaluate_on_branch(book, settings.closed, alpha, beta)
 
 
-@inner
+@kernel
 def emit_samples(book, method, step, clock, settings, block):
     """Write the samples that are due up to now; returns a status (``OK``: all written)."""
     _, buffers, _ = open_book(book)
@@ -252,7 +261,7 @@ def watch_start(book):
     watch_solver(book)
 
 
-@inner
+@kernel
 def planned_step(method, clock, settings):
     """Length of the next step and the time at which it ends."""
     real, count = clock.real, clock.counts
@@ -279,7 +288,7 @@ def planned_step(method, clock, settings):
     return h, t + h
 
 
-@inner
+@kernel
 def breakpoint_at(clock, settings, end):
     """The breakpoint at which a step ends; infinite when it ends at none."""
     k = clock.counts[BREAK]
@@ -289,7 +298,7 @@ def breakpoint_at(clock, settings, end):
     return math.inf
 
 
-@inner
+@kernel
 def try_step(book, joints, method, step, clock, settings, h):
     """Stages and error estimate of one step; returns (status, error in units of the tolerance)."""
     real, count = clock.real, clock.counts
@@ -326,7 +335,7 @@ def try_step(book, joints, method, step, clock, settings, h):
     return (OK, error) if math.isfinite(error) else (NOT_FINITE, 0.0)
 
 
-@inner
+@kernel
 def judge_solution(book, buffers, clock, settings):
     """Whether the end of a step can be believed: ``CONTRADICTION``, ``LARGE_CORRECTION`` or ``OK``.
 
@@ -356,7 +365,7 @@ def judge_solution(book, buffers, clock, settings):
     return OK
 
 
-@inner
+@kernel
 def count_solution(book, buffers, clock):
     """Statistics of how the end of an accepted step was solved."""
     real, count, solved = clock.real, clock.counts, buffers.solved
@@ -370,7 +379,7 @@ def count_solution(book, buffers, clock):
     count[CHANGES] += watch_solver(book)
 
 
-@inner
+@kernel
 def complete_step(book, method, step, clock, settings, h, end):
     """Stabilise the end of an accepted step, evaluate there, prepare its dense output."""
     plant, buffers, _ = open_book(book)
@@ -408,7 +417,7 @@ def complete_step(book, method, step, clock, settings, h, end):
         status = settle(book, clock, settings, True, after, alpha, beta)
         if status != OK:
             return status
-    step.z_stage[:] = 0.0
+    clear(step.z_stage)
     write_slope(step.z_stage, buffers, step.slope_next)
     due = sample_time(settings, count[SAMPLE]) if count[SAMPLE] < settings.samples else math.inf
     store(buffers, step.base_next, step.z_next)
@@ -424,7 +433,7 @@ def complete_step(book, method, step, clock, settings, h, end):
     return OK
 
 
-@inner
+@kernel
 def note_stiffness(method, step, clock, h, end):
     r"""Count steps that are as long as stability allows.
 
@@ -447,7 +456,7 @@ def note_stiffness(method, step, clock, h, end):
             count[STIFF_STEPS] = 0
 
 
-@inner
+@kernel
 def rounding_floor(book, clock):
     """Smallest error that a step with projected stages can be asked for."""
     if clock.counts[CAREFUL] == 0:
@@ -456,7 +465,7 @@ def rounding_floor(book, clock):
     return min(MOST_ROUNDED, ROUNDED / margin**3)
 
 
-@inner
+@kernel
 def before_breakpoint(book, clock, settings, end):
     """See to it that a step that ends at a breakpoint does not see what comes after it."""
     _, buffers, _ = open_book(book)
@@ -464,7 +473,7 @@ def before_breakpoint(book, clock, settings, end):
     buffers.time[1] = end - CLOSE_IN_TIME * (1.0 + settings.end) if ahead else math.inf
 
 
-@inner
+@kernel
 def project_stages(book, clock, settings):
     """Decide whether the stages of the coming step are projected."""
     _, buffers, _ = open_book(book)
@@ -475,7 +484,7 @@ def project_stages(book, clock, settings):
     buffers.stage_gap[0] = settings.closed if careful else -1.0
 
 
-@inner
+@kernel
 def next_length(method, h, error, error_old):
     """PI controller for the next step from this step's error and the one before."""
     order = 1.0 / (method.error_order + 1.0)
@@ -486,14 +495,16 @@ def next_length(method, h, error, error_old):
 
 
 @kernel
-def advance(book, joints, arrays, method, clock, settings, block, budget):
+def advance(book, joints, arrays, run, block, budget):
     """Integrate until the end, a full block, the budget of evaluations, or trouble.
 
-    ``book`` is the system's address book, ``arrays`` that of the method and its step.
+    ``book`` is the system's address book, ``arrays`` that of the method and its step, ``run`` that
+    of the clock and the settings.
     ``block`` (samples, width) receives the samples from ``clock.counts[BLOCK_FIRST]`` on.  Returns
     the reason.
     """
-    method, step = open_step(arrays, method)
+    method, step = open_step(arrays)
+    clock, settings = _open_clock(run), _open_settings(run)
     real, count = clock.real, clock.counts
     limit = count[EVALUATIONS] + budget
     while True:
@@ -538,7 +549,7 @@ def advance(book, joints, arrays, method, clock, settings, block, budget):
             real[H] = 0.25 * h
 
 
-@inner
+@kernel
 def accept(book, method, clock, settings, h, end, error):
     """Move the clock to the end of an accepted step."""
     real, count = clock.real, clock.counts

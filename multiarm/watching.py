@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from multiarm.books import floats1
 from multiarm.contacts.frames import COMPONENTS
 from multiarm.contacts.kernel import AT, NORMAL
 from multiarm.contacts.records import SURFACE_BODY, SURFACE_ON_OBJECT, TIP_RADIUS, Contact, Patch
-from multiarm.lowlevel import floats1, inner, kernel
+from multiarm.lowlevel import kernel
 from multiarm.plant import open_book
 
 if TYPE_CHECKING:
@@ -208,7 +209,7 @@ def margin_of(watch, plant, buffers):
     return worst - NO_EXCESS
 
 
-@inner
+@kernel
 def watch_step(book, begin, end):
     """Note the margins at the end of a step, and every one that changed its sign in it.
 

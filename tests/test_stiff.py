@@ -18,7 +18,7 @@ from multiarm.integrators.stepper import step_book
 from multiarm.integrators.tableaus import METHODS
 from multiarm.preparation import prepare, run_spec
 from multiarm.problems import HARD_CASES, ring_of_arms
-from multiarm.time_loop import FINISHED, STEPS, advance
+from multiarm.time_loop import FINISHED, STEPS, advance, run_book
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
 AMPLITUDE = {
@@ -119,9 +119,7 @@ def step_of_the_package(system, state, h):
     stepping = run.stepping
     settings = run.settings._replace(adaptive=False, step=h, apart=np.inf)
     arrays, joints_ = step_book(stepping.method, stepping.step), system.layout.joints
-    reason = advance(
-        system.book(), joints_, arrays, stepping.method, run.clock, settings, run.block, 1000
-    )
+    reason = advance(system.book(), joints_, arrays, run_book(run.clock, settings), run.block, 1000)
     assert reason == FINISHED and run.clock.counts[STEPS] == 1
     return stepping.own[0]
 

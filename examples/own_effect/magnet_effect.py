@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 import multiarm as ma
+from multiarm.books import book_at, floats1, ints1
 from multiarm.effects.piece import APPLIED, POWER, Piece
-from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.lowlevel import entry
 from multiarm.plant import open_book
 
 

@@ -16,6 +16,8 @@ import numpy as np
 
 from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.records import (
+    CYLINDER,
+    KIND,
     Contact,
     cone,
     cylinder,
@@ -27,7 +29,7 @@ from multiarm.contacts.records import (
     sphere,
     torus,
 )
-from multiarm.contacts.rows import write_rows
+from multiarm.contacts.rows import write_row, write_rows
 from multiarm.contacts.smooth import SignedDistanceSurface
 from multiarm.contacts.surfaces import QUERY_WIDTH, answering
 from multiarm.lowlevel import CallBack, kernel
@@ -113,7 +115,7 @@ class _Burst:
         _write_often(
             self._repeats, self._count, self._arm, self._body, np.zeros(RELATIVE_WIDTH),
             table.codes, table.geometry, table.shapes, self._call.address, self._rows,
-            self._parts, self._scratch, self._places, self._located,
+            self._parts, self._scratch, self._places, self._located, np.zeros(1, dtype=np.int64),
         )  # fmt: skip
         end = time.perf_counter()
         self._call.reraise()
@@ -131,10 +133,14 @@ def _moving(speed: float) -> np.ndarray:
 @kernel
 def _write_often(
     repeats, count, arm, body, relative, codes, geometry, shapes, calls, rows, parts, scratch,
-    places, located,
+    places, located, no_book,
 ):  # fmt: skip
+    plain = codes[0, KIND] <= CYLINDER
     for _ in range(repeats):
-        write_rows(
-            0, count, arm, body, relative, codes, geometry, shapes, calls, rows, parts, scratch,
-            places, located,
-        )  # fmt: skip
+        if plain:
+            write_rows(0, count, arm, body, relative, codes, geometry, rows, no_book, 0, 0)
+            continue
+        for k in range(count):
+            write_row(
+                k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch, places, located
+            )

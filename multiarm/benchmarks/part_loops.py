@@ -13,6 +13,7 @@ import numpy as np
 from multiarm.assembly import projection_tolerance
 from multiarm.benchmarks.bursts import Burst
 from multiarm.benchmarks.evaluation_costs import slope_burst, terms_burst
+from multiarm.books import ints1
 from multiarm.dynamics import evaluate
 from multiarm.equations import OK, finite
 from multiarm.errors import SolverError
@@ -28,7 +29,7 @@ from multiarm.integrators.stepper import (
     write_slope,
 )
 from multiarm.integrators.tableaus import METHODS, RK4
-from multiarm.lowlevel import call_entry, ints1, kernel
+from multiarm.lowlevel import call_entry, kernel
 from multiarm.plant import CALL_FORCES, CALL_KINEMATICS, CALL_SOLVE, CALLS, open_book
 from multiarm.samples import sample_width, write_sample
 from multiarm.stabilization import project
@@ -91,7 +92,7 @@ def _arithmetic_burst(joints: int, integrator: str) -> Burst:
     arrays = step_book(method, step)
 
     def burst(count: int) -> None:
-        _combine_often(arrays, method, count)
+        _combine_often(arrays, count)
         assert np.all(np.isfinite(step.z_new)), "the sums of finite slopes are finite"
 
     return burst
@@ -161,9 +162,9 @@ def _sample_often(book, row, count):
 
 
 @kernel
-def _combine_often(arrays, method, count):
+def _combine_often(arrays, count):
     """The sums of a step over its stages, and the estimate of its error."""
-    method, step = open_step(arrays, method)
+    method, step = open_step(arrays)
     error = 0.0
     for _ in range(count):
         for i in range(1, method.stages):

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.contacts.kernel import GAP
-from multiarm.control import HARMONIC
+from multiarm.control import harmonic
 from multiarm.dense_call import read_inertia
 from multiarm.equations import evaluate_buffers, update_kinematics
+from multiarm.lowlevel import address_of
 from multiarm.state import State
 from multiarm.system import System
 
@@ -53,7 +54,7 @@ def sinusoid(system: System) -> Sinusoid | None:
     if not is_controlled(system):
         return Sinusoid.none(n)
     program, parameters = system.plant.control, system.plant.parameters
-    if program.shape[0] > 1 or program[0, 0] != HARMONIC:
+    if program.shape[0] > 1 or program[0, 0] != address_of(harmonic):
         return None
     at = program[0, 1]
     constant, sine, cosine = parameters[at + 1 : at + 1 + 3 * n].reshape(n, 3).T.copy()

@@ -6,9 +6,10 @@ import numpy as np
 
 from multiarm.benchmarks.bursts import Burst
 from multiarm.benchmarks.solver_forms import Coefficients, Solution, assemble
+from multiarm.books import ints1
 from multiarm.equations import OK
 from multiarm.errors import SolverError
-from multiarm.lowlevel import call_entry, ints1, kernel
+from multiarm.lowlevel import call_entry, kernel
 from multiarm.node.regular import ELIMINATED, eliminate, make_work, solve
 from multiarm.plant import CALL_FORCES, CALL_KINEMATICS, CALLS
 from multiarm.system import System

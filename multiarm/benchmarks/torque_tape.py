@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import cfunc, types
 
-from multiarm.lowlevel import book_at, floats_at
+from multiarm.books import book_at, floats_at
 
 _NEXT, _WIDTH, _LAST = 1, 2, 3
 

@@ -27,11 +27,12 @@ COMPILING = "compiling kernels (only the first time on this machine)"
 
 def kernels_are_cached(integrator: str | None = None) -> bool:
     """Whether the compiled loop, and this method's step, are in Numba's cache and fresh."""
-    from multiarm.lowlevel import is_cached
     from multiarm.preparation import OWN_STEPS
     from multiarm.time_loop import advance
 
-    return is_cached(advance) and (integrator not in OWN_STEPS or is_cached(OWN_STEPS[integrator]))
+    return advance.is_cached() and (
+        integrator not in OWN_STEPS or OWN_STEPS[integrator].is_cached()
+    )
 
 
 class RunProgress:

@@ -71,7 +71,7 @@ from multiarm.contacts.records import (
     WEIGHT,
 )
 from multiarm.contacts.surfaces import DISTANCE, GRADIENT, SECOND, world_distance
-from multiarm.lowlevel import inlined, kernel
+from multiarm.lowlevel import call_entry, inlined, kernel
 
 # Newton's method for the common normal of two surfaces.
 _STEPS, _HALVINGS = 50, 12
@@ -85,22 +85,17 @@ _NEAR_POLE = 0.2
 
 
 @inlined
-def write_rows(
-    first, count, arm, body, relative, codes, geometry, shapes, calls, rows, parts, scratch,
-    places, located,
-):  # fmt: skip
-    """Write ``count`` rows of one arm from ``first`` on; the arguments are those of ``write_row``.
+def write_rows(first, count, arm, body, relative, codes, geometry, rows, book, i, other):
+    """Write ``count`` rows of arm ``i`` from ``first`` on; for the arguments see ``write_row``.
 
     Tips on planes, spheres and cylinders, which nearly all rows are, share the relative motion
-    (``relative``, 15) and need no call.
+    (``relative``, 15).  The entry at address ``other`` writes the others, see ``write_row``.
     """
     seen_from = -1
     for k in range(first, first + count):
         kind, surface_body = codes[k, KIND], codes[k, SURFACE_BODY]
         if kind > CYLINDER:
-            write_row(
-                k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch, places, located
-            )
+            call_entry(other, book, float(k), float(i))
         elif surface_body == SURFACE_ON_OBJECT:
             if seen_from != surface_body:
                 relative_motion(arm, body, relative)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from multiarm.books import book_at, floats1, ints1
 from multiarm.effects.piece import ACTUATOR, STATE, Piece, Site
-from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.lowlevel import entry
 from multiarm.plant import open_book
 
 if TYPE_CHECKING:

@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from multiarm.asking import Asked
+from multiarm.books import book_at, floats1, ints1
 from multiarm.effects.effect import Loads
 from multiarm.effects.piece import APPLIED, POWER, Piece
 from multiarm.errors import ControlError
-from multiarm.lowlevel import book_at, call_back, entry, floats1, ints1
+from multiarm.lowlevel import call_back, entry
 from multiarm.plant import Buffers, open_book
 from multiarm.state import Layout, State
 

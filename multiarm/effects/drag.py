@@ -17,9 +17,10 @@ import math
 
 import numpy as np
 
+from multiarm.books import book_at, floats1, ints1
 from multiarm.contacts.kernel import SPIN, VELOCITY
 from multiarm.effects.piece import APPLIED, POWER, Piece, Site
-from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.lowlevel import entry
 from multiarm.plant import open_book
 
 

@@ -8,10 +8,11 @@ contacts and impacts have their work noted under names of their own.
 
 from __future__ import annotations
 
+from multiarm.books import book_at, floats1, ints1
 from multiarm.candidates.plan import Plan
 from multiarm.candidates.units import DRY_JOINT
 from multiarm.effects.piece import APPLIED, PASSIVE, POWER, Piece
-from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.lowlevel import entry
 from multiarm.plant import open_book
 
 

@@ -24,22 +24,12 @@ from collections.abc import Callable
 import numpy as np
 
 from multiarm.asking import Asked
+from multiarm.books import book_at, floats1, floats2, floats_at, ints1, ints2
 from multiarm.contacts.kernel import SPIN, VELOCITY
 from multiarm.contacts.written import load_function
 from multiarm.effects.piece import APPLIED, POWER, Piece, Site
 from multiarm.errors import ControlError
-from multiarm.lowlevel import (
-    book_at,
-    call_back,
-    copy,
-    entry,
-    floats1,
-    floats2,
-    floats_at,
-    inner,
-    ints1,
-    ints2,
-)
+from multiarm.lowlevel import call_back, copy, entry, kernel
 from multiarm.plant import Buffers, open_book
 from multiarm.scene import read_wrench_table
 
@@ -84,7 +74,7 @@ def add_external_wrenches(address, size, at, t):
     return 0
 
 
-@inner
+@kernel
 def write_wrench(which, own, rows, t, wrench):
     """Force and torque at time ``t``, in the axes in which they are given."""
     course, factor = which[COURSE], 1.0
@@ -102,7 +92,7 @@ def write_wrench(which, own, rows, t, wrench):
         wrench[a] = factor * own[SIZE + a]
 
 
-@inner
+@kernel
 def interpolate(rows, t, wrench):
     """The six cubics of the row in which ``t`` lies; zero before the first and after the last."""
     low, high = 0, rows.shape[0] - 1
@@ -121,7 +111,7 @@ def interpolate(rows, t, wrench):
         wrench[a] = ((cubics[at] * x + cubics[at + 1]) * x + cubics[at + 2]) * x + cubics[at + 3]
 
 
-@inner
+@kernel
 def joint_pose(address, pose):
     """Rotation row by row, and origin, of a joint in Pinocchio's arrays."""
     stored = floats_at(address, 12)  # the rotation by columns
@@ -131,7 +121,7 @@ def joint_pose(address, pose):
         pose[9 + a] = stored[9 + a]
 
 
-@inner
+@kernel
 def to_world(pose, own, wrench):
     """Turn force and torque from the axes of the link or object into those of the world."""
     for first in (0, 3):
@@ -143,7 +133,7 @@ def to_world(pose, own, wrench):
             wrench[first + a] = pose[3 * a] * g0 + pose[3 * a + 1] * g1 + pose[3 * a + 2] * g2
 
 
-@inner
+@kernel
 def apply_wrench(which, wrench, lever, buffers):
     """Add a wrench to the right-hand sides; returns its power [W]."""
     r0, r1, r2, power = lever[0], lever[1], lever[2], 0.0

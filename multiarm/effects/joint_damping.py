@@ -2,8 +2,9 @@ r"""Viscous friction in the joints: :math:`\tau_j = -d_j \dot q_j` [N m s/rad, N
 
 from __future__ import annotations
 
+from multiarm.books import book_at, floats1, ints1
 from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
-from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.lowlevel import entry
 from multiarm.plant import open_book
 from multiarm.scene import damping_of
 

@@ -12,8 +12,9 @@ import math
 
 import numpy as np
 
+from multiarm.books import book_at, floats1, ints1
 from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
-from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.lowlevel import entry
 from multiarm.plant import open_book
 from multiarm.scene import friction_of
 

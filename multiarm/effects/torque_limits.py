@@ -11,8 +11,9 @@ import math
 
 import numpy as np
 
+from multiarm.books import book_at, floats1
 from multiarm.effects.piece import ACTUATOR, Piece, Site
-from multiarm.lowlevel import book_at, entry, floats1
+from multiarm.lowlevel import entry
 from multiarm.plant import open_book
 from multiarm.scene import effort_limit_of
 

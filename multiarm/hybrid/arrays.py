@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.lowlevel import address_book, floats1, floats2, floats3, inner_inlined, ints1, ints2
+from multiarm.books import Floats1, Floats2, Ints1, Ints2, address_book, view
 from multiarm.node.reactions import ReactionWork
 
 # Places of addresses and sizes of other books in ``Plant.links``.
@@ -70,34 +70,31 @@ class ModeArrays(NamedTuple):
         Compliant contacts: their rows among all, and their forces.
     """
 
-    held: np.ndarray
-    slides: np.ndarray
-    slide_mu: np.ndarray
-    direction: np.ndarray
-    turning: np.ndarray
-    speed: np.ndarray
-    slow: np.ndarray
-    slots: np.ndarray
-    states: np.ndarray
-    guards: np.ndarray
-    levels: np.ndarray
-    values: np.ndarray
-    before: np.ndarray
-    rates: np.ndarray
-    least: np.ndarray
-    armed: np.ndarray
-    found: np.ndarray
-    muted: np.ndarray
-    span: np.ndarray
-    patches: np.ndarray
-    Wr: np.ndarray
-    prestress: np.ndarray
-    stressed: np.ndarray
-    springs: np.ndarray
-    spring_force: np.ndarray
-
-
-REACTIONS_AT = len(ModeArrays._fields)
+    held: Ints1
+    slides: Ints2
+    slide_mu: Floats1
+    direction: Floats2
+    turning: Floats2
+    speed: Floats1
+    slow: Floats1
+    slots: Ints1
+    states: Floats1
+    guards: Ints2
+    levels: Floats2
+    values: Floats1
+    before: Floats1
+    rates: Floats1
+    least: Floats1
+    armed: Ints1
+    found: Ints1
+    muted: Ints1
+    span: Floats1
+    patches: Floats2
+    Wr: Floats2
+    prestress: Floats1
+    stressed: Ints1
+    springs: Ints1
+    spring_force: Floats1
 
 
 def mode_book(arrays: ModeArrays, reactions: ReactionWork | None) -> np.ndarray:
@@ -105,84 +102,5 @@ def mode_book(arrays: ModeArrays, reactions: ReactionWork | None) -> np.ndarray:
     return address_book([*arrays, *(reactions or ())])
 
 
-@inner_inlined
-def open_mode(book):
-    """Views of the arrays in a mode's book."""
-    return ModeArrays(
-        held=ints1(book, 0),
-        slides=ints2(book, 1),
-        slide_mu=floats1(book, 2),
-        direction=floats2(book, 3),
-        turning=floats2(book, 4),
-        speed=floats1(book, 5),
-        slow=floats1(book, 6),
-        slots=ints1(book, 7),
-        states=floats1(book, 8),
-        guards=ints2(book, 9),
-        levels=floats2(book, 10),
-        values=floats1(book, 11),
-        before=floats1(book, 12),
-        rates=floats1(book, 13),
-        least=floats1(book, 14),
-        armed=ints1(book, 15),
-        found=ints1(book, 16),
-        muted=ints1(book, 17),
-        span=floats1(book, 18),
-        patches=floats2(book, 19),
-        Wr=floats2(book, 20),
-        prestress=floats1(book, 21),
-        stressed=ints1(book, 22),
-        springs=ints1(book, 23),
-        spring_force=floats1(book, 24),
-    )
-
-
-@inner_inlined
-def open_reactions(book):
-    """Views of the arrays of the node algorithm with friction in a mode's book."""
-    at = REACTIONS_AT
-    return ReactionWork(
-        dofs=ints1(book, at + 0),
-        rows=ints1(book, at + 1),
-        L=floats3(book, at + 2),
-        Y=floats3(book, at + 3),
-        Yr=floats3(book, at + 4),
-        K=floats3(book, at + 5),
-        K_pivots=ints2(book, at + 6),
-        arm_scale=floats1(book, at + 7),
-        arm_scale_r=floats1(book, at + 8),
-        Lo=floats2(book, at + 9),
-        Ls=floats2(book, at + 10),
-        node=floats2(book, at + 11),
-        node_pivots=ints1(book, at + 12),
-        coupled=ints1(book, at + 13),
-        loose=ints1(book, at + 14),
-        pivot=floats1(book, at + 15),
-        spread=floats2(book, at + 16),
-        evenness=floats1(book, at + 17),
-        counts=ints1(book, at + 18),
-        place=ints1(book, at + 19),
-        scale=floats1(book, at + 20),
-        scale_r=floats1(book, at + 21),
-        U=floats2(book, at + 22),
-        Ur=floats2(book, at + 23),
-        V=floats2(book, at + 24),
-        Vr=floats2(book, at + 25),
-        sigma=floats1(book, at + 26),
-        sigma_r=floats1(book, at + 27),
-        core=floats2(book, at + 28),
-        core_V=floats2(book, at + 29),
-        core_left=floats2(book, at + 30),
-        core_left_V=floats2(book, at + 31),
-        core_sigma=floats1(book, at + 32),
-        free=floats2(book, at + 33),
-        unserved=floats2(book, at + 34),
-        y=floats1(book, at + 35),
-        z=floats1(book, at + 36),
-        left=floats1(book, at + 37),
-        right=floats1(book, at + 38),
-        unloaded=floats1(book, at + 39),
-        six=floats1(book, at + 40),
-        contacts=floats1(book, at + 41),
-        six_columns=floats2(book, at + 42),
-    )
+# Views of the arrays in a mode's book: its own, and those of the node algorithm with friction.
+open_mode, open_reactions = view(ModeArrays), view(ReactionWork, len(ModeArrays._fields))

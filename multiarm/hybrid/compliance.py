@@ -13,11 +13,12 @@ K.L. Johnson, Contact Mechanics, Cambridge 1985, linearised about a load.
 
 from __future__ import annotations
 
+from multiarm.books import book_at, floats1, ints1
 from multiarm.candidates.springs import Springs
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.effects.piece import APPLIED, POWER, Piece
 from multiarm.equations import update_rows
-from multiarm.lowlevel import book_at, entry, floats1, ints1
+from multiarm.lowlevel import entry
 from multiarm.plant import open_book
 
 

@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import math
 
+from multiarm.books import book_at
 from multiarm.contacts.kernel import AT, GAP, GAP_RATE
 from multiarm.control import control_torques
 from multiarm.equations import (
@@ -76,15 +77,7 @@ from multiarm.hybrid.arrays import (
     open_mode,
     open_reactions,
 )
-from multiarm.lowlevel import (
-    book_at,
-    call_back,
-    call_entry,
-    entry,
-    inlined,
-    inner,
-    kernel,
-)
+from multiarm.lowlevel import call_back, call_entry, entry, inlined, kernel
 from multiarm.node.reaction_coupling import RANK as REACTION_RANK
 from multiarm.node.reaction_coupling import ROWS as REACTION_ROWS
 from multiarm.node.reaction_elimination import eliminate_with_reactions
@@ -103,14 +96,14 @@ def forces_by_model(address, size, alpha, beta):
     passive_forces(address, size, plant, buffers, work)
     power = 0.0
     if plant.control.shape[0] > 0:
-        of_model, own, theirs = open_book(book_at(plant.links[MODEL], plant.links[MODEL + 1]))
+        at_model, size_of_model = plant.links[MODEL], plant.links[MODEL + 1]
+        model = book_at(at_model, size_of_model)
+        of_model, own, theirs = open_book(model)
         for i in range(of_model.pointers.shape[0]):
-            arm_rows(i, of_model, own, theirs)
+            arm_rows(i, model, of_model, own, theirs)
             load_inertia(i, of_model, theirs)
         load_gravity_torque(of_model, own, theirs)
-        control_torques(
-            buffers.time[0], buffers.angles, plant.control, plant.parameters, of_model, own, theirs
-        )
+        control_torques(at_model, size_of_model, buffers.time[0], plant, own)
         power = add_torques(address, size, plant, buffers)
     applied_forces(address, size, plant, buffers, power)
     drift_terms(buffers, alpha, beta)
@@ -132,7 +125,7 @@ def solve_held(address, size, _a, _b):
     return status
 
 
-@inner
+@kernel
 def add_prestress(mode, on_object, on_arms, buffers, work):
     """Add what the forces of ``mode.prestress`` do to the right-hand sides."""
     for i in range(work.dofs.size - 1):
@@ -145,7 +138,7 @@ def add_prestress(mode, on_object, on_arms, buffers, work):
                 buffers.h[d0 + j] += on_arms[i, j, k - first] * force
 
 
-@inner
+@kernel
 def add_forces(mode, buffers):
     """Add the forces of ``mode.prestress`` to those that were solved for."""
     for k in range(buffers.force.size):
@@ -193,7 +186,7 @@ def solve_sliding(address, size, _a, _b):
     return OK
 
 
-@inner
+@kernel
 def write_reactions(plant, buffers, work, mode, reactions):
     """Reaction matrices at the kinematics in the buffers, into ``mode.Wr`` and ``reactions.Yr``."""
     update_rows(book_at(plant.links[ASIDE], plant.links[ASIDE + 1]))
@@ -217,7 +210,7 @@ def write_reactions(plant, buffers, work, mode, reactions):
             reactions.Yr[i, j, own] -= pull
 
 
-@inner
+@kernel
 def write_direction(s, mode, first, second):
     """Direction of slip now, of the two that are possible the one nearer to the last step's."""
     d0, d1, slow = mode.direction[s, 0], mode.direction[s, 1], mode.slow[0]
@@ -252,7 +245,7 @@ def show_forces(address, size, _t, _b):
     return OK
 
 
-@inner
+@kernel
 def force_guard(g, mode, buffers):
     """Value of a guard that is about forces."""
     kind, a = mode.guards[g, GUARD_KIND], mode.guards[g, A]
@@ -268,20 +261,20 @@ def force_guard(g, mode, buffers):
     return parameter * force[a] - math.sqrt(square)
 
 
-@inner
+@kernel
 def is_about_forces(kind):
     """Whether a guard is about forces."""
     return kind in (PUSH_GUARD, HOLD_GUARD, CONE_GUARD)
 
 
-@inner
+@kernel
 def is_about_a_gap(g, mode):
     """Whether a guard is about an open contact."""
     kind = mode.guards[g, GUARD_KIND]
     return kind == GAP_GUARD or (kind == SPRING_GUARD and mode.guards[g, C] > 0)
 
 
-@inner
+@kernel
 def note_least(plant, buffers):
     """Note the least values of guards about forces in the stages of a step."""
     mode = open_mode(book_at(plant.links[OWN], plant.links[OWN + 1]))
@@ -290,7 +283,7 @@ def note_least(plant, buffers):
             mode.least[g] = min(mode.least[g], force_guard(g, mode, buffers))
 
 
-@inner
+@kernel
 def patch_guard(g, mode, plant, buffers, contact):
     """How far inside its patch a contact of the surroundings is [m]."""
     patch, inside = mode.patches[g], math.inf
@@ -312,7 +305,7 @@ def spring_length(gap, rate, lag):
     return max(gap, gap + lag * rate)
 
 
-@inner
+@kernel
 def guard_value(g, mode, plant, buffers, everything):
     """Value of a guard at the state evaluated last; ``everything`` are the buffers of all rows."""
     kind, a, parameter = mode.guards[g, GUARD_KIND], mode.guards[g, A], mode.levels[g, PARAMETER]
@@ -346,7 +339,7 @@ def write_guards(address, size, _a, _b):
     return value_guards(address, size)
 
 
-@inner
+@kernel
 def value_guards(address, size):
     """Write the values of all guards at the state evaluated last."""
     plant, buffers, _ = open_book(book_at(address, size))
@@ -378,7 +371,7 @@ def check_guards(address, size, begin, end):
     return OK
 
 
-@inner
+@kernel
 def judge_guard(g, mode, everything, h):
     """Whether a guard changed its sign in a step of length ``h``, once or perhaps twice."""
     now, least, kind = mode.values[g], mode.levels[g, THRESHOLD], mode.guards[g, GUARD_KIND]
@@ -395,7 +388,7 @@ def judge_guard(g, mode, everything, h):
     return QUIET
 
 
-@inner
+@kernel
 def dips(p, m, q, n, h):
     """Whether the cubic from ``p`` with slope ``m`` to ``q`` with slope ``n`` goes near zero."""
     # its derivative is m + 2 b x + 3 a x^2 with x from 0 to 1
@@ -411,7 +404,7 @@ def dips(p, m, q, n, h):
     return lowest < 0.05 * min(p, q)
 
 
-@inner
+@kernel
 def accept_guards(mode, everything):
     """Make the end of a step the beginning of the next one."""
     for g in range(mode.guards.shape[0]):

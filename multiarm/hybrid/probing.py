@@ -13,13 +13,13 @@ from multiarm.plant import open_book
 
 
 @kernel
-def probe(book, arrays, method, entry, t, h, theta):
+def probe(book, arrays, entry, t, h, theta):
     """Evaluate the mode with this book at the fraction ``theta`` of a step; returns a status.
 
     ``entry`` is the address of :func:`multiarm.hybrid.kernels.write_guards`, which leaves the
     values in the mode's arrays.
     """
-    method, step = open_step(arrays, method)
+    method, step = open_step(arrays)
     _, buffers, _ = open_book(book)
     interpolate(method, step, theta, step.z_stage)
     load(step.z_stage, step.base_old, buffers)
@@ -33,8 +33,8 @@ def probe(book, arrays, method, entry, t, h, theta):
 class Probe:
     """Values of all guards as a function of the fraction of a step."""
 
-    def __init__(self, book, arrays, method, mode, begin: float, end: float):
-        self._call = book, arrays, method, address_of(write_guards), begin, end - begin
+    def __init__(self, book, arrays, mode, begin: float, end: float):
+        self._call = book, arrays, address_of(write_guards), begin, end - begin
         self._mode = mode
         self._known: dict[float, np.ndarray] = {}
 

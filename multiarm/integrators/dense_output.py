@@ -5,10 +5,10 @@ from __future__ import annotations
 from multiarm.equations import OK
 from multiarm.integrators.stepper import combine, evaluate_slope, weighted_slopes
 from multiarm.integrators.tableaus import HERMITE, POLYNOMIAL, QUARTIC
-from multiarm.lowlevel import copy, inner, kernel
+from multiarm.lowlevel import clear, copy, kernel
 
 
-@inner
+@kernel
 def prepare_dense(book, method, step, t, h, alpha, beta):
     """Coefficients of the dense output of the step just made; its end slope is ``k[stages]``."""
     z, new, k, dense = step.z, step.z_new, step.k, step.dense
@@ -48,7 +48,7 @@ def prepare_dense(book, method, step, t, h, alpha, beta):
 def interpolate(method, step, theta, out):
     """State at the fraction ``theta`` of the step before, in its chart (``base_old``)."""
     dense = step.dense
-    out[:] = 0.0
+    clear(out)
     if method.dense_kind == POLYNOMIAL:
         for r in range(method.dense.shape[0] - 1, -1, -1):
             for i in range(out.size):

@@ -37,6 +37,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.books import Floats1, Floats2, Ints1, book_at, view
 from multiarm.equations import NOT_FINITE, OK
 from multiarm.integrators.stepper import (
     OWN_EVALUATIONS,
@@ -46,16 +47,7 @@ from multiarm.integrators.stepper import (
     evaluate_slope,
 )
 from multiarm.integrators.tableaus import Tableau
-from multiarm.lowlevel import (
-    book_at,
-    copy,
-    entry,
-    floats1,
-    floats2,
-    inner,
-    inner_inlined,
-    ints1,
-)
+from multiarm.lowlevel import clear, copy, entry, kernel
 from multiarm.node.factors import factor_lu, solve_lu
 from multiarm.plant import open_book
 
@@ -84,28 +76,28 @@ class RosenbrockWork(NamedTuple):
         Factors of the linear system.
     """
 
-    system: np.ndarray
-    A: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-    C: np.ndarray
-    d: np.ndarray
-    gamma: np.ndarray
-    z: np.ndarray
-    z_new: np.ndarray
-    z_stage: np.ndarray
-    base: np.ndarray
-    k: np.ndarray
-    gains: np.ndarray
-    own: np.ndarray
-    slope: np.ndarray
-    other: np.ndarray
-    time_slope: np.ndarray
-    by_position: np.ndarray
-    by_velocity: np.ndarray
-    turned: np.ndarray
-    matrix: np.ndarray
-    pivots: np.ndarray
+    system: Ints1
+    A: Floats2
+    b: Floats1
+    c: Floats1
+    C: Floats2
+    d: Floats1
+    gamma: Floats1
+    z: Floats1
+    z_new: Floats1
+    z_stage: Floats1
+    base: Floats1
+    k: Floats2
+    gains: Floats1
+    own: Ints1
+    slope: Floats1
+    other: Floats1
+    time_slope: Floats1
+    by_position: Floats2
+    by_velocity: Floats2
+    turned: Floats2
+    matrix: Floats2
+    pivots: Ints1
 
 
 def make_rosenbrock(
@@ -140,32 +132,7 @@ def make_rosenbrock(
     )
 
 
-@inner_inlined
-def _open(book):
-    return RosenbrockWork(
-        system=ints1(book, 0),
-        A=floats2(book, 1),
-        b=floats1(book, 2),
-        c=floats1(book, 3),
-        C=floats2(book, 4),
-        d=floats1(book, 5),
-        gamma=floats1(book, 6),
-        z=floats1(book, 7),
-        z_new=floats1(book, 8),
-        z_stage=floats1(book, 9),
-        base=floats1(book, 10),
-        k=floats2(book, 11),
-        gains=floats1(book, 12),
-        own=ints1(book, 13),
-        slope=floats1(book, 14),
-        other=floats1(book, 15),
-        time_slope=floats1(book, 16),
-        by_position=floats2(book, 17),
-        by_velocity=floats2(book, 18),
-        turned=floats2(book, 19),
-        matrix=floats2(book, 20),
-        pivots=ints1(book, 21),
-    )
+_open = view(RosenbrockWork)
 
 
 @entry
@@ -197,14 +164,14 @@ def rosenbrock_step(address, size, t, h):
     return OK
 
 
-@inner
+@kernel
 def slope_at(work, t, z, slope):
     """Evaluate, and count it."""
     work.own[OWN_EVALUATIONS] += 1
     return evaluate_slope(work.system, t, z, work.base, work.gains[0], work.gains[1], slope)
 
 
-@inner
+@kernel
 def differentiate(work, t, h):
     """Derivatives at the beginning of the step; returns a status."""
     z, n, other, before = work.z_stage, work.by_position.shape[1], work.other, work.time_slope
@@ -237,12 +204,12 @@ def differentiate(work, t, h):
     return differentiate_by_time(work, t, h)
 
 
-@inner
+@kernel
 def differentiate_by_time(work, t, h):
     """``f_t`` from two later times, inside the step: its beginning may be a kink."""
     plant, _, _ = open_book(work.system)
     rate, other = work.time_slope, work.other
-    rate[:] = 0.0
+    clear(rate)
     if plant.control.shape[0] == 0 and plant.effects.shape[0] == 0:
         return OK
     change = TIME_CHANGE * min(h, 1.0)
@@ -258,7 +225,7 @@ def differentiate_by_time(work, t, h):
     return OK
 
 
-@inner
+@kernel
 def factor(work, h):
     """Factors of the linear system; returns whether they can be used."""
     n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / work.gamma[0]
@@ -275,7 +242,7 @@ def factor(work, h):
     return factor_lu(work.matrix, m, work.pivots) > 0.0
 
 
-@inner
+@kernel
 def turn(a, half, omega, vector, out):
     """``out = (a - S(w))^-1 vector``, ``w = half * omega``: for row vectors with ``-half``."""
     w0, w1, w2 = half * omega[0], half * omega[1], half * omega[2]
@@ -287,7 +254,7 @@ def turn(a, half, omega, vector, out):
     out[2] = scale * (a * a * v2 + a * (w0 * v1 - w1 * v0) + along * w2)
 
 
-@inner
+@kernel
 def solve_stage(work, h, right, out):
     """Solve the stage's system for the right-hand side ``right``, which is spent."""
     n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / work.gamma[0]

@@ -27,22 +27,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.books import Float, Floats1, Floats2, Int, Ints1, address_book, book_at, view
 from multiarm.crossing import evaluate_on_branch
 from multiarm.equations import NOT_FINITE, OK, finite
 from multiarm.integrators.tableaus import EXPLICIT, SEMI_IMPLICIT, Tableau
-from multiarm.lowlevel import (
-    address_book,
-    book_at,
-    call_entry,
-    copy,
-    floats1,
-    floats2,
-    inlined,
-    inner,
-    inner_inlined,
-    ints1,
-    kernel,
-)
+from multiarm.lowlevel import call_entry, clear, copy, inlined, kernel
 from multiarm.plant import open_book
 from multiarm.spatial import retract_into, write_chart_rate
 from multiarm.stabilization import project
@@ -57,17 +46,17 @@ OWN_STEP, OWN_BOOK, OWN_SIZE, OWN_EVALUATIONS = range(4)
 class Method(NamedTuple):
     """A tableau as the kernels see it; see :class:`multiarm.integrators.tableaus.Tableau`."""
 
-    order: int
-    error_order: int
-    stages: int
-    kind: int
-    stability: float
-    dense_kind: int
-    A: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-    error: np.ndarray
-    dense: np.ndarray
+    order: Int
+    error_order: Int
+    stages: Int
+    kind: Int
+    stability: Float
+    dense_kind: Int
+    A: Floats2
+    b: Floats1
+    c: Floats1
+    error: Floats2
+    dense: Floats2
 
 
 class Step(NamedTuple):
@@ -94,21 +83,21 @@ class Step(NamedTuple):
         evaluations that its last step took.  All 0 for explicit ones.
     """
 
-    z: np.ndarray
-    z_new: np.ndarray
-    z_stage: np.ndarray
-    z_next: np.ndarray
-    base: np.ndarray
-    base_next: np.ndarray
-    base_old: np.ndarray
-    k: np.ndarray
-    slope: np.ndarray
-    slope_next: np.ndarray
-    dense: np.ndarray
-    z_old: np.ndarray
-    tolerance: np.ndarray
-    gains: np.ndarray
-    own: np.ndarray
+    z: Floats1
+    z_new: Floats1
+    z_stage: Floats1
+    z_next: Floats1
+    base: Floats1
+    base_next: Floats1
+    base_old: Floats1
+    k: Floats2
+    slope: Floats1
+    slope_next: Floats1
+    dense: Floats2
+    z_old: Floats1
+    tolerance: Floats1
+    gains: Floats1
+    own: Ints1
 
 
 def make_method(tableau: Tableau) -> Method:
@@ -151,48 +140,21 @@ def make_step(tableau: Tableau, joints: int, states: int = 0, works: int = 1) ->
     )
 
 
+_open_method, _open_arrays = view(Method), view(Step, len(Method._fields))
+
+
 def step_book(method: Method, step: Step) -> np.ndarray:
     """Address book of a method and its step; :func:`open_step` is its inverse."""
-    return address_book([*method[6:], *step])
+    return address_book([*method, *step])
 
 
-@inner_inlined
-def open_step(book, method):
-    """Views of the arrays in a step's book; ``method`` supplies the scalars."""
-    opened = Method(
-        order=method.order,
-        error_order=method.error_order,
-        stages=method.stages,
-        kind=method.kind,
-        stability=method.stability,
-        dense_kind=method.dense_kind,
-        A=floats2(book, 0),
-        b=floats1(book, 1),
-        c=floats1(book, 2),
-        error=floats2(book, 3),
-        dense=floats2(book, 4),
-    )
-    step = Step(
-        z=floats1(book, 5),
-        z_new=floats1(book, 6),
-        z_stage=floats1(book, 7),
-        z_next=floats1(book, 8),
-        base=floats1(book, 9),
-        base_next=floats1(book, 10),
-        base_old=floats1(book, 11),
-        k=floats2(book, 12),
-        slope=floats1(book, 13),
-        slope_next=floats1(book, 14),
-        dense=floats2(book, 15),
-        z_old=floats1(book, 16),
-        tolerance=floats1(book, 17),
-        gains=floats1(book, 18),
-        own=ints1(book, 19),
-    )
-    return opened, step
+@inlined
+def open_step(book):
+    """Views ``method, step`` of a step's book."""
+    return _open_method(book), _open_arrays(book)
 
 
-@inner_inlined
+@inlined
 def load(z, base, buffers):
     """Write the state of a chart into the evaluation's buffers."""
     n = buffers.angles.size
@@ -226,7 +188,7 @@ def store(buffers, base, z):
         z[12 + 2 * n + k] = buffers.inner[k]
 
 
-@inner_inlined
+@inlined
 def write_slope(z, buffers, slope):
     """Rate of ``z`` from the accelerations in the buffers."""
     n = buffers.angles.size
@@ -270,7 +232,7 @@ def evaluate_slope(book, t, z, base, alpha, beta, slope):
     return status
 
 
-@inner_inlined
+@inlined
 def add_slopes(step, weights, count, h, out):
     """``out += h sum_j weights[j] k[j]`` over the first ``count`` slopes."""
     for j in range(count):
@@ -280,21 +242,21 @@ def add_slopes(step, weights, count, h, out):
                 out[i] += factor * step.k[j, i]
 
 
-@inner_inlined
+@inlined
 def combine(step, weights, count, h, out):
     """``out = z + h sum_j weights[j] k[j]`` over the first ``count`` slopes."""
     copy(step.z, out)
     add_slopes(step, weights, count, h, out)
 
 
-@inner_inlined
+@inlined
 def weighted_slopes(step, weights, count, h, out):
     """``out = h sum_j weights[j] k[j]`` over the first ``count`` slopes."""
-    out[:] = 0.0
+    clear(out)
     add_slopes(step, weights, count, h, out)
 
 
-@inner
+@kernel
 def run_stages(book, joints, method, step, t, h, alpha, beta):
     """Stages 1.. of a step whose first slope is known, then ``z_new``; returns a status."""
     if method.kind == SEMI_IMPLICIT:
@@ -314,7 +276,7 @@ def run_stages(book, joints, method, step, t, h, alpha, beta):
     return OK
 
 
-@inner
+@kernel
 def semi_implicit_euler(step, h, n):
     """New velocities from the old accelerations, then positions with the new velocities."""
     z, new, k = step.z, step.z_new, step.k[0]
@@ -327,7 +289,7 @@ def semi_implicit_euler(step, h, n):
         new[6 + j] = z[6 + j] + h * new[12 + n + j]
 
 
-@inner
+@kernel
 def error_estimate(method, step, h, floor):
     """Largest estimated error of the step in units of the tolerances (NaN stays NaN).
 

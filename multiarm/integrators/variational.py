@@ -42,6 +42,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.books import Floats1, Floats2, Floats3, Ints1, Ints2, book_at, floats_at, view
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.records import KIND, TANGENT
 from multiarm.equations import (
@@ -52,21 +53,7 @@ from multiarm.equations import (
     update_kinematics,
 )
 from multiarm.integrators.stepper import OWN_EVALUATIONS, Step, load
-from multiarm.lowlevel import (
-    book_at,
-    call_back,
-    call_entry,
-    copy,
-    entry,
-    floats1,
-    floats2,
-    floats3,
-    floats_at,
-    inner,
-    inner_inlined,
-    ints1,
-    ints2,
-)
+from multiarm.lowlevel import call_back, call_entry, clear, copy, entry, kernel
 from multiarm.plant import CALL_FORCES, open_book
 from multiarm.spatial import retract_into, write_chart_rate
 from multiarm.terms import M_AT, M_STRIDE
@@ -105,24 +92,24 @@ class VariationalWork(NamedTuple):
     scratch : (6 + n,)
     """
 
-    system: np.ndarray
-    z: np.ndarray
-    z_new: np.ndarray
-    base: np.ndarray
-    k: np.ndarray
-    own: np.ndarray
-    call: np.ndarray
-    coriolis: np.ndarray
-    Wo: np.ndarray
-    W: np.ndarray
-    inertia: np.ndarray
-    start: np.ndarray
-    push: np.ndarray
-    xi: np.ndarray
-    impulse: np.ndarray
-    gap: np.ndarray
-    last: np.ndarray
-    scratch: np.ndarray
+    system: Ints1
+    z: Floats1
+    z_new: Floats1
+    base: Floats1
+    k: Floats2
+    own: Ints1
+    call: Ints1
+    coriolis: Ints2
+    Wo: Floats2
+    W: Floats3
+    inertia: Floats2
+    start: Floats1
+    push: Floats1
+    xi: Floats1
+    impulse: Floats1
+    gap: Floats1
+    last: Floats2
+    scratch: Floats1
 
 
 def make_variational(
@@ -156,28 +143,7 @@ def make_variational(
     )
 
 
-@inner_inlined
-def _open(book):
-    return VariationalWork(
-        system=ints1(book, 0),
-        z=floats1(book, 1),
-        z_new=floats1(book, 2),
-        base=floats1(book, 3),
-        k=floats2(book, 4),
-        own=ints1(book, 5),
-        call=ints1(book, 6),
-        coriolis=ints2(book, 7),
-        Wo=floats2(book, 8),
-        W=floats3(book, 9),
-        inertia=floats2(book, 10),
-        start=floats1(book, 11),
-        push=floats1(book, 12),
-        xi=floats1(book, 13),
-        impulse=floats1(book, 14),
-        gap=floats1(book, 15),
-        last=floats2(book, 16),
-        scratch=floats1(book, 17),
-    )
+_open = view(VariationalWork)
 
 
 @entry
@@ -194,7 +160,7 @@ def variational_step(address, size, t, h):
     return end(own, t, h)
 
 
-@inner
+@kernel
 def begin(own, t, h):
     """Momenta and constraint matrices at the beginning, and a guess of what is unknown."""
     plant, buffers, work = open_book(own.system)
@@ -221,7 +187,7 @@ def begin(own, t, h):
     return OK
 
 
-@inner
+@kernel
 def momenta(plant, buffers, work, out):
     """``M v`` of object and arms at the kinematics in the buffers, from ``twist`` and ``v``."""
     for a in range(6):
@@ -240,7 +206,7 @@ def momenta(plant, buffers, work, out):
             out[6 + d0 + a] = s
 
 
-@inner
+@kernel
 def find_velocities(own, t, h):
     """Newton's method for the velocities over the step and the contacts' impulses."""
     plant, buffers, _ = open_book(own.system)
@@ -279,7 +245,7 @@ def find_velocities(own, t, h):
     return NOT_CONVERGED
 
 
-@inner
+@kernel
 def correct(own, buffers, iteration):
     """Correct the unknowns by the solution in the buffers; returns the largest change proposed.
 
@@ -310,7 +276,7 @@ def correct(own, buffers, iteration):
     return change
 
 
-@inner
+@kernel
 def place(own, buffers, delay, t):
     """Write the state ``delay`` after the beginning of the step, on its way, into the buffers."""
     n, turn = buffers.angles.size, own.scratch[:3]
@@ -326,7 +292,7 @@ def place(own, buffers, delay, t):
     buffers.time[0] = t
 
 
-@inner
+@kernel
 def drive(own, h):
     """Kinematics and forces half way: ``push = h F / 2``; returns a status."""
     plant, buffers, work = open_book(own.system)
@@ -361,7 +327,7 @@ def drive(own, h):
     return OK
 
 
-@inner
+@kernel
 def imbalance(own, h):
     """What the momenta at the beginning lack, into ``buffers.h_o`` and ``buffers.h``.
 
@@ -386,7 +352,7 @@ def imbalance(own, h):
         buffers.h[j] = momentum[6 + j]
 
 
-@inner
+@kernel
 def add_impulses(Wo, W, impulse, work, out):
     """Add what contact impulses do to the momenta."""
     for i in range(work.dofs.size - 1):
@@ -399,7 +365,7 @@ def add_impulses(Wo, W, impulse, work, out):
                 out[6 + d0 + j] += W[i, j, k - first] * s
 
 
-@inner
+@kernel
 def end(own, t, h):
     """Momenta at the end, and the velocities on the joints that have them: ``z_new``."""
     _, buffers, work = open_book(own.system)
@@ -418,7 +384,7 @@ def end(own, t, h):
         buffers.h_o[k] = own.push[k]
     for j in range(n):
         buffers.h[j] = own.push[6 + j]
-    buffers.c[:] = 0.0
+    clear(buffers.c)
     status = solve_constrained(own.system)
     if status != OK:
         return status

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from multiarm.lowlevel import inner, inner_inlined, kernel
+from multiarm.lowlevel import inlined, kernel
 
 _EPS = float(np.finfo(float).eps)
 # Rows count as orthogonal when the cosine between them is below this: what the sums of their
@@ -108,7 +108,7 @@ def decompose(A, n, m, V, singular):
     return True
 
 
-@inner
+@kernel
 def orthogonalize(A, count, length, follow, width):
     """Rotate the first ``count`` rows of ``A`` against each other until they are orthogonal.
 
@@ -143,7 +143,7 @@ def orthogonalize(A, count, length, follow, width):
             return
 
 
-@inner_inlined
+@inlined
 def rotate(a, b, length, cosine, sine):
     """Rotate two rows against each other."""
     for k in range(length):
@@ -152,7 +152,7 @@ def rotate(a, b, length, cosine, sine):
         b[k] = sine * old + cosine * b[k]
 
 
-@inner_inlined
+@inlined
 def norm(row, length):
     """Length of the first ``length`` entries of a row."""
     total = 0.0

@@ -32,6 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.books import Floats1, Floats2, Floats3, Ints1, Ints2
 from multiarm.node.reaction_coupling import COUNTS, FREE, MOVING, PART_TOLERANCE, RANK, ROWS
 from multiarm.node.reaction_elimination import eliminate_with_reactions
 from multiarm.node.reaction_solution import solve_for_reactions
@@ -76,49 +77,49 @@ class ReactionWork(NamedTuple):
         Scratch.
     """
 
-    dofs: np.ndarray
-    rows: np.ndarray
-    L: np.ndarray
-    Y: np.ndarray
-    Yr: np.ndarray
-    K: np.ndarray
-    K_pivots: np.ndarray
-    arm_scale: np.ndarray
-    arm_scale_r: np.ndarray
-    Lo: np.ndarray
-    Ls: np.ndarray
-    node: np.ndarray
-    node_pivots: np.ndarray
-    coupled: np.ndarray
-    loose: np.ndarray
-    pivot: np.ndarray
-    spread: np.ndarray
-    evenness: np.ndarray
-    counts: np.ndarray
-    place: np.ndarray
-    scale: np.ndarray
-    scale_r: np.ndarray
-    U: np.ndarray
-    Ur: np.ndarray
-    V: np.ndarray
-    Vr: np.ndarray
-    sigma: np.ndarray
-    sigma_r: np.ndarray
-    core: np.ndarray
-    core_V: np.ndarray
-    core_left: np.ndarray
-    core_left_V: np.ndarray
-    core_sigma: np.ndarray
-    free: np.ndarray
-    unserved: np.ndarray
-    y: np.ndarray
-    z: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
-    unloaded: np.ndarray
-    six: np.ndarray
-    contacts: np.ndarray
-    six_columns: np.ndarray
+    dofs: Ints1
+    rows: Ints1
+    L: Floats3
+    Y: Floats3
+    Yr: Floats3
+    K: Floats3
+    K_pivots: Ints2
+    arm_scale: Floats1
+    arm_scale_r: Floats1
+    Lo: Floats2
+    Ls: Floats2
+    node: Floats2
+    node_pivots: Ints1
+    coupled: Ints1
+    loose: Ints1
+    pivot: Floats1
+    spread: Floats2
+    evenness: Floats1
+    counts: Ints1
+    place: Ints1
+    scale: Floats1
+    scale_r: Floats1
+    U: Floats2
+    Ur: Floats2
+    V: Floats2
+    Vr: Floats2
+    sigma: Floats1
+    sigma_r: Floats1
+    core: Floats2
+    core_V: Floats2
+    core_left: Floats2
+    core_left_V: Floats2
+    core_sigma: Floats1
+    free: Floats2
+    unserved: Floats2
+    y: Floats1
+    z: Floats1
+    left: Floats1
+    right: Floats1
+    unloaded: Floats1
+    six: Floats1
+    contacts: Floats1
+    six_columns: Floats2
 
 
 def make_reaction_work(dofs: list[int], rows: list[int]) -> ReactionWork:

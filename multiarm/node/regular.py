@@ -36,7 +36,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.lowlevel import inlined, inner_inlined, kernel
+from multiarm.books import Floats1, Floats2, Floats3, Ints1
+from multiarm.lowlevel import inlined, kernel
 
 # Arms with a relative pivot below this go to the coupled system (:mod:`multiarm.node.singular`).
 # Elimination loses about as many digits as the pivot has zeros: the choice leaves eleven.
@@ -62,16 +63,16 @@ class NodeWork(NamedTuple):
         Smallest relative pivot of each ``K_i``, and of ``S`` last.
     """
 
-    dofs: np.ndarray
-    rows: np.ndarray
-    L: np.ndarray
-    Y: np.ndarray
-    G: np.ndarray
-    Z: np.ndarray
-    S: np.ndarray
-    y: np.ndarray
-    z: np.ndarray
-    pivot: np.ndarray
+    dofs: Ints1
+    rows: Ints1
+    L: Floats3
+    Y: Floats3
+    G: Floats3
+    Z: Floats3
+    S: Floats2
+    y: Floats1
+    z: Floats1
+    pivot: Floats1
 
 
 def make_work(dofs: list[int], rows: list[int]) -> NodeWork:
@@ -120,7 +121,7 @@ def factor_in_place(A, n):
     return smallest
 
 
-@inner_inlined
+@inlined
 def eliminate_arm(i, work, Wo):
     """Factor arm ``i`` and add its share to the node matrix.
 
@@ -168,7 +169,7 @@ def eliminate_arm(i, work, Wo):
     return pivot
 
 
-@inner_inlined
+@inlined
 def add_arm(i, work):
     """Add the share of an eliminated arm to the node matrix."""
     Z, S = work.Z[i], work.S
@@ -215,7 +216,7 @@ def eliminate(work, Wo, object_inertia):
     return ELIMINATED if pivot > COUPLED_BELOW else DEFICIENT
 
 
-@inner_inlined
+@inlined
 def free_arm(i, work, h):
     """``y = L^-1 h`` of an arm."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
@@ -227,7 +228,7 @@ def free_arm(i, work, h):
         y[d0 + j] = s * L[j, j]
 
 
-@inner_inlined
+@inlined
 def reduce_arm(i, work, c, q_o):
     """``z`` of an arm, and its share of the object's right-hand side."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
@@ -249,7 +250,7 @@ def reduce_arm(i, work, c, q_o):
             q_o[k] += Z[a, k] * s
 
 
-@inner_inlined
+@inlined
 def node_forward(S, q_o):
     """``L_S^-1 q_o``, in place."""
     for j in range(6):
@@ -259,7 +260,7 @@ def node_forward(S, q_o):
         q_o[j] = s * S[j, j]
 
 
-@inner_inlined
+@inlined
 def node_backward(S, q_o):
     """``L_S^-T q_o``, in place."""
     for j in range(5, -1, -1):
@@ -269,7 +270,7 @@ def node_backward(S, q_o):
         q_o[j] = s * S[j, j]
 
 
-@inner_inlined
+@inlined
 def push_arm(i, work, q_o, force):
     """Contact forces of an arm."""
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
@@ -286,7 +287,7 @@ def push_arm(i, work, q_o, force):
             force[r0 + b] -= G[a, b] * s
 
 
-@inner_inlined
+@inlined
 def move_arm(i, work, force, q):
     """The joints' unknowns of an arm."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]

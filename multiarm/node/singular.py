@@ -35,7 +35,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.lowlevel import copy, inlined, inner, inner_inlined
+from multiarm.books import Floats1, Floats2, Floats3, Ints1
+from multiarm.lowlevel import copy, inlined, kernel
 from multiarm.node.factors import norm, orthogonalize
 from multiarm.node.regular import (
     COUPLED_BELOW,
@@ -94,23 +95,23 @@ class CoupledWork(NamedTuple):
         is from losing one (of the order of 1 when it is far).  Now, and least since it was reset.
     """
 
-    V: np.ndarray
-    A: np.ndarray
-    sigma: np.ndarray
-    deficient: np.ndarray
-    scale: np.ndarray
-    split: np.ndarray
-    inertia: np.ndarray
-    arm: np.ndarray
-    row: np.ndarray
-    C: np.ndarray
-    B: np.ndarray
-    basis: np.ndarray
-    images: np.ndarray
-    right: np.ndarray
-    unknown: np.ndarray
-    counts: np.ndarray
-    margin: np.ndarray
+    V: Floats3
+    A: Floats3
+    sigma: Floats1
+    deficient: Ints1
+    scale: Floats1
+    split: Floats1
+    inertia: Floats2
+    arm: Ints1
+    row: Ints1
+    C: Floats2
+    B: Floats2
+    basis: Floats2
+    images: Floats2
+    right: Floats1
+    unknown: Floats1
+    counts: Ints1
+    margin: Floats1
 
 
 def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
@@ -151,7 +152,7 @@ def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
     return np.sqrt(np.maximum(np.sum(rows**2, axis=0) - np.sum(noticed**2, axis=0), 0.0))
 
 
-@inner
+@kernel
 def object_mobility(row, coupled):
     """``sqrt(w^T M_o^-1 w)``: how the object alone gives way to a push, comparable to ``sigma``."""
     wrench = coupled.B[0]  # scratch until the unknowns are known
@@ -160,7 +161,7 @@ def object_mobility(row, coupled):
     return norm(wrench, 6)
 
 
-@inner
+@kernel
 def split_arm(i, work, coupled, Wo):
     """Decompose ``Y`` of a deficient arm: healthy directions into ``S``, others to the unknowns.
 
@@ -208,13 +209,13 @@ def split_arm(i, work, coupled, Wo):
     return True
 
 
-@inner_inlined
+@inlined
 def sigma_of(u, work, coupled):
     """How much the arm of an unknown moves along it."""
     return coupled.sigma[work.rows[coupled.arm[u]] + coupled.row[u]]
 
 
-@inner
+@kernel
 def lever_length(Wo):
     """Largest moment of a unit push on the object [m]; 1 when there is none."""
     longest = 0.0
@@ -223,7 +224,7 @@ def lever_length(Wo):
     return longest if longest > 0.0 else 1.0
 
 
-@inner
+@kernel
 def find_rank(work, coupled, lever):
     """Orthonormal combinations of the unknowns that move something, into ``coupled.basis``."""
     basis, counts = coupled.basis, coupled.counts
@@ -253,7 +254,7 @@ def find_rank(work, coupled, lever):
     coupled.margin[1] = min(coupled.margin[1], coupled.margin[0])
 
 
-@inner
+@kernel
 def image_basis(work, coupled):
     """What the combinations in ``coupled.basis`` move, made orthogonal, into ``coupled.images``."""
     basis, images, counts = coupled.basis, coupled.images, coupled.counts
@@ -299,7 +300,7 @@ def couple(work, coupled, Wo, object_inertia):
     return pivot
 
 
-@inner
+@kernel
 def build_node(work, coupled, Wo, object_inertia, every):
     """Factor the node matrix of all that can be eliminated; returns its smallest relative pivot.
 
@@ -321,7 +322,7 @@ def build_node(work, coupled, Wo, object_inertia, every):
     return factor_in_place(S, 6)
 
 
-@inner
+@kernel
 def reduce_deficient_arm(i, work, coupled, c, q_o):
     """``V (c - Y^T y)`` into ``work.z``, and the eliminated directions' share of ``q_o``."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
@@ -340,7 +341,7 @@ def reduce_deficient_arm(i, work, coupled, c, q_o):
         z[r0 + a] = s
 
 
-@inner
+@kernel
 def solve_coupled_forces(work, coupled, q_o):
     """Forces of the coupled system, and their push added to ``q_o``, both as ``L_S^-1 q_o``."""
     counts = coupled.counts
@@ -363,7 +364,7 @@ def solve_coupled_forces(work, coupled, q_o):
             q_o[k] += coupled.B[u, k] * coupled.unknown[u]
 
 
-@inner
+@kernel
 def push_deficient_arm(i, work, coupled, q_o, force):
     """Contact forces of a deficient arm along its eliminated directions."""
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
