@@ -1,7 +1,8 @@
 """The loop over time, compiled: steps, error control, stabilisation, samples.
 
-There is one loop for all methods and scenes.  It enters Python only for Pinocchio's two calls (and
-a Python controller, when there is one), and returns to it when the block of samples is full, when
+There is one loop for all methods and scenes.  It lets go of Python's lock, so that loops of several
+threads run side by side.  It enters Python only for Pinocchio's two calls (and a Python controller,
+when there is one), and returns to it when the block of samples is full, when
 its budget of evaluations is used up (progress, checkpoints and Ctrl-C live in Python), or at the
 end.  Everything it must remember in between is in :class:`Clock`, so that it goes on where it left
 off.
@@ -37,7 +38,7 @@ from multiarm.integrators.stepper import (
     write_slope,
 )
 from multiarm.integrators.tableaus import EXPLICIT, SEMI_IMPLICIT, VARIATIONAL
-from multiarm.lowlevel import call_entry, clear, copy, kernel
+from multiarm.lowlevel import call_entry, clear, copy, kernel, unlocked
 from multiarm.plant import (
     CALL_GUARDS,
     COUPLED_ARMS,
@@ -494,7 +495,7 @@ def next_length(method, h, error, error_old):
     return h * min(GROW, max(SHRINK, factor))
 
 
-@kernel
+@unlocked
 def advance(book, joints, arrays, run, block, budget):
     """Integrate until the end, a full block, the budget of evaluations, or trouble.
 
