@@ -19,6 +19,7 @@ from multiarm.contacts.frames import FRAME_WIDTH, JointFrame
 from multiarm.contacts.kernel import RELATIVE_WIDTH
 from multiarm.contacts.records import Contact, ContactTable, pack
 from multiarm.contacts.surfaces import answering
+from multiarm.crossing import CROSSING
 from multiarm.dense_call import dense_call
 from multiarm.effects.building import build_pieces
 from multiarm.effects.piece import Piece, Pieces, Site, joint_numbers
@@ -32,6 +33,7 @@ from multiarm.node.singular import make_coupled
 from multiarm.plant import (
     CALL_CONTROL,
     CALL_COUNT,
+    CALL_CROSSING,
     CALL_DENSE,
     CALL_FUNCTION,
     CALL_POTENTIAL,
@@ -197,6 +199,7 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
         calls[name] = call
         plant.calls[CALL_FUNCTION] = call.address
     connect_entries(plant.calls)
+    plant.calls[CALL_CROSSING] = CROSSING.address
     if table.functions:
         answer = answering(table.functions, buffers.query[RELATIVE_WIDTH:])
         calls["surface"] = CallBack(answer, buffers.flag)

@@ -22,10 +22,12 @@ from __future__ import annotations
 
 import math
 
-from multiarm.equations import OK, evaluate_buffers
-from multiarm.lowlevel import clear, copy, kernel
+from multiarm.books import book_at
+from multiarm.equations import CALLBACK_FAILED, OK, evaluate_buffers
+from multiarm.late_entries import LateEntry
+from multiarm.lowlevel import call_entry, clear, copy, entry, kernel
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
-from multiarm.plant import KICK, SHIFT, asks_python, open_book, open_coupled
+from multiarm.plant import CALL_CROSSING, KICK, SHIFT, asks_python, open_book, open_coupled
 from multiarm.solver_watch import believable, constraint_residual
 from multiarm.spatial import retract_into
 from multiarm.stabilization import greatest, project
@@ -47,12 +49,19 @@ def evaluate_on_branch(book, closed, alpha, beta):
     ``closed`` is the gap to which states are projected [m]; negative: nothing is interpolated.
     """
     status = evaluate_buffers(book, alpha, beta)
-    if status != OK or closed < 0.0:
+    if status != OK or closed < 0.0 or open_coupled(book).counts[ARMS] == 0:
         return status
-    coupled = open_coupled(book)
-    if coupled.counts[ARMS] == 0:
-        return OK
+    plant, buffers, _ = open_book(book)
+    buffers.stage_gap[1] = closed
+    return call_entry(plant.calls[CALL_CROSSING], book, alpha, beta)
+
+
+@entry
+def _evaluate_near_crossing(address, size, alpha, beta):
+    """Go on with an evaluation in which some arms are deficient; see the function above."""
+    book = book_at(address, size)
     plant, buffers, work = open_book(book)
+    coupled, closed = open_coupled(book), buffers.stage_gap[1]
     # before a run nothing is known of the rank elsewhere: the state may be on the very crossing
     unknown = buffers.lost[buffers.lost.size - 1] == 0 and excess(coupled) > 0
     if not (coupled.margin[0] < ZONE or unknown):
@@ -74,6 +83,9 @@ def evaluate_on_branch(book, closed, alpha, beta):
         if not believable(book, constraint_residual(plant, buffers, work)):
             exchange_solution(buffers)
     return status
+
+
+CROSSING = LateEntry(_evaluate_near_crossing, CALL_CROSSING, CALLBACK_FAILED)
 
 
 @kernel

@@ -27,7 +27,9 @@ CALL_SHOW, CALL_GUARDS = range(10, 12)
 # One of the user's functions that effects ask: 0 where there are none.
 CALL_FUNCTION = 12
 # Writes a row of W that is not a tip on a plane, a sphere or a cylinder.
-CALL_ROW, CALL_COUNT = range(13, 15)
+CALL_ROW = 13
+# Goes on with an evaluation near a loss of rank.
+CALL_CROSSING, CALL_COUNT = range(14, 16)
 
 # Entry of Buffers.flag.
 BUSY = 1
@@ -64,7 +66,7 @@ class Plant(NamedTuple):
     effects : int64 (k, 2), phases : int64 (3,)
         Address of each effect's kernel and place of its first array in the system's book; where
         the three phases of an evaluation end in this list, see :mod:`multiarm.effects.piece`.
-    calls : int64 (14,)
+    calls : int64 (15,)
         Addresses of the callbacks (arm terms, Python controller, dense solver, potential energy,
         the user's surfaces), of the compiled parts of an evaluation, of those of scenes whose
         contacts come and go (:mod:`multiarm.hybrid`), and of a function that an effect asks.
@@ -145,9 +147,9 @@ class Buffers(NamedTuple):
         Scratch.
     kept : (13 + 2 joints,), mixed : (6 + joints,)
         Scratch: a state, and accelerations.
-    stage_gap : (1,)
-        Gap to which the stages of a step are projected before they are evaluated [m]; negative:
-        they are not.
+    stage_gap : (2,)
+        Gap to which the stages of a step are projected before they are evaluated [m], negative:
+        they are not; gap to which states beside one near a loss of rank are.
     solved : (5,)
         How the equations were solved last: rank of the constraints, arms in the coupled system,
         largest constraint residual relative to the largest term; largest change of a position and
@@ -254,7 +256,7 @@ def make_buffers(
         residual=np.zeros(joints),
         kept=np.zeros(13 + 2 * joints),
         mixed=np.zeros(6 + joints),
-        stage_gap=np.full(1, -1.0),
+        stage_gap=np.full(2, -1.0),
         solved=np.zeros(SOLVED_WIDTH),
         lost=np.zeros(arms + 1, dtype=np.int64),
         signs=np.zeros(arms),
