@@ -25,7 +25,7 @@ import numpy as np
 import pinocchio as pin
 
 from multiarm.errors import ModelError
-from multiarm.terms import POINTER_WIDTH, ArmTerms
+from multiarm.terms import POINTER_WIDTH, ArmStructure, ArmTerms, LinkTerms
 
 # More arms a model mean fewer calls but a larger, mostly empty inertia matrix; fewer arms the
 # opposite.  The cost per arm is flat around eight.
@@ -178,6 +178,54 @@ class Arm:
         )
         return np.array(torque)
 
+    def structure(self) -> ArmStructure:
+        """Geometry and masses of the arm, as copies.
+
+        Raises
+        ------
+        ModelError
+            When it is not a chain of turning and sliding joints that ends at the tip.
+        """
+        model = self.model
+        links, moves = range(1, model.njoints), np.array([_motion(j) for j in model.joints[1:]])
+        turns, slides = (np.any(moves[:, part] != 0.0, axis=1) for part in (slice(3, 6), slice(3)))
+        if np.any(turns & slides):
+            names = ", ".join(np.array(self.joint_names)[turns & slides])
+            raise ModelError(f"{names} turns and slides at once")
+        if list(model.parents[1:]) != list(range(model.njoints - 1)):
+            raise ModelError("it has branches")
+        if self.tip_joint != model.njoints - 1:
+            raise ModelError("joints follow behind its tip")
+        return ArmStructure(
+            slides=slides,
+            axes=np.where(slides[:, None], moves[:, :3], moves[:, 3:]),
+            rotations=np.array([model.jointPlacements[k].rotation for k in links]),
+            translations=np.array([model.jointPlacements[k].translation for k in links]),
+            masses=np.array([model.inertias[k].mass for k in links]),
+            centres=np.array([model.inertias[k].lever for k in links]),
+            inertias=np.array([model.inertias[k].inertia for k in links]),
+            armature=np.array(model.armature),
+        )
+
+    def reference(
+        self, angles: np.ndarray, rates: np.ndarray, gravity: np.ndarray
+    ) -> list[LinkTerms]:
+        """What Pinocchio finds at some states, as copies.
+
+        Parameters
+        ----------
+        angles, rates : ndarray, shape (k, n)
+            Joint positions [rad or m] and velocities.
+        gravity : ndarray, shape (3,)
+        """
+        model = self.model.copy()
+        model.gravity.linear = np.array(gravity)
+        data = model.createData()
+        return [
+            _link_terms(model, data, self.configuration(q), v, self.tip_joint)
+            for q, v in zip(angles, rates, strict=True)
+        ]
+
     def visual_model(self) -> pin.GeometryModel:
         """The URDF's visual geometry, placed consistently with :attr:`model`."""
         return _build_visuals(self.name, self.files)
@@ -307,6 +355,40 @@ class Ground:
         at = [array.ctypes.data for array in (still, pose, still, drift)]
         # inertia and its stride, Jacobian, bias, gravity: none; pose, twist, drift
         self.pointers = np.array([at[0], 1, at[0], at[0], at[0], *at[1:]], dtype=np.int64)
+
+
+def _motion(joint: pin.JointModel) -> np.ndarray:
+    """Velocity of a joint's frame for a unit rate, linear and angular, in its own axes."""
+    data = joint.createData()
+    joint.calc(data, np.concatenate([np.zeros(joint.idx_q), [1.0, 0.0][: joint.nq]]))
+    return np.array(data.S).ravel()
+
+
+def _link_terms(
+    model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray, tip: int
+) -> LinkTerms:
+    inertia = np.triu(pin.crba(model, data, q, pin.Convention.LOCAL))
+    gravity_torque = pin.computeGeneralizedGravity(model, data, q).copy()
+    bias = pin.nonLinearEffects(model, data, q, v).copy()
+    coriolis = pin.computeCoriolisMatrix(model, data, q, v).copy()
+    energy = pin.computePotentialEnergy(model, data, q)
+    jacobian = pin.computeJointJacobians(model, data, q).reshape(6, model.nv).copy()
+    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    poses = [np.concatenate([X.rotation.T.ravel(), X.translation]) for X in data.oMi.tolist()[1:]]
+    R, twist = data.oMi[tip].rotation, data.v[tip]
+    axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    drift = pin.getClassicalAcceleration(model, data, tip, axes).vector
+    body = [R.ravel(), poses[tip - 1][9:], R @ twist.linear, R @ twist.angular, drift]
+    return LinkTerms(
+        inertia=inertia + np.triu(inertia, 1).T,
+        jacobian=jacobian,
+        bias=bias,
+        gravity_torque=gravity_torque,
+        poses=np.array(poses),
+        body=np.concatenate(body),
+        energy=np.array([energy]),
+        coriolis=coriolis,
+    )
 
 
 def _require_layout(condition: bool, what: str) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arm import Arm, ArmFiles, ArmGroup, Ground, group_arms
+from multiarm.arm import Arm, ArmFiles, Ground
 from multiarm.assembly import StartReport, assemble
 from multiarm.candidates.building import scene_candidates
 from multiarm.candidates.plan import Plan, make_plan
@@ -36,10 +36,7 @@ from multiarm.plant import (
     CALL_CROSSING,
     CALL_DENSE,
     CALL_FUNCTION,
-    CALL_POTENTIAL,
     CALL_SURFACE,
-    CALL_TERMS,
-    Buffers,
     Plant,
     make_buffers,
 )
@@ -49,14 +46,17 @@ from multiarm.programs import (
     control_program,
     needs_gravity_torque,
 )
-from multiarm.scene import Scene, friction_of, resolve_arm
+from multiarm.scene import ARM_TERMS, Scene, friction_of, resolve_arm
 from multiarm.spatial import matrix_to_quaternion
 from multiarm.state import Layout, State
+from multiarm.supply import ArmSupply
 from multiarm.system import System
 from multiarm.watching import WATCH_WIDTH, make_watches
 
 
-def compile_system(scene: Scene, control: ControlFunction | None = None) -> System:
+def compile_system(
+    scene: Scene, control: ControlFunction | None = None, *, arms: str | None = None
+) -> System:
     """Build the system that a scene describes; only what the scene names is in it.
 
     Parameters
@@ -65,21 +65,33 @@ def compile_system(scene: Scene, control: ControlFunction | None = None) -> Syst
     control : callable, optional
         ``f(t, state) -> {arm: torques}`` in place of the scene's control; arms that it leaves out
         get no torque.
+    arms : {"pinocchio", "compiled"}, optional
+        Who computes the arms' terms, in place of ``run.arms`` of the scene.
 
     Raises
     ------
     SceneError
         When the start does not satisfy the joints and is too far from doing so.
     ModelError
-        When a robot cannot be used.
+        When a robot cannot be used, or a compiled arm is not the robot's.
     """
+    scene = _with_arms(scene, arms)
     resolved = {name: resolve_arm(spec, scene.folder) for name, spec in scene.arms.items()}
-    arms = {name: _make_arm(name, scene, resolved[name]) for name in scene.arms}
-    joints = _joints(scene, arms, resolved)
-    system = _unassembled(scene, arms, joints, resolved)
+    made = {name: _make_arm(name, scene, resolved[name]) for name in scene.arms}
+    joints = _joints(scene, made, resolved)
+    system = _unassembled(scene, made, joints, resolved)
     if system.plan is not None:
         return _come_and_go(system, control)
     return _controlled(_with_free_motions(_at_start(system)), control)
+
+
+def _with_arms(scene: Scene, arms: str | None) -> Scene:
+    """The scene with another choice of who computes the arms' terms."""
+    if arms is None or arms == scene.run.arms:
+        return scene
+    if arms not in ARM_TERMS:
+        raise ModelError(f"unknown arms {arms!r}; arms are {', '.join(map(repr, ARM_TERMS))}")
+    return scene.model_copy(update={"run": scene.run.model_copy(update={"arms": arms})})
 
 
 def _come_and_go(full: System, control: ControlFunction | None) -> System:
@@ -173,28 +185,28 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
     if around:
         on_links[SURROUNDINGS] = around
     gravity = np.array(scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0))
-    groups = group_arms(list(arms.values()), gravity, needs_gravity_torque(scene))
+    compiled = scene.run.arms == "compiled"
+    supply = ArmSupply(arms, gravity, needs_gravity_torque(scene), compiled)
     every_row = [record for own in on_links.values() for record in own]
     table = pack(every_row)
     plan = None if found is None else make_plan(scene, found, joints.contacts, layout)
-    site = Site(scene, arms, layout, outlines, groups)
+    site = Site(scene, arms, layout, outlines, supply)
     pieces = build_pieces(site, _plan_pieces(plan))
     watched = on_links if found is None else {name: [] for name in arms}
     watches = make_watches(watched, joints.limits, layout, pieces.watched)
-    plant = _plant(scene, arms, table, groups, gravity, pieces)._replace(watches=watches)
+    plant = _plant(scene, arms, table, supply, gravity, pieces)._replace(watches=watches)
     plant = plant._replace(joint_rows=joint_rows(table, layout))
     ground = Ground(gravity) if around else None
     if ground is not None:
         plant = plant._replace(pointers=np.vstack([plant.pointers, ground.pointers]))
-    configuration = sum(g.model.nq for g in groups)
-    buffers = make_buffers(plant, layout.contacts, configuration, len(pieces.works), pieces.states)
+    buffers = make_buffers(
+        plant, layout.contacts, supply.configuration, len(pieces.works), pieces.states
+    )
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     work, coupled = make_work(*sizes), make_coupled(*sizes)
-    calls = {
-        "terms": CallBack(_terms_call(groups, buffers), buffers.flag),
-        "dense": CallBack(dense_call(plant.pointers, buffers, work), buffers.flag),
-    }
-    plant.calls[CALL_TERMS], plant.calls[CALL_DENSE] = (call.address for call in calls.values())
+    calls = supply.connect(buffers, plant.calls)
+    dense = CallBack(dense_call(plant.pointers, buffers, work), buffers.flag)
+    calls["dense"], plant.calls[CALL_DENSE] = dense, dense.address
     for name, call in pieces.connect(buffers).items():
         calls[name] = call
         plant.calls[CALL_FUNCTION] = call.address
@@ -221,16 +233,13 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
         records=tuple(every_row),
         plan=plan,
         _start=_written_start(scene, resolved, layout),
-        _groups=groups,
+        _supply=supply,
         _ground=ground,
         _places=np.zeros_like(buffers.places),
         calls=calls,
     )
     if plan is not None and plan.springs is not None:
         link_springs(system, plan.springs)
-    if np.any(gravity):
-        calls["potential"] = CallBack(_potential_call(system), buffers.flag)
-        plant.calls[CALL_POTENTIAL] = calls["potential"].address
     return system
 
 
@@ -336,16 +345,15 @@ def _plant(
     scene: Scene,
     arms: dict[str, Arm],
     table: ContactTable,
-    groups: list[ArmGroup],
+    supply: ArmSupply,
     gravity: np.ndarray,
     pieces: Pieces,
 ) -> Plant:
     """Everything constant but the control; the callbacks' addresses are filled in later."""
-    first_q = np.cumsum([0] + [g.model.nq for g in groups[:-1]])
     effects, phases = pieces.program()
     return Plant(
-        pointers=np.vstack([g.pointers for g in groups]),
-        q_slots=np.concatenate([g.q_slots + q for g, q in zip(groups, first_q, strict=True)]),
+        pointers=supply.pointers,
+        q_slots=supply.q_slots,
         circular=np.concatenate([arm.circular for arm in arms.values()]).astype(np.int64),
         codes=table.codes,
         geometry=table.geometry,
@@ -379,32 +387,6 @@ def _written_start(scene: Scene, resolved: dict, layout: Layout) -> State:
     twist = np.zeros(6) if scene.object.twist is None else np.array(scene.object.twist)
     velocity = [twist, *(r.velocity for r in resolved.values())]
     return State(np.concatenate(position), np.concatenate(velocity), layout)
-
-
-def _terms_call(groups: list[ArmGroup], buffers: Buffers) -> Callable[[], None]:
-    """One function that lets Pinocchio update the terms of all groups."""
-    updates = []
-    q = v = 0
-    for group in groups:
-        updates.append(
-            group.bind(buffers.q[q : q + group.model.nq], buffers.v[v : v + group.model.nv])
-        )
-        q, v = q + group.model.nq, v + group.model.nv
-    if len(updates) == 1:
-        return updates[0]
-
-    def update_all() -> None:
-        for update in updates:
-            update()
-
-    return update_all
-
-
-def _potential_call(system: System) -> Callable[[], None]:
-    def update() -> None:
-        system.buffers.energy[1] = system.potential_energy()
-
-    return update
 
 
 def _bounds(sizes: list[int]) -> tuple[int, ...]:

@@ -1,12 +1,12 @@
 r"""The equations of motion of a compiled scene, evaluated in compiled code.
 
-One evaluation is: Pinocchio updates the terms of all arms (one callback), then for every arm the
-motion of its last link, its contact rows and the elimination of the node algorithm, then the
-object's 6 by 6 system and the accelerations.  Data flow, all in world axes:
+One evaluation is: compiled code or Pinocchio (one callback) updates the terms of all arms and the
+motion of their last links, then come for every arm its contact rows and the elimination of the node
+algorithm, then the object's 6 by 6 system and the accelerations.  Data flow, all in world axes:
 
 .. code-block:: text
 
-    positions, velocities -> Pinocchio -> M, b, J, link motion --+
+    positions, velocities -> arms      -> M, b, J, link motion --+
                           -> object     -> pose, inertia, bias --+-> contacts -> W_o, W, c, phi
                           -> control, effects -> h                              |
                                          accelerations, contact forces <- node <+
@@ -22,6 +22,7 @@ import math
 import numpy as np
 
 from multiarm.books import book_at, floats_at, ints1
+from multiarm.compiled_arms.arrays import energy_of_arms, open_arms
 from multiarm.contacts.kernel import (
     ACCELERATION,
     AT,
@@ -43,11 +44,15 @@ from multiarm.lowlevel import address_of, call_back, call_entry, entry, inlined,
 from multiarm.node.regular import DEFICIENT, ELIMINATED, eliminate, solve
 from multiarm.node.singular import ARMS, couple, solve_coupled
 from multiarm.plant import (
+    ARMS_BOOK,
+    ARMS_SIZE,
+    CALL_ARMS,
     CALL_CLOSE,
     CALL_COUPLED,
     CALL_DENSE,
     CALL_FORCES,
     CALL_KINEMATICS,
+    CALL_POTENTIAL,
     CALL_ROW,
     CALL_SOLVE,
     CALL_SURFACE,
@@ -66,14 +71,30 @@ OK, CALLBACK_FAILED, NOT_FINITE, CONTRADICTION = -1, -2, -4, -5
 
 @inlined
 def fill_configuration(plant, buffers):
-    """Write Pinocchio's configuration from the joint positions."""
+    """Write Pinocchio's configuration from the positions of its arms' joints."""
     for j in range(buffers.angles.size):
         slot = plant.q_slots[j]
+        if slot < 0:
+            continue
         if plant.circular[j] != 0:
             buffers.q[slot] = np.cos(buffers.angles[j])
             buffers.q[slot + 1] = np.sin(buffers.angles[j])
         else:
             buffers.q[slot] = buffers.angles[j]
+
+
+@inlined
+def arm_terms(plant, buffers):
+    """All terms of the arms, and the motion of the links that carry their tips."""
+    calls = plant.calls
+    if calls[CALL_ARMS] != 0:
+        call_entry(calls[CALL_ARMS], book_at(calls[ARMS_BOOK], calls[ARMS_SIZE]), 0.0, 0.0)
+    if calls[CALL_TERMS] != 0:
+        fill_configuration(plant, buffers)
+        call_back(calls[CALL_TERMS])
+    for i in range(plant.pointers.shape[0]):
+        if plant.pointers[i, TWIST_AT] != 0:
+            link_motion(plant.pointers[i], plant.gravity, buffers.arms[i])
 
 
 @inlined
@@ -203,13 +224,11 @@ def _kinematics(address, size, _a, _b):
     """See :func:`update_kinematics`."""
     book = book_at(address, size)
     plant, buffers, work = open_book(book)
-    fill_configuration(plant, buffers)
-    call_back(plant.calls[CALL_TERMS])
+    arm_terms(plant, buffers)
     if buffers.flag[0] != 0:
         return CALLBACK_FAILED
     object_terms(plant, buffers)
     for i in range(plant.pointers.shape[0]):
-        link_motion(plant.pointers[i], plant.gravity, buffers.arms[i])
         arm_rows(i, book, plant, buffers, work)
         load_inertia(i, plant, work)
     write_joint_rows(plant, buffers, work)
@@ -287,7 +306,7 @@ def call_effect(effect, address, size, buffers):
 
 @inlined
 def load_gravity_torque(plant, buffers, work):
-    """Copy the joints' gravity forces; Pinocchio fills them only when the control asks for them."""
+    """Copy the joints' gravity forces; they are computed only when the control asks for them."""
     for i in range(plant.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         g = floats_at(plant.pointers[i, GRAVITY_AT], d)
@@ -356,7 +375,7 @@ def connect_entries(calls: np.ndarray) -> None:
 
 @kernel
 def update_kinematics(book):
-    """Pinocchio's terms, the object's, and all contact rows at the state in the buffers.
+    """The arms' terms, the object's, and all contact rows at the state in the buffers.
 
     Leaves W in ``work.Y`` and the inertias in ``work.L``, ready for the elimination.  Returns
     ``OK`` or ``CALLBACK_FAILED``.
@@ -419,6 +438,20 @@ def kinetic_energy(plant, buffers, work):
     for a in range(6):
         for b in range(6):
             energy += 0.5 * twist[a] * buffers.inertia[a, b] * twist[b]
+    return energy
+
+
+@kernel
+def potential_energy(plant, buffers):
+    """Potential energy of arms and object [J] at the state evaluated last, zero at the origin."""
+    calls, energy = plant.calls, 0.0
+    for k in range(3):
+        energy -= plant.object_mass[0] * plant.gravity[k] * buffers.position[k]
+    if calls[CALL_ARMS] != 0:
+        energy += energy_of_arms(open_arms(book_at(calls[ARMS_BOOK], calls[ARMS_SIZE])))
+    if calls[CALL_POTENTIAL] != 0:
+        call_back(calls[CALL_POTENTIAL])
+        energy += buffers.energy[0]
     return energy
 
 

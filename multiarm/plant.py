@@ -29,7 +29,9 @@ CALL_FUNCTION = 12
 # Writes a row of W that is not a tip on a plane, a sphere or a cylinder.
 CALL_ROW = 13
 # Goes on with an evaluation near a loss of rank.
-CALL_CROSSING, CALL_COUNT = range(14, 16)
+CALL_CROSSING = 14
+# Entry that computes the terms of compiled arms, address and size of its own book: 0 without them.
+CALL_ARMS, ARMS_BOOK, ARMS_SIZE, CALL_COUNT = range(15, 19)
 
 # Entry of Buffers.flag.
 BUSY = 1
@@ -46,9 +48,10 @@ class Plant(NamedTuple):
     """What a scene compiles to: constants of all its evaluations.
 
     pointers : int64 (n, 8)
-        Where Pinocchio keeps each arm's terms, see :class:`multiarm.arm.ArmGroup`.
+        Where each arm's terms are, see :mod:`multiarm.terms`.
     q_slots : int64 (joints,), circular : int64 (joints,)
-        Place of each joint in Pinocchio's configuration; whether it takes cosine and sine there.
+        Place of each joint in Pinocchio's configuration, -1 for those of compiled arms; whether it
+        takes cosine and sine there.
     codes, geometry, shapes
         The contact table; the arms' geometry in the frame of the joint that carries the tip.
     frames : (n, 24)
@@ -66,10 +69,11 @@ class Plant(NamedTuple):
     effects : int64 (k, 2), phases : int64 (3,)
         Address of each effect's kernel and place of its first array in the system's book; where
         the three phases of an evaluation end in this list, see :mod:`multiarm.effects.piece`.
-    calls : int64 (15,)
-        Addresses of the callbacks (arm terms, Python controller, dense solver, potential energy,
-        the user's surfaces), of the compiled parts of an evaluation, of those of scenes whose
-        contacts come and go (:mod:`multiarm.hybrid`), and of a function that an effect asks.
+    calls : int64 (18,)
+        Addresses of the callbacks (terms of Pinocchio's arms, Python controller, dense solver,
+        potential energy of Pinocchio's arms, the user's surfaces), of the compiled parts of an
+        evaluation, of those of scenes whose contacts come and go (:mod:`multiarm.hybrid`), of a
+        function that an effect asks, and what belongs to compiled arms.
     dense : int64 (1,)
         1: solve by the dense reference instead of the node algorithm.
     joint_rows : int64 (r, 3)
@@ -132,9 +136,9 @@ class Buffers(NamedTuple):
         Control torques; gravity forces of the joints (filled only for control that needs them).
     weight : (6,), static_force : (N,)
         Wrench that the control wants on the object, and the contact forces for it.
-    power : (1 + w,), energy : (2,)
-        Power of each effect that does work, and last of control and effects together [W]; kinetic
-        and potential energy [J] (at samples only).
+    power : (1 + w,), energy : (1,)
+        Power of each effect that does work, and last of control and effects together [W]; potential
+        energy of Pinocchio's arms [J] (at samples only).
     inner, inner_rate : (e,)
         States of effects that have their own, such as lagging actuators, and their rates.
     coordinates : (n, 6)
@@ -245,7 +249,7 @@ def make_buffers(
         weight=np.zeros(6),
         static_force=np.zeros(rows),
         power=np.zeros(1 + works),
-        energy=np.zeros(2),
+        energy=np.zeros(1),
         inner=np.zeros(states),
         inner_rate=np.zeros(states),
         coordinates=np.full((arms, 6), np.nan),

@@ -15,10 +15,9 @@ import numpy as np
 
 from multiarm.contacts.frames import SINGLE_TURN, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.equations import kinetic_energy, largest
-from multiarm.lowlevel import call_back, call_entry, copy, inlined, kernel
+from multiarm.equations import kinetic_energy, largest, potential_energy
+from multiarm.lowlevel import call_entry, copy, inlined, kernel
 from multiarm.plant import (
-    CALL_POTENTIAL,
     CALL_SHOW,
     COUPLED_ARMS,
     RANK_OF_ALL,
@@ -54,10 +53,8 @@ def write_sample(book, t, works, row):
     at += m
     write_free(plant, buffers, row[at:])
     at += 2 * plant.free.shape[0]
-    if plant.calls[CALL_POTENTIAL] != 0:
-        call_back(plant.calls[CALL_POTENTIAL])
     row[at] = kinetic_energy(plant, buffers, work)
-    row[at + 1] = buffers.energy[1]
+    row[at + 1] = potential_energy(plant, buffers)
     at += 2
     copy(works, row[at : at + works.size])
     at += works.size

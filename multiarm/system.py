@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from multiarm.arm import Arm, ArmGroup, Ground
+from multiarm.arm import Arm, Ground
 from multiarm.asking import Asked
 from multiarm.assembly import StartReport
 from multiarm.candidates.plan import Plan
@@ -40,6 +40,7 @@ from multiarm.programs import (
 )
 from multiarm.scene import Scene
 from multiarm.state import Layout, State
+from multiarm.supply import ArmSupply, Coriolis
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +92,21 @@ class System:
     surfaces: tuple[SmoothShape, ...] = field(repr=False)
     records: tuple[Contact | JointRow, ...] = field(repr=False)
     _start: State = field(repr=False)
-    _groups: list[ArmGroup] = field(repr=False)
+    _supply: ArmSupply = field(repr=False)
     _ground: Ground | None = field(repr=False)
     _places: np.ndarray = field(repr=False)
     calls: dict[str, CallBack] = field(repr=False)
     plan: Plan | None = field(repr=False, default=None)
+
+    @property
+    def arm_terms(self) -> dict[str, str]:
+        """Who computes the terms of each arm: ``"compiled"`` code or ``"pinocchio"``."""
+        return self._supply.by_arm
+
+    @property
+    def not_compiled(self) -> dict[str, str]:
+        """Why an arm stays with Pinocchio although the scene wants compiled ones, by arm."""
+        return self._supply.reasons
 
     @property
     def arm_names(self) -> tuple[str, ...]:
@@ -204,38 +215,21 @@ class System:
             plant=self.plant._replace(dense=np.array([solver == "dense"], dtype=np.int64)),
         )
 
-    def coriolis(self) -> tuple[CallBack, np.ndarray]:
-        """Callback that updates the arms' matrices of Coriolis forces, and where they are.
+    def coriolis(self) -> Coriolis:
+        """What updates the arms' matrices of Coriolis forces, and where they are.
 
-        Addresses and strides, int64 (arms, 2), see :meth:`multiarm.arm.ArmGroup.bind_coriolis`.
-        The callback and these numbers are valid while the system lives.
+        Valid while the system lives.
         """
-        updates, places = [], []
-        q = v = 0
-        for group in self._groups:
-            nq, nv = group.model.nq, group.model.nv
-            update, at = group.bind_coriolis(self.buffers.q[q : q + nq], self.buffers.v[v : v + nv])
-            updates.append(update)
-            places.append(at)
-            q, v = q + nq, v + nv
-
-        def update_all() -> None:
-            for update in updates:
-                update()
-
-        call = CallBack(update_all, self.buffers.flag)
-        self.calls["coriolis"] = call  # kept, and asked what it ran into, like the others
-        return call, np.vstack(places)
+        found, call = self._supply.coriolis(self.buffers)
+        if call is not None:
+            self.calls["coriolis"] = call  # kept, and asked what it ran into, like the others
+        return found
 
     def potential_energy(self) -> float:
         """Potential energy of arms and object [J] at the state in the buffers, origin = zero."""
         gravity = self.plant.gravity
         energy = -float(self.plant.object_mass[0]) * float(gravity @ self.buffers.position[:3])
-        at = 0
-        for group in self._groups:
-            energy += group.potential_energy(self.buffers.q[at : at + group.model.nq])
-            at += group.model.nq
-        return energy
+        return energy + self._supply.potential_energy(self.buffers)
 
     def set_state(self, t: float, state: State) -> None:
         """Write a state into the buffers.

@@ -26,12 +26,12 @@ PACKAGE = ROOT / "multiarm"
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "interrupts", "translation", "books", "reporting_style", "state", "terms"),
     ("lowlevel",),
-    ("spatial", "channels", "outcome", "decimation", "event_words"),
+    ("spatial", "lanes", "channels", "outcome", "decimation", "event_words"),
     ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage")
     + ("complementarity", "sample_store"),
     ("plant", "trajectory", "guide", "object_control", "candidates"),
-    ("asking", "late_entries"),
-    ("control", "dense_call", "effects", "sinks"),
+    ("asking", "late_entries", "compiled_arms"),
+    ("control", "dense_call", "effects", "sinks", "supply"),
     ("equations",),
     ("stabilization", "samples", "watching", "solver_watch"),
     ("crossing",),
@@ -71,7 +71,7 @@ EXCEPTIONS = {
 LIBRARIES: dict[str, tuple[str, ...]] = {
     "coal": ("candidates.floor", "viewer.shapes"),
     "h5py": ("storage",),
-    "llvmlite": ("books", "lowlevel", "translation"),
+    "llvmlite": ("books", "lanes", "lowlevel", "translation"),
     "matplotlib": (
         "plots",
         "reporting_parts",
@@ -82,7 +82,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "meshcat": ("viewer",),
     "mujoco": ("benchmarks.mujoco_peer",),
-    "numba": ("books", "lowlevel", "translation", "benchmarks.torque_tape"),
+    "numba": ("books", "lanes", "lowlevel", "translation", "benchmarks.torque_tape"),
     "pinocchio": ("arm", "viewer", "benchmarks.peers", "benchmarks.pinocchio_motion"),
     "pydantic": ("scene",),
     "pydantic_core": ("scene",),

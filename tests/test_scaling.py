@@ -423,14 +423,20 @@ def test_peers_and_ours_have_the_accelerations_of_the_dense_solution(result):
     for row in result["evaluations"]["rows"]:
         errors = row["relative_error"]
         assert errors["multiarm"] < 1e-11
+        assert errors["compiled"] < 1e-11
         assert errors["constraintDynamics"] < 1e-10
+        assert errors["tree"] < 1e-10
         assert errors["lcaba"] < 1e-6  # as regularised
         assert set(row["microseconds"]) == set(evaluation_costs.METHODS)
 
 
 def test_ours_is_compared_with_the_cheapest_peer():
-    cost = {"multiarm": 2.0, "constraintDynamics": 9.0, "lcaba": 6.0, "terms": 1.0, "dense": 50.0}
+    cost = {
+        "multiarm": 2.0, "compiled": 1.5, "constraintDynamics": 12.0, "tree": 9.0, "lcaba": 6.0,
+        "terms": 1.0, "dense": 50.0,
+    }  # fmt: skip
     assert evaluation_costs.ratio_to_best_peer(cost) == 3.0
+    assert evaluation_costs.ratio_to_best_peer(cost, "compiled") == 4.0
     assert evaluation_costs.ratio_to_best_peer({**cost, "lcaba": None}) == 4.5
 
 
@@ -447,10 +453,11 @@ def test_what_would_take_all_memory_is_left_out_with_a_word(monkeypatch, tmp_pat
     for row in found["evaluations"]["rows"]:
         assert row["microseconds"]["lcaba"] is None
         assert row["microseconds"]["multiarm"] > 0.0
-        assert row["ratio_to_best_peer"] is None
+        assert row["ratio_to_best_peer"] == {"multiarm": None, "compiled": None}
     texts = texts_of(found)
-    assert "constraintDynamics, lcaba at n = 3: not asked: Pinocchio's Data would take" in " ".join(
-        texts
+    assert (
+        "constraintDynamics, tree, lcaba at n = 3: not asked: Pinocchio's Data would take"
+        in " ".join(texts)
     )
     assert "-" in texts
     plot_scaling(found, tmp_path / "plot.png")

@@ -2,10 +2,12 @@
 
 Measured on one scene (:func:`multiarm.problems.ring_of_arms`) at one random state that moves with
 the constraints.  *multiarm* is the evaluation as the time loop performs it: Pinocchio's two calls,
-contact kinematics, control, node algorithm, slope of the state.  *arm terms* are Pinocchio's two
-calls alone, *constraintDynamics* and *lcaba* Pinocchio's own closed-loop algorithms, called from
-Python (which adds about a microsecond), *dense KKT* the reference of :mod:`multiarm.node.dense` in
-place of the node algorithm.  The fastest burst of each counts.
+contact kinematics, control, node algorithm, slope of the state; *compiled arms* is the same with
+copies of the arms in place of Pinocchio.  *arm terms* are Pinocchio's two calls alone,
+*constraintDynamics* and *lcaba* Pinocchio's own closed-loop algorithms, called from Python (which
+adds about a microsecond): with the object as a body of its own, and (*tree*) hung on the last arm,
+which is one loop less.  *dense KKT* is the reference of :mod:`multiarm.node.dense` in place of the
+node algorithm.  The fastest burst of each counts.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from multiarm.benchmarks.bursts import (
 )
 from multiarm.benchmarks.peer_trials import BYTES_PER_CUBE
 from multiarm.benchmarks.peers import PinocchioForest
+from multiarm.benchmarks.pinocchio_motion import PinocchioMotion
 from multiarm.compilation import compile_system
 from multiarm.dynamics import evaluate, project_velocity
 from multiarm.equations import OK
@@ -43,9 +46,9 @@ from multiarm.system import System
 BURSTS_PER_ROUND = 40
 SHARE_OF_MEMORY = 0.5
 """Of the free memory, which Pinocchio's Data may take."""
-OURS, TERMS, DENSE = "multiarm", "terms", "dense"
-PEERS = ("constraintDynamics", "lcaba")
-METHODS = (OURS, TERMS, *PEERS, DENSE)
+OURS, COMPILED, TERMS, DENSE = "multiarm", "compiled", "terms", "dense"
+PEERS = ("constraintDynamics", "tree", "lcaba")
+METHODS = (OURS, COMPILED, TERMS, *PEERS, DENSE)
 
 
 def evaluation_costs(
@@ -61,8 +64,8 @@ def evaluation_costs(
     dict
         ``rows``: a list with, for every kind and number of arms, ``kind``, ``arms``,
         ``microseconds`` (method -> an evaluation; None where it was not asked), ``relative_error``
-        (method -> largest relative deviation from the dense solution), ``ratio_to_best_peer`` and
-        ``remarks`` (method -> why it was not asked).
+        (method -> largest relative deviation from the dense solution), ``ratio_to_best_peer``
+        (for ``multiarm`` and ``compiled``) and ``remarks`` (method -> why it was not asked).
         ``exponents``, ``upper_exponents``: kind -> method -> slope of log cost over log number of
         arms, over all numbers and over the larger half of them.
         ``growth``: kind -> cost at the most arms over cost at the fewest.
@@ -114,23 +117,31 @@ def terms_burst(system: System) -> Burst:
 
 def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
     """All methods on one ring."""
-    system = compile_system(ring_of_arms(count, kind))
+    scene = ring_of_arms(count, kind)
+    system, compiled = compile_system(scene), compile_system(scene, arms="compiled")
     state = moving_state(system, seed=count)
     own = evaluate(system, 0.0, state)
     torque = np.concatenate(list(own.joint_torques.values()))
     dense_system = system.with_solver("dense")
     exact = np.concatenate(list(evaluate(dense_system, 0.0, state).joint_accelerations.values()))
-    found = {OURS: np.concatenate(list(own.joint_accelerations.values()))}
+    found = {
+        name: np.concatenate(list(evaluate(each, 0.0, state).joint_accelerations.values()))
+        for name, each in ((OURS, system), (COMPILED, compiled))
+    }
     remark = too_large_for_pinocchio(system.layout.joints)
     peers: dict[str, Callable[[], np.ndarray]] = {}
     if not remark:
         forest = PinocchioForest(system)
         peers["constraintDynamics"] = forest.constraint_dynamics_call(state, torque)
         peers["lcaba"] = forest.lcaba_call(state, torque)
-        found.update({name: call()[:-6].copy() for name, call in peers.items()})
+        tree = PinocchioMotion(system, np.zeros(torque.size))
+        peers["tree"] = tree.acceleration_call(state, torque)
+        found.update({name: call()[: torque.size].copy() for name, call in peers.items()})
     system.set_state(0.0, state)
+    compiled.set_state(0.0, state)
     bursts = {
         OURS: slope_burst(system),
+        COMPILED: slope_burst(compiled),
         TERMS: terms_burst(system),
         **{name: python_burst(call) for name, call in peers.items()},
         DENSE: slope_burst(dense_system),
@@ -145,14 +156,14 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
         "relative_error": {
             name: float(np.max(np.abs(a - exact)) / scale) for name, a in found.items()
         },
-        "ratio_to_best_peer": ratio_to_best_peer(cost),
+        "ratio_to_best_peer": {name: ratio_to_best_peer(cost, name) for name in (OURS, COMPILED)},
         "remarks": dict.fromkeys(PEERS, remark) if remark else {},
     }
 
 
-def ratio_to_best_peer(cost: dict[str, float | None]) -> float | None:
-    """Cost of the cheapest peer over ours; None when no peer was asked."""
-    ours, peers = cost[OURS], [cost[name] for name in PEERS]
+def ratio_to_best_peer(cost: dict[str, float | None], method: str = OURS) -> float | None:
+    """Cost of the cheapest peer over that of one of ours; None when no peer was asked."""
+    ours, peers = cost[method], [cost[name] for name in PEERS]
     known = [peer for peer in peers if peer is not None]
     return min(known) / ours if known and ours is not None else None
 

@@ -179,6 +179,21 @@ class PinocchioMotion:
 
         return f
 
+    def acceleration_call(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
+        """A function without arguments that runs ``constraintDynamics`` once."""
+        y = self.coordinates(state)
+        q = self._configuration(y) if self._circular.any() else y[: self._split].copy()
+        v = y[self._split :].copy()
+        forces = np.concatenate([torque, np.zeros(v.size - torque.size)])
+        model, data, settings = self.model, self.data, pin.ProximalSettings(*_SETTINGS)
+        constraints, constraint_data = self.constraints, self._constraint_data
+        run = pin.constraintDynamics
+
+        def call() -> np.ndarray:
+            return run(model, data, q, v, forces, constraints, constraint_data, settings)
+
+        return call
+
     def _torques(self, drive: Sinusoid | Callable[[float, State], np.ndarray]) -> Slope:
         """Torques as a function of time and ``y``."""
         if not isinstance(drive, Sinusoid):

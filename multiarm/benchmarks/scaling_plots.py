@@ -18,9 +18,11 @@ _BLUE, _GREEN, _PINK, _ORANGE, _GREY = "#3b7dd8", "#2f9e67", "#c2417c", "#d9822b
 # method: name, colour, dashes
 _METHODS = {
     "multiarm": ("multiarm", _BLUE, ()),
-    "terms": ("its arm terms", _BLUE, (2, 1.5)),
+    "compiled": ("compiled arms", _PINK, ()),
+    "terms": ("Pinocchio's arm terms", _BLUE, (2, 1.5)),
     "lcaba": ("lcaba", _GREEN, ()),
     "constraintDynamics": ("constraintDynamics", _ORANGE, ()),
+    "tree": ("the same, object on one arm", _ORANGE, (2, 1.5)),
     "dense": ("dense KKT, NumPy", _GREY, ()),
 }
 # picture and part of the study of section 4.4: name, colour, dashes

@@ -13,7 +13,9 @@ DISTURBED = 0.05
 _METHODS = {
     "multiarm": "multiarm",
     "terms": "  arm terms in it",
+    "compiled": "multiarm, compiled arms",
     "constraintDynamics": "constraintDynamics",
+    "tree": "  object on one arm",
     "lcaba": "lcaba",
     "dense": "dense KKT",
 }
@@ -79,16 +81,17 @@ def _evaluations(found: dict[str, Any]) -> Iterator[Table]:
             errors = [error for error in known if error is not None]
             lines.append(
                 (
-                    Cell(title, "strong" if method == "multiarm" else ""),
+                    Cell(title, "strong" if method in ("multiarm", "compiled") else ""),
                     *(micro(row["microseconds"][method]) for row in rows),
                     exponent(exponents[method]),
                     exponent(found["upper_exponents"][kind][method]),
                     f"{max(errors):.0e}" if errors else "",
                 )
             )
-        ratios = (row["ratio_to_best_peer"] for row in rows)
-        shown = (NOTHING if ratio is None else f"{ratio:.2f}" for ratio in ratios)
-        lines.append((Cell("best peer / ours", "good"), *shown, "", "", ""))
+        for method, title in (("multiarm", "best peer / ours"), ("compiled", "  compiled arms")):
+            ratios = (row["ratio_to_best_peer"][method] for row in rows)
+            shown = (NOTHING if ratio is None else f"{ratio:.2f}" for ratio in ratios)
+            lines.append((Cell(title, "good"), *shown, "", "", ""))
         yield _table(
             "evaluations", f"One evaluation, {kind} joints, in microseconds", heads, lines,
             _evaluation_notes(rows, found["growth"][kind]),

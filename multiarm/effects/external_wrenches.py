@@ -7,8 +7,9 @@ A force ``f`` and a torque ``m`` at a point ``p``, in world axes, add to the rig
     \quad\text{or}\quad
     h_j \mathrel{+}= J_j^T \begin{bmatrix} f \\ m + p\times f \end{bmatrix}
 
-for the joints ``j`` that carry the link, ``J`` being Pinocchio's Jacobian about the world's origin.
-The pose of every joint is there after any evaluation, so that a link costs nothing in Pinocchio.
+for the joints ``j`` that carry the link, ``J`` being the arm's Jacobian about the world's origin.
+Pinocchio has the pose of every joint after any evaluation; a compiled arm writes them when a link
+is asked for.
 
 Over time a wrench is constant, or times :math:`\sin(2\pi f t + \psi)`, or there from ``begin`` to
 ``end``, or a table, or the answer of a function.  Tables are interpolated by cubics with a
@@ -113,7 +114,7 @@ def interpolate(rows, t, wrench):
 
 @kernel
 def joint_pose(address, pose):
-    """Rotation row by row, and origin, of a joint in Pinocchio's arrays."""
+    """Rotation row by row, and origin, of a joint among an arm's terms."""
     stored = floats_at(address, 12)  # the rotation by columns
     for a in range(3):
         for b in range(3):

@@ -2,7 +2,7 @@ r"""What an effect is to an evaluation: kernels that are called by address, one 
 
 An evaluation forms the right-hand sides ``h`` of the arms and ``h_o`` of the object in this order:
 
-1. ``h = -b``: Pinocchio's bias forces; ``h_o``: weight and gyroscopic moment of the object;
+1. ``h = -b``: the arms' bias forces; ``h_o``: weight and gyroscopic moment of the object;
 2. *passive* pieces add what the joints do by themselves (friction): controllers that know the model
    find it in ``h`` and compensate it;
 3. the control writes ``torque``; *actuator* pieces change it (limits, lag); then it is added;
@@ -26,11 +26,12 @@ from multiarm.scene import joint_vector
 from multiarm.terms import J_AT
 
 if TYPE_CHECKING:
-    from multiarm.arm import Arm, ArmGroup
+    from multiarm.arm import Arm
     from multiarm.asking import Asked
     from multiarm.plant import Buffers
     from multiarm.scene import JointOutline, Scene
     from multiarm.state import Layout
+    from multiarm.supply import ArmSupply
     from multiarm.system import System
 
 PASSIVE, ACTUATOR, APPLIED = range(3)
@@ -88,7 +89,7 @@ class Piece:
 
 
 class Link(NamedTuple):
-    """Where a link of an arm is, in Pinocchio's own arrays, and what it is carried by.
+    """Where a link of an arm is, among the arm's terms, and what it is carried by.
 
     pose, jacobian : int
         Addresses of the pose of the joint that carries it (12 numbers: rotation by columns, origin)
@@ -119,15 +120,15 @@ class Site:
         Where each arm's joints and contacts are in stacked vectors.
     outlines : dict of str to tuple of JointOutline
         Each arm's joints as its URDF has them.
-    groups : list of ArmGroup
-        The Pinocchio models, which have the arms one after the other.
+    supply : ArmSupply
+        Where the terms of the arms are.
     """
 
     scene: Scene
     arms: dict[str, Arm]
     layout: Layout
     outlines: dict[str, tuple[JointOutline, ...]]
-    groups: list[ArmGroup]
+    supply: ArmSupply
 
     def stacked(
         self,
@@ -141,16 +142,12 @@ class Site:
         )
 
     def link(self, arm: str, name: str) -> Link:
-        """Where a link is; Pinocchio computes it at every evaluation in any case."""
+        """Where a link is; from now on it is computed at every evaluation."""
         joint, rotation, translation = self.arms[arm].link(name)
-        number = at = self.layout.names.index(arm)
-        for group in self.groups:
-            if at < len(group.pointers):
-                break
-            at -= len(group.pointers)
+        number = self.layout.names.index(arm)
         return Link(
-            pose=group.pose_address(at, joint),
-            jacobian=int(group.pointers[at, J_AT]),
+            pose=self.supply.pose_address(number, joint),
+            jacobian=int(self.supply.pointers[number, J_AT]),
             first=self.layout.dofs[number],
             joints=joint,
             rotation=rotation,

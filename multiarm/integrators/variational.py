@@ -17,7 +17,7 @@ the motion, controls and effects included, and ``S`` impulses of the contacts,
     p_1 = \pi + \tfrac h2 F + W(q_1)\, S_1, &\qquad W(q_1)^T v_1 = 0,\quad p_1 = M(q_1) v_1 .
 
 For the arms :math:`\pi = \bar M q'` and :math:`F = \partial T/\partial q - \partial V/\partial q
-+ Q = h + (C + C^T) q'`, with ``h`` the forces of the equations of motion and ``C`` Pinocchio's
++ Q = h + (C + C^T) q'`, with ``h`` the forces of the equations of motion and ``C`` the arm's
 matrix of Coriolis forces, for which :math:`\dot M = C + C^T`.  For the object, in world axes and
 with the inertia at the beginning of the step,
 
@@ -73,8 +73,9 @@ class VariationalWork(NamedTuple):
         Address book of the system.
     z, z_new, base, k, own
         Of :class:`multiarm.integrators.stepper.Step`; ``k[0]`` holds the first slope on entry.
-    call : int64 (1,)
-        Address of the callback that updates the matrices of Coriolis forces.
+    call : int64 (4,)
+        What updates the matrices of Coriolis forces: address of a callback (0: none), and of an
+        entry (0: none) with its address book and size.
     coriolis : int64 (a, 2)
         Address and stride of each arm's.
     Wo : (N, 6), W : (a, d, m)
@@ -113,7 +114,12 @@ class VariationalWork(NamedTuple):
 
 
 def make_variational(
-    step: Step, system_book: np.ndarray, W_shape: tuple[int, ...], rows: int, call: int, coriolis
+    step: Step,
+    system_book: np.ndarray,
+    W_shape: tuple[int, ...],
+    rows: int,
+    call: np.ndarray,
+    coriolis: np.ndarray,
 ) -> VariationalWork:
     """Allocate the arrays of the variational method's steps.
 
@@ -128,7 +134,7 @@ def make_variational(
         base=step.base,
         k=step.k,
         own=step.own,
-        call=np.array([call], dtype=np.int64),
+        call=call,
         coriolis=coriolis,
         Wo=np.zeros((rows, 6)),
         W=np.zeros(W_shape),
@@ -201,7 +207,7 @@ def momenta(plant, buffers, work, out):
         M = floats_at(plant.pointers[i, M_AT], d * stride)
         for a in range(d):
             s = 0.0
-            for b in range(d):  # Pinocchio fills one triangle
+            for b in range(d):  # one triangle is filled
                 s += M[a * stride + b if b <= a else b * stride + a] * buffers.v[d0 + b]
             out[6 + d0 + a] = s
 
@@ -299,7 +305,7 @@ def drive(own, h):
     status = update_kinematics(own.system)
     if status != OK:
         return status
-    call_back(own.call[0])
+    update_coriolis(own.call)
     if buffers.flag[0] != 0:
         return CALLBACK_FAILED
     status = call_entry(plant.calls[CALL_FORCES], own.system, 0.0, 0.0)
@@ -325,6 +331,15 @@ def drive(own, h):
                 s += (C[a * stride + b] + C[b * stride + a]) * buffers.v[d0 + b]
             push[6 + d0 + a] = half * s
     return OK
+
+
+@kernel
+def update_coriolis(call):
+    """Matrices of Coriolis forces of all arms."""
+    if call[0] != 0:
+        call_back(call[0])
+    if call[1] != 0:
+        call_entry(call[1], book_at(call[2], call[3]), 0.0, 0.0)
 
 
 @kernel

@@ -4,6 +4,7 @@ from multiarm.scene.arm_spec import ArmSpec, ToolSpec
 from multiarm.scene.base import Pose
 from multiarm.scene.contact_spec import ContactSpec
 from multiarm.scene.control import (
+    ARM_TERMS,
     AccuracySpec,
     ComputedTorqueControl,
     ConstantControl,
@@ -77,6 +78,7 @@ from multiarm.scene.values import gain_vector, joint_vector
 from multiarm.scene.wrench_table import WrenchTable, read_wrench_table
 
 __all__ = [
+    "ARM_TERMS",
     "AccuracySpec",
     "ActuatorLag",
     "ArmSpec",

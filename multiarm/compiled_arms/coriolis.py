@@ -1,0 +1,154 @@
+r"""Matrices of Coriolis forces: ``C`` for which the rate of the inertia is ``C + C^T``.
+
+With :math:`v_j = (v, \omega)` the velocity of link ``j`` at the base,
+:math:`\dot S_j = v_j\times S_j`, and :math:`B^c_j` the sum over all links beyond joint ``j`` of
+
+.. math::
+    B = \tfrac12\big[(v\times^*)\,I - I\,(v\times) + (I v)\,\bar\times^*\big],
+
+.. math::
+    C_{kj} = S_k\cdot(I^c_j \dot S_j + B^c_j S_j), \qquad
+    C_{jk} = \dot S_k\cdot I^c_j S_j + S_k\cdot (B^c_j)^T S_j \quad (k\le j)
+
+(S. Echeandia, P.M. Wensing, ASME J. Comput. Nonlinear Dyn. 16, 2021).  For a rigid body of mass
+``m``, first moment ``c`` and second moments ``I`` about the base, only two of the blocks of B are
+not zero, those that act on angular velocities:
+
+.. math::
+    B_{l\omega} = -[h]_\times, \quad h = m v + \omega\times c, \qquad
+    B_{\omega\omega} = \tfrac12\big(A + A^T - [I\omega]_\times\big) + (c\cdot v) - v\,c^T,
+    \quad A = [\omega]_\times I .
+"""
+
+from __future__ import annotations
+
+from multiarm.books import book_at
+from multiarm.compiled_arms.arrays import (
+    COLUMN_RATE,
+    FIRST,
+    JOINTS,
+    LINK_INERTIA,
+    LINK_WIDTH,
+    MATRIX,
+    MOMENTUM,
+    TERMS,
+    TURN_WIDTH,
+    WIDTH,
+    open_arms,
+)
+from multiarm.compiled_arms.sweep import load_joints, outwards, times_inertia
+from multiarm.compiled_arms.vectors import (
+    cross_onto,
+    dot,
+    nothing,
+    plus,
+    power,
+    product_onto,
+    put_columns,
+    put_pair,
+    put_vector,
+    scaled,
+    scaled_onto,
+    symmetric_at,
+    symmetric_sum,
+    turned,
+    vector_at,
+)
+from multiarm.lanes import LANES, deal_four, lanes_at, lanes_of, put_lanes
+from multiarm.lowlevel import entry, inlined, kernel
+
+
+@entry
+def update_coriolis(address, size, _a, _b):
+    """Write the matrices of Coriolis forces of compiled arms, column by column."""
+    arms = open_arms(book_at(address, size))
+    load_joints(arms)
+    for b in range(arms.blocks.shape[0]):
+        outwards(arms, b)
+        turns_outwards(arms, b)
+        coriolis_inwards(arms, b)
+        block = arms.blocks[b]
+        at0, width = block[TERMS], block[WIDTH]
+        at1, at2, at3 = at0 + width, at0 + 2 * width, at0 + 3 * width
+        for k in range(0, block[JOINTS] * block[JOINTS], LANES):
+            deal_four(arms.leaves, LANES * k, arms.coriolis, at0 + k, at1 + k, at2 + k, at3 + k)
+    return 0
+
+
+@kernel
+def turns_outwards(arms, b):
+    """Rates of the columns, and ``h`` and ``B`` of every link of one block."""
+    links, out = arms.links, arms.link_turns
+    v = w = nothing()
+    for k in range(arms.blocks[b, JOINTS]):
+        link, at = LANES * LINK_WIDTH * k, LANES * TURN_WIDTH * k
+        rate = lanes_at(arms.rate, LANES * (arms.blocks[b, FIRST] + k))
+        linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
+        v, w = scaled_onto(v, rate, linear), scaled_onto(w, rate, angular)
+        linear = cross_onto(cross_onto(nothing(), w, linear), v, angular)
+        put_pair(out, at + LANES * COLUMN_RATE, linear, cross_onto(nothing(), w, angular))
+        link += LANES * LINK_INERTIA
+        mass, moment = lanes_at(links, link), vector_at(links, link + LANES)
+        inertia = symmetric_at(links, link + 4 * LANES)
+        put_vector(out, at + LANES * MOMENTUM, cross_onto(scaled(mass, v), w, moment))
+        put_columns(out, at + LANES * MATRIX, turning_matrix(moment, inertia, v, w))
+
+
+@inlined
+def turning_matrix(c, inertia, v, w):
+    """Columns of the block of B that makes moments of angular velocities."""
+    zero, half = nothing(), lanes_of(0.5)
+    xx, xy, xz, yy, yz, zz = inertia
+    x, y, z = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+    a, b, d = cross_onto(zero, w, x), cross_onto(zero, w, y), cross_onto(zero, w, z)
+    h = product_onto(zero, inertia, w)
+    p, q, r = c[0] * v[0], c[1] * v[1], c[2] * v[2]
+    return (
+        (
+            a[0] + q + r,
+            half * (a[1] + b[0] - h[2]) - v[1] * c[0],
+            half * (a[2] + d[0] + h[1]) - v[2] * c[0],
+        ),
+        (
+            half * (b[0] + a[1] + h[2]) - v[0] * c[1],
+            b[1] + p + r,
+            half * (b[2] + d[1] - h[0]) - v[2] * c[1],
+        ),
+        (
+            half * (d[0] + a[2] - h[1]) - v[0] * c[2],
+            half * (d[1] + b[2] + h[0]) - v[1] * c[2],
+            d[2] + p + q,
+        ),
+    )
+
+
+@kernel
+def coriolis_inwards(arms, b):
+    """Matrices of one block, all columns of lanes, into ``leaves``."""
+    links, turns, leaves, n = arms.links, arms.link_turns, arms.leaves, arms.blocks[b, JOINTS]
+    zero, mass, moment, h = nothing(), lanes_of(0.0), nothing(), nothing()
+    second, B = zero + zero, (zero, zero, zero)
+    for j in range(n - 1, -1, -1):
+        link, turn = LANES * LINK_WIDTH * j, LANES * TURN_WIDTH * j
+        at = link + LANES * LINK_INERTIA
+        mass = mass + lanes_at(links, at)
+        moment = plus(moment, vector_at(links, at + LANES))
+        second = symmetric_sum(second, symmetric_at(links, at + 4 * LANES))
+        h = plus(h, vector_at(turns, turn + LANES * MOMENTUM))
+        at = turn + LANES * MATRIX
+        x, y = plus(B[0], vector_at(turns, at)), plus(B[1], vector_at(turns, at + 3 * LANES))
+        B = x, y, plus(B[2], vector_at(turns, at + 6 * LANES))
+        linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
+        force, couple = times_inertia(mass, moment, second, linear, angular)
+        # what the transpose of B makes of the column: a couple
+        own = cross_onto((dot(x, angular), dot(y, angular), dot(B[2], angular)), h, linear)
+        rate = vector_at(turns, turn), vector_at(turns, turn + 3 * LANES)
+        f, c = times_inertia(mass, moment, second, rate[0], rate[1])
+        f, c = cross_onto(f, angular, h), plus(c, turned(B, angular))
+        for k in range(j + 1):
+            at, rates = LANES * LINK_WIDTH * k, LANES * TURN_WIDTH * k
+            other = vector_at(links, at), vector_at(links, at + 3 * LANES)
+            change = vector_at(turns, rates), vector_at(turns, rates + 3 * LANES)
+            below = power(change[0], change[1], force, couple) + dot(other[1], own)
+            put_lanes(leaves, LANES * (n * k + j), below)
+            put_lanes(leaves, LANES * (n * j + k), power(other[0], other[1], f, c))

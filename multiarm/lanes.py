@@ -1,0 +1,126 @@
+"""Numbers of four arms side by side: a type of compiled code that the processor adds at once.
+
+A variable of this type stands for one quantity of four arms, its *lanes*.  Sums and products of
+such variables are one instruction each, and a product that is added at once is rounded once.  In
+memory the four numbers follow each other.  :func:`deal_four` turns four such variables around: what
+belongs to one arm is then together.
+"""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core.datamodel import models
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, register_model
+
+LANES = 4
+_VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+_INTEGER = ir.IntType(64)
+# A product and a sum may become one instruction; the sign of a zero does not matter.
+_FLAGS = ("contract", "nsz")
+
+
+class LanesType(types.Type):
+    """Numba's type of one quantity of four arms."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Lanes")
+
+
+@register_model(LanesType)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: types.Type) -> None:
+        super().__init__(manager, kind, _VECTOR)
+
+
+_LANES = LanesType()
+
+
+def _define(operation: Any, arguments: int, instruction: str) -> None:
+    """Let an operator of Python mean one instruction on all lanes."""
+
+    @infer_global(operation)
+    class _Typing(ConcreteTemplate):
+        cases = (signature(_LANES, *[_LANES] * arguments),)
+
+    @lower_builtin(operation, *[_LANES] * arguments)
+    def _lower(_context, builder, _signature, values):
+        return getattr(builder, instruction)(*values, flags=_FLAGS)
+
+
+_define(operator.add, 2, "fadd")
+_define(operator.sub, 2, "fsub")
+_define(operator.mul, 2, "fmul")
+
+
+def _pointer(context, builder, kind, array, at):
+    """LLVM pointer to the four numbers that begin at one place of a vector."""
+    data = context.make_array(kind)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [at]), _VECTOR.as_pointer())
+
+
+def _shuffled(builder, a, b, places):
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), LANES), places))
+
+
+@intrinsic
+def lanes_at(typing_context, array, at):
+    """Lanes that begin at one place of a vector of float64."""
+
+    def generate(context, builder, signature, arguments):
+        pointer = _pointer(context, builder, signature.args[0], *arguments)
+        return builder.load(pointer, align=8)
+
+    return _LANES(array, types.intp), generate
+
+
+@intrinsic
+def put_lanes(typing_context, array, at, value):
+    """Write lanes into a vector of float64, from one place on."""
+
+    def generate(context, builder, signature, arguments):
+        pointer = _pointer(context, builder, signature.args[0], *arguments[:2])
+        builder.store(arguments[2], pointer, align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, _LANES), generate
+
+
+@intrinsic
+def lanes_of(typing_context, number):
+    """The same number in all lanes."""
+
+    def generate(context, builder, signature, arguments):
+        value = ir.Constant(_VECTOR, ir.Undefined)
+        for lane in range(LANES):
+            value = builder.insert_element(value, arguments[0], ir.Constant(ir.IntType(32), lane))
+        return value
+
+    return _LANES(types.float64), generate
+
+
+@intrinsic
+def deal_four(typing_context, source, at, out, at0, at1, at2, at3):
+    """Deal four lanes that follow each other at ``at``: each arm's to four places of ``out``."""
+
+    def generate(context, builder, signature, arguments):
+        rows = []
+        for k in range(LANES):
+            place = builder.add(arguments[1], ir.Constant(_INTEGER, LANES * k))
+            pointer = _pointer(context, builder, signature.args[0], arguments[0], place)
+            rows.append(builder.load(pointer, align=8))
+        even = [_shuffled(builder, rows[k], rows[k + 1], [0, 4, 2, 6]) for k in (0, 2)]
+        odd = [_shuffled(builder, rows[k], rows[k + 1], [1, 5, 3, 7]) for k in (0, 2)]
+        columns = [_shuffled(builder, a, b, [0, 1, 4, 5]) for a, b in (even, odd)]
+        columns += [_shuffled(builder, a, b, [2, 3, 6, 7]) for a, b in (even, odd)]
+        for place, column in zip(arguments[3:], columns, strict=True):
+            pointer = _pointer(context, builder, signature.args[2], arguments[2], place)
+            builder.store(column, pointer, align=8)
+        return context.get_dummy_value()
+
+    places = [types.intp] * LANES
+    return types.void(source, types.intp, out, *places), generate
