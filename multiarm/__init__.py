@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from multiarm.effects.effect import Effect, Loads
     from multiarm.evaluation import evaluate
     from multiarm.inverse import inverse_dynamics
+    from multiarm.many import simulate_many
     from multiarm.reporting import report
     from multiarm.scene import Scene, load_scene
     from multiarm.scene.own_effects import register_effect
@@ -46,6 +47,7 @@ _HOMES = {
     "replay": "viewer",
     "report": "reporting",
     "simulate": "simulation",
+    "simulate_many": "many",
 }
 
 __all__ = [
@@ -66,6 +68,7 @@ __all__ = [
     "replay",
     "report",
     "simulate",
+    "simulate_many",
 ]
 
 try:

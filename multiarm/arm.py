@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -115,6 +116,12 @@ class Arm:
 
     def __repr__(self) -> str:
         return f"Arm({self.name!r}, {self.dof} joints, tip {self.files.tip!r})"
+
+    def twin(self) -> Arm:
+        """The same arm for another thread: the model is shared, what is computed in is not."""
+        twin = copy(self)
+        twin._data = self.model.createData()
+        return twin
 
     def configuration(self, angles: np.ndarray) -> np.ndarray:
         """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(nv,)``."""
@@ -218,13 +225,17 @@ class Arm:
             Joint positions [rad or m] and velocities.
         gravity : ndarray, shape (3,)
         """
-        model = self.model.copy()
+        model, near = self.model.copy(), self.model.copy()
         model.gravity.linear = np.array(gravity)
-        data = model.createData()
-        return [
-            _link_terms(model, data, self.configuration(q), v, self.tip_joint)
-            for q, v in zip(angles, rates, strict=True)
-        ]
+        # Coriolis matrices are computed about the world's origin, where digits may be lost
+        near.jointPlacements[1].translation = np.zeros(3)
+        data = model.createData(), near.createData()
+        found = []
+        for angle, rate in zip(angles, rates, strict=True):
+            q = self.configuration(angle)
+            coriolis = pin.computeCoriolisMatrix(near, data[1], q, rate).copy()
+            found.append(_link_terms(model, data[0], q, rate, self.tip_joint, coriolis))
+        return found
 
     def visual_model(self) -> pin.GeometryModel:
         """The URDF's visual geometry, placed consistently with :attr:`model`."""
@@ -253,9 +264,16 @@ class ArmGroup:
             raise ModelError("Pinocchio did not number the joints of several arms in order")
         self.pointers = np.zeros((len(arms), POINTER_WIDTH), dtype=np.int64)
         self._first_dof = first_dof
-        tips = [int(d) + arm.tip_joint for arm, d in zip(arms, first_dof, strict=False)]
-        self._fill_pointers(first_dof[:-1], tips)
+        self._tips = [int(d) + arm.tip_joint for arm, d in zip(arms, first_dof, strict=False)]
+        self._fill_pointers(first_dof[:-1], self._tips)
         self._with_gravity_torque = with_gravity_torque
+
+    def twin(self) -> ArmGroup:
+        """The same arms for another thread: the model is shared, their terms are not."""
+        twin = copy(self)
+        twin.data, twin.pointers = self.model.createData(), np.zeros_like(self.pointers)
+        twin._fill_pointers(self._first_dof[:-1], self._tips)
+        return twin
 
     def bind(self, q: np.ndarray, v: np.ndarray) -> Callable[[], None]:
         """Function without arguments that updates all terms from the arrays ``q`` and ``v``."""
@@ -365,12 +383,11 @@ def _motion(joint: pin.JointModel) -> np.ndarray:
 
 
 def _link_terms(
-    model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray, tip: int
+    model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray, tip: int, coriolis: np.ndarray
 ) -> LinkTerms:
     inertia = np.triu(pin.crba(model, data, q, pin.Convention.LOCAL))
     gravity_torque = pin.computeGeneralizedGravity(model, data, q).copy()
     bias = pin.nonLinearEffects(model, data, q, v).copy()
-    coriolis = pin.computeCoriolisMatrix(model, data, q, v).copy()
     energy = pin.computePotentialEnergy(model, data, q)
     jacobian = pin.computeJointJacobians(model, data, q).reshape(6, model.nv).copy()
     pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
@@ -419,7 +436,12 @@ def _from_urdf(name: str, urdf: Path) -> pin.Model:
 
 
 def _build_model(name: str, files: ArmFiles) -> pin.Model:
-    model, _ = _assemble(name, files, visuals=False)
+    try:
+        model, _ = _assemble(name, files, visuals=False)
+    except ValueError as error:  # such as a joint and a link of one name
+        raise ModelError(
+            f"arm '{name}': Pinocchio cannot put {files.urdf} together: {error}"
+        ) from error
     return model
 
 

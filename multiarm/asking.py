@@ -27,6 +27,8 @@ SAME = 1e-9
 class Asked(CallBack):
     """A function of the user's, to be called from compiled code; ``name`` says which.
 
+    Systems of several threads may ask one function: each has an instance of this for itself.
+
     Parameters
     ----------
     function : callable
@@ -50,7 +52,7 @@ class Asked(CallBack):
         layout: Layout,
         buffers: Buffers,
     ) -> None:
-        self._function, self.name, self._read = function, name, read
+        self.function, self.name, self._read = function, name, read
         self._out, self._layout, self._buffers = out, layout, buffers
         self._count, self._kept = 0, []  # type: ignore[var-annotated]
         super().__init__(self._write_answer, buffers.flag)
@@ -85,7 +87,7 @@ class Asked(CallBack):
     def _answer(self, t: float, state: State) -> np.ndarray:
         self._buffers.flag[BUSY] = 1
         try:
-            answer = self._function(t, state)
+            answer = self.function(t, state)
         except MultiarmError:
             raise
         except Exception as error:

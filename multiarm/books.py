@@ -17,6 +17,7 @@ are not reference counted.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, get_type_hints
 
@@ -48,6 +49,9 @@ Ints2 = Annotated[np.ndarray, (types.int64, 2)]
 
 # Integers an entry: an address and up to three sizes, or a number itself.
 WIDTH = 4
+_NO_SIZES = (1,) * (WIDTH - 1)
+_KINDS = (np.dtype(np.float64), np.dtype(np.int64))
+_NUMBER, _BITS = struct.Struct("d"), struct.Struct("q")
 
 
 def address_book(entries: Sequence[np.ndarray | float]) -> np.ndarray:
@@ -55,15 +59,18 @@ def address_book(entries: Sequence[np.ndarray | float]) -> np.ndarray:
 
     The arrays must stay alive as long as the book is used.
     """
-    book = np.ones((len(entries), WIDTH), dtype=np.int64)
-    for row, entry in zip(book, entries, strict=True):
+    numbers: list[int] = []  # a list is filled faster than an array
+    for entry in entries:
         if isinstance(entry, np.ndarray):
-            assert entry.flags.c_contiguous and entry.dtype in (np.float64, np.int64)
-            row[0] = entry.__array_interface__["data"][0]
-            row[1 : 1 + entry.ndim] = entry.shape
+            assert entry.flags.c_contiguous and entry.dtype in _KINDS
+            sizes = entry.shape
+            first = entry.__array_interface__["data"][0]
         else:
-            row[:1] = entry if isinstance(entry, int) else np.array([entry]).view(np.int64)
-    return book.ravel()
+            sizes = ()
+            whole = isinstance(entry, (int, np.integer))
+            first = int(entry) if whole else _BITS.unpack(_NUMBER.pack(entry))[0]
+        numbers += (first, *sizes, *_NO_SIZES[len(sizes) :])
+    return np.array(numbers, dtype=np.int64)
 
 
 class View(types.Type):

@@ -215,6 +215,8 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation) -> ArmFacts:
         joints=dict(arm.joint_units),
         posture=system.initial_state().joint_positions[name].tolist(),
         locked=dict(arm.files.locked),
+        terms=system.arm_terms[name],
+        not_compiled=system.not_compiled.get(name),
         conditioning=pivot,
         verdict=_verdict(pivot),
         lost_motions=list(evaluation.lost_motions.get(name, ())),

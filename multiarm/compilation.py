@@ -1,10 +1,15 @@
-"""From a scene to a compiled system: arms, contacts, programs of control and effects, a start."""
+"""From a scene to a compiled system: arms, contacts, programs of control and effects, a start.
+
+Systems that have something in common share what no evaluation writes.  A *twin* of a system is the
+same one with arrays of its own, so that two threads can work at once; a system of another scene may
+take the arms and joints in which the two scenes agree.  Both are made by the steps by which any
+system is made, and give the same numbers, bit for bit.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,11 +18,12 @@ from multiarm.assembly import StartReport, assemble
 from multiarm.candidates.building import scene_candidates
 from multiarm.candidates.plan import Plan, make_plan
 from multiarm.candidates.units import SURROUNDINGS, Candidates
+from multiarm.connections import Parts, make_joints, on_link
 from multiarm.contact_checks import check_patches, choose_free, locate_pairs
-from multiarm.contacts.catalogue import FREE, joint_contacts, joint_frame, surface_offset
-from multiarm.contacts.frames import FRAME_WIDTH, JointFrame
+from multiarm.contacts.catalogue import FREE
+from multiarm.contacts.frames import FRAME_WIDTH
 from multiarm.contacts.kernel import RELATIVE_WIDTH
-from multiarm.contacts.records import Contact, ContactTable, pack
+from multiarm.contacts.records import ContactTable, pack
 from multiarm.contacts.surfaces import answering
 from multiarm.crossing import CROSSING
 from multiarm.dense_call import dense_call
@@ -27,9 +33,10 @@ from multiarm.equations import connect_entries
 from multiarm.errors import ModelError
 from multiarm.hybrid.beginning import check_beginning
 from multiarm.hybrid.selection import joint_rows, link_springs, select
+from multiarm.likeness import same_arms, same_joints, same_supply, shared
 from multiarm.lowlevel import CallBack
-from multiarm.node.regular import make_work
 from multiarm.node.singular import make_coupled
+from multiarm.node.work import make_work
 from multiarm.plant import (
     CALL_CONTROL,
     CALL_COUNT,
@@ -55,7 +62,11 @@ from multiarm.watching import WATCH_WIDTH, make_watches
 
 
 def compile_system(
-    scene: Scene, control: ControlFunction | None = None, *, arms: str | None = None
+    scene: Scene,
+    control: ControlFunction | None = None,
+    *,
+    arms: str | None = None,
+    like: System | None = None,
 ) -> System:
     """Build the system that a scene describes; only what the scene names is in it.
 
@@ -67,6 +78,9 @@ def compile_system(
         get no torque.
     arms : {"pinocchio", "compiled"}, optional
         Who computes the arms' terms, in place of ``run.arms`` of the scene.
+    like : System, optional
+        Of a similar scene: arms and joints that are written alike are not made anew, and no URDF
+        of such an arm is read again.  The result is the same; the two may serve different threads.
 
     Raises
     ------
@@ -76,18 +90,49 @@ def compile_system(
         When a robot cannot be used, or a compiled arm is not the robot's.
     """
     scene = _with_arms(scene, arms)
-    resolved = {name: resolve_arm(spec, scene.folder) for name, spec in scene.arms.items()}
-    made = {name: _make_arm(name, scene, resolved[name]) for name in scene.arms}
-    joints = _joints(scene, made, resolved)
-    system = _unassembled(scene, made, joints, resolved)
+    known = same_arms(scene, like)
+    resolved = {
+        name: known[name][0] if name in known else resolve_arm(spec, scene.folder)
+        for name, spec in scene.arms.items()
+    }
+    made = {
+        name: known[name][1].twin() if name in known else _make_arm(name, scene, resolved[name])
+        for name in scene.arms
+    }
+    joints = make_joints(scene, made, resolved, same_joints(scene, known, like))
+    system = _unassembled(scene, Parts(resolved, joints), made, same_supply(scene, known, like))
     if system.plan is not None:
         return _come_and_go(system, control)
     return _controlled(_with_free_motions(_at_start(system)), control)
 
 
+def twin(system: System) -> System:
+    """The same system with arrays of its own, for another thread.
+
+    Arms, joints and constants are shared; what effects and contacts remember is not.  It begins
+    like a system that has just been compiled.
+    """
+    scene, parts = system.scene, system.parts
+    arms = {name: arm.twin() for name, arm in system.arms.items()}
+    joints = make_joints(scene, arms, parts.arms, shared(parts.joints, arms))
+    fresh = _unassembled(scene, Parts(parts.arms, joints), arms, system._supply.twin())
+    found = ("control", "parameters", "frames", "free", "free_bounds")
+    fresh = replace(
+        fresh,
+        plant=fresh.plant._replace(**{name: getattr(system.plant, name) for name in found}),
+        frames=system.frames,
+        breakpoints=system.breakpoints,
+        start_report=system.start_report,
+        _start=system._start,
+        _places=system._places,
+    )
+    control = system.python_control
+    return fresh if control is None else fresh.with_control(control)
+
+
 def _with_arms(scene: Scene, arms: str | None) -> Scene:
     """The scene with another choice of who computes the arms' terms."""
-    if arms is None or arms == scene.run.arms:
+    if arms is None:
         return scene
     if arms not in ARM_TERMS:
         raise ModelError(f"unknown arms {arms!r}; arms are {', '.join(map(repr, ARM_TERMS))}")
@@ -138,42 +183,15 @@ def _controlled(system: System, control: ControlFunction | None) -> System:
     return replace(system, plant=plant, breakpoints=breakpoints)
 
 
-class _Joints(NamedTuple):
-    """The joints of a scene, by arm: contacts (in the tip's and in its link's frame) and frames."""
-
-    contacts: dict[str, list[Contact]]
-    on_links: dict[str, list[Contact]]
-    frames: dict[str, JointFrame]
-    limits: dict[str, dict[int, tuple[float, float]]]
-
-
-def _joints(scene: Scene, arms: dict[str, Arm], resolved: dict) -> _Joints:
-    specs = {joint.arm: joint for joint in scene.joints}
-    poses = {
-        name: _joint_pose(specs[name], scene, arm, resolved[name].posture)
-        for name, arm in arms.items()
-    }
-    contacts = {name: _own_contacts(specs[name], poses[name]) for name in arms}
-    return _Joints(
-        contacts=contacts,
-        on_links={name: _on_link(arms[name], contacts[name]) for name in arms},
-        frames={name: _frame(specs[name], poses[name]) for name in arms},
-        limits={name: specs[name].free_limits for name in arms},
-    )
-
-
-def _own_contacts(joint, pose: np.ndarray) -> list[Contact]:
-    try:
-        return joint_contacts(joint, pose)
-    except ModelError as error:
-        raise ModelError(f"joint of arm '{joint.arm}': {error}") from error
-
-
-def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: dict) -> System:
-    """The system without control, its start as it is written."""
-    outlines = {name: own.joints for name, own in resolved.items()}
-    found = _candidates(scene, arms, joints, outlines)
-    records: Mapping[str, list] = joints.contacts if found is None else found.records
+def _unassembled(
+    scene: Scene, parts: Parts, arms: dict[str, Arm], supply: ArmSupply | None = None
+) -> System:
+    """The system without control, its start as it is written; ``supply`` is made if not given."""
+    joints = parts.joints
+    outlines = {name: own.joints for name, own in parts.arms.items()}
+    contacts = {name: joint.contacts for name, joint in joints.items()}
+    found = _candidates(scene, arms, contacts, outlines)
+    records: Mapping[str, list] = contacts if found is None else found.records
     around = records.get(SURROUNDINGS, [])
     owners = [*arms, *([SURROUNDINGS] if around else [])]
     layout = Layout(
@@ -181,19 +199,21 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
         dofs=_bounds([arms[name].dof if name in arms else 0 for name in owners]),
         rows=_bounds([len(records[name]) for name in owners]),
     )
-    on_links = {name: _on_link(arms[name], records[name]) for name in arms}
+    on_links = {name: on_link(arms[name], records[name]) for name in arms}
     if around:
         on_links[SURROUNDINGS] = around
     gravity = np.array(scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0))
-    compiled = scene.run.arms == "compiled"
-    supply = ArmSupply(arms, gravity, needs_gravity_torque(scene), compiled)
+    supply = supply or ArmSupply(
+        arms, gravity, needs_gravity_torque(scene), scene.run.arms == "compiled"
+    )
     every_row = [record for own in on_links.values() for record in own]
     table = pack(every_row)
-    plan = None if found is None else make_plan(scene, found, joints.contacts, layout)
+    plan = None if found is None else make_plan(scene, found, contacts, layout)
     site = Site(scene, arms, layout, outlines, supply)
     pieces = build_pieces(site, _plan_pieces(plan))
     watched = on_links if found is None else {name: [] for name in arms}
-    watches = make_watches(watched, joints.limits, layout, pieces.watched)
+    limits = {name: joint.limits for name, joint in joints.items()}
+    watches = make_watches(watched, limits, layout, pieces.watched)
     plant = _plant(scene, arms, table, supply, gravity, pieces)._replace(watches=watches)
     plant = plant._replace(joint_rows=joint_rows(table, layout))
     ground = Ground(gravity) if around else None
@@ -220,7 +240,7 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
         scene=scene,
         arms=arms,
         contacts={name: records[name] for name in arms},
-        frames=joints.frames,
+        frames={name: joint.frame for name, joint in joints.items()},
         layout=layout,
         breakpoints=pieces.breakpoints,
         plant=plant,
@@ -232,7 +252,8 @@ def _unassembled(scene: Scene, arms: dict[str, Arm], joints: _Joints, resolved: 
         surfaces=tuple(table.functions),
         records=tuple(every_row),
         plan=plan,
-        _start=_written_start(scene, resolved, layout),
+        parts=parts,
+        _start=_written_start(scene, parts.arms, layout),
         _supply=supply,
         _ground=ground,
         _places=np.zeros_like(buffers.places),
@@ -254,7 +275,7 @@ def _plan_pieces(plan: Plan | None) -> list[Piece]:
 
 
 def _candidates(
-    scene: Scene, arms: dict[str, Arm], joints: _Joints, outlines: Mapping
+    scene: Scene, arms: dict[str, Arm], contacts: Mapping[str, list], outlines: Mapping
 ) -> Candidates | None:
     """What comes and goes in the scene; None: nothing."""
     effects = scene.effects
@@ -267,7 +288,7 @@ def _candidates(
     dry = None
     if "joint_friction" in effects.with_events and effects.joint_friction is not None:
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
-    return scene_candidates(scene, joints.contacts, limits, dry)
+    return scene_candidates(scene, contacts, limits, dry)
 
 
 def _make_arm(name: str, scene: Scene, resolved) -> Arm:
@@ -298,22 +319,6 @@ def _make_arm(name: str, scene: Scene, resolved) -> Arm:
     return arm
 
 
-def _joint_pose(joint, scene: Scene, arm: Arm, posture: np.ndarray) -> np.ndarray:
-    """Joint frame in the object frame (4, 4); without ``at``, where the tip is at the start."""
-    if joint.at is not None:
-        return joint.at.matrix()
-    offset = np.eye(4)
-    offset[:3, 3] = surface_offset(joint)
-    frame = arm.tip_pose(posture) @ joint.at_tip.matrix() @ offset
-    return np.linalg.solve(scene.object.pose.matrix(), frame)
-
-
-def _frame(joint, pose: np.ndarray) -> JointFrame:
-    """The joint's frame; which motions are free is left open where the catalogue does not say."""
-    on_tip, on_object = joint_frame(joint, pose)
-    return JointFrame(on_tip, on_object, FREE[joint.kind] or ())
-
-
 def _with_free_motions(system: System) -> System:
     """The system with the free motions of every joint chosen, and recorded."""
     frames = {}
@@ -334,11 +339,6 @@ def _with_free_motions(system: System) -> System:
         free=np.array(free, dtype=np.int64).reshape(-1, 2),
     )
     return replace(system, frames=frames, plant=plant)
-
-
-def _on_link(arm: Arm, contacts: list) -> list:
-    """The contacts with the arm's geometry in the frame of the link that carries the tip."""
-    return [contact.moved_on_arm(arm.tip_rotation, arm.tip_translation) for contact in contacts]
 
 
 def _plant(
@@ -376,7 +376,7 @@ def _plant(
     )
 
 
-def _written_start(scene: Scene, resolved: dict, layout: Layout) -> State:
+def _written_start(scene: Scene, resolved: Mapping, layout: Layout) -> State:
     """The start as the scene has it, before it is assembled."""
     pose = scene.object.pose.matrix()
     position = [

@@ -9,7 +9,7 @@ import numpy as np
 
 from multiarm.errors import SolverError
 from multiarm.node.dense import solve_dense
-from multiarm.node.regular import NodeWork
+from multiarm.node.work import NodeWork
 from multiarm.plant import COUPLED_ARMS, RANK_OF_ALL, Buffers
 from multiarm.terms import M_AT, M_STRIDE
 

@@ -15,9 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.candidates.units import SURROUNDINGS
-from multiarm.channels import trajectory_channels
-from multiarm.contacts.frames import COMPONENTS, UNITS
 from multiarm.dynamics import failure_text, lost_contact_text
 from multiarm.equations import CALLBACK_FAILED, NOT_FINITE
 from multiarm.errors import MultiarmError, SolverError, TrajectoryError
@@ -131,7 +128,7 @@ def carry_out(
     if comings is not None:
         comings.arm(run)
     run.comings, run.home = comings, system
-    run.sink.open(_channels(system), _metadata(task))
+    run.sink.open(system.channels, _metadata(task))
     interrupt = Interrupt()
     try:
         status, message, wall = _drive(run, progress, most_evaluations, interrupt)
@@ -146,6 +143,18 @@ def carry_out(
     trajectory = run.sink.finish(status, message, _statistics(run, spec, wall), _events(run))
     interrupt.deliver()
     return trajectory
+
+
+def leave_undone(task: Task, sink: Sink, status: str, message: str) -> Trajectory:
+    """The result of a task that cannot begin, or shall not: no samples, and the reason.
+
+    Raises
+    ------
+    TrajectoryError
+        When the sink cannot be opened.
+    """
+    sink.open(task.system.channels, _metadata(task))
+    return sink.finish(status, message, {"simulated_s": 0.0, "wall_time_s": 0.0})
 
 
 def _metadata(task: Task) -> dict[str, Any]:
@@ -305,34 +314,8 @@ def _flush(run: Run) -> None:
             run.system.plant.free_bounds,
             run.system.pieces.works,
             run.block[:rows],
-            states_of(run.home),
+            run.home.contacts_with_states,
         )
-    )
-
-
-def states_of(system: System) -> dict[str, tuple[str, ...]] | None:
-    """Contacts that come and go, by their owners."""
-    if system.plan is None:
-        return None
-    owners = [*system.arm_names, SURROUNDINGS]
-    return {owner: system.plan.contacts_of(owner) for owner in owners}
-
-
-def _channels(system: System):
-    around = system.records[system.layout.surroundings]
-    return trajectory_channels(
-        {name: arm.joint_units for name, arm in system.arms.items()},
-        {
-            name: [contact.name for contact in contacts]
-            for name, contacts in system.contacts.items()
-        },
-        {
-            name: {COMPONENTS[k]: UNITS[k] for k in frame.free}
-            for name, frame in system.frames.items()
-        },
-        system.pieces.works,
-        states_of(system),
-        [record.name for record in around],
     )
 
 
@@ -342,6 +325,8 @@ def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:
     return {
         "integrator": run.stepping.tableau.name,
         "solver": spec.solver,
+        "arms": run.system.arm_terms,
+        "not_compiled": run.system.not_compiled,
         "stabilization": spec.stabilization.kind,
         "accuracy": None if spec.accuracy is None else spec.accuracy.written,
         "tolerance": settings.tolerance if settings.adaptive else None,

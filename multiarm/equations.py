@@ -39,9 +39,11 @@ from multiarm.contacts.kernel import (
 from multiarm.contacts.records import COMBINED, KIND, RADIUS, SIDE, WEIGHT
 from multiarm.contacts.rows import write_row, write_rows
 from multiarm.control import control_torques
+from multiarm.lanes import LANES, lanes_at, lanes_of, put_lanes
 from multiarm.late_entries import LateEntry
 from multiarm.lowlevel import address_of, call_back, call_entry, entry, inlined, kernel
-from multiarm.node.regular import DEFICIENT, ELIMINATED, eliminate, solve
+from multiarm.node.regular import ELIMINATED, eliminate_arms
+from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import ARMS, couple, solve_coupled
 from multiarm.plant import (
     ARMS_BOOK,
@@ -182,16 +184,38 @@ def arm_rows(i, book, plant, buffers, work):
             for j in range(3):
                 Wo[3 + j] += row[COUPLE + j]
                 wrench[3 + j, k] -= row[COUPLE + j]
+    if m < LANES:
+        for j in range(d):
+            j0, j1, j2 = J[6 * j], J[6 * j + 1], J[6 * j + 2]
+            j3, j4, j5 = J[6 * j + 3], J[6 * j + 4], J[6 * j + 5]
+            for k in range(m):
+                a = j0 * wrench[0, k] + j1 * wrench[1, k] + j2 * wrench[2, k]
+                b = j3 * wrench[3, k] + j4 * wrench[4, k] + j5 * wrench[5, k]
+                Y[j, k] = a + b
+        return
+    k = 0
+    while k < m:
+        k = min(k, m - LANES)  # the last four may be among those before
+        write_columns(i, k, d, J, wrench, work)
+        k += LANES
+
+
+@inlined
+def write_columns(i, k, d, J, wrench, work):
+    """Four columns of ``W``, contacts ``k`` to ``k + 3``, side by side."""
+    N, Y = wrench.shape[1], work.Y
+    w0, w1, w2 = lanes_at(wrench, k), lanes_at(wrench, N + k), lanes_at(wrench, 2 * N + k)
+    w3, w4, w5 = (
+        lanes_at(wrench, 3 * N + k),
+        lanes_at(wrench, 4 * N + k),
+        lanes_at(wrench, 5 * N + k),
+    )
+    at = i * Y.shape[1] * Y.shape[2] + k
     for j in range(d):
-        j0, j1, j2 = J[6 * j], J[6 * j + 1], J[6 * j + 2]
-        j3, j4, j5 = J[6 * j + 3], J[6 * j + 4], J[6 * j + 5]
-        for k in range(m):
-            Y[j, k] = (
-                j0 * wrench[0, k]
-                + j1 * wrench[1, k]
-                + j2 * wrench[2, k]
-                + (j3 * wrench[3, k] + j4 * wrench[4, k] + j5 * wrench[5, k])
-            )
+        a = lanes_of(J[6 * j]) * w0 + lanes_of(J[6 * j + 1]) * w1 + lanes_of(J[6 * j + 2]) * w2
+        b = lanes_of(J[6 * j + 3]) * w3 + lanes_of(J[6 * j + 4]) * w4 + lanes_of(J[6 * j + 5]) * w5
+        put_lanes(Y, at, a + b)
+        at += Y.shape[2]
 
 
 @inlined
@@ -228,6 +252,7 @@ def _kinematics(address, size, _a, _b):
     if buffers.flag[0] != 0:
         return CALLBACK_FAILED
     object_terms(plant, buffers)
+    work.factored[0] = 0
     for i in range(plant.pointers.shape[0]):
         arm_rows(i, book, plant, buffers, work)
         load_inertia(i, plant, work)
@@ -322,22 +347,25 @@ def _solve(address, size, _a, _b):
         ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
         call_back(plant.calls[CALL_DENSE])
         return CALLBACK_FAILED if buffers.flag[0] != 0 else OK
-    result = eliminate(work, buffers.Wo, buffers.inertia)
-    if result == DEFICIENT:
+    result = solve_side_by_side(
+        work, buffers.Wo, buffers.inertia, buffers.h_o, buffers.h, buffers.c, buffers.q_o,
+        buffers.qdd, buffers.force,
+    )  # fmt: skip
+    if result != ELIMINATED:
         return call_entry(plant.calls[CALL_COUPLED], book_at(address, size), 0.0, 0.0)
-    if result == ELIMINATED:
-        ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
-        solve(work, buffers.h_o, buffers.h, buffers.c, buffers.q_o, buffers.qdd, buffers.force)
-        return OK
-    return result
+    ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
+    return OK
 
 
 @entry
 def _solve_coupled(address, size, _a, _b):
-    """Solve a system with deficient arms, whose others are eliminated; returns a status."""
+    """Solve a system with deficient arms, arm by arm; returns a status."""
     book = book_at(address, size)
     plant, buffers, work = open_book(book)
     coupled = open_coupled(book)
+    failed = eliminate_arms(work, buffers.Wo)
+    if failed != ELIMINATED:
+        return failed
     pivot = couple(work, coupled, buffers.Wo, buffers.inertia)
     work.pivot[plant.pointers.shape[0]] = pivot
     if not pivot > 0.0:

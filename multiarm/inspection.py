@@ -59,6 +59,10 @@ class ArmFacts:
         At the (assembled) start [rad, m].
     locked : dict joint -> float
         Joints that are held fixed [rad, m].
+    terms : str
+        Who computes its inertia, forces and motion: "compiled" code or "pinocchio".
+    not_compiled : str or None
+        Why it stays with Pinocchio although compiled arms were wanted.
     conditioning : float or None
         Smallest relative pivot at the start; None where the dense solver is used.
     verdict : str or None
@@ -76,6 +80,8 @@ class ArmFacts:
     joints: dict[str, str]
     posture: list[float]
     locked: dict[str, float]
+    terms: str
+    not_compiled: str | None
     conditioning: float | None
     verdict: str | None
     lost_motions: list[str]

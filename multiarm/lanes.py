@@ -2,8 +2,9 @@
 
 A variable of this type stands for one quantity of four arms, its *lanes*.  Sums and products of
 such variables are one instruction each, and a product that is added at once is rounded once.  In
-memory the four numbers follow each other.  :func:`deal_four` turns four such variables around: what
-belongs to one arm is then together.
+memory the four numbers follow each other: :func:`gather_lanes` brings them together, and
+:func:`deal_four` turns four such variables around, so that what belongs to one arm is together.
+Nothing in a lane depends on what the others hold.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import operator
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core.datamodel import models
@@ -18,8 +20,9 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, register_model
 
 LANES = 4
-_VECTOR = ir.VectorType(ir.DoubleType(), LANES)
-_INTEGER = ir.IntType(64)
+_NUMBER, _INTEGER, _PLACE = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
+_VECTOR = ir.VectorType(_NUMBER, LANES)
+_ALIGNMENT = 64  # [bytes] one line of the processor's cache
 # A product and a sum may become one instruction; the sign of a zero does not matter.
 _FLAGS = ("contract", "nsz")
 
@@ -40,6 +43,13 @@ class _LanesModel(models.PrimitiveModel):
 _LANES = LanesType()
 
 
+def aligned_zeros(size: int) -> np.ndarray:
+    """A vector of zeros for lanes, which begins where a line of the processor's cache does."""
+    room = np.zeros(size + _ALIGNMENT // 8)
+    first = -room.__array_interface__["data"][0] % _ALIGNMENT // 8
+    return room[first : first + size]
+
+
 def _define(operation: Any, arguments: int, instruction: str) -> None:
     """Let an operator of Python mean one instruction on all lanes."""
 
@@ -55,16 +65,17 @@ def _define(operation: Any, arguments: int, instruction: str) -> None:
 _define(operator.add, 2, "fadd")
 _define(operator.sub, 2, "fsub")
 _define(operator.mul, 2, "fmul")
+_define(operator.truediv, 2, "fdiv")
 
 
 def _pointer(context, builder, kind, array, at):
-    """LLVM pointer to the four numbers that begin at one place of a vector."""
+    """LLVM pointer to the four numbers that begin at one place of an array."""
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [at]), _VECTOR.as_pointer())
 
 
 def _shuffled(builder, a, b, places):
-    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), LANES), places))
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_PLACE, LANES), places))
 
 
 @intrinsic
@@ -97,10 +108,51 @@ def lanes_of(typing_context, number):
     def generate(context, builder, signature, arguments):
         value = ir.Constant(_VECTOR, ir.Undefined)
         for lane in range(LANES):
-            value = builder.insert_element(value, arguments[0], ir.Constant(ir.IntType(32), lane))
+            value = builder.insert_element(value, arguments[0], _PLACE(lane))
         return value
 
     return _LANES(types.float64), generate
+
+
+@intrinsic
+def gather_lanes(typing_context, array, at0, at1, at2, at3):
+    """Lanes from four places of an array of float64, counted as in a vector."""
+
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        value = ir.Constant(_VECTOR, ir.Undefined)
+        for lane, at in enumerate(arguments[1:]):
+            number = builder.load(builder.gep(data, [at]))
+            value = builder.insert_element(value, number, _PLACE(lane))
+        return value
+
+    return _LANES(array, *[types.intp] * LANES), generate
+
+
+@intrinsic
+def least_positive(typing_context, a, b):
+    """In every lane the lesser of ``a`` and ``b``, but 0 where ``b`` is not positive (or NaN)."""
+
+    def generate(context, builder, signature, arguments):
+        a, b = arguments
+        lesser = builder.select(builder.fcmp_ordered("<", a, b), a, b)
+        positive = builder.fcmp_ordered(">", b, ir.Constant(_VECTOR, [0.0] * LANES))
+        return builder.select(positive, lesser, ir.Constant(_VECTOR, [0.0] * LANES))
+
+    return _LANES(_LANES, _LANES), generate
+
+
+@intrinsic
+def sum_of_lanes(typing_context, value):
+    """Sum of the four numbers."""
+
+    def generate(context, builder, signature, arguments):
+        (value,) = arguments
+        total = builder.fadd(value, _shuffled(builder, value, value, [2, 3, 0, 1]))
+        total = builder.fadd(total, _shuffled(builder, total, total, [1, 0, 3, 2]))
+        return builder.extract_element(total, _PLACE(0))
+
+    return types.float64(_LANES), generate
 
 
 @intrinsic

@@ -66,7 +66,10 @@ class Kernel:
     def whole(self) -> Any:
         """Numba's dispatcher of the function as a whole, cached while no kernel has changed."""
         dispatcher = njit(cache=True, **WHOLE, **self._options)(self.py_func)
-        _cache_file(dispatcher)._source_stamp = _STAMP
+        file = _cache_file(dispatcher)
+        file._source_stamp = _STAMP
+        file._load_index = _or_nothing(file._load_index)
+        file._load_data = _or_missing(file._load_data)
         return dispatcher
 
     def __call__(self, *arguments: Any) -> Any:
@@ -101,6 +104,30 @@ def _cache_file(dispatcher: Any) -> Any:
     return dispatcher._cache._cache_file
 
 
+def _or_nothing(load: Callable) -> Callable:
+    """An index of cached code that cannot be read, such as one of another version, is empty."""
+
+    def guarded() -> dict:
+        try:
+            return load()
+        except Exception:
+            return {}
+
+    return guarded
+
+
+def _or_missing(load: Callable) -> Callable:
+    """Cached code that cannot be read, such as a file cut short by a full disk, is missing."""
+
+    def guarded(name: str) -> Any:
+        try:
+            return load(name)
+        except Exception as error:
+            raise OSError(f"{name} cannot be read: {error}") from error
+
+    return guarded
+
+
 @inlined
 def copy(source, out):
     """Write ``source`` into ``out``, vectors of one length (slice assignment would allocate)."""
@@ -120,7 +147,8 @@ ENTRY = types.int64(types.int64, types.int64, types.float64, types.float64)
 
 def address_of(function: Kernel) -> int:
     """Address of a kernel decorated with `entry`, compiled if need be."""
-    function.whole.compile(ENTRY)
+    if ENTRY.args not in function.whole.overloads:
+        function.whole.compile(ENTRY)
     result = function.whole.overloads[ENTRY.args]
     return result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
 

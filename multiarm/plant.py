@@ -16,8 +16,8 @@ from multiarm.books import Floats1, Floats2, Ints1, Ints2, address_book, view
 from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.surfaces import QUERY_WIDTH
 from multiarm.lowlevel import inlined
-from multiarm.node.regular import NodeWork
 from multiarm.node.singular import CoupledWork
+from multiarm.node.work import NodeWork
 
 # Entries of Plant.calls: callbacks into Python, then compiled entries.
 CALL_TERMS, CALL_CONTROL, CALL_DENSE, CALL_POTENTIAL, CALL_SURFACE = range(5)

@@ -237,7 +237,7 @@ def prepare(
         samples=samples,
         adaptive=adaptive,
         step=float(spec.step) if spec.step is not None else 1e-3,
-        longest_step=_positive("max_step", max_step),
+        longest_step=positive("max_step", max_step),
         tolerance=1.0 if tolerance is None else tolerance.smallest,
         stabilization=STABILIZATIONS[stabilization.kind],
         alpha=-1.0 if stabilization.alpha is None else float(stabilization.alpha),
@@ -263,9 +263,10 @@ def prepare(
             system
         )
         _first_slope(system, step, settings)
+    size = scene_size(system)
     settings = settings._replace(
-        closed=projection_tolerance(system) if settings.closed >= 0.0 else -1.0,
-        apart=APART * scene_size(system),
+        closed=projection_tolerance(system, size) if settings.closed >= 0.0 else -1.0,
+        apart=APART * size,
     )
     if settings.closed >= 0.0 and system.coupled.counts[ARMS]:
         # the start may be where two motions cross
@@ -307,7 +308,13 @@ def _event_log(report: StartReport) -> EventLog:
     return events
 
 
-def _positive(name: str, value: float) -> float:
+def positive(name: str, value: float) -> float:
+    """A setting that must be positive.
+
+    Raises
+    ------
+    SolverError
+    """
     if not value > 0.0:
         raise SolverError(f"{name}: must be greater than 0, got {value!r}")
     return float(value)

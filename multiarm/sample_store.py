@@ -27,6 +27,10 @@ class Store(Protocol):
         """Samples start..stop of a channel."""
         ...
 
+    def rest(self) -> None:
+        """Keep nothing open but while samples are read."""
+        ...
+
     def close(self) -> None:
         """Let go of what the samples are read from."""
         ...
@@ -58,6 +62,9 @@ class ArrayStore:
         if self._closed:
             raise TrajectoryError(CLOSED)
         return self._arrays[name][start:stop]
+
+    def rest(self) -> None:
+        """Nothing to do: nothing is open."""
 
     def close(self) -> None:
         """Let go of the arrays; nothing more can be read."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 
 import numpy as np
 
@@ -117,8 +118,9 @@ def named_samples(
     """
     n, m, f, w = layout.joints, layout.contacts, int(free_bounds[-1]), len(works)
     contacts = {owner: len(names) for owner, names in (states or {}).items()}
-    sizes = [1, 3, 4, n, 6, n, n, m, sum(contacts.values()), f, f, 1, 1, w, 1, 1, 1, 1, 1]
-    columns = np.split(rows, np.cumsum(sizes), axis=1)
+    sizes = [1, 3, 4, n, 6, n, n, m, sum(contacts.values()), f, f, 1, 1, w, 1, 1, 1, 1, 1, 1]
+    ends = list(accumulate(sizes))
+    columns = [rows[:, end - size : end] for size, end in zip(sizes, ends, strict=True)]
     t, x, quaternion, q, twist, v, torque, force, does, rates, places, *scalars = columns
     kinetic, potential, own, work, gap, rate, rank, coupled, residual = scalars
     block = {

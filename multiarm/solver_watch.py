@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from multiarm.lowlevel import kernel
 from multiarm.node.regular import COUPLED_BELOW
+from multiarm.node.side_by_side import largest_free_rate
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
 from multiarm.plant import COUPLED_ARMS, RANK_OF_ALL, RESIDUAL, open_book, open_coupled
 
@@ -48,16 +49,19 @@ def constraint_residual(plant, buffers, work):
     """Largest ``|W_o^T q_o + W^T q - c|`` relative to the largest term in any of these rows.
 
     Terms are those that cancel there: ``c``, the accelerations, and those without contact forces.
-    After an elimination ``work.Y`` holds ``L^-1 W`` and ``work.L`` the factor, so that
-    ``W^T q = Y^T (L^T q)``; the dense solver leaves ``W`` in ``work.Y``.
+    After an elimination arm by arm ``work.Y`` holds ``L^-1 W`` and ``work.L`` the factor, so that
+    ``W^T q = Y^T (L^T q)``; else ``W`` is still in ``work.Y``.
     """
+    factored = work.factored[0] != 0
     worst, scale, u = 0.0, max(AT_REST, free_acceleration(buffers)), buffers.residual
+    if not factored and plant.dense[0] == 0:
+        scale = max(scale, largest_free_rate(work))
     for i in range(work.dofs.size - 1):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         L, Y = work.L[i], work.Y[i]
         for j in range(d):
             u[j] = buffers.qdd[d0 + j]
-            if plant.dense[0] == 0:
+            if factored:
                 u[j] /= L[j, j]
                 for k in range(j + 1, d):
                     u[j] += L[k, j] * buffers.qdd[d0 + k]
@@ -67,7 +71,7 @@ def constraint_residual(plant, buffers, work):
                 of_object += buffers.Wo[a, k] * buffers.q_o[k]
             for j in range(d):
                 of_arm += Y[j, a - work.rows[i]] * u[j]
-                if plant.dense[0] == 0:
+                if factored:
                     free += Y[j, a - work.rows[i]] * work.y[d0 + j]
             c = buffers.c[a]
             scale = max(scale, abs(of_object), abs(of_arm), abs(free), abs(c))
@@ -149,7 +153,10 @@ def lost_directions(i, before, work, coupled):
 
 @kernel
 def determinant_sign(i, work, coupled):
-    """Sign of ``det(L^-1 W)`` of an arm with as many contacts as joints (elimination by rows)."""
+    """Sign of ``det(W)`` of an arm with as many contacts as joints (elimination by rows).
+
+    That of ``L^-1 W`` is the same.
+    """
     n = work.dofs[i + 1] - work.dofs[i]
     A, Y, sign = coupled.A[i], work.Y[i], 1.0
     for r in range(n):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
+from copy import copy
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -77,23 +78,37 @@ class ArmSupply:
         self._groups: list[_Group] = []
         self.q_slots = np.full(self._first[-1], -1, dtype=np.int64)
         self.configuration = 0
-        self.pointers = np.zeros((len(every), POINTER_WIDTH), dtype=np.int64)
         for places in _runs([k for k in range(len(every)) if k not in own]):
             for group in group_arms([every[k] for k in places], gravity, with_gravity_torque):
                 self._add(group, places[0])
                 places = places[len(group.pointers) :]
+        if self.compiled is not None and with_gravity_torque:
+            self.compiled.want_gravity_torque()
+        self.pointers = self._all_pointers()
+
+    def twin(self) -> ArmSupply:
+        """The same arms for another thread: models and tables are shared, their terms are not."""
+        twin = copy(self)
+        twin._groups = [own._replace(group=own.group.twin()) for own in self._groups]
         if self.compiled is not None:
-            self.pointers[list(own)] = self.compiled.pointers
-            if with_gravity_torque:
-                self.compiled.want_gravity_torque()
+            twin.compiled = self.compiled.twin()
+        twin.pointers = twin._all_pointers()
+        return twin
 
     def _add(self, group: ArmGroup, place: int) -> None:
         """Take a group whose first arm is this one."""
         own = _Group(group, place, int(self._first[place]), self.configuration)
         self._groups.append(own)
-        self.pointers[place : place + len(group.pointers)] = group.pointers
         self.q_slots[own.joints] = group.q_slots + own.first_number
         self.configuration += group.model.nq
+
+    def _all_pointers(self) -> np.ndarray:
+        pointers = np.zeros((len(self._arms), POINTER_WIDTH), dtype=np.int64)
+        for own in self._groups:
+            pointers[own.place : own.place + len(own.group.pointers)] = own.group.pointers
+        if self.compiled is not None:
+            pointers[list(self.compiled.places)] = self.compiled.pointers
+        return pointers
 
     def pose_address(self, arm: int, joint: int) -> int:
         """Where the pose of a joint of an arm is: rotation by columns, origin."""

@@ -2,7 +2,7 @@
 
 A :class:`System` is frozen.  It owns the arrays that its evaluations write, so one system serves
 one thread; the siblings that :meth:`System.with_control` and :meth:`System.with_solver` make share
-them.
+them.  Another thread takes a twin (:func:`multiarm.compilation.twin`).
 """
 
 from __future__ import annotations
@@ -18,18 +18,23 @@ from multiarm.asking import Asked
 from multiarm.assembly import StartReport
 from multiarm.candidates.plan import Plan
 from multiarm.candidates.units import SURROUNDINGS
-from multiarm.contacts.frames import JointFrame
+from multiarm.channels import Channel, trajectory_channels
+from multiarm.connections import Parts
+from multiarm.contacts.frames import COMPONENTS, UNITS, JointFrame
 from multiarm.contacts.records import Contact, JointRow, SmoothShape
 from multiarm.control import python_control
 from multiarm.effects.piece import Pieces
 from multiarm.errors import ControlError, ModelError
 from multiarm.late_entries import LateEntry
 from multiarm.lowlevel import CallBack, address_of
-from multiarm.node.regular import NodeWork
 from multiarm.node.singular import CoupledWork
+from multiarm.node.work import NodeWork
 from multiarm.plant import (
     BUSY,
     CALL_CONTROL,
+    CALL_FUNCTION,
+    CALL_SURFACE,
+    CALL_TERMS,
     Buffers,
     Plant,
     system_book,
@@ -72,6 +77,8 @@ class System:
         What the scene's effects add to an evaluation.
     surfaces : tuple of SmoothShape
         Surfaces of the user's.
+    parts : Parts
+        What it was made of, so that similar systems can be made of the same.
     calls : dict of str to CallBack
         What they call in Python: terms, dense, potential, surface, functions of effects, and
         control when that is in Python.
@@ -91,6 +98,7 @@ class System:
     start_report: StartReport = field(repr=False)
     surfaces: tuple[SmoothShape, ...] = field(repr=False)
     records: tuple[Contact | JointRow, ...] = field(repr=False)
+    parts: Parts = field(repr=False)
     _start: State = field(repr=False)
     _supply: ArmSupply = field(repr=False)
     _ground: Ground | None = field(repr=False)
@@ -125,6 +133,39 @@ class System:
     def asked(self) -> list[Asked]:
         """The user's functions ``f(t, state)``: a controller, wrenches from outside."""
         return [call for call in self.calls.values() if isinstance(call, Asked)]
+
+    @property
+    def python_control(self) -> ControlFunction | None:
+        """The user's controller, where it has taken the place of the scene's control."""
+        call = self.calls.get("control")
+        return call.function if isinstance(call, Asked) else None
+
+    @cached_property
+    def channels(self) -> tuple[Channel, ...]:
+        """What a run records."""
+        around = self.records[self.layout.surroundings]
+        return trajectory_channels(
+            {name: arm.joint_units for name, arm in self.arms.items()},
+            {name: [contact.name for contact in own] for name, own in self.contacts.items()},
+            {name: {COMPONENTS[k]: UNITS[k] for k in f.free} for name, f in self.frames.items()},
+            self.pieces.works,
+            self.contacts_with_states,
+            [record.name for record in around],
+        )
+
+    @property
+    def contacts_with_states(self) -> dict[str, tuple[str, ...]] | None:
+        """Names of the contacts that come and go, by their owners; None where none does."""
+        if self.plan is None:
+            return None
+        return {owner: self.plan.contacts_of(owner) for owner in [*self.arm_names, SURROUNDINGS]}
+
+    @property
+    def calls_python(self) -> bool:
+        """Whether every evaluation enters Python, where one thread works at a time."""
+        places = (CALL_TERMS, CALL_CONTROL, CALL_SURFACE, CALL_FUNCTION)
+        asks = self.plant.dense[0] == 1 or bool(self.asked)
+        return asks or any(self.plant.calls[place] != 0 for place in places)
 
     @property
     def constraint_count(self) -> int:
@@ -188,7 +229,8 @@ class System:
         """The same system driven by a Python function ``f(t, state) -> {arm: torques}``.
 
         Arms that the function leaves out get no torque.  It may evaluate another system, compiled
-        for it, but not this one: the two share their arrays.
+        for it, but not this one: the two share their arrays.  Where many runs go on at once
+        (:func:`multiarm.simulate_many`), all threads call this one function.
         """
         call = control_call(control, self.layout, self.buffers)
         calls = self.plant.calls.copy()
@@ -266,6 +308,7 @@ class System:
         b.coordinates[:] = np.nan
         b.margins[:] = np.nan
         b.event_count[0] = 0
+        b.solved[:] = 0.0
         b.lost[:] = 0
         b.signs[:] = 0.0
         for surface in self.surfaces:

@@ -334,6 +334,11 @@ class Trajectory:
         """The same samples with other words about how the run ended: entries of `Outcome`."""
         return Trajectory(self._store, replace(self._outcome, **plain(changes)))
 
+    def rest(self) -> Trajectory:
+        """The same, its file closed between two looks at its samples: systems limit open files."""
+        self._store.rest()
+        return self
+
     def close(self) -> None:
         """Let go of the file or the arrays of samples; channels that were asked for before stay."""
         self._store.close()

@@ -29,7 +29,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("spatial", "lanes", "channels", "outcome", "decimation", "event_words"),
     ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage")
     + ("complementarity", "sample_store"),
-    ("plant", "trajectory", "guide", "object_control", "candidates"),
+    ("plant", "trajectory", "guide", "object_control", "candidates", "connections"),
     ("asking", "late_entries", "compiled_arms"),
     ("control", "dense_call", "effects", "sinks", "supply"),
     ("equations",),
@@ -39,7 +39,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("assembly", "time_loop", "object_programs"),
     ("programs",),
     ("system",),
-    ("contact_checks", "grips"),
+    ("contact_checks", "grips", "likeness"),
     ("hybrid",),
     ("deficiency",),
     ("dynamics", "compilation", "solver_log", "adoption"),
@@ -50,6 +50,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("driving",),
     ("attempts",),
     ("simulation",),
+    ("many",),
     ("problems",),
     ("checking", "plots", "viewer"),
     ("reporting_parts",),
@@ -64,6 +65,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
 # Imports inside a function that point up, and why they may.
 EXCEPTIONS = {
     ("programs", "compilation"): "a path is planned on a sibling system whose joints are rigid",
+    ("many", "cli"): "progress is shown by the commands' own bar",
     ("assembly", "dynamics"): "a failed start is told in the words of a failed evaluation",
 }
 
@@ -126,7 +128,7 @@ PUBLIC_ATTRIBUTES = {
     "certificate events statistics provenance scene save arm_names",
 }
 PUBLIC_PARAMETERS = {
-    "compile_system": "scene",
+    "compile_system": "scene control like",
     "evaluate": "system t state",
     "inverse_dynamics": "system state object_acceleration relative_acceleration internal_forces",
     "load_scene": "path",
@@ -136,6 +138,8 @@ PUBLIC_PARAMETERS = {
     "report": "trajectory path",
     "simulate": "system duration state control accuracy integrator step stabilization "
     "output_step solver out progress",
+    "simulate_many": "system duration states parameters threads progress out accuracy integrator "
+    "step tolerance stabilization output_step max_step solver control certificate",
 }
 
 
@@ -253,7 +257,7 @@ def test_modules_import_each_other_without_cycles():
 
 def test_node_sees_arrays_only():
     seen = {found.rooms[1] for found in imports() if found.ours and found.rooms[0] == "node"}
-    assert seen <= {"node", "terms", "lowlevel", "books"}
+    assert seen <= {"node", "terms", "lowlevel", "books", "lanes"}
 
 
 @pytest.mark.parametrize("library", LIBRARIES)

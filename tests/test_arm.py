@@ -201,3 +201,9 @@ def test_two_systems_do_not_share_an_arms_numbers():
     np.testing.assert_array_equal(first.joint_accelerations["arm"], kept)
     np.testing.assert_array_equal(ma.evaluate(one).joint_accelerations["arm"], kept)
     assert one.scene.gravity == tuple(G)
+
+
+def test_a_robot_that_pinocchio_cannot_put_together_is_named():
+    files = ArmFiles(find_robot("z1").urdf, (), np.eye(4), "link06", {})
+    with pytest.raises(ModelError, match="arm 'a': Pinocchio cannot put .*z1.urdf together"):
+        Arm("a", files)  # a joint and a link of it have one name

@@ -157,6 +157,18 @@ def test_a_magnet_in_python_and_a_compiled_one_move_the_object_alike(printed, mo
     assert "$.effects.magnet.strenght: unknown key 'strenght'; did you mean 'strength'?" in text
 
 
+def test_many_runs_tell_where_the_box_ends(printed, tmp_path):
+    text = printed("09_many_runs.py", "--runs", 12, "--plot", tmp_path / "ends.png")
+    assert figures("(?m)^# runs of# s in# s: completed$", text)[0][:2] == (12.0, 5.0)
+    ((x, z, *_),) = figures(r"ends at \(#,#\) mm on average; it is led to \(#,#\) mm", text)
+    assert abs(x) < 1.0 and 620.0 < z < 645.0  # the arms are soft and carry their own weight too
+    ((sideways, up),) = figures("spread# mm sideways,# mm in height", text)
+    assert 0.0 < sideways < up < 10.0
+    ((sag,),) = figures("sag by# mm", text)
+    assert 0.1 < sag < 2.0
+    assert (tmp_path / "ends.png").stat().st_size > 10_000
+
+
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"

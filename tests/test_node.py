@@ -11,14 +11,16 @@ from hypothesis import strategies as st
 from mechanics import EPS, WORKED
 
 from multiarm.node.dense import solve_dense
-from multiarm.node.regular import DEFICIENT, ELIMINATED, NO_INERTIA, eliminate, make_work, solve
+from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, NO_INERTIA, eliminate_arms
+from multiarm.node.side_by_side import largest_free_rate, solve_side_by_side
 from multiarm.node.singular import couple, make_coupled, solve_coupled
+from multiarm.node.work import make_work
 
 seeds = st.integers(0, 2**32 - 1)
 shapes = st.lists(
     st.integers(1, 16).flatmap(lambda n: st.tuples(st.just(n), st.integers(1, min(n, 6)))),
     min_size=1,
-    max_size=5,
+    max_size=9,
 )
 
 
@@ -30,13 +32,12 @@ def solve_by_node(system):
         work.L[i, : dofs[i], : dofs[i]] = M
         work.Y[i, : dofs[i], : rows[i]] = W
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    failed = eliminate(work, Wo, system.M_o)
     q_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
     h, c = np.concatenate(system.h), np.concatenate(system.c)
-    if failed == ELIMINATED:
-        solve(work, system.h_o, h, c, q_o, q, force)
-    elif failed == DEFICIENT:
+    failed = solve_side_by_side(work, Wo, system.M_o, system.h_o, h, c, q_o, q, force)
+    if failed == DEFICIENT:
         coupled = make_coupled(dofs, rows)
+        assert eliminate_arms(work, Wo) == ELIMINATED
         assert couple(work, coupled, Wo, system.M_o) > 0.0
         solve_coupled(work, coupled, system.h_o, h, c, q_o, q, force)
     return SimpleNamespace(failed=failed, pivot=work.pivot, x=np.concatenate([q_o, q]), force=force)
@@ -185,11 +186,13 @@ def test_numbers_that_are_not_finite_never_count_as_solved(which, value):
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
         work.L[i, : len(M), : len(M)], work.Y[i, : len(W), : W.shape[1]] = M, W
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    failed = eliminate(work, Wo, system.M_o)
+    right = system.h_o, np.concatenate(system.h), np.concatenate(system.c)
+    found = np.zeros(6), np.zeros(9), np.zeros(5)
+    assert solve_side_by_side(work, Wo, system.M_o, *right, *found) == DEFICIENT
     if which == "M":
-        assert failed == 1 and work.pivot[1] == NO_INERTIA
+        assert eliminate_arms(work, Wo) == 1 and work.pivot[1] == NO_INERTIA
     else:
-        assert failed == DEFICIENT
+        assert eliminate_arms(work, Wo) == ELIMINATED
         assert not couple(work, coupled, Wo, system.M_o) > 0.0
 
 
@@ -223,3 +226,163 @@ def test_accelerations_minimise_gausss_constraint_function():
     for allowed in vt[c.size :]:
         np.testing.assert_allclose(W.T @ (x + allowed), c, atol=1e-11)
         assert gauss(x + 1e-3 * allowed) > gauss(x) and gauss(x - 1e-3 * allowed) > gauss(x)
+
+
+# --- four arms side by side ----------------------------------------------------------------------
+
+
+def loaded(system):
+    """Arrays of the node algorithm with the inertias and constraints of a system."""
+    dofs, rows = [m.shape[0] for m in system.M], [w.shape[1] for w in system.W]
+    work = make_work(dofs, rows)
+    for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
+        work.L[i, : dofs[i], : dofs[i]], work.Y[i, : dofs[i], : rows[i]] = M, W
+    return work
+
+
+def solve_in(work, system):
+    """Status, and the arms' unknowns and forces, arm by arm."""
+    q_o, q, force = np.zeros(6), np.zeros(work.dofs[-1]), np.zeros(work.rows[-1])
+    right = system.h_o, np.concatenate(system.h), np.concatenate(system.c)
+    Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
+    status = solve_side_by_side(work, Wo, system.M_o, *right, q_o, q, force)
+    arms = zip(np.split(q, work.dofs[1:-1]), np.split(force, work.rows[1:-1]), strict=True)
+    return status, [np.concatenate(arm) for arm in arms]
+
+
+def taken(system, order):
+    """The system with the arms of these numbers."""
+    arms = {
+        name: [value[i] for i in order] if isinstance(value, list) else value
+        for name, value in vars(system).items()
+    }
+    return SimpleNamespace(**arms)
+
+
+def on_a_rock(system):
+    """The system with an object that nothing moves."""
+    system.M_o, system.h_o = 1e300 * np.eye(6), np.zeros(6)
+    return system
+
+
+SIZES = [(6, 6), (3, 1), (16, 5), (6, 3), (2, 2), (7, 6), (9, 0), (6, 6), (1, 1)]
+
+
+def test_what_an_arm_does_depends_on_no_neighbour(rng):
+    """To the last bit: alone, and beside arms of other sizes which it has to be filled up for."""
+    system = on_a_rock(random_system(rng, SIZES))
+    work = loaded(system)
+    status, together = solve_in(work, system)
+    assert status == ELIMINATED
+    for i in range(len(SIZES)):
+        own = taken(system, [i])
+        alone = loaded(own)
+        np.testing.assert_array_equal(solve_in(alone, own)[1][0], together[i])
+        assert alone.pivot[0] == work.pivot[i]
+
+
+def test_the_place_of_an_arm_among_four_does_not_matter(rng):
+    system = on_a_rock(random_system(rng, [(6, 5)] * 7))
+    _, expected = solve_in(loaded(system), system)
+    for shift in range(1, 7):
+        order = np.roll(np.arange(7), shift)
+        other = taken(system, order)
+        for i, found in zip(order, solve_in(loaded(other), other)[1], strict=True):
+            np.testing.assert_array_equal(found, expected[i])
+
+
+@pytest.mark.parametrize("count", range(1, 10))
+def test_every_number_of_arms_is_solved(rng, count):
+    system = random_system(rng, SIZES[:count])
+    node, dense = solve_by_node(system), by_dense(system)
+    tol = 100 * EPS * condition(taken(system, [i for i in range(count) if SIZES[i][1]]))
+    np.testing.assert_allclose(node.x, dense.x, atol=tol * np.max(np.abs(dense.x)))
+    np.testing.assert_allclose(node.force, dense.force, atol=tol * np.max(np.abs(dense.force)))
+
+
+def test_inertias_and_constraints_stay_as_they_are(rng):
+    system = random_system(rng, SIZES)
+    work, other = loaded(system), loaded(system)
+    solve_in(work, system)
+    np.testing.assert_array_equal(work.L, other.L)
+    np.testing.assert_array_equal(work.Y, other.Y)
+    assert not work.factored[0]
+
+
+def test_a_system_is_solved_to_the_same_bits_after_one_that_was_none(rng):
+    system = random_system(rng, SIZES)
+    work = loaded(system)
+    _, expected = solve_in(work, system)
+    spoiled = taken(system, range(len(SIZES)))
+    spoiled.c = [np.full_like(c, np.nan) for c in system.c]
+    solve_in(work, spoiled)
+    work.Y[:] = np.nan
+    assert solve_in(work, system)[0] == DEFICIENT
+    work.Y[:] = loaded(system).Y
+    for found, arm in zip(solve_in(work, system)[1], expected, strict=True):
+        np.testing.assert_array_equal(found, arm)
+
+
+@pytest.mark.parametrize("which", [0, 2, 4, 7])
+def test_a_deficient_arm_among_regular_ones_is_found(rng, which):
+    system = random_system(rng, [(6, 4)] * 8)
+    system.W[which][:, 3] = system.W[which][:, 0] - 2.0 * system.W[which][:, 1]
+    work = loaded(system)
+    assert solve_in(work, system)[0] == DEFICIENT
+    assert np.flatnonzero(~(work.pivot[:-1] > 1e-12)).tolist() == [which]
+    node, dense = solve_by_node(system), by_dense(system)
+    np.testing.assert_allclose(node.x, dense.x, atol=1e-9 * np.max(np.abs(dense.x)))
+
+
+@pytest.mark.parametrize("which", [0, 3, 4, 8])
+@pytest.mark.parametrize("inertia", [0.0, -1.0, np.nan, np.inf])
+def test_an_arm_without_inertia_is_named(rng, which, inertia):
+    system = random_system(rng, SIZES)
+    system.M[which][-1, -1] = inertia
+    node_work = loaded(system)
+    assert solve_in(node_work, system)[0] == DEFICIENT
+    Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
+    assert eliminate_arms(node_work, Wo) == which
+    assert node_work.pivot[which] == NO_INERTIA
+
+
+def test_numbers_too_large_to_be_squared_are_no_pivots(rng):
+    system = random_system(rng, [(6, 3), (6, 3)])
+    system.W[1][:, 0] *= 1e200
+    work = loaded(system)
+    assert solve_in(work, system)[0] == DEFICIENT
+    assert work.pivot[0] > COUPLED_BELOW and work.pivot[1] == 0.0
+
+
+def test_pivots_are_those_of_the_scaled_cholesky_factor(rng):
+    """The square of the least diagonal entry of the factor of K, scaled to a diagonal of ones."""
+    system = random_system(rng, SIZES)
+    work = loaded(system)
+    solve_in(work, system)
+    for M, W, pivot in zip(system.M, system.W, work.pivot, strict=False):
+        K = W.T @ np.linalg.solve(M, W)
+        scale = 1.0 / np.sqrt(np.diag(K))
+        factor = np.linalg.cholesky(scale[:, None] * K * scale)
+        expected = np.min(np.diag(factor) ** 2, initial=1.0)
+        np.testing.assert_allclose(pivot, expected, rtol=1e-9)
+
+
+def test_an_arm_that_holds_nothing_moves_freely_and_weighs_nothing(rng):
+    system = random_system(rng, [(6, 3), (9, 0), (6, 5)])
+    without = taken(system, [0, 2])
+    found, expected = solve_by_node(system), solve_by_node(without)
+    np.testing.assert_allclose(found.x[:6], expected.x[:6], rtol=1e-12)
+    np.testing.assert_allclose(
+        found.x[12:21], np.linalg.solve(system.M[1], system.h[1]), rtol=1e-9, atol=1e-12
+    )
+
+
+def test_the_largest_free_rate_is_that_of_the_contacts_without_forces(rng):
+    system = random_system(rng, SIZES)
+    work = loaded(system)
+    solve_in(work, system)
+    rates = [
+        W.T @ np.linalg.solve(M, h) for M, W, h in zip(system.M, system.W, system.h, strict=True)
+    ]
+    expected = max(np.max(np.abs(rate), initial=0.0) for rate in rates)
+    np.testing.assert_allclose(largest_free_rate(work), expected, rtol=1e-10)

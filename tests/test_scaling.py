@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from html.parser import HTMLParser
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,8 +28,13 @@ from multiarm.benchmarks.scaling_plots import plot_scaling
 from multiarm.benchmarks.scaling_tables import Cell, disturbance, tables
 from multiarm.benchmarks.solver_forms import Coefficients
 from multiarm.cli import app
-from multiarm.node import regular
+from multiarm.lanes import LANES
+from multiarm.lowlevel import Kernel
+from multiarm.node import side_by_side
+from multiarm.node import tables as group_tables
 from multiarm.node.dense import solve_dense
+from multiarm.node.regular import ELIMINATED
+from multiarm.node.work import FIRST_ARM, START, make_work
 from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 TINY = Plan(kinds=("weld",), arms=(2, 3), thesis_arms=(2, 3, 5), share_arms=(2,), rounds=1)
@@ -98,6 +102,9 @@ class Counting:
     def __rtruediv__(self, other):
         return self._of(float(other) / self.value)
 
+    def __neg__(self):
+        return Counting(-self.value)
+
     def __float__(self):
         return self.value
 
@@ -154,26 +161,59 @@ def stacked(solution):
     return np.concatenate([solution.q_o, solution.q.ravel()])
 
 
+def put(array, at, value):
+    array[at] = value
+
+
+# What the instructions on lanes do to the first of them.
+ONE_LANE = {
+    "lanes_at": lambda array, at: array[at],
+    "put_lanes": put,
+    "lanes_of": Counting,
+    "gather_lanes": lambda array, at, *_: np.ravel(array)[at],
+    "least_positive": lambda a, b: (b if b < a else a) if b > 0.0 else 0.0,
+    "sum_of_lanes": lambda x: x + 0.0 + 0.0 + 0.0,
+}
+
+
+def one_arm_a_group(n, d, N):
+    """Arrays for ``n`` equal arms, each of which has a group of its own."""
+    work, one = make_work([d] * n, [N] * n), make_work([d], [N])
+    arms, start = np.arange(n), one.groups[0, START]
+    groups = np.repeat(one.groups, n, axis=0)
+    groups[:, START] += arms * (one.lanes.size - start)
+    groups[:, FIRST_ARM:] = arms[:, None]
+    size = start + n * (one.lanes.size - start)
+    shift = np.repeat([d, N], [LANES * d, LANES * N])
+    return work._replace(
+        groups=groups,
+        places=one.places + arms[:, None] * shift,
+        present=np.repeat(one.present, n, axis=0),
+        lanes=np.zeros(size),
+    )
+
+
 @pytest.mark.parametrize(("n", "d", "N"), [(1, 6, 1), (2, 6, 1), (4, 6, 1), (3, 4, 3), (2, 7, 6)])
 def test_node_operations_are_those_that_the_time_loop_performs(monkeypatch, rng, n, d, N):
-    """The very kernels, run as plain Python on numbers that count."""
-    for name, kernel in list(vars(regular).items()):
-        if hasattr(kernel, "py_func"):
-            monkeypatch.setattr(regular, name, kernel.py_func)
-    roots = SimpleNamespace(sqrt=lambda x: x._of(math.sqrt(float(x))))
-    monkeypatch.setattr(regular, "math", roots)
+    """The very kernels, run as plain Python on numbers that count, in one lane."""
+    for module in (side_by_side, group_tables):
+        for name, thing in list(vars(module).items()):
+            if isinstance(thing, Kernel):
+                monkeypatch.setattr(module, name, thing.py_func)
+            if name in ONE_LANE:
+                monkeypatch.setattr(module, name, ONE_LANE[name])
     s = random_coefficients(rng, n, d, N)
-    work = regular.make_work([d] * n, [N] * n)
+    work = one_arm_a_group(n, d, N)
     work = work._replace(
-        **{name: counted(getattr(work, name)) for name in ("L", "Y", "G", "Z", "S", "y", "z")}
+        **{name: counted(getattr(work, name)) for name in ("S", "lanes", "present")}
     )
-    work.L[:], work.Y[:] = counted(s.M), counted(s.W)
+    work = work._replace(L=counted(s.M), Y=counted(s.W))
     Wo = counted(s.W_o.transpose(0, 2, 1).reshape(n * N, 6))
     q_o, q, force = (counted(np.zeros(size)) for size in (6, n * d, n * N))
     right = [counted(part) for part in (s.h_o, s.h.ravel(), s.c.ravel())]
     monkeypatch.setattr(Counting, "count", 0)
-    assert regular.eliminate(work, Wo, counted(s.M_o)) == regular.ELIMINATED
-    regular.solve(work, *right, q_o, q, force)
+    status = side_by_side.solve_side_by_side(work, Wo, counted(s.M_o), *right, q_o, q, force)
+    assert status == ELIMINATED
     assert Counting.count == node_operations(n, d, N)
     np.testing.assert_allclose(np.concatenate([numbers(q_o), numbers(q)]), dense(s), rtol=1e-9)
 

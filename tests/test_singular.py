@@ -32,7 +32,8 @@ from test_dynamics import UR5_WRIST_SINGULAR, two_arm_block_twice
 from test_node import random_system, seeds, stacked, worked_system
 
 import multiarm as ma
-from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, eliminate, make_work, solve
+from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, eliminate_arms
+from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import (
     ARMS,
     MOVABLE,
@@ -43,6 +44,7 @@ from multiarm.node.singular import (
     make_coupled,
     solve_coupled,
 )
+from multiarm.node.work import make_work
 from multiarm.problems.postures import STRETCHED
 
 DIGITS = 60
@@ -60,13 +62,19 @@ shapes = st.lists(st.tuples(st.integers(1, 6), st.integers(1, 6)), min_size=1, m
 
 
 def eliminated(system):
-    """The work of the elimination, room for the coupled system, and the elimination's status."""
+    """The work of the elimination, room for the coupled system, status, and the solution."""
     dofs, rows = [m.shape[0] for m in system.M], [w.shape[1] for w in system.W]
     work, coupled = make_work(dofs, rows), make_coupled(dofs, rows)
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
         work.L[i, : dofs[i], : dofs[i]] = M
         work.Y[i, : dofs[i], : rows[i]] = W
-    return work, coupled, eliminate(work, object_rows(system), system.M_o)
+    h, c = np.concatenate(system.h), np.concatenate(system.c)
+    found = np.zeros(6), np.zeros(h.size), np.zeros(c.size)
+    status = solve_side_by_side(work, object_rows(system), system.M_o, system.h_o, h, c, *found)
+    if status == DEFICIENT:
+        failed = eliminate_arms(work, object_rows(system))
+        status = DEFICIENT if failed == ELIMINATED else failed
+    return work, coupled, status, found
 
 
 def object_rows(system):
@@ -78,20 +86,17 @@ def solved(system, force_coupling=()):
 
     The arms ``force_coupling`` are declared deficient whatever their pivots are.
     """
-    work, coupled, status = eliminated(system)
-    count = sum(w.shape[1] for w in system.W)
-    q_o, q, force = np.zeros(6), np.zeros(sum(m.shape[0] for m in system.M)), np.zeros(count)
+    work, coupled, status, (q_o, q, force) = eliminated(system)
     h, c = np.concatenate(system.h), np.concatenate(system.c)
-    rank, solvable = count, status == ELIMINATED
+    rank, solvable = c.size, status == ELIMINATED
     if force_coupling:
+        eliminate_arms(work, object_rows(system))
         work.pivot[list(force_coupling)] = 0.0
     if status == DEFICIENT or force_coupling:
         solvable = couple(work, coupled, object_rows(system), system.M_o) > 0.0
         rank += int(coupled.counts[RANK] - coupled.counts[UNKNOWNS])
         if solvable:
             solve_coupled(work, coupled, system.h_o, h, c, q_o, q, force)
-    elif solvable:
-        solve(work, system.h_o, h, c, q_o, q, force)
     x = np.concatenate([q_o, q])
     return SimpleNamespace(
         x=x, force=force, rank=rank, solvable=solvable, work=work, coupled=coupled
@@ -230,7 +235,7 @@ def test_regular_systems_are_those_of_the_exact_solution_too(seed, shapes):
     system = random_system(rng, [(max(n, m), m) for n, m in shapes])
     for W in system.W:
         W[:] = np.linalg.qr(W)[0]
-    work, _, status = eliminated(system)
+    work, _, status, _ = eliminated(system)
     assert status == ELIMINATED and np.all(work.pivot > COUPLED_BELOW)
     exact, node = least_norm(*stacked(system)), solved(system)
     assert relative(node.x, exact.x) < 1e-12 and relative(node.force, exact.force) < 1e-12
@@ -304,7 +309,7 @@ def test_undetermined_forces_are_those_with_a_part_in_the_null_space(seed):
 def test_singular_arm_of_the_worked_example():
     """Two parallel constraints of one arm: the linear path stops, the coupled system goes on."""
     system, _, expected = worked_system("node_solver_singular_arm")
-    work, _, status = eliminated(system)
+    work, _, status, _ = eliminated(system)
     assert status == DEFICIENT and not work.pivot[0] > 1e-13
     node = solved(system)
     assert node.solvable and node.coupled.deficient[0] == 1
@@ -360,7 +365,7 @@ def test_both_paths_give_one_solution_as_far_as_the_linear_one_goes(share):
     system.M[0][:] = np.eye(4)
     turn, _ = np.linalg.qr(rng.standard_normal((4, 3)))
     system.W[0][:] = turn * [1.0, 0.8, share]
-    work, _, status = eliminated(system)
+    work, _, status, _ = eliminated(system)
     assert status == ELIMINATED and work.pivot[0] > COUPLED_BELOW
     linear, coupled = solved(system), solved(system, force_coupling=[0])
     assert (linear.coupled.counts[ARMS], coupled.coupled.counts[ARMS]) == (0, 1)

@@ -17,10 +17,17 @@ from test_singular import system_matrices
 
 import multiarm as ma
 from multiarm.dynamics import project_velocity
+from multiarm.equations import OK, evaluate_buffers
 from multiarm.node.regular import COUPLED_BELOW
 from multiarm.problems import loops
 from multiarm.problems.postures import straight_elbow_scene, stretched_and_released_scene
-from multiarm.solver_watch import LOST, MOST_ROUNDED_RESIDUAL, REGAINED, RESIDUAL_BOUND
+from multiarm.solver_watch import (
+    LOST,
+    MOST_ROUNDED_RESIDUAL,
+    REGAINED,
+    RESIDUAL_BOUND,
+    constraint_residual,
+)
 
 POSTURE = [0.3, -0.6, 1.1, 0.4, 0.7, -0.2]
 
@@ -270,6 +277,23 @@ def test_the_residual_is_the_largest_gap_acceleration_over_the_largest_term():
     scale = max(np.max(np.abs(term)) for term in terms)
     assert run.residual[0] == pytest.approx(np.max(np.abs(left)) / scale, rel=1e-6)
     assert run.residual[0] > RESIDUAL_BOUND
+
+
+def test_the_largest_term_may_be_what_contact_forces_hold_back(welded_ur5_system):
+    """Regular arms at rest: the links would fall faster than the object, did it not hold them."""
+    system = welded_ur5_system
+    evaluation = ma.evaluate(system, 0.0, system.initial_state())
+    M, h, W, c = system_matrices(system, evaluation)
+    assert evaluate_buffers(system.book(), 0.0, 0.0) == OK
+    buffers = system.buffers
+    x = np.concatenate([buffers.q_o, buffers.qdd])
+    x[6] = buffers.qdd[0] = x[6] + 1e-3
+    free = W[6:].T @ np.linalg.solve(M[6:, 6:], h[6:])
+    others = (W[:6].T @ x[:6], W[6:].T @ x[6:], c, h[:3] / M[0, 0])
+    assert np.max(np.abs(free)) > 1.01 * max(np.max(np.abs(term)) for term in others)
+    expected = np.max(np.abs(W.T @ x - c)) / np.max(np.abs(free))
+    found = constraint_residual(system.plant, buffers, system.work)
+    assert found == pytest.approx(expected, rel=1e-9)
 
 
 # --- states given to a run -----------------------------------------------------------------------

@@ -49,11 +49,14 @@ def scene_size(system: System) -> float:
     return float(max(np.max(levers, initial=0.0), gyration, np.max(reach)))
 
 
-def projection_tolerance(system: System) -> float:
-    """Gap [m] that counts as closed: some roundings of the coordinates involved."""
+def projection_tolerance(system: System, size: float | None = None) -> float:
+    """Gap [m] that counts as closed: some roundings of the coordinates involved.
+
+    ``size`` is the scene's, where it is known already.
+    """
     bases = [np.max(np.abs(arm.files.base[:3, 3])) for arm in system.arms.values()]
     far = max(float(np.max(np.abs(system.buffers.contacts[:, :3]), initial=0.0)), *bases, 0.0)
-    return 100 * np.finfo(float).eps * max(far, scene_size(system))
+    return 100 * np.finfo(float).eps * max(far, scene_size(system) if size is None else size)
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,8 @@ class Linkage:
         Within which the joints stay, of all joints of the system; infinite where there are none.
     every_row : bool
         Whether rows without a position function take part too, as they do in velocities.
+    size : float, optional
+        The scene's, where it is known already [m].
 
     Attributes
     ----------
@@ -131,11 +136,12 @@ class Linkage:
         with_object: bool,
         limits: np.ndarray,
         every_row: bool = False,
+        size: float | None = None,
     ) -> None:
         work = system.work
         self._system, self._arms, self.with_object = system, arms, with_object
         self._limits = limits
-        self.size = scene_size(system)
+        self.size = scene_size(system) if size is None else size
         self.joints = np.concatenate([np.arange(*work.dofs[i : i + 2]) for i in arms])
         units = np.array([u for arm in system.arms.values() for u in arm.joint_units.values()])
         self.unit = np.where(units[self.joints] == "m", self.size, 1.0)

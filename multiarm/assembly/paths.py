@@ -56,6 +56,11 @@ def follow_object(
     state : State
         Closed, with the object at the end pose.
     """
+    plant = system.plant._replace(
+        object_mass=_HEAVY * system.plant.object_mass,
+        object_inertia=_HEAVY * system.plant.object_inertia,
+    )
+    heavy, tolerance = replace(system, plant=plant), projection_tolerance(system)
     base = matrix_to_quaternion(np.ascontiguousarray(begin[:3, :3]))
     turn = difference(base, matrix_to_quaternion(np.ascontiguousarray(end[:3, :3])))
     state, angles = start.copy(), []
@@ -65,7 +70,7 @@ def follow_object(
         for part in np.linspace(before, fraction, _SUBSTEPS + 1)[1:]:
             state.position[:3] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
             state.position[3:7] = retract(base, part * turn)
-            if not _arms_close(system, state):
+            if not _arms_close(system, heavy, state, tolerance):
                 raise _cannot_follow(system, segment, part)
             state = system.get_state()
         before = fraction
@@ -73,18 +78,13 @@ def follow_object(
     return np.array(angles), state
 
 
-def _arms_close(system: System, state: State) -> bool:
+def _arms_close(system: System, heavy: System, state: State, tolerance: float) -> bool:
     """Close the gaps from ``state`` with the object held; the result is left in the buffers.
 
-    The compiled projection is fast; where it fails, near singular postures, the arms are led.
+    ``heavy`` is the system with an object that does not move.  The compiled projection is fast;
+    where it fails, near singular postures, the arms are led.
     """
-    tolerance = projection_tolerance(system)
     system.set_state(0.0, state)
-    plant = system.plant._replace(
-        object_mass=_HEAVY * system.plant.object_mass,
-        object_inertia=_HEAVY * system.plant.object_inertia,
-    )
-    heavy = replace(system, plant=plant)
     if project_positions(heavy.book(), tolerance, True, _LONGEST_JOINT_CHANGE, _ITERATIONS) == OK:
         return True
     system.reraise()

@@ -159,8 +159,8 @@ def assemble_placed(system: System, what: str) -> tuple[State, StartReport]:
     if not all(gap <= CLOSE * size for gap in gaps.values()):
         raise SceneError(too_far(system, what, gaps, CLOSE * size))
     limits, outside = _limits(system, written)
-    held = _close(system, what, gaps, limits)
-    energy_lost = close_rates(system)
+    held = _close(system, what, gaps, limits, size)
+    energy_lost = close_rates(system, size)
     start = system.get_state()
     moved = np.abs(start.position[7:] - written.position[7:])
     faster = np.abs(start.velocity - written.velocity)
@@ -183,9 +183,11 @@ def assemble_placed(system: System, what: str) -> tuple[State, StartReport]:
     )
 
 
-def _close(system: System, what: str, gaps: dict[str, float], limits: np.ndarray) -> bool:
+def _close(
+    system: System, what: str, gaps: dict[str, float], limits: np.ndarray, size: float
+) -> bool:
     """Close the gaps of the state in the buffers; returns whether the object was held."""
-    tolerance = projection_tolerance(system)
+    tolerance = projection_tolerance(system, size)
     if max(gaps.values()) <= tolerance:
         return True
     everything = list(range(len(system.arm_names)))

@@ -29,10 +29,16 @@ ROUNDING = 100 * np.finfo(float).eps
 _PASSES = 3
 
 
-def close_rates(system: System) -> float:
+def close_rates(system: System, size: float | None = None) -> float:
     """Project the velocities in the system's buffers on the constraints; kinematics are fresh.
 
     Velocities whose gap rates are roundings are not touched.
+
+    Parameters
+    ----------
+    system : System
+    size : float, optional
+        The scene's, where it is known already [m].
 
     Returns
     -------
@@ -46,7 +52,7 @@ def close_rates(system: System) -> float:
     """
     b, joints = system.buffers, system.layout.joints
     free = np.full((joints, 2), [-np.inf, np.inf])
-    linkage = Linkage(system, list(range(len(system.arm_names))), True, free, every_row=True)
+    linkage = Linkage(system, list(range(len(system.arm_names))), True, free, True, size)
     place, lost = linkage.here(), 0.0
     v = np.concatenate([b.twist, b.v]) / linkage.unit
     closed = ROUNDING * float(np.max(np.abs(place.rows) @ np.abs(v), initial=0.0))

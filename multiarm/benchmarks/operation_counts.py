@@ -12,21 +12,26 @@ algorithm takes, an arm,
     \underbrace{2 d N + 2 d^2}_{q_i}
 
 to leading orders when the equations (4.10) - (4.12) of the thesis are carried out as written, and
-:math:`\tfrac13 6^3 + 2 \cdot 6^2` for the object: linear.  What :mod:`multiarm.node.regular` really
-does is less, since triangular factors and symmetric halves serve twice; :func:`node_operations`
-counts it exactly.
+:math:`\tfrac13 6^3 + 2 \cdot 6^2` for the object: linear.  What :mod:`multiarm.node.side_by_side`
+really does is less, since triangular factors and symmetric halves serve twice;
+:func:`node_operations` counts it exactly, each arm's own operations.
 """
 
 from __future__ import annotations
 
 
 def node_operations(arms: int, joints: int = 6, rows: int = 1) -> int:
-    """Operations of elimination and solution, as :mod:`multiarm.node.regular` performs them."""
-    d, m = joints, rows
-    elimination = _cholesky(d) + d * d * m + d * m * (m + 1) + _cholesky(m) + 6 * m * m + 42 * m
-    forward = d * d + 2 * d * m + m * m + 12 * m  # y, z and the object's right-hand side
-    backward = 12 * m + m * m + 2 * d * m + d * d  # forces, accelerations
-    return arms * (elimination + forward + backward) + _cholesky(6) + 2 * 36
+    """Operations of elimination and solution, as the time loop performs them."""
+    d, right = joints, joints + rows
+    filling = 7 * rows
+    # row i: factors and pivot, its inverse, what is right of it; the pivot's relative size
+    elimination = sum(3 * i + 1 + 2 * i * (right - i) for i in range(right)) + rows
+    elimination += sum(12 * (i - d) for i in range(d, right))  # the object's columns
+    share = 6 * 2 * rows + 2 * 27 * rows
+    backward = right * right + 12 * rows
+    addition = 27 * (3 + 1)  # of the four sums of shares, and of the object's own
+    node = 75 + 2 * 6 + 40 + 36  # below the diagonal, pivots, above it, backward
+    return arms * (filling + elimination + share + backward) + addition + node
 
 
 def direct_operations(arms: int, joints: int = 6, rows: int = 1) -> int:
@@ -51,8 +56,3 @@ def ratio_as_written(arms: int, joints: int = 6, rows: int = 1) -> float:
         + 84 * m + 12 * m + 2 * d * m + 2 * d**2
     )  # fmt: skip
     return direct / (arms * an_arm + 6**3 / 3 + 2 * 6**2)
-
-
-def _cholesky(n: int) -> int:
-    """Operations of :func:`multiarm.node.regular.factor_in_place`, relative pivots included."""
-    return sum(3 + 2 * j + (n - 1 - j) * (2 * j + 1) for j in range(n))

@@ -10,13 +10,15 @@ from multiarm.books import ints1
 from multiarm.equations import OK
 from multiarm.errors import SolverError
 from multiarm.lowlevel import call_entry, kernel
-from multiarm.node.regular import ELIMINATED, eliminate, make_work, solve
+from multiarm.node.regular import ELIMINATED
+from multiarm.node.side_by_side import solve_side_by_side
+from multiarm.node.work import make_work
 from multiarm.plant import CALL_FORCES, CALL_KINEMATICS, CALLS
 from multiarm.system import System
 
 
 class CompiledNode:
-    """The node algorithm of the time loop (:mod:`multiarm.node.regular`) on given coefficients."""
+    """The node algorithm of the time loop (:mod:`multiarm.node.side_by_side`) on coefficients."""
 
     def __init__(self, s: Coefficients) -> None:
         n, d, N = s.W.shape
@@ -92,10 +94,9 @@ def _node_often(work, M, W, Wo, M_o, h_o, h, c, q_o, q, force, count):
                     work.L[i, a, b] = M[i, a, b]
                 for b in range(W.shape[2]):
                     work.Y[i, a, b] = W[i, a, b]
-        status = eliminate(work, Wo, M_o)
+        status = solve_side_by_side(work, Wo, M_o, h_o, h, c, q_o, q, force)
         if status != ELIMINATED:
             return status
-        solve(work, h_o, h, c, q_o, q, force)
     return status
 
 

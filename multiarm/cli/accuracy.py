@@ -11,6 +11,7 @@ from rich.text import Text
 
 from multiarm.cli.accuracy_tables import decade_table, method_table, point_table
 from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.options import ARMS, Arms
 from multiarm.cli.progress import StudyProgress
 from multiarm.cli.terminal import (
     output,
@@ -56,6 +57,7 @@ def accuracy(
             metavar="S",
         ),
     ] = None,
+    arms: Annotated[Arms | None, ARMS] = None,
     peers: Annotated[
         bool,
         typer.Option(
@@ -148,7 +150,7 @@ def accuracy(
         check_targets(
             {"--results": target, "--plot": plot, "--html": html, "--json": json}, source=scene
         )
-        changes = {"duration": duration, "output_step": output_step}
+        changes = {"duration": duration, "output_step": output_step, "arms": arms and arms.value}
         found = _measure(scene, target, changes, peers, quick, redo)
         print_written("study", target)
     _print(found, error.value, every)

@@ -12,6 +12,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.options import ARMS, Arms
 from multiarm.cli.terminal import (
     accuracy,
     columns,
@@ -44,6 +45,7 @@ def check(
             help="Write the same figures as JSON.", show_default="none", metavar="FILE.json"
         ),
     ] = None,
+    arms: Annotated[Arms | None, ARMS] = None,
 ) -> None:
     """Show what a scene compiles to: arms, joints, effects, freedom, and how good its start is.
 
@@ -64,7 +66,7 @@ def check(
     from multiarm.checking import inspect_system
     from multiarm.compilation import compile_system
 
-    system = compile_system(loaded)
+    system = compile_system(loaded, arms=None if arms is None else arms.value)
     inspection = inspect_system(system)
     inspection = replace(inspection, effects={**effects_of_evaluation(system)})
     if json is not None:
@@ -116,11 +118,20 @@ def _arm(arm: ArmFacts) -> dict[str, RenderableType]:
         "joints": f"{len(arm.joints)}: "
         + ", ".join(f"{joint} {vector([position], unit)}" for (joint, unit), position in joints),
         "tip": arm.tip if arm.tool is None else f"{arm.tip}, of the tool {arm.tool}",
+        "computed by": _terms(arm),
         "posture": _posture(arm),
     }
     if arm.locked:
         rows["locked"] = ", ".join(f"{joint} {value:g}" for joint, value in arm.locked.items())
     return rows
+
+
+def _terms(arm: ArmFacts) -> Text:
+    if arm.terms == "compiled":
+        return Text("compiled code, verified against Pinocchio")
+    if arm.not_compiled is None:
+        return Text("Pinocchio")
+    return Text.assemble("Pinocchio: ", (f"not compiled, since {arm.not_compiled}", "yellow"))
 
 
 def _joint(joint: JointFacts) -> tuple[RenderableType, ...]:

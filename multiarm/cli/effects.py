@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.options import ARMS, Arms
 from multiarm.cli.progress import StudyProgress
 from multiarm.cli.terminal import columns, output, print_warnings, print_written
 from multiarm.errors import MultiarmError
@@ -39,6 +40,7 @@ def effects(
     repeats: Annotated[
         int, typer.Option(help="Timed runs of each, at most; more smooth out noise.", min=1)
     ] = 9,
+    arms: Annotated[Arms | None, ARMS] = None,
     plot: Annotated[
         Path | None,
         typer.Option(
@@ -84,18 +86,19 @@ def effects(
     if plot is not None and plot.suffix.lower().lstrip(".") not in PLOTS:
         raise MultiarmError(f"--plot: '{plot}' ends in none of .{', .'.join(PLOTS)}")
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
-    found = _measure(scene, duration, candidates, repeats)
+    changes = {"duration": duration, "arms": arms and arms.value}
+    found = _measure(scene, changes, candidates, repeats)
     _print(found)
     _write(found, plot, html, json)
 
 
-def _measure(path: Path, duration: float | None, candidates: bool, repeats: int) -> Ledger:
+def _measure(path: Path, changes: dict, candidates: bool, repeats: int) -> Ledger:
     from multiarm.preparation import run_spec
     from multiarm.scene import load_scene
 
     loaded = load_scene(path)
     print_warnings(loaded.warnings)
-    loaded = loaded.replace(run=run_spec(loaded.run, {"duration": duration}, {}, None))
+    loaded = loaded.replace(run=run_spec(loaded.run, changes, {}, None))
     with StudyProgress() as watched:
         from multiarm.benchmarks.effect_costs.study import ledger
 

@@ -14,13 +14,14 @@ from rich.progress import (
     Task,
     TextColumn,
     TimeElapsedColumn,
+    TimeRemainingColumn,
 )
 from rich.text import Text
 from typing_extensions import Self
 
 from multiarm.cli.terminal import messages
 
-__all__ = ["RunProgress", "StudyProgress", "kernels_are_cached"]
+__all__ = ["ManyRunsProgress", "RunProgress", "StudyProgress", "kernels_are_cached"]
 
 COMPILING = "compiling kernels (only the first time on this machine)"
 
@@ -106,6 +107,49 @@ class RunProgress:
         self._bar.update(
             self._task, description=f"checking the accuracy{repeated}", completed=t, rate=None
         )
+
+
+class ManyRunsProgress:
+    """A bar over many runs on a terminal: how much of their time is simulated, how many are done.
+
+    Parameters
+    ----------
+    runs : int
+    duration : float
+        [s] of simulated time of all of them together.
+    """
+
+    def __init__(self, runs: int, duration: float) -> None:
+        console = messages()
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            _SimulatedTime(),
+            TimeRemainingColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._runs, self._began = runs, time.perf_counter()
+        words = f"0 of {runs} runs" if kernels_are_cached() else COMPILING
+        self._task = self._bar.add_task(words, total=duration)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, t: float, done: int) -> None:
+        """Show that the runs have come to ``t`` seconds together, and that some are done."""
+        if t == 0.0:  # the first one may still wait for its kernels
+            self._began = time.perf_counter()
+            return
+        passed = time.perf_counter() - self._began
+        words = f"{done} of {self._runs} runs"
+        self._bar.update(self._task, description=words, completed=t, rate=t / max(passed, 1e-9))
 
 
 class StudyProgress:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.options import ARMS, METHOD, OF_SCENE, Arms
 from multiarm.cli.progress import RunProgress
 from multiarm.cli.show import serve_until_interrupt
 from multiarm.cli.summary import run_figures, summary_table
@@ -29,8 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Integrator", "Solver", "Stabilization", "run"]
 
-OF_SCENE = "the scene's"
-METHOD, FILES = "How exactly", "Results"
+FILES = "Results"
 # A written start that is further off than this [m] is worth a word.
 NOTABLE_GAP = 1e-3
 
@@ -128,6 +128,7 @@ def run(
             rich_help_panel=METHOD,
         ),
     ] = None,
+    arms: Annotated[Arms | None, ARMS] = None,
     certificate: Annotated[
         bool,
         typer.Option(
@@ -196,11 +197,11 @@ def run(
     velocity_drift_max_m_per_s, energy_balance_max_J, final_object_position,
     final_object_quaternion_xyzw, contact_force_max_N (by arm; floor, if there is one), rank_lowest,
     rank_highest (independent constraints), coupled_steps (steps in which some arm could not be
-    eliminated), integrator, stabilization, solver, accuracy, tolerance, certificate (null where
-    nothing was checked; else met, text, reason, asked, estimated_error, by_output, over_time,
-    checks, growth_rate_per_s, safety, attempts), events (time, kind, text; arm, contact or joint,
-    where in m, before and after as they apply), compiled_kernels, and files (result, replay,
-    report). Numbers are finite, or null where there is none.
+    eliminated), integrator, stabilization, solver, arms (who computed each), accuracy, tolerance,
+    certificate (null where nothing was checked; else met, text, reason, asked, estimated_error,
+    by_output, over_time, checks, growth_rate_per_s, safety, attempts), events (time, kind, text;
+    arm, contact or joint, where in m, before and after as they apply), compiled_kernels, and files
+    (result, replay, report). Numbers are finite, or null where there is none.
     """
     from multiarm.scene import load_scene
     from multiarm.storage import writable_target
@@ -228,6 +229,7 @@ def run(
         "stabilization": stabilization,
         "output_step": output_step,
         "solver": solver,
+        "arms": arms,
         "certificate": certificate,
     }
     options = {k: v.value if isinstance(v, Enum) else v for k, v in options.items()}
@@ -281,7 +283,7 @@ def _simulate(
         if options["solver"] is not None:  # the start is assembled by it too
             changed = scene.run.model_copy(update={"solver": options["solver"]})
             scene = scene.replace(run=changed)
-        system = compile_system(scene)
+        system = compile_system(scene, arms=options.pop("arms"))
         try:
             trajectory = simulate(system, **options, out=target, progress=progress)
         except SceneError as error:

@@ -35,7 +35,7 @@ def run_figures(
     compiled_kernels : bool
         The wall time contains a first compilation.
     """
-    keys = ("integrator", "stabilization", "solver", "accuracy", "tolerance")
+    keys = ("integrator", "stabilization", "solver", "arms", "accuracy", "tolerance")
     counted = trajectory.statistics
     return {
         "scene": name,
@@ -91,8 +91,16 @@ def _method(figures: dict[str, Any]) -> str:
     steps = "" if tolerance is None else f" (tolerance of a step {number(tolerance)})"
     return (
         f"{figures['integrator']}{steps}, stabilization {figures['stabilization']}, "
-        f"solver {figures['solver']}"
+        f"solver {figures['solver']}, {_arms(figures['arms'])}"
     )
+
+
+def _arms(terms: dict[str, str] | None) -> str:
+    """Who computed the arms; results of earlier versions do not say."""
+    kinds = set((terms or {}).values())
+    if len(kinds) < 2:
+        return f"arms {kinds.pop() if kinds else 'pinocchio'}"
+    return "arms " + ", ".join(f"{name} {kind}" for name, kind in (terms or {}).items())
 
 
 def _exactness(figures: dict[str, Any]) -> dict[str, RenderableType]:

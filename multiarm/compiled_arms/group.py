@@ -79,6 +79,11 @@ class CompiledArms:
             [[at + 8 * lane.square, lane.stride] for lane in self._lanes], dtype=np.int64
         )
 
+    def twin(self) -> CompiledArms:
+        """The same arms for another thread: the tables are shared, the terms are not."""
+        wanted = self.tables.wanted.copy()  # another system may want more
+        return CompiledArms(self.tables._replace(wanted=wanted), self.places)
+
     def connect(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
         """Let the sweeps read a system's positions and velocities, and write its bodies."""
         self._arrays = make_arrays(self.tables, self._terms, self._coriolis, angles, rates, bodies)

@@ -129,9 +129,7 @@ def _packed(arm: ArmStructure, joints: int) -> np.ndarray:
 
 
 def _turned_to_z(axis: np.ndarray) -> np.ndarray:
-    """A rotation that takes z to the axis; none where the axis is z."""
-    if np.array_equal(axis, [0.0, 0.0, 1.0]):
-        return np.eye(3)
+    """A rotation that takes z to the axis."""
     x = skew(np.eye(3)[np.argmin(np.abs(axis))]) @ axis
     x /= np.linalg.norm(x)
     return np.column_stack([x, skew(axis) @ x, axis])

@@ -18,6 +18,7 @@ Central differences combine values at :math:`x \pm k h, k = 1..4`, with an error
 
 from __future__ import annotations
 
+import threading
 import warnings
 from collections.abc import Callable
 from functools import partial
@@ -53,6 +54,7 @@ _PROBE_AGAIN = 0.25
 _AGREEMENT = 1e-5
 # How far differences of half the step may be from those used.
 _UNCERTAINTY = 1e-7
+_PROBING = threading.Lock()
 
 
 def checked(
@@ -135,7 +137,8 @@ class Differences:
         self.takes_complex = False
         first, second = self._first(x), self._second(x)
         self.takes_complex = True
-        with warnings.catch_warnings():
+        # filters of warnings are one for all threads
+        with _PROBING, warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
                 errors = self._first(x) - first, self._second(x) - second

@@ -65,6 +65,8 @@ class Effect:
     spec : Spec
         The validated parameters.
 
+    Every system makes an instance for itself, so that runs in several threads share none.
+
     Attributes
     ----------
     name : str

@@ -162,6 +162,7 @@ def solve_sliding(address, size, _a, _b):
         if buffers.flag[0] != 0:
             return CALLBACK_FAILED
     else:
+        work.factored[0] = 1
         failed = eliminate_with_reactions(reactions, buffers.Wo, mode.Wr, buffers.inertia)
         if failed >= 0:
             return failed

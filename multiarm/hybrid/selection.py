@@ -27,8 +27,8 @@ from multiarm.contacts.records import (
 from multiarm.contacts.surfaces import answering
 from multiarm.dense_call import dense_call
 from multiarm.lowlevel import CallBack
-from multiarm.node.regular import make_work
 from multiarm.node.singular import make_coupled
+from multiarm.node.work import make_work
 from multiarm.plant import CALL_DENSE, CALL_SURFACE
 from multiarm.state import Layout
 from multiarm.system import System

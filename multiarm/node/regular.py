@@ -27,69 +27,24 @@ It exists when every ``K_i`` is regular, that is when each arm can move along al
 constraint directions.  The smallest pivot of ``K_i`` relative to its diagonal (the pivot after
 Jacobi scaling) measures how far that is from failing; arms for which it is small are left to
 :mod:`multiarm.node.singular`.
+
+Here is what is done to one arm; the arms of regular systems are taken four at a time, in
+:mod:`multiarm.node.side_by_side`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
-import numpy as np
-
-from multiarm.books import Floats1, Floats2, Floats3, Ints1
 from multiarm.lowlevel import inlined, kernel
 
 # Arms with a relative pivot below this go to the coupled system (:mod:`multiarm.node.singular`).
 # Elimination loses about as many digits as the pivot has zeros: the choice leaves eleven.
 COUPLED_BELOW = 1e-5
-# What :func:`eliminate` returns when all arms, or not all of them, were eliminated.
+# Results when all arms, or not all of them, were eliminated.
 ELIMINATED, DEFICIENT = -1, -6
 # Stands in for the pivot of an arm whose inertia matrix is not positive definite.
 NO_INERTIA = -2.0
-
-
-class NodeWork(NamedTuple):
-    """Arrays of the elimination.  ``n`` arms, at most ``d`` joints and ``m`` contacts an arm.
-
-    dofs, rows : int64 (n + 1,)
-        Where each arm's joints and contacts start in the stacked vectors.
-    L : (n, d, d), Y : (n, d, m), G : (n, m, m), Z : (n, m, 6)
-        Factors as in the module's text; the lower triangles of L and G, diagonals inverted.
-    S : (6, 6)
-        Cholesky factor of the node matrix, lower triangle, diagonal inverted.
-    y : (dofs[n],), z : (rows[n],)
-        Intermediate vectors of a solution.
-    pivot : (n + 1,)
-        Smallest relative pivot of each ``K_i``, and of ``S`` last.
-    """
-
-    dofs: Ints1
-    rows: Ints1
-    L: Floats3
-    Y: Floats3
-    G: Floats3
-    Z: Floats3
-    S: Floats2
-    y: Floats1
-    z: Floats1
-    pivot: Floats1
-
-
-def make_work(dofs: list[int], rows: list[int]) -> NodeWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
-    n, d, m = len(dofs), max(dofs), max(rows)
-    return NodeWork(
-        dofs=np.concatenate([[0], np.cumsum(dofs)]).astype(np.int64),
-        rows=np.concatenate([[0], np.cumsum(rows)]).astype(np.int64),
-        L=np.zeros((n, d, d)),
-        Y=np.zeros((n, d, m)),
-        G=np.zeros((n, m, m)),
-        Z=np.zeros((n, m, 6)),
-        S=np.zeros((6, 6)),
-        y=np.zeros(sum(dofs)),
-        z=np.zeros(sum(rows)),
-        pivot=np.ones(n + 1),
-    )
 
 
 @kernel
@@ -123,7 +78,7 @@ def factor_in_place(A, n):
 
 @inlined
 def eliminate_arm(i, work, Wo):
-    """Factor arm ``i`` and add its share to the node matrix.
+    """Factor arm ``i``.
 
     On entry ``work.L[i]`` holds the arm's inertia (lower triangle), ``work.Y[i]`` its ``W`` (one
     column a contact) and ``Wo`` (sum of rows, 6) the object's rows; on return the factors.
@@ -165,7 +120,6 @@ def eliminate_arm(i, work, Wo):
         inverse = G[a, a]
         for k in range(6):
             Z[a, k] *= inverse
-    add_arm(i, work)
     return pivot
 
 
@@ -180,40 +134,19 @@ def add_arm(i, work):
                 S[k, l] += factor * Z[a, l]
 
 
-@inlined
-def eliminate(work, Wo, object_inertia):
-    """Factor the whole system.
+@kernel
+def eliminate_arms(work, Wo):
+    """Factor all arms, one after the other; the data are on entry as in :func:`eliminate_arm`.
 
-    Parameters
-    ----------
-    object_inertia : (6, 6)
-        The object's M_o in world axes; the arms' data are on entry as in :func:`eliminate_arm`.
-
-    Returns
-    -------
-    int
-        ``ELIMINATED``; ``DEFICIENT`` when a pivot is below ``COUPLED_BELOW``, so that too many
-        digits would be lost (``work.S`` is then of no use); or the number of the arm whose inertia
-        failed.  The pivots are left in ``work.pivot``.
+    Returns ``ELIMINATED``, or the number of the arm whose inertia failed.  The pivots are left in
+    ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y`` only.
     """
-    n = work.dofs.size - 1
-    for k in range(6):
-        for l in range(k + 1):  # noqa: E741
-            work.S[k, l] = object_inertia[k, l]
-    deficient = 0
-    for i in range(n):
-        pivot = eliminate_arm(i, work, Wo)
-        work.pivot[i] = pivot
-        if not pivot > COUPLED_BELOW:
-            if pivot == NO_INERTIA:
-                return i
-            deficient += 1
-    if deficient > 0:
-        return DEFICIENT
-    pivot = factor_in_place(work.S, 6)
-    work.pivot[n] = pivot
-    # arms that hold the object stiffly in some directions drown its inertia in the others
-    return ELIMINATED if pivot > COUPLED_BELOW else DEFICIENT
+    work.factored[0] = 1
+    for i in range(work.dofs.size - 1):
+        work.pivot[i] = eliminate_arm(i, work, Wo)
+        if work.pivot[i] == NO_INERTIA:
+            return i
+    return ELIMINATED
 
 
 @inlined
@@ -303,27 +236,3 @@ def move_arm(i, work, force, q):
         q[d0 + j] = s
         for k in range(j):
             q[d0 + k] -= L[j, k] * s
-
-
-@inlined
-def solve(work, h_o, h, c, q_o, q, force):
-    """Solve the eliminated system for one right-hand side.
-
-    Parameters
-    ----------
-    h_o : (6,), h : (sum of joints,), c : (sum of rows,)
-        Right-hand sides, arms stacked.
-    q_o : (6,), q : (sum of joints,), force : (sum of rows,), written
-        Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
-    """
-    n = work.dofs.size - 1
-    for k in range(6):
-        q_o[k] = h_o[k]
-    for i in range(n):
-        free_arm(i, work, h)
-        reduce_arm(i, work, c, q_o)
-    node_forward(work.S, q_o)
-    node_backward(work.S, q_o)
-    for i in range(n):
-        push_arm(i, work, q_o, force)
-        move_arm(i, work, force, q)

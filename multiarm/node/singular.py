@@ -40,7 +40,6 @@ from multiarm.lowlevel import copy, inlined, kernel
 from multiarm.node.factors import norm, orthogonalize
 from multiarm.node.regular import (
     COUPLED_BELOW,
-    NodeWork,
     add_arm,
     factor_in_place,
     free_arm,
@@ -50,6 +49,7 @@ from multiarm.node.regular import (
     push_arm,
     reduce_arm,
 )
+from multiarm.node.work import NodeWork
 
 # Directions of an arm with a sigma below this fraction of its largest are not eliminated.
 SPLIT = 1e-2
@@ -278,7 +278,7 @@ def image_basis(work, coupled):
 
 @inlined
 def couple(work, coupled, Wo, object_inertia):
-    """Factor a system with deficient arms, after :func:`multiarm.node.regular.eliminate`.
+    """Factor a system with deficient arms, after :func:`multiarm.node.regular.eliminate_arms`.
 
     Returns the smallest relative pivot of the object's inertia or of the node matrix; the system is
     of no use unless that is positive (and not NaN).
@@ -383,7 +383,15 @@ def push_deficient_arm(i, work, coupled, q_o, force):
 
 @inlined
 def solve_coupled(work, coupled, h_o, h, c, q_o, q, force):
-    """Solve the factored system for one right-hand side, as :func:`multiarm.node.regular.solve`."""
+    """Solve the factored system for one right-hand side.
+
+    Parameters
+    ----------
+    h_o : (6,), h : (sum of joints,), c : (sum of rows,)
+        Right-hand sides, arms stacked.
+    q_o : (6,), q : (sum of joints,), force : (sum of rows,), written
+        Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
+    """
     n = work.dofs.size - 1
     copy(h_o, q_o)
     for i in range(n):

@@ -2,9 +2,11 @@
 
 from multiarm.scene.arm_spec import ArmSpec, ToolSpec
 from multiarm.scene.base import Pose
+from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
 from multiarm.scene.contact_spec import ContactSpec
 from multiarm.scene.control import (
     ARM_TERMS,
+    STEPS_CHOSEN_BY,
     AccuracySpec,
     ComputedTorqueControl,
     ConstantControl,
@@ -79,6 +81,7 @@ from multiarm.scene.wrench_table import WrenchTable, read_wrench_table
 
 __all__ = [
     "ARM_TERMS",
+    "STEPS_CHOSEN_BY",
     "AccuracySpec",
     "ActuatorLag",
     "ArmSpec",
@@ -138,6 +141,8 @@ __all__ = [
     "WrenchTable",
     "WrenchesJoint",
     "available_robots",
+    "changed",
+    "changed_scenes",
     "damping_of",
     "dump_scene",
     "effort_limit_of",
@@ -147,10 +152,12 @@ __all__ = [
     "gain_vector",
     "joint_vector",
     "load_scene",
+    "parse_path",
     "parse_scene",
     "read_urdf",
     "read_wrench_table",
     "resolve_arm",
     "resolve_mesh",
     "resolve_package_dirs",
+    "value_at",
 ]

@@ -27,7 +27,7 @@ from multiarm.scene.control import (
 from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.object_spec import ObjectSpec
 from multiarm.scene.per_joint import KnownArm, gain_faults
-from multiarm.scene.resolve import examine_arm
+from multiarm.scene.resolve import Examination, examine_arm
 from multiarm.scene.words import listed, place, unknown
 
 __all__ = ["Findings", "SceneParts", "check", "method_fault"]
@@ -36,12 +36,17 @@ PUSHING = {"contacts", "corner_gripper", "point_on_cylinder", "point_on_plane", 
 """Kinds of joints with contacts that only push."""
 
 
+Looked = dict[str, tuple[ArmSpec, Examination]]
+"""Arms by name, with what was found out about them."""
+
+
 @dataclass
 class Findings:
-    """Faults and warnings, each one complete line."""
+    """Faults and warnings, each one complete line; the arms as they were looked at."""
 
     faults: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    arms: Looked = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -102,12 +107,15 @@ class SceneParts:
         )
 
 
-def check(parts: SceneParts) -> Findings:
-    """Return all faults and warnings about how the parts fit together."""
+def check(parts: SceneParts, looked: Looked | None = None) -> Findings:
+    """Return all faults and warnings about how the parts fit together.
+
+    Arms that were ``looked`` at already, and are written as they were, are not again.
+    """
     findings = Findings()
     if parts.arm_names is not None:
         _check_connections(parts, findings)
-    known = _check_arms(parts, findings)
+    known = _check_arms(parts, findings, looked or {})
     _check_object(parts.object, findings)
     if parts.arm_names is not None:
         arms = {name: known.get(name, KnownArm(None, None)) for name in parts.arm_names}
@@ -140,11 +148,14 @@ def _check_connections(parts: SceneParts, findings: Findings) -> None:
             )
 
 
-def _check_arms(parts: SceneParts, findings: Findings) -> dict[str, KnownArm]:
+def _check_arms(parts: SceneParts, findings: Findings, looked: Looked) -> dict[str, KnownArm]:
     """Check every sound arm, and return what is known of it."""
     known = {}
     for name, spec in parts.arms.items():
-        found = examine_arm(spec)
+        before, found = looked.get(name, (None, None))
+        if found is None or before != spec:
+            found = examine_arm(spec)
+        findings.arms[name] = spec, found
         known[name] = KnownArm(found.joints, found.links, found.moving)
         for where, text in found.faults:
             findings.faults.append(f"{place(('arms', name, *where))}: {text}")

@@ -22,6 +22,7 @@ __all__ = [
     "ARM_TERMS",
     "DEFAULT_ACCURACY",
     "FIXED_STEP_INTEGRATORS",
+    "STEPS_CHOSEN_BY",
     "AccuracySpec",
     "ComputedTorqueControl",
     "ConstantControl",
@@ -38,6 +39,8 @@ __all__ = [
 
 FIXED_STEP_INTEGRATORS = ("semi_implicit_euler", "variational", "rk4")
 ADAPTIVE_INTEGRATORS = ("dopri5", "dop853", "rodas5p")
+STEPS_CHOSEN_BY = ("accuracy", "integrator", "step", "tolerance")
+"""Settings of a run that say together how long its steps are."""
 ARM_TERMS = ("pinocchio", "compiled")
 """Who computes inertia, forces and motion of the arms."""
 
@@ -198,8 +201,7 @@ class RunSpec(Spec):
     @model_validator(mode="before")
     @classmethod
     def _default_accuracy(cls, data: Any) -> Any:
-        chosen = ("accuracy", "integrator", "step", "tolerance")
-        if isinstance(data, dict) and all(data.get(key) is None for key in chosen):
+        if isinstance(data, dict) and all(data.get(key) is None for key in STEPS_CHOSEN_BY):
             return {**data, "accuracy": DEFAULT_ACCURACY}
         return data
 

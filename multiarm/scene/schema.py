@@ -16,7 +16,7 @@ from typing_extensions import Self
 from multiarm.errors import SceneError
 from multiarm.scene.arm_spec import ArmSpec
 from multiarm.scene.base import Spec
-from multiarm.scene.check import SceneParts, check
+from multiarm.scene.check import Looked, SceneParts, check
 from multiarm.scene.control import ControlSpec, NoControl, RunSpec
 from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.faults import explain
@@ -70,6 +70,7 @@ class Scene(Spec):
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
     _warnings: tuple[str, ...] = PrivateAttr(default=())
+    _looked: Looked = PrivateAttr(default_factory=dict)
 
     def __init__(self, /, folder: Path | str | None = None, **data: Any) -> None:
         self._fill(data, folder)
@@ -78,17 +79,22 @@ class Scene(Spec):
 
     @classmethod
     def from_mapping(
-        cls, data: Mapping[str, Any], folder: Path | str | None = None, stored: bool = False
+        cls,
+        data: Mapping[str, Any],
+        folder: Path | str | None = None,
+        stored: bool = False,
+        like: Scene | None = None,
     ) -> Self:
         """Return the scene that ``data``, such as a parsed YAML file, describes.
 
         A ``stored`` one is that of a run: effects of one's own need not be there to look at it.
+        Arms that are those of another scene, ``like`` it, are not looked at once more.
         """
         if not isinstance(data, Mapping):
             keys = ", ".join(cls.model_fields)
             raise SceneError(f"$: a scene is a table with the keys {keys}; got {shown(data)}")
         scene = cls.__new__(cls)
-        scene._fill(data, folder, stored)
+        scene._fill(data, folder, stored, like)
         return scene
 
     @classmethod
@@ -99,7 +105,7 @@ class Scene(Spec):
     def replace(self, **changes: Any) -> Self:
         """Return a scene with some attributes replaced, validated anew."""
         kept = {name: getattr(self, name) for name in type(self).model_fields}
-        return self.from_mapping({**kept, **changes}, self.folder)
+        return self.from_mapping({**kept, **changes}, self.folder, like=self)
 
     @property
     def folder(self) -> Path:
@@ -128,7 +134,11 @@ class Scene(Spec):
         return {name: arm.located(folder) for name, arm in value.items()}
 
     def _fill(
-        self, data: Mapping[str, Any], folder: Path | str | None, stored: bool = False
+        self,
+        data: Mapping[str, Any],
+        folder: Path | str | None,
+        stored: bool = False,
+        like: Scene | None = None,
     ) -> None:
         folder = Path(folder or ".").expanduser().resolve()
         faults: list[str] = []
@@ -140,7 +150,8 @@ class Scene(Spec):
         except ValidationError as error:
             faults = explain(error, type(self))
             parts = SceneParts.of(data, folder)
-        found = check(parts)
+        found = check(parts, None if like is None else like._looked)
         if faults or found.faults:
             raise SceneError([*faults, *found.faults])
         self._folder, self._warnings = folder, tuple(found.warnings)
+        self._looked = found.arms

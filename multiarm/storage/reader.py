@@ -27,7 +27,7 @@ class Hdf5Store:
     """Read access to a file; a channel is read when it is asked for.
 
     The file stays open, so that one that is later replaced at the same place does not change
-    what is read here.
+    what is read here; :meth:`rest` gives that up where very many files are read.
 
     Raises
     ------
@@ -36,7 +36,7 @@ class Hdf5Store:
     """
 
     def __init__(self, path: str | os.PathLike):
-        self.path = Path(path)
+        self.path, self._rests = Path(path), False
         for tries_left in range(TRIES - 1, -1, -1):
             try:
                 self._open()
@@ -63,14 +63,24 @@ class Hdf5Store:
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel."""
+        stop = self.samples if stop is None else min(stop, self.samples)
+        if self._rests:
+            file = _open_for_reading(self.path)[0]
+            with file, self._reading():
+                return file[name][start:stop]
         if not self._file:  # h5py's word for closed
             raise TrajectoryError(CLOSED)
-        stop = self.samples if stop is None else min(stop, self.samples)
         with self._reading():
             return self._file[name][start:stop]
 
+    def rest(self) -> None:
+        """Close the file between two reads: it is opened anew for each."""
+        self._rests = True
+        self._file.close()
+
     def close(self) -> None:
         """Close the file; nothing more can be read."""
+        self._rests = False
         self._file.close()
 
     def _read_outcome(self) -> dict | None:

@@ -1,0 +1,238 @@
+"""Values of a scene by their paths, and scenes in which some of them are changed.
+
+A path is written as messages write it, with or without the ``$.`` that stands for the scene:
+
+    object.mass    arms.left.base.xyz    joints[1].at.xyz[2]    arms['my arm'].posture
+
+A changed scene is validated as a whole, as one that is written so.  Of several sets of changes all
+faults are told together.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+from multiarm.errors import SceneError
+from multiarm.scene.control import STEPS_CHOSEN_BY
+from multiarm.scene.schema import Scene
+from multiarm.scene.words import listed, place, shown, unknown
+
+__all__ = ["changed", "changed_scenes", "parse_path", "value_at"]
+
+Parts = tuple[str | int, ...]
+
+# A key, a key in quotes, a number in a list.
+_PART = re.compile(r"""\.?([^\s.\[\]'"]+)|\['([^']*)'\]|\["([^"]*)"\]|\[(\d+)\]""")
+
+
+@dataclass(frozen=True)
+class _New:
+    """A value that takes the place of another."""
+
+    value: Any
+
+
+class _Fault(Exception):
+    """What is wrong with a path, at which part."""
+
+    def __init__(self, at: Parts, text: str) -> None:
+        super().__init__(f"{place(at)}: {text}")
+
+
+def parse_path(text: str) -> Parts:
+    """The keys and numbers of a path.
+
+    Raises
+    ------
+    SceneError
+        When it is no path.
+    """
+    try:
+        return _parsed(text)
+    except _Fault as fault:
+        raise SceneError([str(fault)]) from None
+
+
+def value_at(scene: Scene, path: str) -> Any:
+    """The value at a path.
+
+    Raises
+    ------
+    SceneError
+        When there is none, with the alternatives.
+    """
+    value: Any = scene
+    parts = parse_path(path)
+    try:
+        for k, part in enumerate(parts):
+            value = _below(value, part, parts[:k])
+    except _Fault as fault:
+        raise SceneError([str(fault)]) from None
+    return value
+
+
+def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+    """The scene with other values at some paths, validated anew.
+
+    Parameters
+    ----------
+    scene : Scene
+        Stays as it is.
+    changes : mapping
+        Path -> value.  What is optional and not there is made: ``joints[0].at.xyz`` gives a joint
+        without a place of its own one.  Naming one of ``run.accuracy``, ``run.integrator``,
+        ``run.step`` and ``run.tolerance`` replaces the scene's choice of all four.
+
+    Raises
+    ------
+    SceneError
+        Naming every fault.
+    """
+    faults: list[str] = []
+    tree = _tree(changes, faults)
+    data = {name: getattr(scene, name) for name in type(scene).model_fields}
+    made: dict[Any, Any] = {}
+    for key, branch in tree.items():
+        try:
+            below = _below(scene, key, (), leaf=isinstance(branch, _New))
+            made[key] = _applied(below, branch, (key,), faults)
+        except _Fault as fault:
+            faults.append(str(fault))
+    if isinstance(made.get("run"), dict):
+        made["run"] = _one_choice(made["run"], tree["run"])
+    try:
+        found = Scene.from_mapping({**data, **made}, scene.folder, like=scene)
+    except SceneError as error:
+        faults += error.faults
+    if faults:
+        raise SceneError(faults)
+    return found
+
+
+def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[Scene]:
+    """One scene for each set of changes, see :func:`changed`.
+
+    Raises
+    ------
+    SceneError
+        Naming every fault of all, with the number of the run that it is for.
+    """
+    scenes, faults = [], []
+    for number, own in enumerate(changes, start=1):
+        try:
+            if not isinstance(own, Mapping):
+                raise SceneError(f"must be a table 'path: value', got {shown(own)}")
+            scenes.append(changed(scene, own))
+        except SceneError as error:
+            faults += [f"run {number}: {fault}" for fault in error.faults]
+    if faults:
+        raise SceneError(faults, source="parameters")
+    return scenes
+
+
+def _parsed(text: Any) -> Parts:
+    if not isinstance(text, str):
+        raise _Fault((), f"a path is text, such as 'object.mass', got {shown(text)}")
+    rest = text.removeprefix("$").removeprefix(".") if text.startswith("$") else text
+    parts: list[str | int] = []
+    at = 0
+    while at < len(rest):
+        match = _PART.match(rest, at)
+        if match is None or (match[1] and (match[0][0] == ".") != bool(parts)):
+            break
+        parts.append(int(match[4]) if match[4] else next(p for p in match.groups()[:3] if p))
+        at = match.end()
+    if at < len(rest) or not parts:
+        raise _Fault(
+            (), f"{text!r} is no path; write one as 'object.mass', 'joints[1].at.xyz', "
+            "\"arms['my arm'].base\""
+        )  # fmt: skip
+    return tuple(parts)
+
+
+def _tree(changes: Mapping[str, Any], faults: list[str]) -> dict[str | int, Any]:
+    """The changes by the parts of their paths: tables of tables, with :class:`_New` at the ends."""
+    tree: dict[str | int, Any] = {}
+    for path, value in changes.items():
+        try:
+            *way, last = parts = _parsed(path)
+            branch = tree
+            for k, part in enumerate(way):
+                branch = branch.setdefault(part, {})
+                if isinstance(branch, _New):
+                    raise _Fault(parts, f"lies in {place(parts[: k + 1])}, which is changed too")
+            if last in branch:
+                raise _Fault(parts, "is changed twice, or a part of it is; keep one of the changes")
+            branch[last] = _New(value)
+        except _Fault as fault:
+            faults.append(str(fault))
+    return tree
+
+
+def _applied(value: Any, tree: Any, here: Parts, faults: list[str]) -> Any:
+    """The value with a branch of the changes in it, in plain tables and lists along their ways."""
+    if isinstance(tree, _New):
+        return tree.value
+    made = {}
+    for part, branch in tree.items():
+        try:
+            below = _below(value, part, here, leaf=isinstance(branch, _New))
+            made[part] = _applied(below, branch, (*here, part), faults)
+        except _Fault as fault:
+            faults.append(str(fault))
+    if isinstance(value, (tuple, list)):
+        return [made.get(k, old) for k, old in enumerate(value)]
+    return {**_given(value), **made}
+
+
+def _given(value: Any) -> dict[str, Any]:
+    """The entries of a table, of a part of a scene those that are written, and its kind."""
+    if isinstance(value, BaseModel):
+        names = value.model_fields_set | {"kind"}.intersection(type(value).model_fields)
+        return {name: getattr(value, name) for name in names}
+    return dict(value) if isinstance(value, Mapping) else {}
+
+
+def _below(value: Any, part: str | int, here: Parts, leaf: bool = False) -> Any:
+    """What is at a part of a path; None where something optional is not there.
+
+    A ``leaf`` is going to be replaced: a table may get a new entry, which the scene's own check
+    judges.
+    """
+    if isinstance(value, (tuple, list)):
+        if isinstance(part, int) and part < len(value):
+            return value[part]
+        raise _Fault((*here, part), f"{place(here)} is a list with {_entries(len(value))}")
+    if value is None and isinstance(part, str):
+        return None
+    if not isinstance(value, (BaseModel, Mapping)):
+        held = "is not given" if value is None else f"is {shown(value)}"
+        raise _Fault(here, f"{held}: nothing is below it; give {place(here)[2:]!r} as a whole")
+    keys = _keys(value)
+    if isinstance(part, int):
+        raise _Fault((*here, part), f"{place(here)} is no list; its keys are {listed(keys)}")
+    if part not in keys and not leaf:
+        raise _Fault((*here, part), unknown("key", part, keys))
+    return getattr(value, part, None) if isinstance(value, BaseModel) else value.get(part)
+
+
+def _keys(value: BaseModel | Mapping) -> list[str]:
+    if isinstance(value, BaseModel):
+        return [*type(value).model_fields, *(value.model_extra or {})]
+    return list(value)
+
+
+def _entries(count: int) -> str:
+    return "no entries" if count == 0 else f"entries [0] to [{count - 1}]"
+
+
+def _one_choice(run: dict[str, Any], named: Iterable[str | int]) -> dict[str, Any]:
+    """Settings of a run without the scene's choice of steps, where a change makes another."""
+    if not set(STEPS_CHOSEN_BY).intersection(named):
+        return run
+    return {key: v for key, v in run.items() if key not in STEPS_CHOSEN_BY or key in named}

@@ -1,0 +1,537 @@
+"""Claims about compiled arms: their terms are those of mechanics, and of Pinocchio's model."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mechanics import PANDA_FINGERS, chain_urdf
+from scipy.spatial.transform import Rotation
+
+from multiarm.arm import Arm, ArmFiles
+from multiarm.compiled_arms import choice, verification
+from multiarm.compiled_arms.arrays import (
+    ARMATURE,
+    AXES,
+    CENTRE,
+    INERTIA,
+    JOINT_WIDTH,
+    MASS,
+    NAMED_AXES,
+    OFFSET,
+    SLIDES,
+    TURNS,
+)
+from multiarm.compiled_arms.choice import compile_arms
+from multiarm.compiled_arms.group import CompiledArms
+from multiarm.compiled_arms.sines import FAR, write_sines
+from multiarm.compiled_arms.tables import make_tables
+from multiarm.errors import ModelError
+from multiarm.scene import available_robots, find_robot, read_urdf
+from multiarm.terms import ArmStructure, LinkTerms
+
+GRAVITY = np.array([1.0, -2.0, -9.0])
+EPS = np.finfo(float).eps
+
+
+# --- arms ----------------------------------------------------------------------------------------
+
+
+def arm_of(urdf, tip, base=None, locked=None, rotors=None, name="arm") -> Arm:
+    base = np.eye(4) if base is None else base
+    return Arm(name, ArmFiles(Path(urdf), (), base, tip, locked or {}), rotor_inertia=rotors)
+
+
+def random_base(rng, away=1.0) -> np.ndarray:
+    base = np.eye(4)
+    base[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+    base[:3, 3] = away * rng.uniform(-1, 1, 3)
+    return base
+
+
+def random_chain(rng, joints: int, massless: float = 0.2) -> str:
+    """A URDF of hinges and slides about any axes, some of whose links have no mass."""
+    text = "<link name='l0'/>"
+    numbers = lambda size, count: words(rng.uniform(-size, size, count))  # noqa: E731
+    for k in range(1, joints + 1):
+        heavy = k == joints or rng.random() > massless
+        kind = rng.choice(["revolute", "continuous", "prismatic"])
+        axis = np.eye(3)[rng.integers(3)] if rng.random() < 0.5 else rng.standard_normal(3)
+        text += (
+            f"<link name='l{k}'>{random_inertial(rng) if heavy else ''}</link>"
+            f"<joint name='j{k}' type='{kind}'><parent link='l{k - 1}'/><child link='l{k}'/>"
+            f"<origin xyz='{numbers(0.5, 3)}' rpy='{numbers(3.0, 3)}'/>"
+            f"<axis xyz='{words(axis)}'/><limit lower='-9' upper='9' effort='9' velocity='9'/>"
+            "</joint>"
+        )
+    text += (
+        f"<link name='tip'/><joint name='to_tip' type='fixed'><parent link='l{joints}'/>"
+        "<child link='tip'/><origin xyz='0.1 0 0.2' rpy='0.3 0 0.5'/></joint>"
+    )
+    return f"<robot name='chain'>{text}</robot>"
+
+
+def random_inertial(rng) -> str:
+    axes = Rotation.random(random_state=rng).as_matrix()
+    arms = rng.uniform(0.02, 0.3, 3)
+    mass = 10.0 ** rng.uniform(-2, 2)
+    moments = axes @ np.diag(mass * (np.sum(arms**2) - arms**2)) @ axes.T
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    given = zip(names, moments[np.triu_indices(3)], strict=True)
+    return (
+        f"<inertial><origin xyz='{words(rng.uniform(-0.3, 0.3, 3))}'/><mass value='{mass!r}'/>"
+        f"<inertia {' '.join(f'{name}={str(float(v))!r}' for name, v in given)}/></inertial>"
+    )
+
+
+def words(numbers) -> str:
+    return " ".join(repr(float(x)) for x in numbers)
+
+
+def compiled(structures, gravity=GRAVITY, order=None):
+    """Compiled arms in one system, their positions and velocities, and where each arm's are."""
+    places = list(range(len(structures)))
+    first = np.cumsum([0] + [own.masses.size for own in structures])
+    tables = make_tables(structures, places, first[:-1].tolist(), gravity)
+    tables.wanted[:] = 1
+    copies = CompiledArms(tables, places)
+    angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
+    copies.connect(angles, rates, np.zeros((len(structures), 24)))
+    return copies, angles, rates, [slice(a, b) for a, b in pairwise(first)]
+
+
+def largest_difference(found: LinkTerms, expected: LinkTerms) -> dict[str, float]:
+    """Of each quantity, relative to its largest entry (to 1 where that is smaller)."""
+    return {
+        name: float(np.max(np.abs(own - other)) / max(np.max(np.abs(other)), 1.0))
+        for name, own, other in zip(LinkTerms._fields, found, expected, strict=True)
+    }
+
+
+# --- against Pinocchio ---------------------------------------------------------------------------
+
+
+def usable_robots() -> list[tuple[str, str, int]]:
+    """Robots of the installed data, the link behind most joints that make an arm, their number."""
+    found = []
+    for name in available_robots():
+        outline = read_urdf(find_robot(name).urdf)
+        if {joint.name for joint in outline.joints} & set(outline.links):
+            continue  # Pinocchio cannot place a model in which a joint is named like a link
+        best = (0, "")
+        for link in outline.links:
+            kinds = [joint.kind for joint in outline.chain(link) if joint.kind != "fixed"]
+            usable = all(kind in ("revolute", "continuous", "prismatic") for kind in kinds)
+            if usable and len(kinds) <= choice.MOST_JOINTS:
+                best = max(best, (len(kinds), link))
+        if best[0]:
+            found.append((name, best[1], best[0]))
+    return found
+
+
+ROBOTS = usable_robots()
+
+
+def test_most_robots_are_usable():
+    assert len(ROBOTS) >= 15 and {"ur5", "panda", "kinova"} <= {name for name, _, _ in ROBOTS}
+
+
+@pytest.mark.parametrize(("robot", "tip", "joints"), ROBOTS, ids=[name for name, _, _ in ROBOTS])
+def test_terms_are_pinocchios(robot, tip, joints, rng):
+    urdf = find_robot(robot).urdf
+    chain = {joint.name for joint in read_urdf(urdf).chain(tip)}
+    model = pin.buildModelFromUrdf(str(urdf))
+    beside = {n: 0.0 for n in list(model.names)[1:] if n not in chain}
+    arm = arm_of(urdf, tip, random_base(rng), beside, rng.uniform(0, 2, joints))
+    assert arm.dof == joints
+    copies, angles, rates, (own,) = compiled([arm.structure()])
+    for _ in range(3):
+        angles[:], rates[:] = rng.uniform(-3, 3, joints), rng.uniform(-3, 3, joints)
+        copies.update(with_coriolis=True)
+        (expected,) = arm.reference(angles[None, own], rates[None, own], GRAVITY)
+        worst = largest_difference(copies.terms(0), expected)
+        assert max(worst.values()) < 1e-13, worst
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 2**32 - 1), away=st.sampled_from([0.0, 1.0, 2000.0]))
+def test_terms_of_random_chains_side_by_side_are_pinocchios(tmp_path_factory, seed, away):
+    """One to nine arms of 1 to 16 joints at once, in blocks that are full or not."""
+    rng = np.random.default_rng(seed)
+    folder, arms = tmp_path_factory.mktemp("chains"), []
+    for k in range(rng.integers(1, 10)):
+        joints = int(rng.integers(1, 17))
+        (folder / f"{k}.urdf").write_text(random_chain(rng, joints))
+        arms.append(arm_of(folder / f"{k}.urdf", "tip", random_base(rng, away)))
+    gravity = rng.uniform(-10, 10, 3)
+    copies, angles, rates, own = compiled([arm.structure() for arm in arms], gravity)
+    slides = np.concatenate([arm.structure().slides for arm in arms])
+    far = ~slides & (rng.random(slides.size) < 0.2)
+    angles[:] = rng.uniform(-3, 3, slides.size) * np.where(far, 10.0 ** rng.uniform(0, 7), 1.0)
+    rates[:] = rng.uniform(-3, 3, slides.size)
+    copies.update(with_coriolis=True)
+    for k, (arm, part) in enumerate(zip(arms, own, strict=True)):
+        (expected,) = arm.reference(angles[None, part], rates[None, part], gravity)
+        worst = largest_difference(copies.terms(k), expected)
+        assert max(worst.values()) < 1e-11, (arm, worst)
+
+
+# --- against mechanics ---------------------------------------------------------------------------
+
+
+def random_structure(rng, joints: int) -> ArmStructure:
+    axes = rng.standard_normal((joints, 3))
+    moments = []
+    for _ in range(joints):
+        turn, size = Rotation.random(random_state=rng).as_matrix(), rng.uniform(0.05, 0.2, 3)
+        moments.append(turn @ np.diag(np.sum(size**2) - size**2) @ turn.T)
+    return ArmStructure(
+        slides=rng.random(joints) < 0.4,
+        axes=axes / np.linalg.norm(axes, axis=1)[:, None],
+        rotations=Rotation.random(joints, random_state=rng).as_matrix(),
+        translations=rng.uniform(-0.4, 0.4, (joints, 3)),
+        masses=rng.uniform(0.1, 5.0, joints),
+        centres=rng.uniform(-0.2, 0.2, (joints, 3)),
+        inertias=np.array(moments),
+        armature=rng.uniform(0.0, 0.3, joints),
+    )
+
+
+def link_frames(arm: ArmStructure, q) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rotation and origin of every link, as a textbook draws them."""
+    R, p, frames = np.eye(3), np.zeros(3), []
+    for k in range(len(q)):
+        p, R = p + R @ arm.translations[k], R @ arm.rotations[k]
+        if arm.slides[k]:
+            p = p + R @ (q[k] * arm.axes[k])
+        else:
+            R = R @ Rotation.from_rotvec(q[k] * arm.axes[k]).as_matrix()
+        frames.append((R, p))
+    return frames
+
+
+def kinetic_energy(arm: ArmStructure, q, v) -> float:
+    """From poses a millisecond apart: no Jacobian, no formula of the package."""
+    h = 1e-3
+    frames = [link_frames(arm, q + t * v) for t in (-2 * h, -h, h, 2 * h)]
+    energy = 0.5 * float(arm.armature @ v**2)
+    for k, (R, _) in enumerate(link_frames(arm, q)):
+        velocity = rate([f[k][1] + f[k][0] @ arm.centres[k] for f in frames], h)
+        turning = rate([f[k][0] for f in frames], h) @ R.T
+        spin = R.T @ np.array([turning[2, 1], turning[0, 2], turning[1, 0]])
+        energy += 0.5 * arm.masses[k] * velocity @ velocity + 0.5 * spin @ arm.inertias[k] @ spin
+    return energy
+
+
+def rate(values, h):
+    """Derivative from values at -2 h, -h, h, 2 h."""
+    before, near, after, far = values
+    return (before - 8 * near + 8 * after - far) / (12 * h)
+
+
+def potential_energy(arm: ArmStructure, q) -> float:
+    frames = link_frames(arm, q)
+    places = [p + R @ c for (R, p), c in zip(frames, arm.centres, strict=True)]
+    return -float(arm.masses @ (np.array(places) @ GRAVITY))
+
+
+def gradient(function, x, h=1e-3):
+    """Derivatives, correct to the fourth power of the step."""
+    steps = h * np.eye(len(x))
+    return np.array([rate([function(x + t * e) for t in (-2, -1, 1, 2)], h) for e in steps])
+
+
+@pytest.mark.parametrize("joints", [1, 2, 3, 6])
+def test_terms_are_those_of_lagrange(joints, rng):
+    """Kinetic and potential energy of rigid links, differentiated; Pinocchio has no part in it."""
+    arms = [random_structure(rng, joints) for _ in range(3)]
+    copies, angles, rates, own = compiled(arms)
+    angles[:], rates[:] = rng.uniform(-3, 3, angles.size), rng.uniform(-2, 2, rates.size)
+    copies.update(with_coriolis=True)
+    for k, (arm, part) in enumerate(zip(arms, own, strict=True)):
+        q, v, found = angles[part].copy(), rates[part].copy(), copies.terms(k)
+        assert 0.5 * v @ found.inertia @ v == pytest.approx(kinetic_energy(arm, q, v), rel=1e-9)
+        assert found.energy[0] == pytest.approx(potential_energy(arm, q), abs=1e-12)
+        held = gradient(lambda x, arm=arm: potential_energy(arm, x), q)
+        np.testing.assert_allclose(found.gravity_torque, held, atol=1e-9)
+        R, p = link_frames(arm, q)[-1]
+        np.testing.assert_allclose(found.body[:9].reshape(3, 3), R, atol=1e-14)
+        np.testing.assert_allclose(found.body[9:12], p, atol=1e-14)
+
+        def inertia(x, part=part, k=k):
+            angles[part] = x
+            copies.update()
+            return copies.terms(k).inertia
+
+        change = np.tensordot(v, gradient(inertia, q), 1)
+        kinetic = gradient(lambda x, v=v, inertia=inertia: 0.5 * v @ inertia(x) @ v, q)
+        angles[part] = q
+        scale = np.max(np.abs(found.bias))
+        bias = change @ v - kinetic + held
+        np.testing.assert_allclose(found.bias, bias, atol=1e-9 * scale)
+        np.testing.assert_allclose(found.coriolis + found.coriolis.T, change, atol=1e-9 * scale)
+        np.testing.assert_allclose(found.coriolis @ v + held, bias, atol=1e-9 * scale)
+
+
+def test_motion_of_the_last_link_is_the_derivative_of_its_pose(rng):
+    arm = random_structure(rng, 6)
+    copies, angles, rates, _ = compiled([arm])
+    q, v = rng.uniform(-3, 3, 6), rng.uniform(-2, 2, 6)
+    angles[:], rates[:] = q, v
+    copies.update()
+    body = copies.terms(0).body
+    h = 1e-3
+    times = (-2 * h, -h, h, 2 * h)
+    frames = [link_frames(arm, q + t * v)[-1] for t in times]
+    turning = rate([frame[0] for frame in frames], h) @ link_frames(arm, q)[-1][0].T
+    spin = [turning[2, 1], turning[0, 2], turning[1, 0]]
+    np.testing.assert_allclose(body[12:15], rate([frame[1] for frame in frames], h), atol=1e-9)
+    np.testing.assert_allclose(body[15:18], spin, atol=1e-9)
+    found = []
+    for t in times:
+        angles[:] = q + t * v
+        copies.update()
+        found.append(copies.terms(0).body[12:18])
+    np.testing.assert_allclose(body[18:24], rate(found, h), atol=1e-8)
+
+
+def test_an_arm_far_away_loses_no_digits(rng):
+    """Two kilometres from the origin: what does not depend on the place is the same."""
+    arm = random_structure(rng, 6)
+    far = arm._replace(translations=arm.translations.copy())
+    far.translations[0] += [2000.0, -1500.0, 300.0]
+    copies, angles, rates, (one, two) = compiled([arm, far])
+    angles[one] = angles[two] = rng.uniform(-3, 3, 6)
+    rates[one] = rates[two] = rng.uniform(-3, 3, 6)
+    copies.update(with_coriolis=True)
+    here, there = copies.terms(0), copies.terms(1)
+    for name in ("inertia", "bias", "gravity_torque", "coriolis"):
+        np.testing.assert_array_equal(getattr(there, name), getattr(here, name), name)
+    np.testing.assert_array_equal(there.body[12:], here.body[12:])
+    np.testing.assert_array_equal(there.jacobian[3:], here.jacobian[3:])
+
+
+def test_an_arm_does_not_depend_on_its_neighbours(rng):
+    """Its numbers are the same, bit for bit, alone and beside others of any length."""
+    arms = [random_structure(rng, n) for n in (6, 3, 6, 6, 7, 1, 6)]
+    copies, angles, rates, own = compiled(arms)
+    angles[:], rates[:] = rng.uniform(-3, 3, angles.size), rng.uniform(-3, 3, rates.size)
+    copies.update(with_coriolis=True)
+    for k, part in enumerate(own):
+        alone, q, v, _ = compiled([arms[k]])
+        q[:], v[:] = angles[part], rates[part]
+        alone.update(with_coriolis=True)
+        for name, a, b in zip(LinkTerms._fields, alone.terms(0), copies.terms(k), strict=True):
+            np.testing.assert_array_equal(a, b, name)
+
+
+# --- sines ---------------------------------------------------------------------------------------
+
+
+def sines(angles):
+    """Sine and cosine from the kernel, and how many angles it leaves to others."""
+    angles = np.array(angles, dtype=float)
+    sine, cosine = np.zeros_like(angles), np.zeros_like(angles)
+    far = write_sines(angles, np.ones_like(angles), sine, cosine)
+    return sine, cosine, far
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-8, 0.1, 1.0, 4.0, 100.0, FAR])
+def test_sines_are_the_librarys_but_for_the_last_digit(size, rng):
+    quarters = rng.integers(0, max(1, int(size / 1.6)) + 1, 2000) * (math.pi / 2)
+    angles = np.concatenate([size * rng.uniform(-1, 1, 5000), quarters, -quarters, [0.0, size]])
+    sine, cosine, far = sines(angles)
+    assert far == 0
+    for found, library in ((sine, math.sin), (cosine, math.cos)):
+        exact = np.array([library(angle) for angle in angles])
+        assert np.max(np.abs(found - exact) / np.spacing(np.abs(exact))) <= 1.0
+        assert np.mean((found != exact)[:5000]) < 0.048
+
+
+@given(st.floats(-FAR, FAR))
+def test_sine_and_cosine_of_any_angle(angle):
+    sine, cosine, _ = sines([angle])
+    assert abs(sine[0] - math.sin(angle)) <= math.ulp(math.sin(angle))
+    assert abs(cosine[0] - math.cos(angle)) <= math.ulp(math.cos(angle))
+
+
+@pytest.mark.parametrize("angle", [1.01e5, -3e9, 1e300, math.inf, math.nan])
+def test_far_angles_are_counted(angle):
+    assert sines([0.3, angle, -0.2, angle])[2] == 2
+
+
+def test_far_angles_are_left_to_the_library(rng):
+    arm = random_structure(rng, 3)._replace(slides=np.zeros(3, dtype=bool))
+    copies, angles, _, _ = compiled([arm])
+    angles[:] = [3e5, -1e12, 0.7]
+    copies.update()
+    R, p = link_frames(arm, angles)[-1]
+    found = copies.terms(0).body
+    assert max(np.max(np.abs(found[:9].reshape(3, 3) - R)), np.max(np.abs(found[9:12] - p))) < 1e-3
+    angles[:2] = np.arctan2(np.sin(angles[:2]), np.cos(angles[:2]))
+    copies.update()
+    np.testing.assert_allclose(copies.terms(0).body, found, atol=1e-15)
+
+
+def test_a_position_that_is_no_number_spoils_its_arm_only(rng):
+    """The arms behind it, long and short ones, are what they were but for the library's sines."""
+    copies, angles, rates, own = compiled([random_structure(rng, n) for n in (6, 6, 3)])
+    angles[:], rates[:] = rng.uniform(-3, 3, 15), rng.uniform(-3, 3, 15)
+    copies.update()
+    before = copies.terms(2)
+    angles[own[0]] = angles[own[1]] = np.nan
+    copies.update()
+    for k in (0, 1):
+        assert np.any(np.isnan(copies.terms(k).inertia))
+    np.testing.assert_allclose(copies.terms(2).bias, before.bias, rtol=1e-12)
+    angles[own[1]] = 1.0
+    copies.update()
+    assert np.all(np.isfinite(copies.terms(1).bias))
+
+
+# --- which arms are compiled ---------------------------------------------------------------------
+
+
+@pytest.fixture
+def panda():
+    return arm_of(find_robot("panda").urdf, "panda_hand_tcp", None, PANDA_FINGERS, name="panda")
+
+
+def test_an_arm_that_is_compiled_is_the_arm(panda):
+    found = compile_arms({"panda": panda}, GRAVITY)
+    assert found.places == (0,) and found.reasons == {}
+
+
+def one_constant(column: int, by: float):
+    """`make_tables` with one constant of the fourth joint wrong."""
+
+    def make(*arguments):
+        tables = make_tables(*arguments)
+        constants = tables.constants.reshape(-1, JOINT_WIDTH, 4).copy()
+        constants[3, column, 0] += by
+        wrong = tables._replace(constants=constants.ravel())
+        if column == TURNS:
+            wrong = wrong._replace(turns=np.ascontiguousarray(constants[:, TURNS]).ravel())
+        return wrong
+
+    return make
+
+
+COLUMNS = [
+    *range(AXES, AXES + 9), *range(OFFSET, OFFSET + 3), *range(CENTRE, CENTRE + 3), MASS,
+    *range(INERTIA, INERTIA + 6), TURNS, SLIDES, ARMATURE, *range(NAMED_AXES, NAMED_AXES + 9),
+]  # fmt: skip
+
+
+def test_every_constant_is_named():
+    assert list(range(JOINT_WIDTH)) == COLUMNS
+
+
+@pytest.mark.parametrize("column", COLUMNS)
+def test_a_copy_that_is_wrong_is_refused(column, panda, monkeypatch):
+    """Whichever of its numbers is off, by a billionth."""
+    monkeypatch.setattr(choice, "make_tables", one_constant(column, 1e-9))
+    with pytest.raises(ModelError, match="arm 'panda': its compiled copy is not the arm"):
+        compile_arms({"panda": panda}, GRAVITY)
+
+
+def test_the_refusal_names_arm_quantity_size_and_remedy(panda, monkeypatch):
+    monkeypatch.setattr(choice, "make_tables", one_constant(ARMATURE, 0.1))
+    with pytest.raises(ModelError) as caught:
+        compile_arms({"panda": panda}, GRAVITY)
+    for part in ("arm 'panda'", "the inertia", "e-02 of its largest", "arms: pinocchio"):
+        assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("quantity", LinkTerms._fields)
+def test_every_quantity_is_compared(quantity, panda, monkeypatch):
+    """A copy whose sweep leaves one number wrong, or none at all, is refused."""
+    terms = CompiledArms.terms
+
+    def spoiled(self, arm):
+        found = terms(self, arm)
+        values = getattr(found, quantity).copy()
+        values.flat[-1] = np.nan
+        return found._replace(**{quantity: values})
+
+    found = compile_arms({"panda": panda}, GRAVITY)
+    monkeypatch.setattr(CompiledArms, "terms", spoiled)
+    with pytest.raises(ModelError, match=f"{verification._WORDS[quantity]} differs"):
+        verification.verify(found.tables, found.places, {"panda": panda}, LinkTerms._fields)
+
+
+@pytest.mark.parametrize("kinds", ["z", "w", "zzz", "uvw", "Zw", "Z" * 16])
+@pytest.mark.parametrize("gravity", [0.0, -9.81])
+def test_terms_that_cancel_are_no_reason_to_refuse(kinds, gravity, tmp_path, rng):
+    """Where bias, torque, energy or Coriolis forces are nothing but rounding errors.
+
+    The arm moves in a plane through the world's origin, or across it; gravity is across it.
+    """
+    flat = chain_urdf(kinds).replace("rpy='0.1 0.2 -0.3'", "").replace("0.3' />", "0' />")
+    (tmp_path / "chain.urdf").write_text(flat.replace("-0.02 0.15'", "-0.02 0'"))
+    for _ in range(5):
+        base = random_base(rng)
+        base[:3, 3] = 3.0 * base[:3, 0]
+        arm = arm_of(tmp_path / "chain.urdf", "tip", base)
+        found = compile_arms({"arm": arm}, gravity * base[:3, 2])
+        assert found.places == (0,)
+        verification.verify(found.tables, found.places, {"arm": arm}, verification.CORIOLIS)
+
+
+def test_more_than_sixteen_joints_stay_with_pinocchio_and_say_so(tmp_path, panda):
+    (tmp_path / "chain.urdf").write_text(chain_urdf("xyz" * 5 + "xy"))
+    long = arm_of(tmp_path / "chain.urdf", "tip", name="long")
+    found = compile_arms({"long": long, "panda": panda}, GRAVITY)
+    assert found.places == (1,)
+    assert found.reasons == {"long": "it has 17 joints; at most 16 are compiled"}
+    alone = compile_arms({"long": long}, GRAVITY)
+    assert alone.tables is None and alone.places == ()
+
+
+def joint_of(model: pin.Model, parent: int, joint) -> int:
+    found = model.addJoint(parent, joint, pin.SE3.Random(), f"j{model.njoints}")
+    model.appendBodyToJoint(found, pin.Inertia.Random(), pin.SE3.Identity())
+    return found
+
+
+def unusual(panda, *joints) -> Arm:
+    """An arm whose model is not one that a URDF describes; pairs of parent and joint."""
+    model = pin.Model()
+    for parent, joint in joints:
+        joint_of(model, parent, joint)
+    panda.model, panda.joint_names = model, tuple(model.names[1:])
+    panda.dof, panda.tip_joint = model.nv, model.njoints - 1
+    return panda
+
+
+def test_what_no_table_describes_is_said_in_words(panda):
+    hinge, screw = pin.JointModelRX(), pin.JointModelHX(0.1)
+    with pytest.raises(ModelError, match="j2 turns and slides at once"):
+        unusual(panda, (0, hinge), (1, screw)).structure()
+    with pytest.raises(ModelError, match="it has branches"):
+        unusual(panda, (0, hinge), (1, hinge), (1, hinge)).structure()
+    short = unusual(panda, (0, hinge), (1, hinge))
+    short.tip_joint = 1
+    with pytest.raises(ModelError, match="joints follow behind its tip"):
+        short.structure()
+
+
+def test_states_of_the_verification_are_the_arms_own(panda):
+    draws = [verification._random_states(panda) for _ in range(2)]
+    np.testing.assert_array_equal(draws[0], draws[1])
+    assert np.max(np.abs(draws[0][0])) <= np.pi and np.max(np.abs(draws[0][1])) <= 3.0
+    assert np.min(np.std(draws[0], axis=1)) > 0.3
+
+
+def test_pose_of_the_world_is_there_too(panda):
+    copies, _, _, _ = compiled([panda.structure()])
+    at = copies.pose_address(0, 0)
+    found = np.frombuffer((ctypes.c_double * 12).from_address(at))
+    np.testing.assert_array_equal(found, [1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
