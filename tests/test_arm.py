@@ -205,5 +205,5 @@ def test_two_systems_do_not_share_an_arms_numbers():
 
 def test_a_robot_that_pinocchio_cannot_put_together_is_named():
     files = ArmFiles(find_robot("z1").urdf, (), np.eye(4), "link06", {})
-    with pytest.raises(ModelError, match="arm 'a': Pinocchio cannot put .*z1.urdf together"):
+    with pytest.raises(ModelError, match=r"arm 'a': Pinocchio cannot put .*z1\.urdf together"):
         Arm("a", files)  # a joint and a link of it have one name
