@@ -25,7 +25,7 @@ from multiarm.contacts.frames import FRAME_WIDTH
 from multiarm.contacts.kernel import RELATIVE_WIDTH
 from multiarm.contacts.records import ContactTable, pack
 from multiarm.contacts.surfaces import answering
-from multiarm.crossing import CROSSING
+from multiarm.crossing import connect_crossing
 from multiarm.dense_call import dense_call
 from multiarm.effects.building import build_pieces
 from multiarm.effects.piece import Piece, Pieces, Site, joint_numbers
@@ -34,13 +34,12 @@ from multiarm.errors import ModelError
 from multiarm.hybrid.beginning import check_beginning
 from multiarm.hybrid.selection import joint_rows, link_springs, select
 from multiarm.likeness import same_arms, same_joints, same_supply, shared
-from multiarm.lowlevel import CallBack
+from multiarm.lowlevel import CallBack, Trouble
 from multiarm.node.singular import make_coupled
 from multiarm.node.work import make_work
 from multiarm.plant import (
     CALL_CONTROL,
     CALL_COUNT,
-    CALL_CROSSING,
     CALL_DENSE,
     CALL_FUNCTION,
     CALL_SURFACE,
@@ -116,10 +115,9 @@ def twin(system: System) -> System:
     arms = {name: arm.twin() for name, arm in system.arms.items()}
     joints = make_joints(scene, arms, parts.arms, shared(parts.joints, arms))
     fresh = _unassembled(scene, Parts(parts.arms, joints), arms, system._supply.twin())
-    found = ("control", "parameters", "frames", "free", "free_bounds")
     fresh = replace(
         fresh,
-        plant=fresh.plant._replace(**{name: getattr(system.plant, name) for name in found}),
+        plant=_with_control_of(fresh.plant, system.plant),
         frames=system.frames,
         breakpoints=system.breakpoints,
         start_report=system.start_report,
@@ -146,8 +144,7 @@ def _come_and_go(full: System, control: ControlFunction | None) -> System:
     check_beginning(full, start.initial_state())
     model = replace(select(full, full.plan.model), plan=None, _start=start._start)
     model = _controlled(_with_free_motions(model), control)
-    taken = ("control", "parameters", "frames", "free", "free_bounds")
-    plant = full.plant._replace(**{name: getattr(model.plant, name) for name in taken})
+    plant = _with_control_of(full.plant, model.plant)
     plant.calls[CALL_CONTROL] = model.plant.calls[CALL_CONTROL]
     return replace(
         full,
@@ -158,6 +155,12 @@ def _come_and_go(full: System, control: ControlFunction | None) -> System:
         start_report=start.start_report,
         _start=start._start,
     )
+
+
+def _with_control_of(plant: Plant, other: Plant) -> Plant:
+    """A plant with another one's control and free motions."""
+    taken = ("control", "parameters", "frames", "free", "free_bounds")
+    return plant._replace(**{name: getattr(other, name) for name in taken})
 
 
 def _at_start(system: System) -> System:
@@ -224,14 +227,13 @@ def _unassembled(
     )
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     work, coupled = make_work(*sizes), make_coupled(*sizes)
-    calls = supply.connect(buffers, plant.calls)
+    calls: dict[str, Trouble] = {**supply.connect(buffers, plant.calls)}
     dense = CallBack(dense_call(plant.pointers, buffers, work), buffers.flag)
     calls["dense"], plant.calls[CALL_DENSE] = dense, dense.address
     for name, call in pieces.connect(buffers).items():
         calls[name] = call
         plant.calls[CALL_FUNCTION] = call.address
-    connect_entries(plant.calls)
-    plant.calls[CALL_CROSSING] = CROSSING.address
+    calls |= {**connect_entries(plant.calls), **connect_crossing(plant.calls)}
     if table.functions:
         answer = answering(table.functions, buffers.query[RELATIVE_WIDTH:])
         calls["surface"] = CallBack(answer, buffers.flag)

@@ -88,22 +88,6 @@ def place_state(system: System, t: float, state: State) -> None:
     system.buffers.places[:] = places
 
 
-def check_rows(system: System, start: State) -> None:
-    """Check that the rows of each joint are independent, which the node algorithm needs.
-
-    Raises
-    ------
-    SceneError
-        Names the contacts that depend on each other.
-    """
-    if system.scene.run.solver != "node":
-        return
-    _kinematics(system, start)
-    faults = [fault for arm in system.arm_names for fault in _dependent(system, arm)]
-    if faults:
-        raise SceneError(faults)
-
-
 def check_patches(system: System) -> None:
     """Check that the contacts of the assembled start are on their patches.
 
@@ -175,22 +159,6 @@ def _outside(system: System) -> list[str]:
                 f"surface; mend the posture, or the patch's 'min' and 'max'"
             )
     return faults
-
-
-def _dependent(system: System, arm: str) -> list[str]:
-    wrenches = joint_wrenches(system, arm)
-    if not np.all(np.isfinite(wrenches)):
-        return []  # a contact without a normal: assembling the start tells which
-    space = null_space(wrenches.T)
-    if space.rank == len(wrenches):
-        return []
-    names = [contact.name for contact in system.contacts[arm]]
-    among = [f"'{n}'" for n, own in zip(names, space.untouched, strict=True) if not own]
-    return [
-        f"arm '{arm}': {len(names)} contacts give only {space.rank} independent constraints; "
-        f"{len(names) - space.rank} too many among {', '.join(among)}; leave some out, or use "
-        f"`solver: dense`"
-    ]
 
 
 def _kinematics(system: System, state: State) -> None:

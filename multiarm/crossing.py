@@ -22,6 +22,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from multiarm.books import book_at
 from multiarm.equations import CALLBACK_FAILED, OK, evaluate_buffers
 from multiarm.late_entries import LateEntry
@@ -85,7 +87,11 @@ def _evaluate_near_crossing(address, size, alpha, beta):
     return status
 
 
-CROSSING = LateEntry(_evaluate_near_crossing, CALL_CROSSING, CALLBACK_FAILED)
+def connect_crossing(calls: np.ndarray) -> dict[str, LateEntry]:
+    """Write the address of what follows near a loss of rank into ``Plant.calls``."""
+    crossing = LateEntry(_evaluate_near_crossing, CALL_CROSSING, CALLBACK_FAILED)
+    calls[CALL_CROSSING] = crossing.address
+    return {"crossing": crossing}
 
 
 @kernel

@@ -74,7 +74,7 @@ def _require_usable(inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]) -
 
 
 def read_inertia(pointers: np.ndarray, n: int) -> np.ndarray:
-    """The arm's inertia as Pinocchio has it now, symmetric, copied, shape (n, n)."""
+    """The arm's inertia as it is now, symmetric, copied, shape (n, n)."""
     if n == 0:  # the surroundings
         return np.zeros((0, 0))
     stride = int(pointers[M_STRIDE])

@@ -231,8 +231,12 @@ def _advancer(run: Run) -> Callable[[int], int]:
     book, joints = run.system.book(), run.system.layout.joints
     arrays = step_book(run.stepping.method, run.stepping.step)
 
+    settings, times = run.settings, run_book(run.clock, run.settings)
+
     def advance_by(budget: int) -> int:
-        times = run_book(run.clock, run.settings)
+        nonlocal settings, times
+        if run.settings is not settings:  # an event has changed them
+            settings, times = run.settings, run_book(run.clock, run.settings)
         return advance(book, joints, arrays, times, run.block, budget)
 
     return advance_by

@@ -175,7 +175,7 @@ def arm_rows(i, book, plant, buffers, work):
         Wo[3] = (p1 - x1) * e2 - (p2 - x2) * e1
         Wo[4] = (p2 - x2) * e0 - (p0 - x0) * e2
         Wo[5] = (p0 - x0) * e1 - (p1 - x1) * e0
-        # the arm takes the opposite wrench; Pinocchio's Jacobian is about the world's origin
+        # the arm takes the opposite wrench; its Jacobian is about the world's origin
         wrench[0, k], wrench[1, k], wrench[2, k] = -e0, -e1, -e2
         wrench[3, k] = p2 * e1 - p1 * e2
         wrench[4, k] = p0 * e2 - p2 * e0
@@ -388,17 +388,19 @@ def _other_row(address, size, row, arm):
     return OK
 
 
-# What regular scenes of idealised joints do without.
-_COUPLED = LateEntry(_solve_coupled, CALL_COUPLED, CALLBACK_FAILED)
-_ROW = LateEntry(_other_row, CALL_ROW, CALLBACK_FAILED)
+def connect_entries(calls: np.ndarray) -> dict[str, LateEntry]:
+    """Write the addresses of the compiled parts of an evaluation into ``Plant.calls``.
 
-
-def connect_entries(calls: np.ndarray) -> None:
-    """Write the addresses of the compiled parts of an evaluation into ``Plant.calls``."""
+    Returns those that are compiled when they are called: what regular scenes of idealised joints
+    do without.
+    """
     calls[CALL_KINEMATICS] = address_of(_kinematics)
     calls[CALL_FORCES] = address_of(_right_hand_sides)
     calls[CALL_SOLVE] = calls[CALL_CLOSE] = address_of(_solve)
-    calls[CALL_COUPLED], calls[CALL_ROW] = _COUPLED.address, _ROW.address
+    coupled = LateEntry(_solve_coupled, CALL_COUPLED, CALLBACK_FAILED)
+    row = LateEntry(_other_row, CALL_ROW, CALLBACK_FAILED)
+    calls[CALL_COUPLED], calls[CALL_ROW] = coupled.address, row.address
+    return {"coupled": coupled, "row": row}
 
 
 @kernel

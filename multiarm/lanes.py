@@ -1,7 +1,8 @@
 """Numbers of four arms side by side: a type of compiled code that the processor adds at once.
 
 A variable of this type stands for one quantity of four arms, its *lanes*.  Sums and products of
-such variables are one instruction each, and a product that is added at once is rounded once.  In
+such variables are one instruction each where the processor has registers for four, and a product
+that is added at once is rounded once where it can.  In
 memory the four numbers follow each other: :func:`gather_lanes` brings them together, and
 :func:`deal_four` turns four such variables around, so that what belongs to one arm is together.
 Nothing in a lane depends on what the others hold.

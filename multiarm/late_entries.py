@@ -8,19 +8,14 @@ compiled code.
 from __future__ import annotations
 
 import ctypes
-from typing import ClassVar
 
 from multiarm.books import WIDTH
-from multiarm.lowlevel import Kernel, Trouble, address_of
+from multiarm.lowlevel import ENTRY_PROTOTYPE, Kernel, Trouble, address_of
 from multiarm.plant import CALLS, FLAG
-
-_ENTRY = ctypes.CFUNCTYPE(
-    ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, ctypes.c_double
-)
 
 
 class LateEntry(Trouble):
-    """Stands in for an entry of ``Plant.calls`` until it is called.
+    """Stands in for an entry of a system's ``Plant.calls`` until it is called.
 
     Parameters
     ----------
@@ -32,13 +27,10 @@ class LateEntry(Trouble):
         system's buffers is then raised.
     """
 
-    every: ClassVar[list[LateEntry]] = []
-
     def __init__(self, entry: Kernel, slot: int, failed: int) -> None:
         self._entry, self._slot, self._failed = entry, slot, failed
-        self._stand_in = _ENTRY(self._compile_and_call)
+        self._stand_in = ENTRY_PROTOTYPE(self._compile_and_call)
         self.address: int = ctypes.cast(self._stand_in, ctypes.c_void_p).value or 0
-        self.every.append(self)
 
     def _compile_and_call(self, address: int, size: int, a: float, b: float) -> int:
         try:
@@ -48,7 +40,7 @@ class LateEntry(Trouble):
             _integers(address, FLAG)[0] = 1
             return self._failed
         _integers(address, CALLS)[self._slot] = found
-        return _ENTRY(found)(address, size, a, b)
+        return ENTRY_PROTOTYPE(found)(address, size, a, b)
 
 
 def _integers(address: int, place: int) -> ctypes.Array:

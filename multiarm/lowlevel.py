@@ -1,4 +1,4 @@
-"""Primitives that let compiled code reach Pinocchio: read an address, call back into Python.
+"""Kernels: functions that are compiled, cached, called by address, and that call back into Python.
 
 Numba types plain integers, so that a table of addresses is ordinary data: kernels compiled once
 serve every scene, whatever arms it has.  Arrays behind addresses are :mod:`multiarm.books`.
@@ -10,6 +10,7 @@ import ctypes
 import functools
 import hashlib
 import re
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,18 @@ def _source_stamp() -> str:
 
 
 _STAMP = _source_stamp()
+_MAKING = threading.Lock()
+
+
+def _stamp_of(function: Callable) -> str:
+    """What must not change for the cached code of a kernel to be fresh.
+
+    Of a kernel outside the package, the text of its own file as well.
+    """
+    file = Path(function.__code__.co_filename)
+    if Path(__file__).parent in file.parents or not file.is_file():
+        return _STAMP
+    return _STAMP + hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 class Kernel:
@@ -60,17 +73,20 @@ class Kernel:
         part = {**self._options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         self._part = njit(**PART, **part)(function)
         self._numba_type_ = self._part._numba_type_  # by this name Numba asks what a global is
+        self._whole: Any = None
         functools.update_wrapper(self, function)
 
-    @functools.cached_property
+    @property
     def whole(self) -> Any:
         """Numba's dispatcher of the function as a whole, cached while no kernel has changed."""
-        dispatcher = njit(cache=True, **WHOLE, **self._options)(self.py_func)
-        file = _cache_file(dispatcher)
-        file._source_stamp = _STAMP
-        file._load_index = _or_nothing(file._load_index)
-        file._load_data = _or_missing(file._load_data)
-        return dispatcher
+        with _MAKING:  # threads must not make two
+            if self._whole is None:
+                self._whole = njit(cache=True, **WHOLE, **self._options)(self.py_func)
+                file = _cache_file(self._whole)
+                file._source_stamp = _stamp_of(self.py_func)
+                file._load_index = _or_nothing(file._load_index)
+                file._load_data = _or_missing(file._load_data)
+        return self._whole
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the whole."""
@@ -145,11 +161,18 @@ def clear(out):
 ENTRY = types.int64(types.int64, types.int64, types.float64, types.float64)
 
 
+# The same for Python: makes a function of an address, and an address of a function.
+ENTRY_PROTOTYPE = ctypes.CFUNCTYPE(
+    ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, ctypes.c_double
+)
+
+
 def address_of(function: Kernel) -> int:
     """Address of a kernel decorated with `entry`, compiled if need be."""
-    if ENTRY.args not in function.whole.overloads:
-        function.whole.compile(ENTRY)
-    result = function.whole.overloads[ENTRY.args]
+    whole = function.whole
+    if ENTRY.args not in whole.overloads:
+        whole.compile(ENTRY)
+    result = whole.overloads[ENTRY.args]
     return result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
 
 
@@ -188,6 +211,7 @@ class Trouble:
     it.  ``KeyboardInterrupt`` goes the same way.
     """
 
+    address: int
     error: BaseException | None = None
 
     def reraise(self) -> None:

@@ -50,8 +50,8 @@ class SolverLog:
         if changed.size:
             _load(system, state)
             in_words = len(self.told) < DESCRIBED
-            arms = [system.arm_names[i] for i in changed] if in_words else []
-            words = lost_motions(system, arms)
+            other = changed[lost[changed] != self._lost[changed]] if in_words else []
+            words = lost_motions(system, [system.arm_names[i] for i in other])
             for i in map(int, changed):
                 arm = system.arm_names[i]
                 if lost[i] != self._lost[i]:

@@ -76,6 +76,7 @@ class ArmSupply:
         every = list(arms.values())
         self.by_arm = {name: "compiled" if k in own else "pinocchio" for k, name in enumerate(arms)}
         self._groups: list[_Group] = []
+        self._coriolis: tuple[Coriolis, CallBack | None] | None = None
         self.q_slots = np.full(self._first[-1], -1, dtype=np.int64)
         self.configuration = 0
         for places in _runs([k for k in range(len(every)) if k not in own]):
@@ -151,6 +152,11 @@ class ArmSupply:
         ModelError
             When a compiled matrix is not Pinocchio's.
         """
+        if self._coriolis is None:
+            self._coriolis = self._make_coriolis(buffers)
+        return self._coriolis
+
+    def _make_coriolis(self, buffers: Buffers) -> tuple[Coriolis, CallBack | None]:
         places = np.zeros((len(self.pointers), 2), dtype=np.int64)
         calls = np.zeros(4, dtype=np.int64)
         updates, call = [], None

@@ -25,8 +25,7 @@ from multiarm.contacts.records import Contact, JointRow, SmoothShape
 from multiarm.control import python_control
 from multiarm.effects.piece import Pieces
 from multiarm.errors import ControlError, ModelError
-from multiarm.late_entries import LateEntry
-from multiarm.lowlevel import CallBack, address_of
+from multiarm.lowlevel import Trouble, address_of
 from multiarm.node.singular import CoupledWork
 from multiarm.node.work import NodeWork
 from multiarm.plant import (
@@ -79,7 +78,7 @@ class System:
         Surfaces of the user's.
     parts : Parts
         What it was made of, so that similar systems can be made of the same.
-    calls : dict of str to CallBack
+    calls : dict of str to Trouble
         What they call in Python: terms, dense, potential, surface, functions of effects, and
         control when that is in Python.
     """
@@ -103,7 +102,7 @@ class System:
     _supply: ArmSupply = field(repr=False)
     _ground: Ground | None = field(repr=False)
     _places: np.ndarray = field(repr=False)
-    calls: dict[str, CallBack] = field(repr=False)
+    calls: dict[str, Trouble] = field(repr=False)
     plan: Plan | None = field(repr=False, default=None)
 
     @property
@@ -260,11 +259,11 @@ class System:
     def coriolis(self) -> Coriolis:
         """What updates the arms' matrices of Coriolis forces, and where they are.
 
-        Valid while the system lives.
+        Valid while the system lives; they are made once.
         """
         found, call = self._supply.coriolis(self.buffers)
         if call is not None:
-            self.calls["coriolis"] = call  # kept, and asked what it ran into, like the others
+            self.calls["coriolis"] = call  # asked what it ran into, like the others
         return found
 
     def potential_energy(self) -> float:
@@ -324,13 +323,13 @@ class System:
     def reraise(self) -> None:
         """Raise what a callback ran into, and lower the flag."""
         self.buffers.flag[0] = 0
-        for call in [*self.calls.values(), *LateEntry.every]:
+        for call in self.calls.values():
             call.reraise()
 
     def forgive(self) -> None:
         """Forget what a callback ran into, and lower the flag."""
         self.buffers.flag[0] = 0
-        for call in [*self.calls.values(), *LateEntry.every]:
+        for call in self.calls.values():
             call.error = None
 
     def _fill(self, views, given, what: str) -> None:

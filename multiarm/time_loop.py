@@ -1,11 +1,11 @@
 """The loop over time, compiled: steps, error control, stabilisation, samples.
 
 There is one loop for all methods and scenes.  It lets go of Python's lock, so that loops of several
-threads run side by side.  It enters Python only for Pinocchio's two calls (and a Python controller,
-when there is one), and returns to it when the block of samples is full, when
-its budget of evaluations is used up (progress, checkpoints and Ctrl-C live in Python), or at the
-end.  Everything it must remember in between is in :class:`Clock`, so that it goes on where it left
-off.
+threads run side by side.  It enters Python only for what is there: Pinocchio's arms, the dense
+solver, functions of the user's; and once for an entry that is compiled late.  It returns when the
+block of samples is full, when its budget of evaluations is used up (progress, checkpoints and
+Ctrl-C live in Python), or at the end.  Everything it must remember in between is in :class:`Clock`,
+so that it goes on where it left off.
 """
 
 from __future__ import annotations

@@ -8,7 +8,9 @@ and drive and damper do the work W' = m L^2 theta' (u cos(w t) - d theta'). Inte
 energy balance is small but not zero, as in a real run.
 """
 
+import importlib
 import resource
+import sys
 
 import numpy as np
 
@@ -119,6 +121,9 @@ def write_for_long(path, size):
 
 def write_until_the_disk_is_full(path, limit):
     """Write to a file that must not exceed `limit` bytes, and print how the run ended."""
+    importlib.import_module("multiarm.storage.writer")  # else its bytecode would be cut short too
+    importlib.import_module("multiarm.storage.reader")
+    sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
     sink = Hdf5Sink(path)
     sink.open(CHANNELS, {"scene": SCENE})

@@ -233,3 +233,12 @@ def test_progress_true_is_a_bar_of_runs(welded_ur5_system, monkeypatch):
     assert len(found) == 4
     text = console.export_text()
     assert "4 of 4 runs" in text and "0.4 of 0.4 s" in text
+
+
+def test_a_result_whose_file_another_run_has_replaced_says_so(welded_ur5_system, tmp_path):
+    starts = random_states(welded_ur5_system, 2)
+    first = ma.simulate_many(welded_ur5_system, states=starts[:1], out=tmp_path, **RUN)
+    second = ma.simulate_many(welded_ur5_system, states=starts[1:], out=tmp_path, **RUN)
+    assert second[0].object_position.shape[1] == 3
+    with pytest.raises(TrajectoryError, match=r"run_0001\.h5' is not the file any more"):
+        _ = first[0].object_position

@@ -11,7 +11,6 @@ import numpy as np
 from multiarm.candidates.springs import Springs, make_springs
 from multiarm.candidates.units import (
     CONTACT,
-    SURROUNDINGS,
     Candidates,
     Unit,
     bare_rows,
@@ -62,11 +61,6 @@ class Plan:
     def contacts_of(self, owner: str) -> tuple[str, ...]:
         """Names of the contacts of an arm that come and go."""
         return tuple(unit.name for unit in self.contacts if unit.arm == owner)
-
-    @property
-    def has_surroundings(self) -> bool:
-        """Whether the object may touch what stands around it."""
-        return any(unit.arm == SURROUNDINGS for unit in self.units)
 
 
 def make_plan(

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from multiarm.contacts.records import Contact, JointRow
 from multiarm.state import Layout
 
@@ -213,12 +211,3 @@ def bare_rows(found: Candidates, layout: Layout) -> list[int]:
         for k, law in enumerate(kinds)
         if law is None
     ]
-
-
-def dry_torques(units: tuple[Unit, ...], joints: int) -> np.ndarray:
-    """Dry friction of every joint [N m, N], zero where there is none, shape (n,)."""
-    bounds = np.zeros(joints)
-    for unit in units:
-        if unit.kind == DRY_JOINT:
-            bounds[unit.joint] = unit.bound
-    return bounds

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,7 +26,7 @@ from multiarm.compiled_arms.coriolis import update_coriolis
 from multiarm.compiled_arms.sweep import update_arms
 from multiarm.compiled_arms.tables import lane_of
 from multiarm.contacts.kernel import BODY_WIDTH
-from multiarm.lowlevel import address_of
+from multiarm.lowlevel import ENTRY_PROTOTYPE, address_of
 from multiarm.plant import ARMS_BOOK, ARMS_SIZE, CALL_ARMS
 from multiarm.terms import (
     BIAS_AT,
@@ -37,10 +36,6 @@ from multiarm.terms import (
     M_STRIDE,
     POINTER_WIDTH,
     LinkTerms,
-)
-
-_Entry = ctypes.CFUNCTYPE(
-    ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, ctypes.c_double
 )
 
 
@@ -119,7 +114,7 @@ class CompiledArms:
     def update(self, with_coriolis: bool = False) -> None:
         """Compute all terms at the system's positions and velocities, from Python."""
         for entry in (update_arms, update_coriolis) if with_coriolis else (update_arms,):
-            _Entry(address_of(entry))(self._book.ctypes.data, self._book.size, 0.0, 0.0)
+            ENTRY_PROTOTYPE(address_of(entry))(self._book.ctypes.data, self._book.size, 0.0, 0.0)
 
     def terms(self, arm: int) -> LinkTerms:
         """The terms of arm number ``arm`` of these as they were computed last, as copies."""

@@ -64,7 +64,7 @@ from multiarm.compiled_arms.arrays import (
     WITH_POSES,
     open_arms,
 )
-from multiarm.compiled_arms.sines import write_sines
+from multiarm.compiled_arms.sines import FAR, write_sines
 from multiarm.compiled_arms.vectors import (
     cross_onto,
     dot,
@@ -115,7 +115,8 @@ def load_joints(arms):
     if write_sines(arms.angle, arms.turns, arms.sine, arms.cosine) > 0:
         for k in range(arms.sources.size):
             angle = arms.angle[k] * arms.turns[k]
-            arms.sine[k], arms.cosine[k] = math.sin(angle), math.cos(angle)
+            if not abs(angle) <= FAR:
+                arms.sine[k], arms.cosine[k] = math.sin(angle), math.cos(angle)
 
 
 @inlined

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import itertools
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -124,9 +125,12 @@ def _module(name: str) -> ModuleType:
     return importlib.import_module(name)
 
 
+_LOADED = itertools.count()
+
+
 def _file_module(path: Path) -> ModuleType:
     """Run a file as a module, anew each time; it is not left among the imported ones."""
-    name = f"surfaces_of_{path.stem}"
+    name = f"surfaces_of_{path.stem}_{next(_LOADED)}"
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None, "a name that ends in .py has a loader"
     module = importlib.util.module_from_spec(spec)
@@ -134,7 +138,7 @@ def _file_module(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     finally:
-        del sys.modules[name]
+        sys.modules.pop(name, None)
     return module
 
 

@@ -44,7 +44,7 @@ def simulate_many(
     Parameters
     ----------
     system : System
-        Is not used itself, and may be evaluated meanwhile.
+        Its arrays are not used, so that it may be evaluated meanwhile.
     duration : float, optional
         [s]
     states : list of State, optional
@@ -57,8 +57,9 @@ def simulate_many(
         one of each for every run.
     threads : int, optional
         How many runs go on at once.  When left out, as many as there are processors, or one where
-        evaluations call Python: Pinocchio's arm terms, the dense solver, controllers, effects and
-        surfaces of one's own.  There threads only wait for each other.
+        evaluations of ``system`` call Python: Pinocchio's arm terms, the dense solver, controllers,
+        effects and surfaces of one's own.  There threads only wait for each other, as they do
+        around runs whose loop takes less than half a millisecond.
     progress : bool or callable, optional
         True: a bar on the terminal.  A function is called now and then, in the calling thread, with
         the simulated time of all runs together [s] and the number of runs that are done; it may

@@ -36,7 +36,8 @@ class Hdf5Store:
     """
 
     def __init__(self, path: str | os.PathLike):
-        self.path, self._rests = Path(path), False
+        self.path, self._rests = Path(path).absolute(), False
+        self._known: tuple[int, ...] = ()
         for tries_left in range(TRIES - 1, -1, -1):
             try:
                 self._open()
@@ -65,6 +66,11 @@ class Hdf5Store:
         """Samples start..stop of a channel."""
         stop = self.samples if stop is None else min(stop, self.samples)
         if self._rests:
+            if self._identity() != self._known:
+                raise TrajectoryError(
+                    f"'{self.path}' is not the file any more that this result was read from; load "
+                    f"it anew, or write other runs elsewhere"
+                )
             file = _open_for_reading(self.path)[0]
             with file, self._reading():
                 return file[name][start:stop]
@@ -77,6 +83,15 @@ class Hdf5Store:
         """Close the file between two reads: it is opened anew for each."""
         self._rests = True
         self._file.close()
+        self._known = self._identity()
+
+    def _identity(self) -> tuple[int, ...]:
+        """What tells a file from another one at its path; nothing where there is none."""
+        try:
+            found = self.path.stat()
+        except OSError:
+            return ()
+        return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size
 
     def close(self) -> None:
         """Close the file; nothing more can be read."""

@@ -1,0 +1,157 @@
+"""Claims about how kernels are compiled, cached, called by address, and about address books."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from threading import Barrier, Thread
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import multiarm as ma
+from multiarm.books import Flag, Float, Floats1, Floats2, Int, Ints1, address_book, view
+from multiarm.lowlevel import address_of, entry, kernel
+from multiarm.plant import CALL_COUPLED, CALL_ROW
+from multiarm.problems import HARD_CASES, ring_of_arms
+
+ROOT = Path(__file__).parents[1]
+
+
+class Things(NamedTuple):
+    count: Int
+    share: Float
+    wanted: Flag
+    line: Floats1
+    table: Floats2
+    numbers: Ints1
+
+
+open_things, open_behind = view(Things), view(Things, len(Things._fields))
+
+
+@kernel
+def sum_of(book):
+    """Everything in the second of two sets of things."""
+    things = open_behind(book)
+    total = things.count + things.share + (100.0 if things.wanted else 0.0)
+    for i in range(things.line.size):
+        total += things.line[i]
+    for i in range(things.table.shape[0]):
+        for j in range(things.table.shape[1]):
+            total += things.table[i, j]
+    return total + things.numbers[things.numbers.size - 1]
+
+
+@kernel
+def write_into(book):
+    """Write where the first set's table is."""
+    open_things(book).table[1, 0] = 7.0
+
+
+def things(wanted: bool = True) -> Things:
+    table = np.arange(6.0).reshape(2, 3)
+    return Things(3, 0.25, wanted, np.array([1.0, 2.0]), table, np.array([5, 40]))
+
+
+def test_a_view_has_the_arrays_and_numbers_of_its_book():
+    first, second = things(), things(wanted=False)
+    book = address_book([*first, *second])
+    assert sum_of(book) == 3 + 0.25 + 3 + 15 + 40
+    assert sum_of(address_book([*second, *first])) == 100 + 3 + 0.25 + 3 + 15 + 40
+
+
+def test_what_a_kernel_writes_through_a_view_is_in_the_array():
+    first = things()
+    book = address_book([*first, *things()])
+    write_into(book)
+    assert first.table[1, 0] == 7.0
+
+
+def test_views_do_not_exist_in_python():
+    @kernel
+    def returns_a_view(book):
+        return open_things(book)
+
+    with pytest.raises((TypeError, NotImplementedError)):
+        returns_a_view(address_book([*things()]))
+
+
+@entry
+def told(address, size, a, b):
+    """An entry that nobody has asked for yet."""
+    return int(a + b) + size
+
+
+def test_threads_that_ask_at_once_get_one_entry():
+    gate, found = Barrier(4), []
+
+    def ask():
+        gate.wait()
+        found.append(address_of(told))
+
+    threads = [Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 4 and len(set(found)) == 1
+
+
+OWN = """
+from multiarm.lowlevel import kernel
+FACTOR = {factor}
+
+@kernel
+def scaled(x):
+    return FACTOR * x
+
+if __name__ == "__main__":
+    print(scaled.is_cached(), scaled(2.0))
+"""
+
+
+def run_own(folder: Path, factor: float) -> str:
+    file = folder / "own_kernel.py"
+    file.write_text(OWN.format(factor=factor), encoding="utf-8")
+    os.utime(file, (1e9, 1e9))  # a copy of the same time and size
+    environment = os.environ | {
+        "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(folder / "cache"),
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, str(file)], env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.strip()
+
+
+def test_an_edited_constant_of_ones_own_kernel_counts(tmp_path):
+    assert run_own(tmp_path, 3.0) == "False 6.0"
+    assert run_own(tmp_path, 3.0) == "True 6.0"
+    assert run_own(tmp_path, 5.0) == "False 10.0"
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_a_cache_that_cannot_be_read_is_no_cache(tmp_path, ending):
+    run_own(tmp_path, 3.0)
+    files = list((tmp_path / "cache").rglob(f"*.{ending}"))
+    assert files
+    for file in files:
+        file.write_bytes(file.read_bytes()[:100])
+    assert run_own(tmp_path, 3.0).endswith("6.0")
+
+
+def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():
+    regular = ma.compile_system(ring_of_arms(2, "weld"))
+    ma.evaluate(regular)
+    fresh = ma.compile_system(ring_of_arms(2, "weld"))
+    coupled = ma.compile_system(HARD_CASES["bricard"].scene())
+    before = regular.plant.calls[CALL_COUPLED]
+    assert before != fresh.plant.calls[CALL_COUPLED], "each system has its own stand-in"
+    ma.evaluate(coupled)
+    compiled = coupled.plant.calls[CALL_COUPLED]
+    assert compiled not in (before, fresh.plant.calls[CALL_COUPLED])
+    assert regular.plant.calls[CALL_COUPLED] == before, "a regular scene does without"
+    assert regular.plant.calls[CALL_ROW] != 0
