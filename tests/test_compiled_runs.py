@@ -26,7 +26,14 @@ import multiarm as ma
 from multiarm.compiled_arms import choice
 from multiarm.errors import ModelError, SceneError
 from multiarm.lowlevel import CallBack
-from multiarm.plant import CALL_ARMS, CALL_POTENTIAL, CALL_TERMS
+from multiarm.plant import (
+    CALL_ARMS,
+    CALL_COUPLED,
+    CALL_CROSSING,
+    CALL_POTENTIAL,
+    CALL_ROW,
+    CALL_TERMS,
+)
 from multiarm.problems import ring_of_arms
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
@@ -245,9 +252,13 @@ def test_a_run_of_compiled_arms_enters_python_never(method, entered):
     system = ma.compile_system(scene, arms="compiled")
     calls = system.plant.calls
     assert calls[CALL_TERMS] == 0 and calls[CALL_POTENTIAL] == 0 and calls[CALL_ARMS] != 0
-    assert set(system.calls) == {"dense"}
+    late = {"coupled", "crossing", "row"}
+    assert set(system.calls) == {"dense", *late}
     ma.simulate(system, 0.1, certificate=False, **METHODS[method])
     assert entered == []
+    slots = {"coupled": CALL_COUPLED, "crossing": CALL_CROSSING, "row": CALL_ROW}
+    for name in late:  # none was asked for: all still stand in
+        assert calls[slots[name]] == system.calls[name].address
 
 
 def test_pinocchios_arms_are_counted(entered):

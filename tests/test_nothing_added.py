@@ -68,7 +68,7 @@ def test_a_scene_without_effects_has_no_piece_and_no_array_of_one():
     assert array_count(system) == OWN_ARRAYS
     assert system.buffers.inner.size == 0
     assert system.buffers.power.size == 1, "of the control"
-    assert set(system.calls) == {"terms", "dense"}
+    assert set(system.calls) == {"terms", "dense", "coupled", "crossing", "row"}
     run = ma.simulate(system, 0.02)
     assert not [name for name in run.channels if name.startswith("effects/")]
 
