@@ -17,6 +17,7 @@ are not reference counted.
 
 from __future__ import annotations
 
+import functools
 import struct
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, get_type_hints
@@ -73,14 +74,40 @@ def address_book(entries: Sequence[np.ndarray | float]) -> np.ndarray:
     return np.array(numbers, dtype=np.int64)
 
 
+def book_of(*holders: tuple) -> np.ndarray:
+    """Address book of ``NamedTuples``, one behind the other; numbers become what their fields are.
+
+    An ``int`` in a ``Float`` field is written as a float, a ``bool`` in an ``Int`` field as an int.
+    """
+    entries: list[np.ndarray | float] = []
+    for holder in holders:
+        numbers = _numbers_of(type(holder))
+        entries += [numbers[k](entry) if k in numbers else entry for k, entry in enumerate(holder)]
+    return address_book(entries)
+
+
+@functools.cache
+def _numbers_of(holder: type) -> dict[int, Callable[[Any], float]]:
+    """Places of the fields that are numbers, and what makes such a number."""
+    kinds = [dtype if not axes else None for dtype, axes in _fields_of(holder)]
+    made = {types.float64: float, types.int64: int}
+    return {k: made[kind] for k, kind in enumerate(kinds) if kind is not None}
+
+
+def _fields_of(holder: type) -> list[tuple[Any, int]]:
+    """Number type and axes of every field of a ``NamedTuple``, from its annotations."""
+    hints = get_type_hints(holder, include_extras=True)
+    return [hints[name].__metadata__[0] for name in holder._fields]  # type: ignore[attr-defined]
+
+
 class View(types.Type):
     """Numba's type of the arrays of a ``NamedTuple`` in a book, the first one at place ``at``."""
 
     def __init__(self, holder: type, at: int) -> None:
-        hints = get_type_hints(holder, include_extras=True)
+        names = holder._fields  # type: ignore[attr-defined]
         self.fields = {
-            name: (at + k, *hints[name].__metadata__[0])
-            for k, name in enumerate(holder._fields)  # type: ignore[attr-defined]
+            name: (at + k, dtype, axes)
+            for k, (name, (dtype, axes)) in enumerate(zip(names, _fields_of(holder), strict=True))
         }
         super().__init__(name=f"View({holder.__module__}.{holder.__qualname__}, {at})")
 

@@ -13,7 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from multiarm.arm import Arm, ArmFiles, Ground
+from multiarm.arm import Arm, ArmFiles
+from multiarm.arm_groups import Ground
 from multiarm.assembly import StartReport, assemble
 from multiarm.candidates.building import scene_candidates
 from multiarm.candidates.plan import Plan, make_plan

@@ -1,8 +1,8 @@
 """Who supplies the terms of each arm: Pinocchio, through a callback, or compiled copies.
 
-Pinocchio's arms are taken in groups of neighbours (:class:`multiarm.arm.ArmGroup`); all compiled
-ones together (:class:`multiarm.compiled_arms.group.CompiledArms`).  Whoever needs an arm's terms
-finds them through ``pointers``, in the order of the scene.
+Pinocchio's arms are taken in groups of neighbours (:class:`multiarm.arm_groups.ArmGroup`); all
+compiled ones together (:class:`multiarm.compiled_arms.group.CompiledArms`).  Whoever needs an arm's
+terms finds them through ``pointers``, in the order of the scene.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from multiarm.arm import Arm, ArmGroup, group_arms
+from multiarm.arm import Arm
+from multiarm.arm_groups import ArmGroup, group_arms
 from multiarm.lowlevel import CallBack
 from multiarm.plant import CALL_POTENTIAL, CALL_TERMS, Buffers
 from multiarm.terms import POINTER_WIDTH

@@ -13,7 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from multiarm.arm import Arm, Ground
+from multiarm.arm import Arm
+from multiarm.arm_groups import Ground
 from multiarm.asking import Asked
 from multiarm.assembly import StartReport
 from multiarm.candidates.plan import Plan

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Flag, Float, Floats1, Int, Ints1, address_book, view
+from multiarm.books import Flag, Float, Floats1, Int, Ints1, book_of, view
 from multiarm.contacts.kernel import GAP
 from multiarm.crossing import evaluate_on_branch
 from multiarm.equations import (
@@ -168,7 +168,7 @@ _open_clock, _open_settings = view(Clock), view(Settings, len(Clock._fields))
 
 def run_book(clock: Clock, settings: Settings) -> np.ndarray:
     """Address book of a run's clock and settings, as :func:`advance` takes it."""
-    return address_book([*clock, *settings])
+    return book_of(clock, settings)
 
 
 def make_clock(settings: Settings) -> Clock:

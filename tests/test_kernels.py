@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import multiarm as ma
-from multiarm.books import Flag, Float, Floats1, Floats2, Int, Ints1, address_book, view
+from multiarm.books import Flag, Float, Floats1, Floats2, Int, Ints1, address_book, book_of, view
 from multiarm.lowlevel import address_of, entry, kernel
 from multiarm.plant import CALL_COUPLED, CALL_ROW
 from multiarm.problems import HARD_CASES, ring_of_arms
@@ -62,6 +62,11 @@ def test_a_view_has_the_arrays_and_numbers_of_its_book():
     book = address_book([*first, *second])
     assert sum_of(book) == 3 + 0.25 + 3 + 15 + 40
     assert sum_of(address_book([*second, *first])) == 100 + 3 + 0.25 + 3 + 15 + 40
+
+
+def test_numbers_become_what_their_fields_are():
+    given = things()._replace(count=3.0, share=2, wanted=np.bool_(True))
+    assert sum_of(book_of(things(), given)) == 100 + 3 + 2 + 3 + 15 + 40
 
 
 def test_what_a_kernel_writes_through_a_view_is_in_the_array():

@@ -38,10 +38,8 @@ from multiarm.equations import (
     OK,
     add_torques,
     applied_forces,
-    arm_rows,
     drift_terms,
     load_gravity_torque,
-    load_inertia,
     passive_forces,
     update_rows,
 )
@@ -77,6 +75,7 @@ from multiarm.hybrid.arrays import (
     open_mode,
     open_reactions,
 )
+from multiarm.kinematics import arm_rows, load_inertia
 from multiarm.lowlevel import call_back, call_entry, entry, inlined, kernel
 from multiarm.node.reaction_coupling import RANK as REACTION_RANK
 from multiarm.node.reaction_coupling import ROWS as REACTION_ROWS

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Float, Floats1, Floats2, Int, Ints1, address_book, book_at, view
+from multiarm.books import Float, Floats1, Floats2, Int, Ints1, book_at, book_of, view
 from multiarm.crossing import evaluate_on_branch
 from multiarm.equations import NOT_FINITE, OK, finite
 from multiarm.integrators.tableaus import EXPLICIT, SEMI_IMPLICIT, Tableau
@@ -145,7 +145,7 @@ _open_method, _open_arrays = view(Method), view(Step, len(Method._fields))
 
 def step_book(method: Method, step: Step) -> np.ndarray:
     """Address book of a method and its step; :func:`open_step` is its inverse."""
-    return address_book([*method, *step])
+    return book_of(method, step)
 
 
 @inlined
