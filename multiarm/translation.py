@@ -4,7 +4,8 @@ Numba optimises every function on its own, translates it, and does both again in
 compiled into.  Most functions here are only ever parts of a few large kernels that are called from
 Python or by address.  These *parts* are kept as they were written down (LLVM's intermediate
 language); a *whole* takes in the parts that it needs, makes them its own, so that LLVM may inline
-or drop them, and is the only thing that is optimised.  That takes a third of the time.
+or drop them, and is the only thing that is optimised.  That saves more than a third of the
+time.
 
 Numba has no public name for this: the two classes below stand on its code libraries.
 """

@@ -138,6 +138,26 @@ def test_a_scene_is_studied_kept_and_drawn(two_ladders, tmp_path, monkeypatch):
     ]  # fmt: skip
 
 
+def test_compiled_arms_have_a_study_of_their_own(two_ladders, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    used, begin = [], studies.compile_system
+
+    def compiling(scene):
+        used.append(begin(scene))
+        return used[-1]
+
+    monkeypatch.setattr(studies, "compile_system", compiling)
+    words = (SCENE, "--duration", "0.05", "--no-peers")
+    for more in ((), ("--arms", "compiled")):
+        assert accuracy(*words, *more).exit_code == 0
+    assert [set(system.arm_terms.values()) for system in used] == [{"pinocchio"}, {"compiled"}]
+    one, other = (
+        read_results(tmp_path / f"ring_weld{kind}.accuracy.json") for kind in ("", ".compiled")
+    )
+    for point, same in zip(one.points.values(), other.points.values(), strict=True):
+        assert same.errors["position"] == pytest.approx(point.errors["position"], rel=1e-3)
+
+
 def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = (SCENE, "--duration", "0.05", "--no-peers")

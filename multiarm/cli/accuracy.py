@@ -77,7 +77,7 @@ def accuracy(
         Path | None,
         typer.Option(
             help="File of the study; an interrupted one goes on from it.",
-            show_default="SCENE's file name with .accuracy.json, in the current folder",
+            show_default="SCENE's file name, --arms and .accuracy.json, in the current folder",
             metavar="FILE.json",
             rich_help_panel=FILES,
         ),
@@ -146,7 +146,7 @@ def accuracy(
         found = read_results(source)
     else:
         assert scene is not None, "one of the two is there"
-        target = results if results is not None else Path(f"{scene.stem}.accuracy.json")
+        target = results if results is not None else _own_file(scene, arms)
         check_targets(
             {"--results": target, "--plot": plot, "--html": html, "--json": json}, source=scene
         )
@@ -155,6 +155,12 @@ def accuracy(
         print_written("study", target)
     _print(found, error.value, every)
     _write(found, error.value, plot, html, json)
+
+
+def _own_file(scene: Path, arms: Arms | None) -> Path:
+    """Where a study goes that is given no file: one for each kind of arms that is asked for."""
+    kind = "" if arms is None else f".{arms.value}"
+    return Path(f"{scene.stem}{kind}.accuracy.json")
 
 
 def _check_plot(plot: Path | None) -> None:
