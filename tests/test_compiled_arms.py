@@ -524,7 +524,7 @@ def test_what_no_table_describes_is_said_in_words(panda):
 
 
 def test_states_of_the_verification_are_the_arms_own(panda):
-    draws = [verification._random_states(panda) for _ in range(2)]
+    draws = [verification._random_states(panda.structure()) for _ in range(2)]
     np.testing.assert_array_equal(draws[0], draws[1])
     assert np.max(np.abs(draws[0][0])) <= np.pi and np.max(np.abs(draws[0][1])) <= 3.0
     assert np.min(np.std(draws[0], axis=1)) > 0.3

@@ -15,7 +15,7 @@ from multiarm.compiled_arms.arrays import ArmTables
 from multiarm.compiled_arms.group import CompiledArms
 from multiarm.contacts.kernel import ACCELERATION, BODY_WIDTH, ORIGIN_AT, VELOCITY
 from multiarm.errors import ModelError
-from multiarm.terms import LinkTerms
+from multiarm.terms import ArmStructure, LinkTerms
 
 if TYPE_CHECKING:
     from multiarm.arm import Arm
@@ -67,7 +67,8 @@ def verify(
     copies = CompiledArms(tables._replace(wanted=np.ones_like(tables.wanted)), places)
     copies.connect(angles, rates, np.zeros((len(arms), BODY_WIDTH)))
     every = [list(arms.values())[place] for place in places]
-    states = [_random_states(arm) for arm in every]
+    structures = [arm.structure() for arm in every]
+    states = [_random_states(structure) for structure in structures]
     found: list[list[LinkTerms]] = [[] for _ in every]
     for number in range(STATES):
         for place, (q, v) in zip(places, states, strict=True):
@@ -76,16 +77,16 @@ def verify(
         copies.update(with_coriolis=CORIOLIS[0] in quantities)
         for k, own in enumerate(found):
             own.append(copies.terms(k))
-    for arm, (q, v), own in zip(every, states, found, strict=True):
+    for arm, structure, (q, v), own in zip(every, structures, states, found, strict=True):
         expected = _stacked(arm.reference(q, v, tables.gravity))
-        floors = _floors(arm, expected, tables.gravity)
+        floors = _floors(structure, expected, tables.gravity)
         _compare(arm.name, _stacked(own), expected, {name: floors[name] for name in quantities})
 
 
-def _random_states(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+def _random_states(arm: ArmStructure) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities of an arm, each (8, n)."""
-    seed = zlib.crc32(b"".join(part.tobytes() for part in arm.structure()))
-    draw = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, STATES, arm.dof))
+    seed = zlib.crc32(b"".join(part.tobytes() for part in arm))
+    draw = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, STATES, arm.masses.size))
     return FARTHEST * draw[0], FASTEST * draw[1]
 
 
@@ -94,9 +95,9 @@ def _stacked(states: Sequence[LinkTerms]) -> LinkTerms:
     return LinkTerms(*(np.stack(values) for values in zip(*states, strict=True)))
 
 
-def _floors(arm: Arm, terms: LinkTerms, gravity: np.ndarray) -> dict[str, float]:
+def _floors(arm: ArmStructure, terms: LinkTerms, gravity: np.ndarray) -> dict[str, float]:
     """How large the terms are that each quantity is the sum of, which may cancel."""
-    mass, weight = float(np.sum(arm.structure().masses)), float(np.linalg.norm(gravity))
+    mass, weight = float(np.sum(arm.masses)), float(np.linalg.norm(gravity))
     inertia, away = (float(np.max(np.abs(x))) for x in (terms.inertia, terms.poses[..., 9:]))
     held = weight * np.sqrt(mass * inertia)  # m g r, with m r^2 among the inertias
     return {
