@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
+    from multiarm import grasp
     from multiarm.compilation import compile_system
     from multiarm.dynamics import Evaluation
     from multiarm.effects.effect import Effect, Loads
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from multiarm.trajectory import Trajectory, load_trajectory
     from multiarm.viewer import replay
 
+# Packages that are public as a whole.
+_PACKAGES = ("grasp",)
 # Public name -> module that has it.  Imported when first used, so that `import multiarm` is light.
 _HOMES = {
     "Effect": "effects.effect",
@@ -61,6 +64,7 @@ __all__ = [
     "Trajectory",
     "compile_system",
     "evaluate",
+    "grasp",
     "inverse_dynamics",
     "load_scene",
     "load_trajectory",
@@ -78,6 +82,8 @@ except metadata.PackageNotFoundError:  # imported from a checkout that is not in
 
 
 def __getattr__(name: str) -> Any:
+    if name in _PACKAGES:
+        return import_module(f"multiarm.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'multiarm' has no attribute {name!r}")
     value = getattr(import_module(f"multiarm.{_HOMES[name]}"), name)
@@ -86,4 +92,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOMES])
+    return sorted([*globals(), *_HOMES, *_PACKAGES])

@@ -166,6 +166,12 @@ class Arm:
         pin.framesForwardKinematics(self.model, self._data, self.configuration(angles))
         return self._data.oMf[self.tip_frame_id].homogeneous.copy()
 
+    def skeleton(self, angles: np.ndarray) -> np.ndarray:
+        """Origins of all joints and of the tip in the world, shape (n + 1, 3) [m]."""
+        pin.framesForwardKinematics(self.model, self._data, self.configuration(angles))
+        joints = [self._data.oMi[k].translation for k in range(1, self.model.njoints)]
+        return np.array([*joints, self._data.oMf[self.tip_frame_id].translation])
+
     def gravity_torque(self, angles: np.ndarray, gravity: np.ndarray) -> np.ndarray:
         """Joint torques that hold the unloaded arm still, shape (n,)."""
         model = self.model.copy()

@@ -197,7 +197,9 @@ def _shape_words(spec: ObjectSpec) -> str:
         return f"sphere of radius {shape.sphere:g} m"
     if shape.cylinder is not None:
         return f"cylinder of radius {shape.cylinder.radius:g} m, height {shape.cylinder.height:g} m"
-    assert shape.mesh is not None, "a shape is one of four"
+    if shape.hull is not None:
+        return f"convex polyhedron of {len(shape.hull)} corners"
+    assert shape.mesh is not None, "a shape is one of five"
     return f"mesh {shape.mesh.file.name}"
 
 
@@ -234,6 +236,8 @@ def _verdict(pivot: float | None) -> str | None:
 def _model_name(spec: ArmSpec | ToolSpec) -> str:
     if spec.robot is not None:
         return spec.robot
+    if isinstance(spec, ToolSpec) and spec.fingers is not None:
+        return f"hand of {len(spec.fingers.tips)} fingers"
     assert spec.urdf is not None, "a model has a name or a file"
     return spec.urdf.name
 

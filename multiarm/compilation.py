@@ -53,7 +53,7 @@ from multiarm.programs import (
     control_program,
     needs_gravity_torque,
 )
-from multiarm.scene import ARM_TERMS, Scene, friction_of, resolve_arm
+from multiarm.scene import ARM_TERMS, ArmSpec, ResolvedArm, Scene, friction_of, resolve_arm
 from multiarm.spatial import matrix_to_quaternion
 from multiarm.state import Layout, State
 from multiarm.supply import ArmSupply
@@ -294,10 +294,10 @@ def _candidates(
     return scene_candidates(scene, contacts, limits, dry)
 
 
-def _make_arm(name: str, scene: Scene, resolved) -> Arm:
-    spec, rotors = scene.arms[name], scene.effects.rotor_inertia
+def arm_files(spec: ArmSpec, resolved: ResolvedArm) -> ArmFiles:
+    """Where an arm of a scene comes from, once its robot has been looked up."""
     tool = spec.tool
-    files = ArmFiles(
+    return ArmFiles(
         urdf=resolved.urdf,
         package_dirs=resolved.package_dirs,
         base=spec.base.matrix(),
@@ -308,12 +308,16 @@ def _make_arm(name: str, scene: Scene, resolved) -> Arm:
         mount=tool.mount if tool is not None else None,
         tool_placement=tool.at.matrix() if tool is not None else None,
     )
+
+
+def _make_arm(name: str, scene: Scene, resolved: ResolvedArm) -> Arm:
+    spec, rotors = scene.arms[name], scene.effects.rotor_inertia
     own = None
     if rotors is not None:
         from multiarm.effects.rotor_inertia import of_arm
 
         own = of_arm(rotors, name, resolved.joint_names)
-    arm = Arm(name, files, spec.color, own)
+    arm = Arm(name, arm_files(spec, resolved), spec.color, own)
     if arm.joint_names != resolved.joint_names:
         raise ModelError(
             f"arm '{name}': Pinocchio orders its joints {arm.joint_names}, the URDF's chain is "

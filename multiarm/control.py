@@ -131,7 +131,7 @@ def gravity_compensation(address, size, _at, _t):
 def computed_torque(address, size, at, t):
     """See :func:`multiarm.object_control.add_computed_torque`."""
     plant, buffers, work = open_book(book_at(address, size))
-    add_computed_torque(t, plant.parameters, int(at), buffers, work, buffers.torque)
+    add_computed_torque(t, plant.parameters, int(at), plant, buffers, work, buffers.torque)
     return 0
 
 

@@ -100,8 +100,9 @@ def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
 
 
 def _by_owner(full: System, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of all rows by arm, and of the surroundings where there are any."""
-    found = full.layout.split_contacts(values)
+    """Values of all rows, shape (N, ...), by arm, and of the surroundings where there are any."""
+    bounds = full.layout.rows
+    found = {arm: values[bounds[i] : bounds[i + 1]] for i, arm in enumerate(full.arm_names)}
     around = values[full.layout.surroundings]
     return {**found, SURROUNDINGS: around} if len(around) else found
 

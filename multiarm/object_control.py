@@ -22,9 +22,12 @@ Both decide on a wrench ``w`` on the object, let the contacts share it
   rests: the turn ``theta`` to the reference has the rate :math:`-J_r^{-1}(\theta)\,\omega`, hence
   the moment :math:`J_r^{-T}(\theta) K\theta`.
 
-Numbers of a law, from ``at``: stiffness (6), damping (6), rate of the free motions, whether there
-are internal forces; if so, wanted forces of all contacts and a wanted wrench of every arm on the
-object; then the path.
+With a stiffness of the free motions the arms are held at their places on the object instead
+(:mod:`multiarm.place_keeping`).
+
+Numbers of a law, from ``at``: stiffness (6), damping (6), rate and stiffness of the free motions,
+whether there are internal forces; if so, wanted forces of all contacts and a wanted wrench of every
+arm on the object; then the path.
 """
 
 from __future__ import annotations
@@ -32,12 +35,12 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.contacts.kernel import GAP_BIAS
-from multiarm.load_sharing import share_load, solve_semidefinite, static_forces
+from multiarm.load_sharing import share_load, static_forces
 from multiarm.lowlevel import allocating, kernel
-from multiarm.node.regular import factor_in_place
+from multiarm.place_keeping import keep_place, nearest_accelerations
 from multiarm.spatial import difference, retract_into, write_chart_rate
 
-STIFFNESS, DAMPING, FREE_RATE, SQUEEZES, LAW_WIDTH = 0, 6, 12, 13, 14
+STIFFNESS, DAMPING, FREE_RATE, FREE_STIFFNESS, SQUEEZES, LAW_WIDTH = 0, 6, 12, 13, 14, 15
 # Of a segment of a path: first position, displacement, first quaternion, turn.
 SEGMENT_WIDTH = 13
 
@@ -116,45 +119,14 @@ def write_spring_wrench(t, parameters, at, path, position, velocity, wrench):
 def add_arm_forces(inertia, W, preferred, target, torque):
     r"""Add :math:`M\ddot q` of the nearest joint accelerations that obey the joint to ``torque``.
 
-    :math:`\ddot q = a + M^{-1}W\kappa` is nearest to ``a`` in the metric of M among those with
-    :math:`W^T\ddot q = r`; so :math:`M\ddot q = M a + W (W^T M^{-1} W)^{-1}(r - W^T a)`.
-
-    Parameters
-    ----------
-    inertia, W : float64
-        M (lower triangle) and W (one column a contact) in their first rows and columns.
-    preferred, target : (n,), (m,)
-        ``a`` and ``r``.
-    torque : (n,), written
+    See :func:`multiarm.place_keeping.nearest_accelerations` for the arguments.
     """
-    n, m = preferred.size, target.size
-    L, Y = inertia[:n, :n].copy(), W[:n, :m].copy()
-    K, rest, kappa, scale = np.zeros((m, m)), target.copy(), np.zeros(m), np.ones(m)
+    n = preferred.size
+    found = np.empty(n)
+    nearest_accelerations(inertia, W, preferred, target, found)
     for j in range(n):
         for k in range(n):
-            torque[j] += (L[j, k] if k <= j else L[k, j]) * preferred[k]
-        for a in range(m):
-            rest[a] -= Y[j, a] * preferred[j]
-    factor_in_place(L, n)
-    for j in range(n):
-        for a in range(m):
-            for k in range(j):
-                Y[j, a] -= L[j, k] * Y[k, a]
-            Y[j, a] *= L[j, j]
-            for b in range(a + 1):
-                K[a, b] += Y[j, a] * Y[j, b]
-    for a in range(m):
-        if K[a, a] > 0.0:
-            scale[a] = 1.0 / np.sqrt(K[a, a])
-        rest[a] *= scale[a]
-    for a in range(m):
-        for b in range(a + 1):
-            K[a, b] *= scale[a] * scale[b]
-            K[b, a] = K[a, b]
-    solve_semidefinite(K, rest, kappa)
-    for j in range(n):
-        for a in range(m):
-            torque[j] += W[j, a] * scale[a] * kappa[a]
+            torque[j] += (inertia[j, k] if k <= j else inertia[k, j]) * found[k]
 
 
 @kernel
@@ -182,13 +154,19 @@ def write_contact_forces(parameters, at, buffers, work):
 
 
 @kernel
-def add_motion_forces(rate, buffers, work, torque):
-    """Add ``M q''`` of all arms: targets in ``buffers.c``, free motions damped at ``rate``."""
+def add_motion_forces(parameters, at, along, plant, buffers, work, torque):
+    """Add ``M q''`` of all arms: targets in ``buffers.c``, free motions die out or are held.
+
+    ``along`` as in :func:`multiarm.place_keeping.keep_place`.
+    """
+    rate, stiffness = parameters[at + FREE_RATE], parameters[at + FREE_STIFFNESS]
     for j in range(buffers.v.size):
         buffers.qdd[j] = -rate * buffers.v[j]
     for i in range(work.rows.size - 1):
         d0, d1 = work.dofs[i], work.dofs[i + 1]
         r0, r1 = work.rows[i], work.rows[i + 1]
+        if stiffness > 0.0:
+            keep_place(i, stiffness, rate, along, plant, buffers, work, buffers.qdd[d0:d1])
         add_arm_forces(work.L[i], work.Y[i], buffers.qdd[d0:d1], buffers.c[r0:r1], torque[d0:d1])
 
 
@@ -204,7 +182,7 @@ def take_contact_forces(buffers, work, torque):
 
 
 @kernel
-def add_computed_torque(t, parameters, at, buffers, work, torque):
+def add_computed_torque(t, parameters, at, plant, buffers, work, torque):
     """Add the torques of computed torque, see the module's text.
 
     Until the equations of motion are solved ``buffers.q_o, qdd, c`` hold what the law wants.
@@ -224,7 +202,7 @@ def add_computed_torque(t, parameters, at, buffers, work, torque):
         buffers.c[k] = -buffers.contacts[k, GAP_BIAS]
         for a in range(6):
             buffers.c[k] -= buffers.Wo[k, a] * wanted[a]
-    add_motion_forces(parameters[at + FREE_RATE], buffers, work, torque)
+    add_motion_forces(parameters, at, True, plant, buffers, work, torque)
     take_contact_forces(buffers, work, torque)
 
 
@@ -241,5 +219,5 @@ def add_object_impedance(t, parameters, at, plant, buffers, work, torque):
         torque[j] += buffers.gravity_torque[j]
     for k in range(buffers.c.size):
         buffers.c[k] = 0.0
-    add_motion_forces(parameters[at + FREE_RATE], buffers, work, torque)
+    add_motion_forces(parameters, at, False, plant, buffers, work, torque)
     take_contact_forces(buffers, work, torque)

@@ -66,7 +66,8 @@ def object_law(system: System, control: ObjectControl) -> tuple[np.ndarray, np.n
         system.reraise()
     Wo = system.buffers.Wo.copy()
     _require_hold(Wo, control.kind)
-    gains = [*control.stiffness.vector(), *control.damping.vector(), control.relative_damping]
+    gains = [*control.stiffness.vector(), *control.damping.vector()]
+    gains += [control.relative_damping, control.relative_stiffness]
     offsets, pressing = _wanted_forces(system, control, Wo)
     squeezes = bool(np.any(offsets) or np.any(pressing))
     inner = [offsets, pressing.ravel()] if squeezes else []

@@ -26,9 +26,10 @@ PACKAGE = ROOT / "multiarm"
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "interrupts", "translation", "books", "reporting_style", "state", "terms"),
     ("lowlevel",),
-    ("spatial", "lanes", "channels", "outcome", "decimation", "event_words"),
+    ("spatial", "lanes", "channels", "outcome", "decimation", "event_words", "grasp"),
     ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage")
     + ("complementarity", "sample_store"),
+    ("place_keeping",),
     ("plant", "arm_groups", "trajectory", "guide", "object_control", "candidates", "connections"),
     ("asking", "kinematics", "late_entries", "compiled_arms"),
     ("control", "dense_call", "effects", "sinks", "supply"),
@@ -50,6 +51,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("driving",),
     ("attempts",),
     ("simulation",),
+    ("grasp_scenes",),
     ("many",),
     ("problems",),
     ("checking", "plots", "viewer"),
@@ -66,6 +68,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
 EXCEPTIONS = {
     ("programs", "compilation"): "a path is planned on a sibling system whose joints are rigid",
     ("many", "cli"): "progress is shown by the commands' own bar",
+    ("grasp", "grasp_scenes"): "a grasp becomes a scene, which takes robots and postures",
     ("assembly", "dynamics"): "a failed start is told in the words of a failed evaluation",
 }
 
@@ -92,6 +95,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "rich": ("cli",),
     "scipy": (
         "candidates.floor",
+        "grasp",
         "hybrid.locating",
         "node.dense",
         "assembly.closing",
@@ -103,7 +107,9 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "benchmarks.peer_trials",
         "benchmarks.pinocchio_motion",
     ),
+    "shapely": ("grasp", "viewer.regions"),
     "threadpoolctl": ("benchmarks.bursts",),
+    "trimesh": ("grasp.mesh",),
     "typer": ("cli",),
     "typing_extensions": ("cli", "scene"),
     "umsgpack": ("viewer",),
@@ -292,7 +298,7 @@ def test_what_is_heavy_is_imported_late(code, heavy):
 
 def test_public_names_are_complete_and_sorted():
     assert sorted(ma.__all__) == ma.__all__
-    assert set(ma.__all__) == {"MultiarmError", *PUBLIC_ATTRIBUTES, *PUBLIC_PARAMETERS}
+    assert set(ma.__all__) == {"MultiarmError", "grasp", *PUBLIC_ATTRIBUTES, *PUBLIC_PARAMETERS}
     assert set(ma.__all__) <= set(dir(ma))
 
 
@@ -303,7 +309,8 @@ def test_public_names_stay_functions_and_classes_after_all_modules_were_imported
     wrong = in_fresh_python(
         "import importlib, inspect, json, multiarm\n"
         f"for name in {names}: importlib.import_module(name)\n"
-        "kinds = {name: getattr(multiarm, name) for name in multiarm.__all__}\n"
+        "kinds = {name: getattr(home, name) for home in (multiarm, multiarm.grasp)\n"
+        "    for name in home.__all__ if name != 'grasp'}\n"
         "print(json.dumps([name for name, value in kinds.items()\n"
         "    if not (inspect.isfunction(value) or inspect.isclass(value))]))"
     )

@@ -51,6 +51,8 @@ def _touching_points(scene: Scene) -> list[tuple[str, np.ndarray, float]]:
         half = 0.5 * np.array(shape.box)
         corners = [np.array(signs) * half for signs in product((-1.0, 1.0), repeat=3)]
         return _named_corners(corners)
+    if shape.hull is not None:
+        return _named_corners(list(hull_corners(np.array(shape.hull))))
     if shape.mesh is not None:
         return _named_corners(list(_mesh_corners(shape.mesh)))
     raise _unknown_points(

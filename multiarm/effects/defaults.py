@@ -45,12 +45,14 @@ def _air(scene: Scene) -> Mapping[str, Any] | None:
 
 
 def _below(scene: Scene) -> Mapping[str, Any] | None:
-    """A floor that a box or a sphere just touches at its start."""
+    """A floor that a box, a hull or a sphere just touches at its start."""
     shape, pose = scene.object.shape, scene.object.pose.matrix()
     if shape.sphere is not None:
         reach = shape.sphere
     elif shape.box is not None:
         reach = float(np.abs(pose[2, :3]) @ (0.5 * np.array(shape.box)))
+    elif shape.hull is not None:
+        reach = -float(np.min(np.array(shape.hull) @ pose[2, :3]))
     else:
         return None
     return {"at": {"xyz": [0.0, 0.0, float(pose[2, 3]) - reach]}}
@@ -62,6 +64,8 @@ def _half_size(shape: Shape) -> np.ndarray | None:
         return 0.5 * np.array(shape.box)
     if shape.sphere is not None:
         return np.full(3, shape.sphere)
+    if shape.hull is not None:
+        return np.max(np.abs(np.array(shape.hull)), axis=0)
     if shape.cylinder is not None:
         return np.array([shape.cylinder.radius] * 2 + [0.5 * shape.cylinder.height])
     return None

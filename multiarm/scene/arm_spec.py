@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.base import Pose, Spec, absolute
+from multiarm.scene.fingers import FingersSpec
 from multiarm.scene.values import Color, JointValues, Number, fault
 
 __all__ = ["ArmSpec", "ToolSpec"]
@@ -23,10 +24,17 @@ class _FromUrdf(Spec):
 
     @model_validator(mode="after")
     def _exactly_one_source(self) -> Self:
-        if (self.robot is None) == (self.urdf is None):
-            got = "neither" if self.robot is None else "both"
-            raise fault(f"needs either 'robot' (a name) or 'urdf' (a file), got {got}")
+        sources = self._sources()
+        given = [name for name in sources if getattr(self, name) is not None]
+        if len(given) != 1:
+            told = " or ".join(f"'{name}' ({what})" for name, what in sources.items())
+            got = "neither" if not given else "both" if len(given) == 2 else "all"
+            raise fault(f"needs either {told}, got {got}")
         return self
+
+    def _sources(self) -> dict[str, str]:
+        """Keys of which exactly one says where the model comes from, and what they hold."""
+        return {"robot": "a name", "urdf": "a file"}
 
     def located(self, folder: Path) -> Self:
         """Return this model with file paths made absolute, relative ones below ``folder``."""
@@ -39,12 +47,14 @@ class _FromUrdf(Spec):
 
 
 class ToolSpec(_FromUrdf):
-    """A tool, from a URDF of its own, fixed to a link of the robot.
+    """A tool, from a URDF of its own or made of fingers, fixed to a link of the robot.
 
     Attributes
     ----------
     robot, urdf, package_dirs
-        The tool's model: by name or by file, and where its packages lie.
+        The tool's model: by name or by file, and where its packages lie; or
+    fingers : FingersSpec
+        a hand of rigid fingers, whose frame ``corner`` is the tip.
     mount : str
         The link of the robot that carries the tool.
     at : Pose
@@ -53,6 +63,10 @@ class ToolSpec(_FromUrdf):
 
     mount: str = Field(description="the link of the robot that carries the tool")
     at: Pose = Pose()
+    fingers: FingersSpec | None = None
+
+    def _sources(self) -> dict[str, str]:
+        return {**super()._sources(), "fingers": "fingertips"}
 
 
 class ArmSpec(_FromUrdf):

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.scene.values import fault, number_list
 from multiarm.scene.words import shown
 
@@ -67,6 +68,7 @@ def uniform_inertia(
     box: tuple[float, ...] | None = None,
     sphere: float | None = None,
     radius_height: tuple[float, float] | None = None,
+    hull: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the inertia of a solid of uniform density about its centre of mass.
 
@@ -80,6 +82,8 @@ def uniform_inertia(
         Radius [m].
     radius_height : 2 floats, optional
         Radius and height [m] of a cylinder about z.
+    hull : ndarray, shape (K, 3), optional
+        Corners of a convex polyhedron [m].
 
     Returns
     -------
@@ -91,6 +95,8 @@ def uniform_inertia(
         return np.diag(mass / 12.0 * (squares.sum() - squares))
     if sphere is not None:
         return 0.4 * mass * sphere**2 * np.eye(3)
+    if hull is not None:
+        return Polyhedron.hull(hull).mass_properties(mass).inertia
     assert radius_height is not None
     radius, height = radius_height
     across = mass * (3.0 * radius**2 + height**2) / 12.0

@@ -107,6 +107,7 @@ class _ObjectControl(Spec):
 
     path: ObjectPath = None
     relative_damping: NonNegative = 10.0
+    relative_stiffness: NonNegative = 0.0
     squeeze: NonNegative = 0.0
     internal_forces: dict[ArmName, ContactForces] | None = None
 
@@ -128,6 +129,10 @@ class ComputedTorqueControl(_ObjectControl):
         [1/s]; twice the root of the stiffness lets errors die out without overshoot.
     relative_damping : number
         Rate at which motions of the arms that the object does not need die out [1/s].
+    relative_stiffness : number
+        How firmly the arms keep their place on the object where their joints leave them free, such
+        as fingertips that could slide [1/s^2]; 0: nothing draws them back. With a quarter of the
+        square of ``relative_damping`` they come back without overshoot.
     squeeze : number
         How hard the arms press the object between them [N]: fingertips, which can only push,
         press so hard in the mean; arms with idealised joints each press so hard towards the
@@ -159,7 +164,7 @@ class ObjectImpedanceControl(_ObjectControl):
         pose. Absent: the start pose.
     relative_damping : number
         Rate at which motions of the arms that the object does not need die out [1/s].
-    squeeze, internal_forces
+    relative_stiffness, squeeze, internal_forces
         As with computed torque.
     """
 

@@ -9,12 +9,17 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 from typing_extensions import Self
 
+from multiarm.errors import GraspError
+from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.scene.base import Pose, Spec, absolute
 from multiarm.scene.inertia import Matrix3, inertia_matrix, uniform_inertia
 from multiarm.scene.values import Color, Positive, Vec6, fault, number_list
 from multiarm.scene.words import shown
 
 __all__ = ["Cylinder", "Mesh", "ObjectSpec", "Shape"]
+
+# The centre of mass of a hull may be off the origin by so much of its size.
+CENTRED = 1e-6
 
 Inertia = Annotated[Matrix3, BeforeValidator(inertia_matrix)]
 
@@ -40,6 +45,20 @@ class Cylinder(Spec):
     height: Positive
 
 
+def _corners(value: Any) -> tuple[tuple[float, ...], ...]:
+    rows = value.tolist() if isinstance(value, np.ndarray) else value
+    if not isinstance(rows, (list, tuple)) or len(rows) < 4:
+        raise fault(f"must be a list of at least four points, got {shown(value)}")
+    points = tuple(tuple(number_list(row)) for row in rows)
+    if any(len(point) != 3 for point in points):
+        raise fault(f"must be points of three numbers each, got {shown(value)}")
+    try:
+        Polyhedron.hull(np.array(points))
+    except GraspError as error:
+        raise fault(str(error)) from None
+    return points
+
+
 class Mesh(Spec):
     """A mesh file, its origin at the centre of mass, and its scale (number or 3 numbers)."""
 
@@ -58,6 +77,8 @@ class Shape(Spec):
         Radius [m].
     cylinder : Cylinder
         Axis along z.
+    hull : list of 3 numbers
+        Corners of a convex polyhedron [m] whose centre of mass is the origin.
     mesh : Mesh
         For the eye only; then ``inertia`` must be given.
     """
@@ -65,13 +86,15 @@ class Shape(Spec):
     box: Annotated[tuple[float, float, float], BeforeValidator(_edges)] | None = None
     sphere: Positive | None = None
     cylinder: Cylinder | None = None
+    hull: Annotated[tuple[tuple[float, float, float], ...], BeforeValidator(_corners)] | None = None
     mesh: Mesh | None = None
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
         given = [name for name in type(self).model_fields if getattr(self, name) is not None]
         if len(given) != 1:
-            raise fault(f"needs exactly one of 'box', 'sphere', 'cylinder', 'mesh', got {given}")
+            names = ", ".join(f"'{name}'" for name in type(self).model_fields)
+            raise fault(f"needs exactly one of {names}, got {given}")
         return self
 
 
@@ -109,6 +132,19 @@ class ObjectSpec(Spec):
             raise fault("a mesh needs 'inertia' (about the centre of mass, in kg m^2)")
         return self
 
+    @model_validator(mode="after")
+    def _hull_is_centred(self) -> Self:
+        if self.shape.hull is None:
+            return self
+        body = Polyhedron.hull(np.array(self.shape.hull))
+        centre = body.mass_properties(self.mass).centre
+        if np.linalg.norm(centre) > CENTRED * body.size:
+            raise fault(
+                f"the centre of mass of the hull is at {[round(float(x), 9) for x in centre]}, but "
+                f"the object's frame has its origin there; take this off every corner"
+            )
+        return self
+
     def inertia_matrix(self) -> np.ndarray:
         """Return the inertia about the centre of mass in object axes, shape (3, 3) [kg m^2]."""
         if self.inertia is not None:
@@ -119,6 +155,7 @@ class ObjectSpec(Spec):
             box=self.shape.box,
             sphere=self.shape.sphere,
             radius_height=None if cylinder is None else (cylinder.radius, cylinder.height),
+            hull=None if self.shape.hull is None else np.array(self.shape.hull),
         )
 
     def located(self, folder: Path) -> Self:

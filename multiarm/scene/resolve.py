@@ -14,6 +14,7 @@ import numpy as np
 
 from multiarm.errors import ModelError, SceneError
 from multiarm.scene.arm_spec import ArmSpec, ToolSpec
+from multiarm.scene.fingers import fingers_urdf
 from multiarm.scene.robots import find_robot, resolve_mesh, resolve_package_dirs
 from multiarm.scene.urdf import CHAIN_JOINTS, JointOutline, UrdfOutline, read_urdf
 from multiarm.scene.values import joint_value_faults, joint_vector
@@ -155,6 +156,8 @@ def _outline(
 ) -> UrdfOutline | None:
     key = "urdf" if spec.robot is None else "robot"
     try:
+        if isinstance(spec, ToolSpec) and spec.fingers is not None:
+            return read_urdf(fingers_urdf(spec.fingers))
         path = spec.urdf if spec.robot is None else find_robot(spec.robot).urdf
         assert path is not None, "a model has a name or a file"
         return read_urdf(path)

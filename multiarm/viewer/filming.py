@@ -21,10 +21,11 @@ from multiarm.compilation import compile_system
 from multiarm.errors import ReplayError
 from multiarm.viewer.commands import rgb
 from multiarm.viewer.film import Body, Film, along, rotations
-from multiarm.viewer.ground import ground_bodies, lowest
+from multiarm.viewer.ground import columns, ground_bodies, lowest
 from multiarm.viewer.happenings import moments_of
 from multiarm.viewer.joints import hinges_of
 from multiarm.viewer.mesh import Mesh, capsule, merge
+from multiarm.viewer.regions import region_bodies, scene_grasp
 from multiarm.viewer.shapes import PLAIN, geometry_mesh, object_mesh
 from multiarm.viewer.surfaces import object_size, surface_bodies
 from multiarm.viewer.touching import contacts_of
@@ -65,11 +66,16 @@ def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
     for name in system.arm_names:
         arm, angles = system.arms[name], trajectory.joint_positions[name][rows]
         bodies += _links(arm, angles, colors[name], meshes, cache)
-    bodies += surface_bodies(system, trajectory, rows, colors)
+    grasp = scene_grasp(system)
+    if grasp is not None:
+        bodies += region_bodies(grasp, trajectory, rows, colors)
+    plain = grasp is not None and grasp.body is not None  # its faces are the object's own
+    bodies += surface_bodies(system, trajectory, rows, colors, faces=not plain)
     ground = ground_bodies(trajectory, rows, object_size(system))
     bodies += ground
-    heights = [spec.base.matrix()[2, 3] for spec in trajectory.scene.arms.values()]
-    heights += [lowest(body) for body in ground]
+    bases = {name: spec.base.matrix() for name, spec in trajectory.scene.arms.items()}
+    floor = min([base[2, 3] for base in bases.values()] + [lowest(body) for body in ground])
+    bodies += columns(bases, floor, len(rows))
     contacts = contacts_of(system, trajectory, rows, colors)
     note = "" if trajectory.status == "completed" else trajectory.message
     return Film(
@@ -78,7 +84,7 @@ def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
         bodies=bodies,
         contacts=contacts,
         hinges=hinges_of(system, trajectory, rows, colors),
-        floor=float(min(heights)),
+        floor=float(floor),
         note=f"{trajectory.status}: {note}" if note else "",
         moments=moments_of(trajectory, trajectory.time[rows], contacts),
         events=trajectory.events,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import coal
 import numpy as np
 
+from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.viewer.mesh import Mesh, box, capsule, cone, cylinder, sphere
 from multiarm.viewer.mesh_files import read_collada
 
@@ -62,7 +63,15 @@ def object_mesh(spec: ObjectSpec) -> Mesh:
         return sphere(shape.sphere)
     if shape.cylinder is not None:
         return cylinder(shape.cylinder.radius, shape.cylinder.height)
-    assert shape.mesh is not None  # a scene's shape is one of these four
+    if shape.hull is not None:
+        body = Polyhedron.hull(np.array(shape.hull))
+        fans = [
+            (loop[0], loop[k], loop[k + 1])
+            for (loop,) in body.loops
+            for k in range(1, len(loop) - 1)
+        ]
+        return Mesh(body.vertices, np.array(fans))
+    assert shape.mesh is not None  # a scene's shape is one of these five
     try:
         return load_mesh(shape.mesh.file, np.array(shape.mesh.scale))
     except ValueError:

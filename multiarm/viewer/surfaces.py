@@ -41,9 +41,16 @@ CELLS = 40
 
 
 def surface_bodies(
-    system: System, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
+    system: System,
+    trajectory: Trajectory,
+    rows: np.ndarray,
+    colors: dict[str, np.ndarray],
+    faces: bool = True,
 ) -> list[Body]:
-    """Return the contact surfaces of all joints of the ``SHOWN`` kinds at some samples (`rows`)."""
+    """Return the contact surfaces of all joints of the ``SHOWN`` kinds at some samples (`rows`).
+
+    Plane faces of the object only where ``faces`` asks for them.
+    """
     on_object = trajectory.object_position[rows], trajectory.object_quaternion_xyzw[rows]
     extent = max(np.ptp(trajectory.object_position, axis=0).max(), object_size(system))
     bodies = []
@@ -59,6 +66,8 @@ def surface_bodies(
         states = row_states(trajectory, name, records, rows)
         for (side, *_), of_it in _surfaces(records).items():
             k = of_it[0]
+            if side == "object" and not faces and records[k].object.kind == PLANE:
+                continue
             mesh = surface_mesh(getattr(records[k], side), touched[side][k], extent)
             if mesh is None:
                 continue

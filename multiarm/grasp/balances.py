@@ -1,0 +1,235 @@
+r"""Pushes that balance, or a motion that no contact resists: one of the two always exists.
+
+For the wrenches ``W = [w_1 ... w_N]`` of the contacts, each of :math:`n` numbers, exactly one of
+
+.. math::
+    W \lambda = 0, \;\; \lambda > 0, \;\; \operatorname{rank} W = n
+    \qquad\text{and}\qquad
+    W^T v \ge 0, \;\; v \ne 0
+
+has a solution (thesis, 2.1; the alternative is Stiemke's).  The pushes prove form closure, the
+motion proves that there is none.  This module finds one or the other for scaled wrenches, that is
+wrenches about the middle of the contacts, moments over their spread.
+
+Geometrically, closure says that the origin is inside the convex hull of the wrenches.  How far
+inside is the ``distance``: closure survives every change of each wrench by less than it.
+
+- ``N = n + 1``: the hull is a simplex.  With ``G`` the inverse of ``[W; 1 ... 1]``, the last column
+  of ``G`` holds the pushes :math:`\lambda_j` (of sum 1) and the rest of row j is the normal
+  :math:`g_j` of the facet opposite to wrench j; the origin is :math:`\lambda_j / |g_j|` from it.
+  A negative :math:`\lambda_j` makes :math:`v = g_j` a motion away from all contacts.
+- ``N > n + 1``: the pushes nearest to equal ones serve if they are positive.  Otherwise the
+  non-negative least squares problem  min ``|W lam|`` over ``lam >= 1``  has either the residual 0,
+  and ``lam`` are the pushes, or a residual ``r`` with ``W^T r >= 0``, and ``v = r``
+  (Lawson and Hanson 1974).  The distance is then at least ``t sigma_n / sqrt(N)``, with ``t`` the
+  smallest push (of sum 1) and ``sigma_n`` the smallest singular value: a unit ``v`` has
+  ``|W^T v| >= sigma_n``, and a contact that it leaves at the rate ``s`` needs another one that it
+  approaches at the rate ``t s`` at least.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from multiarm.errors import GraspError
+
+# Part of the unit wrench by which closure must be inside.  Normals and points that were computed
+# are off by some 1e-16 to 1e-12; a grasp that hangs on less than this is not to be relied on.
+BAND = 1e-10
+# Rounding of one wrench, in units of the machine precision: normalising, products, differences.
+ROUNDINGS = 64.0
+EPS = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """Outcome for scaled wrenches.
+
+    Attributes
+    ----------
+    closed : bool
+    pushes : ndarray, shape (N,), or None
+        Of sum 1, all positive, with ``W pushes = 0``; when closed.
+    direction : ndarray, shape (n,), or None
+        ``v`` with ``W^T v >= 0``; when open.
+    rank : int
+    distance : float
+        Of the origin from the hull's boundary, or less; 0 when open.
+    borderline : bool
+        Open, but a change of the wrenches by less than the tolerance may close them.
+    """
+
+    closed: bool
+    pushes: np.ndarray | None
+    direction: np.ndarray | None
+    rank: int
+    distance: float
+    borderline: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Evenest:
+    """Pushes of sum 1 whose smallest is as large as can be.
+
+    Attributes
+    ----------
+    smallest : float
+        ``t*``; minus infinity when no pushes of sum 1 balance.
+    pushes : ndarray, shape (N,), or None
+    direction : ndarray, shape (n,), or None
+        Solution of the dual problem: ``W^T v >= -t*``, and the sum of ``W^T v`` is ``1 - N t*``.
+    """
+
+    smallest: float
+    pushes: np.ndarray | None
+    direction: np.ndarray | None
+
+
+def rounding(reach: Any, length: Any) -> Any:
+    """What rounding may do to a scaled wrench: points are coarse far from the origin.
+
+    ``reach`` is the largest coordinate, ``length`` the spread of the points [m].
+    """
+    return ROUNDINGS * EPS * (1.0 + reach / length)
+
+
+def balance(W: np.ndarray, floor: float) -> Balance:
+    """Decide scaled wrenches, shape (n, N), whose entries may be off by ``floor``."""
+    n, count = W.shape
+    if count == n + 1:
+        found = _simplex(W, BAND + floor)
+        if found is not None:
+            return found
+    U, s, Vt = np.linalg.svd(W)
+    tolerance = BAND + floor
+    rank = int(np.count_nonzero(s > tolerance * s[0]))
+    if rank < n:
+        doubtful = count > n and bool(np.any((s > floor * s[0]) & (s <= tolerance * s[0])))
+        return Balance(False, None, plainest(U[:, rank:]), rank, 0.0, doubtful)
+    if count == n:
+        return Balance(False, None, np.linalg.solve(W.T, np.ones(n)), n, 0.0, False)
+    null = Vt[n:].T
+    even = null @ null.sum(axis=0)
+    bound = _inside(even, s[-1])
+    if bound > tolerance:
+        return Balance(True, even / even.sum(), None, n, bound, False)
+    return _least_squares(W, null, s[-1], tolerance)
+
+
+def plainest(directions: np.ndarray) -> np.ndarray:
+    """A plain motion among those that the columns (orthonormal, shape (n, k)) span.
+
+    A translation if there is one, and nearest to an axis of the frame.
+    """
+    d = 3 if len(directions) == 6 else 2
+    _, s, Vt = np.linalg.svd(directions[d:])
+    turns = int(np.count_nonzero(s > BAND))
+    among = directions @ Vt[turns:].T if turns < Vt.shape[0] else directions
+    projections = among @ among.T
+    return projections[:, int(np.argmax(np.diag(projections)))]
+
+
+def evenest(W: np.ndarray, rank: int) -> Evenest:
+    """Maximise ``t`` with ``W lam = 0``, ``sum lam = 1``, ``lam >= t`` (thesis, 2.1).
+
+    Solved for the coordinates of ``lam`` in the null space of ``W``, which are few.
+    """
+    from scipy.optimize import linprog
+
+    count = W.shape[1]
+    null = np.linalg.svd(W)[2][rank:].T
+    total = null.sum(axis=0)
+    if np.linalg.norm(total) <= BAND:
+        return Evenest(-np.inf, None, None)
+    solved = linprog(
+        np.append(np.zeros(len(total)), -1.0),
+        A_ub=np.column_stack([-null, np.ones(count)]),
+        b_ub=np.zeros(count),
+        A_eq=np.append(total, 0.0)[None],
+        b_eq=[1.0],
+        bounds=(None, None),
+    )
+    if not solved.success:
+        raise GraspError(
+            f"the linear program for the evenest pushes of {count} contacts ended with "
+            f"{solved.message!r}; is_form_closure(contacts, exact=True) does without it"
+        )
+    pushes = null @ solved.x[:-1]
+    smallest = float(pushes.min())
+    prices = -solved.ineqlin.marginals
+    direction = np.linalg.lstsq(W.T, prices - smallest, rcond=BAND)[0]
+    return Evenest(smallest, pushes, direction)
+
+
+def _simplex(W: np.ndarray, tolerance: float) -> Balance | None:
+    """Closed form for ``n + 1`` wrenches; None when they are too nearly dependent for it."""
+    n = len(W)
+    square = np.ones((n + 1, n + 1))
+    square[:n] = W
+    try:
+        G = np.linalg.inv(square)
+    except np.linalg.LinAlgError:
+        return None
+    lengths = np.sqrt(np.einsum("ij,ij->i", G[:, :n], G[:, :n]))
+    if not lengths.max() * tolerance * (n + 1) < 1.0:
+        return None
+    inside = G[:, n] / lengths
+    j = int(np.argmin(inside))
+    if inside[j] > tolerance:
+        return Balance(True, G[:, n], None, n, float(inside[j]), False)
+    return Balance(False, None, G[j, :n], n, 0.0, bool(inside[j] >= -tolerance))
+
+
+def _inside(pushes: np.ndarray, sigma: float) -> float:
+    """Lower bound of the distance that positive pushes prove; 0 when one is not positive."""
+    smallest = float(pushes.min())
+    if smallest <= 0.0:
+        return 0.0
+    return smallest / float(pushes.sum()) * float(sigma) / np.sqrt(len(pushes))
+
+
+def _least_squares(W: np.ndarray, null: np.ndarray, sigma: float, tolerance: float) -> Balance:
+    """More than ``n + 1`` wrenches of full rank that nearly equal pushes do not balance."""
+    n, count = W.shape
+    from scipy.optimize import nnls
+
+    resultant = W.sum(axis=1)
+    try:
+        pushes = 1.0 + nnls(W, -resultant)[0]
+    except RuntimeError:  # out of iterations
+        pushes = np.ones(count)
+    pushes /= pushes.sum()
+    residual = W @ pushes
+    left = float(np.linalg.norm(residual))
+    balanced = null @ (null.T @ pushes)
+    bound = _inside(balanced, sigma)
+    if bound > tolerance and left <= tolerance:
+        return Balance(True, balanced / balanced.sum(), None, n, bound, False)
+    if left > tolerance and (residual @ W).min() >= -tolerance * left:
+        return Balance(False, None, residual, n, 0.0, not _separated(W, tolerance))
+    best = evenest(W, n)
+    if best.pushes is not None and _inside(best.pushes, sigma) > tolerance:
+        return Balance(True, best.pushes, None, n, _inside(best.pushes, sigma), False)
+    direction = residual if best.direction is None else best.direction
+    return Balance(False, None, direction, n, 0.0, not _separated(W, tolerance))
+
+
+def _separated(W: np.ndarray, tolerance: float) -> bool:
+    """Whether some motion leaves all contacts: the origin is clearly outside the hull.
+
+    Non-negative ``lam`` that come nearest to ``[W; 1 ... 1] lam = [0; 1]`` leave ``[u; s]`` over,
+    and ``w_j . u >= -s > 0`` for every j unless the origin is in the hull.
+    """
+    from scipy.optimize import nnls
+
+    lifted = np.vstack([W, np.ones(W.shape[1])])
+    target = np.append(np.zeros(len(W)), 1.0)
+    try:
+        left = lifted @ nnls(lifted, target)[0] - target
+    except RuntimeError:
+        return False
+    away = left[:-1]
+    return bool(np.min(away @ W) > tolerance * np.linalg.norm(away))

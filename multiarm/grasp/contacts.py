@@ -1,0 +1,219 @@
+r"""Frictionless point contacts between fingers and one rigid body: what a grasp is made of.
+
+A contact j is a point :math:`p_j` and a unit normal :math:`e_j` that points **into** the body. It
+can only push; pushing with the force :math:`\lambda_j \ge 0` it exerts the wrench
+:math:`\lambda_j w_j`, in space and in the plane
+
+.. math::
+    w_j = \begin{bmatrix} e_j \\ p_j \times e_j \end{bmatrix} \in \mathbb{R}^6, \qquad
+    w_j = \begin{bmatrix} e_j \\ p_{jx} e_{jy} - p_{jy} e_{jx} \end{bmatrix} \in \mathbb{R}^3,
+
+force first, then moment (thesis, 2.1).  All points and normals are in one frame of the body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from multiarm.errors import GraspError
+
+# A normal is a unit vector when its length is off by no more than this; it is then made exact.
+UNIT_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """A set of frictionless contacts.
+
+    Parameters
+    ----------
+    points : array-like, shape (N, d)
+        Where the fingers touch [m], in axes of the body; d = 3 in space, 2 in the plane.
+    normals : array-like, shape (N, d)
+        Unit vectors into the body.
+    names : sequence of str, optional
+        What messages and pictures call the contacts; ``contact 1`` to ``contact N`` otherwise.
+
+    Raises
+    ------
+    GraspError
+        Shapes that do not match, numbers that are not finite, normals that are not of unit length.
+
+    Notes
+    -----
+    :meth:`along` takes directions of any length.  Numbers may be ``fractions.Fraction``; they are
+    kept as given for decisions in exact arithmetic (``exact_points``, ``exact_directions``).
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    names: tuple[str, ...]
+    given: tuple[Any, Any]
+
+    def __init__(self, points: Any, normals: Any, names: Sequence[str] | None = None) -> None:
+        directions = _table(normals, "normals")
+        lengths = np.linalg.norm(directions, axis=1)
+        wrong = np.flatnonzero(np.abs(lengths - 1.0) > UNIT_TOLERANCE)
+        if wrong.size:
+            j = int(wrong[0])
+            raise GraspError(
+                f"normal {j + 1}, {directions[j].tolist()}, has length {lengths[j]:.6g}, not 1; "
+                f"Contacts.along takes directions of any length"
+            )
+        self._fill(points, normals, directions, names)
+
+    @classmethod
+    def along(cls, points: Any, directions: Any, names: Sequence[str] | None = None) -> Contacts:
+        """Contacts whose inward normals are given as directions of any length but zero.
+
+        Raises
+        ------
+        GraspError
+            Also for a direction of length zero.
+        """
+        self = object.__new__(cls)
+        self._fill(points, directions, _table(directions, "normals"), names)
+        return self
+
+    def _fill(
+        self, points: Any, directions: Any, along: np.ndarray, names: Sequence[str] | None
+    ) -> None:
+        at = _table(points, "points")
+        if at.shape != along.shape:
+            raise GraspError(
+                f"as many normals as points are needed, of one dimension; points have shape "
+                f"{at.shape}, normals {along.shape}"
+            )
+        lengths = np.linalg.norm(along, axis=1)
+        if not lengths.all():
+            j = int(np.argmin(lengths))
+            raise GraspError(f"normal {j + 1} has length zero: it has no direction")
+        called = tuple(names) if names is not None else _numbered(len(at))
+        if len(called) != len(at):
+            raise GraspError(f"{len(at)} contacts need as many names, not {len(called)}")
+        unit = along / lengths[:, None]
+        for array in (at, along, unit):
+            array.setflags(write=False)
+        object.__setattr__(self, "points", at)
+        object.__setattr__(self, "normals", unit)
+        object.__setattr__(self, "names", called)
+        object.__setattr__(self, "given", (_kept(points, at), _kept(directions, along)))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def count(self) -> int:
+        """Number N of contacts."""
+        return len(self.points)
+
+    @property
+    def dimension(self) -> int:
+        """3 in space, 2 in the plane."""
+        return self.points.shape[1]
+
+    @property
+    def freedoms(self) -> int:
+        """Freedoms of the body: 6 in space, 3 in the plane; so many rows have the wrenches."""
+        return 6 if self.dimension == 3 else 3
+
+    @cached_property
+    def wrenches(self) -> np.ndarray:
+        """``W``, shape (6, N) or (3, N): unit pushes about the origin, force first [1, m]."""
+        return wrenches_of(self.points, self.normals)
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Mean of the points, shape (d,) [m]."""
+        return self.points.mean(axis=0)
+
+    @cached_property
+    def length(self) -> float:
+        """Root mean square distance of the points from their mean [m]; 1 if they coincide.
+
+        Moments about the mean, divided by this length, compare with forces whatever the size of the
+        body and wherever its frame.
+        """
+        spread = float(np.sqrt(np.mean(np.sum((self.points - self.centre) ** 2, axis=1))))
+        return spread if spread > 0.0 else 1.0
+
+    @cached_property
+    def scaled_wrenches(self) -> np.ndarray:
+        """Wrenches about :attr:`centre`, moments over :attr:`length`; shape as ``wrenches``."""
+        W = wrenches_of(self.points - self.centre, self.normals)
+        W[self.dimension :] /= self.length
+        return W
+
+    @cached_property
+    def exact_points(self) -> tuple[tuple[Fraction, ...], ...]:
+        """The points without rounding: a float is the fraction that it stands for."""
+        return _fractions(self.given[0])
+
+    @cached_property
+    def exact_directions(self) -> tuple[tuple[Fraction, ...], ...]:
+        """The directions of the normals as given, of any length."""
+        return _fractions(self.given[1])
+
+    def subset(self, numbers: Iterable[int]) -> Contacts:
+        """Some of the contacts, by their numbers from 0."""
+        chosen = list(numbers)
+        at, along = ([given[j] for j in chosen] for given in self.given)
+        return Contacts.along(at, along, [self.names[j] for j in chosen])
+
+    def joined(self, other: Contacts) -> Contacts:
+        """These contacts, then others in the same frame."""
+        at, along = ([*a, *b] for a, b in zip(self.given, other.given, strict=True))
+        names = [*self.names, *other.names]
+        return Contacts.along(at, along, names if len(set(names)) == len(names) else None)
+
+    def placed(self, pose: np.ndarray) -> Contacts:
+        """The same contacts in another frame; ``pose`` (d + 1, d + 1) is this frame in it."""
+        d = self.dimension
+        R, x = np.asarray(pose)[:d, :d], np.asarray(pose)[:d, d]
+        return Contacts.along(self.points @ R.T + x, self.normals @ R.T, self.names)
+
+
+def wrenches_of(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Wrenches of unit pushes, shape (6, ...) or (3, ...), from arrays (..., d)."""
+    if points.shape[-1] == 3:
+        moments = np.cross(points, normals)
+        return np.moveaxis(np.concatenate([normals, moments], axis=-1), -1, 0)
+    moment = points[..., 0] * normals[..., 1] - points[..., 1] * normals[..., 0]
+    return np.concatenate([np.moveaxis(normals, -1, 0), moment[None]])
+
+
+def _table(values: Any, what: str) -> np.ndarray:
+    """An array (N, 2) or (N, 3) of finite numbers, own memory."""
+    try:
+        table = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(f"{what} are a list of vectors of numbers, all of one length") from error
+    if table.ndim != 2 or table.shape[0] == 0 or table.shape[1] not in (2, 3):
+        raise GraspError(
+            f"{what} have shape (N, 3) in space or (N, 2) in the plane, not {table.shape}"
+        )
+    if not np.all(np.isfinite(table)):
+        j = int(np.flatnonzero(~np.all(np.isfinite(table), axis=1))[0])
+        raise GraspError(f"{what} must be finite; number {j + 1} is {table[j].tolist()}")
+    return table
+
+
+def _kept(values: Any, table: np.ndarray) -> Any:
+    """What was given, in memory of our own: fractions as they are, all other numbers as floats."""
+    given = np.asarray(values)
+    return tuple(map(tuple, given.tolist())) if given.dtype == object else table
+
+
+def _fractions(given: Any) -> tuple[tuple[Fraction, ...], ...]:
+    rows = given.tolist() if isinstance(given, np.ndarray) else given
+    return tuple(tuple(map(Fraction, row)) for row in rows)
+
+
+def _numbered(count: int) -> tuple[str, ...]:
+    return tuple(f"contact {j + 1}" for j in range(count))

@@ -1,0 +1,191 @@
+r"""One plane face of a body, with coordinates of its own.
+
+A face with the outward unit normal n is a part of the plane
+
+.. math::  n \cdot x = h
+
+bounded by a loop of corners that runs counter-clockwise as seen from outside, and by loops around
+holes that run clockwise, so that the material is always on the left.  Area and normal follow from
+the loops alone (Newell): :math:`2 A n = \sum_k v_k \times v_{k+1}`.
+
+A contact on the face pushes along :math:`e = -n`.  Its moment about the origin depends on where the
+contact is in the face and not on h, :math:`p \times e = c \times e` with the offset c from the
+origin's projection onto the face (thesis, A.3).  Face coordinates therefore start at that
+projection: (x, y) of a contact is its offset c, and on a horizontal top x and y are the body's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multiarm.errors import GraspError
+
+if TYPE_CHECKING:
+    from shapely.geometry import Polygon
+
+# Corners of one face may be off their plane by this part of the largest distance between them: the
+# rounding of coordinates to single precision, as files hold them, with room for some digits.
+PLANE_TOLERANCE = 1e-6
+# A face steeper than this has its y axis up; a flatter one has its x axis along the body's.
+STEEP = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """A plane face of a body, in the body's frame.
+
+    Parameters
+    ----------
+    vertices : array-like, shape (K, 3)
+        Its corners [m], counter-clockwise as seen from outside.
+    holes : sequence of array-like, shape (H, 3)
+        Corners of holes, clockwise as seen from outside.
+    name : str
+        What messages and pictures call it.
+
+    Raises
+    ------
+    GraspError
+        Fewer than three corners, corners in a line, or corners that are not in one plane.
+    """
+
+    vertices: np.ndarray
+    holes: tuple[np.ndarray, ...] = ()
+    name: str = "the face"
+
+    def __post_init__(self) -> None:
+        loops = [_loop(loop, self.name) for loop in (self.vertices, *self.holes)]
+        object.__setattr__(self, "vertices", loops[0])
+        object.__setattr__(self, "holes", tuple(loops[1:]))
+        spread = float(np.ptp(loops[0], axis=0).max())
+        if not np.linalg.norm(self._area_vector) > 1e-12 * spread**2:
+            raise GraspError(f"{self.name}: its corners lie in a line, they bound no area")
+        off = max(float(np.abs((loop - self.centre) @ self.normal).max()) for loop in loops)
+        if off > PLANE_TOLERANCE * spread:
+            raise GraspError(
+                f"{self.name}: its corners are up to {off:.3g} m out of one plane; split it into "
+                f"plane faces"
+            )
+
+    @cached_property
+    def _area_vector(self) -> np.ndarray:
+        middle = self.vertices.mean(axis=0)
+        return np.add.reduce([area_vector(loop - middle) for loop in (self.vertices, *self.holes)])
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """Outward unit normal n, shape (3,)."""
+        return _fixed(self._area_vector / np.linalg.norm(self._area_vector))
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Mean of the outer corners, shape (3,) [m]."""
+        return _fixed(self.vertices.mean(axis=0))
+
+    @property
+    def offset(self) -> float:
+        """``h`` with ``n . x = h`` on the face [m]."""
+        return float(self.normal @ self.centre)
+
+    @property
+    def area(self) -> float:
+        """Area without the holes [m^2]."""
+        return float(np.linalg.norm(self._area_vector))
+
+    @cached_property
+    def frame(self) -> np.ndarray:
+        """Pose of the face coordinates in the body's frame, shape (4, 4).
+
+        z is the outward normal, the origin is the projection of the body's origin.  A flat face
+        (:math:`|n_z| > 0.9`) has its x axis along the body's; any other has its y axis up, so that
+        it is seen upright from outside.
+        """
+        n = self.normal
+        if abs(n[2]) > STEEP:
+            x = np.array([1.0, 0.0, 0.0]) - n[0] * n
+        else:
+            x = np.array([-n[1], n[0], 0.0])
+        x /= np.linalg.norm(x)
+        pose = np.eye(4)
+        pose[:3, :3] = np.column_stack([x, np.cross(n, x), n])
+        pose[:3, 3] = self.offset * n
+        return _fixed(pose + 0.0)
+
+    def coordinates(self, points: Any) -> np.ndarray:
+        """Face coordinates (..., 2) of points (..., 3), which are projected along the normal."""
+        return (np.asarray(points, dtype=float) - self.frame[:3, 3]) @ self.frame[:3, :2]
+
+    def at(self, coordinates: Any) -> np.ndarray:
+        """Points (..., 3) of the plane with the face coordinates (..., 2)."""
+        return np.asarray(coordinates, dtype=float) @ self.frame[:3, :2].T + self.frame[:3, 3]
+
+    @cached_property
+    def outline(self) -> np.ndarray:
+        """The outer corners in face coordinates, shape (K, 2), counter-clockwise [m]."""
+        return _fixed(self.coordinates(self.vertices))
+
+    @cached_property
+    def convex(self) -> bool:
+        """Whether the face is convex and has no hole; corners in the middle of an edge are fine."""
+        along = np.roll(self.outline, -1, axis=0) - self.outline
+        into = np.roll(along, -1, axis=0)
+        turn = along[:, 0] * into[:, 1] - along[:, 1] * into[:, 0]
+        steps = np.linalg.norm(along, axis=1) * np.linalg.norm(into, axis=1)
+        angles = np.arctan2(turn, np.sum(along * into, axis=1))
+        once = abs(float(angles.sum()) - 2.0 * np.pi) < 1.0
+        return not self.holes and once and bool(np.all(turn >= -PLANE_TOLERANCE * steps))
+
+    @cached_property
+    def shape(self) -> Polygon:
+        """The face as a polygon of shapely, in face coordinates."""
+        from shapely.geometry import Polygon
+
+        return Polygon(self.outline, [self.coordinates(hole) for hole in self.holes])
+
+    def room(self, points: Any) -> np.ndarray:
+        """Distance of points (..., 3) from the nearest edge [m], negative when not on the face.
+
+        Points are projected along the normal first.
+        """
+        import shapely
+
+        at = shapely.points(self.coordinates(points))
+        away = shapely.distance(self.shape.boundary, at)
+        return np.where(shapely.contains(self.shape, at), away, -away)
+
+    def contains(self, points: Any) -> np.ndarray:
+        """Which of the points (..., 3), projected along the normal, are inside the face."""
+        return self.room(points) > 0.0
+
+
+def area_vector(loop: np.ndarray) -> np.ndarray:
+    """Area of a closed loop (K, 3) times its unit normal, shape (3,)."""
+    return 0.5 * np.cross(loop, np.roll(loop, -1, axis=0)).sum(axis=0)
+
+
+def as_face(face: Face | Any) -> Face:
+    """A face as it is, or the face with the corners (K, 3), counter-clockwise from outside."""
+    return face if isinstance(face, Face) else Face(face)
+
+
+def _loop(corners: Sequence[Any] | np.ndarray, name: str) -> np.ndarray:
+    try:
+        loop = np.array(corners, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(f"{name}: corners are an array of numbers, shape (K, 3)") from error
+    if loop.ndim != 2 or loop.shape[1] != 3 or len(loop) < 3 or not np.all(np.isfinite(loop)):
+        raise GraspError(
+            f"{name}: a face needs three or more corners of three finite coordinates, shape "
+            f"(K, 3), not {loop.shape}"
+        )
+    return _fixed(loop)
+
+
+def _fixed(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)
+    return array

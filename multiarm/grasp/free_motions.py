@@ -1,0 +1,141 @@
+r"""Motions of a held body, in words.
+
+A twist ``[v; omega]`` about the frame's origin moves the body's point p with
+:math:`u = v + \omega \times p` and opens the gap at contact j at the rate
+:math:`w_j^T [v; \omega] = e_j \cdot u_j`.  It is a translation, a turn about a line, or a screw
+about a line, with the pitch :math:`v \cdot \omega / |\omega|^2`.  A turn about a line leaves every
+gap as it is exactly when every normal line meets that line or is parallel to it: so it is with
+bodies of revolution, which frictionless contacts can never hold (thesis, 2.1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.grasp.contacts import Contacts
+
+# Part of the fastest contact's speed that counts as none.
+STILL = 1e-7
+
+
+def twist_of(contacts: Contacts, direction: np.ndarray) -> np.ndarray:
+    """Twist about the frame's origin of a direction in scaled wrench coordinates.
+
+    Its fastest contact point has the speed 1; when all of them rest, ``|omega| length`` is 1.
+    """
+    d = contacts.dimension
+    direction = direction / np.linalg.norm(direction)
+    linear, angular = direction[:d], direction[d:] / contacts.length
+    arms = contacts.points - contacts.centre
+    speeds = np.linalg.norm(linear + _across(angular, arms), axis=1)
+    scale = float(speeds.max())
+    if scale <= STILL:
+        scale = float(np.linalg.norm(direction[d:]))
+    linear = linear - _across(angular, contacts.centre)
+    return np.concatenate([linear, angular]) / scale
+
+
+def leaving_contacts(contacts: Contacts, motion: np.ndarray) -> tuple[int, ...]:
+    """Numbers of the contacts whose gap opens under a twist."""
+    rates = _velocities(contacts, motion)
+    opening = np.sum(contacts.normals * rates, axis=1)
+    return tuple(np.flatnonzero(opening > STILL * np.linalg.norm(rates, axis=1).max()).tolist())
+
+
+def motion_in_words(contacts: Contacts, motion: np.ndarray) -> str:
+    """What a twist does: ``slide along (1, 0, 0)``, ``turn about the line through ...``."""
+    d = contacts.dimension
+    angular = motion[d:]
+    middle = motion[:d] + _across(angular, contacts.centre)
+    turning = float(np.linalg.norm(angular)) * contacts.length
+    if turning <= STILL * max(float(np.linalg.norm(middle)), turning):
+        return f"slide along {vector_in_words(middle / np.linalg.norm(middle))}"
+    foot = contacts.centre + _across(angular, middle) / float(angular @ angular)
+    size = max(float(np.abs(contacts.points).max()), contacts.length)
+    through = vector_in_words(foot, size)
+    if d == 2:
+        return f"turn about the point {through}"
+    axis = angular / np.linalg.norm(angular)
+    advance = float(middle @ angular) / float(angular @ angular)
+    line = f"the line through {through} along {vector_in_words(axis)}"
+    if abs(advance) <= STILL * contacts.length:
+        return f"turn about {line}"
+    return f"screw about {line}, {advance:.4g} m for each radian"
+
+
+def explanation(contacts: Contacts, motion: np.ndarray, rank: int, borderline: bool) -> str:
+    """Why contacts do not hold the body, and how it can move."""
+    n, space = contacts.freedoms, "in space" if contacts.dimension == 3 else "in the plane"
+    does = motion_in_words(contacts, motion)
+    off = leaving_contacts(contacts, motion)
+    if contacts.count <= n:
+        count = contacts.count
+        few = "1 contact never closes" if count == 1 else f"{count} contacts never close"
+        why = f"{few} {space}, at least {n + 1} are needed"
+    elif rank < n:
+        why = f"the wrenches of the {contacts.count} contacts have rank {rank} of {n}"
+    else:
+        why = f"no pushes of all {contacts.count} contacts balance"
+    how = f"the body can {does}{_which(contacts, off)}"
+    sentences = [f"no form closure: {why}; {how}"]
+    if not off:
+        sentences += [pattern for pattern in (_pattern(contacts, motion),) if pattern]
+    if borderline:
+        sentences.append("It is borderline: a change within the tolerance may close it")
+    return ". ".join(sentences)
+
+
+def vector_in_words(vector: np.ndarray, size: float = 1.0) -> str:
+    """Components with four digits; what is nothing next to ``size`` is 0."""
+    shown = np.where(np.abs(vector) > STILL * size, vector, 0.0)
+    return "(" + ", ".join(f"{value:.4g}" for value in shown) + ")"
+
+
+def _pattern(contacts: Contacts, motion: np.ndarray) -> str | None:
+    """What the normal lines have in common when a motion leaves every gap as it is."""
+    d, p, e = contacts.dimension, contacts.points, contacts.normals
+    across = e - np.outer(e @ e[0], e[0])
+    if np.abs(across).max() <= STILL:
+        return "All normals are parallel: nothing resists a motion across them"
+    projectors = np.eye(d) - e[:, :, None] * e[:, None, :]
+    arms = p - contacts.centre
+    sides = np.einsum("jab,jb->a", projectors, arms)
+    meeting = np.linalg.lstsq(projectors.sum(axis=0), sides, rcond=None)[0]
+    off = np.einsum("jab,jb->ja", projectors, arms - meeting)
+    if np.abs(off).max() <= STILL * contacts.length:
+        kind = "sphere" if d == 3 else "circle"
+        at = vector_in_words(meeting + contacts.centre, float(np.abs(p).max()))
+        return (
+            f"All normal lines meet at {at}: no contact with such a normal stops a turn about that "
+            f"point, and a {kind} around it cannot be held"
+        )
+    turns = np.linalg.norm(motion[d:]) * contacts.length > STILL
+    if d == 3 and turns and motion_in_words(contacts, motion).startswith("turn"):
+        return (
+            "All normal lines meet this axis or are parallel to it: contacts of that kind, the "
+            "only ones on a body of revolution, never stop the turn"
+        )
+    return None
+
+
+def _velocities(contacts: Contacts, motion: np.ndarray) -> np.ndarray:
+    """Velocities (N, d) of the contact points of the body."""
+    d = contacts.dimension
+    middle = motion[:d] + _across(motion[d:], contacts.centre)
+    return middle + _across(motion[d:], contacts.points - contacts.centre)
+
+
+def _across(angular: np.ndarray, arms: np.ndarray) -> np.ndarray:
+    """``omega x r``, in the plane too, where omega is the one number ``angular[0]``."""
+    if len(angular) == 3:
+        return np.cross(angular, arms)
+    return angular[0] * np.stack([-arms[..., 1], arms[..., 0]], axis=-1)
+
+
+def _which(contacts: Contacts, numbers: tuple[int, ...]) -> str:
+    """Which contacts a motion leaves, as a subordinate clause."""
+    if not numbers:
+        return ", all contacts sliding or resting" if contacts.count > 1 else ", the contact slides"
+    if len(numbers) == contacts.count:
+        return ", away from every contact" if contacts.count > 1 else ", away from the contact"
+    return f", away from {', '.join(contacts.names[j] for j in numbers)}"

@@ -1,0 +1,303 @@
+r"""A body bounded by plane faces: what there is to touch, and how it moves when it is let go.
+
+The body is a list of corners and, for each face, loops of their numbers: around the face
+counter-clockwise as seen from outside, around holes clockwise.  Every edge then belongs to two
+faces, which run along it in opposite directions; that is checked, so that a `Polyhedron` is a
+solid.  Faces need not be convex.
+
+Mass properties are sums over the signed tetrahedra between a point and the triangles
+(v_1, v_k, v_{k+1}) of all loops; those of dents and holes are negative, so that no face has to be
+cut up.  With corners a, b, c of a triangle and :math:`s = a + b + c`
+
+.. math::
+    V = \sum \tfrac{1}{6} a \cdot (b \times c), \qquad
+    \int x \, dV = \sum \tfrac{V_i}{4} s, \qquad
+    \int x x^T dV = \sum \tfrac{V_i}{20} (a a^T + b b^T + c c^T + s s^T).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.face import PLANE_TOLERANCE, Face
+
+Loop = tuple[int, ...]
+"""Numbers of corners, in the order in which an edge runs through them."""
+
+
+@dataclass(frozen=True)
+class MassProperties:
+    """Mass properties of a solid of constant density.
+
+    Attributes
+    ----------
+    mass : float
+        [kg]
+    centre : ndarray, shape (3,)
+        Centre of mass in the body's frame [m].
+    inertia : ndarray, shape (3, 3)
+        About the centre of mass, in the body's axes [kg m^2].
+    """
+
+    mass: float
+    centre: np.ndarray
+    inertia: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Polyhedron:
+    """A solid bounded by plane faces.
+
+    Parameters
+    ----------
+    vertices : array-like, shape (V, 3)
+        Its corners [m].
+    loops : sequence of sequences of loops
+        For each face the numbers of its corners, counter-clockwise as seen from outside; then one
+        clockwise loop for each hole.
+    names : sequence of str, optional
+        What messages and pictures call the faces; ``face 0`` and so on otherwise.
+
+    Raises
+    ------
+    GraspError
+        Faces that are not plane, edges that do not belong to two faces, faces that point inward,
+        several separate bodies.
+
+    See Also
+    --------
+    box, prism, wedge, pyramid, halfspaces, hull, mesh : the usual ways to make one.
+    """
+
+    vertices: np.ndarray
+    loops: tuple[tuple[Loop, ...], ...]
+    names: tuple[str, ...]
+
+    def __init__(
+        self,
+        vertices: Any,
+        loops: Sequence[Sequence[Sequence[int]]],
+        names: Sequence[str] | None = None,
+    ) -> None:
+        from multiarm.grasp.solid import check_one_solid
+
+        corners = np.array(vertices, dtype=float)
+        corners.setflags(write=False)
+        numbers = tuple(tuple(tuple(int(v) for v in loop) for loop in face) for face in loops)
+        called = (
+            tuple(names) if names is not None else tuple(f"face {k}" for k in range(len(loops)))
+        )
+        object.__setattr__(self, "vertices", corners)
+        object.__setattr__(self, "loops", numbers)
+        object.__setattr__(self, "names", called)
+        check_one_solid(len(corners), numbers, "the body")
+        if not self.volume > 0.0:
+            raise GraspError(
+                "the faces point inward; list the corners of a face counter-clockwise as seen from "
+                "outside"
+            )
+
+    # --- ways to make one ----------------------------------------------------------------------
+
+    @classmethod
+    def box(cls, lengths: Any) -> Polyhedron:
+        """A block with the full edge lengths (3,) [m], centred at the origin.
+
+        Its faces are +x, +y, +z, -x, -y, -z, in this order.
+        """
+        from multiarm.grasp.bodies import box
+
+        return box(lengths)
+
+    @classmethod
+    def prism(cls, polygon: Any, height: float) -> Polyhedron:
+        """A polygon (K, 2) in x and y, either way round, from z = -height / 2 to height / 2 [m].
+
+        Face k contains the polygon's edge from corner k; then come the top and the bottom.
+        """
+        from multiarm.grasp.bodies import prism
+
+        return prism(polygon, height)
+
+    @classmethod
+    def wedge(cls, lengths: Any, top: float = 0.0) -> Polyhedron:
+        """A block (3,) whose top is cut down to the length ``top`` along x by one slope [m].
+
+        The slope falls toward +x; ``top = 0`` leaves a sharp ridge.  The origin is the centre of
+        the block.
+        """
+        from multiarm.grasp.bodies import wedge
+
+        return wedge(lengths, top)
+
+    @classmethod
+    def pyramid(cls, base: Any, apex: Any) -> Polyhedron:
+        """A pyramid on a polygon (K, 2) in the plane z = 0, with its apex (3,) above or below."""
+        from multiarm.grasp.bodies import pyramid
+
+        return pyramid(base, apex)
+
+    @classmethod
+    def halfspaces(cls, normals: Any, offsets: Any) -> Polyhedron:
+        """All x with ``normals[k] . x <= offsets[k]``: face k has the outward normal k.
+
+        Normals (F, 3) are of any length.  Half-spaces that bound no face are left out.
+        """
+        from multiarm.grasp.bodies import halfspaces
+
+        return halfspaces(normals, offsets)
+
+    @classmethod
+    def hull(cls, points: Any) -> Polyhedron:
+        """The convex hull of points (N, 3) [m]."""
+        from multiarm.grasp.bodies import hull
+
+        return hull(points)
+
+    @classmethod
+    def mesh(cls, file: str | Path, scale: float = 1.0) -> Polyhedron:
+        """A body from an STL or OBJ file, whose numbers times ``scale`` are metres.
+
+        Triangles in one plane become one face, which may have holes.
+
+        Raises
+        ------
+        GraspError
+            A file that cannot be read; a mesh that is open, inside out, not a manifold, or more
+            than one body.
+        """
+        from multiarm.grasp.mesh import mesh
+
+        return mesh(file, scale)
+
+    # --- what it is ----------------------------------------------------------------------------
+
+    @cached_property
+    def faces(self) -> tuple[Face, ...]:
+        """The faces, in the body's frame."""
+        v = self.vertices
+        return tuple(
+            Face(v[list(loops[0])], tuple(v[list(loop)] for loop in loops[1:]), name)
+            for loops, name in zip(self.loops, self.names, strict=True)
+        )
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """Outward unit normals of the faces, shape (F, 3)."""
+        return np.array([face.normal for face in self.faces])
+
+    @cached_property
+    def corners(self) -> tuple[tuple[int, ...], ...]:
+        """For each vertex the numbers of the faces that meet there."""
+        meeting: list[list[int]] = [[] for _ in self.vertices]
+        for number, loops in enumerate(self.loops):
+            for v in sorted({v for loop in loops for v in loop}):
+                meeting[v].append(number)
+        return tuple(map(tuple, meeting))
+
+    @cached_property
+    def edges(self) -> dict[tuple[int, int], tuple[int, int]]:
+        """For each edge (u, v), u < v, its faces: on the left of u to v, and on the right."""
+        left = {edge: number for number, loops in enumerate(self.loops) for edge in _runs(loops)}
+        return {(u, v): (left[u, v], left[v, u]) for u, v in left if u < v}
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the box around the body [m]: the unit of relative tolerances."""
+        return float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
+
+    @cached_property
+    def convex(self) -> bool:
+        """Whether no corner stands out over the plane of a face."""
+        heights = self.normals @ self.vertices.T - [[face.offset] for face in self.faces]
+        return bool(heights.max() <= PLANE_TOLERANCE * self.size)
+
+    @property
+    def volume(self) -> float:
+        """Volume [m^3]."""
+        return self._moments[0]
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Centre of mass at constant density, shape (3,) [m]."""
+        return self._moments[1]
+
+    def mass_properties(self, mass: float) -> MassProperties:
+        """Mass, centre of mass and inertia when the mass [kg] is spread evenly.
+
+        Raises
+        ------
+        GraspError
+            A mass that is not a positive number.
+        """
+        if not (np.isfinite(mass) and mass > 0.0):
+            raise GraspError(f"the mass of a body is a positive number of kilograms, not {mass!r}")
+        volume, centre, second = self._moments
+        inertia = (np.trace(second) * np.eye(3) - second) * (mass / volume)
+        return MassProperties(float(mass), centre, inertia)
+
+    @cached_property
+    def _moments(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Volume, centre, and second moments about the centre."""
+        middle = self.vertices.mean(axis=0)
+        fans = [
+            (loop[0], loop[k], loop[k + 1])
+            for loops in self.loops
+            for loop in loops
+            for k in range(1, len(loop) - 1)
+        ]
+        corners = (self.vertices - middle)[np.array(fans)]  # (T, 3 corners, 3)
+        volumes = np.linalg.det(corners) / 6.0
+        sums = corners.sum(axis=1)
+        volume = float(volumes.sum())
+        centre = volumes @ sums / (4.0 * volume) if volume else np.zeros(3)
+        about = np.einsum("t,tki,tkj->ij", volumes, corners, corners)
+        about += np.einsum("t,ti,tj->ij", volumes, sums, sums)
+        return volume, centre + middle, about / 20.0 - volume * np.outer(centre, centre)
+
+    # --- the same body elsewhere ---------------------------------------------------------------
+
+    def placed(self, pose: Any) -> Polyhedron:
+        """The body in another frame; ``pose`` (4, 4) is this frame in it."""
+        X = np.asarray(pose, dtype=float)
+        return self._with(self.vertices @ X[:3, :3].T + X[:3, 3])
+
+    def centred(self) -> Polyhedron:
+        """The body with its centre of mass at the origin."""
+        return self._with(self.vertices - self.centre)
+
+    def scaled(self, factor: float) -> Polyhedron:
+        """The body with all lengths multiplied."""
+        if not (np.isfinite(factor) and factor > 0.0):
+            raise GraspError(f"a body is scaled by a positive factor, not {factor!r}")
+        return self._with(self.vertices * factor)
+
+    def _with(self, vertices: np.ndarray) -> Polyhedron:
+        return Polyhedron(vertices, self.loops, self.names)
+
+    def save(self, path: str | Path) -> None:
+        """Write the body as STL (or another format that trimesh knows by its ending).
+
+        A scene names the file as the mesh of its object.  STL keeps some seven digits.
+        """
+        from multiarm.grasp.mesh import save
+
+        save(self, path)
+
+    def __repr__(self) -> str:
+        kinds = Counter(len(face.vertices) for face in self.faces)
+        told = ", ".join(f"{count} with {k} corners" for k, count in sorted(kinds.items()))
+        return f"<Polyhedron: {len(self.vertices)} corners, {len(self.loops)} faces ({told})>"
+
+
+def _runs(loops: tuple[Loop, ...]) -> list[tuple[int, int]]:
+    """Directed edges of the loops."""
+    return [edge for loop in loops for edge in zip(loop, (*loop[1:], loop[0]), strict=True)]

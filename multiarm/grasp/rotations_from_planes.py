@@ -1,0 +1,267 @@
+r"""All rotations that place points on planes: quadrics in the quaternion, solved completely.
+
+Contact k touches the plane of the body with outward normal :math:`n_k` and offset :math:`h_k`. In
+the world it is seen at :math:`p_k`. The pose (R, x) of the body satisfies
+
+.. math:: n_k^T R^T (p_k - x) = h_k, \qquad k = 1 \dots N .
+
+With :math:`y = R^T x` this is linear in R and y together. With C a basis of the left null space of
+:math:`[n_1 \dots n_N]^T`, C takes y out: what remains are N - 3 equations for the rotation alone,
+
+.. math::
+    \langle R, M_i \rangle = g_i, \qquad
+    M_i = \sum_k C_{ik}\, p_k n_k^T, \quad g_i = \sum_k C_{ik} h_k .
+
+In a unit quaternion q each is a quadric :math:`q^T (K(M_i) - g_i I) q = 0` (Davenport's K). Three
+general combinations of them are three quadrics in projective space. When these meet in finitely
+many points there are eight, complex ones counted with multiplicity (Bezout), and every exact
+solution of all N - 3 equations is one of the eight. They are found from the null space of the
+Macaulay matrix of degree 4 (all products of the quadrics with the ten monomials of degree 2): it is
+spanned by the vectors of monomials at the eight points, and multiplication by one linear form over
+another is an eigenvalue problem of size 8. No start values, no choice of axes.
+
+With noise there need be no exact solution. The eight points, and for N > 6 also a grid of
+rotations, are then starts of Levenberg-Marquardt's method on the N - 3 residuals; C has orthonormal
+rows, so that their sum of squares is the least over all positions x.
+
+References: Cox, Little, O'Shea, *Using Algebraic Geometry*, 2005, ch. 3; Horn, "Closed-form
+solution of absolute orientation using unit quaternions", JOSA A 4, 1987.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations_with_replacement, permutations, product
+
+import numpy as np
+
+# The Macaulay matrix has no further null vectors when its 27th singular value is above this part
+# of the first; rounding leaves about 1e-15, a family of solutions 0.
+NULL_TOLERANCE = 1e-11
+# Residuals of exact data, over the size of their terms: rounding, amplified.
+EXACT = 1e-10
+# Two rotations [rad] this near are one solution.
+SAME_ROTATION = 1e-6
+# Levenberg-Marquardt ends when the step [rad] is below this, when even a heavily damped step makes
+# nothing better, or after so many steps.
+SMALLEST_STEP = 1e-15
+LARGEST_DAMPING = 1e3
+STEPS = 60
+# An end is a minimum when a further step would take off at most this part of the residual.
+STATIONARY = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class RotationEquations:
+    """The equations ``<R, M_i> = g_i``, position taken out.
+
+    Attributes
+    ----------
+    M : ndarray, shape (N - 3, 3, 3)
+    g : ndarray, shape (N - 3,)
+    """
+
+    M: np.ndarray
+    g: np.ndarray
+
+    @classmethod
+    def of(
+        cls, points: np.ndarray, normals: np.ndarray, offsets: np.ndarray, weights: np.ndarray
+    ) -> RotationEquations:
+        """Equations of contacts at ``points`` (N, 3); each row of the N weighted.
+
+        The weights are the reciprocals of the standard deviations of the N residuals, up to a
+        common factor.
+        """
+        rows = weights[:, None] * normals
+        U, _, _ = np.linalg.svd(rows, full_matrices=True)
+        C = U[:, 3:].T * weights  # (N - 3, N): takes the weighted y out
+        return cls(np.einsum("ik,ka,kb->iab", C, points, normals), C @ offsets)
+
+    def residuals(self, R: np.ndarray) -> np.ndarray:
+        """``<R, M_i> - g_i`` for rotations (..., 3, 3): shape (..., N - 3)."""
+        return np.einsum("...ab,iab->...i", R, self.M) - self.g
+
+    def jacobian(self, R: np.ndarray) -> np.ndarray:
+        """Derivative for ``R <- exp(theta) R``, shape (..., N - 3, 3): axial(M_i R^T)."""
+        turned = np.einsum("iab,...cb->...iac", self.M, R)
+        return _axial(turned)
+
+    def quadrics(self) -> np.ndarray:
+        """``K(M_i) - g_i I``, shape (N - 3, 4, 4), for quaternions xyzw."""
+        trace = np.trace(self.M, axis1=1, axis2=2)
+        A = np.empty((len(self.g), 4, 4))
+        A[:, :3, :3] = self.M + self.M.transpose(0, 2, 1) - trace[:, None, None] * np.eye(3)
+        A[:, :3, 3] = A[:, 3, :3] = _axial(self.M)
+        A[:, 3, 3] = trace
+        return A - self.g[:, None, None] * np.eye(4)
+
+
+def rotations_of(equations: RotationEquations, known: np.ndarray | None = None) -> np.ndarray:
+    """Rotations at which the sum of squared residuals is least nearby, shape (K, 3, 3), best first.
+
+    ``known`` (K, 3, 3) are such rotations for other weights; they take the place of the grid.
+
+    Exact solutions of exact data are all among them, whatever their number (at most eight if
+    finite).  For data with noise the least squares from a grid of rotations are there too.
+    """
+    starts = intersections(equations.quadrics())
+    found = refined(equations, rotation_matrices(starts))
+    exact = len(found) and np.abs(equations.residuals(found[:1])).max() < EXACT * _size(equations)
+    if not exact or len(starts) < 8:
+        more = cube_rotations() if known is None else known
+        found = refined(equations, np.concatenate([found, more]))
+    return found
+
+
+def intersections(quadrics: np.ndarray) -> np.ndarray:
+    """Real parts of the common points of three general combinations, quaternions (8, 4).
+
+    Fewer (or none) when the combinations meet in more than finitely many points.
+    """
+    A = quadrics / np.linalg.norm(quadrics, axis=(1, 2)).max().clip(np.finfo(float).tiny)
+    if len(A) > 3:  # a fixed general choice: the result is the same on every call
+        mix = np.random.default_rng(7).standard_normal((3, len(A)))
+        A = np.einsum("ij,jab->iab", mix, A)
+    null = _macaulay_null_space(A)
+    if null is None:
+        return np.zeros((0, 4))
+    forms = np.random.default_rng(11).standard_normal((2, 4))
+    S = null[_SHIFTS]  # (4, 20, 8): monomials of degree 3 times each coordinate
+    upper, lower = np.einsum("fi,imk->fmk", forms, S)
+    _, vectors = np.linalg.eig(np.linalg.lstsq(lower, upper, rcond=None)[0])
+    outer = np.einsum("imk,ke->eim", S, vectors)  # q times its monomials: of rank one
+    q = np.linalg.svd(outer, full_matrices=False)[0][:, :, 0]
+    squared = np.sum(q * q, axis=1)
+    q = q * np.exp(-0.5j * np.angle(squared))[:, None]
+    real = q.real + np.where(np.linalg.norm(q.real, axis=1) < 1e-3, 1.0, 0.0)[:, None] * q.imag
+    return real / np.linalg.norm(real, axis=1, keepdims=True)
+
+
+def refined(equations: RotationEquations, starts: np.ndarray) -> np.ndarray:
+    """Levenberg-Marquardt's method from every start at once; different ends only, best first."""
+    R = starts.copy()
+    damping = np.full(len(R), 1e-4)
+    cost = np.sum(equations.residuals(R) ** 2, axis=1)
+    at_work = np.arange(len(R))
+    for _ in range(STEPS):
+        J, r = equations.jacobian(R[at_work]), equations.residuals(R[at_work])
+        H = np.einsum("kia,kib->kab", J, J)
+        scale = np.trace(H, axis1=1, axis2=2) / 3.0 + np.finfo(float).tiny
+        H = H + (damping[at_work] * scale)[:, None, None] * np.eye(3)
+        step = -np.linalg.solve(H, np.einsum("kia,ki->ka", J, r)[..., None])[..., 0]
+        tried = rotation_vectors_exp(step) @ R[at_work]
+        new = np.sum(equations.residuals(tried) ** 2, axis=1)
+        better = new < cost[at_work]
+        R[at_work[better]], cost[at_work[better]] = tried[better], new[better]
+        damping[at_work] *= np.where(better, 0.1, 4.0)
+        damping = np.maximum(damping, 1e-15)
+        moving = np.linalg.norm(step, axis=1) > SMALLEST_STEP
+        at_work = at_work[moving & (damping[at_work] < LARGEST_DAMPING)]
+        if not len(at_work):
+            break
+    best = int(np.argmin(cost)) if len(R) else 0
+    ended = _stationary(equations, R) | (np.arange(len(R)) == best)
+    return _different(R[ended][np.argsort(cost[ended], kind="stable")])
+
+
+def rotation_matrices(q: np.ndarray) -> np.ndarray:
+    """Rotations of unit quaternions xyzw (..., 4)."""
+    v, w = q[..., :3], q[..., 3, None, None]
+    square = np.sum(v * v, axis=-1)[..., None, None]
+    outer = v[..., :, None] * v[..., None, :]
+    return (w * w - square) * np.eye(3) + 2.0 * outer + 2.0 * w * _skew(v)
+
+
+def quaternion_of(R: np.ndarray) -> np.ndarray:
+    """Unit quaternion xyzw with w >= 0, shape (4,): largest eigenvector of Davenport's K."""
+    K = RotationEquations(R[None], np.zeros(1)).quadrics()[0]
+    q = np.linalg.eigh(K)[1][:, -1]
+    return q if q[3] >= 0.0 else -q
+
+
+def rotation_vectors_exp(theta: np.ndarray) -> np.ndarray:
+    """Rotations of rotation vectors (..., 3) [rad]."""
+    angle = np.linalg.norm(theta, axis=-1, keepdims=True)
+    half = 0.5 * theta * np.sinc(0.5 * angle / np.pi)  # axis times sin(angle / 2)
+    return rotation_matrices(np.concatenate([half, np.cos(0.5 * angle)], axis=-1))
+
+
+def angle_between(R: np.ndarray, S: np.ndarray) -> np.ndarray:
+    """Angle of ``R^T S`` [rad], exact also for small ones."""
+    half = np.linalg.norm(R - S, axis=(-2, -1)) / np.sqrt(8.0)
+    return 2.0 * np.arcsin(np.clip(half, 0.0, 1.0))
+
+
+def cube_rotations() -> np.ndarray:
+    """The 24 rotations of a cube, shape (24, 3, 3), turned off the axes by a fixed amount."""
+    turns = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            R = np.eye(3)[list(order)] * np.array(signs)[:, None]
+            if np.linalg.det(R) > 0.0:
+                turns.append(R)
+    return rotation_vectors_exp(np.array([0.1, 0.2, -0.3])) @ np.array(turns)
+
+
+def _stationary(equations: RotationEquations, R: np.ndarray) -> np.ndarray:
+    """Whether the residual is exact, or no step of first order takes off more of it."""
+    r = equations.residuals(R)
+    U, s, _ = np.linalg.svd(equations.jacobian(R), full_matrices=False)
+    felt = s > SAME_ROTATION * s.max(axis=1, keepdims=True)
+    gain = np.linalg.norm(np.einsum("kia,ki->ka", U, r) * felt, axis=1)
+    return gain <= STATIONARY * np.linalg.norm(r, axis=1) + EXACT * _size(equations)
+
+
+def _size(equations: RotationEquations) -> float:
+    """Size of the terms that residuals are differences of."""
+    return float(np.linalg.norm(equations.M, axis=(1, 2)).max())
+
+
+def _different(R: np.ndarray) -> np.ndarray:
+    """The first of every group of equal rotations."""
+    kept: list[int] = []
+    for k in range(len(R)):
+        if not kept or angle_between(R[kept], R[k]).min() > SAME_ROTATION:
+            kept.append(k)
+    return R[kept]
+
+
+def _skew(v: np.ndarray) -> np.ndarray:
+    """``S(v) b = v x b``, shape (..., 3, 3)."""
+    S = np.zeros((*v.shape[:-1], 3, 3))
+    S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
+    return S - np.swapaxes(S, -1, -2)
+
+
+def _axial(M: np.ndarray) -> np.ndarray:
+    """z with ``<S(v), M> = v . z``, shape (..., 3)."""
+    return np.stack(
+        [
+            M[..., 2, 1] - M[..., 1, 2],
+            M[..., 0, 2] - M[..., 2, 0],
+            M[..., 1, 0] - M[..., 0, 1],
+        ],
+        axis=-1,
+    )
+
+
+def _macaulay_null_space(A: np.ndarray) -> np.ndarray | None:
+    """Null space (35, 8) of all products of three quadrics with monomials of degree 2."""
+    rows = np.zeros((3, 10, 35))
+    for (i, j), places in zip(_DEGREE_2, _PRODUCTS, strict=True):
+        rows[:, np.arange(10), places] += (1.0 if i == j else 2.0) * A[:, i, j, None]
+    _, s, Vt = np.linalg.svd(rows.reshape(30, 35), full_matrices=True)
+    return Vt[27:].T if s[26] > NULL_TOLERANCE * s[0] else None
+
+
+def _monomials(degree: int) -> list[tuple[int, ...]]:
+    return list(combinations_with_replacement(range(4), degree))
+
+
+_DEGREE_2 = _monomials(2)
+_PLACE = {monomial: k for k, monomial in enumerate(_monomials(4))}
+# Where the product of two monomials of degree 2 stands, shape (10, 10).
+_PRODUCTS = np.array([[_PLACE[tuple(sorted(a + b))] for b in _DEGREE_2] for a in _DEGREE_2])
+# Where a monomial of degree 3 times each coordinate stands, shape (4, 20).
+_SHIFTS = np.array([[_PLACE[tuple(sorted((*m, i)))] for m in _monomials(3)] for i in range(4)])

@@ -1,0 +1,220 @@
+r"""Which wrench completes a grasp: the cone of the contacts that are there, seen from outside.
+
+Contacts that can only push exert the wrenches of the cone
+:math:`K = \{W \lambda : \lambda \ge 0\}`.  When W has rank 6, K has an inside, and one more contact
+with the wrench w gives form closure exactly when :math:`-w` is inside (thesis, 2.1): with
+:math:`-w = W \lambda`, :math:`\lambda > 0`, all contacts together balance.  With the inward normals
+:math:`n_f` of the facets of K, :math:`K = \{w : n_f \cdot w \ge 0\}`, the condition is
+
+.. math::  n_f \cdot w < 0 \quad \text{for all } f .
+
+For six contacts the :math:`n_f` are the rows of :math:`W^{-1}` (thesis, eq. 2.3), and the numbers
+:math:`n_f \cdot w` are the coefficients :math:`W^{-1} w`.  For more, K may contain whole lines: the
+span L of all contacts that take part in some balance.  L is divided out, what is left is a pointed
+cone, and its facets are those of the convex hull of a slice through it.  If L is the whole space
+the grasp is closed already, and no facet restricts anything.
+
+Wrenches are taken about the mean of the contacts with moments over their spread, so that neither
+the size nor the place of the body matters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.contacts import Contacts, wrenches_of
+
+# Wrenches are dependent when the smallest singular value of the scaled W is below this part of the
+# largest; contacts that are told with nine digits are told apart.
+RANK_TOLERANCE = 1e-9
+# Accuracy that the linear programs are asked for, and a rank decision on what they return, which
+# has to be well above it.
+PROGRAM_TOLERANCE, LINE_TOLERANCE = 1e-10, 1e-7
+
+# A level is negative only when it is below zero by this part of what it is made of.
+STRICT = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class WrenchCone:
+    """All wrenches that some frictionless contacts can exert, as the facets of their cone.
+
+    Attributes
+    ----------
+    contacts : Contacts
+        N >= 6 contacts of rank 6.
+    facets : ndarray, shape (F, 6)
+        Inward normals of the facets, for wrenches about ``contacts.centre`` with moments over
+        ``contacts.length``; rows of the inverse when N = 6, unit vectors otherwise; none when the
+        contacts alone give form closure.
+    """
+
+    contacts: Contacts
+    facets: np.ndarray
+
+    @cached_property
+    def closed(self) -> bool:
+        """Whether the contacts give form closure without another one."""
+        return not len(self.facets)
+
+    def levels(self, points: Any, normals: Any) -> np.ndarray:
+        """``n_f . w`` of one more contact, shape (..., F): it closes when all are negative.
+
+        Parameters
+        ----------
+        points, normals : array-like, shape (..., 3)
+            Candidates for the contact, on any surface, and their normals into the body (of unit
+            length) [m].
+
+        Notes
+        -----
+        For six contacts they are :math:`W_6^{-1} w_7`, minus the forces of the six that balance a
+        unit push of the seventh.
+        """
+        w = self._wrenches(points, normals)
+        return np.moveaxis(np.tensordot(self.facets, w, axes=1), 0, -1)
+
+    def closes(self, points: Any, normals: Any) -> np.ndarray:
+        """Which candidates (...) close the grasp: their levels are negative by more than rounding.
+
+        A level within ``STRICT`` of zero, relative to the sizes of facet and wrench, is zero.
+        """
+        w = self._wrenches(points, normals)
+        sizes = np.linalg.norm(self.facets, axis=1) * np.linalg.norm(w, axis=0)[..., None]
+        return np.all(self.levels(points, normals) < -STRICT * sizes, axis=-1)
+
+    def _wrenches(self, points: Any, normals: Any) -> np.ndarray:
+        """Scaled wrenches (6, ...) of candidates."""
+        try:
+            at, along = np.broadcast_arrays(np.asarray(points, float), np.asarray(normals, float))
+        except (TypeError, ValueError) as error:
+            raise GraspError("points and normals are arrays (..., 3) of numbers") from error
+        if at.shape[-1:] != (3,) or not np.all(np.isfinite(at) & np.isfinite(along)):
+            raise GraspError(
+                f"points and normals are arrays (..., 3) of finite numbers; they have shapes "
+                f"{np.shape(points)} and {np.shape(normals)}"
+            )
+        return wrenches_of((at - self.contacts.centre) / self.contacts.length, along)
+
+
+def wrench_cone(contacts: Contacts) -> WrenchCone:
+    """The cone of the wrenches of at least six contacts in space.
+
+    Raises
+    ------
+    GraspError
+        Contacts in the plane; fewer than six; wrenches of a rank below 6.
+    """
+    if contacts.dimension != 3:
+        raise GraspError("contacts in space are needed here; these are in the plane")
+    W = contacts.scaled_wrenches
+    rank = int(np.linalg.matrix_rank(W, tol=RANK_TOLERANCE * np.linalg.norm(W, 2)))
+    if rank < 6:
+        raise GraspError(
+            f"the {contacts.count} contacts have rank {rank}, not 6: in a balance with one more "
+            f"contact that contact would have to carry no force, so it cannot close the grasp; "
+            f"move or add contacts so that six are independent (block_inverse says which are)"
+        )
+    if contacts.count == 6:
+        return WrenchCone(contacts, np.linalg.inv(W))
+    return WrenchCone(contacts, _facets(W / np.linalg.norm(W, axis=0)))
+
+
+def closes_on_surface(contacts: Contacts, points: Any, normals: Any) -> np.ndarray:
+    """Which points of a surface, curved or plane, close the grasp with one more contact.
+
+    Parameters
+    ----------
+    contacts : Contacts
+        At least six, of rank 6.
+    points, normals : array-like, shape (..., 3)
+        Points of the surface [m] and unit normals there, into the body.
+
+    Returns
+    -------
+    ndarray of bool, shape (...)
+
+    Notes
+    -----
+    Equation 2.3 of the thesis with the normal as a function of the point.  A region on a curved
+    face need not be convex (A.6).  `wrench_cone(contacts).levels` tells by how much.
+    """
+    return wrench_cone(contacts).closes(points, normals)
+
+
+def _facets(W: np.ndarray) -> np.ndarray:
+    """Inward unit normals (F, 6) of the cone of unit columns (6, N) that span the space."""
+    balanced = _balanced(W)
+    U, s, _ = np.linalg.svd(W[:, balanced], full_matrices=True)
+    lines = int(np.sum(s > LINE_TOLERANCE * s[0])) if s.size else 0
+    Q = U[:, lines:]  # (6, m): what the lines leave
+    if not Q.shape[1]:
+        return np.empty((0, 6))
+    G = Q.T @ W[:, ~balanced]  # (m, n): generators of a pointed cone
+    G = G[:, np.linalg.norm(G, axis=0) > LINE_TOLERANCE]
+    return _pointed_facets(G / np.linalg.norm(G, axis=0)) @ Q.T
+
+
+def _balanced(W: np.ndarray) -> np.ndarray:
+    """Which columns take part in some balance W lam = 0, lam >= 0; bool, shape (N,).
+
+    maximise sum t  subject to  W lam = 0,  0 <= t <= lam,  t <= 1:  t is 1 for these and 0 else.
+    """
+    n = W.shape[1]
+    none = np.zeros_like(W)
+    best = _program(
+        np.r_[np.zeros(n), -np.ones(n)],
+        A_eq=np.hstack([W, none]),
+        b_eq=np.zeros(6),
+        A_ub=np.hstack([-np.eye(n), np.eye(n)]),
+        b_ub=np.zeros(n),
+        bounds=[(0, None)] * n + [(0, 1)] * n,
+    )
+    return best[n:] > 0.5
+
+
+def _pointed_facets(G: np.ndarray) -> np.ndarray:
+    """Inward unit normals (F, m) of the pointed cone of unit columns (m, n) that span R^m."""
+    from scipy.spatial import ConvexHull
+
+    m, n = G.shape
+    if m == 1:
+        return np.sign(G[:1, :1])
+    best = _program(  # the direction that is nearest to all generators
+        np.r_[np.zeros(m), -1.0],
+        A_ub=np.hstack([-G.T, np.ones((n, 1))]),
+        b_ub=np.zeros(n),
+        bounds=[(-1, 1)] * m + [(None, None)],
+    )
+    h = best[:m] / np.linalg.norm(best[:m])
+    B = np.linalg.svd(h[None])[2][1:].T  # (m, m - 1): across h
+    slice_ = (B.T @ G / (h @ G)).T  # (n, m - 1): the cone cut at h . w = 1
+    if m == 2:
+        equations = np.array([[1.0, -slice_.max()], [-1.0, slice_.min()]])
+    else:
+        equations = ConvexHull(slice_).equations  # a . y + b <= 0 inside
+    normals = -(equations[:, :-1] @ B.T + equations[:, -1:] * h)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return normals[np.unique(normals.round(9), axis=0, return_index=True)[1]]
+
+
+def _program(cost: np.ndarray, **parts: Any) -> np.ndarray:
+    """Solution of a linear program that has one."""
+    from scipy.optimize import linprog
+
+    accuracy = {
+        "primal_feasibility_tolerance": PROGRAM_TOLERANCE,
+        "dual_feasibility_tolerance": PROGRAM_TOLERANCE,
+    }
+    found = linprog(cost, options=accuracy, **parts)
+    if found.x is None:
+        raise GraspError(
+            f"the cone of the contacts could not be found ({found.message}); contacts that nearly "
+            f"coincide make it ill-conditioned: remove one of each such pair"
+        )
+    return found.x

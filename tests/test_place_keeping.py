@@ -1,0 +1,129 @@
+"""Claims about arms that are held at their places on the object where joints leave them free."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mechanics import panda_trio, ur5_pair
+
+import multiarm as ma
+from multiarm.dynamics import project_velocity
+from multiarm.errors import SceneError
+from multiarm.grasp_scenes.postures import find_posture
+from multiarm.place_keeping import nearest_accelerations
+
+PLANAR = {"kind": "planar"}
+SPRING = {
+    "stiffness": {"translation": 900.0, "rotation": 200.0},
+    "damping": {"translation": 300.0, "rotation": 40.0},
+}
+MOVING = [
+    {"time": 0.3, "xyz": [0.02, 0.03, 0.53], "rpy": [0.1, 0.0, 0.2]},
+    {"time": 0.6, "xyz": [0, 0, 0.5]},
+]
+
+
+def sliding_pair(**control):
+    return ma.compile_system(ur5_pair({"kind": "weld"}, PLANAR).replace(control=control))
+
+
+def slid(system, shift):
+    """The start with the right arm slid over its face, at rest."""
+    start = system.initial_state()
+    arm, angles = system.arms["right"], start.joint_positions["right"]
+    frame = system.frames["right"]
+    place = arm.tip_pose(angles)
+    place[:3, 3] += place[:3, :3] @ frame.on_tip[:3, :2] @ np.array(shift)
+    reach = find_posture(arm, [place], NearBy(angles))
+    positions = {**start.joint_positions, "right": reach.postures[0]}
+    return system.state(
+        object_position=start.object_position,
+        object_quaternion_xyzw=start.object_quaternion_xyzw,
+        joint_positions=positions,
+    )
+
+
+class NearBy:
+    """Stands for a random generator: the search begins here."""
+
+    def __init__(self, angles):
+        self.angles = angles
+
+    def uniform(self, low, high):
+        return self.angles.copy()
+
+
+@pytest.mark.parametrize("path", [None, MOVING], ids=["resting", "moving"])
+def test_slides_and_turns_follow_the_springs_equation_while_the_object_follows_its_path(path, rng):
+    """Computed torque: x'' = -k x - d x' for every free coordinate, in axes of the object."""
+    k, d = 60.0, 16.0
+    system = sliding_pair(
+        kind="computed_torque", relative_stiffness=k, relative_damping=d, path=path
+    )
+    state = system.initial_state()
+    state.velocity[6:] = 0.2 * rng.standard_normal(state.velocity.size - 6)
+    state = project_velocity(system, state)
+    run = ma.simulate(system, duration=0.6, state=state, accuracy=1e-8, output_step=0.1)
+    slides, rates = run.relative_position["right"], run.relative_motion["right"]
+    assert np.max(np.abs(rates[0])) > 0.05
+    roots = np.roots([1.0, d, k])
+    decay = np.exp(np.outer(run.time, roots)) @ np.array([1.0, -1.0]) / (roots[0] - roots[1])
+    np.testing.assert_allclose(slides, np.outer(decay, rates[0]), atol=1e-7)
+
+
+def test_without_stiffness_nothing_draws_the_arm_back(rng):
+    system = sliding_pair(kind="computed_torque", relative_damping=16.0)
+    state = slid(system, (0.02, -0.01))
+    run = ma.simulate(system, duration=0.3, state=state, accuracy=1e-7, output_step=0.1)
+    there = run.relative_position["right"]
+    np.testing.assert_allclose(there, np.tile(there[0], (len(there), 1)), atol=1e-7)
+    assert np.linalg.norm(there[0]) > 0.02
+
+
+def test_an_impedance_draws_the_arm_back_and_leaves_the_object_alone(rng):
+    k = 80.0
+    system = sliding_pair(kind="object_impedance", **SPRING, relative_stiffness=k)
+    state = slid(system, (0.02, -0.01))
+    run = ma.simulate(system, duration=2e-3, state=state, accuracy=1e-8, output_step=1e-3)
+    away, speed = run.relative_position["right"][0], run.relative_motion["right"]
+    assert np.linalg.norm(away) > 0.02
+    ev = ma.evaluate(system, 0.0, state)
+    np.testing.assert_allclose(ev.object_acceleration, 0.0, atol=1e-9)
+    # over a short time the rate is -k x t, less what the damping takes of it
+    np.testing.assert_allclose(speed[-1], -k * away * 2e-3, rtol=0.02, atol=1e-9)
+
+
+def test_contact_forces_do_not_feel_the_springs(rng):
+    """The joint's rows are obeyed whatever is preferred along them."""
+    build = panda_trio({"kind": "revolute"})
+    plain = {"kind": "computed_torque", "relative_damping": 5.0}
+    systems = [
+        ma.compile_system(build.replace(control={**plain, "relative_stiffness": k}))
+        for k in (0.0, 50.0)
+    ]
+    state = systems[0].initial_state()
+    state.velocity[:] = 0.5 * rng.standard_normal(state.velocity.size)
+    state = project_velocity(systems[0], state)
+    one, other = (ma.evaluate(system, 0.0, state) for system in systems)
+    np.testing.assert_allclose(other.object_acceleration, one.object_acceleration, atol=1e-8)
+    for arm in systems[0].arm_names:
+        np.testing.assert_allclose(other.contact_forces[arm], one.contact_forces[arm], atol=1e-7)
+
+
+def test_nearest_accelerations_are_the_constrained_minimum(rng):
+    """Against the saddle point of its optimality conditions; rows may depend on each other."""
+    for n, m, rank in ((6, 6, 6), (7, 6, 6), (4, 6, 4), (7, 6, 5)):
+        root = rng.standard_normal((n, n))
+        M = root @ root.T + n * np.eye(n)
+        W = rng.standard_normal((n, rank)) @ rng.standard_normal((rank, m))
+        wish, target = rng.standard_normal(n), W.T @ rng.standard_normal(n)
+        saddle = np.block([[M, -W], [W.T, np.zeros((m, m))]])
+        wanted = np.linalg.lstsq(saddle, np.concatenate([M @ wish, target]), rcond=1e-11)[0][:n]
+        found = np.empty(n)
+        nearest_accelerations(np.tril(M), W, wish, target, found)
+        np.testing.assert_allclose(found, wanted, atol=1e-8)
+
+
+def test_a_negative_stiffness_is_refused():
+    with pytest.raises(SceneError, match=r"relative_stiffness.*at least 0"):
+        sliding_pair(kind="computed_torque", relative_stiffness=-1.0)
