@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mechanics import panda_trio, ur5_pair
+from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.dynamics import project_velocity
@@ -69,6 +70,44 @@ def test_slides_and_turns_follow_the_springs_equation_while_the_object_follows_i
     roots = np.roots([1.0, d, k])
     decay = np.exp(np.outer(run.time, roots)) @ np.array([1.0, -1.0]) / (roots[0] - roots[1])
     np.testing.assert_allclose(slides, np.outer(decay, rates[0]), atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["ball", "universal", "planar", "cylindrical"])
+def test_free_rates_change_as_the_springs_say(kind, rng):
+    """With everything in motion: the rates in axes of the object, differentiated as frames turn."""
+    d = 9.0
+    control = {"kind": "computed_torque", "relative_stiffness": 40.0, "relative_damping": d}
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": kind}).replace(control=control))
+    state = system.initial_state()
+    state.velocity[:] = 0.8 * rng.standard_normal(state.velocity.size)
+    state = project_velocity(system, state)
+    ev = ma.evaluate(system, 0.0, state)
+    frame = system.frames["right"]
+    tip = system.arms["right"].terms(
+        state.joint_positions["right"], state.joint_velocities["right"]
+    )
+    tip_change = tip.J @ ev.joint_accelerations["right"] + tip.drift
+    R = Rotation.from_quat(state.object_quaternion_xyzw).as_matrix() @ frame.on_object[:3, :3]
+    m, omega = tip.tip_rotation @ frame.on_tip[:3, 3], tip.tip_twist[3:]
+    j = tip.tip_position + m - state.object_position
+    v_o, spin = state.object_twist[:3], state.object_twist[3:]
+    a_o, alpha_o = ev.object_acceleration[:3], ev.object_acceleration[3:]
+    velocity = tip.tip_twist[:3] + np.cross(omega, m) - v_o - np.cross(spin, j)
+    turning = omega - spin
+    acceleration = (
+        tip_change[:3] + np.cross(tip_change[3:], m) + np.cross(omega, np.cross(omega, m))
+    )
+    # derivative of R^T (v_M - v_o - omega_o x j), with j' = v_M - v_o
+    moved = velocity + np.cross(spin, j)
+    slide = acceleration - a_o - np.cross(alpha_o, j) - np.cross(spin, moved)
+    slide -= np.cross(spin, velocity)
+    turn = tip_change[3:] - alpha_o - np.cross(spin, turning)
+    rates = np.concatenate([R.T @ velocity, R.T @ turning])
+    changes = np.concatenate([R.T @ slide, R.T @ turn])
+    free = list(frame.free)
+    assert np.linalg.norm(rates[free]) > 0.1
+    assert np.linalg.norm(spin) > 0.1
+    np.testing.assert_allclose(changes[free], -d * rates[free], atol=1e-8)
 
 
 def test_without_stiffness_nothing_draws_the_arm_back(rng):

@@ -1,5 +1,5 @@
 """The command line: ``multiarm run``, ``check``, ``joints``, ``replay``, ``report``, ``accuracy``,
-``effects``, ``scaling``, ``stability``.
+``effects``, ``scaling``, ``stability``, ``grasp``.
 
 Each command is a function in a module of its own; whatever is heavy is imported when a command
 runs, so that ``--help`` answers at once.  Exit codes: 0 all went well; 1 a run failed or was
@@ -17,6 +17,7 @@ import multiarm
 from multiarm.cli.accuracy import accuracy
 from multiarm.cli.check import check
 from multiarm.cli.effects import effects
+from multiarm.cli.grasp import grasp_app
 from multiarm.cli.joints import joints
 from multiarm.cli.run import run
 from multiarm.cli.scaling import scaling
@@ -75,7 +76,8 @@ def _program(
 
     A scene is a YAML file that names arms, object, joints and control. Look at one with
     **multiarm check**, simulate it with **multiarm run**, and see the result with
-    **multiarm replay** and **multiarm report**.
+    **multiarm replay** and **multiarm report**. **multiarm grasp** designs grasps, and the scenes
+    in which arms hold a body so.
 
     Exit codes: 0 done; 1 a run failed or was interrupted, its results up to there are saved; 2 bad
     input, named in the message.
@@ -84,3 +86,4 @@ def _program(
 
 for _command in (run, check, joints, replay, report, accuracy, effects, scaling, stability):
     app.command()(_command)
+app.add_typer(grasp_app, name="grasp")

@@ -10,7 +10,7 @@ from typing import Any
 
 from multiarm.errors import MultiarmError, TrajectoryError
 
-__all__ = ["check_targets", "open_result", "write_json"]
+__all__ = ["check_targets", "open_result", "write_json", "write_text"]
 
 
 def check_targets(targets: Mapping[str, Path | None], source: Path | None = None) -> None:
@@ -51,14 +51,25 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """
     from multiarm.trajectory import plain
 
+    text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False, indent=2)
+    write_text(path, text + "\n", "--json")
+
+
+def write_text(path: Path, text: str, option: str) -> None:
+    """Write a text file, complete or not at all.
+
+    Raises
+    ------
+    MultiarmError
+        The file cannot be written; names the ``option`` that asked for it.
+    """
     target = path.expanduser().resolve()
     partial = _beside(target)
-    text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False, indent=2)
     try:
-        partial.write_text(text + "\n", encoding="utf-8")
+        partial.write_text(text, encoding="utf-8")
         partial.replace(target)
     except OSError as error:
-        raise MultiarmError(f"--json: cannot write '{path}': {error.strerror}") from None
+        raise MultiarmError(f"{option}: cannot write '{path}': {error.strerror}") from None
     finally:
         partial.unlink(missing_ok=True)
 

@@ -21,7 +21,7 @@ from typing_extensions import Self
 
 from multiarm.cli.terminal import messages
 
-__all__ = ["ManyRunsProgress", "RunProgress", "StudyProgress", "kernels_are_cached"]
+__all__ = ["ManyRunsProgress", "PartProgress", "RunProgress", "StudyProgress", "kernels_are_cached"]
 
 COMPILING = "compiling kernels (only the first time on this machine)"
 
@@ -150,6 +150,34 @@ class ManyRunsProgress:
         passed = time.perf_counter() - self._began
         words = f"{done} of {self._runs} runs"
         self._bar.update(self._task, description=words, completed=t, rate=t / max(passed, 1e-9))
+
+
+class PartProgress:
+    """A bar on a terminal, told the part that is done, 0 to 1, and what is being done."""
+
+    def __init__(self) -> None:
+        console = messages()
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bar.add_task("preparing", total=1.0)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, part: float, what: str) -> None:
+        """Show how far it is."""
+        self._bar.update(self._task, description=what, completed=part)
 
 
 class StudyProgress:

@@ -15,10 +15,34 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from multiarm.grasp.block_design import BlockDesign, design_block_grasp
+    from multiarm.grasp.body_class import BodyClass, classify
+    from multiarm.grasp.closure_radius import ClosureRadius, independence_radius
+    from multiarm.grasp.closure_search import search_grasp
+    from multiarm.grasp.construction import design_grasp
     from multiarm.grasp.contacts import Contacts
+    from multiarm.grasp.drawn_stability import DrawnStability, monte_carlo_stability
+    from multiarm.grasp.face import Face
+    from multiarm.grasp.force_distribution import ForceDistribution, distribute_forces
     from multiarm.grasp.form_closure import FormClosure, is_form_closure
     from multiarm.grasp.grasp import Grasp, Gripper
+    from multiarm.grasp.immobility import Immobility
+    from multiarm.grasp.independent_contacts import (
+        BlockInverse,
+        Independence,
+        block_inverse,
+        independence,
+    )
+    from multiarm.grasp.load_maps import (
+        LiftableMap,
+        LoadCapacity,
+        WorstForce,
+        liftable,
+        load_capacity,
+        worst_force,
+    )
     from multiarm.grasp.many_closures import ManyClosures, closed_many
+    from multiarm.grasp.necessary_conditions import Violation, violated_conditions
     from multiarm.grasp.object_frame import (
         FrameCandidate,
         ObjectFrame,
@@ -26,47 +50,130 @@ if TYPE_CHECKING:
         object_frame_from_faces,
         object_frame_on_body,
     )
+    from multiarm.grasp.parallel_design import ParallelDesign, design_parallel_grasp
     from multiarm.grasp.polyhedron import Polyhedron
     from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
-    from multiarm.grasp.wrench_cone import closes_on_surface
+    from multiarm.grasp.special_selections import case_I, case_II, case_III
+    from multiarm.grasp.stability import (
+        ConfigurationStability,
+        configuration_stability,
+        own_regions,
+    )
+    from multiarm.grasp.three_moments import ThreeMoments
+    from multiarm.grasp.wide_design import design_wide_grasp
+    from multiarm.grasp.wrench_cone import WrenchCone, closes_on_surface
 
 # Public name -> module of this package that has it.  Imported when first used.
 _HOMES = {
+    "BlockDesign": "block_design",
+    "BlockInverse": "independent_contacts",
+    "BodyClass": "body_class",
+    "ClosureRadius": "closure_radius",
+    "ConfigurationStability": "stability",
     "ContactRegion": "seventh_contact",
     "Contacts": "contacts",
+    "DrawnStability": "drawn_stability",
+    "Face": "face",
+    "ForceDistribution": "force_distribution",
     "FormClosure": "form_closure",
     "FrameCandidate": "object_frame",
     "Grasp": "grasp",
     "Gripper": "grasp",
+    "Immobility": "immobility",
+    "Independence": "independent_contacts",
+    "LiftableMap": "load_maps",
+    "LoadCapacity": "load_maps",
     "ManyClosures": "many_closures",
     "ObjectFrame": "object_frame",
+    "ParallelDesign": "parallel_design",
     "Polyhedron": "polyhedron",
+    "ThreeMoments": "three_moments",
+    "Violation": "necessary_conditions",
+    "WorstForce": "load_maps",
+    "WrenchCone": "wrench_cone",
+    "block_inverse": "independent_contacts",
+    "case_I": "special_selections",
+    "case_II": "special_selections",
+    "case_III": "special_selections",
+    "classify": "body_class",
     "closed_many": "many_closures",
     "closes_on_surface": "wrench_cone",
+    "configuration_stability": "stability",
+    "design_block_grasp": "block_design",
+    "design_grasp": "construction",
+    "design_parallel_grasp": "parallel_design",
+    "design_wide_grasp": "wide_design",
+    "distribute_forces": "force_distribution",
+    "independence": "independent_contacts",
+    "independence_radius": "closure_radius",
     "is_form_closure": "form_closure",
+    "liftable": "load_maps",
+    "load_capacity": "load_maps",
+    "monte_carlo_stability": "drawn_stability",
     "object_frame_from_contacts": "object_frame",
     "object_frame_from_faces": "object_frame",
     "object_frame_on_body": "object_frame",
+    "own_regions": "stability",
+    "search_grasp": "closure_search",
     "seventh_contact_region": "seventh_contact",
+    "violated_conditions": "necessary_conditions",
+    "worst_force": "load_maps",
 }
 
 __all__ = [
+    "BlockDesign",
+    "BlockInverse",
+    "BodyClass",
+    "ClosureRadius",
+    "ConfigurationStability",
     "ContactRegion",
     "Contacts",
+    "DrawnStability",
+    "Face",
+    "ForceDistribution",
     "FormClosure",
     "FrameCandidate",
     "Grasp",
     "Gripper",
+    "Immobility",
+    "Independence",
+    "LiftableMap",
+    "LoadCapacity",
     "ManyClosures",
     "ObjectFrame",
+    "ParallelDesign",
     "Polyhedron",
+    "ThreeMoments",
+    "Violation",
+    "WorstForce",
+    "WrenchCone",
+    "block_inverse",
+    "case_I",
+    "case_II",
+    "case_III",
+    "classify",
     "closed_many",
     "closes_on_surface",
+    "configuration_stability",
+    "design_block_grasp",
+    "design_grasp",
+    "design_parallel_grasp",
+    "design_wide_grasp",
+    "distribute_forces",
+    "independence",
+    "independence_radius",
     "is_form_closure",
+    "liftable",
+    "load_capacity",
+    "monte_carlo_stability",
     "object_frame_from_contacts",
     "object_frame_from_faces",
     "object_frame_on_body",
+    "own_regions",
+    "search_grasp",
     "seventh_contact_region",
+    "violated_conditions",
+    "worst_force",
 ]
 
 

@@ -35,6 +35,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.least_distance import least_distance
 
 # Part of the unit wrench by which closure must be inside.  Normals and points that were computed
 # are off by some 1e-16 to 1e-12; a grasp that hangs on less than this is not to be relied on.
@@ -193,9 +194,9 @@ def _inside(pushes: np.ndarray, sigma: float) -> float:
 
 def _least_squares(W: np.ndarray, null: np.ndarray, sigma: float, tolerance: float) -> Balance:
     """More than ``n + 1`` wrenches of full rank that nearly equal pushes do not balance."""
-    n, count = W.shape
     from scipy.optimize import nnls
 
+    n, count = W.shape
     resultant = W.sum(axis=1)
     try:
         pushes = 1.0 + nnls(W, -resultant)[0]
@@ -218,18 +219,6 @@ def _least_squares(W: np.ndarray, null: np.ndarray, sigma: float, tolerance: flo
 
 
 def _separated(W: np.ndarray, tolerance: float) -> bool:
-    """Whether some motion leaves all contacts: the origin is clearly outside the hull.
-
-    Non-negative ``lam`` that come nearest to ``[W; 1 ... 1] lam = [0; 1]`` leave ``[u; s]`` over,
-    and ``w_j . u >= -s > 0`` for every j unless the origin is in the hull.
-    """
-    from scipy.optimize import nnls
-
-    lifted = np.vstack([W, np.ones(W.shape[1])])
-    target = np.append(np.zeros(len(W)), 1.0)
-    try:
-        left = lifted @ nnls(lifted, target)[0] - target
-    except RuntimeError:
-        return False
-    away = left[:-1]
+    """Whether some motion leaves all contacts: the origin is clearly outside the hull."""
+    away = least_distance(W.T, np.ones(W.shape[1])).direction
     return bool(np.min(away @ W) > tolerance * np.linalg.norm(away))

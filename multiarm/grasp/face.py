@@ -162,6 +162,21 @@ class Face:
         """Which of the points (..., 3), projected along the normal, are inside the face."""
         return self.room(points) > 0.0
 
+    def room_along(self, start: np.ndarray, direction: np.ndarray) -> float:
+        """How far a point of the face may move in a direction of unit length until an edge [m]."""
+        p = self.coordinates(start)
+        d = self.coordinates(start + direction) - p
+        ways = [np.inf]
+        for loop in (self.outline, *(self.coordinates(hole) for hole in self.holes)):
+            a, along = loop, np.roll(loop, -1, axis=0) - loop
+            across = d[0] * along[:, 1] - d[1] * along[:, 0]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                to = a - p
+                way = (to[:, 0] * along[:, 1] - to[:, 1] * along[:, 0]) / across
+                part = (to[:, 0] * d[1] - to[:, 1] * d[0]) / across
+            ways.extend(way[(across != 0.0) & (part >= 0.0) & (part <= 1.0) & (way > 0.0)].tolist())
+        return float(min(ways))
+
 
 def area_vector(loop: np.ndarray) -> np.ndarray:
     """Area of a closed loop (K, 3) times its unit normal, shape (3,)."""

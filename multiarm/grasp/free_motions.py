@@ -23,16 +23,22 @@ def twist_of(contacts: Contacts, direction: np.ndarray) -> np.ndarray:
 
     Its fastest contact point has the speed 1; when all of them rest, ``|omega| length`` is 1.
     """
-    d = contacts.dimension
     direction = direction / np.linalg.norm(direction)
-    linear, angular = direction[:d], direction[d:] / contacts.length
+    linear, angular = _split(contacts, direction)
     arms = contacts.points - contacts.centre
-    speeds = np.linalg.norm(linear + _across(angular, arms), axis=1)
-    scale = float(speeds.max())
+    scale = float(np.linalg.norm(linear + _across(angular, arms), axis=1).max())
     if scale <= STILL:
-        scale = float(np.linalg.norm(direction[d:]))
-    linear = linear - _across(angular, contacts.centre)
-    return np.concatenate([linear, angular]) / scale
+        scale = float(np.linalg.norm(direction[contacts.dimension :]))
+    return about_origin(contacts, direction) / scale
+
+
+def about_origin(contacts: Contacts, direction: np.ndarray) -> np.ndarray:
+    """Twist about the frame's origin of scaled coordinates, as long as it is.
+
+    What is dual to wrenches transforms so: prices of force and moment, too.
+    """
+    linear, angular = _split(contacts, direction)
+    return np.concatenate([linear - _across(angular, contacts.centre), angular])
 
 
 def leaving_contacts(contacts: Contacts, motion: np.ndarray) -> tuple[int, ...]:
@@ -116,6 +122,12 @@ def _pattern(contacts: Contacts, motion: np.ndarray) -> str | None:
             "only ones on a body of revolution, never stop the turn"
         )
     return None
+
+
+def _split(contacts: Contacts, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity of the middle of the contacts and angular velocity of a scaled direction."""
+    d = contacts.dimension
+    return direction[:d], direction[d:] / contacts.length
 
 
 def _velocities(contacts: Contacts, motion: np.ndarray) -> np.ndarray:

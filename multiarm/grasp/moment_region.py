@@ -82,7 +82,7 @@ def basic_solutions(e: np.ndarray, target: np.ndarray) -> np.ndarray:
         D = np.linalg.solve(e[:, triple], target)
         if D.min() >= -ZERO * np.abs(D).max():
             row = np.zeros(n)
-            row[list(triple)] = np.where(D <= ZERO * D.max(), 0.0, D)
+            row[list(triple)] = _cleared(D, ZERO * D.max())
             found.append(row)
     return _distinct(np.array(found).reshape(-1, n))
 
@@ -98,7 +98,7 @@ def circuits(e: np.ndarray) -> np.ndarray:
         C = Vt[3] / Vt[3][np.argmax(np.abs(Vt[3]))]
         if C.min() >= -ZERO / s[2]:
             row = np.zeros(n)
-            row[list(four)] = np.where(C <= ZERO / s[2], 0.0, C)
+            row[list(four)] = _cleared(C, ZERO / s[2])
             found.append(row)
     return _distinct(np.array(found).reshape(-1, n))
 
@@ -139,3 +139,8 @@ def _facets(rows: np.ndarray) -> np.ndarray | None:
 def _distinct(rows: np.ndarray) -> np.ndarray:
     """Rows that differ by more than rounding."""
     return rows[np.sort(np.unique(rows.round(10) + 0.0, axis=0, return_index=True)[1])]
+
+
+def _cleared(values: np.ndarray, zero: float) -> np.ndarray:
+    """Values that are above what counts as zero; the others as zero."""
+    return np.where(values > zero, values, 0.0)

@@ -96,11 +96,15 @@ class ContactRegion:
         return MultiPolygon(list(zip(self.outlines, self.holes, strict=True)))
 
     def contains(self, points: Any) -> np.ndarray:
-        """Which of the points (..., 3), projected onto the face, are strictly inside."""
+        """Which of the points (..., 3), projected onto the face, are inside and not on the border.
+
+        The border is as wide as the rounding of face coordinates, 1e-12 of the largest.
+        """
         y = self.face.coordinates(points)
         if not self:
             return np.zeros(y.shape[:-1], dtype=bool)
-        inside = np.all(y @ self.half_planes[:, :2].T < self.half_planes[:, 2], axis=-1)
+        border = SAME_CORNER * float(np.abs(self.face.outline).max())  # rounding of y
+        inside = np.all(y @ self.half_planes[:, :2].T < self.half_planes[:, 2] - border, axis=-1)
         return inside & self.face.contains(points)
 
     def depth(self, points: Any) -> np.ndarray:

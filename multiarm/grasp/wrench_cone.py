@@ -112,8 +112,7 @@ def wrench_cone(contacts: Contacts) -> WrenchCone:
     """
     if contacts.dimension != 3:
         raise GraspError("contacts in space are needed here; these are in the plane")
-    W = contacts.scaled_wrenches
-    rank = int(np.linalg.matrix_rank(W, tol=RANK_TOLERANCE * np.linalg.norm(W, 2)))
+    W, rank = contacts.scaled_wrenches, _rank(contacts)
     if rank < 6:
         raise GraspError(
             f"the {contacts.count} contacts have rank {rank}, not 6: in a balance with one more "
@@ -123,6 +122,11 @@ def wrench_cone(contacts: Contacts) -> WrenchCone:
     if contacts.count == 6:
         return WrenchCone(contacts, np.linalg.inv(W))
     return WrenchCone(contacts, _facets(W / np.linalg.norm(W, axis=0)))
+
+
+def is_independent(contacts: Contacts) -> bool:
+    """Whether the wrenches of contacts in space have rank 6."""
+    return _rank(contacts) == 6
 
 
 def closes_on_surface(contacts: Contacts, points: Any, normals: Any) -> np.ndarray:
@@ -145,6 +149,11 @@ def closes_on_surface(contacts: Contacts, points: Any, normals: Any) -> np.ndarr
     face need not be convex (A.6).  `wrench_cone(contacts).levels` tells by how much.
     """
     return wrench_cone(contacts).closes(points, normals)
+
+
+def _rank(contacts: Contacts) -> int:
+    W = contacts.scaled_wrenches
+    return int(np.linalg.matrix_rank(W, tol=RANK_TOLERANCE * np.linalg.norm(W, 2)))
 
 
 def _facets(W: np.ndarray) -> np.ndarray:

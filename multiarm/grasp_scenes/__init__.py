@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,7 +19,7 @@ from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp_scenes.hands import contacts, fingers, pose_table
 from multiarm.grasp_scenes.squeezing import motion_wrenches, needed_squeeze
 from multiarm.grasp_scenes.standing import Progress, Stand, stand_arms
-from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robot
+from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robot, resolve_arm
 
 __all__ = ["grasp_scene"]
 
@@ -100,7 +101,7 @@ def grasp_scene(
         wrenches = motion_wrenches(way, mass, properties.inertia, np.array(GRAVITY))
         least = LEAST_SHARE * mass * abs(GRAVITY[2]) / len(grasp.contacts)
         squeeze = needed_squeeze(grasp.contacts, wrenches, least)
-    names = [gripper.name for gripper in grasp.grippers]
+    names = _arm_names(grasp)
     start = _lifted(z)
     return Scene(
         name=name
@@ -113,12 +114,12 @@ def grasp_scene(
         },
         joints=[
             {
-                "arm": gripper.name,
+                "arm": arm,
                 "kind": "contacts",
                 "at": pose_table(gripper.frame),
                 "contacts": contacts(grasp, gripper, tip_radius),
             }
-            for gripper in grasp.grippers
+            for arm, gripper in zip(names, grasp.grippers, strict=True)
         ],
         control={
             "kind": "computed_torque",
@@ -145,6 +146,11 @@ def _require(grasp: Grasp, arms: Sequence[str]) -> None:
             f"the grasp has {len(grasp.grippers)} grippers, which need as many arms, not "
             f"{len(arms)}; robots are {', '.join(available_robots())}"
         )
+
+
+def _arm_names(grasp: Grasp) -> list[str]:
+    """The grippers' names, as a scene may name arms."""
+    return [re.sub(r"\W+", "_", gripper.name) for gripper in grasp.grippers]
 
 
 def _centred(grasp: Grasp) -> Grasp:
@@ -174,6 +180,7 @@ def _arm(
         "tool": {"mount": spec.tip, "fingers": hand},
         "tip": "corner",
         "posture": stand.reach.postures[0].tolist(),
+        "lock": resolve_arm(spec).locked,
     }
 
 

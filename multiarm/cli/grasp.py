@@ -1,0 +1,342 @@
+"""``multiarm grasp``: design a form-closure grasp, and judge the grasp in a scene."""
+
+from __future__ import annotations
+
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import RenderableType
+from rich.text import Text
+
+from multiarm.cli.bodies import FORMS, body_of_text
+from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.progress import PartProgress
+from multiarm.cli.terminal import (
+    columns,
+    facts,
+    messages,
+    number,
+    output,
+    print_warnings,
+    print_written,
+    vector,
+)
+
+if TYPE_CHECKING:
+    from multiarm.grasp.grasp import Grasp
+    from multiarm.grasp_scenes.judging import ContactFacts, GraspJudgement
+    from multiarm.grasp_scenes.reading import SceneGrasp
+
+__all__ = ["grasp_app"]
+
+GRIPPERS, SCENE, RESULTS = "Grippers", "The scene", "Results"
+
+grasp_app = typer.Typer(
+    no_args_is_help=True,
+    help="Form-closure grasps: design one for a body, or judge the grasp in a scene.",
+)
+
+
+class Objective(str, Enum):
+    """What an optimised grasp has most, or least, of."""
+
+    margin = "margin"
+    stability = "stability"
+    force = "force"
+
+
+@grasp_app.command("design")
+def design(
+    body: Annotated[
+        str,
+        typer.Argument(
+            help=f"{', '.join(form for form, *_ in FORMS.values())} (lengths in m), or an STL or "
+            "OBJ file.",
+            metavar="BODY",
+        ),
+    ],
+    arms: Annotated[
+        tuple[str, str],
+        typer.Option(
+            help="The robots that carry the two grippers.",
+            metavar="ROBOT ROBOT",
+            rich_help_panel=SCENE,
+        ),
+    ] = ("panda", "panda"),
+    scale: Annotated[
+        float, typer.Option(help="Metres per unit of a mesh file.", metavar="X")
+    ] = 1.0,
+    offset: Annotated[
+        float | None,
+        typer.Option(
+            help="Distance of the contacts from the edges of a block, in m.",
+            show_default="0.15 of the shortest edge",
+            metavar="A",
+            rich_help_panel=GRIPPERS,
+        ),
+    ] = None,
+    gripper_size: Annotated[
+        float | None,
+        typer.Option(
+            help="Largest distance between two contacts of a gripper, in m.",
+            show_default="none",
+            metavar="D",
+            rich_help_panel=GRIPPERS,
+        ),
+    ] = None,
+    optimise: Annotated[
+        Objective | None,
+        typer.Option(
+            help="Search for the best placements: the largest margin or stability, or the smallest "
+            "contact forces; says how far from the best it may be.",
+            show_default="a construction of the thesis",
+            rich_help_panel=GRIPPERS,
+        ),
+    ] = None,
+    gap: Annotated[
+        float,
+        typer.Option(
+            help="The search ends when value and bound are this close, as a part of the bound.",
+            rich_help_panel=GRIPPERS,
+        ),
+    ] = 0.05,
+    tip_radius: Annotated[
+        float,
+        typer.Option(help="Of the fingertips, in m.", metavar="R", rich_help_panel=GRIPPERS),
+    ] = 0.01,
+    mass: Annotated[
+        float, typer.Option(help="Of the body, in kg.", metavar="KG", rich_help_panel=SCENE)
+    ] = 5.0,
+    height: Annotated[
+        float | None,
+        typer.Option(
+            help="Of the body's centre at the start, in m.",
+            show_default="where the arms reach best",
+            metavar="Z",
+            rich_help_panel=SCENE,
+        ),
+    ] = None,
+    duration: Annotated[
+        float, typer.Option(help="Of the run, in s.", metavar="S", rich_help_panel=SCENE)
+    ] = 10.0,
+    seed: Annotated[
+        int, typer.Option(help="Of the search for postures.", rich_help_panel=SCENE)
+    ] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the scene here.",
+            show_default="standard output",
+            metavar="FILE.yaml",
+            rich_help_panel=RESULTS,
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            help="A picture of the grasp: PNG, SVG or PDF.",
+            show_default="none",
+            metavar="FILE",
+            rich_help_panel=RESULTS,
+        ),
+    ] = None,
+) -> None:
+    """Design a grasp of a body by two small grippers, and write a scene that runs.
+
+    The contacts have no friction, and hold the body fully. The scene has hands of rigid fingers on
+    real arms, postures, a path, and a control that squeezes: run it with multiarm run.
+
+        multiarm grasp design box:1.2,0.8,0.6 --arms panda panda > block.yaml
+    """
+    check_targets({"--out": out, "--plot": plot})
+    from multiarm.scene import dump_scene
+
+    solid = body_of_text(body, scale)
+    with PartProgress() as progress:
+        made = _designed(solid, offset, gripper_size, optimise, gap, tip_radius, seed, progress)
+        scene = made.to_scene(
+            arms,
+            mass=mass,
+            tip_radius=tip_radius,
+            height=height,
+            duration=duration,
+            seed=seed,
+            name=f"{arms[0]} and {arms[1]} hold {body} by its corners",
+            progress=progress,
+        )
+    text = f"# multiarm {' '.join(sys.argv[1:])}\n{dump_scene(scene)}"
+    rows = _design_facts(made)
+    squeeze = number(getattr(scene.control, "squeeze", None), "N")
+    rows["squeeze"] = f"{squeeze} in the mean, so that no contact lets go"
+    messages().print(facts("Grasp", rows))
+    if plot is not None:
+        from multiarm.plots.grasp_figures import draw_grasp
+
+        draw_grasp(made, plot)
+        messages().print(f"picture written to {plot}", soft_wrap=True)
+    if out is None:
+        typer.echo(text, nl=False)
+        return
+    from multiarm.cli.files import write_text
+
+    write_text(out, text, "--out")
+    print_written("scene", out)
+
+
+@grasp_app.command("check")
+def check(
+    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
+    json: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the same figures as JSON.", show_default="none", metavar="FILE.json"
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            help="A picture of the contacts and their regions: PNG, SVG or PDF; for objects with "
+            "plane faces.",
+            show_default="none",
+            metavar="FILE",
+        ),
+    ] = None,
+) -> None:
+    """Judge the grasp of any scene: do the contacts hold the object, and how well?
+
+    The question is whether the object can move while the arms hold still. Contacts that only push
+    count as such; those of a weld or a hinge hold both ways.
+
+    The exit code is 0 whatever the verdict. The JSON has the fields of
+    multiarm.grasp_scenes.judging.GraspJudgement; numbers are finite, or null where there is none.
+    """
+    check_targets({"--json": json, "--plot": plot}, source=scene)
+    from multiarm.scene import load_scene
+
+    loaded = load_scene(scene)
+    print_warnings(loaded.warnings)
+    from multiarm.compilation import compile_system
+    from multiarm.grasp_scenes.judging import judge_grasp
+    from multiarm.grasp_scenes.reading import read_grasp
+
+    system = compile_system(loaded)
+    found = read_grasp(system)
+    judgement = judge_grasp(system, found)
+    if json is not None:
+        write_json(json, judgement.as_dict())
+    console = output()
+    for table in _tables(judgement):
+        console.print(table)
+    if plot is not None:
+        _draw(found, plot)
+        print_written("picture", plot)
+
+
+def _designed(
+    body: Any,
+    offset: float | None,
+    gripper_size: float | None,
+    optimise: Objective | None,
+    gap: float,
+    tip_radius: float,
+    seed: int,
+    progress: PartProgress,
+) -> Grasp:
+    import numpy as np
+
+    rng = np.random.default_rng(seed)
+    if optimise is None:
+        from multiarm.grasp import design_grasp
+
+        progress(0.0, "a construction that fits the body")
+        return design_grasp(body, offset=offset, gripper_size=gripper_size, generator=rng)
+    raise NotImplementedError
+
+
+def _design_facts(grasp: Grasp) -> dict[str, RenderableType]:
+    closure = grasp.closure
+    rows: dict[str, RenderableType] = {
+        "body": f"{len(grasp.body.faces)} faces, size {number(grasp.body.size, 'm')}",
+        "verdict": _verdict(bool(closure), closure.message),
+        "margin": f"{number(closure.margin)} (of 1, shared by {len(grasp.contacts)} contacts)",
+    }
+    for gripper in grasp.grippers:
+        names = ", ".join(
+            f"{grasp.contacts.names[j]} on {grasp.body.faces[grasp.faces[j]].name}"
+            for j in gripper.contacts
+        )
+        size = number(grasp.gripper_size(gripper.name), "m")
+        rows[gripper.name] = f"{names}; {size} across"
+    for k, note in enumerate(grasp.notes):
+        rows["notes" if k == 0 else " " * k] = note
+    return rows
+
+
+def _tables(found: GraspJudgement) -> list[RenderableType]:
+    return [
+        columns(
+            "Contacts, in the object's frame",
+            ("contact", "face", "at, m", "force at the start", "may slide by", "share"),
+            [_contact(contact, found) for contact in found.contacts if not contact.pulls],
+        ),
+        facts("Grasp", _grasp_facts(found)),
+    ]
+
+
+def _contact(contact: ContactFacts, found: GraspJudgement) -> tuple[RenderableType, ...]:
+    pulled = contact.force < 0.0 and found.only_pushes
+    force = Text(number(contact.force, "N"), "yellow" if pulled else "")
+    return (
+        contact.name,
+        contact.face or "-",
+        vector(contact.point, digits=3),
+        force,
+        number(contact.room, "m") if contact.room is not None else "-",
+        number(contact.coefficient),
+    )
+
+
+def _grasp_facts(found: GraspJudgement) -> dict[str, RenderableType]:
+    rows: dict[str, RenderableType] = {
+        "verdict": _verdict(found.closed, found.verdict),
+        "contacts": "all can only push"
+        if found.only_pushes
+        else "some hold both ways, as joints do",
+    }
+    if found.borderline:
+        rows["borderline"] = Text("roundings decide; move the contacts apart", "yellow")
+    if found.left_out:
+        rows["left out"] = f"no contacts in points: {', '.join(found.left_out)}"
+    if found.closed:
+        rows["margin"] = f"smallest share {number(found.margin)} of 1 at best"
+    elif found.immobility_order == 2:
+        rows["to second order"] = "held, by what turning does to the flat faces"
+    if found.carrying_force is not None:
+        rows["weight"] = f"carried with at most {number(found.carrying_force, 'N')} a contact"
+    stability = found.stability
+    if stability is not None:
+        if stability.closure_radius is not None:
+            rows["all may slide by"] = (
+                f"{number(stability.closure_radius, 'm')} at once, in any direction"
+            )
+        rows["six independent"] = (
+            f"{', '.join(stability.six)}; they stay so within "
+            f"{number(stability.independence_limit, 'm')}"
+        )
+    if found.frame_position is not None and found.frame_rotation is not None:
+        rows["object's frame"] = (
+            f"from contact points known to 0.1 mm: within {number(1e3 * found.frame_position)} mm "
+            f"and {number(1e3 * found.frame_rotation)} mrad (standard deviations)"
+        )
+    return rows
+
+
+def _verdict(closed: bool, words: str) -> Text:
+    return Text(words, "bold green" if closed else "bold yellow")
+
+
+def _draw(found: SceneGrasp, path: Path) -> None:
+    raise NotImplementedError

@@ -1,0 +1,144 @@
+"""From places on faces to a grasp that is known to hold: assembly, verification, size.
+
+A designed grasp is never taken on trust.  It has to pass the test of form closure, and its last
+contact is moved across the bound that the design's formula gives: just beyond the bound the grasp
+must be closed, just before it open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.face import Face
+from multiarm.grasp.form_closure import is_form_closure
+from multiarm.grasp.grasp import Grasp, Gripper
+from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.seventh_contact import ContactRegion
+
+# Rounds in which a pattern is scaled to the wanted size, which is nearly proportional to its depth,
+# beginning with a pattern that is small against its usual depth.
+ROUNDS, SIZE_TOLERANCE, BEGINNING = 12, 1e-6, 1e-2
+# A bound is crossed by this part of itself.
+ACROSS = 1e-3
+
+
+def assembled(
+    body: Polyhedron,
+    points: np.ndarray,
+    faces: Sequence[int],
+    split: Sequence[tuple[int, ...]],
+    frames: Sequence[np.ndarray],
+    notes: Sequence[str] = (),
+) -> Grasp:
+    """A grasp of contacts at points of the faces, carried by grippers with the given frames.
+
+    Raises
+    ------
+    GraspError
+        A contact outside its face.
+    """
+    for j, (point, number) in enumerate(zip(points, faces, strict=True)):
+        reason = off_face(body.faces[number], point)
+        if reason:
+            raise GraspError(
+                f"the grippers are too large for the object: contact {j + 1} {reason}; choose "
+                f"smaller offsets"
+            )
+    contacts = Contacts.along(points, -body.normals[list(faces)])
+    grippers = tuple(
+        Gripper(f"gripper {k + 1}", numbers, frame)
+        for k, (numbers, frame) in enumerate(zip(split, frames, strict=True))
+    )
+    return Grasp(body, contacts, tuple(faces), grippers, tuple(notes))
+
+
+def off_face(face: Face, point: np.ndarray) -> str:
+    """Why a contact cannot be at a point of the face's plane; nothing when it can."""
+    room = float(face.room(point))
+    return "" if room > 0.0 else f"would be {-room:.4g} m outside {face.name}"
+
+
+def crosses(grasp: Grasp, point_at: Callable[[float], np.ndarray], bound: float) -> bool:
+    """Whether the grasp opens where the last contact comes nearer than its bound.
+
+    Parameters
+    ----------
+    grasp : Grasp
+        Its last contact is moved in its plane.
+    point_at : callable
+        The contact's place at a distance [m].
+    bound : float
+        The distance beyond which the grasp is closed [m].
+    """
+    given, e7 = grasp.contacts.subset(range(6)), grasp.contacts.normals[6]
+
+    def closed(distance: float) -> bool:
+        seven = given.joined(Contacts.along([point_at(distance)], [e7]))
+        found = is_form_closure(seven)
+        return is_form_closure(seven, exact=True).closed if found.borderline else found.closed
+
+    return closed((1.0 + ACROSS) * bound) and not closed((1.0 - ACROSS) * bound)
+
+
+def crosses_border(grasp: Grasp, region: ContactRegion) -> bool:
+    """Whether the grasp opens where its last contact crosses the nearest border of its region.
+
+    That is the nearest line of ``region.half_planes``; a region without any cannot be left.
+    """
+    if not len(region.half_planes):
+        return True
+    last, face = grasp.contacts.points[6], region.face
+    slopes, levels = region.half_planes[:, :2], region.half_planes[:, 2]
+    rooms = levels - slopes @ face.coordinates(last)
+    nearest = int(np.argmin(rooms))
+    bound = float(rooms[nearest])
+    outward = face.frame[:3, :2] @ slopes[nearest]
+    return crosses(grasp, lambda room: last + (2.0 * bound - room) * outward, bound)
+
+
+def largest_gripper(grasp: Grasp) -> float:
+    """Largest distance between two contacts of one gripper [m]."""
+    return max(grasp.gripper_size(gripper.name) for gripper in grasp.grippers)
+
+
+def two_groups(points: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """The split of contacts (N, 3) in two groups with the smallest larger diameter."""
+    away = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    numbers = range(len(points))
+    best: tuple[float, tuple[int, ...]] = (np.inf, ())
+    for count in range(1, len(points) // 2 + 1):
+        for chosen in combinations(numbers, count):
+            rest = [j for j in numbers if j not in chosen]
+            largest = max(away[np.ix_(group, group)].max() for group in (list(chosen), rest))
+            best = min(best, (float(largest), chosen))
+    second = best[1]
+    first = tuple(j for j in numbers if j not in second)
+    return first, second
+
+
+def sized(made: Callable[[float], Grasp], depth: float, gripper_size: float | None) -> Grasp:
+    """The grasp ``made(depth)``, or the one whose largest gripper has the wanted size.
+
+    Raises
+    ------
+    GraspError
+        A size that is not positive, or one that does not fit.
+    """
+    if gripper_size is None:
+        return made(depth)
+    if not (np.isfinite(gripper_size) and gripper_size > 0.0):
+        raise GraspError(f"the size of a gripper is a positive length, not {gripper_size!r}")
+    deep = BEGINNING * depth
+    grasp = made(deep)
+    for _ in range(ROUNDS):
+        size = largest_gripper(grasp)
+        if abs(size - gripper_size) <= SIZE_TOLERANCE * gripper_size:
+            break
+        deep *= gripper_size / size
+        grasp = made(deep)
+    return grasp

@@ -1,0 +1,252 @@
+r"""Two small fixed grippers that hold rectangular blocks of any size (thesis, 2.2.3.1).
+
+On a block with the half edges :math:`l_x, l_y, l_z`, contacts 1, 2, 3 near the corner
+(+, +, +) and 4, 5, 6 at the mirrored places near the opposite corner are
+
+.. math::
+    p_1 = (l_x, l_y - A, l_z - A), \quad p_2 = (l_x - A, l_y, l_z - A), \quad
+    p_3 = (l_x - E, l_y - A, l_z), \quad p_{j+3} = -p_j .
+
+With the offsets A and E from the edges :math:`D = (l_y - A)(l_z - A)(A - E)`, and on the line
+:math:`y = l_y - A` of the top the last contact closes the grasp when it is farther than
+
+.. math::  D_x = 2 |A - E|
+
+from contact 3: toward the inside when A > E, toward the edge when A < E.  Neither D_x nor any
+offset depends on the block, so that the two patterns are rigid: gripper 1 carries contacts 1, 2, 3
+and 7, gripper 2 contacts 4, 5 and 6.  They hold every block on whose faces all contacts find room.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.assembling import assembled, crosses
+from multiarm.grasp.body_class import classify
+from multiarm.grasp.corners import gripper_frame, shared_corner
+from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.polyhedron import Polyhedron
+
+# Where nothing is said: A as a part of the shortest edge, E as a part of A, and the last contact at
+# this multiple of its bound.  Contact 7 is then 2.5 A from the edge, less than half an edge.
+USUAL_OFFSET, USUAL_SEVENTH, USUAL_DISTANCE = 0.15, 0.5, 2.0
+
+
+@dataclass(frozen=True)
+class BlockDesign:
+    """Two fixed grippers for blocks.
+
+    Parameters
+    ----------
+    offset : float
+        A: distance of the contacts from the edges [m].
+    seventh_offset : float
+        E: distance of contact 3 from the front edge, different from A [m].
+    distance : float
+        Of contact 7 from contact 3 [m].
+
+    Raises
+    ------
+    GraspError
+        Lengths that are not positive; A = E; a distance that is not beyond its bound, or that
+        leads over the edge.
+    """
+
+    offset: float
+    seventh_offset: float
+    distance: float
+
+    def __post_init__(self) -> None:
+        A, E = self.offset, self.seventh_offset
+        lengths = (A, E, self.distance)
+        if not all(np.isfinite(length) and length > 0.0 for length in lengths):
+            raise GraspError(f"offset, seventh offset and distance are positive, not {lengths}")
+        if self.minimum_distance <= 1e-9 * A:
+            raise GraspError(
+                f"offset and seventh offset are both {A:g} m: the normal lines at a corner would "
+                f"meet in one point and the contacts be dependent; choose them different"
+            )
+        if self.distance <= self.minimum_distance:
+            raise GraspError(
+                f"contact 7 is {self.distance:g} m from contact 3, but the grasp is closed only "
+                f"beyond 2 |A - E| = {self.minimum_distance:g} m"
+            )
+        if A < E <= self.distance:
+            raise GraspError(
+                f"with offset {A:g} < {E:g} = seventh offset contact 7 lies toward the edge, less "
+                f"than {E:g} m away, and not {self.distance:g} m; its bound is 2 |A - E| = "
+                f"{self.minimum_distance:g} m, so choose a seventh offset below 2 A"
+            )
+
+    @property
+    def minimum_distance(self) -> float:
+        """``D_x = 2 |A - E|``: the grasp is closed beyond it, whatever the block [m]."""
+        return 2.0 * abs(self.offset - self.seventh_offset)
+
+    @cached_property
+    def smallest(self) -> np.ndarray:
+        """The edges (x, y, z) of a block must be longer than these, shape (3,) [m].
+
+        There is no upper limit.  Coordinates a to f of the contacts are then positive, and
+        contact 7 is on the top.
+        """
+        A, E = self.offset, self.seventh_offset
+        inward = E + self.distance if A > E else 0.0
+        return np.array([max(2.0 * A, 2.0 * E, inward), 2.0 * A, 2.0 * A])
+
+    @property
+    def gripper_size(self) -> float:
+        """Largest distance between two contacts of gripper 1, the larger one [m]."""
+        places = self._places(np.zeros(3))[[0, 1, 2, 6]]
+        return float(np.linalg.norm(places[:, None] - places[None], axis=-1).max())
+
+    def fits(self, lengths: Any) -> bool:
+        """Whether the grippers hold a block with these edges (3,) [m]."""
+        return bool(np.all(np.asarray(lengths, dtype=float) > self.smallest))
+
+    def grasp(self, body: Any, faces: tuple[int, int, int] | None = None) -> Grasp:
+        """The grasp of one block.
+
+        Parameters
+        ----------
+        body : Polyhedron, or array-like, shape (3,)
+            The block, anywhere, or the full lengths of its edges [m].
+        faces : (int, int, int), optional
+            Faces at one corner, for contacts 1, 2 and 3 (x, y and z above); usually +x, +y, +z, or
+            the first face of each pair.
+
+        Raises
+        ------
+        GraspError
+            A body that is no block, faces that have no common corner, a block that is too small
+            (with the edges that are, and by how much).
+        """
+        block = body if isinstance(body, Polyhedron) else Polyhedron.box(body)
+        chosen, opposite = _faces(block, faces)
+        n = block.normals[list(chosen)]
+        ends = np.array([[block.faces[k].offset for k in three] for three in (chosen, opposite)])
+        half = 0.5 * ends.sum(axis=0)
+        self._check(2.0 * half)
+        middle = 0.5 * (ends[0] - ends[1]) @ n
+        points = self._places(half) @ n + middle
+        on = (*chosen, *opposite, chosen[2])
+        sides = ((chosen, points[:3]), (opposite, points[3:6]))
+        frames = [gripper_frame(block, three, at) for three, at in sides]
+        made = assembled(block, points, on, [(0, 1, 2, 6), (3, 4, 5)], frames, self._notes())
+        inward = np.sign(self.offset - self.seventh_offset)
+        if not crosses(made, lambda s: points[2] - inward * s * n[0], self.minimum_distance):
+            raise GraspError(
+                "the offsets are too small for the block: its grasp hangs on rounding; choose a "
+                "larger offset"
+            )
+        return made
+
+    def _places(self, half: np.ndarray) -> np.ndarray:
+        """Contacts (7, 3) in axes of the block, about its middle [m]."""
+        A, E = self.offset, self.seventh_offset
+        three = half - np.array([[0.0, A, A], [A, 0.0, A], [E, A, 0.0]])
+        last = three[2] - [np.sign(A - E) * self.distance, 0.0, 0.0]
+        return np.vstack([three, -three, last])
+
+    def _check(self, lengths: np.ndarray) -> None:
+        short = [
+            f"edge {axis} is {length:.6g} m, more than {least:.6g} m are needed"
+            for axis, length, least in zip("xyz", lengths, self.smallest, strict=True)
+            if not length > least
+        ]
+        if short:
+            raise GraspError(
+                f"the grippers are too large for the block: {'; '.join(short)}.  Choose smaller "
+                f"offsets, or exchange the faces"
+            )
+
+    def _notes(self) -> tuple[str, ...]:
+        x, y, z = self.smallest
+        return (
+            f"contact 7 is {self.distance:.6g} m from contact 3; the grasp is closed beyond "
+            f"2 |A - E| = {self.minimum_distance:.6g} m, whatever the size of the block",
+            f"the same grippers hold every block with edges above {x:.6g} x {y:.6g} x {z:.6g} m",
+        )
+
+
+def design_block_grasp(
+    body: Any,
+    *,
+    offset: float | None = None,
+    seventh: float | None = None,
+    distance: float | None = None,
+    faces: tuple[int, int, int] | None = None,
+) -> Grasp:
+    """A form-closure grasp of a block by two small fixed grippers at opposite corners.
+
+    Parameters
+    ----------
+    body : Polyhedron, or array-like, shape (3,)
+        The block, anywhere, or the full lengths of its edges [m].
+    offset : float, optional
+        A: distance of the contacts from the edges [m]; 0.15 of the shortest edge otherwise.
+    seventh : float, optional
+        E: distance of contact 3 from the front edge [m]; A / 2 otherwise.
+    distance : float, optional
+        Of contact 7 from contact 3 [m]; twice the bound 2 |A - E| otherwise.
+    faces : (int, int, int), optional
+        Faces at one corner, for contacts 1, 2 and 3.
+
+    Returns
+    -------
+    Grasp
+        Contacts 1 to 7; gripper 1 carries 1, 2, 3 and 7, gripper 2 carries 4, 5 and 6.
+
+    Raises
+    ------
+    GraspError
+        As `BlockDesign` and `BlockDesign.grasp`.
+
+    See Also
+    --------
+    BlockDesign : the same grippers for many blocks, and which blocks these are.
+    """
+    block = body if isinstance(body, Polyhedron) else Polyhedron.box(body)
+    chosen, opposite = _faces(block, faces)
+    if offset is None:
+        edges = [
+            block.faces[i].offset + block.faces[j].offset
+            for i, j in zip(chosen, opposite, strict=True)
+        ]
+        offset = USUAL_OFFSET * min(edges)
+    return block_design(offset, seventh, distance).grasp(block, chosen)
+
+
+def block_design(
+    offset: float, seventh: float | None = None, distance: float | None = None
+) -> BlockDesign:
+    """The two grippers for blocks, from A alone if need be: E = A / 2, and twice the bound."""
+    E = USUAL_SEVENTH * offset if seventh is None else seventh
+    if distance is None:
+        bound = 2.0 * abs(offset - E)
+        distance = USUAL_DISTANCE * bound if offset > E else 0.5 * (bound + E)
+    return BlockDesign(float(offset), float(E), float(distance))
+
+
+Three = tuple[int, int, int]
+
+
+def _faces(block: Polyhedron, faces: Three | None) -> tuple[Three, Three]:
+    """Faces for contacts 1, 2, 3, and the opposite ones."""
+    found = classify(block)
+    if found.kind != "block":
+        raise GraspError(
+            f"the construction for blocks needs one; this body is {found.words}.  design_grasp "
+            f"takes the construction that fits"
+        )
+    other = dict(found.pairs) | {j: i for i, j in found.pairs}
+    chosen = faces if faces is not None else tuple(i for i, _ in found.pairs)
+    if len(chosen) != 3 or shared_corner(block, chosen) is None:
+        raise GraspError(f"faces {chosen} do not meet at a corner; each of the pairs gives one")
+    i, j, k = chosen
+    return (i, j, k), (other[i], other[j], other[k])

@@ -1,0 +1,202 @@
+r"""Which construction of a grasp a body admits: the classes of chapter 2 of the thesis.
+
+- **block**: three pairs of parallel faces, perpendicular to each other (2.2.3.1);
+- **three pairs of parallel faces**: a parallelepiped (2.2.3.2);
+- **wider class** (2.2.3.3): three faces with independent normals and at least two more faces whose
+  normals are combinations of the three with no positive coefficient,
+
+  .. math::  n_l = \sum_{k=1}^{3} \kappa_k n_k, \qquad \kappa_k \le 0 .
+
+  Every convex polyhedron with more than four faces has such a triple (A.7), every block too.
+- **tetrahedron**: four faces; each normal is a negative combination of the other three, so that
+  there is one such face and not two.
+
+A mesh with many facets around an axis stands for a body of revolution.  No frictionless contact
+keeps such a body from turning about its axis: every normal line meets the axis.  On the mesh a
+contact still has a lever, half a facet wide, but the body that the mesh stands for has none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from multiarm.grasp.polyhedron import Polyhedron
+
+Kind = Literal["block", "three pairs of parallel faces", "wider class", "tetrahedron", "none"]
+
+# Faces are parallel or perpendicular within this angle [rad]: rounding of a file's coordinates.
+PARALLEL = 1e-6
+# Normals with a smaller determinant are dependent, coefficients below it are zero.
+DEPENDENT = 1e-6
+# Triples are sought among so many of the largest faces; their number grows with the third power.
+MOST_FACES = 40
+# A body whose contacts have no longer lever about an axis, over its radius, is one of revolution.
+ROUND = 0.06
+
+
+@dataclass(frozen=True)
+class Triple:
+    """Three faces with independent normals, and those that their normals oppose.
+
+    Attributes
+    ----------
+    faces : tuple of int
+        The three.
+    opposed : tuple of int
+        Faces whose normals are combinations of the three with no positive coefficient.
+    """
+
+    faces: tuple[int, int, int]
+    opposed: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class BodyClass:
+    """To which class a body belongs, and by which faces.
+
+    Attributes
+    ----------
+    kind : str
+        ``"block"``, ``"three pairs of parallel faces"``, ``"wider class"``, ``"tetrahedron"`` or
+        ``"none"``.
+    pairs : tuple of (int, int)
+        Parallel faces that look in opposite directions.
+    triples : tuple of Triple
+        All triples that oppose at least two faces.
+    words : str
+        The verdict with its reason in a sentence or two.
+    """
+
+    kind: Kind
+    pairs: tuple[tuple[int, int], ...]
+    triples: tuple[Triple, ...]
+    words: str
+
+    def __str__(self) -> str:
+        return self.words
+
+
+def classify(body: Polyhedron) -> BodyClass:
+    """To which class of the thesis a body belongs, and by which faces."""
+    chosen = _largest(body)
+    pairs = tuple(
+        (i, j) for i, j in combinations(chosen, 2) if _angle(body.normals[i], -body.normals[j])
+    )
+    triples = _triples(body.normals, chosen)
+    kind = _kind(body, pairs, triples)
+    left_out = len(body.faces) - len(chosen)
+    words = _words(body, kind, pairs, triples)
+    if left_out:
+        words += f" (its {left_out} smallest faces were not looked at)"
+    return BodyClass(kind, pairs, triples, words)
+
+
+@dataclass(frozen=True)
+class Roundness:
+    """How nearly a body is one of revolution.
+
+    Attributes
+    ----------
+    axis : ndarray, shape (3,)
+        Direction of the axis, through the centre of mass.
+    lever : float
+        Longest lever about the axis of a contact anywhere on the body [m].
+    radius : float
+        Largest distance of the body from the axis [m].
+    """
+
+    axis: np.ndarray
+    lever: float
+    radius: float
+
+    def __bool__(self) -> bool:
+        return self.lever < ROUND * self.radius
+
+
+def roundness(body: Polyhedron) -> Roundness:
+    """The axis about which contacts have the shortest levers; true for a body of revolution.
+
+    The axis of such a body is a principal axis of inertia through its centre of mass, so that only
+    those are looked at.  A lever, the moment of a unit push about the axis, is linear on a face and
+    therefore longest at a corner.
+    """
+    properties = body.mass_properties(1.0)
+    axes = np.linalg.eigh(properties.inertia)[1].T
+    best = None
+    for axis in axes:
+        arms = [np.abs(np.cross(f.vertices - body.centre, f.normal) @ axis) for f in body.faces]
+        about = body.vertices - body.centre
+        radius = float(np.linalg.norm(about - np.outer(about @ axis, axis), axis=1).max())
+        found = Roundness(axis, float(max(arm.max() for arm in arms)), radius)
+        if best is None or found.lever / found.radius < best.lever / best.radius:
+            best = found
+    assert best is not None
+    return best
+
+
+def _largest(body: Polyhedron) -> list[int]:
+    """Numbers of the largest faces, in their order."""
+    areas = np.array([face.area for face in body.faces])
+    return sorted(np.argsort(-areas, kind="stable")[:MOST_FACES].tolist())
+
+
+def _angle(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether two unit vectors point the same way."""
+    return bool(np.linalg.norm(np.cross(a, b)) <= PARALLEL and a @ b > 0.0)
+
+
+def _triples(normals: np.ndarray, chosen: list[int]) -> tuple[Triple, ...]:
+    found = []
+    for three in combinations(chosen, 3):
+        N = normals[list(three)].T
+        if abs(np.linalg.det(N)) <= DEPENDENT:
+            continue
+        kappa = np.linalg.solve(N, normals[chosen].T)  # (3, F)
+        opposed = [m for m, k in zip(chosen, kappa.T, strict=True) if k.max() <= DEPENDENT]
+        if len(opposed) >= 2:
+            found.append(Triple(three, tuple(opposed)))
+    return tuple(found)
+
+
+def _kind(
+    body: Polyhedron, pairs: tuple[tuple[int, int], ...], triples: tuple[Triple, ...]
+) -> Kind:
+    if len(body.faces) == 6 and len(pairs) == 3 and body.convex:
+        n1, n2, n3 = (body.normals[i] for i, _ in pairs)
+        square = max(abs(n1 @ n2), abs(n2 @ n3), abs(n3 @ n1)) <= PARALLEL
+        return "block" if square else "three pairs of parallel faces"
+    if triples:
+        return "wider class"
+    return "tetrahedron" if len(body.faces) == 4 else "none"
+
+
+def _words(
+    body: Polyhedron,
+    kind: Kind,
+    pairs: tuple[tuple[int, int], ...],
+    triples: tuple[Triple, ...],
+) -> str:
+    names = body.names
+    told = ", ".join(f"{names[i]} and {names[j]}" for i, j in pairs)
+    if kind == "block":
+        return f"a block: {told} are parallel, and the pairs are perpendicular to each other"
+    if kind == "three pairs of parallel faces":
+        return f"three pairs of parallel faces: {told}"
+    if kind == "wider class":
+        first = triples[0]
+        three = ", ".join(names[k] for k in first.faces)
+        others = " and ".join(names[k] for k in first.opposed)
+        return (
+            f"of the wider class: the normals of {others} are combinations of those of {three} "
+            f"with no positive coefficient ({len(triples)} such triples)"
+        )
+    if kind == "tetrahedron":
+        return (
+            "a tetrahedron: each normal is a negative combination of the other three, so that "
+            "three faces oppose one face only, and the constructions need two"
+        )
+    return "of no class: no three faces with independent normals oppose two others"

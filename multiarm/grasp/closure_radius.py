@@ -1,0 +1,237 @@
+r"""How far all contacts may slide at once before some choice of displacements loses the grasp.
+
+Seven contacts close exactly when the null vector of their wrenches,
+
+.. math:: v_i = (-1)^i \det [w_1 \dots w_{i-1}\; w_{i+1} \dots w_7],
+
+has entries of one sign, none zero. A contact that slides in its face by :math:`d_j` changes its own
+column only, and linearly. So every entry is affine in each :math:`d_j` when the others are held:
+over a product of convex sets it is smallest at extreme points. For squares of half width r these
+are :math:`4^6` corners, for polygons of m sides :math:`m^6`. They are all looked at, and cheaply:
+by Laplace's expansion along two groups of three columns
+
+.. math:: \det [A \; B] = \sum_T \pm (a_1 \wedge a_2 \wedge a_3)_T (b_1 \wedge b_2 \wedge b_3)_{T^c}
+
+the :math:`m^6` determinants are one product of matrices :math:`(m^3, 20) (20, m^3)`. The smallest
+value falls as r grows; where it reaches zero is the **closure radius**.
+
+A square needs axes; a disc does not, and is what "at most r in any direction" means. A disc lies
+between an inscribed and a circumscribed polygon. From the worst corner of the inscribed octagon a
+descent, contact by contact, reaches a choice of displacements that breaks the grasp (``upper``).
+The circumscribed octagon whose sides touch the disc in those very directions does not reach beyond
+the disc to first order there, and gives a radius that no choice can break (``lower``).
+
+The same for six contacts and their one determinant: up to which displacements they stay independent
+(thesis, 2.3.1, which gives a lower bound).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.form_closure import is_form_closure
+from multiarm.grasp.many_closures import closed_many
+from multiarm.grasp.wrench_determinants import Minor
+
+# Sides of the polygons that stand for a disc.
+SIDES = 8
+# Of more than seven contacts, so many of the best subsets of seven are looked at.
+SUBSETS = 40
+# Corners of a square of half width 1 for each of six contacts.
+SQUARE = np.tile([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]], (6, 1, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class ClosureRadius:
+    """Largest displacement of all contacts at once that cannot lose the grasp.
+
+    Attributes
+    ----------
+    lower : float
+        No displacements within it lose the grasp [m]; 0 when the contacts do not close.
+    upper : float
+        ``displacements`` of this size do, or reach the limit [m]; equal to ``lower`` for squares,
+        infinite where no such choice is known.
+    displacements : ndarray, shape (N, 3), or None
+        In the faces [m].
+    shape : str
+        ``disc`` or ``square``.
+    message : str
+    """
+
+    lower: float
+    upper: float
+    displacements: np.ndarray | None
+    shape: str
+    message: str
+
+
+def closure_radius(contacts: Contacts, *, shape: str = "disc", axes: Any = None) -> ClosureRadius:
+    """Largest r such that contacts which each slide by at most r still hold the body.
+
+    Parameters
+    ----------
+    contacts : Contacts
+        Seven or more, in space.  Faces are planes, so that normals stay.
+    shape : {"disc", "square"}
+        At most r in any direction, or at most r along each of two axes in the face.
+    axes : array-like, shape (N, 2, 3), optional
+        Those axes, orthonormal and in the faces; by themselves the first points away from the
+        middle of the contacts.
+
+    Returns
+    -------
+    ClosureRadius
+        For seven contacts squares are exact and discs are between two bounds.  For more the lower
+        bound is the best of subsets of seven (any of which is enough), and no upper one is given.
+
+    Raises
+    ------
+    GraspError
+        Fewer than seven contacts, contacts in the plane, another shape, axes out of the face.
+    """
+    _check(contacts, shape, least=7)
+    tangents = tangents_of(contacts) if axes is None else _given_axes(contacts, axes)
+    if not is_form_closure(contacts):
+        return ClosureRadius(0.0, 0.0, np.zeros_like(contacts.points), shape, "not a grasp at all")
+    if contacts.count > 7:
+        return _of_subsets(contacts, tangents, shape)
+    minors = [Minor(contacts, tangents, i) for i in range(7)]
+    return _radius(minors, contacts, shape, "the grasp is lost")
+
+
+def independence_radius(
+    contacts: Contacts, *, shape: str = "disc", axes: Any = None
+) -> ClosureRadius:
+    """Largest r such that six contacts which each slide by at most r stay independent.
+
+    Parameters and result as those of :func:`closure_radius`, for six contacts.
+
+    Raises
+    ------
+    GraspError
+        Not six contacts, or contacts in the plane.
+    """
+    _check(contacts, shape, least=6)
+    if contacts.count != 6:
+        raise GraspError(f"six contacts are asked about their independence, not {contacts.count}")
+    tangents = tangents_of(contacts) if axes is None else _given_axes(contacts, axes)
+    singular = np.linalg.svd(contacts.scaled_wrenches, compute_uv=False)
+    if singular[-1] <= 1e-12 * singular[0]:
+        return ClosureRadius(0.0, 0.0, np.zeros((6, 3)), shape, "they are dependent as they are")
+    return _radius([Minor(contacts, tangents, None)], contacts, shape, "they become dependent")
+
+
+def tangents_of(contacts: Contacts) -> np.ndarray:
+    """Two orthonormal axes in the plane of each contact, shape (N, 2, 3).
+
+    The first points away from the middle of the contacts, so that the axes move with the body.
+    """
+    e = contacts.normals
+    away = contacts.points - contacts.centre
+    away = away - np.sum(away * e, axis=1, keepdims=True) * e
+    for j in np.flatnonzero(np.linalg.norm(away, axis=1) <= 1e-9 * contacts.length):
+        crossed = np.cross(e[j], e)
+        k = int(np.argmax(np.linalg.norm(crossed, axis=1)))
+        away[j] = crossed[k]
+        if not np.linalg.norm(crossed[k]) > 0.0:  # all normals parallel: any axis will do
+            away[j] = np.cross(e[j], np.eye(3)[np.argmin(np.abs(e[j]))])
+    first = away / np.linalg.norm(away, axis=1, keepdims=True)
+    return np.stack([first, np.cross(e, first)], axis=1)
+
+
+def _radius(minors: list[Minor], contacts: Contacts, shape: str, what: str) -> ClosureRadius:
+    """The smallest radius of several determinants."""
+    minors = sorted(minors, key=Minor.estimate)
+    bounds = _of_squares if shape == "square" else _of_discs
+    around = SQUARE if shape == "square" else _polygon(np.zeros(6)) / np.cos(np.pi / SIDES)
+    lower = upper = float("inf")
+    moves, first = np.zeros((6, 2)), minors[0]
+    for minor in minors:
+        if np.isfinite(lower) and minor.worst(lower * around)[0] > 0.0:
+            continue  # this one is not lost within what is known already
+        least, most, at = bounds(minor)
+        lower = min(lower, least)
+        if most < upper:
+            upper, moves, first = most, at, minor
+    lower = min(lower, upper)
+    L = contacts.length
+    displacements = np.zeros_like(contacts.points)
+    tangents = first.rates  # the turned tangents: t x e
+    for k, j in enumerate(first.numbers):
+        turned = moves[k] @ tangents[k, :, 3:]
+        displacements[j] = np.cross(contacts.normals[j], turned) * L
+    words = (
+        f"contacts that slide by {lower * L:.4g} m or less cannot harm; at {upper * L:.4g} m {what}"
+    )
+    return ClosureRadius(lower * L, upper * L, displacements, shape, words)
+
+
+def _of_squares(minor: Minor) -> tuple[float, float, np.ndarray]:
+    """The radius of squares, twice, and displacements that reach it."""
+    r = minor.smallest_on(SQUARE, minor.estimate())
+    return r, r, minor.worst(r * SQUARE)[1] if np.isfinite(r) else np.zeros((6, 2))
+
+
+def _of_discs(minor: Minor) -> tuple[float, float, np.ndarray]:
+    """Bounds on the radius of discs, and displacements at the upper one."""
+    inscribed = _polygon(np.zeros(6))
+    r = minor.smallest_on(inscribed, minor.estimate())
+    if not np.isfinite(r):
+        return r, r, np.zeros((6, 2))
+    upper, along = minor.broken_by(minor.worst(r * inscribed)[1], r)
+    touching = np.arctan2(along[:, 1], along[:, 0]) + np.pi / SIDES
+    around = _polygon(touching) / np.cos(np.pi / SIDES)
+    lower = max(minor.smallest_on(around, upper), r * np.cos(np.pi / SIDES))
+    return min(lower, upper), upper, upper * along
+
+
+def _polygon(turned: np.ndarray) -> np.ndarray:
+    """Regular polygons in the unit disc, turned by angles (6,), shape (6, SIDES, 2)."""
+    angles = turned[:, None] + 2.0 * np.pi * np.arange(SIDES) / SIDES
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def _of_subsets(contacts: Contacts, tangents: np.ndarray, shape: str) -> ClosureRadius:
+    """Lower bound for more than seven contacts: any seven of them that close are enough."""
+    sets = np.array(list(combinations(range(contacts.count), 7)))
+    verdicts = closed_many(contacts.points[sets], contacts.normals[sets])
+    order = np.argsort(-verdicts.distances, kind="stable")[:SUBSETS]
+    best = 0.0
+    for number in order[verdicts.closed[order]]:
+        chosen = list(sets[number])
+        found = closure_radius(contacts.subset(chosen), shape=shape, axes=tangents[chosen])
+        best = max(best, found.lower)
+    words = f"seven of the contacts hold the body while all slide by {best:.4g} m or less"
+    if best == 0.0:
+        words = "no seven of these contacts hold the body by themselves, so no radius is known"
+    return ClosureRadius(best, float("inf"), None, shape, words)
+
+
+def _given_axes(contacts: Contacts, axes: Any) -> np.ndarray:
+    tangents = np.asarray(axes, dtype=float)
+    if tangents.shape != (contacts.count, 2, 3):
+        raise GraspError(
+            f"axes have shape ({contacts.count}, 2, 3), two in the face of each contact, not "
+            f"{tangents.shape}"
+        )
+    gram = np.einsum("jax,jbx->jab", tangents, tangents) - np.eye(2)
+    out = np.einsum("jax,jx->ja", tangents, contacts.normals)
+    if not max(np.abs(gram).max(), np.abs(out).max()) < 1e-6:
+        raise GraspError("axes must be orthonormal and lie in the faces")
+    return tangents
+
+
+def _check(contacts: Contacts, shape: str, least: int) -> None:
+    if contacts.dimension != 3:
+        raise GraspError("contacts in the plane: this question is answered for contacts in space")
+    if contacts.count < least:
+        raise GraspError(f"{least} contacts at least are needed, not {contacts.count}")
+    if shape not in ("disc", "square"):
+        raise GraspError(f"shape is 'disc' or 'square', not {shape!r}")

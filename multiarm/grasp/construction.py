@@ -1,0 +1,131 @@
+"""A grasp for a given body: the construction that fits its class, checked before it is handed out.
+
+===============================  ==============================  ==========================
+body                             construction                    source
+===============================  ==============================  ==========================
+block                            `design_block_grasp`            thesis, 2.2.3.1
+three pairs of parallel faces    `design_parallel_grasp`         2.2.3.2, Example 2.3
+wider class                      `design_wide_grasp`             2.2.3.3
+others, such as a tetrahedron    `search_grasp`                  2.2.2, region by region
+===============================  ==============================  ==========================
+
+A body of revolution is refused: no frictionless contacts hold it.  So is a mesh of such a body,
+although its facets would give the contacts a little lever.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.assembling import largest_gripper, sized
+from multiarm.grasp.block_design import USUAL_OFFSET, design_block_grasp
+from multiarm.grasp.body_class import BodyClass, classify, roundness
+from multiarm.grasp.closure_search import search_grasp
+from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.parallel_design import design_parallel_grasp
+from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.wide_design import design_wide_grasp
+
+
+def design_grasp(
+    body: Polyhedron,
+    *,
+    gripper_size: float | None = None,
+    offset: float | None = None,
+    seventh: float | None = None,
+    generator: np.random.Generator | None = None,
+) -> Grasp:
+    """A form-closure grasp of a polyhedron by two grippers, without friction.
+
+    Parameters
+    ----------
+    body : Polyhedron
+        Of any size and anywhere.
+    gripper_size : float, optional
+        Largest distance between two contacts of one gripper [m]; the constructions give grippers
+        of this size, a search gives smaller ones or none.
+    offset, seventh : float, optional
+        A and E of the construction for blocks [m] (see `design_block_grasp`).
+    generator : numpy.random.Generator, optional
+        For the search, where one is needed.
+
+    Returns
+    -------
+    Grasp
+        Seven contacts.  It is form-closed, and it opens where its last contact comes nearer than
+        the bound that its notes tell.
+
+    Raises
+    ------
+    GraspError
+        A body of revolution; grippers that are too large for the body; offsets for a body that is
+        no block; no grasp found.
+    """
+    if not isinstance(body, Polyhedron):
+        raise GraspError(
+            f"a Polyhedron is needed, not {type(body).__name__}; make one with Polyhedron.box, "
+            f".prism, .hull or .mesh"
+        )
+    _refuse_round(body)
+    found = classify(body)
+    if found.kind == "block":
+        grasp = _block_grasp(body, gripper_size, offset, seventh)
+    elif offset is not None or seventh is not None:
+        raise GraspError(
+            f"offset and seventh are lengths of the construction for blocks; this body is "
+            f"{found.words}.  Give gripper_size, or nothing"
+        )
+    elif found.kind == "three pairs of parallel faces":
+        grasp = design_parallel_grasp(body, gripper_size=gripper_size)
+    else:
+        grasp = _general_grasp(body, found, gripper_size, generator)
+    return grasp.noted(f"the body is {found.words}")
+
+
+def _refuse_round(body: Polyhedron) -> None:
+    found = roundness(body)
+    if found:
+        axis = ", ".join(f"{x:.3g}" for x in np.round(found.axis, 3) + 0.0)
+        raise GraspError(
+            f"the body is one of revolution about the axis ({axis}) through its centre, or a mesh "
+            f"of one: all normal lines pass within {found.lever:.3g} m of the axis, so that no "
+            f"frictionless contact keeps it from turning; give it a flat, a groove or a key"
+        )
+
+
+def _block_grasp(
+    body: Polyhedron, gripper_size: float | None, offset: float | None, seventh: float | None
+) -> Grasp:
+    if gripper_size is None or offset is not None:
+        if gripper_size is not None:
+            raise GraspError("give the size of the grippers or the offset, not both")
+        return design_block_grasp(body, offset=offset, seventh=seventh)
+    edges = [body.faces[i].offset + body.faces[j].offset for i, j in classify(body).pairs]
+
+    def made(A: float) -> Grasp:
+        return design_block_grasp(body, offset=A, seventh=seventh)
+
+    return sized(made, USUAL_OFFSET * min(edges), gripper_size)
+
+
+def _general_grasp(
+    body: Polyhedron,
+    found: BodyClass,
+    gripper_size: float | None,
+    generator: np.random.Generator | None,
+) -> Grasp:
+    """The wider class when it can be, and a search otherwise."""
+    if found.triples:
+        try:
+            return design_wide_grasp(body, gripper_size=gripper_size)
+        except GraspError:
+            pass  # the search may still find one; its notes say that it was a search
+    grasp = search_grasp(body, generator)
+    if gripper_size is not None and largest_gripper(grasp) > gripper_size:
+        raise GraspError(
+            f"the smallest grippers found for this body are {largest_gripper(grasp):.4g} m, not "
+            f"{gripper_size:g} m; it is {found.words}, and small grippers need two corners whose "
+            f"faces oppose each other"
+        )
+    return grasp

@@ -1,0 +1,259 @@
+r"""Two fixed grippers for bodies with three pairs of parallel faces (thesis, 2.2.3.2, Example 2.3).
+
+Contacts 1, 2, 3 are a pattern at one corner (see `corner_pattern`), about the centre of the body as
+the origin; contacts 4, 5, 6 are their mirror images at the opposite corner.  The moments of each
+pair balance, :math:`b_1 = m_3`, so that a last contact on the top closes the grasp at
+
+.. math::  p_7 = D_1 (e, f) + D_2 (p_x, p_y), \qquad D_1 < -1, \; D_2 < 0 .
+
+On the line :math:`y = f` it must be farther from contact 3 than
+
+.. math::
+    D_x = 2 |Q|, \qquad
+    Q = \frac{(g_1 - g_2) c_\theta c_\gamma (e c_\beta - f s_\beta)}
+             {e s_\theta c_\beta c_\gamma + f (c_\theta s_\gamma - s_\theta s_\beta c_\gamma)
+              - g_2 c_\theta c_\beta c_\gamma}
+
+toward the inside or the edge as the sign of Q says.  (The printed bound lacks the factor 2: it is
+:math:`1 - D_1 > 2`.)  The denominator is linear in the height :math:`L_z`: the same grippers hold
+every body with these angles and this :math:`L_x, L_y` that is higher than a certain limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.assembling import assembled, crosses, sized
+from multiarm.grasp.body_class import classify
+from multiarm.grasp.corner_pattern import CornerPattern, corner_pattern, even_offsets, right_handed
+from multiarm.grasp.corners import gripper_frame, shared_corner
+from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.polyhedron import Polyhedron
+
+Three = tuple[int, int, int]
+Offsets = tuple[float, float, float, float]
+
+# Where nothing is said: depth of the pattern below its faces as a part of the smallest distance of
+# a face from the centre, G1 - G2 as parts of the depth, and the last contact at this multiple of
+# its bound, or half way from the bound to the edge if that is nearer.
+USUAL_DEPTH, USUAL_STEPS, USUAL_DISTANCE = 0.3, (0.5, -0.5), 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class ParallelDesign:
+    """Two fixed grippers for a body with three pairs of parallel faces.
+
+    Attributes
+    ----------
+    body : Polyhedron
+    faces : (int, int, int)
+        Front, side and top: of contacts 1, 2 and 3.
+    opposite : (int, int, int)
+        Of contacts 4, 5 and 6.
+    pattern : CornerPattern
+        About the centre of the body.
+    distance : float
+        Of contact 7 from contact 3 [m].
+    """
+
+    body: Polyhedron
+    faces: Three
+    opposite: Three
+    pattern: CornerPattern
+    distance: float
+
+    @property
+    def minimum_distance(self) -> float:
+        """``D_x = 2 |Q|``: the grasp is closed beyond it [m]."""
+        return 2.0 * abs(self.pattern.reach)
+
+    @property
+    def smallest_height(self) -> float:
+        """The corner's height ``Lz`` must exceed this for the same grippers, Lx and Ly [m]."""
+        p = self.pattern
+        (st, ct), (sb, cb), (sg, cg) = p.sines
+        (g1, g2), (_, (c, _)) = p.g, p.in_face_offsets
+        numerator = abs((g1 - g2) * ct * cg * c)
+        rest = p.e * st * cb * cg + p.f * (ct * sg - st * sb * cg)
+        return float(p.G2 + (2.0 * numerator / self.distance + rest) / (ct * cb * cg))
+
+    def grasp(self) -> Grasp:
+        """The grasp, verified.
+
+        Raises
+        ------
+        GraspError
+            No contact on the line y = f closes; contacts outside their faces; a distance that is
+            not beyond its bound.
+        """
+        p, body = self.pattern, self.body
+        if p.faulty:
+            raise GraspError(
+                f"no contact on the line y = f of the top closes the grasp: {p.faulty}"
+            )
+        if not self.distance > self.minimum_distance:
+            raise GraspError(
+                f"contact 7 is {self.distance:.6g} m from contact 3, but the grasp is closed only "
+                f"beyond 2 |Q| = {self.minimum_distance:.6g} m; more height (over "
+                f"{self.smallest_height:.6g} m) or a smaller G1 - G2 lowers the bound"
+            )
+        centre = p.frame[:3, 3]
+        points = np.vstack([p.points, 2.0 * centre - p.points, p.last_point(self.distance)])
+        sides = ((self.faces, points[:3]), (self.opposite, points[3:6]))
+        frames = [gripper_frame(body, three, at) for three, at in sides]
+        on = (*self.faces, *self.opposite, self.faces[2])
+        made = assembled(body, points, on, [(0, 1, 2, 6), (3, 4, 5)], frames, self._notes())
+        if not (made.closure and crosses(made, p.last_point, self.minimum_distance)):
+            raise GraspError(
+                "the offsets are too small for the body: its grasp hangs on rounding; choose "
+                "larger ones"
+            )
+        return made
+
+    def _notes(self) -> tuple[str, ...]:
+        return (
+            f"contact 7 is {self.distance:.6g} m from contact 3; the grasp is closed beyond "
+            f"2 |Q| = {self.minimum_distance:.6g} m",
+            f"the same grippers hold bodies with these angles, Lx = {self.pattern.corner[0]:.6g} m "
+            f"and Ly = {self.pattern.corner[1]:.6g} m whose corner is higher than "
+            f"{max(self.smallest_height, 0.0):.6g} m over the centre, as long as the contacts stay "
+            f"on their faces",
+        )
+
+
+def design_parallel_grasp(
+    body: Polyhedron,
+    *,
+    offsets: Offsets | None = None,
+    distance: float | None = None,
+    faces: Three | None = None,
+    gripper_size: float | None = None,
+) -> Grasp:
+    """A form-closure grasp of a parallelepiped by two fixed grippers at opposite corners.
+
+    Parameters
+    ----------
+    body : Polyhedron
+        Three pairs of parallel faces, a block too.
+    offsets : (float, float, float, float), optional
+        E, F, G1, G2: from the corner to the points whose feet are the contacts, along the axes of
+        Sigma_0 [m]; see `corner_pattern`.  Points equally deep below the faces otherwise.
+    distance : float, optional
+        Of contact 7 from contact 3 [m]; twice its bound otherwise.
+    faces : (int, int, int), optional
+        Front, side and top of one corner, right-handed as seen from outside; the corner and the
+        order with the firmest grasp otherwise.
+    gripper_size : float, optional
+        Largest distance between contacts of a gripper [m], instead of ``offsets``.
+
+    Returns
+    -------
+    Grasp
+        Contacts 1 to 7; gripper 1 carries 1, 2, 3 and 7, gripper 2 carries 4, 5 and 6.
+
+    Raises
+    ------
+    GraspError
+        Another class of body; a gripper that is too large; lengths with which no corner works.
+    """
+    found = classify(body)
+    if found.kind not in ("block", "three pairs of parallel faces"):
+        raise GraspError(f"three pairs of parallel faces are needed; this body is {found.words}")
+    best, faults = None, []
+    for three, opposite in _arrangements(body, found.pairs, faces):
+        for step in USUAL_STEPS[: 1 if offsets else None]:
+            try:
+                made = _fitted(body, three, opposite, offsets, step, distance, gripper_size)
+            except GraspError as error:
+                faults.append(str(error))
+                continue
+            if best is None or made.closure.distance > best.closure.distance:
+                best = made
+    if best is None:
+        raise GraspError(f"no corner of the body takes these grippers; at the first, {faults[0]}")
+    return best
+
+
+def parallel_design(
+    body: Polyhedron,
+    faces: Three,
+    opposite: Three,
+    offsets: Offsets,
+    distance: float | None = None,
+) -> ParallelDesign:
+    """The design with given faces and offsets E, F, G1, G2; contact 7 at twice its bound."""
+    pattern = _pattern(body, faces, opposite, offsets)
+    if distance is None:
+        distance = usual_distance(body, faces[2], pattern, 2.0)
+    return ParallelDesign(body, faces, opposite, pattern, float(distance))
+
+
+def usual_distance(body: Polyhedron, top: int, pattern: CornerPattern, factor: float) -> float:
+    """A distance of the last contact beyond the bound ``factor |Q|``, with room before the edge."""
+    bound = factor * abs(pattern.reach)
+    if pattern.faulty:
+        return USUAL_DISTANCE * bound
+    direction = -np.sign(pattern.reach) * pattern.frame[:3, 0]
+    end = body.faces[top].room_along(pattern.points[2], direction)
+    if end <= bound:
+        raise GraspError(
+            f"the last contact must be {bound:.4g} m from contact 3, but the edge of "
+            f"{body.faces[top].name} is only {end:.4g} m away; choose smaller offsets"
+        )
+    return min(USUAL_DISTANCE * bound, 0.5 * (bound + end))
+
+
+def _fitted(
+    body: Polyhedron,
+    faces: Three,
+    opposite: Three,
+    offsets: Offsets | None,
+    step: float,
+    distance: float | None,
+    gripper_size: float | None,
+) -> Grasp:
+    """The grasp with given offsets, or with the even ones that make the wanted size."""
+    if offsets is not None:
+        return parallel_design(body, faces, opposite, offsets, distance).grasp()
+    blank = _pattern(body, faces, opposite, (0.0, 0.0, 0.0, 0.0))
+    usual = USUAL_DEPTH * float(np.min(blank.normals @ blank.corner))
+
+    def made(depth: float) -> Grasp:
+        even = even_offsets(blank, depth, step * depth)
+        return parallel_design(body, faces, opposite, even, distance).grasp()
+
+    return sized(made, usual, gripper_size)
+
+
+def _pattern(body: Polyhedron, faces: Three, opposite: Three, offsets: Offsets) -> CornerPattern:
+    n = body.normals[list(faces)]
+    ends = np.array([[body.faces[k].offset for k in three] for three in (faces, opposite)])
+    centre = np.linalg.solve(n, 0.5 * (ends[0] - ends[1]))
+    return corner_pattern(n, ends[0], centre, offsets)
+
+
+def _arrangements(
+    body: Polyhedron, pairs: tuple[tuple[int, int], ...], faces: Three | None
+) -> Iterator[tuple[Three, Three]]:
+    """Faces of contacts 1, 2, 3 and of 4, 5, 6: given ones, or all, opposite corners once."""
+    other = dict(pairs) | {j: i for i, j in pairs}
+    if faces is not None:
+        if shared_corner(body, faces) is None:
+            raise GraspError(f"faces {faces} do not meet at a corner; each of the pairs gives one")
+        yield faces, _turned(other, faces)
+        return
+    for second, third in product((0, 1), repeat=2):
+        corner = (pairs[0][0], pairs[1][second], pairs[2][third])
+        for k in range(3):
+            three = right_handed(body, (corner[k - 2], corner[k - 1], corner[k]))
+            yield three, _turned(other, three)
+
+
+def _turned(other: dict[int, int], faces: Three) -> Three:
+    i, j, k = faces
+    return other[i], other[j], other[k]

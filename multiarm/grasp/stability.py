@@ -1,0 +1,283 @@
+r"""Configuration stability: what small displacements of the contacts do to a grasp (thesis, 2.3).
+
+**Six independent contacts** (2.3.1). With normals :math:`e_A = [e_1 e_2 e_3]` invertible,
+:math:`T_1 = -e_A^{-1} e_B` and :math:`a = a_A T_1 + a_B` the contacts are independent while a is
+not singular (2.2). In-face displacements of at most :math:`\delta` change column j of a by at most
+:math:`\delta (1 + \sum_i |T_{1,ij}|)`. The nearest singular matrix, columns measured one by one,
+is this far away:
+
+.. math::
+    r^* = \min_{a' \text{ singular}} \max_j |a'_j - a_j| = 1 / \max_{s \in \{-1, 1\}^3} |a^{-T} s|,
+    \qquad \delta_{\max} = r^* / \max_j \bigl(1 + \sum_i |T_{1,ij}|\bigr) .
+
+**The seventh contact** (2.3.2). It closes the grasp when all entries of :math:`W_6^{-1} w_7` are
+negative. Multiplied by det a each is a polynomial in the points,
+
+.. math:: M_k = \det(W_6 \text{ with } w_7 \text{ for } w_k) / \det e_A, \qquad M_k / \det a < 0 .
+
+M and det a are affine in every single contact. To first order, displacements up to
+:math:`\delta_j` change M by at most :math:`\sum_j |\partial M / \partial p_j| \delta_j`, the
+seventh contact included. Where this is not much less than :math:`|M|` the grasp is poor. What may
+really be lost, and when, is told without linearisation by
+:func:`multiarm.grasp.closure_radius.closure_radius`, and by lot by
+:func:`multiarm.grasp.drawn_stability.monte_carlo_stability`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.closure_radius import ClosureRadius, closure_radius, tangents_of
+from multiarm.grasp.contacts import Contacts, wrenches_of
+from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
+
+if TYPE_CHECKING:
+    from multiarm.grasp.grasp import Grasp
+
+# A measure should be at least so many times its largest change to first order.
+ENOUGH = 2.0
+# Displacement when none is given, over the root mean square distance of the contacts.
+DISPLACEMENT = 0.01
+# Scaled wrenches are dependent below this ratio of singular values.
+DEPENDENT = 1e-10
+# Three normals span space well enough to be divided by.
+SPANNING = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ConfigurationStability:
+    """How well a grasp bears displacements of its contacts in their faces.
+
+    Attributes
+    ----------
+    contacts : Contacts
+    displacement : ndarray, shape (N,)
+        What each contact may be displaced by [m].
+    six : tuple of int
+        The six independent contacts, numbers from 0; the first three have independent normals.
+        The first six in their order, if that is possible.
+    T1, a : ndarray, shape (3, 3)
+        Of the block inverse (2.2); a in [m].
+    r_star : float
+        Smallest change of the columns of a that makes it singular [m].
+    sigma_min : float
+        Smallest singular value of a [m]; between r* and sqrt(3) r*.
+    delta_max : float
+        Displacements below it leave the six contacts independent [m].
+    determinant : float
+        det a [m^3].
+    determinant_gradient : ndarray, shape (N, 3)
+        Derivative of det a with respect to each contact, in its face [m^2].
+    measures : ndarray, shape (6,), or None
+        ``M_k``; closure when all M_k / det a are negative [m^3].  None unless N = 7.
+    gradient : ndarray, shape (6, 7, 3), or None
+        Derivative of each measure with respect to each contact, in its face [m^2].
+    message : str
+    """
+
+    contacts: Contacts
+    displacement: np.ndarray
+    six: tuple[int, ...]
+    T1: np.ndarray
+    a: np.ndarray
+    r_star: float
+    sigma_min: float
+    delta_max: float
+    determinant: float
+    determinant_gradient: np.ndarray
+    measures: np.ndarray | None
+    gradient: np.ndarray | None
+    message: str
+
+    @property
+    def changes(self) -> np.ndarray:
+        """Largest change to first order of det a, then of each measure [m^3]; (1,) or (7,)."""
+        rates = self.determinant_gradient[None]
+        if self.gradient is not None:
+            rates = np.concatenate([rates, self.gradient])
+        return np.linalg.norm(rates, axis=2) @ self.displacement
+
+    @property
+    def ratios(self) -> np.ndarray:
+        """Size of det a, then of each measure, over its change; (1,) or (7,)."""
+        sizes = np.abs(np.r_[self.determinant, [] if self.measures is None else self.measures])
+        return sizes / np.maximum(self.changes, np.finfo(float).tiny)
+
+    @property
+    def closed(self) -> bool | None:
+        """Whether the seven contacts close; None unless there are seven."""
+        if self.measures is None:
+            return None
+        return bool(np.all(self.measures * np.sign(self.determinant) < 0.0))
+
+    @property
+    def poor(self) -> bool:
+        """Whether the grasp is open, or a ratio is less than 2."""
+        return self.closed is False or bool(self.ratios.min() < ENOUGH)
+
+    @cached_property
+    def own_radii(self) -> np.ndarray | None:
+        """How far each contact alone may slide in any direction [m], shape (7,); None unless 7."""
+        if self.measures is None or self.gradient is None:
+            return None
+        sizes = np.abs(np.r_[self.determinant, self.measures])
+        rates = np.linalg.norm(
+            np.concatenate([self.determinant_gradient[None], self.gradient]), axis=2
+        )
+        felt = rates > DEPENDENT * rates.max()  # each contact is missing in one of the seven
+        ratios = sizes[:, None] / np.where(felt, rates, 1.0)
+        return np.where(felt, ratios, np.inf).min(axis=0) * bool(self.closed)
+
+    @cached_property
+    def radius(self) -> ClosureRadius | None:
+        """How far all contacts may slide at once, not linearised; None for six contacts."""
+        return closure_radius(self.contacts) if self.contacts.count > 6 else None
+
+
+def configuration_stability(
+    contacts: Contacts, *, displacement: Any = None
+) -> ConfigurationStability:
+    """Independence of six contacts and measures of the seventh under displacements.
+
+    Parameters
+    ----------
+    contacts : Contacts
+        Six or more, in space.  With seven, the last one is taken as the seventh unless the first
+        six are dependent.  With more, six of them are looked at, and ``radius`` at all.
+    displacement : float or array-like, shape (N,), optional
+        Largest displacement of each contact in its face [m]; a hundredth of their root mean square
+        distance from their mean otherwise.
+
+    Raises
+    ------
+    GraspError
+        Fewer than six contacts, contacts in the plane, no six independent ones among them.
+    """
+    if contacts.dimension != 3 or contacts.count < 6:
+        raise GraspError(
+            f"configuration stability needs six contacts or more in space, not {contacts.count} in "
+            f"dimension {contacts.dimension}"
+        )
+    delta = displacements_of(displacement, contacts)
+    six = _independent_six(contacts)
+    at = contacts.points - contacts.centre
+    T1, a = _block(at, contacts.normals, six)
+    nearest = 1.0 / max(
+        float(np.linalg.norm(np.linalg.solve(a.T, s))) for s in product((-1.0, 1.0), repeat=3)
+    )
+    seventh = [j for j in range(contacts.count) if j not in six] if contacts.count == 7 else []
+    values, rates = _measures(contacts, [*six, *seventh])
+    return ConfigurationStability(
+        contacts=contacts,
+        displacement=delta,
+        six=six,
+        T1=T1,
+        a=a,
+        r_star=nearest,
+        sigma_min=float(np.linalg.svd(a, compute_uv=False)[-1]),
+        delta_max=nearest / float((1.0 + np.abs(T1).sum(axis=0)).max()),
+        determinant=float(values[0]),
+        determinant_gradient=rates[0],
+        measures=values[1:] if seventh else None,
+        gradient=rates[1:] if seventh else None,
+        message=_message(contacts, six),
+    )
+
+
+def own_regions(grasp: Grasp) -> tuple[ContactRegion, ...]:
+    """Where each contact alone may be in its face while the six others stay, one region for each.
+
+    Raises
+    ------
+    GraspError
+        The grasp has not seven contacts.
+    """
+    count = grasp.contacts.count
+    if count < 7:
+        raise GraspError(f"regions of single contacts need seven contacts, not {count}")
+    regions = []
+    for j, number in enumerate(grasp.faces):
+        others = grasp.contacts.subset(k for k in range(count) if k != j)
+        regions.append(seventh_contact_region(others, grasp.body.faces[number]))
+    return tuple(regions)
+
+
+def displacements_of(given: Any, contacts: Contacts) -> np.ndarray:
+    """Largest displacement of each contact [m], shape (N,)."""
+    value = DISPLACEMENT * contacts.length if given is None else given
+    delta = np.asarray(value, dtype=float)
+    if delta.shape not in ((), (contacts.count,)) or not np.all(np.isfinite(delta) & (delta >= 0)):
+        raise GraspError(
+            f"displacement is one length or one for each of the {contacts.count} contacts, not "
+            f"negative and finite; given: {given}"
+        )
+    return np.broadcast_to(delta, (contacts.count,)).copy()
+
+
+def _block(
+    points: np.ndarray, normals: np.ndarray, six: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """T1 and a of (2.2); neither depends on the origin."""
+    e = normals[list(six)].T
+    m = np.cross(points[list(six)], normals[list(six)]).T
+    T1 = -np.linalg.solve(e[:, :3], e[:, 3:])
+    return T1, m[:, :3] @ T1 + m[:, 3:]
+
+
+def _measures(contacts: Contacts, chosen: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """det a and all M_k, (1,) or (7,), and their derivatives (1, N, 3) or (7, N, 3).
+
+    Determinants are affine in each contact: a difference over any step is the derivative.
+    """
+    L, count = contacts.length, len(chosen)
+    e = contacts.normals[chosen]
+    tangents = tangents_of(contacts)[chosen]
+    moves = np.zeros((1 + 2 * count, count, 3))
+    for k in range(count):
+        moves[1 + 2 * k : 3 + 2 * k, k] = tangents[k]
+    points = (contacts.points[chosen] - contacts.centre) / L + moves
+    W = np.moveaxis(wrenches_of(points, np.broadcast_to(e, points.shape)), 0, 1)  # (S, 6, 6 or 7)
+    sets = [W[..., :6]]
+    for k in range(6 if count == 7 else 0):
+        order = [6 if j == k else j for j in range(6)]
+        sets.append(W[..., order])
+    values = np.linalg.det(np.array(sets)) / np.linalg.det(e[:3].T)  # (1 or 7, S)
+    slopes = (values[:, 1:] - values[:, :1]).reshape(len(sets), count, 2)
+    rates = np.zeros((len(sets), contacts.count, 3))
+    rates[:, chosen] = np.einsum("mka,kax->mkx", slopes, tangents)
+    return values[:, 0] * L**3, rates * L**2
+
+
+def _independent_six(contacts: Contacts) -> tuple[int, ...]:
+    """The first six independent contacts, three with independent normals in front."""
+    W, chosen = contacts.scaled_wrenches, list[int]()
+    for j in range(contacts.count):
+        trial = [*chosen, j]
+        s = np.linalg.svd(W[:, trial], compute_uv=False)
+        if len(trial) <= 6 and s[-1] > DEPENDENT * s[0]:
+            chosen = trial
+    if len(chosen) < 6:
+        raise GraspError(
+            f"the contacts have rank {len(chosen)}: no six of them are independent, whatever their "
+            f"displacements below the next rounding; is_form_closure says which motion is free"
+        )
+    # Six independent wrenches have normals that span space; the first three that do.
+    threes = [[chosen[k] for k in three] for three in combinations(range(6), 3)]
+    spans = [np.linalg.svd(contacts.normals[three], compute_uv=False)[-1] for three in threes]
+    first = threes[int(np.argmax(np.minimum(spans, SPANNING)))]
+    return (*first, *(j for j in chosen if j not in first))
+
+
+def _message(contacts: Contacts, six: tuple[int, ...]) -> str:
+    names = ", ".join(contacts.names[j] for j in six)
+    if contacts.count == 6:
+        return f"six contacts, in the order {names}"
+    if contacts.count == 7:
+        return f"independence of {names}; then the remaining contact against them"
+    return f"independence of {names}, out of {contacts.count}; measures are for seven contacts only"
