@@ -157,6 +157,23 @@ def test_a_magnet_in_python_and_a_compiled_one_move_the_object_alike(printed, mo
     assert "$.effects.magnet.strenght: unknown key 'strenght'; did you mean 'strength'?" in text
 
 
+def test_a_grasp_without_friction_is_designed_run_and_found_by_touch(printed):
+    text = printed("10_form_closure_grasp.py")
+    assert text.startswith("7 contacts hold the body: form closure")
+    pushes = np.array([float(x) for x in re.search(r"pushes of (.*)", text)[1].split()])
+    # thesis, Example 2.1: contact 7 at twice the least distance; both fronts are one balance
+    np.testing.assert_allclose(pushes, [0.25, 0.15, 0.05, 0.25, 0.15, 0.1, 0.05], atol=1e-3)
+    ((area,),) = figures(r"anywhere in# m\^2 of the top", text)
+    assert 0.0 < area < 1.2 * 0.8
+    assert figures(r"may slip by# mm at once", text)[0][0] > 1.0
+    forces = np.array([float(x) for x in re.search(r"pressing, by (.*) N", text)[1].split()])
+    assert forces.min() >= 1.0
+    assert forces[5] - forces[2] - forces[6] == pytest.approx(5.0 * 9.81, abs=0.2)
+    ((end, weakest),) = figures(r"completed after# s; the weakest contact presses with# N", text)
+    assert (end, weakest > 1.0) == (10.0, True)
+    assert "off by less than 1e-9 m: True" in text
+
+
 def test_many_runs_tell_where_the_box_ends(printed, tmp_path):
     text = printed("09_many_runs.py", "--runs", 12, "--plot", tmp_path / "ends.png")
     assert figures("(?m)^# runs of# s in# s: completed$", text)[0][:2] == (12.0, 5.0)

@@ -1,4 +1,4 @@
-"""Claims about designed grasps: they hold, they open at their bound, and their grippers are fixed."""
+"""Claims about designed grasps: they hold, open at their bound, and have fixed grippers."""
 
 from __future__ import annotations
 
@@ -143,13 +143,13 @@ def test_bound_of_the_last_contact_is_the_same_for_all_sizes():
 @given(
     st.floats(0.01, 1.0),
     st.floats(0.05, 1.9),
-    st.floats(1.01, 3.0),
-    st.tuples(*[st.floats(1.001, 30.0)] * 3),
+    st.floats(1.05, 3.0),
+    st.tuples(*[st.floats(1.05, 30.0)] * 3),
     st.integers(0, 1000),
 )
 @settings(deadline=None, max_examples=40)
 def test_the_grippers_hold_every_block_above_the_smallest(A, ratio, beyond, factors, seed):
-    assume(abs(ratio - 1.0) > 0.02)
+    assume(abs(ratio - 1.0) > 0.05)
     E = ratio * A
     distance = beyond * 2.0 * abs(A - E)
     assume(A > E or distance < E)
@@ -157,8 +157,8 @@ def test_the_grippers_hold_every_block_above_the_smallest(A, ratio, beyond, fact
     lengths = design.smallest * factors
     grasp = design.grasp(Polyhedron.box(lengths).placed(pose_of(seed, 10.0 * A)))
     assert design.fits(lengths) and bool(grasp.closure)
-    inside = [grasp.body.faces[k].room(p) for k, p in zip(grasp.faces, grasp.contacts.points)]
-    assert min(inside) > 0.0
+    at = zip(grasp.faces, grasp.contacts.points, strict=True)
+    assert min(grasp.body.faces[k].room(p) for k, p in at) > 0.0
     assert largest_gripper(grasp) == pytest.approx(design.gripper_size)
     for axis in range(3):
         short = lengths.copy()
@@ -166,6 +166,11 @@ def test_the_grippers_hold_every_block_above_the_smallest(A, ratio, beyond, fact
         assert not design.fits(short)
         with pytest.raises(GraspError, match=f"edge {'xyz'[axis]} is"):
             design.grasp(short)
+
+
+def test_what_holds_by_less_than_rounding_is_refused():
+    with pytest.raises(GraspError, match="hangs on rounding"):
+        block_design(1.0, 0.5, 1.0 + 1e-10).grasp([10.0, 10.0, 10.0])
 
 
 def test_a_small_gripper_holds_a_block_a_thousand_times_its_size():
@@ -304,7 +309,7 @@ def test_gripper_size_is_what_was_asked_for():
     [
         (lambda: design_parallel_grasp(WIDE["wedge"]), "three pairs of parallel faces are needed"),
         (lambda: design_parallel_grasp(oblique(1), faces=(0, 1, 3)), "do not meet|no corner"),
-        (lambda: design_parallel_grasp(oblique(1), gripper_size=5.0), "too large|edge of"),
+        (lambda: design_parallel_grasp(oblique(1), gripper_size=5.0), "too large for the object"),
         (lambda: design_parallel_grasp(oblique(1), gripper_size=-1.0), "positive length"),
         (lambda: design_parallel_grasp(oblique(1), offsets=(0.1, 0.1, 0.1, 0.1)), "one point"),
         (lambda: design_parallel_grasp(oblique(1), distance=1e-4), "closed only beyond"),
@@ -400,7 +405,7 @@ def test_wider_construction_refuses_what_is_not_of_the_class():
     tetrahedron = Polyhedron.hull(np.vstack([np.eye(3), np.zeros(3)]))
     with pytest.raises(GraspError, match="does not fit: a tetrahedron"):
         design_wide_grasp(tetrahedron)
-    with pytest.raises(GraspError, match="no grasp of the wider class with grippers of 0.01 m"):
+    with pytest.raises(GraspError, match="class with grippers of 0"):
         design_wide_grasp(WIDE["octahedron"], gripper_size=0.01)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -164,10 +163,11 @@ def design(
             height=height,
             duration=duration,
             seed=seed,
-            name=f"{arms[0]} and {arms[1]} hold {body} by its corners",
+            name=f"{_who(arms)} hold {body} by two corners",
             progress=progress,
         )
-    text = f"# multiarm {' '.join(sys.argv[1:])}\n{dump_scene(scene)}"
+    told = "".join(f"# {line}\n" for line in (f"multiarm grasp design {body}", *made.notes))
+    text = told + dump_scene(scene)
     rows = _design_facts(made)
     squeeze = number(getattr(scene.control, "squeeze", None), "N")
     rows["squeeze"] = f"{squeeze} in the mean, so that no contact lets go"
@@ -254,6 +254,10 @@ def _designed(
         progress(0.0, "a construction that fits the body")
         return design_grasp(body, offset=offset, gripper_size=gripper_size, generator=rng)
     raise NotImplementedError
+
+
+def _who(arms: tuple[str, str]) -> str:
+    return f"two {arms[0]} arms" if arms[0] == arms[1] else f"{arms[0]} and {arms[1]}"
 
 
 def _design_facts(grasp: Grasp) -> dict[str, RenderableType]:

@@ -24,7 +24,8 @@ inside is the ``distance``: closure survives every change of each wrench by less
   (Lawson and Hanson 1974).  The distance is then at least ``t sigma_n / sqrt(N)``, with ``t`` the
   smallest push (of sum 1) and ``sigma_n`` the smallest singular value: a unit ``v`` has
   ``|W^T v| >= sigma_n``, and a contact that it leaves at the rate ``s`` needs another one that it
-  approaches at the rate ``t s`` at least.
+  approaches at the rate ``t s`` at least.  Only where that bound is in the band, the facets of the
+  hull are enumerated (up to 30 wrenches).
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ BAND = 1e-10
 # Rounding of one wrench, in units of the machine precision: normalising, products, differences.
 ROUNDINGS = 64.0
 EPS = float(np.finfo(float).eps)
+# Facets of the hull of this many wrenches are enumerated within milliseconds.
+ENUMERATED = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +107,7 @@ def balance(W: np.ndarray, floor: float) -> Balance:
         found = _simplex(W, BAND + floor)
         if found is not None:
             return found
-    U, s, Vt = np.linalg.svd(W)
+    U, s, Vt = np.linalg.svd(W, full_matrices=count < n)
     tolerance = BAND + floor
     rank = int(np.count_nonzero(s > tolerance * s[0]))
     if rank < n:
@@ -112,12 +115,11 @@ def balance(W: np.ndarray, floor: float) -> Balance:
         return Balance(False, None, plainest(U[:, rank:]), rank, 0.0, doubtful)
     if count == n:
         return Balance(False, None, np.linalg.solve(W.T, np.ones(n)), n, 0.0, False)
-    null = Vt[n:].T
-    even = null @ null.sum(axis=0)
+    even = 1.0 - Vt.sum(axis=1) @ Vt
     bound = _inside(even, s[-1])
-    if bound > tolerance:
+    if bound > tolerance and even.min() > tolerance:  # not what rounding leaves of zeros
         return Balance(True, even / even.sum(), None, n, bound, False)
-    return _least_squares(W, null, s[-1], tolerance)
+    return _least_squares(W, Vt, s[-1], tolerance)
 
 
 def plainest(directions: np.ndarray) -> np.ndarray:
@@ -136,33 +138,30 @@ def plainest(directions: np.ndarray) -> np.ndarray:
 def evenest(W: np.ndarray, rank: int) -> Evenest:
     """Maximise ``t`` with ``W lam = 0``, ``sum lam = 1``, ``lam >= t`` (thesis, 2.1).
 
-    Solved for the coordinates of ``lam`` in the null space of ``W``, which are few.
+    Solved for ``lam - t >= 0`` and ``t``, with orthonormal rows instead of those of ``W``.
     """
     from scipy.optimize import linprog
 
     count = W.shape[1]
-    null = np.linalg.svd(W)[2][rank:].T
-    total = null.sum(axis=0)
-    if np.linalg.norm(total) <= BAND:
+    rows = np.linalg.svd(W, full_matrices=False)[2][:rank]
+    totals = rows.sum(axis=1)
+    if np.linalg.norm(np.ones(count) - totals @ rows) <= BAND * np.sqrt(count):
         return Evenest(-np.inf, None, None)
     solved = linprog(
-        np.append(np.zeros(len(total)), -1.0),
-        A_ub=np.column_stack([-null, np.ones(count)]),
-        b_ub=np.zeros(count),
-        A_eq=np.append(total, 0.0)[None],
-        b_eq=[1.0],
-        bounds=(None, None),
+        np.append(np.zeros(count), -1.0),
+        A_eq=np.vstack([np.column_stack([rows, totals]), np.append(np.ones(count), count)]),
+        b_eq=np.append(np.zeros(rank), 1.0),
+        bounds=[(0.0, None)] * count + [(None, None)],
     )
     if not solved.success:
         raise GraspError(
             f"the linear program for the evenest pushes of {count} contacts ended with "
             f"{solved.message!r}; is_form_closure(contacts, exact=True) does without it"
         )
-    pushes = null @ solved.x[:-1]
-    smallest = float(pushes.min())
-    prices = -solved.ineqlin.marginals
-    direction = np.linalg.lstsq(W.T, prices - smallest, rcond=BAND)[0]
-    return Evenest(smallest, pushes, direction)
+    pushes = solved.x[:-1] + solved.x[-1]
+    pushes = pushes - (rows @ pushes) @ rows
+    direction = np.linalg.lstsq(W.T, -solved.eqlin.marginals[:-1] @ rows, rcond=BAND)[0]
+    return Evenest(float(pushes.min() / pushes.sum()), pushes / pushes.sum(), direction)
 
 
 def _simplex(W: np.ndarray, tolerance: float) -> Balance | None:
@@ -192,8 +191,11 @@ def _inside(pushes: np.ndarray, sigma: float) -> float:
     return smallest / float(pushes.sum()) * float(sigma) / np.sqrt(len(pushes))
 
 
-def _least_squares(W: np.ndarray, null: np.ndarray, sigma: float, tolerance: float) -> Balance:
-    """More than ``n + 1`` wrenches of full rank that nearly equal pushes do not balance."""
+def _least_squares(W: np.ndarray, rows: np.ndarray, sigma: float, tolerance: float) -> Balance:
+    """More than ``n + 1`` wrenches of full rank that nearly equal pushes do not balance.
+
+    ``rows`` are orthonormal and span those of ``W``.
+    """
     from scipy.optimize import nnls
 
     n, count = W.shape
@@ -205,17 +207,31 @@ def _least_squares(W: np.ndarray, null: np.ndarray, sigma: float, tolerance: flo
     pushes /= pushes.sum()
     residual = W @ pushes
     left = float(np.linalg.norm(residual))
-    balanced = null @ (null.T @ pushes)
+    balanced = pushes - (rows @ pushes) @ rows
     bound = _inside(balanced, sigma)
     if bound > tolerance and left <= tolerance:
         return Balance(True, balanced / balanced.sum(), None, n, bound, False)
     if left > tolerance and (residual @ W).min() >= -tolerance * left:
         return Balance(False, None, residual, n, 0.0, not _separated(W, tolerance))
     best = evenest(W, n)
-    if best.pushes is not None and _inside(best.pushes, sigma) > tolerance:
-        return Balance(True, best.pushes, None, n, _inside(best.pushes, sigma), False)
+    if best.pushes is not None and best.smallest > 0.0:
+        bound = max(_inside(best.pushes, sigma), _hull_radius(W))
+        if bound > tolerance:
+            return Balance(True, best.pushes, None, n, bound, False)
     direction = residual if best.direction is None else best.direction
     return Balance(False, None, direction, n, 0.0, not _separated(W, tolerance))
+
+
+def _hull_radius(W: np.ndarray) -> float:
+    """Distance of the origin from the facets of the hull, all enumerated; 0 for too many."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if W.shape[1] > ENUMERATED:
+        return 0.0
+    try:
+        return -float(np.max(ConvexHull(W.T).equations[:, -1]))
+    except QhullError:  # flat within its precision
+        return 0.0
 
 
 def _separated(W: np.ndarray, tolerance: float) -> bool:

@@ -139,10 +139,11 @@ class BlockDesign:
         frames = [gripper_frame(block, three, at) for three, at in sides]
         made = assembled(block, points, on, [(0, 1, 2, 6), (3, 4, 5)], frames, self._notes())
         inward = np.sign(self.offset - self.seventh_offset)
-        if not crosses(made, lambda s: points[2] - inward * s * n[0], self.minimum_distance):
+        bound = self.minimum_distance
+        if not (made.closure and crosses(made, lambda s: points[2] - inward * s * n[0], bound)):
             raise GraspError(
-                "the offsets are too small for the block: its grasp hangs on rounding; choose a "
-                "larger offset"
+                "the grasp hangs on rounding: choose a larger distance of contact 7, or offsets "
+                "that are larger or more different"
             )
         return made
 

@@ -43,6 +43,9 @@ Offsets = tuple[float, float, float, float]
 # its bound, or half way from the bound to the edge if that is nearer.
 USUAL_DEPTH, USUAL_STEPS, USUAL_DISTANCE = 0.3, (0.5, -0.5), 2.0
 
+# How the refusal of a corner begins that would not do with grippers of any size.
+OPEN = "no contact on the line y = f of the top"
+
 
 @dataclass(frozen=True, eq=False)
 class ParallelDesign:
@@ -93,9 +96,7 @@ class ParallelDesign:
         """
         p, body = self.pattern, self.body
         if p.faulty:
-            raise GraspError(
-                f"no contact on the line y = f of the top closes the grasp: {p.faulty}"
-            )
+            raise GraspError(f"{OPEN} closes the grasp: {p.faulty}")
         if not self.distance > self.minimum_distance:
             raise GraspError(
                 f"contact 7 is {self.distance:.6g} m from contact 3, but the grasp is closed only "
@@ -110,8 +111,8 @@ class ParallelDesign:
         made = assembled(body, points, on, [(0, 1, 2, 6), (3, 4, 5)], frames, self._notes())
         if not (made.closure and crosses(made, p.last_point, self.minimum_distance)):
             raise GraspError(
-                "the offsets are too small for the body: its grasp hangs on rounding; choose "
-                "larger ones"
+                "the grasp hangs on rounding: choose a larger distance of contact 7, or offsets "
+                "that are larger or more different"
             )
         return made
 
@@ -175,7 +176,8 @@ def design_parallel_grasp(
             if best is None or made.closure.distance > best.closure.distance:
                 best = made
     if best is None:
-        raise GraspError(f"no corner of the body takes these grippers; at the first, {faults[0]}")
+        telling = [fault for fault in faults if not fault.startswith(OPEN)] or faults
+        raise GraspError(f"no corner of the body takes these grippers; for one, {telling[0]}")
     return best
 
 
@@ -202,8 +204,9 @@ def usual_distance(body: Polyhedron, top: int, pattern: CornerPattern, factor: f
     end = body.faces[top].room_along(pattern.points[2], direction)
     if end <= bound:
         raise GraspError(
-            f"the last contact must be {bound:.4g} m from contact 3, but the edge of "
-            f"{body.faces[top].name} is only {end:.4g} m away; choose smaller offsets"
+            f"the grippers are too large for the object: the last contact must be {bound:.4g} m "
+            f"from the other on {body.faces[top].name}, whose edge is only {end:.4g} m away; "
+            f"choose smaller offsets"
         )
     return min(USUAL_DISTANCE * bound, 0.5 * (bound + end))
 

@@ -30,7 +30,7 @@ from multiarm.grasp.body_class import Triple, classify
 from multiarm.grasp.corner_pattern import CornerPattern, corner_pattern, even_offsets, right_handed
 from multiarm.grasp.corners import convex_corner, feet, gripper_frame, shared_corner
 from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.parallel_design import Three, usual_distance
+from multiarm.grasp.parallel_design import OPEN, Three, usual_distance
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.wide_region import region_grasps
 
@@ -79,9 +79,7 @@ class WideDesign:
         """
         p, body = self.pattern, self.body
         if p.faulty:
-            raise GraspError(
-                f"no contact on the line y = f of the top closes the grasp: {p.faulty}"
-            )
+            raise GraspError(f"{OPEN} closes the grasp: {p.faulty}")
         if not self.distance > self.minimum_distance:
             raise GraspError(
                 f"contact 7 is {self.distance:.6g} m from contact 6, but the grasp is closed only "
