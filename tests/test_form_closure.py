@@ -219,6 +219,45 @@ def test_both_decisions_are_those_of_exact_enumeration(family, d, counts, rng):
     assert not all(verdicts)
 
 
+def flat_set(rng, count, d):
+    """Points of very different spread along the axes."""
+    points = rng.normal(size=(count, d)) * 10.0 ** -rng.integers(0, 7, size=d)
+    return Contacts.along(
+        points, -points / np.abs(points).max(axis=0) + 0.5 * rng.normal(size=(count, d))
+    )
+
+
+def gripper_set(rng, count, d):
+    """Two small clusters of points, any normals."""
+    corners, size = rng.normal(size=(2, d)), 10.0 ** -rng.integers(1, 6)
+    points = corners[rng.integers(0, 2, count)] + size * rng.normal(size=(count, d))
+    return Contacts.along(points, rng.normal(size=(count, d)))
+
+
+@pytest.mark.parametrize("family", [flat_set, gripper_set], ids=lambda family: family.__name__)
+def test_flat_and_clustered_contacts_are_decided_as_exactly(family, rng):
+    closed = 0
+    for number in range(240):
+        contacts = family(rng, 7 + number % 4, 3)
+        rounded, exact = is_form_closure(contacts), is_form_closure(contacts, exact=True)
+        assert rounded.closed == exact.closed
+        assert_proven(contacts, exact)
+        closed += rounded.closed
+    assert closed > 10
+
+
+def test_many_contacts_are_decided_as_exactly(rng):
+    points = rng.normal(size=(300, 3))
+    around = Contacts.along(points, -points + 0.5 * rng.normal(size=points.shape))
+    points[:, 0] = np.abs(points[:, 0])
+    one_side = Contacts.along(points, [-0.01, 0.0, 0.0] - points)
+    for contacts, closed in ((around, True), (one_side, False)):
+        found = is_form_closure(contacts)
+        assert found.closed == is_form_closure(contacts, exact=True).closed == closed
+        assert_proven(contacts, found)
+        assert (found.margin > 0.0) == closed
+
+
 def test_the_families_hold_closed_sets_too(rng):
     closed = [is_form_closure(family(rng, 12, 3)).closed for family in FAMILIES for _ in range(40)]
     assert 30 < sum(closed) < 250
@@ -389,6 +428,26 @@ def depth_of_simplex(contacts):
     return min(depths)
 
 
+@pytest.mark.parametrize(("lever", "closed"), [(1e-5, True), (1e-8, True), (1e-12, False)])
+def test_short_levers_close_until_the_band(lever, closed):
+    points = [[-1, 0], [1, 0], [0, 1], [-lever, -1], [lever, -1]]
+    contacts = Contacts(points, [[1, 0], [-1, 0], [0, -1], [0, 1], [0, 1]])
+    found = is_form_closure(contacts)
+    assert (found.closed, found.rank) == (closed, 3 if closed else 2)
+    assert found.borderline == (not closed)
+    assert is_form_closure(contacts, exact=True)
+
+
+def test_on_the_edge_of_its_region_the_worked_block_is_immobile_to_second_order():
+    contacts = worked_block(Fraction("0.45"), Fraction("0.4"))
+    found = is_form_closure(contacts)
+    assert found.leaving == (2,)
+    staying = contacts.subset([0, 1, 3, 4, 5, 6])
+    assert not movable_to_second_order(staying, found.motion)
+    assert found.order == 2
+    assert "It is borderline" in found.message
+
+
 def test_points_far_from_the_origin_widen_the_band_and_no_more():
     near = worked("form_closure_planar_five")
     far = near.placed(np.array([[1, 0, 1e9], [0, 1, -1e9], [0, 0, 1]]))
@@ -538,6 +597,22 @@ def test_messages_say_what_is_missing_and_how_the_body_can_move(points, normals,
     assert message.startswith("no form closure")
 
 
+def test_the_centre_of_a_turn_is_named_where_it_is():
+    contacts = Contacts.along([[5, 4], [2, 5], [0, 4], [3, 3]], [[-1, 0], [1, -1], [1, 0], [0, 1]])
+    assert "turn about the point (3, 4), all contacts sliding" in is_form_closure(contacts).message
+
+
+def test_contact_points_on_the_axis_of_the_only_motion_rest(rng):
+    points = np.zeros((8, 3))
+    points[:, 2] = rng.normal(size=8)
+    contacts = Contacts.along(points, rng.normal(size=(8, 3)))
+    found = is_form_closure(contacts)
+    assert found.rank == 5
+    assert found.motion == pytest.approx([0, 0, 0, 0, 0, 1 / contacts.length], abs=1e-9) or (
+        found.motion == pytest.approx([0, 0, 0, 0, 0, -1 / contacts.length], abs=1e-9)
+    )
+
+
 def test_a_closed_grasp_says_so():
     found = is_form_closure(worked("form_closure_planar_five"))
     assert str(found) == "5 contacts hold the body: form closure"
@@ -609,14 +684,14 @@ def test_three_concurrent_fingers_are_immobile_to_second_order_when_turning_pres
 
 def test_one_free_motion_in_space_is_decided_as_by_differences_of_the_gaps(rng):
     orders = []
-    for _ in range(40):
-        contacts = on_revolution(rng, 9)[0]
+    for number in range(120):
+        contacts = on_revolution(rng, 7 + number % 3)[0]
         found = is_form_closure(contacts)
         assert found.rank == 5
         assert found.order == (0 if movable_to_second_order(contacts, found.motion) else 2)
         assert found.immobility.proven
         orders.append(found.order)
-    assert 5 < orders.count(2) < 40
+    assert 10 < orders.count(2) < 60
 
 
 @pytest.mark.parametrize(("sign", "order"), [(-1, 2), (1, 0)])
@@ -629,6 +704,39 @@ def test_a_tetrahedron_with_a_finger_on_each_face_is_immobile_and_its_inside_out
     if order == 2:
         pushes = found.immobility.pushes
         assert pushes == pytest.approx(np.full(4, 0.25))
+
+
+def test_concentric_fingers_are_decided_by_the_form_in_three_turns(rng):
+    # pushes lam balance along unit directions e toward the centre, from depths r:
+    # the form is  - sum lam r (I - e e^T)
+    orders = []
+    while len(orders) < 30:
+        e = rng.normal(size=(4, 3))
+        e /= np.linalg.norm(e, axis=1)[:, None]
+        lam = np.linalg.svd(e.T)[2][-1]
+        if abs(np.sign(lam).sum()) < 4:
+            continue
+        r = rng.uniform(-0.5, 1.0, 4)
+        form = np.einsum("j,jkl->kl", abs(lam) * r, np.eye(3) - e[:, :, None] * e[:, None, :])
+        found = is_form_closure(Contacts(-r[:, None] * e, e).placed(pose(rng, 3, 1.0)))
+        assert found.order == (2 if np.linalg.eigvalsh(form)[0] > 0.0 else 0)
+        assert found.immobility.proven
+        orders.append(found.order)
+    assert 5 < orders.count(2) < 25
+
+
+def test_what_is_called_immobile_has_no_motion_that_differences_leave_free(rng):
+    orders = []
+    for _ in range(30):
+        e = rng.normal(size=(6, 3))
+        e /= np.linalg.norm(e, axis=1)[:, None]
+        contacts = Contacts(-rng.uniform(-0.6, 1.0, (6, 1)) * e, e)
+        found = is_form_closure(contacts)
+        orders.append(found.order)
+        ways = np.hstack([np.zeros((12, 3)), rng.normal(size=(12, 3))])
+        free = [movable_to_second_order(contacts, w / np.linalg.norm(w)) for w in ways]
+        assert not (found.order == 2 and any(free))
+    assert 5 < orders.count(2) < 25
 
 
 def test_blocking_pushes_balance_and_block_every_free_motion(rng):

@@ -84,14 +84,20 @@ def test_block_inverse_is_the_inverse_and_its_blocks_are_those_of_the_equation(r
         assert pytest.approx(-m[:, :3], abs=tolerance) == found.a @ found.T2
 
 
-def test_block_inverse_takes_other_contacts_first_when_the_first_normals_are_dependent(rng):
-    normals = np.vstack([np.eye(3)[[0, 0, 1]], rng.normal(size=(3, 3))])
-    contacts = Contacts.along(rng.normal(size=(6, 3)), normals)
-    found = block_inverse(contacts)
-    assert found.order[:3] != (0, 1, 2)
-    assert sorted(found.order) == list(range(6))
-    assert np.abs(found.inverse @ contacts.wrenches - np.eye(6)).max() < 1e-11
-    assert found.determinant == pytest.approx(np.linalg.det(contacts.wrenches))
+@pytest.mark.parametrize("which", [(0, 0, 1), (0, 1, 0), (1, 0, 0)])
+def test_block_inverse_takes_other_contacts_first_when_the_first_normals_are_dependent(which, rng):
+    signs = set()
+    for _ in range(10):
+        normals = np.vstack([np.eye(3)[list(which)], rng.normal(size=(3, 3))])
+        contacts = Contacts.along(rng.normal(size=(6, 3)), normals)
+        found = block_inverse(contacts)
+        assert found.order[:3] != (0, 1, 2)
+        assert sorted(found.order) == list(range(6))
+        error = np.abs(found.inverse @ contacts.wrenches - np.eye(6)).max()
+        assert error < 1e-13 * np.linalg.cond(contacts.wrenches) ** 2
+        assert found.determinant == pytest.approx(np.linalg.det(contacts.wrenches), rel=1e-8)
+        signs.add(round(np.linalg.det(np.eye(6)[list(found.order)])))
+    assert signs == {-1, 1}
 
 
 def test_the_block_a_and_the_determinant_are_the_same_about_every_origin(rng):
@@ -246,6 +252,14 @@ def test_conditions_do_not_depend_on_place_axes_or_size(seed, scale):
     assert independence(moved).smallest_singular_value < 1e-11
 
 
+@pytest.mark.parametrize(("off", "named"), [(1e-12, True), (1e-10, True), (1e-6, False)])
+def test_lines_meet_within_the_stated_tolerance(off, named, rng):
+    points, along = stack(lines_through(rng, np.zeros(3), 4), anything(rng, 2))
+    points[0] += off * np.cross(along[0], rng.normal(size=3))
+    found = violated_conditions(Contacts.along(points, along))
+    assert [violation.condition for violation in found] == ([1] if named else [])
+
+
 # --- three moments ------------------------------------------------------------------------------
 
 
@@ -353,6 +367,16 @@ def test_case_I_refuses_dependent_normals_and_dependent_moments(rng):
         case_I(points, np.eye(3), centre=[0, 0])
 
 
+def test_case_I_looks_at_the_moments_about_its_centre(rng):
+    X = rng.normal(size=3)
+    points, along = lines_through(rng, X, 3)
+    along = unit(along)
+    points[2] += np.cross(along[2], rng.normal(size=3))  # two lines through X, one beside it
+    assert case_I(points, along).count == 6
+    with pytest.raises(GraspError, match="rule 1: the normal line of contact 1 passes through"):
+        case_I(points, along, centre=X)
+
+
 def test_case_II_has_rank_six_and_an_inverse_without_T2_about_the_meeting_point(rng):
     for _ in range(10):
         X = rng.normal(size=3)
@@ -372,6 +396,9 @@ def test_case_II_refuses_what_is_not_one_and_says_which_rule(rng):
         case_II(points, unit(along))
     points, along = stack(first, lines_through(rng, rng.normal(size=3), 3))
     with pytest.raises(GraspError, match=r"Case II: the moments of contact 4.*rule 4"):
+        case_II(points, unit(along))
+    points, along = stack(first, lines_through(rng, X, 1), anything(rng, 2))
+    with pytest.raises(GraspError, match=r"rule 1: the normal line of contact 4 passes"):
         case_II(points, unit(along))
     flat = lines_in_plane(rng, 3, X, rng.normal(size=(2, 3)))
     points, along = stack(flat, last)

@@ -10,7 +10,7 @@ import typer
 from rich.text import Text
 
 from multiarm.cli.accuracy_tables import decade_table, method_table, point_table
-from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.files import check_plot, check_targets, write_json
 from multiarm.cli.options import ARMS, Arms
 from multiarm.cli.progress import StudyProgress
 from multiarm.cli.terminal import (
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["accuracy"]
 
-PLOTS = ("png", "svg", "pdf")
 FILES = "Results"
 
 
@@ -136,7 +135,7 @@ def accuracy(
     The JSON has the keys scene, machine, reference, refusals, wall_time_s, points, cheapest,
     recommendation. Numbers are finite, or null where there is none.
     """
-    _check_plot(plot)
+    check_plot(plot)
     if (scene is None) == (source is None):
         raise MultiarmError("name a scene to measure, or '--from FILE.json' to look at a study")
     if source is not None:
@@ -161,11 +160,6 @@ def _own_file(scene: Path, arms: Arms | None) -> Path:
     """Where a study goes that is given no file: one for each kind of arms that is asked for."""
     kind = "" if arms is None else f".{arms.value}"
     return Path(f"{scene.stem}{kind}.accuracy.json")
-
-
-def _check_plot(plot: Path | None) -> None:
-    if plot is not None and plot.suffix.lower().lstrip(".") not in PLOTS:
-        raise MultiarmError(f"--plot: '{plot}' ends in none of .{', .'.join(PLOTS)}")
 
 
 def _measure(

@@ -9,18 +9,16 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.files import check_plot, check_targets, write_json
 from multiarm.cli.options import ARMS, Arms
 from multiarm.cli.progress import StudyProgress
 from multiarm.cli.terminal import columns, output, print_warnings, print_written
-from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
     from multiarm.benchmarks.effect_costs.entries import Entry, Ledger
 
 __all__ = ["effects"]
 
-PLOTS = ("png", "svg", "pdf")
 FILES = "Results"
 
 
@@ -83,8 +81,7 @@ def effects(
     their meaning and units are those of multiarm.benchmarks.effect_costs.entries. Numbers are
     finite, or null where there is none.
     """
-    if plot is not None and plot.suffix.lower().lstrip(".") not in PLOTS:
-        raise MultiarmError(f"--plot: '{plot}' ends in none of .{', .'.join(PLOTS)}")
+    check_plot(plot)
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
     changes = {"duration": duration, "arms": arms and arms.value}
     found = _measure(scene, changes, candidates, repeats)

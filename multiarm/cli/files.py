@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from multiarm.errors import MultiarmError, TrajectoryError
+from multiarm.writing import in_one_step
 
-__all__ = ["check_targets", "open_result", "write_json", "write_text"]
+__all__ = ["check_plot", "check_targets", "open_result", "write_json", "write_text"]
+
+PLOTS = ("png", "svg", "pdf")
 
 
 def check_targets(targets: Mapping[str, Path | None], source: Path | None = None) -> None:
@@ -63,15 +66,20 @@ def write_text(path: Path, text: str, option: str) -> None:
     MultiarmError
         The file cannot be written; names the ``option`` that asked for it.
     """
-    target = path.expanduser().resolve()
-    partial = _beside(target)
-    try:
+    with in_one_step(path, option) as partial:
         partial.write_text(text, encoding="utf-8")
-        partial.replace(target)
-    except OSError as error:
-        raise MultiarmError(f"{option}: cannot write '{path}': {error.strerror}") from None
-    finally:
-        partial.unlink(missing_ok=True)
+
+
+def check_plot(plot: Path | None) -> None:
+    """See to it that a picture has a format, told by the ending of its file.
+
+    Raises
+    ------
+    MultiarmError
+        With the endings that there are.
+    """
+    if plot is not None and plot.suffix.lower().lstrip(".") not in PLOTS:
+        raise MultiarmError(f"--plot: '{plot}' ends in none of .{', .'.join(PLOTS)}")
 
 
 def open_result(path: Path):

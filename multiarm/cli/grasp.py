@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.bodies import FORMS, body_of_text
-from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.files import check_plot, check_targets, write_json, write_text
 from multiarm.cli.progress import PartProgress
 from multiarm.cli.terminal import (
     columns,
@@ -23,11 +23,11 @@ from multiarm.cli.terminal import (
     print_written,
     vector,
 )
+from multiarm.writing import in_one_step
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
     from multiarm.grasp_scenes.judging import ContactFacts, GraspJudgement
-    from multiarm.grasp_scenes.reading import SceneGrasp
 
 __all__ = ["grasp_app"]
 
@@ -150,6 +150,7 @@ def design(
 
         multiarm grasp design box:1.2,0.8,0.6 --arms panda panda > block.yaml
     """
+    check_plot(plot)
     check_targets({"--out": out, "--plot": plot})
     from multiarm.scene import dump_scene
 
@@ -173,15 +174,10 @@ def design(
     rows["squeeze"] = f"{squeeze} in the mean, so that no contact lets go"
     messages().print(facts("Grasp", rows))
     if plot is not None:
-        from multiarm.plots.grasp_figures import draw_grasp
-
-        draw_grasp(made, plot)
-        messages().print(f"picture written to {plot}", soft_wrap=True)
+        _draw(made, plot)
     if out is None:
         typer.echo(text, nl=False)
         return
-    from multiarm.cli.files import write_text
-
     write_text(out, text, "--out")
     print_written("scene", out)
 
@@ -213,6 +209,7 @@ def check(
     The exit code is 0 whatever the verdict. The JSON has the fields of
     multiarm.grasp_scenes.judging.GraspJudgement; numbers are finite, or null where there is none.
     """
+    check_plot(plot)
     check_targets({"--json": json, "--plot": plot}, source=scene)
     from multiarm.scene import load_scene
 
@@ -231,7 +228,7 @@ def check(
     for table in _tables(judgement):
         console.print(table)
     if plot is not None:
-        _draw(found, plot)
+        _draw(found.as_grasp(), plot)
         print_written("picture", plot)
 
 
@@ -342,5 +339,9 @@ def _verdict(closed: bool, words: str) -> Text:
     return Text(words, "bold green" if closed else "bold yellow")
 
 
-def _draw(found: SceneGrasp, path: Path) -> None:
-    raise NotImplementedError
+def _draw(grasp: Grasp, path: Path) -> None:
+    from multiarm.plots.grasp_figures import draw_grasp
+
+    kind = path.suffix.lower().lstrip(".")
+    with in_one_step(path, "--plot") as partial:
+        draw_grasp(grasp).savefig(partial, format=kind, dpi=150)

@@ -13,7 +13,7 @@ from rich.console import Group
 from rich.table import Table as Grid
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.files import check_plot, check_targets, write_json
 from multiarm.cli.progress import StudyProgress
 from multiarm.cli.terminal import output, print_warnings, print_written
 from multiarm.errors import MultiarmError
@@ -102,8 +102,7 @@ def scaling(
     """
     counts = None if arms is None else _counts(arms)
     check_targets({"--plot": plot, "--html": html, "--json": json})
-    if plot is not None and plot.suffix.lower() not in _FORMATS:
-        raise MultiarmError(f"--plot: '{plot}' must end in {', '.join(_FORMATS)}")
+    check_plot(plot)
     from multiarm.benchmarks import scaling as benchmark
 
     studies = benchmark.STUDIES if study is Study.all else (study.value,)
@@ -133,7 +132,6 @@ def scaling(
         print_written("page", html)
 
 
-_FORMATS = (".png", ".svg", ".pdf")
 _TONES = {"": "", "strong": "bold", "good": "green", "bad": "red"}
 
 

@@ -21,11 +21,11 @@ inside is the ``distance``: closure survives every change of each wrench by less
 - ``N > n + 1``: the pushes nearest to equal ones serve if they are positive.  Otherwise the
   non-negative least squares problem  min ``|W lam|`` over ``lam >= 1``  has either the residual 0,
   and ``lam`` are the pushes, or a residual ``r`` with ``W^T r >= 0``, and ``v = r``
-  (Lawson and Hanson 1974).  The distance is then at least ``t sigma_n / sqrt(N)``, with ``t`` the
-  smallest push (of sum 1) and ``sigma_n`` the smallest singular value: a unit ``v`` has
-  ``|W^T v| >= sigma_n``, and a contact that it leaves at the rate ``s`` needs another one that it
-  approaches at the rate ``t s`` at least.  Only where that bound is in the band, the facets of the
-  hull are enumerated (up to 30 wrenches).
+  (Lawson and Hanson 1974).  The distance is then at least ``t sigma_n / sqrt(1 + (N - 1) t^2)``,
+  with ``t`` the smallest push (of sum 1) and ``sigma_n`` the smallest singular value.  For a unit
+  ``v`` has ``|W^T v| >= sigma_n``; if it approaches no contact faster than s, the others recede
+  with a sum of rates of s / t at most, since the pushes do no work.  Only where that bound is in
+  the band, the facets of the hull are enumerated (up to 30 wrenches).
 """
 
 from __future__ import annotations
@@ -188,7 +188,8 @@ def _inside(pushes: np.ndarray, sigma: float) -> float:
     smallest = float(pushes.min())
     if smallest <= 0.0:
         return 0.0
-    return smallest / float(pushes.sum()) * float(sigma) / np.sqrt(len(pushes))
+    t = smallest / float(pushes.sum())
+    return t * float(sigma) / float(np.sqrt(1.0 + (len(pushes) - 1) * t * t))
 
 
 def _least_squares(W: np.ndarray, rows: np.ndarray, sigma: float, tolerance: float) -> Balance:

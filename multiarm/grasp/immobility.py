@@ -29,11 +29,12 @@ worst are added one by one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND
+from multiarm.grasp.balances import BAND, rounding
 from multiarm.grasp.contacts import Contacts
 
 # Parts of the largest push, of the unit form: below this, what a linear program returns is noise.
@@ -68,21 +69,21 @@ def immobility(contacts: Contacts, closed: bool) -> Immobility:
     if closed:
         return Immobility(1, True, None)
     W = contacts.scaled_wrenches
-    null = _null_space(W)
-    carrying = _carrying(null)
+    tolerance = BAND + rounding(float(np.abs(contacts.points).max()), contacts.length)
+    rows = _spaces(W, tolerance)[0]
+    carrying = _carrying(rows) > NOTHING + tolerance
     if not carrying.any():
         return Immobility(0, True, None)
-    free = _null_space(W[:, carrying].T)
-    turns = free[contacts.dimension :]
-    if np.linalg.svd(turns, compute_uv=False)[-1] <= BAND or turns.shape[1] > turns.shape[0]:
-        # without other contacts than the carrying ones, the translation is a free motion indeed
-        return Immobility(0, bool(carrying.all()) or free.shape[1] == 1, None)
+    free = _spaces(W[:, carrying].T, tolerance)[1]
+    if len(free) == 0:  # closed, but for the tolerance
+        return Immobility(0, False, None)
+    turns = free[:, contacts.dimension :].T
     forms = np.einsum("ak,jab,bl->jkl", turns, _forms(contacts), turns)
-    pushes, tried = _blocking(null, forms)
+    pushes, tried = _blocking(rows, forms)
     if pushes is not None:
         return Immobility(2, True, pushes)
-    escapes = carrying.all() and any(_blocking(null, _along(x, forms))[0] is None for x in tried)
-    return Immobility(0, free.shape[1] == 1 or bool(escapes), None)
+    escapes = carrying.all() and any(_blocking(rows, _along(x, forms))[0] is None for x in tried)
+    return Immobility(0, len(free) == 1 or bool(escapes), None)
 
 
 def _forms(contacts: Contacts) -> np.ndarray:
@@ -95,46 +96,46 @@ def _forms(contacts: Contacts) -> np.ndarray:
     return depths * np.eye(3) - 0.5 * (mixed + np.swapaxes(mixed, 1, 2))
 
 
-def _null_space(A: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that A takes to zero."""
-    _, s, Vt = np.linalg.svd(A)
-    return Vt[int(np.count_nonzero(s > BAND * s[0])) :].T
+def _spaces(A: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal rows that span those of A, and rows that span what A takes to zero."""
+    _, s, Vt = np.linalg.svd(A, full_matrices=A.shape[0] < A.shape[1] <= 6)
+    rank = int(np.count_nonzero(s > tolerance * s[0]))
+    return Vt[:rank], Vt[rank:]
 
 
-def _carrying(null: np.ndarray) -> np.ndarray:
-    """Which contacts can take part in balanced pushes: maximise the sum of ``min(lam_j, 1)``."""
-    count, size = null.shape
-    if size == 0:
-        return np.zeros(count, dtype=bool)
+def _carrying(rows: np.ndarray) -> np.ndarray:
+    """Largest sum of ``min(lam_j, 1)`` over balanced pushes: 0 where one never takes part."""
+    count = rows.shape[1]
     solved = _program(
-        np.append(np.zeros(size), -np.ones(count)),
-        np.block([-null, np.eye(count)]),
-        None,
-        [(None, None)] * size + [(0.0, 1.0)] * count,
+        np.append(-np.ones(count), np.zeros(count)),
+        np.hstack([rows, rows]),
+        np.zeros(len(rows)),
+        bounds=[(0.0, 1.0)] * count + [(0.0, None)] * count,
     )
-    return solved[size:] > NOTHING
+    return solved[:count]
 
 
-def _blocking(null: np.ndarray, forms: np.ndarray) -> tuple[np.ndarray | None, list[np.ndarray]]:
+def _blocking(rows: np.ndarray, forms: np.ndarray) -> tuple[np.ndarray | None, list[np.ndarray]]:
     """Pushes of sum 1 whose form is negative for every turn, or None; and the turns tried."""
-    count = len(null)
+    count = rows.shape[1]
+    balance = np.column_stack([np.vstack([rows, np.ones(count)]), np.zeros(len(rows) + 1)])
     tried = list(np.eye(forms.shape[1]))
     for _ in range(ROUNDS):
         values = np.array([_along(x, forms)[:, 0, 0] for x in tried])
-        rows = np.column_stack([values @ null, -np.ones(len(tried))])
-        positive = np.column_stack([-null, np.zeros(count)])
         solved = _program(
-            np.append(np.zeros(null.shape[1]), 1.0),
-            np.vstack([rows, positive]),
-            np.append(null.sum(axis=0), 0.0)[None],
-            [(None, None)] * (null.shape[1] + 1),
+            np.append(np.zeros(count), 1.0),
+            balance,
+            np.append(np.zeros(len(rows)), 1.0),
+            A_ub=np.column_stack([values, -np.ones(len(tried))]),
+            b_ub=np.zeros(len(tried)),
+            bounds=[(0.0, None)] * count + [(None, None)],
         )
         if solved[-1] >= -NOTHING:
             break
-        pushes = null @ solved[:-1]
+        pushes = solved[:-1] + 0.0  # no -0
         heights, axes = np.linalg.eigh(np.einsum("j,jkl->kl", pushes, forms))
         if heights[-1] < -NOTHING:
-            return np.maximum(pushes, 0.0), tried
+            return pushes, tried
         tried.append(axes[:, -1])
     return None, tried
 
@@ -145,19 +146,11 @@ def _along(x: np.ndarray, forms: np.ndarray) -> np.ndarray:
 
 
 def _program(
-    cost: np.ndarray, upper: np.ndarray, total: np.ndarray | None, bounds: list
+    cost: np.ndarray, equations: np.ndarray, sides: np.ndarray, **others: Any
 ) -> np.ndarray:
-    """Minimise ``cost @ x`` with ``upper @ x <= 0`` and, if given, ``total @ x = 1``."""
     from scipy.optimize import linprog
 
-    solved = linprog(
-        cost,
-        A_ub=upper,
-        b_ub=np.zeros(len(upper)),
-        A_eq=total,
-        b_eq=None if total is None else [1.0],
-        bounds=bounds,
-    )
+    solved = linprog(cost, A_eq=equations, b_eq=sides, **others)
     if not solved.success:
         raise GraspError(
             f"the linear program of second-order immobility ended with {solved.message!r}; the "

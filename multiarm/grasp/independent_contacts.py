@@ -105,12 +105,9 @@ def block_inverse(contacts: Contacts) -> BlockInverse:
     order = _leading_order(contacts.normals)
     picked = list(order)
     e, m = contacts.normals[picked].T, np.cross(contacts.points, contacts.normals)[picked].T
-    arms = contacts.points - contacts.centre
-    middle = np.cross(arms, contacts.normals)[picked].T
     e_A_inverse = np.linalg.inv(e[:, :3])
     T1 = -e_A_inverse @ e[:, 3:]
-    # a is the same about every point; about the middle of the contacts it rounds least
-    a = middle[:, :3] @ T1 + middle[:, 3:]
+    a = m[:, :3] @ T1 + m[:, 3:]
     a_inverse = np.linalg.inv(a)
     T2 = -a_inverse @ m[:, :3]
     inverse = np.empty((6, 6))

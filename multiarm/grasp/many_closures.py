@@ -119,5 +119,4 @@ def _simplices(W: np.ndarray, tolerances: np.ndarray) -> tuple[np.ndarray, np.nd
     lengths = np.linalg.norm(G[..., :n], axis=2)
     inside = np.min(G[..., n] / np.maximum(lengths, 1e-300), axis=1)
     flat |= lengths.max(axis=1) * tolerances * count >= 1.0
-    inside[flat] = -np.inf
     return inside, np.flatnonzero(flat)

@@ -7,6 +7,7 @@ joints) are left out and named.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +18,7 @@ from multiarm.dynamics import contact_places
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.form_closure import FormClosure, is_form_closure
+from multiarm.grasp.grasp import Grasp, Gripper
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
 from multiarm.scene import ObjectSpec
@@ -47,6 +49,8 @@ class SceneGrasp:
         The object, where its shape is a box or a hull, or a mesh that is closed.
     left_out : tuple of str
         Rows that are no contacts in points.
+    frames : table 'arm: pose (4, 4)'
+        Of the joints' frames on the object.
     """
 
     contacts: Contacts
@@ -55,6 +59,7 @@ class SceneGrasp:
     faces: tuple[int | None, ...]
     body: Polyhedron | None
     left_out: tuple[str, ...]
+    frames: Mapping[str, np.ndarray]
 
     @property
     def only_pushes(self) -> bool:
@@ -74,6 +79,29 @@ class SceneGrasp:
         or where it holds both ways.
         """
         return tuple(self._region(j) for j in range(len(self.contacts)))
+
+    def as_grasp(self) -> Grasp:
+        """The same as a grasp of a polyhedron, one gripper an arm.
+
+        Raises
+        ------
+        GraspError
+            When the object has no plane faces, or a contact holds both ways or is on none of them.
+        """
+        faces = tuple(face for face in self.faces if face is not None)
+        if self.body is None or len(faces) < len(self.contacts):
+            off = [n for n, k in zip(self.contacts.names, self.faces, strict=True) if k is None]
+            raise GraspError(
+                "this is no grasp of a polyhedron: "
+                + ("the object has no plane faces" if self.body is None else "")
+                + (f"on none of its faces is {', '.join(off)}" if self.body is not None else "")
+            )
+        grippers = tuple(
+            Gripper(arm, tuple(j for j, (owner, _) in enumerate(self.rows) if owner == arm), frame)
+            for arm, frame in self.frames.items()
+            if any(owner == arm for owner, _ in self.rows)
+        )
+        return Grasp(self.body, self.contacts, faces, grippers)
 
     def _region(self, j: int) -> ContactRegion | None:
         face = self.faces[j]
@@ -131,6 +159,7 @@ def read_grasp(system: System, state: State | None = None) -> SceneGrasp:
         faces=faces,
         body=body,
         left_out=tuple(left_out),
+        frames={arm: system.frames[arm].on_object for arm in system.arm_names},
     )
 
 

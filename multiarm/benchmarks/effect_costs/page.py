@@ -15,9 +15,9 @@ from multiarm.benchmarks.effect_costs.words import (
     sentence,
     verdict,
 )
-from multiarm.benchmarks.work_precision.writing import in_one_step
 from multiarm.reporting_parts import NOTHING, inline_svg, quantity
 from multiarm.reporting_style import CSS
+from multiarm.writing import in_one_step
 
 _CSS = """
 main { max-width: 78rem; }

@@ -23,8 +23,8 @@ from multiarm.benchmarks.effect_costs.entries import (
     Ledger,
 )
 from multiarm.benchmarks.effect_costs.variants import CANDIDATE, SETTING
-from multiarm.benchmarks.work_precision.writing import in_one_step
 from multiarm.plots import GRID, INK, STYLE
+from multiarm.writing import in_one_step
 
 COLOURS = {"present": "#3b7dd8", CANDIDATE: "#d9822b", SETTING: "#8a96a3"}
 MARKS = {PATH: "o", TURN: "s", JOINTS: "^", SLIDES: "v", FORCE: "D"}

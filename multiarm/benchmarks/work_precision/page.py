@@ -28,10 +28,10 @@ from multiarm.benchmarks.work_precision.points import Point
 from multiarm.benchmarks.work_precision.reference import QUANTITIES
 from multiarm.benchmarks.work_precision.store import Results
 from multiarm.benchmarks.work_precision.words import recommendation, reference_text, told
-from multiarm.benchmarks.work_precision.writing import in_one_step
 from multiarm.outcome import plain
 from multiarm.reporting_parts import NOTHING, quantity
 from multiarm.reporting_style import CSS
+from multiarm.writing import in_one_step
 
 
 def write_page(results: Results, path: Path) -> None:

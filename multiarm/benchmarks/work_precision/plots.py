@@ -15,8 +15,8 @@ from multiarm.benchmarks.work_precision.points import Point
 from multiarm.benchmarks.work_precision.reference import QUANTITIES
 from multiarm.benchmarks.work_precision.settings import BY_ACCURACY
 from multiarm.benchmarks.work_precision.store import Results
-from multiarm.benchmarks.work_precision.writing import in_one_step
 from multiarm.plots import GRID, INK, STYLE
+from multiarm.writing import in_one_step
 
 PALETTE = (
     "#3b7dd8", "#d1495b", "#2f9e67", "#d9822b", "#8a5cc2", "#0f9aa8", "#c2417c", "#8c7a2b",

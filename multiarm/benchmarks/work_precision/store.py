@@ -15,11 +15,11 @@ from typing import Any
 
 from multiarm.benchmarks.work_precision.points import Point
 from multiarm.benchmarks.work_precision.reference import Reference
-from multiarm.benchmarks.work_precision.writing import in_one_step
 from multiarm.errors import MultiarmError
 from multiarm.outcome import plain
 from multiarm.scene import RunSpec, Scene, dump_scene, resolve_arm
 from multiarm.scene.control import DEFAULT_ACCURACY
+from multiarm.writing import in_one_step
 
 FORMAT = "multiarm accuracy, 1"
 WRITE_INTERVAL = 1.0
