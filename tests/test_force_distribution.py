@@ -203,6 +203,19 @@ def test_worked_planar_grasp_has_the_forces_of_statics(five):
     assert not both
 
 
+@pytest.mark.parametrize("lever", [1e-2, 1e-4, 1e-6, 1e-8])
+def test_short_levers_take_large_forces_and_exert_the_wrench_all_the_same(lever):
+    # 1 N m from two fingers below at +- lever, and from the one above
+    points = [[-1, 0], [1, 0], [0, 1], [-lever, -1], [lever, -1]]
+    contacts = Contacts(points, [[1, 0], [-1, 0], [0, -1], [0, 1], [0, 1]])
+    for objective, value in (("largest", 1 / lever), ("norm", np.sqrt(2) / lever)):
+        found = distribute_forces(contacts, [0, 0, 1], objective=objective)
+        assert found.value == pytest.approx(value, rel=1e-6)
+        assert found.residual < TOLERANCE * value
+        assert distribute_forces(contacts, [0, 0, 1], objective=objective, limit=2 / lever)
+        assert not distribute_forces(contacts, [0, 0, 1], objective=objective, limit=0.9 / lever)
+
+
 def test_no_wrench_takes_no_forces(five):
     for objective in ("largest", "norm"):
         found = distribute_forces(five, [0, 0, 0], objective=objective)

@@ -399,6 +399,16 @@ def test_a_grasp_within_the_band_is_called_open_and_borderline_and_exactly_decid
     assert_proven(contacts, exact)
 
 
+def test_a_touching_contact_makes_an_open_grasp_borderline_and_a_clear_way_out_does_not():
+    tray = worked("form_closure_planar_six").subset(range(5))
+    assert is_form_closure(tray).borderline
+    corner = Contacts.along(
+        [[0, 1], [0, 2], [0, 3], [1, 0], [2, 0]], [[1, 0], [1, 0], [1, 0], [0, 1], [0, 1]]
+    )
+    found = is_form_closure(corner)
+    assert (found.closed, found.rank, found.borderline) == (False, 3, False)
+
+
 def test_on_the_boundary_itself_nothing_closes_exactly():
     found = is_form_closure(worked_block(Fraction("0.45"), Fraction("0.4")), exact=True)
     assert (found.closed, found.borderline) == (False, True)
@@ -613,6 +623,15 @@ def test_contact_points_on_the_axis_of_the_only_motion_rest(rng):
     )
 
 
+def test_words_stay_right_far_from_the_origin(rng):
+    contacts, _, _ = on_revolution(rng, 9)
+    far = Contacts(contacts.points + [1e6, -2e6, 1e6], contacts.normals)
+    found = is_form_closure(far)
+    assert found.leaving == ()
+    assert "turn about the line" in found.message
+    assert "body of revolution" in found.message
+
+
 def test_a_closed_grasp_says_so():
     found = is_form_closure(worked("form_closure_planar_five"))
     assert str(found) == "5 contacts hold the body: form closure"
@@ -684,14 +703,14 @@ def test_three_concurrent_fingers_are_immobile_to_second_order_when_turning_pres
 
 def test_one_free_motion_in_space_is_decided_as_by_differences_of_the_gaps(rng):
     orders = []
-    for number in range(120):
+    for number in range(75):
         contacts = on_revolution(rng, 7 + number % 3)[0]
         found = is_form_closure(contacts)
         assert found.rank == 5
         assert found.order == (0 if movable_to_second_order(contacts, found.motion) else 2)
         assert found.immobility.proven
         orders.append(found.order)
-    assert 10 < orders.count(2) < 60
+    assert 5 < orders.count(2) < 40
 
 
 @pytest.mark.parametrize(("sign", "order"), [(-1, 2), (1, 0)])
@@ -727,16 +746,16 @@ def test_concentric_fingers_are_decided_by_the_form_in_three_turns(rng):
 
 def test_what_is_called_immobile_has_no_motion_that_differences_leave_free(rng):
     orders = []
-    for _ in range(30):
+    for _ in range(20):
         e = rng.normal(size=(6, 3))
         e /= np.linalg.norm(e, axis=1)[:, None]
         contacts = Contacts(-rng.uniform(-0.6, 1.0, (6, 1)) * e, e)
         found = is_form_closure(contacts)
         orders.append(found.order)
-        ways = np.hstack([np.zeros((12, 3)), rng.normal(size=(12, 3))])
+        ways = np.hstack([np.zeros((6, 3)), rng.normal(size=(6, 3))])
         free = [movable_to_second_order(contacts, w / np.linalg.norm(w)) for w in ways]
         assert not (found.order == 2 and any(free))
-    assert 5 < orders.count(2) < 25
+    assert 3 < orders.count(2) < 17
 
 
 def test_blocking_pushes_balance_and_block_every_free_motion(rng):
@@ -754,6 +773,26 @@ def test_a_translation_is_never_blocked():
     pinch = Contacts([[-1, 0], [1, 0]], [[1, 0], [-1, 0]])
     found = is_form_closure(pinch)
     assert (found.order, found.immobility.proven) == (0, True)
+
+
+def test_contacts_that_carry_nothing_make_a_search_over_several_motions_no_proof(rng):
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    inside_out = Contacts.along(corners, corners)
+    beside = Contacts.along([[2.0, 0.3, 0.1]], [[1, 2, 3]])
+    assert is_form_closure(inside_out).immobility.proven
+    found = is_form_closure(inside_out.joined(beside)).immobility
+    assert (found.order, found.proven) == (0, False)
+    # with one free motion there is no search
+    plane = Contacts.along([[1, 0], [-0.5, 0.8], [-0.5, -0.8]], [[1, 0], [-0.5, 0.8], [-0.5, -0.8]])
+    found = is_form_closure(plane.joined(Contacts.along([[3, 1]], [[1, 0]]))).immobility
+    assert (found.order, found.proven) == (0, True)
+
+
+def test_what_the_band_calls_open_although_nothing_is_free_has_no_proven_order():
+    points = [[-1, 0], [1, 0], [0, 1], [-1.5e-10, -1], [1.5e-10, -1]]
+    found = is_form_closure(Contacts(points, [[1, 0], [-1, 0], [0, -1], [0, 1], [0, 1]]))
+    assert (found.closed, found.rank, found.borderline) == (False, 3, True)
+    assert (found.order, found.immobility.proven) == (0, False)
 
 
 def test_contacts_that_never_balance_leave_the_body_movable(rng):

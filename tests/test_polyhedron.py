@@ -243,6 +243,35 @@ def test_fine_triangles_become_the_faces_they_make_up(tmp_path):
         assert [len(face.vertices) for face in body.faces] == [4] * 6
 
 
+def test_corners_that_differ_by_rounding_are_one(tmp_path):
+    """Each triangle has corners of its own, rounded in its own way to seven digits."""
+    rng = np.random.default_rng(6)
+    loose = BODIES["pyramid"].placed(random_pose(rng, 1.0))
+    soup = loose.vertices[triangles_of(loose)].reshape(-1, 3)
+    soup += rng.uniform(-1e-7, 1e-7, soup.shape)
+    numbers = np.arange(len(soup)).reshape(-1, 3)
+    trimesh.Trimesh(soup, numbers, process=False).export(tmp_path / "loose.stl")
+    body = Polyhedron.mesh(tmp_path / "loose.stl")
+    assert len(body.vertices) == 5 and len(body.faces) == 5
+
+
+def test_sheets_are_bodies_until_their_thickness_is_rounding(tmp_path):
+    for thickness in (1e-5, 1e-6):
+        sheet = Polyhedron.hull(Polyhedron.box([1.0, 1.0, 1e-5]).vertices)
+        assert len(sheet.faces) == 6
+        trimesh.creation.box([1.0, 1.0, thickness]).export(tmp_path / "sheet.stl")
+        sheet = Polyhedron.mesh(tmp_path / "sheet.stl")
+        assert len(sheet.faces) == 6 and sheet.volume == pytest.approx(thickness, rel=1e-2)
+    trimesh.creation.box([1.0, 1e-5, 1e-5]).export(tmp_path / "wire.stl")
+    assert len(Polyhedron.mesh(tmp_path / "wire.stl").faces) == 6
+    for thickness in (2e-7, 1e-9):
+        with pytest.raises(GraspError, match="thinner than its coordinates resolve"):
+            Polyhedron.hull(Polyhedron.box([1.0, 1.0, thickness]).vertices)
+        trimesh.creation.box([1.0, 1.0, thickness]).export(tmp_path / "sheet.stl")
+        with pytest.raises(GraspError, match="thinner than its coordinates resolve"):
+            Polyhedron.mesh(tmp_path / "sheet.stl")
+
+
 def test_a_round_mesh_keeps_its_facets(tmp_path):
     trimesh.creation.cylinder(1.0, 2.0, sections=200).export(tmp_path / "round.stl")
     body = Polyhedron.mesh(tmp_path / "round.stl")
@@ -381,8 +410,11 @@ def test_triples_are_those_of_non_negative_least_squares_and_never_missing(seed)
 def test_round_bodies_are_told_from_others():
     assert roundness(round_prism(64)) and not roundness(round_prism(12))
     found = roundness(round_prism(64).placed(random_pose(np.random.default_rng(1), 5.0)))
-    assert found.lever == pytest.approx(np.sin(np.pi / 64.0))
+    assert found.distance == pytest.approx(np.sin(np.pi / 64.0))
     assert not any(map(roundness, BODIES.values()))
+    flat = Polyhedron.pyramid(SQUARE, [0.0, 0.0, 0.01])  # its normals are nearly along an axis
+    assert not roundness(flat).nearly
+    assert roundness(round_prism(24)).nearly and not roundness(round_prism(24))
     ball = trimesh.creation.icosphere(4)
     assert roundness(Polyhedron(ball.vertices, [[tri] for tri in ball.faces]))
 

@@ -241,6 +241,24 @@ def test_a_contact_that_cannot_push_leaves_no_region():
             region.contact(TOP.centre)
 
 
+def test_a_push_that_is_zero_is_not_positive_by_its_rounding():
+    """Contact 1 alone pushes along y: all others balance, and it never can."""
+    normals = [[0, 1, 0], [-1, 0, 0], [1, 0, 0], [0, 0, 1], [0, 0, -1], [0, 0, -1]]
+    points = [[0.4, -0.5, -0.3], [0.6, 0, 0], [-0.6, 0.2, -0.3], [-0.5, 0.1, -0.4]]
+    six = Contacts([*points, [-0.2, 0.4, 0.4], [0.4, -0.1, 0.4]], normals)
+    levels = wrench_cone(six).levels([0.6, 0.4, 0.1], [-1, 0, 0])
+    assert levels[0] == pytest.approx(0.0, abs=1e-12) and levels[1:].max() < -0.4
+    pose = np.eye(4)
+    for seed in range(20):
+        pose[:3, :3] = Rotation.random(random_state=seed).as_matrix()
+        turned, face = six.placed(pose), BOX.placed(pose).faces[0]
+        near = BOX.faces[0].at([0.4, 0.1] + 0.02 * np.random.default_rng(seed).normal(size=(40, 2)))
+        points = near @ pose[:3, :3].T
+        assert not closes_on_surface(turned, points, -face.normal).any()
+        for method in METHODS:
+            assert not seventh_contact_region(turned, face, method)
+
+
 # --- faces of any form --------------------------------------------------------------------------
 
 

@@ -23,6 +23,7 @@ from multiarm.cli.terminal import (
     print_written,
     vector,
 )
+from multiarm.errors import MultiarmError
 from multiarm.writing import in_one_step
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 __all__ = ["grasp_app"]
 
+# Reach of an optimised gripper around its corner, in sizes of the body.
+USUAL_SIZE = 0.2
 GRIPPERS, SCENE, RESULTS = "Grippers", "The scene", "Results"
 
 grasp_app = typer.Typer(
@@ -80,8 +83,9 @@ def design(
     gripper_size: Annotated[
         float | None,
         typer.Option(
-            help="Largest distance between two contacts of a gripper, in m.",
-            show_default="none",
+            help="Largest distance between two contacts of a gripper, in m; with --optimise, of "
+            "a contact from its corner.",
+            show_default="as it comes; 0.2 of the body with --optimise",
             metavar="D",
             rich_help_panel=GRIPPERS,
         ),
@@ -250,7 +254,20 @@ def _designed(
 
         progress(0.0, "a construction that fits the body")
         return design_grasp(body, offset=offset, gripper_size=gripper_size, generator=rng)
-    raise NotImplementedError
+    from multiarm.grasp import optimise_grasp
+
+    if offset is not None:
+        raise MultiarmError("--offset belongs to the construction for blocks, not to --optimise")
+    found = optimise_grasp(
+        body,
+        objective=optimise.value,
+        gripper_size=gripper_size or USUAL_SIZE * body.size,
+        tip_radius=tip_radius,
+        gap=gap,
+        progress=lambda done, total, what: progress(done / max(total, 1), what),
+        rng=rng,
+    )
+    return found.grasp.noted(found.message)
 
 
 def _who(arms: tuple[str, str]) -> str:

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
         object_frame_from_faces,
         object_frame_on_body,
     )
+    from multiarm.grasp.optimisation import OptimisedGrasp, optimise_grasp
     from multiarm.grasp.parallel_design import ParallelDesign, design_parallel_grasp
     from multiarm.grasp.polyhedron import Polyhedron
     from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
@@ -85,6 +86,7 @@ _HOMES = {
     "LoadCapacity": "load_maps",
     "ManyClosures": "many_closures",
     "ObjectFrame": "object_frame",
+    "OptimisedGrasp": "optimisation",
     "ParallelDesign": "parallel_design",
     "Polyhedron": "polyhedron",
     "ThreeMoments": "three_moments",
@@ -113,6 +115,7 @@ _HOMES = {
     "object_frame_from_contacts": "object_frame",
     "object_frame_from_faces": "object_frame",
     "object_frame_on_body": "object_frame",
+    "optimise_grasp": "optimisation",
     "own_regions": "stability",
     "search_grasp": "closure_search",
     "seventh_contact_region": "seventh_contact",
@@ -141,6 +144,7 @@ __all__ = [
     "LoadCapacity",
     "ManyClosures",
     "ObjectFrame",
+    "OptimisedGrasp",
     "ParallelDesign",
     "Polyhedron",
     "ThreeMoments",
@@ -169,6 +173,7 @@ __all__ = [
     "object_frame_from_contacts",
     "object_frame_from_faces",
     "object_frame_on_body",
+    "optimise_grasp",
     "own_regions",
     "search_grasp",
     "seventh_contact_region",

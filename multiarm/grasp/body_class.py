@@ -34,8 +34,11 @@ PARALLEL = 1e-6
 DEPENDENT = 1e-6
 # Triples are sought among so many of the largest faces; their number grows with the third power.
 MOST_FACES = 40
-# A body whose contacts have no longer lever about an axis, over its radius, is one of revolution.
-ROUND = 0.06
+# A body whose normal lines all pass its axis within this part of its radius is one of revolution: a
+# prism of 32 sides or more.  One within the second number, of 16 sides or more, may be.
+ROUND, NEARLY_ROUND = 0.1, 0.2
+# A face whose normal is along the axis, within this angle [rad], has no part in that.
+LEVEL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -97,45 +100,55 @@ def classify(body: Polyhedron) -> BodyClass:
 
 @dataclass(frozen=True)
 class Roundness:
-    """How nearly a body is one of revolution.
+    """How nearly a body is one of revolution; true when it is.
 
     Attributes
     ----------
     axis : ndarray, shape (3,)
         Direction of the axis, through the centre of mass.
-    lever : float
-        Longest lever about the axis of a contact anywhere on the body [m].
+    distance : float
+        Largest distance at which the normal line of a contact passes the axis [m].
     radius : float
         Largest distance of the body from the axis [m].
     """
 
     axis: np.ndarray
-    lever: float
+    distance: float
     radius: float
 
     def __bool__(self) -> bool:
-        return self.lever < ROUND * self.radius
+        return self.distance < ROUND * self.radius
+
+    @property
+    def nearly(self) -> bool:
+        """Whether the body may stand for one of revolution."""
+        return self.distance < NEARLY_ROUND * self.radius
 
 
 def roundness(body: Polyhedron) -> Roundness:
-    """The axis about which contacts have the shortest levers; true for a body of revolution.
+    r"""The axis that normal lines pass most closely.
 
-    The axis of such a body is a principal axis of inertia through its centre of mass, so that only
-    those are looked at.  A lever, the moment of a unit push about the axis, is linear on a face and
-    therefore longest at a corner.
+    The axis of a body of revolution is a principal axis of inertia through the centre of mass, so
+    that only those are looked at.  The distance of normal lines from it is convex on a face and
+    therefore largest at a corner,
+
+    .. math::  |a \cdot (p \times n)| \, / \, |a \times n| .
     """
-    properties = body.mass_properties(1.0)
-    axes = np.linalg.eigh(properties.inertia)[1].T
-    best = None
-    for axis in axes:
-        arms = [np.abs(np.cross(f.vertices - body.centre, f.normal) @ axis) for f in body.faces]
-        about = body.vertices - body.centre
-        radius = float(np.linalg.norm(about - np.outer(about @ axis, axis), axis=1).max())
-        found = Roundness(axis, float(max(arm.max() for arm in arms)), radius)
-        if best is None or found.lever / found.radius < best.lever / best.radius:
-            best = found
-    assert best is not None
-    return best
+    axes = np.linalg.eigh(body.mass_properties(1.0).inertia)[1].T
+    found = [_roundness(body, axis) for axis in axes]
+    return min(found, key=lambda one: one.distance / one.radius)
+
+
+def _roundness(body: Polyhedron, axis: np.ndarray) -> Roundness:
+    distance = 0.0
+    for face in body.faces:
+        across = float(np.linalg.norm(np.cross(axis, face.normal)))
+        if across > LEVEL:
+            moments = np.cross(face.vertices - body.centre, face.normal) @ axis
+            distance = max(distance, float(np.abs(moments).max()) / across)
+    about = body.vertices - body.centre
+    radius = float(np.linalg.norm(about - np.outer(about @ axis, axis), axis=1).max())
+    return Roundness(axis, distance, radius)
 
 
 def _largest(body: Polyhedron) -> list[int]:

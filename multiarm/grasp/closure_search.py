@@ -5,8 +5,8 @@ faces can close it, as they can any body without an axis of revolution (Markensc
 Papadimitriou 1990).  The search has two steps.
 
 1. Places are drawn evenly over the body's surface.  Seven of them close it when the only balance of
-   their wrenches, :math:`W \lambda = 0, \sum \lambda = 1`, has positive pushes alone.  That is one
-   small linear system a draw, solved for many draws at once.
+   their wrenches has positive pushes alone (see `seven_pushes`): one small linear system a draw,
+   solved for many draws at once.
 2. Draws with the largest smallest push are improved.  One contact after the other goes to the
    middle of the region where it may be, given the six others (see `seventh_contact`), as long as
    the grasp becomes firmer.
@@ -20,12 +20,13 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.assembling import assembled, crosses_border, two_groups
-from multiarm.grasp.contacts import Contacts, wrenches_of
+from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.corners import nearest_corner_frame
 from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.mesh import face_triangles
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.seven_pushes import smallest_pushes
 from multiarm.grasp.seventh_contact import seventh_contact_region
 from multiarm.grasp.wrench_cone import is_independent
 
@@ -76,29 +77,17 @@ def _draws(
     found: list[tuple[float, tuple[int, ...], np.ndarray]] = []
     for _ in range(BATCHES):
         faces, points = _surface_points(body, (DRAWS, 7), generator)
-        W = wrenches_of((points - body.centre) / body.size, -body.normals[faces])
-        pushes = _pushes(np.moveaxis(W, 0, 1))
-        order = np.argsort(-pushes.min(axis=1))[:IMPROVED]
+        smallest = smallest_pushes(body, points, -body.normals[faces])
+        order = np.argsort(-smallest)[:IMPROVED]
         found.extend(
-            (float(pushes[k].min()), tuple(faces[k].tolist()), points[k])
+            (float(smallest[k]), tuple(faces[k].tolist()), points[k])
             for k in order
-            if pushes[k].min() > 0.0
+            if smallest[k] > 0.0
         )
         if len(found) >= IMPROVED:
             break
     found.sort(key=lambda draw: -draw[0])
     return [(faces, points) for _, faces, points in found[:IMPROVED]]
-
-
-def _pushes(W: np.ndarray) -> np.ndarray:
-    """Pushes (K, 7) of sum 1 that balance wrenches (K, 6, 7); zero where they are not unique."""
-    A = np.concatenate([W, np.ones((len(W), 1, 7))], axis=1)
-    unique = np.abs(np.linalg.det(A)) > 1e-12
-    pushes = np.zeros((len(W), 7))
-    target = np.zeros((7, 1))
-    target[6] = 1.0
-    pushes[unique] = np.linalg.solve(A[unique], target)[..., 0]
-    return pushes
 
 
 def _surface_points(
@@ -116,7 +105,8 @@ def _surface_points(
     chosen = generator.choice(len(T), size=shape, p=areas / areas.sum())
     u, v = np.sqrt(generator.random(shape)), generator.random(shape)
     weights = np.stack([1.0 - u, u * (1.0 - v), u * v], axis=-1)
-    return np.array(owner)[chosen], np.einsum("knc,kncx->knx", weights, T[chosen])
+    numbers = np.array(owner)[chosen]
+    return numbers, body.on_faces(numbers, np.einsum("knc,kncx->knx", weights, T[chosen]))
 
 
 def _improved(body: Polyhedron, contacts: Contacts, faces: tuple[int, ...]) -> Contacts:

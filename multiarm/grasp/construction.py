@@ -67,7 +67,7 @@ def design_grasp(
             f"a Polyhedron is needed, not {type(body).__name__}; make one with Polyhedron.box, "
             f".prism, .hull or .mesh"
         )
-    _refuse_round(body)
+    nearly_round = _refuse_round(body)
     found = classify(body)
     if found.kind == "block":
         grasp = _block_grasp(body, gripper_size, offset, seventh)
@@ -80,18 +80,25 @@ def design_grasp(
         grasp = design_parallel_grasp(body, gripper_size=gripper_size)
     else:
         grasp = _general_grasp(body, found, gripper_size, generator)
-    return grasp.noted(f"the body is {found.words}")
+    return grasp.noted(*nearly_round, f"the body is {found.words}")
 
 
-def _refuse_round(body: Polyhedron) -> None:
+def _refuse_round(body: Polyhedron) -> tuple[str, ...]:
+    """Refuse a body of revolution; what to say about one that may stand for such a body."""
     found = roundness(body)
+    axis = ", ".join(f"{x:.3g}" for x in np.round(found.axis, 3) + 0.0)
     if found:
-        axis = ", ".join(f"{x:.3g}" for x in np.round(found.axis, 3) + 0.0)
         raise GraspError(
             f"the body is one of revolution about the axis ({axis}) through its centre, or a mesh "
-            f"of one: all normal lines pass within {found.lever:.3g} m of the axis, so that no "
+            f"of one: all normal lines pass within {found.distance:.3g} m of the axis, so that no "
             f"frictionless contact keeps it from turning; give it a flat, a groove or a key"
         )
+    if not found.nearly:
+        return ()
+    return (
+        f"the body is nearly one of revolution about the axis ({axis}): contacts have levers of "
+        f"{found.distance:.3g} m at most; if it is a mesh of a round body, nothing holds that",
+    )
 
 
 def _block_grasp(

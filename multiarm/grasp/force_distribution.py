@@ -28,14 +28,17 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND
+from multiarm.grasp.balances import BAND, rounding
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.free_motions import about_origin, motion_in_words, twist_of
 from multiarm.grasp.least_distance import LeastDistance, least_distance
+from multiarm.grasp.loads import bounds_of, wrench_of
 
 OBJECTIVES = ("largest", "norm")
-# Part of the forces at hand by which bounds and balance may be missed: rounding, not mechanics.
+# Part of the wrench, the forces, the prices at hand that counts as nothing: rounding.
 SLACK = 1e-9
+# Below this s, least distances are long (1e4) or none: a linear program decides.
+COARSE = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,96 +131,59 @@ def distribute_forces(
         raise GraspError(f"unknown objective {objective!r}; objectives are {', '.join(OBJECTIVES)}")
     least, most = bounds_of(contacts, minimum, limit)
     target = wrench_of(contacts, wrench)
-    W = contacts.scaled_wrenches
-    U, s, Vt = np.linalg.svd(W)
-    rank = int(np.count_nonzero(s > BAND * s[0]))
-    some = Vt[:rank].T @ ((U[:, :rank].T @ target) / s[:rank])
-    missing = target - W @ some
-    if np.linalg.norm(missing) > SLACK * np.linalg.norm(target):
+    some, null, missing = _any_forces(contacts, target)
+    if missing is not None:
         return _refused(contacts, twist_of(contacts, missing))
     unit = max(float(np.abs(some).max()), float(least.max()))
     if unit == 0.0:
-        zero = np.zeros(contacts.count)
-        flat = np.zeros(contacts.freedoms)
-        return ForceDistribution(
-            True, zero, 0.0, flat, zero, 0.0, None, "no wrench takes no forces"
-        )
+        none, flat = np.zeros(contacts.count), np.zeros(contacts.freedoms)
+        words = "a wrench of zero takes no forces"
+        return ForceDistribution(True, none, 0.0, flat, none, 0.0, None, words)
     problem = _Problem(
         contacts=contacts,
         objective=objective,
-        W=W,
+        W=contacts.scaled_wrenches,
         wrench=target / unit,
         least=least / unit,
         limit=most / unit,
         unit=unit,
         some=some / unit,
-        null=Vt[rank:].T,
+        null=null,
         bounds=(least, most),
     )
     return _largest(problem) if objective == "largest" else _least_norm(problem)
 
 
-def bounds_of(contacts: Contacts, minimum: Any, limit: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds (N,), (N,) of the forces; without a limit, infinite ones.
-
-    Raises
-    ------
-    GraspError
-        Numbers that are none, negative, or of which the first exceeds the second.
-    """
-    least = _each(contacts, minimum, "minimum")
-    most = _each(contacts, np.inf if limit is None else limit, "limit")
-    if not np.all(np.isfinite(least)):
-        raise GraspError(f"the minimum of a force must be finite, not {minimum!r}")
-    if np.any(least < 0.0):
-        raise GraspError(f"contacts only push: the minimum of a force is not negative: {minimum!r}")
-    crossed = np.flatnonzero(least > most)
-    if crossed.size:
-        j = int(crossed[0])
-        raise GraspError(
-            f"{contacts.names[j]} cannot push at least {least[j]:g} N and at most {most[j]:g} N"
-        )
-    return least, most
-
-
-def wrench_of(contacts: Contacts, wrench: Any) -> np.ndarray:
-    """A wrench about the frame's origin in scaled coordinates, shape (6,) or (3,)."""
-    try:
-        given = np.asarray(wrench, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(f"a wrench is a list of numbers, not {wrench!r}") from error
-    n, d = contacts.freedoms, contacts.dimension
-    if given.shape != (n,) or not np.all(np.isfinite(given)):
-        shape = "three finite numbers [fx, fy, m]" if d == 2 else "six finite numbers"
-        raise GraspError(f"a wrench of these contacts is {shape}, not {wrench!r}")
-    force, c = given[:d], contacts.centre
-    shift = np.cross(c, force) if d == 3 else c[0] * force[1] - c[1] * force[0]
-    return np.concatenate([force, (given[d:] - shift) / contacts.length])
-
-
-def _each(contacts: Contacts, values: Any, what: str) -> np.ndarray:
-    try:
-        numbers = np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(
-            f"the {what} of the forces is a number or {contacts.count} of them"
-        ) from error
-    if numbers.ndim > 1 or numbers.size not in (1, contacts.count) or np.isnan(numbers).any():
-        raise GraspError(
-            f"the {what} of the forces is a number or {contacts.count} of them, one for each "
-            f"contact, not {values!r}"
-        )
-    return np.broadcast_to(numbers, (contacts.count,)).astype(float)
+def _any_forces(
+    contacts: Contacts, target: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """``lam_0``, a basis of the internal forces, and what of the wrench no forces exert, if any."""
+    W = contacts.scaled_wrenches
+    U, s, Vt = np.linalg.svd(W)
+    floor = rounding(float(np.abs(contacts.points).max()), contacts.length)
+    rank = int(np.count_nonzero(s > (BAND + floor) * s[0]))
+    some = Vt[:rank].T @ ((U[:, :rank].T @ target) / s[:rank])
+    missing = target - W @ some
+    rounded = floor * s[0] * np.linalg.norm(some)
+    lost = np.linalg.norm(missing) > SLACK * np.linalg.norm(target) + rounded
+    return some, Vt[rank:].T, missing if lost else None
 
 
 def _least_norm(problem: _Problem) -> ForceDistribution:
     """``|lam|^2 = |some|^2 + |y|^2``: the shortest y within the bounds."""
-    solved = _shortest(problem, problem.least, problem.limit)
-    if not solved.solved:
-        return _infeasible(problem, solved.weights)
-    lam = problem.some + problem.null @ solved.point
+    scale, solved = 1.0, _shortest(problem)
+    if solved.s < COARSE:
+        program = _program(problem)
+        if not program.success:
+            return _infeasible(problem, solved.weights)
+        lam = problem.some + problem.null @ program.x[:-1]
+        scale = float(lam.max())
+        solved = _shortest(problem, scale)
+    prices = np.zeros(len(problem.some))
+    if solved.s > COARSE:
+        lam = problem.some + scale * problem.null @ solved.point
+        prices = scale * _signed(problem, solved.prices)
     norm = float(np.linalg.norm(lam))
-    prices = _signed(problem, solved.prices)
     # lam = W^T slope + prices: the slope of |lam|^2 / 2
     slope = np.linalg.lstsq(problem.W.T, lam - prices, rcond=BAND)[0]
     return _found(problem, lam, norm, slope / norm, prices / norm)
@@ -225,39 +191,59 @@ def _least_norm(problem: _Problem) -> ForceDistribution:
 
 def _largest(problem: _Problem) -> ForceDistribution:
     """The linear program for the largest force, then the least norm with that as the limit."""
-    from scipy.optimize import linprog
-
-    null, some, count = problem.null, problem.some, problem.contacts.count
-    finite = np.isfinite(problem.limit)
-    low, none = np.column_stack([-null, np.zeros(count)]), np.zeros(finite.sum())
-    solved = linprog(
-        np.append(np.zeros(null.shape[1]), 1.0),
-        A_ub=np.vstack(
-            [low, np.column_stack([null, -np.ones(count)]), np.column_stack([null[finite], none])]
-        ),
-        b_ub=np.concatenate([some - problem.least, -some, (problem.limit - some)[finite]]),
-        bounds=(None, None),
-    )
-    if not solved.success:
-        return _infeasible(problem, _shortest(problem, problem.least, problem.limit).weights)
-    lam = some + null @ solved.x[:-1]
-    paid = -solved.ineqlin.marginals
-    prices = paid[:count].copy()
-    prices[finite] -= paid[2 * count :]
+    program = _program(problem)
+    if not program.success:
+        return _infeasible(problem, _shortest(problem).weights)
+    bounded, paid, count = np.isfinite(problem.limit), -program.ineqlin.marginals, len(problem.some)
+    shares, prices = paid[count : 2 * count], paid[:count].copy()
+    prices[bounded] -= paid[2 * count :]
     # the shares in the largest force are W^T slope + prices
-    slope = np.linalg.lstsq(problem.W.T, paid[count : 2 * count] - prices, rcond=BAND)[0]
-    within = np.minimum(np.maximum(problem.limit, lam), float(lam.max()))
-    shortest = _shortest(problem, np.minimum(problem.least, lam), within)
-    if shortest.solved:
-        lam = some + null @ shortest.point
+    slope = np.linalg.lstsq(problem.W.T, shares - prices, rcond=BAND)[0]
+    lam = problem.some + problem.null @ program.x[:-1]
+    lam = _calmed(problem, lam, (np.abs(prices) > SLACK) | (shares > SLACK))
     return _found(problem, lam, float(lam.max()), slope, prices)
 
 
-def _shortest(problem: _Problem, least: np.ndarray, limit: np.ndarray) -> LeastDistance:
-    finite = np.isfinite(limit)
-    G = np.vstack([problem.null, -problem.null[finite]])
-    h = np.concatenate([least - problem.some, (problem.some - limit)[finite]])
-    return least_distance(G, h - SLACK)
+def _calmed(problem: _Problem, lam: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """The least norm among forces no larger than the largest, of which some are ``held``.
+
+    A force with a price is the same in all optima; the others have room, which the least distance
+    needs.
+    """
+    _, s, Vt = np.linalg.svd(problem.null[held])
+    basis = problem.null @ Vt[int(np.count_nonzero(s > BAND)) :].T
+    scale, rest = float(lam.max()), ~held
+    shortest = lam - basis @ (basis.T @ lam)
+    least, most = np.minimum(problem.least, lam), np.minimum(np.maximum(problem.limit, lam), scale)
+    G = np.vstack([basis[rest], -basis[rest]])
+    h = np.concatenate([(least - shortest)[rest], (shortest - most)[rest]])
+    solved = least_distance(G, h / scale)
+    if solved.s < COARSE:
+        return lam
+    found = shortest + scale * basis @ solved.point
+    return found if np.all(found >= least - SLACK * scale) else lam
+
+
+def _program(problem: _Problem) -> Any:
+    """Minimise the largest force t over ``[y; t]``: rows for minima, for t, and for limits."""
+    from scipy.optimize import linprog
+
+    null, some, bounded = problem.null, problem.some, np.isfinite(problem.limit)
+    rows = [(-null, 0.0), (null, -1.0), (null[bounded], 0.0)]
+    return linprog(
+        np.append(np.zeros(null.shape[1]), 1.0),
+        A_ub=np.vstack([np.column_stack([a, np.full(len(a), b)]) for a, b in rows]),
+        b_ub=np.concatenate([some - problem.least, -some, (problem.limit - some)[bounded]]),
+        bounds=(None, None),
+    )
+
+
+def _shortest(problem: _Problem, scale: float = 1.0) -> LeastDistance:
+    """The shortest y within the bounds, in units of ``scale``."""
+    bounded = np.isfinite(problem.limit)
+    G = np.vstack([problem.null, -problem.null[bounded]])
+    room = [problem.least - problem.some, (problem.some - problem.limit)[bounded]]
+    return least_distance(G, np.concatenate(room) / scale)
 
 
 def _signed(problem: _Problem, weights: np.ndarray) -> np.ndarray:

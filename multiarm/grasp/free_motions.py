@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.grasp.balances import rounding
 from multiarm.grasp.contacts import Contacts
 
 # Part of the fastest contact's speed that counts as none.
@@ -43,9 +44,11 @@ def about_origin(contacts: Contacts, direction: np.ndarray) -> np.ndarray:
 
 def leaving_contacts(contacts: Contacts, motion: np.ndarray) -> tuple[int, ...]:
     """Numbers of the contacts whose gap opens under a twist."""
-    rates = _velocities(contacts, motion)
-    opening = np.sum(contacts.normals * rates, axis=1)
-    return tuple(np.flatnonzero(opening > STILL * np.linalg.norm(rates, axis=1).max()).tolist())
+    velocities = _velocities(contacts, motion)
+    turning = float(np.linalg.norm(motion[contacts.dimension :])) * contacts.length
+    size = max(float(np.linalg.norm(velocities, axis=1).max()), turning)
+    opening = np.sum(contacts.normals * velocities, axis=1)
+    return tuple(np.flatnonzero(opening > _still(contacts) * size).tolist())
 
 
 def motion_in_words(contacts: Contacts, motion: np.ndarray) -> str:
@@ -54,7 +57,7 @@ def motion_in_words(contacts: Contacts, motion: np.ndarray) -> str:
     angular = motion[d:]
     middle = motion[:d] + _across(angular, contacts.centre)
     turning = float(np.linalg.norm(angular)) * contacts.length
-    if turning <= STILL * max(float(np.linalg.norm(middle)), turning):
+    if turning <= STILL * float(np.linalg.norm(middle)):
         return f"slide along {vector_in_words(middle / np.linalg.norm(middle))}"
     foot = contacts.centre + _across(angular, middle) / float(angular @ angular)
     size = max(float(np.abs(contacts.points).max()), contacts.length)
@@ -64,7 +67,7 @@ def motion_in_words(contacts: Contacts, motion: np.ndarray) -> str:
     axis = angular / np.linalg.norm(angular)
     advance = float(middle @ angular) / float(angular @ angular)
     line = f"the line through {through} along {vector_in_words(axis)}"
-    if abs(advance) <= STILL * contacts.length:
+    if abs(advance) <= _still(contacts) * contacts.length:
         return f"turn about {line}"
     return f"screw about {line}, {advance:.4g} m for each radian"
 
@@ -108,7 +111,7 @@ def _pattern(contacts: Contacts, motion: np.ndarray) -> str | None:
     sides = np.einsum("jab,jb->a", projectors, arms)
     meeting = np.linalg.lstsq(projectors.sum(axis=0), sides, rcond=None)[0]
     off = np.einsum("jab,jb->ja", projectors, arms - meeting)
-    if np.abs(off).max() <= STILL * contacts.length:
+    if np.abs(off).max() <= _still(contacts) * contacts.length:
         kind = "sphere" if d == 3 else "circle"
         at = vector_in_words(meeting + contacts.centre, float(np.abs(p).max()))
         return (
@@ -122,6 +125,11 @@ def _pattern(contacts: Contacts, motion: np.ndarray) -> str | None:
             "only ones on a body of revolution, never stop the turn"
         )
     return None
+
+
+def _still(contacts: Contacts) -> float:
+    """``STILL``, and what rounding does to points far from the origin."""
+    return STILL + rounding(float(np.abs(contacts.points).max()), contacts.length)
 
 
 def _split(contacts: Contacts, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,12 +21,8 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.force_distribution import (
-    ForceDistribution,
-    bounds_of,
-    distribute_forces,
-    wrench_of,
-)
+from multiarm.grasp.force_distribution import ForceDistribution, distribute_forces
+from multiarm.grasp.loads import bounds_of, wrench_of
 
 # Part of the map's size by which an edge may give way and still count as found.
 CORNER = 1e-8

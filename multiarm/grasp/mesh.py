@@ -14,7 +14,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.face import PLANE_TOLERANCE, Face
-from multiarm.grasp.solid import check_one_solid, faces_of_triangles
+from multiarm.grasp.solid import TOO_THIN, check_one_solid, faces_of_triangles
 
 if TYPE_CHECKING:
     from multiarm.grasp.polyhedron import Polyhedron
@@ -35,14 +35,20 @@ def mesh(file: str | Path, scale: float) -> Polyhedron:
     rounding = SINGLE * float(np.abs(points).max())
     vertices, triangles = _joined(points, triangles, max(rounding, 1e-9 * size))
     what = f"the mesh of {Path(file).name}"
+    if not len(triangles):
+        raise GraspError(f"{file}: {TOO_THIN}")
     check_one_solid(len(vertices), [[tri] for tri in triangles.tolist()], what, REPAIR)
-    corners = vertices[triangles] - vertices.mean(axis=0)
-    if not np.linalg.det(corners).sum() > 0.0:
+    tolerance = max(4.0 * rounding, PLANE_TOLERANCE * 0.25 * size)
+    a, b, c = np.moveaxis(vertices[triangles] - vertices.mean(axis=0), 1, 0)
+    volume = float(np.sum(a * np.cross(b, c))) / 6.0
+    surface = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2.0
+    if abs(volume) <= 0.1 * tolerance * surface:
+        raise GraspError(f"{file}: {TOO_THIN}")
+    if volume < 0.0:
         raise GraspError(
             f"{what} is inside out: its triangles run clockwise as seen from outside; turn all of "
             f"them round (in Blender: Mesh, Normals, Recalculate Outside)"
         )
-    tolerance = max(4.0 * rounding, PLANE_TOLERANCE * 0.25 * size)
     faces = faces_of_triangles(vertices, triangles, tolerance)
     return compacted(vertices * scale, faces)
 

@@ -263,6 +263,17 @@ class Polyhedron:
         about += np.einsum("t,ti,tj->ij", volumes, sums, sums)
         return volume, centre + middle, about / 20.0 - volume * np.outer(centre, centre)
 
+    def on_faces(self, numbers: Any, points: Any) -> np.ndarray:
+        """Points (..., 3) moved along the normals onto the planes of their faces ``numbers`` (...).
+
+        Corners of a body from a file are off their planes by the rounding of the file; contacts
+        are on the planes.
+        """
+        which, at = np.asarray(numbers), np.asarray(points, dtype=float)
+        n, h = self.normals, np.array([face.offset for face in self.faces])
+        heights = h[which] - np.sum(n[which] * at, axis=-1)
+        return at + heights[..., None] * n[which]
+
     # --- the same body elsewhere ---------------------------------------------------------------
 
     def placed(self, pose: Any) -> Polyhedron:

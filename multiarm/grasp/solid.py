@@ -24,6 +24,10 @@ FITS = 5
 # A triangle is of a face only if its normal is within 60 degrees of the face's: two sides of a thin
 # sheet are two faces.
 SAME_SIDE = 0.5
+TOO_THIN = (
+    "the body is thinner than its coordinates resolve, about a millionth of its size: give it "
+    "more thickness"
+)
 
 
 def check_one_solid(
@@ -68,12 +72,20 @@ def faces_of_triangles(
     """Loops of the plane faces that triangles (T, 3) make up; the tolerance is a distance [m].
 
     Corners in the middle of an edge, where two faces meet and no third, are left out.
+
+    Raises
+    ------
+    GraspError
+        Two sides of the body are nearer than the tolerance.
     """
     groups = _plane_groups(vertices, triangles, tolerance)
     faces = [_loops(vertices, triangles[group]) for group in groups]
     meeting = Counter(v for face in faces for v in {v for loop in face for v in loop})
     thin = [[[v for v in loop if meeting[v] > 2] for loop in face] for face in faces]
-    return [[loop for loop in face if len(loop) > 2] for face in thin]
+    kept = [[loop for loop in face if len(loop) > 2] for face in thin]
+    if not all(kept):
+        raise GraspError(TOO_THIN)
+    return kept
 
 
 def _parts(count: int, edges: Iterable[Edge]) -> list[int]:
@@ -93,19 +105,16 @@ def _parts(count: int, edges: Iterable[Edge]) -> list[int]:
 
 
 def _plane_groups(vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> list[list[int]]:
-    corners = vertices[triangles]  # (T, 3, 3)
-    areas = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    owner = {edge: t for t, tri in enumerate(triangles.tolist()) for edge in edges_of(tri)}
-    beside = [[owner[v, u] for u, v in edges_of(tri)] for tri in triangles.tolist()]
+    """Numbers of the triangles of each plane face."""
+    sheet = _Sheet(vertices, triangles, tolerance)
     free = np.ones(len(triangles), dtype=bool)
     groups = []
-    for seed in np.argsort(-np.linalg.norm(areas, axis=1), kind="stable").tolist():
+    for seed in np.argsort(-sheet.sizes, kind="stable").tolist():
         if not free[seed]:
             continue
         group = [seed]
         for _ in range(FITS):
-            near = free & _near_plane(corners, areas, group, tolerance)
-            grown = _spread(seed, beside, near)
+            grown = sheet.grown(seed, group, free)
             if grown == group:
                 break
             group = grown
@@ -114,29 +123,37 @@ def _plane_groups(vertices: np.ndarray, triangles: np.ndarray, tolerance: float)
     return groups
 
 
-def _near_plane(
-    corners: np.ndarray, areas: np.ndarray, group: list[int], tolerance: float
-) -> np.ndarray:
-    """Which triangles lie in the plane of a group and face its way."""
-    total = areas[group].sum(axis=0)
-    n = total / np.linalg.norm(total)
-    weights = np.linalg.norm(areas[group], axis=1)
-    middle = weights @ corners[group].mean(axis=1) / weights.sum()
-    near = np.abs((corners - middle) @ n).max(axis=1) <= tolerance
-    sizes = np.linalg.norm(areas, axis=1)
-    sliver = sizes <= tolerance * np.ptp(corners, axis=1).max(axis=1)
-    return near & ((areas @ n > SAME_SIDE * sizes) | sliver)
+class _Sheet:
+    """Triangles with what growing asks about them."""
 
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> None:
+        self.corners = vertices[triangles]  # (T, 3, 3)
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        self.areas = 0.5 * np.cross(b - a, c - a)
+        self.sizes = np.linalg.norm(self.areas, axis=1)
+        self.slivers = self.sizes <= tolerance * np.ptp(self.corners, axis=1).max(axis=1)
+        owner = {edge: t for t, tri in enumerate(triangles.tolist()) for edge in edges_of(tri)}
+        self.beside = [[owner[v, u] for u, v in edges_of(tri)] for tri in triangles.tolist()]
+        self.tolerance = tolerance
 
-def _spread(seed: int, beside: list[list[int]], allowed: np.ndarray) -> list[int]:
-    """Triangles that can be reached from the seed over edges of allowed ones, in order."""
-    found, ahead = {seed}, [seed]
-    while ahead:
-        for t in beside[ahead.pop()]:
-            if allowed[t] and t not in found:
-                found.add(t)
-                ahead.append(t)
-    return sorted(found)
+    def grown(self, seed: int, group: list[int], free: np.ndarray) -> list[int]:
+        """Free triangles that the seed reaches over neighbours in the plane of the group."""
+        total, weights = self.areas[group].sum(axis=0), self.sizes[group]
+        n = total / np.linalg.norm(total)
+        middle = weights @ self.corners[group].mean(axis=1) / weights.sum()
+        found, seen, ahead = {seed}, {seed}, [seed]
+        while ahead:
+            for t in self.beside[ahead.pop()]:
+                if t not in seen and free[t] and self._in_plane(t, n, middle):
+                    found.add(t)
+                    ahead.append(t)
+                seen.add(t)
+        return sorted(found)
+
+    def _in_plane(self, t: int, n: np.ndarray, middle: np.ndarray) -> bool:
+        if np.abs((self.corners[t] - middle) @ n).max() > self.tolerance:
+            return False
+        return bool(self.slivers[t] or self.areas[t] @ n > SAME_SIDE * self.sizes[t])
 
 
 def _loops(vertices: np.ndarray, triangles: np.ndarray) -> list[list[int]]:

@@ -5,8 +5,7 @@ the three faces, contacts 4 and 5 share one opposed face, contact 6 is on anothe
 in the middle of its region on that one (see `seventh_contact`).
 
 O is where its feet are farthest from the edges of their faces.  Among places for the others, those
-are taken from which the smallest push of the balance :math:`W \lambda = 0, \sum \lambda = 1` is
-largest; only a few such choices are worked out.
+are taken that balance most evenly (see `seven_pushes`); only a few such choices are worked out.
 """
 
 from __future__ import annotations
@@ -18,10 +17,11 @@ import numpy as np
 
 from multiarm.grasp.assembling import assembled, crosses_border
 from multiarm.grasp.body_class import Triple
-from multiarm.grasp.contacts import Contacts, wrenches_of
+from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.corners import feet, gripper_frame, nearest_corner_frame
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.seven_pushes import smallest_pushes
 from multiarm.grasp.seventh_contact import seventh_contact_region
 from multiarm.grasp.wrench_cone import is_independent
 
@@ -30,6 +30,8 @@ Three = tuple[int, int, int]
 # Places on a face that are tried for contacts 4 to 7: its middle, and this part of the way from
 # there to each corner.
 TOWARD_CORNER = 0.7
+# Of so many corners at most, and of so many opposed faces, the largest.
+MOST_CORNERS, MOST_OPPOSED = 8, 5
 # So many choices with the largest smallest push are worked out.
 FINISHED = 4
 
@@ -41,7 +43,8 @@ def region_grasps(body: Polyhedron, triples: list[Triple]) -> Iterator[Grasp]:
         if origin is None:
             continue
         first = Contacts.along(feet(body, triple.faces, origin), -body.normals[list(triple.faces)])
-        for faces, points in _firmest_three(body, first, triple.opposed):
+        largest = sorted(triple.opposed, key=lambda k: -body.faces[k].area)[:MOST_OPPOSED]
+        for faces, points in _firmest_three(body, first, largest):
             yield from _finished(body, triple.faces, first, faces, points)
 
 
@@ -69,26 +72,27 @@ def deep_point(body: Polyhedron, faces: Three) -> np.ndarray | None:
 
 
 def _firmest_three(
-    body: Polyhedron, first: Contacts, opposed: tuple[int, ...]
+    body: Polyhedron, first: Contacts, opposed: list[int]
 ) -> list[tuple[Three, np.ndarray]]:
     """Faces and places of contacts 4, 5, 6 with which some place of contact 7 balances best."""
     tried: list[tuple[float, Three, np.ndarray]] = []
-    W123 = first.wrenches
-    unit = body.size
     for u, w in permutations(opposed, 2):
-        a, b = _places(body, u), _places(body, w)
-        n = -body.normals[[u, u, w, w]]
-        for (i, j), (k, m) in (
-            (p, q) for p in combinations(range(len(a)), 2) for q in permutations(range(len(b)), 2)
-        ):
-            four = np.array([a[i], a[j], b[k], b[m]]) - body.centre
-            W = np.column_stack([_about(W123, body.centre), wrenches_of(four, n)])
-            W[3:] /= unit
-            smallest = _smallest_push(W)
-            if smallest > 0.0:
-                tried.append((smallest, (u, u, w), four[:3] + body.centre))
-    tried.sort(key=lambda t: -t[0])
+        fours = _fours(_places(body, u), _places(body, w))  # (K, 4, 3)
+        points = np.concatenate([np.broadcast_to(first.points, (len(fours), 3, 3)), fours], axis=1)
+        normals = np.vstack([first.normals, -body.normals[[u, u, w, w]]])
+        smallest = smallest_pushes(body, points, np.broadcast_to(normals, points.shape))
+        order = np.argsort(-smallest)[:FINISHED]
+        tried.extend((smallest[k], (u, u, w), fours[k, :3]) for k in order if smallest[k] > 0.0)
+    tried.sort(key=lambda choice: -choice[0])
     return [(faces, points) for _, faces, points in tried[:FINISHED]]
+
+
+def _fours(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """All choices of contacts 4, 5 among places a and 6, 7 among places b, shape (K, 4, 3)."""
+    pairs = list(combinations(range(len(a)), 2))
+    ordered = list(permutations(range(len(b)), 2))
+    made = [[a[i], a[j], b[k], b[m]] for i, j in pairs for k, m in ordered]
+    return np.array(made).reshape(-1, 4, 3)
 
 
 def _finished(
@@ -118,19 +122,6 @@ def _finished(
 def _places(body: Polyhedron, number: int) -> np.ndarray:
     """The middle of a face, and places toward its corners, shape (K, 3), those that are on it."""
     face = body.faces[number]
-    places = np.vstack([face.centre, face.centre + TOWARD_CORNER * (face.vertices - face.centre)])
-    return places[face.contains(places)]
-
-
-def _smallest_push(W: np.ndarray) -> float:
-    """Smallest of the pushes (of sum 1) that balance seven wrenches (6, 7)."""
-    try:
-        pushes = np.linalg.solve(np.vstack([W, np.ones(7)]), np.r_[np.zeros(6), 1.0])
-    except np.linalg.LinAlgError:
-        return 0.0
-    return float(pushes.min())
-
-
-def _about(W: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Wrenches (6, N) about another point."""
-    return np.vstack([W[:3], W[3:] - np.cross(point, W[:3], axisb=0).T])
+    corners = face.vertices[:: -(-len(face.vertices) // MOST_CORNERS)]
+    places = np.vstack([face.centre, face.centre + TOWARD_CORNER * (corners - face.centre)])
+    return face.at(face.coordinates(places))[face.contains(places)]

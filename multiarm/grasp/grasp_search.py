@@ -1,0 +1,309 @@
+"""Branch and bound over choices of faces and cells of placements.
+
+The queue holds nodes by their bounds, highest first. A node of a choice that was never looked at
+has the quick bound of its regions; when its turn comes it becomes a tree of cells. Any time the
+highest bound in the queue, or the best score found, is a bound on everything.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.face_choices import FaceChoice, face_choices
+from multiarm.grasp.grasp_objectives import Margin, Objective
+from multiarm.grasp.placement_bounds import Node, bounded
+from multiarm.grasp.placement_search import evolved
+from multiarm.grasp.seven_touches import SevenTouches, seven_touches
+from multiarm.grasp.touch_regions import TouchRegion
+
+# Choices of faces that placements are drawn for at the start, and how many for each.
+SAMPLED, DRAWN = 300, 40
+# Of these the best are evolved, and the best of those for longer: how many, from how many
+# placements, for how many generations.
+ROUNDS = ((40, 24, 25), (5, 40, 250))
+# Choices of faces that one search can list.
+MOST_CHOICES = 200_000
+# Every so many nodes the quick bounds are renewed and ``progress`` is called.
+REPORTED = 20
+# So many twists are kept for quick bounds, and so many of a node's are added to them.
+KNOWN, LEARNT = 300, 12
+# Choices that are bounded together: memory stays small.
+CHUNK = 2000
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What placements must keep to, and when the search ends.
+
+    Attributes
+    ----------
+    spacing : float
+        Distance between contacts over the size of the body, at least.
+    conditioning : float
+        Smallest over largest singular value of the scaled wrenches, at least.
+    gap : float
+    nodes : int
+    until : float or None
+        Reading of the clock.
+    """
+
+    spacing: float
+    conditioning: float
+    gap: float
+    nodes: int
+    until: float | None
+
+
+class Search:
+    """State of one search; ``best`` is (touches, placement) or None."""
+
+    def __init__(
+        self,
+        objective: Objective,
+        limits: Limits,
+        middle: np.ndarray,
+        size: float,
+        rng: np.random.Generator,
+        progress: Callable[[int, int, str], None] | None,
+    ) -> None:
+        self.objective, self.limits = objective, limits
+        self.middle, self.size, self.rng = middle, size, rng
+        self.progress = progress
+        self.choices: list[FaceChoice] = []
+        self.regions: list[TouchRegion] = []
+        self.numbers = np.zeros((0, 7), dtype=int)
+        self.touches: dict[int, SevenTouches] = {}
+        self.twists = np.zeros((0, 6))
+        self.queue: list[tuple[float, int, int, Node | None]] = []
+        self.best: tuple[SevenTouches, np.ndarray] | None = None
+        self.value = 0.0
+        self.done = self.counted = 0
+
+    @property
+    def bound(self) -> float:
+        """No placement at all has a higher score."""
+        top = -self.queue[0][0] if self.queue else 0.0
+        return max(top, self.value)
+
+    @property
+    def gap(self) -> float:
+        """How much of the bound the value falls short."""
+        return 1.0 - self.value / self.bound if self.bound > 0.0 else 0.0
+
+    @property
+    def enough(self) -> float:
+        """A node with this bound need not be parted: the gap is reached there."""
+        return self.value / (1.0 - self.limits.gap)
+
+    def choose(self, regions: Sequence[Sequence[TouchRegion]], fingers: tuple[int, int]) -> None:
+        """List the choices of faces and look for good placements."""
+        self.regions = [region for own in regions for region in own]
+        place = {id(region): number for number, region in enumerate(self.regions)}
+        for choice in face_choices(regions, fingers):
+            self.choices.append(choice)
+            if len(self.choices) > MOST_CHOICES:
+                raise GraspError(
+                    f"more than {MOST_CHOICES} choices of faces for seven contacts; name the faces "
+                    f"or places that may be used, or take a smaller gripper"
+                )
+        if not self.choices:
+            raise GraspError(
+                "no two places from which seven contacts can close: the normals within reach do "
+                "not span space; take larger grippers, other places or more faces"
+            )
+        self.numbers = np.array([[place[id(r)] for r in c.regions] for c in self.choices])
+        self._tell("looking for good grasps")
+        self._first_grasps()
+        for number, top in enumerate(self._quick_bounds()):
+            self._push(float(top), number, None)
+
+    def run(self) -> None:
+        """Bound and part until the gap or the budget is reached."""
+        while self.queue and self.done < self.limits.nodes and self.bound > self.enough:
+            if self.limits.until is not None and time.perf_counter() > self.limits.until:
+                break
+            _, _, number, node = heapq.heappop(self.queue)
+            self._look(number, node)
+            if self.done % REPORTED == 0:
+                self._refresh()
+                self._tell(f"value {self.value:.4g}, bound {self.bound:.4g}")
+        if self.best is None:
+            open_end = " within the budget; allow more nodes" if self.bound > 0.0 else ""
+            raise GraspError(
+                f"no grasp that closes and keeps the distances and the floor of the conditioning "
+                f"was found{open_end}; larger grippers, smaller tips or other places may help"
+            )
+        if isinstance(self.objective, Margin):
+            self._condition()
+        self._tell("done")
+
+    def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
+        """Scores (M,), 0 for placements that do not keep to the limits."""
+        value = self.objective.scores(touches, y)
+        kept = value > 0.0
+        if self.limits.spacing > 0.0:
+            kept &= nearest(touches, y) >= self.limits.spacing
+        if self.limits.conditioning > 0.0 and kept.any():
+            kept[kept] = conditioning(touches, y[kept]) >= self.limits.conditioning
+        return np.where(kept, value, 0.0)
+
+    def _look(self, number: int, node: Node | None) -> None:
+        """Bound one node; put its parts into the queue."""
+        self.done += 1
+        touches = self._touches(number)
+        first = node is None
+        if node is None:
+            drawn = touches.drawn(DRAWN // 4, self.rng)
+            own = [self.objective.twists(touches, y) for y in drawn]
+            node = Node(
+                list(touches.cells), np.concatenate([self.twists, *own]), self.objective.limit
+            )
+        found = bounded(self.objective, touches, node, self.enough)
+        if first:
+            self._learn(found.twists[:LEARNT])
+        if len(found.placements):
+            self._try(touches, touches.within(found.placements))
+        for part in found.parts:
+            if part.bound > self.value:
+                self._push(part.bound, number, part)
+        if not found.parts and found.bound > self.value:
+            self._push(found.bound, number, node) if found.bound > self.enough else self._keep(
+                found.bound
+            )
+
+    def _keep(self, bound: float) -> None:
+        """A node within the gap: it is closed, but its bound still counts."""
+        self._push(bound, -1, None)
+
+    def _push(self, bound: float, number: int, node: Node | None) -> None:
+        self.counted += 1
+        heapq.heappush(self.queue, (-bound, self.counted, number, node))
+
+    def _try(self, touches: SevenTouches, y: np.ndarray) -> None:
+        """Take the best of some placements if it beats the best known, for certain."""
+        scores = self.scores(touches, y)
+        k = int(np.argmax(scores))
+        if scores[k] <= self.value * (1.0 + 1e-9):
+            return
+        certain = self.objective.certain(touches, y[k])
+        if certain > self.value:
+            self.value, self.best = certain, (touches, y[k])
+
+    def _touches(self, number: int) -> SevenTouches:
+        if number not in self.touches:
+            regions = self.choices[number].regions
+            self.touches[number] = seven_touches(regions, self.middle, self.size)
+        return self.touches[number]
+
+    def _first_grasps(self) -> None:
+        """Draw placements for many choices, evolve the best."""
+        step = max(1, len(self.choices) // SAMPLED)
+        known: dict[int, np.ndarray] = {}
+        order = []
+        for number in range(0, len(self.choices), step):
+            y = self._touches(number).drawn(DRAWN, self.rng)
+            scores = self.scores(self._touches(number), y)
+            known[number] = y[int(np.argmax(scores))]
+            order.append((-float(scores.max()), number))
+        for most, population, generations in ROUNDS:
+            chosen = [number for _, number in sorted(order)[:most]]
+            order = []
+            for number in chosen:
+                y, scores = self._grown(number, known[number], population, generations)
+                known[number] = y[0]
+                order.append((-float(scores[0]), number))
+        for number in chosen:
+            touches = self._touches(number)
+            self._try(touches, known[number][None])
+            self._learn(self.objective.twists(touches, known[number]))
+
+    def _grown(
+        self, number: int, start: np.ndarray, population: int, generations: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Placements of one choice evolved from drawn ones and a known one."""
+        touches = self._touches(number)
+        starts = np.concatenate([start[None], touches.drawn(population - 1, self.rng)])
+
+        def scores(y: np.ndarray) -> np.ndarray:
+            return self.scores(touches, y)
+
+        return evolved(scores, touches, starts, self.rng, generations)
+
+    def _quick_bounds(self) -> np.ndarray:
+        """A bound for each choice without a program: every contact at its best for one twist."""
+        low, high = [], []
+        for region in self.regions:
+            corners = (region.outer - self.middle) / self.size
+            e = np.broadcast_to(region.normal, corners.shape)
+            work = self.twists @ np.concatenate([e, np.cross(corners, e)], axis=1).T
+            low.append(work.min(axis=1))
+            high.append(work.max(axis=1))
+        lows, highs = np.array(low), np.array(high)
+        normals = np.array([region.normal for region in self.regions])
+        tops = [
+            self.objective.quick_bounds(lows[part], highs[part], normals[part], self.twists)
+            for part in np.array_split(self.numbers, max(1, len(self.numbers) // CHUNK))
+        ]
+        return np.minimum(np.concatenate(tops), self.objective.limit)
+
+    def _learn(self, twists: np.ndarray) -> None:
+        """Keep twists that were of use, for all choices; the oldest are forgotten."""
+        self.twists = np.concatenate([self.twists, twists])[-KNOWN:]
+
+    def _refresh(self) -> None:
+        """Bound the choices again that were never looked at, with the twists known by now."""
+        tops = self._quick_bounds()
+        self.queue = [
+            (max(item[0], -float(tops[item[2]])) if item[3] is None and item[2] >= 0 else item[0],
+             *item[1:])
+            for item in self.queue
+        ]  # fmt: skip
+        heapq.heapify(self.queue)
+
+    def _condition(self) -> None:
+        """Among placements of the best choice whose margin is good enough, the best conditioned."""
+        assert self.best is not None
+        touches, y = self.best
+        least = max(self.bound * (1.0 - self.limits.gap), 0.0)
+        least = min(least, self.value)
+
+        def scores(z: np.ndarray) -> np.ndarray:
+            margin = self.scores(touches, z)
+            good = np.where(margin >= least, 1.0 + conditioning(touches, z), 0.0)
+            return good + np.minimum(margin / least, 1.0)
+
+        population, generations = ROUNDS[-1][1:]
+        starts = np.concatenate([y[None], touches.drawn(population - 1, self.rng)])
+        near = touches.towards(np.broadcast_to(y, starts.shape), 0.5 * (y + starts))
+        grown, _ = evolved(scores, touches, near, self.rng, generations)
+        margin = float(self.scores(touches, grown[:1])[0])
+        if margin >= least:
+            self.value, self.best = margin, (touches, grown[0])
+
+    def _tell(self, words: str) -> None:
+        if self.progress is not None:
+            self.progress(self.done, self.limits.nodes, words)
+
+
+def nearest(touches: SevenTouches, y: np.ndarray) -> np.ndarray:
+    """Smallest distance between two contacts, scaled, shape (M,)."""
+    p = touches.points(y)
+    i, j = np.triu_indices(7, 1)
+    return np.linalg.norm(p[:, i] - p[:, j], axis=2).min(axis=1)
+
+
+def conditioning(touches: SevenTouches, y: np.ndarray) -> np.ndarray:
+    """Smallest over largest singular value of wrenches scaled by the contacts' spread, (M,)."""
+    p = touches.points(y)
+    arms = p - p.mean(axis=1, keepdims=True)
+    length = np.sqrt(np.mean(np.sum(arms**2, axis=2), axis=1))
+    e = np.broadcast_to(touches.normals, p.shape)
+    W = np.concatenate([e, np.cross(arms, e) / length[:, None, None]], axis=2)
+    s = np.linalg.svd(W, compute_uv=False)
+    return s[:, -1] / s[:, 0]

@@ -1,0 +1,282 @@
+r"""The best grasp of a polyhedron by two small grippers, and how much better any other could be.
+
+Seven fingertips, four on one gripper and three on the other as a rule, each gripper within reach of
+a corner of the body. Three objectives (thesis, 5.1):
+
+``margin``     the smallest coefficient t* of the balance with sum 1, at most 1/7;
+``force``      the worst contact force over given loads, least possible (in units of the loads);
+``stability``  the closure radius: how far all contacts may slide at once.
+
+**How.** Branch and bound over the choices of faces (:mod:`multiarm.grasp.face_choices`), and in
+each over cells of placements. A cell's bound is a linear program
+(:mod:`multiarm.grasp.placement_bounds`) that no placement in it can beat. The open cell with the
+highest bound is bounded, parted where its program is loosest, and so on. Good placements are found
+by evolution at the start and then among what the programs propose. So at any time
+
+.. math:: \text{value} \le \text{optimum} \le \text{bound}
+
+(for forces the other way round). The search ends when they are within ``gap``, or when its budget
+of nodes is used up; then the larger gap is told. The margin needs a node for each choice of faces
+or fewer. For forces a gap of a third to a half is left after some hundred nodes, and for stability
+the bound remains several times the value: it is true, not sharp.
+
+The margin alone says nothing about leverage: contacts can share the load evenly and yet hardly
+resist a rotation. So a floor on the conditioning of the scaled wrenches goes with every objective,
+and among placements whose margin is good enough the best conditioned is taken.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.grasp_objectives import Force, Margin, Objective, Stability
+from multiarm.grasp.grasp_search import Limits, Search
+from multiarm.grasp.touch_regions import touch_regions
+
+if TYPE_CHECKING:
+    from multiarm.grasp.grasp import Grasp
+    from multiarm.grasp.polyhedron import Polyhedron
+
+OBJECTIVES = ("margin", "force", "stability")
+# Cells that are bounded before the search gives up, unless told.
+NODES = 1000
+# Smallest over largest singular value of the scaled wrenches, at least, unless told.
+CONDITIONING = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class OptimisedGrasp:
+    """The best grasp found and what is proven about all others.
+
+    Attributes
+    ----------
+    grasp : Grasp
+    objective : str
+    value : float
+        Margin; worst contact force, in units of the loads; or closure radius [m].
+    bound : float
+        No grasp of this kind has a better value: a larger margin or radius, or a smaller force.
+    gap : float
+        How much of the bound the value falls short: ``1 - value / bound``, for forces
+        ``1 - bound / value``.
+    finished : bool
+        Whether the gap asked for was reached.
+    conditioning : float
+        Smallest over largest singular value of the grasp's scaled wrenches.
+    choices : int
+        Choices of faces that can close.
+    nodes : int
+        Cells bounded.
+    seconds : float
+    message : str
+    """
+
+    grasp: Grasp
+    objective: str
+    value: float
+    bound: float
+    gap: float
+    finished: bool
+    conditioning: float
+    choices: int
+    nodes: int
+    seconds: float
+    message: str
+
+
+def optimise_grasp(
+    body: Polyhedron,
+    *,
+    gripper_size: float,
+    objective: str = "margin",
+    fingers: tuple[int, int] = (4, 3),
+    places: Any = None,
+    faces: Iterable[int] | dict[int, Any] | None = None,
+    tip_radius: float = 0.0,
+    spacing: float | None = None,
+    conditioning: float = CONDITIONING,
+    wrenches: Any = None,
+    gap: float = 0.05,
+    nodes: int = NODES,
+    seconds: float | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+    rng: np.random.Generator | int | None = 0,
+) -> OptimisedGrasp:
+    """Search the placements of seven contacts on a polyhedron.
+
+    Parameters
+    ----------
+    body : Polyhedron
+    gripper_size : float
+        All contacts of a gripper are within this distance of its place [m].
+    objective : {"margin", "force", "stability"}
+    fingers : tuple of int
+        Contacts of the two grippers; together seven.
+    places : array-like, shape (M, 3), optional
+        Where a gripper may sit, in the body's frame [m]; the corners of the body by themselves.
+    faces : iterable of int, or dict, optional
+        Faces that may be touched, all by themselves; a dict also says where: the corners (K, 3) of
+        a polygon in the face, or None for all of it.
+    tip_radius : float
+        Of a fingertip: contacts keep this distance from the edges of their faces [m].
+    spacing : float, optional
+        Contacts keep this distance from each other [m]; twice ``tip_radius`` by itself.
+    conditioning : float
+        Floor of the smallest over the largest singular value of the scaled wrenches.
+    wrenches : array-like, shape (K, 6), optional
+        Loads for ``force``: [force; moment over ``body.size``] about ``body.centre``, in axes of
+        the body; unit forces and moments along all axes, both ways, by themselves.
+    gap : float
+        The search ends when this is reached.
+    nodes : int
+        It also ends after so many cells.
+    seconds : float, optional
+        And after this time; results then depend on the machine.
+    progress : callable, optional
+        Called as ``progress(done, total, words)``, in nodes.
+    rng : Generator or int
+        The same seed gives the same result.
+
+    Returns
+    -------
+    OptimisedGrasp
+
+    Raises
+    ------
+    GraspError
+        Unusable limits or loads; no two places from which seven contacts can close; no grasp found.
+    """
+    started = time.perf_counter()
+    goal = _objective(objective, wrenches)
+    _check_limits(fingers, gripper_size, tip_radius, gap, nodes)
+    where = body.vertices if places is None else _places(places)
+    size, middle = body.size, np.asarray(body.centre, dtype=float)
+    regions = touch_regions(body, where, gripper_size, clearance=tip_radius, faces=faces)
+    search = Search(
+        goal,
+        Limits(
+            spacing=(2.0 * tip_radius if spacing is None else spacing) / size,
+            conditioning=conditioning,
+            gap=gap,
+            nodes=nodes,
+            until=None if seconds is None else started + seconds,
+        ),
+        middle,
+        size,
+        np.random.default_rng(rng),
+        progress,
+    )
+    search.choose(regions, fingers)
+    search.run()
+    grasp, conditioned = _grasp(body, search, where, fingers)
+    value, bound = _in_units(objective, search.value, search.bound, size)
+    return OptimisedGrasp(
+        grasp=grasp,
+        objective=objective,
+        value=value,
+        bound=bound,
+        gap=search.gap,
+        finished=search.gap <= gap,
+        conditioning=conditioned,
+        choices=len(search.choices),
+        nodes=search.done,
+        seconds=time.perf_counter() - started,
+        message=_message(objective, value, bound, search, gap),
+    )
+
+
+def _objective(objective: str, wrenches: Any) -> Objective:
+    if objective not in OBJECTIVES:
+        raise GraspError(f"objective is one of {', '.join(OBJECTIVES)}, not {objective!r}")
+    if objective == "margin":
+        return Margin()
+    if objective == "stability":
+        return Stability()
+    loads = np.vstack([np.eye(6), -np.eye(6)]) if wrenches is None else np.asarray(wrenches, float)
+    if loads.ndim != 2 or loads.shape[1] != 6 or not len(loads) or not np.all(np.isfinite(loads)):
+        raise GraspError(
+            f"wrenches have shape (K, 6), [force; moment over the size of the body], and are "
+            f"finite; given: shape {loads.shape}"
+        )
+    if not np.any(loads, axis=1).all():
+        raise GraspError("a wrench that is zero loads nothing; leave it out")
+    return Force(loads)
+
+
+def _check_limits(
+    fingers: tuple[int, int], reach: float, tip_radius: float, gap: float, nodes: int
+) -> None:
+    if len(fingers) != 2 or sum(fingers) != 7 or min(fingers) < 1:
+        raise GraspError(f"two grippers carry seven contacts together, not {fingers}")
+    if not (np.isfinite(reach) and reach > 0.0 and np.isfinite(tip_radius) and tip_radius >= 0.0):
+        raise GraspError(
+            f"gripper_size is a length and tip_radius not negative; given: {reach} and {tip_radius}"
+        )
+    if not 0.0 < gap < 1.0 or nodes < 1:
+        raise GraspError(f"gap lies between 0 and 1, nodes is positive; given: {gap}, {nodes}")
+
+
+def _places(places: Any) -> np.ndarray:
+    where = np.asarray(places, dtype=float)
+    if where.ndim != 2 or where.shape[1] != 3 or len(where) < 2 or not np.isfinite(where).all():
+        raise GraspError(f"places have shape (M, 3), two at least; given: shape {where.shape}")
+    return where
+
+
+def _grasp(
+    body: Polyhedron, search: Search, where: np.ndarray, fingers: tuple[int, int]
+) -> tuple[Grasp, float]:
+    """The grasp with its grippers, and its conditioning."""
+    from multiarm.grasp.form_closure import is_form_closure
+    from multiarm.grasp.grasp import Grasp, Gripper
+
+    assert search.best is not None
+    touches, y = search.best
+    points = touches.points(y) * search.size + search.middle
+    numbers = (tuple(range(fingers[0])), tuple(range(fingers[0], 7)))
+    names = [f"gripper {g + 1} tip {k + 1}" for g in range(2) for k in range(fingers[g])]
+    contacts = Contacts(points, touches.normals, names)
+    grippers = []
+    for g, own in enumerate(numbers):
+        place = where[touches.regions[own[0]].place]
+        inward = touches.normals[list(own)].mean(axis=0)
+        grippers.append(Gripper(f"gripper {g + 1}", own, _frame(place, inward)))
+    closure = is_form_closure(contacts)
+    grasp = Grasp(body, contacts, tuple(region.face for region in touches.regions), tuple(grippers))
+    return grasp, closure.conditioning
+
+
+def _frame(place: np.ndarray, inward: np.ndarray) -> np.ndarray:
+    """A frame at a place with its z axis into the body."""
+    z = inward / np.linalg.norm(inward) if np.linalg.norm(inward) > 1e-9 else np.eye(3)[2]
+    x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.column_stack([x, np.cross(z, x), z]), place
+    return pose
+
+
+def _in_units(objective: str, score: float, bound: float, size: float) -> tuple[float, float]:
+    if objective == "force":
+        return 1.0 / score, 1.0 / bound
+    return (score * size, bound * size) if objective == "stability" else (score, bound)
+
+
+def _message(objective: str, value: float, bound: float, search: Search, gap: float) -> str:
+    unit = " m" if objective == "stability" else ""
+    least = "least" if objective == "force" else "most"
+    text = (
+        f"{objective} {value:.4g}{unit}, at {least} {bound:.4g}{unit} is possible: within "
+        f"{100 * search.gap:.1f} per cent, after {search.done} nodes over {len(search.choices)} "
+        f"choices of faces"
+    )
+    if search.gap > gap:
+        text += "; the budget ended before the gap was reached, more nodes narrow it"
+    return text

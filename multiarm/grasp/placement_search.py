@@ -1,0 +1,44 @@
+"""Good placements of seven contacts by trying: differential evolution that stays in the regions.
+
+A trial goes from a placement towards the best one and along the difference of two others, and stops
+where it would leave a region. Nothing here is a proof; bounds come from elsewhere.
+
+Reference: Storn, Price, "Differential evolution", Journal of Global Optimization 11, 1997.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from multiarm.grasp.seven_touches import SevenTouches
+
+# Weights of the way to the best placement and of the difference of two others, at most.
+TO_BEST, DIFFERENCE = 1.5, 1.0
+# Chance that a contact takes part in a trial.
+TAKING_PART = 0.25
+
+
+def evolved(
+    scores: Callable[[np.ndarray], np.ndarray],
+    touches: SevenTouches,
+    starts: np.ndarray,
+    rng: np.random.Generator,
+    generations: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Placements (M, 7, 2) grown from ``starts`` (M, 7, 2) and their scores, best first."""
+    y, value = starts.copy(), scores(starts)
+    count = len(y)
+    for _ in range(generations):
+        best = y[rng.choice(np.argsort(-value)[: max(1, count // 10)], count)]
+        a, b = y[rng.permutation(count)], y[rng.permutation(count)]
+        pull = TO_BEST * rng.random((count, 1, 1)) * (best - y)
+        spread = DIFFERENCE * rng.random((count, 1, 1)) * (a - b)
+        chosen = rng.random((count, 7, 1)) < TAKING_PART
+        trial = touches.towards(y, np.where(chosen, y + pull + spread, y))
+        found = scores(trial)
+        better = found > value
+        y[better], value[better] = trial[better], found[better]
+    order = np.argsort(-value, kind="stable")
+    return y[order], value[order]
