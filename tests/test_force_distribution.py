@@ -212,8 +212,33 @@ def test_short_levers_take_large_forces_and_exert_the_wrench_all_the_same(lever)
         found = distribute_forces(contacts, [0, 0, 1], objective=objective)
         assert found.value == pytest.approx(value, rel=1e-6)
         assert found.residual < TOLERANCE * value
+        if lever > 1e-7:  # rounding hides more which forces can be spared
+            assert found.forces * lever == pytest.approx([0, 0, 1, 0, 1], abs=TOLERANCE)
         assert distribute_forces(contacts, [0, 0, 1], objective=objective, limit=2 / lever)
         assert not distribute_forces(contacts, [0, 0, 1], objective=objective, limit=0.9 / lever)
+
+
+@pytest.mark.parametrize("depth", [1e-2, 1e-5, 1e-8])
+def test_a_grasp_that_hardly_closes_squeezes_until_its_weakest_contact_pushes(depth):
+    # the block of Example 2.1, its seventh contact `depth` inside its region: one internal force
+    inputs = WORKED["example_2_1"]["inputs"]
+    contacts = Contacts(
+        [*inputs["points"], [0.45 - depth, 0.4, 0.4]], [*inputs["normals"], inputs["e7"]]
+    )
+    wrench, minimum = np.array([0, 0, 10.0, 0, 0, 0]), 0.1
+    inner = is_form_closure(contacts, exact=True).coefficients
+    some = np.linalg.lstsq(contacts.wrenches, wrench, rcond=None)[0]
+    expected = some + np.max((minimum - some) / inner) * inner
+    for objective, value in (("largest", expected.max()), ("norm", np.linalg.norm(expected))):
+        found = distribute_forces(contacts, wrench, minimum=minimum, objective=objective)
+        # rounding of the points over the smallest of the inner forces
+        assert found.value == pytest.approx(value, rel=1e-14 / depth + 1e-9)
+        assert found.forces.min() >= minimum
+        assert int(np.argmax(found.force_prices)) == int(np.argmin(found.forces)) == 2
+        if objective == "norm":
+            prices = expected / value - contacts.wrenches.T @ found.sensitivity
+            size = found.force_prices.max()
+            assert prices == pytest.approx(found.force_prices, abs=(1e-13 / depth + 1e-8) * size)
 
 
 def test_no_wrench_takes_no_forces(five):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -237,6 +239,37 @@ def test_a_grasp_that_does_not_hold_is_refused_in_words():
 def test_another_number_of_arms_is_refused():
     with pytest.raises(GraspError, match=r"2 grippers, which need as many arms, not 3; robots are"):
         grasp_scene(block_grasp(), ("panda",) * 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"path": []}, r"path has no pose after the start"),
+        ({"path": [Waypoint(time=1.0), Waypoint(time=1.0)]}, r"times of the path must increase"),
+        ({"path": [Waypoint(time=2.0), Waypoint(time=1.0)]}, r"1 s comes after 2 s"),
+        ({"mass": -1.0}, r"mass is greater than 0, not -1"),
+        ({"squeeze": -1.0}, r"squeeze is at least 0"),
+        ({"height": "high"}, r"height is a finite number, not 'high'"),
+    ],
+)
+def test_bad_numbers_are_refused_before_the_search(options, message, monkeypatch):
+    monkeypatch.setattr("multiarm.grasp_scenes.stand_arms", None)  # it is not called
+    with pytest.raises(GraspError, match=message):
+        grasp_scene(block_grasp(), **options)
+
+
+def test_a_grasp_looks_at_its_contacts():
+    made = block_grasp()
+    points, normals = made.contacts.points.copy(), made.contacts.normals
+    points[0, 1] += 50.0
+    with pytest.raises(GraspError, match=r"contact 1 is 49\.9 m off \+x"):
+        replace(made, contacts=Contacts(points, normals))
+    with pytest.raises(GraspError, match=r"normal of contact 1 is not that of \+x"):
+        replace(made, contacts=Contacts(made.contacts.points, -normals))
+    with pytest.raises(GraspError, match=r"faces of the body are 0 to 5, not 99"):
+        replace(made, faces=(99, 1, 2, 3, 4, 5, 2))
+    with pytest.raises(GraspError, match=r"no gripper is called 'nobody'; grippers are 'left'"):
+        made.gripper_size("nobody")
 
 
 def test_an_object_out_of_reach_is_refused_with_the_gripper():

@@ -82,6 +82,11 @@ def test_a_hand_weighs_what_it_should_and_has_an_inertia_that_a_body_can_have():
     assert moments[2] < moments[0] + moments[1]
 
 
+def test_a_hand_of_one_finger_without_length_still_has_an_inertia():
+    spec = FingersSpec(tips=[[0, 0, 0]], corner={"xyz": [0, 0, 0]})
+    assert "nan" not in urdf_text(spec)
+
+
 def test_the_same_hand_has_the_same_file_and_a_lost_file_is_written_again():
     spec = FingersSpec(**HAND)
     path = fingers_urdf(spec)

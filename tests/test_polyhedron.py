@@ -29,6 +29,7 @@ ROUNDING = 1e-12
 # Coordinates in a file of single precision, relative to the largest.
 SINGLE = 1e-6
 SQUARE = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+BENT = np.array([[0.0, 0.0, 0.1]] + [[0.0, 0.0, 0.0]] * 7)
 ELL = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
 
 
@@ -217,6 +218,16 @@ def test_room_is_the_distance_from_the_nearest_edge():
     assert plate.room_along([1.75, 0.0, 1.0], np.array([0.0, 1.0, 0.0])) == pytest.approx(2.0)
 
 
+def test_a_pinched_face_is_two_parts_that_touch():
+    """An outline that visits a corner twice bounds two squares."""
+    outline = [(0, 0), (1, 0), (1, 1), (2, 1), (2, 2), (1, 2), (1, 1), (0, 1)]
+    face = Face([[x, y, 0.0] for x, y in outline])
+    assert face.area == pytest.approx(2.0) and face.shape.area == pytest.approx(2.0)
+    points = [[0.5, 0.5, 0], [1.5, 1.5, 0], [1.5, 0.5, 0], [0.5, 1.5, 0]]
+    assert face.contains(points).tolist() == [True, True, False, False]
+    assert not face.convex
+
+
 # --- files --------------------------------------------------------------------------------------
 
 
@@ -344,6 +355,19 @@ def test_files_that_are_no_meshes_are_refused(tmp_path):
         (lambda: Face([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), "in a line"),
         (lambda: Face([[0, 0, 0], [1, 0, 0], [1, 1, 0.1], [0, 1, 0]]), "out of one plane"),
         (lambda: Face([[0, 0], [1, 0], [1, 1]]), "three finite coordinates"),
+        (
+            lambda: Face([[0, 0, 0], [1, 1, 0], [1, 0, 0], [0, 1.2, 0]]).room([0, 0, 0]),
+            "crosses itself",
+        ),
+        (lambda: Polyhedron([[0, 0], [1, 1]], [[[0, 1]]]), "shape"),
+        (lambda: Polyhedron(BODIES["box"].vertices, [[3]]), "list of loops"),
+        (lambda: Polyhedron(BODIES["box"].vertices, BODIES["box"].loops, ["a"]), "as many names"),
+        (lambda: Polyhedron(BODIES["box"].vertices + BENT, BODIES["box"].loops), "plane"),
+        (lambda: BODIES["box"].placed(np.eye(3)), "a pose has shape"),
+        (lambda: BODIES["box"].placed(np.diag([1.0, 1.0, -1.0, 1.0])), "a rotation matrix"),
+        (lambda: BODIES["box"].faces[0].room([0.0, 1.0]), "points are finite, of shape"),
+        (lambda: BODIES["box"].faces[0].contains([0.0, 1.0, np.nan]), "points are finite"),
+        (lambda: BODIES["box"].faces[0].contains("here"), "array of numbers"),
         (lambda: BODIES["box"].mass_properties(0.0), "positive number of kilograms"),
         (lambda: BODIES["box"].scaled(-1.0), "positive factor"),
     ],

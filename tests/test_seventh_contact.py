@@ -442,6 +442,10 @@ def test_dependent_contacts_are_refused_with_the_reason():
 def test_questions_without_sense_are_refused():
     with pytest.raises(GraspError, match='methods are "inverse" and "moments"'):
         seventh_contact_region(SIX, TOP, "magic")  # type: ignore[arg-type]
+    with pytest.raises(GraspError, match="not list"):
+        seventh_contact_region([1, 2, 3], TOP)  # type: ignore[arg-type]
+    with pytest.raises(GraspError, match="shape"):
+        seventh_contact_region(SIX, [[0, 0], [1, 0], [0, 1]])
     flat = Contacts([[0, 0], [1, 0], [0, 1]], [[0, 1], [1, 0], [0, -1]])
     with pytest.raises(GraspError, match="in the plane"):
         seventh_contact_region(flat, TOP)

@@ -22,6 +22,7 @@ FORMS: dict[str, tuple[str, int, int]] = {
     "pyramid": ("pyramid:SIDES,RADIUS,HEIGHT", 3, 3),
 }
 MESHES = (".stl", ".obj")
+MOST_SIDES = 1000
 
 
 def body_of_text(text: str, scale: float = 1.0) -> Polyhedron:
@@ -84,8 +85,10 @@ def _pyramid(values: list[float]) -> Polyhedron:
 
 def _regular(sides: float, radius: float) -> list[list[float]]:
     """Corners of a regular polygon."""
-    if sides != int(sides) or sides < 3:
-        raise MultiarmError(f"a polygon has three sides or more, not {sides:g}")
+    if sides != int(sides) or not 3 <= sides <= MOST_SIDES:
+        raise MultiarmError(f"a polygon has 3 to {MOST_SIDES} sides, not {sides:g}")
+    if radius <= 0.0:
+        raise MultiarmError(f"the radius of a polygon is greater than 0, not {radius:g}")
     turns = [2.0 * math.pi * k / int(sides) for k in range(int(sides))]
     return [[radius * math.cos(turn), radius * math.sin(turn)] for turn in turns]
 

@@ -126,7 +126,7 @@ def design(
         float, typer.Option(help="Of the run, in s.", metavar="S", rich_help_panel=SCENE)
     ] = 10.0,
     seed: Annotated[
-        int, typer.Option(help="Of the search for postures.", rich_help_panel=SCENE)
+        int, typer.Option(min=0, help="Of the search for postures.", rich_help_panel=SCENE)
     ] = 0,
     out: Annotated[
         Path | None,

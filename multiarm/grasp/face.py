@@ -26,7 +26,7 @@ import numpy as np
 from multiarm.errors import GraspError
 
 if TYPE_CHECKING:
-    from shapely.geometry import Polygon
+    from shapely.geometry import MultiPolygon, Polygon
 
 # Corners of one face may be off their plane by this part of the largest distance between them: the
 # rounding of coordinates to single precision, as files hold them, with room for some digits.
@@ -117,8 +117,20 @@ class Face:
         return _fixed(pose + 0.0)
 
     def coordinates(self, points: Any) -> np.ndarray:
-        """Face coordinates (..., 2) of points (..., 3), which are projected along the normal."""
-        return (np.asarray(points, dtype=float) - self.frame[:3, 3]) @ self.frame[:3, :2]
+        """Face coordinates (..., 2) of points (..., 3), which are projected along the normal.
+
+        Raises
+        ------
+        GraspError
+            Something else than finite points of three coordinates.
+        """
+        try:
+            at = np.asarray(points, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise GraspError("points are an array of numbers, shape (..., 3)") from error
+        if at.shape[-1:] != (3,) or not np.all(np.isfinite(at)):
+            raise GraspError(f"points are finite, of shape (..., 3), not {at.shape}")
+        return (at - self.frame[:3, 3]) @ self.frame[:3, :2]
 
     def at(self, coordinates: Any) -> np.ndarray:
         """Points (..., 3) of the plane with the face coordinates (..., 2)."""
@@ -141,11 +153,24 @@ class Face:
         return not self.holes and once and bool(np.all(turn >= -PLANE_TOLERANCE * steps))
 
     @cached_property
-    def shape(self) -> Polygon:
-        """The face as a polygon of shapely, in face coordinates."""
+    def shape(self) -> Polygon | MultiPolygon:
+        """The face as a polygon of shapely, in face coordinates; several where it is pinched.
+
+        Raises
+        ------
+        GraspError
+            An outline that crosses itself.
+        """
+        from shapely import make_valid
         from shapely.geometry import Polygon
 
-        return Polygon(self.outline, [self.coordinates(hole) for hole in self.holes])
+        polygon = Polygon(self.outline, [self.coordinates(hole) for hole in self.holes])
+        if polygon.is_valid:
+            return polygon
+        parted = make_valid(polygon, method="structure")
+        if abs(parted.area - self.area) > PLANE_TOLERANCE * self.area:
+            raise GraspError(f"{self.name}: its outline crosses itself; list its corners in order")
+        return parted
 
     def room(self, points: Any) -> np.ndarray:
         """Distance of points (..., 3) from the nearest edge [m], negative when not on the face.

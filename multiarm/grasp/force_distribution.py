@@ -220,8 +220,8 @@ def _calmed(problem: _Problem, lam: np.ndarray, held: np.ndarray) -> np.ndarray:
     solved = least_distance(G, h / scale)
     if solved.s < COARSE:
         return lam
-    found = shortest + scale * basis @ solved.point
-    return found if np.all(found >= least - SLACK * scale) else lam
+    found, room = shortest + scale * basis @ solved.point, SLACK * scale
+    return found if np.all((found >= least - room) & (found <= most + room)) else lam
 
 
 def _program(problem: _Problem) -> Any:

@@ -16,6 +16,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.face import Face
 from multiarm.grasp.form_closure import FormClosure, is_form_closure
 from multiarm.grasp.polyhedron import Polyhedron
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 # A contact lies on its face when it is off by no more than this part of the body's size.
 ON_FACE = 1e-9
+# Its normal is the face's when it is off by no more than this [rad].
+ALONG_NORMAL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +86,11 @@ class Grasp:
                 f"{len(self.contacts)} contacts need as many faces, not {len(self.faces)}"
             )
         for j, number in enumerate(self.faces):
-            face = self.body.faces[number]
-            off = abs(float(face.normal @ self.contacts.points[j]) - face.offset)
-            if off > ON_FACE * self.body.size:
-                raise GraspError(f"{self.contacts.names[j]} is {off:.3g} m off face {number}")
+            if number not in range(len(self.body.faces)):
+                raise GraspError(
+                    f"faces of the body are 0 to {len(self.body.faces) - 1}, not {number!r}"
+                )
+            self._check_contact(j, self.body.faces[number])
         carried = sorted(j for gripper in self.grippers for j in gripper.contacts)
         if carried != list(range(len(self.contacts))):
             raise GraspError(
@@ -94,15 +98,33 @@ class Grasp:
                 f"grippers carry {[gripper.contacts for gripper in self.grippers]}"
             )
 
+    def _check_contact(self, j: int, face: Face) -> None:
+        name, size = self.contacts.names[j], self.body.size
+        point, normal = self.contacts.points[j], self.contacts.normals[j]
+        off = max(abs(float(face.normal @ point) - face.offset), -float(face.room(point)))
+        if off > ON_FACE * size:
+            raise GraspError(f"{name} is {off:.3g} m off {face.name}")
+        if np.linalg.norm(normal + face.normal) > ALONG_NORMAL:
+            raise GraspError(f"the normal of {name} is not that of {face.name}, turned inward")
+
     @cached_property
     def closure(self) -> FormClosure:
         """Whether the contacts hold the body, with the proof."""
         return is_form_closure(self.contacts)
 
     def gripper_size(self, name: str) -> float:
-        """Largest distance between two contacts of a gripper [m]."""
-        chosen = next(gripper for gripper in self.grippers if gripper.name == name)
-        points = self.contacts.points[list(chosen.contacts)]
+        """Largest distance between two contacts of a gripper [m].
+
+        Raises
+        ------
+        GraspError
+            When no gripper is called so.
+        """
+        chosen = [gripper for gripper in self.grippers if gripper.name == name]
+        if not chosen:
+            names = ", ".join(repr(gripper.name) for gripper in self.grippers)
+            raise GraspError(f"no gripper is called {name!r}; grippers are {names}")
+        points = self.contacts.points[list(chosen[0].contacts)]
         return float(np.max(np.linalg.norm(points[:, None] - points[None], axis=-1)))
 
     def placed(self, pose: np.ndarray) -> Grasp:

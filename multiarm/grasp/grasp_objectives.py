@@ -28,10 +28,10 @@ best that all cuts allow is a linear program (:mod:`multiarm.grasp.placement_bou
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 
+from multiarm.grasp.chords import Cuts, ranges, with_chords
 from multiarm.grasp.closure_radius import closure_radius
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.seven_touches import SevenTouches
@@ -50,31 +50,6 @@ LOADED = 1e-9
 VOID = 1e6
 
 
-@dataclass(frozen=True, eq=False)
-class Cuts:
-    """Affine upper bounds ``constant + sum_i slope_i . y_i`` on the score, one for each twist.
-
-    Attributes
-    ----------
-    twists : ndarray, shape (C, 6)
-        Those that say something.
-    slopes : ndarray, shape (C, 7, 2)
-    constants : ndarray, shape (C,)
-    term_slopes, term_values : ndarray, shape (C, T, 7, 2) and (C, T)
-        The cut is a sum over terms z, affine in y; each stands as [z]_+ in the true bound.
-    rises, bends : ndarray, shape (C, T)
-        The chord of each term is ``rise * z + bend``.
-    """
-
-    twists: np.ndarray
-    slopes: np.ndarray
-    constants: np.ndarray
-    term_slopes: np.ndarray
-    term_values: np.ndarray
-    rises: np.ndarray
-    bends: np.ndarray
-
-
 class Objective(ABC):
     """A score of placements, higher is better, 0 for what is no grasp.
 
@@ -82,9 +57,12 @@ class Objective(ABC):
     ----------
     limit : float
         No score is higher, whatever the body.
+    generations : int
+        For how long placements are evolved; scores that cost more get fewer.
     """
 
     limit = VOID
+    generations = 250
 
     @abstractmethod
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
@@ -105,14 +83,17 @@ class Objective(ABC):
         """Cuts over cells, seven polygons (V, 2); of use for scores above ``floor`` only."""
 
     @abstractmethod
-    def quick_bounds(
+    def reaches(
         self, low: np.ndarray, high: np.ndarray, normals: np.ndarray, twists: np.ndarray
     ) -> np.ndarray:
-        """Bounds (B,) for B choices of seven regions from twists (C, 6), cell by cell.
+        """What R single regions contribute to quick bounds from twists (C, 6), shape (R, C).
 
-        ``low`` and ``high`` (B, 7, C) are the extremes of w . xi over the region; ``normals``
-        (B, 7, 3).
+        ``low`` and ``high`` (R, C) are the extremes of w . xi over each; ``normals`` (R, 3).
         """
+
+    @abstractmethod
+    def quick_bounds(self, reaches: np.ndarray, twists: np.ndarray) -> np.ndarray:
+        """Bounds (B,) for B choices of seven regions, from their reaches (B, 7, C)."""
 
 
 class Margin(Objective):
@@ -137,11 +118,15 @@ class Margin(Objective):
             twists[:0], np.zeros((0, 7, 2)), none[:, 0], none, none, np.zeros((0, 7, 2)), none
         )
 
-    def quick_bounds(
+    def reaches(
         self, low: np.ndarray, high: np.ndarray, normals: np.ndarray, twists: np.ndarray
     ) -> np.ndarray:
+        """The highest w . xi."""
+        return high
+
+    def quick_bounds(self, reaches: np.ndarray, twists: np.ndarray) -> np.ndarray:
         """From ``sum n_i a_i = 0``, a = w . xi: ``t sum a_i + (1 - 7 t) max a_i >= 0``."""
-        most, total = high.max(axis=1), high.sum(axis=1)
+        most, total = reaches.max(axis=1), reaches.sum(axis=1)
         room = 7.0 * most - total  # 0 only when all are equal: then any t will do, if positive
         tops = np.where(room > 0.0, most / np.where(room > 0.0, room, 1.0), VOID)
         tops = np.where(most > 0.0, tops, 0.0)
@@ -201,18 +186,24 @@ class Force(Objective):
         terms = np.eye(7)[..., None] * slope[:, None]
         return with_chords(twists, value, terms, cells, np.zeros(len(value)))
 
-    def quick_bounds(
+    def reaches(
         self, low: np.ndarray, high: np.ndarray, normals: np.ndarray, twists: np.ndarray
     ) -> np.ndarray:
-        """The cuts with every contact at its best corner."""
+        """Each contact at its best corner."""
+        return (-low).clip(0.0)
+
+    def quick_bounds(self, reaches: np.ndarray, twists: np.ndarray) -> np.ndarray:
+        """The cuts, every contact at its best."""
         load = (twists @ self.loads.T).max(axis=1)
         useful = load > LOADED
-        tops = (-low[:, :, useful]).clip(0.0).sum(axis=1) / load[useful]
+        tops = reaches[:, :, useful].sum(axis=1) / load[useful]
         return tops.min(axis=1, initial=self.limit)
 
 
 class Stability(Objective):
     """Closure radius over the size of the body."""
+
+    generations = 120
 
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """Radii along the twists found; above the true ones by what these miss."""
@@ -268,17 +259,20 @@ class Stability(Objective):
         value = np.einsum("cf,if,ti->ct", twists[:, 3:], touches.base[:, 3:], B) / felt
         slope = np.einsum("cf,iaf,ti->ctia", twists[:, 3:], touches.rates[:, :, 3:], B)
         slope /= felt[..., None, None]
-        low, _ = _ranges(value, slope, cells)
+        low, _ = ranges(value, slope, cells)
         level = low.max(axis=1).clip(floor, VOID)
         return with_chords(twists, value - level[:, None], slope, cells, level)
 
-    def quick_bounds(
+    def reaches(
         self, low: np.ndarray, high: np.ndarray, normals: np.ndarray, twists: np.ndarray
     ) -> np.ndarray:
-        """The cuts with every contact at its best corner."""
-        turned = np.linalg.norm(np.cross(normals[:, :, None], twists[:, 3:]), axis=-1)
-        tops = (high / turned.clip(UNFELT)).max(axis=1).clip(0.0)
-        return tops.min(axis=1, initial=self.limit)
+        """Each contact at its best corner."""
+        turned = np.linalg.norm(np.cross(normals[:, None], twists[:, 3:]), axis=-1)
+        return high / turned.clip(UNFELT)
+
+    def quick_bounds(self, reaches: np.ndarray, twists: np.ndarray) -> np.ndarray:
+        """The cuts, every contact at its best."""
+        return reaches.max(axis=1).clip(0.0).min(axis=1, initial=self.limit)
 
 
 def balances(W: np.ndarray) -> np.ndarray:
@@ -312,35 +306,3 @@ def _unit(twists: np.ndarray) -> np.ndarray:
     lengths = np.linalg.norm(twists, axis=1)
     good = np.isfinite(lengths) & (lengths > 0.0)
     return twists[good] / lengths[good, None]
-
-
-def with_chords(
-    twists: np.ndarray,
-    value: np.ndarray,
-    slope: np.ndarray,
-    cells: list[np.ndarray],
-    level: np.ndarray,
-) -> Cuts:
-    """``level + sum_t [z_t]_+`` with z = value + slope . y over cells, each [.]_+ by its chord."""
-    low, high = _ranges(value, slope, cells)
-    bent = (low < 0.0) & (high > 0.0)
-    rise = np.where(bent, high / np.where(bent, high - low, 1.0), (low >= 0.0).astype(float))
-    bend = np.where(bent, -rise * low, 0.0)
-    return Cuts(
-        twists=twists,
-        slopes=np.einsum("ct,ctia->cia", rise, slope),
-        constants=level + np.sum(rise * value + bend, axis=1),
-        term_slopes=slope,
-        term_values=value,
-        rises=rise,
-        bends=bend,
-    )
-
-
-def _ranges(
-    value: np.ndarray, slope: np.ndarray, cells: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest ``value + slope . y`` over cells."""
-    spans = [slope[:, :, i] @ cell.T for i, cell in enumerate(cells)]
-    low = value + np.sum([span.min(axis=2) for span in spans], axis=0)
-    return low, value + np.sum([span.max(axis=2) for span in spans], axis=0)

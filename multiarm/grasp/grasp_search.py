@@ -18,21 +18,21 @@ from multiarm.errors import GraspError
 from multiarm.grasp.face_choices import FaceChoice, face_choices
 from multiarm.grasp.grasp_objectives import Margin, Objective
 from multiarm.grasp.placement_bounds import Node, bounded
-from multiarm.grasp.placement_search import evolved
+from multiarm.grasp.placement_search import conditioning, evolved, nearest
 from multiarm.grasp.seven_touches import SevenTouches, seven_touches
 from multiarm.grasp.touch_regions import TouchRegion
 
 # Choices of faces that placements are drawn for at the start, and how many for each.
 SAMPLED, DRAWN = 300, 40
 # Of these the best are evolved, and the best of those for longer: how many, from how many
-# placements, for how many generations.
-ROUNDS = ((40, 24, 25), (5, 40, 250))
+# placements, for which part of the objective's generations.
+ROUNDS = ((40, 24, 0.1), (5, 40, 1.0))
 # Choices of faces that one search can list.
 MOST_CHOICES = 200_000
-# Every so many nodes the quick bounds are renewed and ``progress`` is called.
+# Every so many nodes quick bounds are renewed and ``progress`` is called.
 REPORTED = 20
-# So many twists are kept for quick bounds, and so many of a node's are added to them.
-KNOWN, LEARNT = 300, 12
+# So many twists are known to a choice that is looked at first, and so many are learnt from it.
+KNOWN, LEARNT = 200, 6
 # Choices that are bounded together: memory stays small.
 CHUNK = 2000
 
@@ -79,7 +79,8 @@ class Search:
         self.regions: list[TouchRegion] = []
         self.numbers = np.zeros((0, 7), dtype=int)
         self.touches: dict[int, SevenTouches] = {}
-        self.twists = np.zeros((0, 6))
+        self.twists = self.known = np.zeros((0, 6))
+        self.tops = np.zeros(0)
         self.queue: list[tuple[float, int, int, Node | None]] = []
         self.best: tuple[SevenTouches, np.ndarray] | None = None
         self.value = 0.0
@@ -120,7 +121,9 @@ class Search:
         self.numbers = np.array([[place[id(r)] for r in c.regions] for c in self.choices])
         self._tell("looking for good grasps")
         self._first_grasps()
-        for number, top in enumerate(self._quick_bounds()):
+        self.tops = np.full(len(self.choices), self.objective.limit)
+        self._sharpen()
+        for number, top in enumerate(self.tops):
             self._push(float(top), number, None)
 
     def run(self) -> None:
@@ -131,7 +134,7 @@ class Search:
             _, _, number, node = heapq.heappop(self.queue)
             self._look(number, node)
             if self.done % REPORTED == 0:
-                self._refresh()
+                self._renew()
                 self._tell(f"value {self.value:.4g}, bound {self.bound:.4g}")
         if self.best is None:
             open_end = " within the budget; allow more nodes" if self.bound > 0.0 else ""
@@ -162,7 +165,7 @@ class Search:
             drawn = touches.drawn(DRAWN // 4, self.rng)
             own = [self.objective.twists(touches, y) for y in drawn]
             node = Node(
-                list(touches.cells), np.concatenate([self.twists, *own]), self.objective.limit
+                list(touches.cells), np.concatenate([self.known, *own]), self.objective.limit
             )
         found = bounded(self.objective, touches, node, self.enough)
         if first:
@@ -211,7 +214,8 @@ class Search:
             scores = self.scores(self._touches(number), y)
             known[number] = y[int(np.argmax(scores))]
             order.append((-float(scores.max()), number))
-        for most, population, generations in ROUNDS:
+        for most, population, part in ROUNDS:
+            generations = round(part * self.objective.generations)
             chosen = [number for _, number in sorted(order)[:most]]
             order = []
             for number in chosen:
@@ -235,36 +239,40 @@ class Search:
 
         return evolved(scores, touches, starts, self.rng, generations)
 
-    def _quick_bounds(self) -> np.ndarray:
-        """A bound for each choice without a program: every contact at its best for one twist."""
+    def _sharpen(self) -> None:
+        """Bounds for all choices from the twists learnt since the last time.
+
+        No program is solved: every contact is at its best for one twist.
+        """
+        twists, self.twists = self.twists, self.twists[:0]
+        self.known = np.concatenate([self.known, twists])[-KNOWN:]
         low, high = [], []
         for region in self.regions:
             corners = (region.outer - self.middle) / self.size
             e = np.broadcast_to(region.normal, corners.shape)
-            work = self.twists @ np.concatenate([e, np.cross(corners, e)], axis=1).T
+            work = twists @ np.concatenate([e, np.cross(corners, e)], axis=1).T
             low.append(work.min(axis=1))
             high.append(work.max(axis=1))
-        lows, highs = np.array(low), np.array(high)
         normals = np.array([region.normal for region in self.regions])
-        tops = [
-            self.objective.quick_bounds(lows[part], highs[part], normals[part], self.twists)
-            for part in np.array_split(self.numbers, max(1, len(self.numbers) // CHUNK))
-        ]
-        return np.minimum(np.concatenate(tops), self.objective.limit)
+        reaches = self.objective.reaches(np.array(low), np.array(high), normals, twists)
+        for part in np.array_split(np.arange(len(self.numbers)), 1 + len(self.numbers) // CHUNK):
+            tops = self.objective.quick_bounds(reaches[self.numbers[part]], twists)
+            self.tops[part] = np.minimum(self.tops[part], tops)
+
+    def _renew(self) -> None:
+        """Queue the choices that were never looked at by what is known of them now."""
+        self._sharpen()
+        renewed = []
+        for key, count, number, node in self.queue:
+            fresh = node is None and number >= 0
+            sharper = max(key, -float(self.tops[number])) if fresh else key
+            renewed.append((sharper, count, number, node))
+        self.queue = renewed
+        heapq.heapify(self.queue)
 
     def _learn(self, twists: np.ndarray) -> None:
-        """Keep twists that were of use, for all choices; the oldest are forgotten."""
-        self.twists = np.concatenate([self.twists, twists])[-KNOWN:]
-
-    def _refresh(self) -> None:
-        """Bound the choices again that were never looked at, with the twists known by now."""
-        tops = self._quick_bounds()
-        self.queue = [
-            (max(item[0], -float(tops[item[2]])) if item[3] is None and item[2] >= 0 else item[0],
-             *item[1:])
-            for item in self.queue
-        ]  # fmt: skip
-        heapq.heapify(self.queue)
+        """Keep twists that were of use, for all choices."""
+        self.twists = np.concatenate([self.twists, twists])
 
     def _condition(self) -> None:
         """Among placements of the best choice whose margin is good enough, the best conditioned."""
@@ -278,10 +286,9 @@ class Search:
             good = np.where(margin >= least, 1.0 + conditioning(touches, z), 0.0)
             return good + np.minimum(margin / least, 1.0)
 
-        population, generations = ROUNDS[-1][1:]
-        starts = np.concatenate([y[None], touches.drawn(population - 1, self.rng)])
+        starts = np.concatenate([y[None], touches.drawn(ROUNDS[-1][1] - 1, self.rng)])
         near = touches.towards(np.broadcast_to(y, starts.shape), 0.5 * (y + starts))
-        grown, _ = evolved(scores, touches, near, self.rng, generations)
+        grown, _ = evolved(scores, touches, near, self.rng, self.objective.generations)
         margin = float(self.scores(touches, grown[:1])[0])
         if margin >= least:
             self.value, self.best = margin, (touches, grown[0])
@@ -289,21 +296,3 @@ class Search:
     def _tell(self, words: str) -> None:
         if self.progress is not None:
             self.progress(self.done, self.limits.nodes, words)
-
-
-def nearest(touches: SevenTouches, y: np.ndarray) -> np.ndarray:
-    """Smallest distance between two contacts, scaled, shape (M,)."""
-    p = touches.points(y)
-    i, j = np.triu_indices(7, 1)
-    return np.linalg.norm(p[:, i] - p[:, j], axis=2).min(axis=1)
-
-
-def conditioning(touches: SevenTouches, y: np.ndarray) -> np.ndarray:
-    """Smallest over largest singular value of wrenches scaled by the contacts' spread, (M,)."""
-    p = touches.points(y)
-    arms = p - p.mean(axis=1, keepdims=True)
-    length = np.sqrt(np.mean(np.sum(arms**2, axis=2), axis=1))
-    e = np.broadcast_to(touches.normals, p.shape)
-    W = np.concatenate([e, np.cross(arms, e) / length[:, None, None]], axis=2)
-    s = np.linalg.svd(W, compute_uv=False)
-    return s[:, -1] / s[:, 0]

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 OBJECTIVES = ("margin", "force", "stability")
 # Cells that are bounded before the search gives up, unless told.
-NODES = 1000
+NODES = 300
 # Smallest over largest singular value of the scaled wrenches, at least, unless told.
 CONDITIONING = 1e-3
 

@@ -42,3 +42,21 @@ def evolved(
         y[better], value[better] = trial[better], found[better]
     order = np.argsort(-value, kind="stable")
     return y[order], value[order]
+
+
+def nearest(touches: SevenTouches, y: np.ndarray) -> np.ndarray:
+    """Smallest distance between two contacts, scaled, shape (M,)."""
+    p = touches.points(y)
+    i, j = np.triu_indices(7, 1)
+    return np.linalg.norm(p[:, i] - p[:, j], axis=2).min(axis=1)
+
+
+def conditioning(touches: SevenTouches, y: np.ndarray) -> np.ndarray:
+    """Smallest over largest singular value of wrenches scaled by the contacts' spread, (M,)."""
+    p = touches.points(y)
+    arms = p - p.mean(axis=1, keepdims=True)
+    length = np.sqrt(np.mean(np.sum(arms**2, axis=2), axis=1))
+    e = np.broadcast_to(touches.normals, p.shape)
+    W = np.concatenate([e, np.cross(arms, e) / length[:, None, None]], axis=2)
+    s = np.linalg.svd(W, compute_uv=False)
+    return s[:, -1] / s[:, 0]

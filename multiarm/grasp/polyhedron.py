@@ -1,18 +1,9 @@
-r"""A body bounded by plane faces: what there is to touch, and how it moves when it is let go.
+"""A body bounded by plane faces: what there is to touch, and how it moves when it is let go.
 
 The body is a list of corners and, for each face, loops of their numbers: around the face
 counter-clockwise as seen from outside, around holes clockwise.  Every edge then belongs to two
 faces, which run along it in opposite directions; that is checked, so that a `Polyhedron` is a
 solid.  Faces need not be convex.
-
-Mass properties are sums over the signed tetrahedra between a point and the triangles
-(v_1, v_k, v_{k+1}) of all loops; those of dents and holes are negative, so that no face has to be
-cut up.  With corners a, b, c of a triangle and :math:`s = a + b + c`
-
-.. math::
-    V = \sum \tfrac{1}{6} a \cdot (b \times c), \qquad
-    \int x \, dV = \sum \tfrac{V_i}{4} s, \qquad
-    \int x x^T dV = \sum \tfrac{V_i}{20} (a a^T + b b^T + c c^T + s s^T).
 """
 
 from __future__ import annotations
@@ -28,28 +19,12 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.face import PLANE_TOLERANCE, Face
+from multiarm.grasp.solid_moments import MassProperties, Moments, moments
 
+ORTHOGONAL = 1e-6
+"""How far a rotation matrix may be from one: it may have been typed with seven digits."""
 Loop = tuple[int, ...]
 """Numbers of corners, in the order in which an edge runs through them."""
-
-
-@dataclass(frozen=True)
-class MassProperties:
-    """Mass properties of a solid of constant density.
-
-    Attributes
-    ----------
-    mass : float
-        [kg]
-    centre : ndarray, shape (3,)
-        Centre of mass in the body's frame [m].
-    inertia : ndarray, shape (3, 3)
-        About the centre of mass, in the body's axes [kg m^2].
-    """
-
-    mass: float
-    centre: np.ndarray
-    inertia: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +64,21 @@ class Polyhedron:
     ) -> None:
         from multiarm.grasp.solid import check_one_solid
 
-        corners = np.array(vertices, dtype=float)
+        try:
+            corners = np.array(vertices, dtype=float)
+            numbers = tuple(tuple(tuple(int(v) for v in loop) for loop in face) for face in loops)
+        except (TypeError, ValueError) as error:
+            raise GraspError(
+                "a body needs corners (V, 3), and for each face a list of loops of their numbers"
+            ) from error
+        if corners.ndim != 2 or corners.shape[1] != 3 or not np.all(np.isfinite(corners)):
+            raise GraspError(f"corners are finite, of shape (V, 3), not {corners.shape}")
         corners.setflags(write=False)
-        numbers = tuple(tuple(tuple(int(v) for v in loop) for loop in face) for face in loops)
         called = (
             tuple(names) if names is not None else tuple(f"face {k}" for k in range(len(loops)))
         )
+        if len(called) != len(numbers):
+            raise GraspError(f"{len(numbers)} faces need as many names, not {len(called)}")
         object.__setattr__(self, "vertices", corners)
         object.__setattr__(self, "loops", numbers)
         object.__setattr__(self, "names", called)
@@ -104,6 +88,7 @@ class Polyhedron:
                 "the faces point inward; list the corners of a face counter-clockwise as seen from "
                 "outside"
             )
+        _ = self.faces  # refuses faces that are not plane now rather than later
 
     # --- ways to make one ----------------------------------------------------------------------
 
@@ -223,12 +208,12 @@ class Polyhedron:
     @property
     def volume(self) -> float:
         """Volume [m^3]."""
-        return self._moments[0]
+        return self._moments.volume
 
     @property
     def centre(self) -> np.ndarray:
         """Centre of mass at constant density, shape (3,) [m]."""
-        return self._moments[1]
+        return self._moments.centre
 
     def mass_properties(self, mass: float) -> MassProperties:
         """Mass, centre of mass and inertia when the mass [kg] is spread evenly.
@@ -240,28 +225,11 @@ class Polyhedron:
         """
         if not (np.isfinite(mass) and mass > 0.0):
             raise GraspError(f"the mass of a body is a positive number of kilograms, not {mass!r}")
-        volume, centre, second = self._moments
-        inertia = (np.trace(second) * np.eye(3) - second) * (mass / volume)
-        return MassProperties(float(mass), centre, inertia)
+        return self._moments.of_mass(float(mass))
 
     @cached_property
-    def _moments(self) -> tuple[float, np.ndarray, np.ndarray]:
-        """Volume, centre, and second moments about the centre."""
-        middle = self.vertices.mean(axis=0)
-        fans = [
-            (loop[0], loop[k], loop[k + 1])
-            for loops in self.loops
-            for loop in loops
-            for k in range(1, len(loop) - 1)
-        ]
-        corners = (self.vertices - middle)[np.array(fans)]  # (T, 3 corners, 3)
-        volumes = np.linalg.det(corners) / 6.0
-        sums = corners.sum(axis=1)
-        volume = float(volumes.sum())
-        centre = volumes @ sums / (4.0 * volume) if volume else np.zeros(3)
-        about = np.einsum("t,tki,tkj->ij", volumes, corners, corners)
-        about += np.einsum("t,ti,tj->ij", volumes, sums, sums)
-        return volume, centre + middle, about / 20.0 - volume * np.outer(centre, centre)
+    def _moments(self) -> Moments:
+        return moments(self.vertices, [loop for loops in self.loops for loop in loops])
 
     def on_faces(self, numbers: Any, points: Any) -> np.ndarray:
         """Points (..., 3) moved along the normals onto the planes of their faces ``numbers`` (...).
@@ -277,8 +245,16 @@ class Polyhedron:
     # --- the same body elsewhere ---------------------------------------------------------------
 
     def placed(self, pose: Any) -> Polyhedron:
-        """The body in another frame; ``pose`` (4, 4) is this frame in it."""
+        """The body in another frame; ``pose`` (4, 4) is this frame in it.
+
+        Raises
+        ------
+        GraspError
+            A pose that is not a rotation and a displacement.
+        """
         X = np.asarray(pose, dtype=float)
+        if X.shape != (4, 4) or not np.all(np.isfinite(X)) or not _is_rotation(X[:3, :3]):
+            raise GraspError("a pose has shape (4, 4): a rotation matrix and a displacement in it")
         return self._with(self.vertices @ X[:3, :3].T + X[:3, 3])
 
     def centred(self) -> Polyhedron:
@@ -307,6 +283,10 @@ class Polyhedron:
         kinds = Counter(len(face.vertices) for face in self.faces)
         told = ", ".join(f"{count} with {k} corners" for k, count in sorted(kinds.items()))
         return f"<Polyhedron: {len(self.vertices)} corners, {len(self.loops)} faces ({told})>"
+
+
+def _is_rotation(R: np.ndarray) -> bool:
+    return bool(np.abs(R.T @ R - np.eye(3)).max() <= ORTHOGONAL and np.linalg.det(R) > 0.0)
 
 
 def _runs(loops: tuple[Loop, ...]) -> list[tuple[int, int]]:

@@ -36,6 +36,7 @@ RANK_TOLERANCE = 1e-9
 # has to be well above it.
 PROGRAM_TOLERANCE, LINE_TOLERANCE = 1e-10, 1e-7
 
+ILL = "contacts that nearly coincide make it ill-conditioned; remove one of each such pair"
 # A level is negative only when it is below zero by this part of what it is made of.
 STRICT = 1e-12
 
@@ -110,6 +111,10 @@ def wrench_cone(contacts: Contacts) -> WrenchCone:
     GraspError
         Contacts in the plane; fewer than six; wrenches of a rank below 6.
     """
+    if not isinstance(contacts, Contacts):
+        raise GraspError(
+            f"Contacts(points, normals) are needed here, not {type(contacts).__name__}"
+        )
     if contacts.dimension != 3:
         raise GraspError("contacts in space are needed here; these are in the plane")
     W, rank = contacts.scaled_wrenches, _rank(contacts)
@@ -189,7 +194,7 @@ def _balanced(W: np.ndarray) -> np.ndarray:
 
 def _pointed_facets(G: np.ndarray) -> np.ndarray:
     """Inward unit normals (F, m) of the pointed cone of unit columns (m, n) that span R^m."""
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
     m, n = G.shape
     if m == 1:
@@ -206,7 +211,10 @@ def _pointed_facets(G: np.ndarray) -> np.ndarray:
     if m == 2:
         equations = np.array([[1.0, -slice_.max()], [-1.0, slice_.min()]])
     else:
-        equations = ConvexHull(slice_).equations  # a . y + b <= 0 inside
+        try:
+            equations = ConvexHull(slice_).equations  # a . y + b <= 0 inside
+        except QhullError as error:
+            raise GraspError(f"the cone of the contacts is flat: {ILL}") from error
     normals = -(equations[:, :-1] @ B.T + equations[:, -1:] * h)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     return normals[np.unique(normals.round(9), axis=0, return_index=True)[1]]
@@ -222,8 +230,5 @@ def _program(cost: np.ndarray, **parts: Any) -> np.ndarray:
     }
     found = linprog(cost, options=accuracy, **parts)
     if found.x is None:
-        raise GraspError(
-            f"the cone of the contacts could not be found ({found.message}); contacts that nearly "
-            f"coincide make it ill-conditioned: remove one of each such pair"
-        )
+        raise GraspError(f"the cone of the contacts could not be found ({found.message}): {ILL}")
     return found.x

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from itertools import pairwise
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -16,9 +18,9 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp_scenes.hands import contacts, fingers, pose_table
+from multiarm.grasp_scenes.hands import contacts, fingers, pose_table, require_room
 from multiarm.grasp_scenes.squeezing import motion_wrenches, needed_squeeze
-from multiarm.grasp_scenes.standing import Progress, Stand, stand_arms
+from multiarm.grasp_scenes.standing import Progress, Stand, lifted, stand_arms
 from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robot, resolve_arm
 
 __all__ = ["grasp_scene"]
@@ -89,10 +91,15 @@ def grasp_scene(
     SceneError
         Robots that do not exist.
     """
-    _require(grasp, arms)
+    _require_hold(grasp, arms)
+    _require_numbers(
+        {"mass": mass, "hand_mass": hand_mass, "tip_radius": tip_radius, "duration": duration},
+        {"height": height, "squeeze": squeeze},
+    )
     grasp = _centred(grasp)
+    require_room(grasp, tip_radius)
     specs = [ArmSpec(robot=robot, tip=find_robot(robot).tip) for robot in arms]
-    way = _path(path, duration)
+    way = path_of(path, duration)
     course = [waypoint.matrix() for waypoint in way]
     rng = np.random.default_rng(seed)
     z, stands = stand_arms(grasp, specs, course, tip_radius, height, rng, progress)
@@ -102,7 +109,7 @@ def grasp_scene(
         least = LEAST_SHARE * mass * abs(GRAVITY[2]) / len(grasp.contacts)
         squeeze = needed_squeeze(grasp.contacts, wrenches, least)
     names = _arm_names(grasp)
-    start = _lifted(z)
+    start = lifted(z)
     return Scene(
         name=name
         or f"{len(arms)} arms hold a body of {len(grasp.body.faces)} faces by its corners",
@@ -138,7 +145,7 @@ def grasp_scene(
     )
 
 
-def _require(grasp: Grasp, arms: Sequence[str]) -> None:
+def _require_hold(grasp: Grasp, arms: Sequence[str]) -> None:
     if not grasp.closure:
         raise GraspError(f"the grasp does not hold the body: {grasp.closure.message}")
     if len(arms) != len(grasp.grippers):
@@ -146,6 +153,18 @@ def _require(grasp: Grasp, arms: Sequence[str]) -> None:
             f"the grasp has {len(grasp.grippers)} grippers, which need as many arms, not "
             f"{len(arms)}; robots are {', '.join(available_robots())}"
         )
+
+
+def _require_numbers(positive: dict[str, Any], chosen: dict[str, Any]) -> None:
+    """Refuse what is no number before the long search; ``chosen`` ones may be left out."""
+    given = {**positive, **{name: value for name, value in chosen.items() if value is not None}}
+    for name, value in given.items():
+        if not isinstance(value, Real) or not math.isfinite(value):
+            raise GraspError(f"{name} is a finite number, not {value!r}")
+        if name in positive and not value > 0.0:
+            raise GraspError(f"{name} is greater than 0, not {value!r}")
+        if name == "squeeze" and float(value) < 0.0:
+            raise GraspError(f"squeeze is at least 0, not {value!r}")
 
 
 def _arm_names(grasp: Grasp) -> list[str]:
@@ -160,13 +179,30 @@ def _centred(grasp: Grasp) -> Grasp:
     return grasp.placed(shift)
 
 
-def _path(path: Sequence[Waypoint] | None, duration: float) -> list[Waypoint]:
-    if path is not None:
-        return [Waypoint(time=0.0), *(waypoint for waypoint in path if waypoint.time > 0.0)]
-    usual = [
-        Waypoint(time=round(part * duration, 6), xyz=xyz, rpy=rpy) for part, xyz, rpy in USUAL_PATH
-    ]
-    return [Waypoint(time=0.0), *usual]
+def path_of(path: Sequence[Waypoint] | None, duration: float) -> list[Waypoint]:
+    """Poses relative to the start, the start first; the usual path where none is given.
+
+    Raises
+    ------
+    GraspError
+        A path of no poses, or one whose times do not increase.
+    """
+    if path is None:
+        usual = [
+            Waypoint(time=round(part * duration, 6), xyz=xyz, rpy=rpy)
+            for part, xyz, rpy in USUAL_PATH
+        ]
+        return [Waypoint(time=0.0), *usual]
+    way = [Waypoint(time=0.0), *(waypoint for waypoint in path if waypoint.time != 0.0)]
+    if len(way) < 2:
+        raise GraspError("the path has no pose after the start; leave it out for the usual one")
+    for before, after in pairwise(way):
+        if not after.time > before.time:
+            raise GraspError(
+                f"the times of the path must increase, but {after.time:g} s comes after "
+                f"{before.time:g} s"
+            )
+    return way
 
 
 def _arm(
@@ -197,12 +233,6 @@ def _shape(body: Polyhedron) -> dict[str, Any]:
             "with `body.save('body.stl')` and write the scene's object with `mesh`"
         )
     return {"hull": body.vertices.tolist()}
-
-
-def _lifted(height: float) -> np.ndarray:
-    pose = np.eye(4)
-    pose[2, 3] = height
-    return pose
 
 
 def _upwards(number: float) -> float:

@@ -130,6 +130,26 @@ def pose_table(pose: np.ndarray) -> dict[str, list[float]]:
     return {"xyz": _rounded(pose[:3, 3]), "quaternion_xyzw": _rounded(quaternion, DIRECTION_DIGITS)}
 
 
+def require_room(grasp: Grasp, tip_radius: float) -> None:
+    """Refuse fingertips that would not fit beside each other, or not onto their faces.
+
+    Raises
+    ------
+    GraspError
+        Naming the contacts, how far apart they are, and the remedy.
+    """
+    points, names = grasp.contacts.points, grasp.contacts.names
+    centres = points - tip_radius * grasp.contacts.normals
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    apart[np.diag_indices(len(centres))] = np.inf
+    i, j = divmod(int(np.argmin(apart)), len(centres))
+    if apart[i, j] < 2.0 * tip_radius:
+        raise GraspError(
+            f"fingertips of radius {tip_radius:g} m do not fit: those of {names[i]} and {names[j]} "
+            f"would be {apart[i, j]:.3g} m apart; choose a smaller tip_radius or larger grippers"
+        )
+
+
 def _tips(grasp: Grasp, gripper: Gripper, tip_radius: float) -> np.ndarray:
     """Centres of the fingertips in the gripper's frame, outside the faces."""
     chosen = list(gripper.contacts)

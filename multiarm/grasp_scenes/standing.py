@@ -110,7 +110,7 @@ def stand_arms(
             if progress is not None:
                 done = (k * len(robots) + g) / (len(heights) * len(robots))
                 progress(done, f"postures of '{gripper.name}', object at {z:.2f} m")
-            poses = [_lifted(z) @ pose for pose in course]
+            poses = [lifted(z) @ pose for pose in course]
             search = _Search(grasp, gripper, robot, poses, tip_radius, rng)
             found = search.best(reach)
             if found is None or found.reach.quality < POOREST:
@@ -208,7 +208,8 @@ def _farthest(robot: Arm, rng: np.random.Generator) -> float:
     return float(np.max(np.linalg.norm(tips, axis=1)))
 
 
-def _lifted(height: float) -> np.ndarray:
+def lifted(height: float) -> np.ndarray:
+    """Pose (4, 4) of an upright object at a height [m]."""
     pose = np.eye(4)
     pose[2, 3] = height
     return pose

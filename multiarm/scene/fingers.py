@@ -105,7 +105,8 @@ def urdf_text(spec: FingersSpec) -> str:
 def _inertial(spec: FingersSpec, knuckle: np.ndarray, tips: list[np.ndarray]) -> str:
     """The whole hand: a ball at the knuckle, thin rods, points at the tips."""
     lengths = np.array([np.linalg.norm(tip - knuckle) for tip in tips])
-    rods = (1.0 - IN_PALM - IN_TIPS) * spec.mass * lengths / np.sum(lengths)
+    shares = lengths / np.sum(lengths) if np.any(lengths) else np.full(len(tips), 1.0 / len(tips))
+    rods = (1.0 - IN_PALM - IN_TIPS) * spec.mass * shares
     masses = [IN_PALM * spec.mass, *rods, *[IN_TIPS * spec.mass / len(tips)] * len(tips)]
     places = [knuckle, *[0.5 * (knuckle + tip) for tip in tips], *tips]
     centre = np.average(places, axis=0, weights=masses)
