@@ -161,7 +161,7 @@ def _require_numbers(positive: dict[str, Any], chosen: dict[str, Any]) -> None:
     for name, value in given.items():
         if not isinstance(value, Real) or not math.isfinite(value):
             raise GraspError(f"{name} is a finite number, not {value!r}")
-        if name in positive and not value > 0.0:
+        if name in positive and not float(value) > 0.0:
             raise GraspError(f"{name} is greater than 0, not {value!r}")
         if name == "squeeze" and float(value) < 0.0:
             raise GraspError(f"squeeze is at least 0, not {value!r}")
