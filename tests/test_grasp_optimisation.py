@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
-from multiarm.grasp.closure_radius import closure_radius
+from multiarm.grasp.closure_radii import closure_radius
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face_choices import face_choices, positively_spanning
 from multiarm.grasp.form_closure import is_form_closure

@@ -21,6 +21,7 @@ from multiarm.grasp.object_frame import (
     object_frame_from_faces,
     object_frame_on_body,
 )
+from multiarm.grasp.polyhedron import Polyhedron
 
 DATA = Path(__file__).parent / "data" / "worked_examples.json"
 WORKED = json.loads(DATA.read_text())["examples"]
@@ -278,23 +279,10 @@ def _face_corners(face):
     return np.insert(around, axis, np.sign(face), axis=0)
 
 
-class _Face:
-    def __init__(self, normal, offset, vertices):
-        self.normal, self.offset, self.vertices = normal, offset, vertices
-
-
 def test_a_body_tells_its_faces():
     given, expected = (WORKED["object_frame_block"][key] for key in ("inputs", "expected"))
-    L = np.array(given["distances"])
-
-    class Body:
-        faces = tuple(
-            _Face(np.sign(f) * np.eye(3)[abs(f) - 1], L[abs(f) - 1] / 2,
-                  (_face_corners(f) * L[:, None] / 2).T)
-            for f in (1, 2, 3, -1, -2, -3)
-        )  # fmt: skip
-
-    frame = object_frame_on_body(given["points"], Body, [0, 1, 2, 3, 4, 5, 0])
+    body = Polyhedron.box(given["distances"])  # faces +x, +y, +z, -x, -y, -z
+    frame = object_frame_on_body(given["points"], body, [0, 1, 2, 3, 4, 5, 0])
     np.testing.assert_allclose(frame.rotation, expected["R"], atol=1e-10)
 
 
@@ -436,3 +424,60 @@ def test_unusable_data_are_refused_by_name(change, says):
     values = {"points": 0.5 * n + 0.2 * turned, "normals": n, "offsets": np.full(6, 0.5)}
     with pytest.raises(GraspError, match=says):
         object_frame_from_faces(**{**values, **change})
+
+
+# --- bodies that are not convex, and arguments that are none -------------------------------------
+
+L_PRISM = Polyhedron.prism([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], 1.0)
+
+
+def on_surface(body, count, rng):
+    """Contacts at random places of faces that look in many directions: points and face numbers."""
+    numbers = rng.permutation(np.arange(count) % len(body.faces))
+    points = []
+    for number in numbers:
+        face = body.faces[number]
+        while True:
+            low, high = face.vertices.min(axis=0), face.vertices.max(axis=0)
+            point = rng.uniform(low, high)
+            point -= (face.normal @ point - face.offset) * face.normal
+            if face.contains(point):
+                break
+        points.append(point)
+    return np.array(points), numbers
+
+
+def test_the_pose_of_a_body_that_is_not_convex_is_among_those_found(rng):
+    """A contact in the notch lies beyond the plane of a face that another one touches."""
+    assert not L_PRISM.convex
+    single = 0
+    for trial in range(25):
+        points, numbers = on_surface(L_PRISM, 8, rng)
+        R, x = Rotation.random(random_state=trial).as_matrix(), rng.normal(size=3)
+        found = object_frame_on_body(points @ R.T + x, L_PRISM, numbers)
+        off = [np.abs(c.rotation - R).max() for c in found.candidates]
+        assert min(off) < 1e-8
+        if not found.ambiguous:
+            single += 1
+            assert off[0] < 1e-8
+    assert single > 5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"faces": [0, 1, 2, 3, 4, 5, 99]}, r"faces of the body are 0 to 7, not 99"),
+        ({"faces": [0, 1, 2, 3, 4, 5, -1]}, r"faces of the body are 0 to 7, not -1"),
+        ({"faces": [0.5, 1, 2, 3, 4, 5, 6]}, r"faces are whole numbers"),
+        ({"faces": "abcdefg"}, r"faces are whole numbers"),
+        ({"tolerance": np.nan}, r"tolerance is a length greater than 0"),
+        ({"tolerance": -1.0}, r"tolerance is a length greater than 0"),
+        ({"previous": np.zeros((4, 4))}, r"previous is a pose"),
+        ({"previous": np.diag([1.0, 1.0, -1.0, 1.0])}, r"previous is a pose"),
+    ],
+)
+def test_what_is_no_face_tolerance_or_pose_is_refused(change, message, rng):
+    points, numbers = on_surface(L_PRISM, 7, rng)
+    given = {"faces": numbers, **change}
+    with pytest.raises(GraspError, match=message):
+        object_frame_on_body(points, L_PRISM, **given)

@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
 from multiarm.errors import GraspError
-from multiarm.grasp.closure_radius import closure_radius, independence_radius, tangents_of
+from multiarm.grasp.block_design import design_block_grasp
+from multiarm.grasp.closure_radii import closure_radius, independence_radius, tangents_of
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.drawn_stability import monte_carlo_stability
 from multiarm.grasp.form_closure import is_form_closure
@@ -375,3 +376,11 @@ def test_unusable_questions_are_refused_by_name():
         monte_carlo_stability(contacts, 0.1, 0)
     with pytest.raises(GraspError, match=r"plane"):
         monte_carlo_stability(flat, 0.1)
+
+
+def test_without_displacement_nothing_changes_at_any_size():
+    """Also for a body of ten metres, whose measures are large."""
+    grasp = design_block_grasp([12.0, 8.0, 6.0])
+    found = configuration_stability(grasp.contacts, displacement=0.0)
+    assert np.all(np.isinf(found.ratios))
+    assert not found.poor

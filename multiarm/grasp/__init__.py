@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from multiarm.grasp.block_design import BlockDesign, design_block_grasp
     from multiarm.grasp.body_class import BodyClass, classify
-    from multiarm.grasp.closure_radius import ClosureRadius, independence_radius
+    from multiarm.grasp.closure_radii import ClosureRadius, closure_radius, independence_radius
     from multiarm.grasp.closure_search import search_grasp
     from multiarm.grasp.construction import design_grasp
     from multiarm.grasp.contacts import Contacts
@@ -69,7 +69,7 @@ _HOMES = {
     "BlockDesign": "block_design",
     "BlockInverse": "independent_contacts",
     "BodyClass": "body_class",
-    "ClosureRadius": "closure_radius",
+    "ClosureRadius": "closure_radii",
     "ConfigurationStability": "stability",
     "ContactRegion": "seventh_contact",
     "Contacts": "contacts",
@@ -100,6 +100,7 @@ _HOMES = {
     "classify": "body_class",
     "closed_many": "many_closures",
     "closes_on_surface": "wrench_cone",
+    "closure_radius": "closure_radii",
     "configuration_stability": "stability",
     "design_block_grasp": "block_design",
     "design_grasp": "construction",
@@ -107,7 +108,7 @@ _HOMES = {
     "design_wide_grasp": "wide_design",
     "distribute_forces": "force_distribution",
     "independence": "independent_contacts",
-    "independence_radius": "closure_radius",
+    "independence_radius": "closure_radii",
     "is_form_closure": "form_closure",
     "liftable": "load_maps",
     "load_capacity": "load_maps",
@@ -158,6 +159,7 @@ __all__ = [
     "classify",
     "closed_many",
     "closes_on_surface",
+    "closure_radius",
     "configuration_stability",
     "design_block_grasp",
     "design_grasp",

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.closure_radius import tangents_of
+from multiarm.grasp.closure_radii import tangents_of
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.many_closures import closed_many
 from multiarm.grasp.stability import displacements_of

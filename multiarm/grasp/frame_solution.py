@@ -40,6 +40,8 @@ DEVIATIONS = 5.0
 WITHOUT_ERROR = 1e-5
 # Smallest singular value of the scaled J, over the largest, of a locally unique pose.
 UNIQUE = 1e-7
+# A previous pose is rigid when R R^T is the identity to this.
+RIGID = 1e-6
 # The nearest pose to the previous one decides when the next is so much farther away.
 NEARER = 1.5
 
@@ -110,6 +112,8 @@ class ObjectFrame:
 
 def solved(data: ContactData, previous: Any, tolerance: float | None) -> ObjectFrame:
     """Every pose that fits, then the choice."""
+    if tolerance is not None and not tolerance > 0.0:
+        raise GraspError(f"tolerance is a length greater than 0 [m], not {tolerance!r}")
     before = _previous_pose(previous)
     noise = DEVIATIONS * data.deviation
     candidates = _candidates(data, np.ones(data.count), noise, tolerance)
@@ -225,7 +229,12 @@ def _certainty(data: ContactData, pose: FrameCandidate) -> tuple[float, np.ndarr
 def _previous_pose(previous: Any) -> np.ndarray | None:
     if previous is None or isinstance(previous, ObjectFrame):
         return None if previous is None else previous.pose
-    return numbers_of(previous, (4, 4), "previous")
+    pose = numbers_of(previous, (4, 4), "previous")
+    R = pose[:3, :3]
+    turned = np.abs(R @ R.T - np.eye(3)).max() < RIGID and np.linalg.det(R) > 0.0
+    if not turned or np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > RIGID:
+        raise GraspError("previous is a pose: a rotation (3, 3) and a position, no scale or mirror")
+    return pose
 
 
 def _pose(R: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ of :math:`[W; 1 \dots 1]`, whose last column is n and whose other columns are :m
 *force*: a load F is balanced by :math:`\lambda = -G F + \tau n`, least when :math:`\tau` is the
 least that makes it nonnegative. The score is the inverse of the largest force over all loads.
 
-*stability*: the closure radius (:mod:`multiarm.grasp.closure_radius`).
+*stability*: the closure radius (:mod:`multiarm.grasp.closure_radii`).
 
 **Twist cuts.** Any twist :math:`\xi = (v, \omega)` of the body bounds the score. By virtual work
 :math:`F \cdot \xi = \sum_i \lambda_i (-w_i \cdot \xi)`, so
@@ -32,7 +32,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from multiarm.grasp.chords import Cuts, ranges, with_chords
-from multiarm.grasp.closure_radius import closure_radius
+from multiarm.grasp.closure_radii import closure_radius
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.seven_touches import SevenTouches
 

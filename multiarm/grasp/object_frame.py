@@ -158,31 +158,48 @@ def object_frame_on_body(
     body: Polyhedron,
     faces: Sequence[int],
     *,
-    convex: bool = True,
     point_covariance: Any = None,
     previous: ObjectFrame | Any = None,
     tolerance: float | None = None,
 ) -> ObjectFrame:
     """Pose of a polyhedron; contact k touches ``body.faces[faces[k]]``.
 
-    Otherwise as :func:`object_frame_from_faces`, which it calls with the faces' polygons.
+    Otherwise as :func:`object_frame_from_faces`, which it calls with the faces' polygons, and with
+    what is known of the body: on one that is not convex a contact may lie beyond the plane of a
+    face that another one touches.
+
+    Raises
+    ------
+    GraspError
+        Numbers that are those of no face; and as there.
     """
-    touched = [body.faces[number] for number in faces]
+    numbers = _integers(faces)
+    wrong = [k for k in numbers.tolist() if k not in range(len(body.faces))]
+    if wrong:
+        raise GraspError(f"faces of the body are 0 to {len(body.faces) - 1}, not {wrong[0]}")
+    touched = [body.faces[k] for k in numbers]
     return object_frame_from_faces(
         points,
         [face.normal for face in touched],
         [face.offset for face in touched],
         polygons=[face.vertices for face in touched],
-        convex=convex,
+        convex=body.convex,
         point_covariance=point_covariance,
         previous=previous,
         tolerance=tolerance,
     )
 
 
+def _integers(faces: Sequence[int]) -> np.ndarray:
+    given = np.asarray(list(faces))
+    if given.ndim != 1 or given.dtype.kind not in "iuf" or np.any(given != np.round(given)):
+        raise GraspError(f"faces are whole numbers, one for each contact, not {list(faces)!r}")
+    return given.astype(int)
+
+
 def _pairs(faces: Sequence[int], points: np.ndarray) -> np.ndarray:
     """Face numbers as an array; every face of the three pairs must be touched."""
-    numbers = np.array(list(faces))
+    numbers = _integers(faces)
     if len(numbers) != len(points):
         raise GraspError(
             f"each contact needs the number of its face: {len(numbers)} numbers for "

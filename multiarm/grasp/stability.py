@@ -19,7 +19,7 @@ M and det a are affine in every single contact. To first order, displacements up
 :math:`\delta_j` change M by at most :math:`\sum_j |\partial M / \partial p_j| \delta_j`, the
 seventh contact included. Where this is not much less than :math:`|M|` the grasp is poor. What may
 really be lost, and when, is told without linearisation by
-:func:`multiarm.grasp.closure_radius.closure_radius`, and by lot by
+:func:`multiarm.grasp.closure_radii.closure_radius`, and by lot by
 :func:`multiarm.grasp.drawn_stability.monte_carlo_stability`.
 """
 
@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.closure_radius import ClosureRadius, closure_radius, tangents_of
+from multiarm.grasp.closure_radii import ClosureRadius, closure_radius, tangents_of
 from multiarm.grasp.contacts import Contacts, wrenches_of
 from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
 
@@ -105,9 +105,14 @@ class ConfigurationStability:
 
     @property
     def ratios(self) -> np.ndarray:
-        """Size of det a, then of each measure, over its change; (1,) or (7,)."""
+        """Size of det a, then of each measure, over its change; (1,) or (7,).
+
+        Infinite where nothing changes.
+        """
         sizes = np.abs(np.r_[self.determinant, [] if self.measures is None else self.measures])
-        return sizes / np.maximum(self.changes, np.finfo(float).tiny)
+        changes = self.changes
+        moving = changes > 0.0
+        return np.where(moving, sizes / np.where(moving, changes, 1.0), np.inf)
 
     @property
     def closed(self) -> bool | None:
