@@ -432,6 +432,18 @@ def test_a_body_from_a_file_is_held_although_its_corners_are_rounded(tmp_path):
         assert sound(grasp)
 
 
+@pytest.mark.parametrize("shear", [0.0, 0.3])
+def test_a_block_from_a_file_is_a_block(tmp_path, shear):
+    made = Polyhedron.hull(
+        Polyhedron.box([1.2, 1.0, 0.8]).vertices @ [[1, shear, 0], [0, 1, 0], [0, 0, 1]]
+    )
+    for seed in range(5):
+        made.placed(pose_of(seed, 0.5)).save(tmp_path / "block.stl")
+        body = Polyhedron.mesh(tmp_path / "block.stl")
+        assert classify(body).kind == classify(made).kind != "wider class"
+        assert sound(design_grasp(body))
+
+
 # --- searching and choosing ---------------------------------------------------------------------
 
 

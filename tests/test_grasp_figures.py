@@ -77,6 +77,9 @@ def test_contacts_of_the_face_are_dots_and_others_are_rings():
     assert len(lines) == 6
     solid = [line for line in lines if line.get_markeredgecolor() == LIGHT.paper]
     assert len(solid) == 1
+    assert solid[0].get_markersize() > max(
+        line.get_markersize() for line in lines if line not in solid
+    )
     np.testing.assert_allclose(np.ravel(solid[0].get_data()), [0.55, 0.4])
 
 

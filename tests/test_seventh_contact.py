@@ -75,7 +75,7 @@ def random_contacts(body: Polyhedron, count: int, rng: np.random.Generator) -> C
 
 def closable(body: Polyhedron, count: int, rng: np.random.Generator) -> Contacts:
     """Contacts of rank 6 to which some face has a region, if any of a few draws is such."""
-    for _ in range(20):
+    for _ in range(8):
         contacts = random_contacts(body, count, rng)
         if is_independent(contacts) and any(
             seventh_contact_region(contacts, f) for f in body.faces
@@ -178,14 +178,14 @@ def test_region_is_what_the_linear_program_accepts(count):
 def test_both_routes_give_the_same_region(count):
     rng = np.random.default_rng(100 + count)
     found = 0
-    for body in bodies():
-        for _ in range(2):
+    for body in bodies() if count < 9 else bodies()[::2]:
+        for _ in range(2 if count < 8 else 1):
             contacts = closable(body, count, rng)
             for face in body.faces:
                 one, other = (seventh_contact_region(contacts, face, m) for m in METHODS)
                 assert same_region(one, other, 1e-7)
                 found += bool(one)
-    assert found >= 14
+    assert found >= 8
 
 
 @pytest.mark.parametrize("count", [6, 7, 9])
@@ -306,7 +306,7 @@ def test_a_face_may_be_given_by_its_corners():
 
 
 @given(st.integers(0, 10_000), st.floats(1e-3, 1e2), st.floats(0.0, 1e3), st.sampled_from(METHODS))
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=15)
 def test_region_moves_with_the_body_and_grows_with_it(seed, factor, reach, method):
     rng = np.random.default_rng(seed)
     body = Polyhedron.hull(rng.normal(size=(6, 3)))

@@ -37,19 +37,23 @@ def assembled(
 ) -> Grasp:
     """A grasp of contacts at points of the faces, carried by grippers with the given frames.
 
+    Points are moved onto the planes of their faces: those of a body from a file are parallel or
+    perpendicular to some seven digits only.
+
     Raises
     ------
     GraspError
         A contact outside its face.
     """
-    for j, (point, number) in enumerate(zip(points, faces, strict=True)):
+    places = body.on_faces(faces, points)
+    for j, (point, number) in enumerate(zip(places, faces, strict=True)):
         reason = off_face(body.faces[number], point)
         if reason:
             raise GraspError(
                 f"the grippers are too large for the object: contact {j + 1} {reason}; choose "
                 f"smaller offsets"
             )
-    contacts = Contacts.along(points, -body.normals[list(faces)])
+    contacts = Contacts.along(places, -body.normals[list(faces)])
     grippers = tuple(
         Gripper(f"gripper {k + 1}", numbers, frame)
         for k, (numbers, frame) in enumerate(zip(split, frames, strict=True))

@@ -111,10 +111,9 @@ def _dots(
     for j, (place, colour) in enumerate(zip(places, colours, strict=True)):
         if np.any(place < low - margin) or np.any(place > high + margin):
             continue
-        dot: dict[str, Any] = (
-            {"mfc": colour, "mec": theme.paper} if on[j] else {"mfc": theme.paper, "mec": colour}
-        )
-        axes.plot(*place, "o", mew=1.2, zorder=4, **dot)
+        fill, edge = (colour, theme.paper) if on[j] else (theme.paper, colour)
+        dot: dict[str, Any] = {"mfc": fill, "mec": edge, "ms": 9 if on[j] else 7, "mew": 1.2}
+        axes.plot(*place, "o", zorder=4, **dot)
         axes.annotate(
             str(j + 1),
             tuple(place),
