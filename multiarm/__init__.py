@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from multiarm.scene.own_effects import register_effect
     from multiarm.simulation import simulate
     from multiarm.state import State
+    from multiarm.sweeps.result import Sweep, load_sweep
+    from multiarm.sweeps.sweep import sweep
     from multiarm.system import System
     from multiarm.trajectory import Trajectory, load_trajectory
     from multiarm.viewer import replay
@@ -39,18 +41,21 @@ _HOMES = {
     "Loads": "effects.effect",
     "Scene": "scene",
     "State": "state",
+    "Sweep": "sweeps.result",
     "System": "system",
     "Trajectory": "trajectory",
     "compile_system": "compilation",
     "evaluate": "evaluation",
     "inverse_dynamics": "inverse",
     "load_scene": "scene",
+    "load_sweep": "sweeps.result",
     "load_trajectory": "trajectory",
     "register_effect": "scene.own_effects",
     "replay": "viewer",
     "report": "reporting",
     "simulate": "simulation",
     "simulate_many": "many",
+    "sweep": "sweeps.sweep",
 }
 
 __all__ = [
@@ -60,6 +65,7 @@ __all__ = [
     "MultiarmError",
     "Scene",
     "State",
+    "Sweep",
     "System",
     "Trajectory",
     "compile_system",
@@ -67,12 +73,14 @@ __all__ = [
     "grasp",
     "inverse_dynamics",
     "load_scene",
+    "load_sweep",
     "load_trajectory",
     "register_effect",
     "replay",
     "report",
     "simulate",
     "simulate_many",
+    "sweep",
 ]
 
 try:

@@ -16,6 +16,7 @@ __all__ = [
     "ReplayError",
     "SceneError",
     "SolverError",
+    "SweepError",
     "TrajectoryError",
 ]
 
@@ -45,7 +46,34 @@ class SceneError(MultiarmError):
     def __init__(self, faults: Iterable[str] | str, source: str | None = None) -> None:
         self.faults: list[str] = [faults] if isinstance(faults, str) else list(faults)
         self.source = source
-        super().__init__(_scene_message(self.faults, source))
+        super().__init__(_told(self.faults, source, "scene"))
+
+    def __reduce__(self) -> tuple[type, tuple[list[str], str | None]]:
+        return type(self), (self.faults, self.source)
+
+
+class SweepError(MultiarmError):
+    """Many runs cannot be planned, carried out or stored as they are asked for.
+
+    Parameters
+    ----------
+    faults : iterable of str, or str
+        Every fault found, each one complete: place, value, alternatives, remedy.
+    source : str, optional
+        Where the sweep was written (a file name), named on the first line of the message.
+
+    Attributes
+    ----------
+    faults : list of str
+        The faults, one text each.
+    source : str or None
+        The file the sweep was written in, when there is one.
+    """
+
+    def __init__(self, faults: Iterable[str] | str, source: str | None = None) -> None:
+        self.faults: list[str] = [faults] if isinstance(faults, str) else list(faults)
+        self.source = source
+        super().__init__(_told(self.faults, source, "sweep"))
 
     def __reduce__(self) -> tuple[type, tuple[list[str], str | None]]:
         return type(self), (self.faults, self.source)
@@ -75,9 +103,9 @@ class GraspError(MultiarmError):
     """The contacts between the arms and the object do not hold the object as intended."""
 
 
-def _scene_message(faults: list[str], source: str | None) -> str:
+def _told(faults: list[str], source: str | None, noun: str) -> str:
     if source is None and len(faults) == 1:
         return faults[0]
     count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
-    head = f"{source}: {count}" if source else f"the scene has {count}"
+    head = f"{source}: {count}" if source else f"the {noun} has {count}"
     return "\n".join([f"{head}:", *(f"  {fault}" for fault in faults)])

@@ -53,6 +53,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("simulation",),
     ("grasp_scenes",),
     ("many",),
+    ("sweeps",),
     ("problems",),
     ("checking", "plots", "viewer"),
     ("reporting_parts",),
@@ -68,6 +69,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
 EXCEPTIONS = {
     ("programs", "compilation"): "a path is planned on a sibling system whose joints are rigid",
     ("many", "cli"): "progress is shown by the commands' own bar",
+    ("sweeps", "cli"): "progress is shown by the command's own bar",
     ("grasp", "grasp_scenes"): "a grasp becomes a scene, which takes robots and postures",
     ("assembly", "dynamics"): "a failed start is told in the words of a failed evaluation",
 }
@@ -75,7 +77,10 @@ EXCEPTIONS = {
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
     "coal": ("candidates.floor", "viewer.shapes"),
+    "dask": ("sweeps.cluster",),
+    "distributed": ("sweeps.cluster", "sweeps.sweep"),
     "h5py": ("storage",),
+    "joblib": ("sweeps.engines",),
     "llvmlite": ("books", "lanes", "lowlevel", "translation"),
     "matplotlib": (
         "plots",
@@ -89,7 +94,8 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "mujoco": ("benchmarks.mujoco_peer",),
     "numba": ("books", "lanes", "lowlevel", "translation", "benchmarks.torque_tape"),
     "pinocchio": ("arm", "arm_groups", "viewer", "benchmarks.peers", "benchmarks.pinocchio_motion"),
-    "pydantic": ("scene",),
+    "pyarrow": ("sweeps.export",),
+    "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
     "pydrake": ("benchmarks.drake_peer",),
     "rich": ("cli",),
@@ -102,18 +108,19 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "contacts.internal_forces",
         "effects.external_wrenches",
         "problems",
+        "sweeps.draws",
         "benchmarks.bursts",
         "benchmarks.solver_forms",
         "benchmarks.peer_trials",
         "benchmarks.pinocchio_motion",
     ),
     "shapely": ("grasp", "viewer.regions"),
-    "threadpoolctl": ("benchmarks.bursts",),
+    "threadpoolctl": ("benchmarks.bursts", "sweeps.work"),
     "trimesh": ("grasp.mesh",),
     "typer": ("cli",),
-    "typing_extensions": ("cli", "scene"),
+    "typing_extensions": ("cli", "scene", "sweeps"),
     "umsgpack": ("viewer",),
-    "yaml": ("reporting", "scene", "guide.cards"),
+    "yaml": ("reporting", "scene", "guide.cards", "sweeps.spec"),
 }
 
 HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydantic"}
@@ -127,6 +134,8 @@ PUBLIC_ATTRIBUTES = {
     "Scene": "name gravity object arms joints control effects run",
     "State": "position velocity object_position object_quaternion_xyzw object_twist "
     "joint_positions joint_velocities",
+    "Sweep": "scene plan count complete runs paths quantities columns table status_counts select "
+    "rows row summary values_of scene_of trajectory to_csv to_parquet provenance",
     "System": "scene arm_names arms initial_state state",
     "Trajectory": "time object_position object_quaternion_xyzw object_twist joint_positions "
     "joint_velocities joint_torques contact_forces contact_states energy kinetic_energy "
@@ -138,6 +147,7 @@ PUBLIC_PARAMETERS = {
     "evaluate": "system t state",
     "inverse_dynamics": "system state object_acceleration relative_acceleration internal_forces",
     "load_scene": "path",
+    "load_sweep": "path",
     "load_trajectory": "path",
     "register_effect": "effect",
     "replay": "trajectory path open_browser fps speed",
@@ -146,6 +156,8 @@ PUBLIC_PARAMETERS = {
     "output_step solver out progress",
     "simulate_many": "system duration states parameters threads progress out accuracy integrator "
     "step tolerance stabilization output_step max_step solver control certificate",
+    "sweep": "scene over out workers dask keep repeat combine sampling seed certificate progress "
+    "resume run",
 }
 
 

@@ -1,5 +1,5 @@
 """The command line: ``multiarm run``, ``check``, ``joints``, ``replay``, ``report``, ``accuracy``,
-``effects``, ``scaling``, ``stability``, ``grasp``.
+``effects``, ``scaling``, ``stability``, ``sweep``, ``grasp``.
 
 Each command is a function in a module of its own; whatever is heavy is imported when a command
 runs, so that ``--help`` answers at once.  Exit codes: 0 all went well; 1 a run failed or was
@@ -23,6 +23,7 @@ from multiarm.cli.run import run
 from multiarm.cli.scaling import scaling
 from multiarm.cli.show import replay, report
 from multiarm.cli.stability import stability
+from multiarm.cli.sweep import sweep
 from multiarm.cli.terminal import print_error
 from multiarm.errors import MultiarmError
 
@@ -76,7 +77,8 @@ def _program(
 
     A scene is a YAML file that names arms, object, joints and control. Look at one with
     **multiarm check**, simulate it with **multiarm run**, and see the result with
-    **multiarm replay** and **multiarm report**. **multiarm grasp** designs grasps, and the scenes
+    **multiarm replay** and **multiarm report**. **multiarm sweep** runs it many times with other
+    values in it. **multiarm grasp** designs grasps, and the scenes
     in which arms hold a body so.
 
     Exit codes: 0 done; 1 a run failed or was interrupted, its results up to there are saved; 2 bad
@@ -84,6 +86,6 @@ def _program(
     """
 
 
-for _command in (run, check, joints, replay, report, accuracy, effects, scaling, stability):
+for _command in (run, check, joints, replay, report, accuracy, effects, scaling, stability, sweep):
     app.command()(_command)
 app.add_typer(grasp_app, name="grasp")

@@ -18,11 +18,18 @@ if TYPE_CHECKING:
 
 __all__ = ["replay", "report", "serve_until_interrupt"]
 
-RESULT = typer.Argument(help="A result of multiarm run, an HDF5 file.", metavar="RESULT.h5")
+RESULT = typer.Argument(
+    help="A result of multiarm run, or of multiarm sweep with --run; an HDF5 file.",
+    metavar="RESULT.h5",
+)
+RUN = typer.Option(
+    help="Number of a run of a sweep, which is simulated again.", show_default="none", metavar="N"
+)
 
 
 def replay(
     result: Annotated[Path, RESULT],
+    run: Annotated[int | None, RUN] = None,
     html: Annotated[
         Path | None,
         typer.Option(
@@ -42,10 +49,10 @@ def replay(
     """Show the motion of a run in the browser, until Ctrl-C, or write it to one HTML file.
 
     Shown are arms, object, joints with their axes and limits, contacts and contact forces. A run
-    that failed or was interrupted is shown as far as it came.
+    that failed or was interrupted is shown as far as it came. Of a sweep, --run names the run.
     """
     check_targets({"--html": html}, source=result)
-    trajectory = _open_with_samples(result)
+    trajectory = _open_with_samples(result, run)
     if html is None:
         serve_until_interrupt(trajectory, fps=fps, speed=speed, open_browser=not no_open)
         return
@@ -60,10 +67,14 @@ def report(
     out: Annotated[
         Path, typer.Option(help="The HTML file; replaced if it exists.", metavar="FILE.html")
     ] = Path("report.html"),
+    run: Annotated[int | None, RUN] = None,
 ) -> None:
-    """Write a report of a run: figures of motion, forces, energy and drift, in one HTML file."""
+    """Write a report of a run: figures of motion, forces, energy and drift, in one HTML file.
+
+    Of a sweep, --run names the run.
+    """
     check_targets({"--out": out}, source=result)
-    trajectory = _open_with_samples(result)
+    trajectory = _open_with_samples(result, run)
     import multiarm
 
     multiarm.report(trajectory, out)
@@ -92,11 +103,44 @@ def serve_until_interrupt(
         return
 
 
-def _open_with_samples(result: Path) -> Trajectory:
-    """The trajectory in a file; one that did not end well is said to be so."""
-    trajectory = open_result(result)
+def _open_with_samples(result: Path, run: int | None) -> Trajectory:
+    """The trajectory in a file, or of a sweep's run; one that did not end well is said to be so."""
+    trajectory = _run_of_sweep(result, run) if _is_sweep(result) else _only_run(result, run)
+    which = f"'{result}'" if run is None else f"run {run} of '{result}'"
     if not len(trajectory):
-        raise MultiarmError(f"'{result}' has no samples to show: {trajectory.message}")
+        raise MultiarmError(f"{which} has no samples to show: {trajectory.message}")
     if trajectory.status != "completed":
         print_warnings([f"this run {trajectory.status}: {trajectory.message}"])
     return trajectory
+
+
+def _is_sweep(result: Path) -> bool:
+    from multiarm.storage.row_file import SWEEP
+
+    path = result.expanduser()
+    return path.is_file() and SWEEP.matches(path)
+
+
+def _only_run(result: Path, run: int | None) -> Trajectory:
+    trajectory = open_result(result)
+    if run is not None:
+        raise MultiarmError(f"--run: '{result}' is the result of one run, not of a sweep")
+    return trajectory
+
+
+def _run_of_sweep(result: Path, run: int | None) -> Trajectory:
+    """Simulate a run of a sweep again."""
+    from multiarm.sweeps.result import load_sweep
+
+    sweep = load_sweep(result.expanduser())
+    try:
+        if run is None:
+            raise MultiarmError(
+                f"'{result}' is a sweep of {sweep.count} runs; choose the one to show: --run 1 to "
+                f"--run {sweep.count}"
+            )
+        values = ", ".join(f"{path} = {value}" for path, value in sweep.values_of(run).items())
+        messages().print(Text(f"simulating run {run}: {values}"), soft_wrap=True)
+        return sweep.trajectory(run)
+    finally:
+        sweep.close()

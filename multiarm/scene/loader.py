@@ -17,7 +17,7 @@ import yaml
 from multiarm.errors import SceneError
 from multiarm.scene.schema import Scene
 
-__all__ = ["dump_scene", "load_scene", "parse_scene"]
+__all__ = ["dump_scene", "load_scene", "parse_scene", "parse_yaml"]
 
 
 def load_scene(path: Path | str) -> Scene:
@@ -48,7 +48,7 @@ def load_scene(path: Path | str) -> Scene:
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror}") from None
     try:
-        data = _yaml(text)
+        data = parse_yaml(text)
         if isinstance(data, Mapping):
             data = {"name": path.stem.replace("_", " "), **data}
         return Scene.from_mapping(data, path.resolve().parent)
@@ -75,7 +75,7 @@ def parse_scene(
     SceneError
         Naming every fault.
     """
-    data = _yaml(source) if isinstance(source, str) else source
+    data = parse_yaml(source) if isinstance(source, str) else source
     return Scene.from_mapping(data, folder, stored)
 
 
@@ -87,6 +87,24 @@ def dump_scene(scene: Scene) -> str:
     return yaml.safe_dump(
         data, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
     )
+
+
+def parse_yaml(text: str) -> Any:
+    """Return what a YAML text stands for, with the habits above.
+
+    Raises
+    ------
+    SceneError
+        When it is not YAML, or a key stands twice.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise SceneError(f"{where}{error.problem or error.context}; this is not YAML") from None
+    except yaml.YAMLError as error:
+        raise SceneError(f"this is not YAML: {error}") from None
 
 
 _MERGE, _TRUTH = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:bool"
@@ -118,17 +136,6 @@ _Loader.add_implicit_resolver(
     re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+$"),
     list("-+0123456789"),
 )
-
-
-def _yaml(text: str) -> Any:
-    try:
-        return yaml.load(text, Loader=_Loader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise SceneError(f"{where}{error.problem or error.context}; this is not YAML") from None
-    except yaml.YAMLError as error:
-        raise SceneError(f"this is not YAML: {error}") from None
 
 
 def _neighbours(path: Path) -> str:

@@ -38,6 +38,7 @@ __all__ = [
     "find_effect",
     "own_effect_names",
     "register_effect",
+    "registered_effects",
 ]
 
 GROUP = "multiarm.effects"
@@ -125,6 +126,11 @@ def find_effect(name: str) -> type | None:
 def own_effect_names() -> list[str]:
     """Names of all effects that are registered or installed."""
     return sorted({*_REGISTERED, *(point.name for point in metadata.entry_points(group=GROUP))})
+
+
+def registered_effects() -> tuple[type, ...]:
+    """The classes that were registered in this process, which another one knows nothing of."""
+    return tuple(_REGISTERED.values())
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,10 @@ never closed, `amendment` says more about a run that is complete.
 """
 
 from multiarm.storage.amendment import amend
-from multiarm.storage.reader import Hdf5Store
-from multiarm.storage.writer import Hdf5Writer, temporary_beside, writable_target
+from multiarm.storage.growing import temporary_beside
+from multiarm.storage.reader import TRAJECTORY, Hdf5Store
+from multiarm.storage.writer import Hdf5Writer
+
+writable_target = TRAJECTORY.writable_target
 
 __all__ = ["Hdf5Store", "Hdf5Writer", "amend", "temporary_beside", "writable_target"]

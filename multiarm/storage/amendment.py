@@ -17,7 +17,8 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.storage.layout import PIECE_BYTES, reason
-from multiarm.storage.reader import HDF5_ERRORS, Hdf5Store
+from multiarm.storage.opening import HDF5_ERRORS
+from multiarm.storage.reader import Hdf5Store
 
 SPARE_BYTES = 65536
 """Room asked for beyond the text itself: index and pages of the file."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
@@ -14,11 +12,18 @@ import numpy as np
 
 from multiarm.channels import CLOSED, Channel
 from multiarm.errors import TrajectoryError
-from multiarm.storage.layout import FORMAT, FORMAT_VERSION, reason
-from multiarm.storage.recovery import Unclosed, is_unclosed
+from multiarm.storage.layout import FORMAT, FORMAT_VERSION
+from multiarm.storage.opening import FileKind, stored_inside, unchunked_inside
+from multiarm.storage.recovery import is_unclosed
 
-HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError)
-"""What h5py raises for a file that is not what it should be."""
+TRAJECTORY = FileKind(
+    FORMAT,
+    FORMAT_VERSION,
+    noun="a trajectory",
+    origin="a trajectory is written by a run or by save()",
+    remedy="copy it again or repeat the run",
+    trouble=TrajectoryError,
+)
 TRIES, PAUSE = 4, 0.1
 """To open a file that may be in the middle of being written; seconds in between."""
 
@@ -48,9 +53,9 @@ class Hdf5Store:
                 time.sleep(PAUSE)
 
     def _open(self) -> None:
-        self._file, intact = _open_for_reading(self.path)
-        with self._reading():
-            _check_format(self.path, self._file)
+        self._file, intact = TRAJECTORY.open_for_reading(self.path)
+        with TRAJECTORY.reading(self.path):
+            TRAJECTORY.check(self.path, self._file)
             self.samples, self._pieces = (int(n) for n in self._file["progress"][:])
             self.channels: dict[str, Channel] = {
                 name: _channel(name, self._file[name]) for name in self._file.attrs["channels"]
@@ -71,12 +76,12 @@ class Hdf5Store:
                     f"'{self.path}' is not the file any more that this result was read from; load "
                     f"it anew, or write other runs elsewhere"
                 )
-            file = _open_for_reading(self.path)[0]
-            with file, self._reading():
+            file = TRAJECTORY.open_for_reading(self.path)[0]
+            with file, TRAJECTORY.reading(self.path):
                 return file[name][start:stop]
         if not self._file:  # h5py's word for closed
             raise TrajectoryError(CLOSED)
-        with self._reading():
+        with TRAJECTORY.reading(self.path):
             return self._file[name][start:stop]
 
     def rest(self) -> None:
@@ -112,86 +117,19 @@ class Hdf5Store:
         return json.loads(b"".join(self._file["amendment"][begin:end])) if end else {}
 
     def _check_extent(self) -> None:
-        """HDF5 reads zeros behind the end of a file that was not closed: look first."""
+        """What was not closed may end before its data."""
         size = self.path.stat().st_size
         parts = dict.fromkeys(self.channels, self.samples) | {"outcome": self._pieces}
         if "amended" in self._file:
             parts["amendment"] = int(self._file["amended"][1])
-        progress = self._file["progress"].id
-        inside = progress.get_offset() + progress.get_storage_size() <= size
+        inside = unchunked_inside(self._file["progress"], size)
         if not inside or not all(
-            _stored_inside(self._file[name], rows, size) for name, rows in parts.items()
+            stored_inside(self._file[name], rows, size) for name, rows in parts.items()
         ):
             raise OSError("data behind the end of the file")
-
-    @contextmanager
-    def _reading(self) -> Iterator[None]:
-        try:
-            yield
-        except HDF5_ERRORS as error:
-            raise _damaged(self.path, error) from error
-
-
-def is_trajectory(path: Path) -> bool:
-    """Whether a file is one of ours, whatever its version and state."""
-    try:
-        with _open_for_reading(path)[0] as file:
-            return file.attrs.get("format") == FORMAT
-    except (TrajectoryError, *HDF5_ERRORS):
-        return False
-
-
-def _open_for_reading(path: Path) -> tuple[h5py.File, bool]:
-    """The open file, and whether it was closed properly when it was written."""
-    if not path.is_file():
-        what = "it is a folder" if path.is_dir() else "there is no such file"
-        raise TrajectoryError(f"cannot read '{path}': {what}")
-    try:
-        if not h5py.is_hdf5(path):
-            raise TrajectoryError(
-                f"'{path}' is not an HDF5 file; a trajectory is written by a run or by save()"
-            )
-        if is_unclosed(path):
-            return h5py.File(Unclosed(path), "r"), False
-        return h5py.File(path, "r", locking="best-effort"), True
-    except HDF5_ERRORS as error:
-        raise _damaged(path, error) from error
 
 
 def _channel(name: str, dataset: h5py.Dataset) -> Channel:
     words = {key: str(dataset.attrs[key]) for key in ("unit", "frame", "description")}
     labels = tuple(str(label) for label in dataset.attrs.get("columns", ()))
     return Channel(name, dataset.shape[1:], **words, labels=labels)
-
-
-def _check_format(path: Path, file: h5py.File) -> None:
-    if file.attrs.get("format") != FORMAT:
-        raise TrajectoryError(f"'{path}' is an HDF5 file, but not a trajectory of multiarm")
-    version = int(file.attrs["format_version"])
-    if version > FORMAT_VERSION:
-        raise TrajectoryError(
-            f"'{path}' has format version {version}; this program reads up to {FORMAT_VERSION}: "
-            "update multiarm"
-        )
-
-
-def _stored_inside(dataset: h5py.Dataset, rows: int, size: int) -> bool:
-    """Whether the chunks of the first `rows` rows exist and end before byte `size`."""
-    if dataset.shape[0] < rows:
-        return False
-    if 0 in dataset.shape[1:]:
-        return True
-    ends: list[int] = []
-
-    def collect(chunk) -> None:
-        if chunk.chunk_offset[0] < rows:
-            ends.append(chunk.byte_offset + chunk.size)
-
-    dataset.id.chunk_iter(collect)
-    return len(ends) == -(-rows // dataset.chunks[0]) and max(ends, default=0) <= size
-
-
-def _damaged(path: Path, error: Exception) -> TrajectoryError:
-    return TrajectoryError(
-        f"'{path}' is damaged or was cut short ({reason(error)}); copy it again or repeat the run"
-    )

@@ -1,0 +1,224 @@
+"""``multiarm sweep``: run a scene many times with other values in it, and lose nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.text import Text
+
+from multiarm.cli.files import check_plot, check_targets, write_json
+from multiarm.cli.options import METHOD, OF_SCENE
+from multiarm.cli.sweep_progress import SweepProgress
+from multiarm.cli.sweep_tables import facts_table, spread_table, trouble_lines
+from multiarm.cli.terminal import messages, output, print_error, print_warnings, print_written
+
+if TYPE_CHECKING:
+    from multiarm.sweeps.result import Sweep
+    from multiarm.sweeps.summary import SweepSummary
+
+__all__ = ["sweep"]
+
+FILES, WORKERS = "Results", "Who works"
+OF_SWEEP = "the sweep's"
+
+
+def sweep(
+    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
+    over: Annotated[
+        Path,
+        typer.Option(
+            help="The sweep, a YAML file: what varies, how, and what is kept.", metavar="FILE.yaml"
+        ),
+    ],
+    repeat: Annotated[
+        int | None,
+        typer.Option(
+            help="Draws for each point of the grid.", show_default=OF_SWEEP, min=1, metavar="N"
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Of all draws.", show_default=OF_SWEEP, min=0, metavar="N"),
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            help="Simulated time of a run, in s.",
+            show_default=OF_SCENE,
+            metavar="S",
+            rich_help_panel=METHOD,
+        ),
+    ] = None,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(
+            help="Largest error of a run, in m and rad.",
+            show_default=OF_SCENE,
+            metavar="A",
+            rich_help_panel=METHOD,
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            help="Processes on this computer; 1 works in this one.",
+            show_default="one for each core",
+            min=1,
+            metavar="N",
+            rich_help_panel=WORKERS,
+        ),
+    ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            help="Scheduler of a Dask cluster, such as tcp://host:8786, whose workers take the "
+            "runs; 'config' for the one that Dask's own configuration names.",
+            show_default="none",
+            metavar="ADDRESS",
+            rich_help_panel=WORKERS,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="HDF5 file of all rows. One of the same sweep is gone on with.",
+            show_default="the sweep's file name with .h5, in the current folder",
+            metavar="FILE.h5",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    fresh: Annotated[
+        bool,
+        typer.Option(
+            "--fresh", help="Begin anew, and give up what the file holds.", rich_help_panel=FILES
+        ),
+    ] = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw the quantities over the varied values; the file's ending (png, svg, pdf) "
+            "is the format.",
+            show_default="none",
+            metavar="FILE",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    csv: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the table as CSV.",
+            show_default="none",
+            metavar="FILE.csv",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    parquet: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the table as Parquet, which takes PyArrow.",
+            show_default="none",
+            metavar="FILE.parquet",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    json: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the summary's figures as JSON.",
+            show_default="none",
+            metavar="FILE.json",
+            rich_help_panel=FILES,
+        ),
+    ] = None,
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=FILES
+        ),
+    ] = False,
+) -> None:
+    """Run a scene many times with other values in it, and keep some numbers of every run.
+
+    Rows are safe in the file as runs end. Ctrl-C, or a kill, ends the sweep; the same command goes
+    on where it stopped. A run that fails is a row that says why. Every run follows from scene,
+    sweep and its number alone: **multiarm replay FILE.h5 --run 17** simulates and shows run 17.
+
+    The exit code is 0 when all runs are made and some completed, 1 when the sweep was interrupted
+    or no run completed, 2 when something given is wrong.
+
+    The JSON has the keys scene, over (paths), count, done, statuses, wall_time (of all runs, in s),
+    spreads (name, unit, words, count, smallest, smallest_run, largest, largest_run, mean,
+    quantiles), failures (status, message, runs, first_run) and files (result, plot, csv, parquet).
+    Numbers are finite, or null where there is none.
+    """
+    target = out if out is not None else Path(f"{over.stem}.h5")
+    written = {"--plot": plot, "--csv": csv, "--parquet": parquet, "--json": json}
+    check_plot(plot)
+    for source in (scene, over):
+        check_targets({"--out": target, **written}, source=source)
+    changes: dict[str, Any] = {"repeat": repeat, "seed": seed}
+    changes |= {"duration": duration, "accuracy": accuracy}
+    engine: dict[str, Any] = {"workers": workers, "dask": True if dask == "config" else dask}
+    given = {key: value for key, value in (changes | engine).items() if value is not None}
+    found = _make(scene, over, target, fresh, quiet, given)
+    summary = found.summary()
+    if not quiet:
+        output().print(facts_table(found.scene.name, summary, found.paths))
+        output().print(spread_table(summary))
+        print_written("sweep", target)
+    print_warnings(trouble_lines(summary))
+    files = _write(found, {"plot": plot, "csv": csv, "parquet": parquet}, quiet)
+    if json is not None:
+        figures = {"scene": found.scene.name, "over": list(found.paths), **summary.figures()}
+        write_json(json, {**figures, "files": {"result": str(target), **files}})
+    _end(summary, target, quiet)
+
+
+def _make(
+    scene: Path, over: Path, target: Path, fresh: bool, quiet: bool, given: dict[str, Any]
+) -> Sweep:
+    """Plan the sweep and make its runs behind a progress bar."""
+    from multiarm.scene import load_scene
+    from multiarm.sweeps.sweep import sweep as run_sweep
+
+    loaded = load_scene(scene)
+    print_warnings(loaded.warnings)
+    with SweepProgress(quiet) as progress:
+        return run_sweep(loaded, over, out=target, resume=not fresh, progress=progress, **given)
+
+
+def _write(found: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[str, str]:
+    """Write what was asked for; returns the places."""
+    wanted = {what: path for what, path in targets.items() if path is not None}
+    for what, path in wanted.items():
+        if what == "plot":
+            from multiarm.plots.sweep_figures import write_overview
+
+            write_overview(found, path)
+        elif what == "csv":
+            found.to_csv(path)
+        else:
+            found.to_parquet(path)
+        if not quiet:
+            print_written(what, path)
+    return {what: str(path) for what, path in wanted.items()}
+
+
+def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:
+    """Say how to go on; the exit code."""
+    if summary.done < summary.count:
+        print_error(
+            f"the sweep was interrupted: {summary.done:,} of {summary.count:,} runs are in "
+            f"'{target}'; the same command goes on from there"
+        )
+        raise typer.Exit(1)
+    if not summary.statuses.get("completed"):
+        print_error(f"no run completed; the rows in '{target}' say why")
+        raise typer.Exit(1)
+    widest = next((own for own in summary.spreads if own.largest_run is not None), None)
+    if not quiet and widest is not None:
+        hint = f"multiarm replay {target} --run {widest.largest_run}"
+        line = Text.assemble(f"the run with the largest {widest.name}: ", (hint, "bold"))
+        messages().print(line, soft_wrap=True)

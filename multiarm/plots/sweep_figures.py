@@ -1,0 +1,234 @@
+"""Figures of a sweep: each quantity over each varied value, and over two of them as a map.
+
+Curves show the median, the middle half and nine tenths of the runs.  Runs that did not complete are
+red ticks at the foot.  Points are thinned out, so that a figure of very many runs stays small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+
+from multiarm.errors import SweepError
+from multiarm.plots.style import INK, STYLE
+from multiarm.plots.sweep_axes import Variable, bands, cells, is_wide, variable
+from multiarm.scene.words import unknown
+from multiarm.writing import in_one_step
+
+if TYPE_CHECKING:
+    from multiarm.sweeps.result import Sweep
+
+__all__ = ["sweep_curves", "sweep_map", "sweep_overview", "write_overview"]
+
+LINE, FAILED = "#3b7dd8", "#d1495b"
+"""Colours of the median and its bands, and of runs that did not complete."""
+POINTS = 3000
+"""Runs that are drawn one by one, at most."""
+WIDTH, HEIGHT = 4.6, 2.7
+"""Of a panel [in]."""
+MOST_PATHS, MOST_QUANTITIES = 4, 8
+"""Columns and rows of a figure, unless they are named."""
+COLOURS = "viridis"
+
+
+def sweep_overview(sweep: Sweep) -> Figure:
+    """The first quantities over the first varied values, and over two of these as maps.
+
+    Raises
+    ------
+    SweepError
+        There is no run, no quantity or no varied value to draw.
+    """
+    data = _Data(sweep, None, None)
+    pairs = [] if len(data.axes) < 2 else [(data.axes[0], data.axes[1])]
+    return _sheet(data, data.axes, pairs)
+
+
+def sweep_curves(
+    sweep: Sweep, paths: Sequence[str] | None = None, quantities: Sequence[str] | None = None
+) -> Figure:
+    """Quantities over varied values, a row of panels each.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    paths, quantities : sequence of str, optional
+        Names of columns; the first few of the sweep when left out.
+
+    Raises
+    ------
+    SweepError
+        There is none of that name, with the alternatives, or nothing to draw.
+    """
+    data = _Data(sweep, paths, quantities)
+    return _sheet(data, data.axes, [])
+
+
+def sweep_map(sweep: Sweep, x: str, y: str, quantities: Sequence[str] | None = None) -> Figure:
+    """Quantities over two varied values: medians of a grid, else the runs themselves.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    x, y : str
+        Names of columns.
+    quantities : sequence of str, optional
+
+    Raises
+    ------
+    SweepError
+        There is none of that name, with the alternatives, or nothing to draw.
+    """
+    data = _Data(sweep, [x, y], quantities)
+    return _sheet(data, [], [(data.axes[0], data.axes[1])])
+
+
+def write_overview(sweep: Sweep, path: Path) -> None:
+    """Draw :func:`sweep_overview` to a file; its ending is the format.
+
+    Raises
+    ------
+    MultiarmError
+        There is nothing to draw, or the file cannot be written.
+    """
+    figure = sweep_overview(sweep)
+    with in_one_step(path, "--plot") as partial:
+        figure.savefig(partial, format=path.suffix.lower().lstrip("."), dpi=150)
+
+
+class _Data:
+    """What is drawn: axes, quantities, and which runs did not complete."""
+
+    def __init__(self, sweep: Sweep, paths: Sequence[str] | None, names: Sequence[str] | None):
+        varied = [own.name for own in sweep.columns if own.group == "values"]
+        kept = {own.name: own for own in sweep.columns if own.group == "quantities"}
+        _check(paths, varied, "varied value")
+        _check(names, kept, "quantity", "quantities")
+        wanted = varied if paths is None else list(paths)
+        table = sweep.select(dict.fromkeys(["status", *wanted, *(names or kept)]))
+        there = [name for name in names or kept if np.isfinite(table[name]).any()]
+        if not there:
+            raise SweepError(f"'{sweep.path}' has no run with a number to draw")
+        shown = there[:MOST_QUANTITIES] if names is None else list(names)
+        found = {path: variable(path, table[path]) for path in wanted}
+        refused = [path for path, axis in found.items() if axis is None]
+        axes = [axis for axis in found.values() if axis is not None]
+        if not axes or (paths is not None and refused):
+            raise SweepError(
+                f"'{sweep.path}': there is nothing to draw over: "
+                f"{', '.join(refused) or 'no value'} varies as a number, or takes few values"
+            )
+        self.axes = axes[:MOST_PATHS] if paths is None else axes
+        self.values = {name: table[name] for name in shown}
+        self.labels = {
+            name: f"{name} [{kept[name].unit}]" if kept[name].unit else name for name in shown
+        }
+        self.failed = table["status"] != "completed"
+
+
+def _check(names: Sequence[str] | None, known: Any, noun: str, plural: str | None = None) -> None:
+    faults = [unknown(noun, name, known, plural) for name in names or () if name not in known]
+    if faults:
+        raise SweepError(faults)
+
+
+def _sheet(
+    data: _Data, axes: Sequence[Variable], pairs: Sequence[tuple[Variable, Variable]]
+) -> Figure:
+    """A row of panels for each quantity: its curves, then its maps."""
+    rows, columns = len(data.values), len(axes) + len(pairs)
+    with matplotlib.rc_context(STYLE):
+        size = (WIDTH * columns, HEIGHT * rows + 0.3)
+        figure = Figure(figsize=size, layout="constrained")
+        grid = figure.subplots(rows, columns, squeeze=False)
+        for row, (name, values) in zip(grid, data.values.items(), strict=True):
+            for panel, axis in zip(row, axes, strict=False):
+                _draw_curve(panel, axis, values, data.failed)
+                panel.set_ylabel(data.labels[name], parse_math=False)
+            for panel, (x, y) in zip(row[len(axes) :], pairs, strict=True):
+                _draw_map(figure, panel, x, y, values, data.labels[name])
+    return figure
+
+
+def _draw_curve(panel: Axes, axis: Variable, values: np.ndarray, failed: np.ndarray) -> None:
+    finite = np.isfinite(values)
+    if is_wide(values):
+        panel.set_yscale("log")
+    _dress(panel, axis, "x")
+    places, found = bands(axis, values)
+    if axis.levels is None:
+        shown = _thinned(np.flatnonzero(finite))
+        panel.plot(axis.at[shown], values[shown], ".", color=INK, markersize=2.5, alpha=0.35)
+    if len(places):
+        panel.fill_between(places, found[:, 0], found[:, 4], color=LINE, alpha=0.15, linewidth=0)
+        panel.fill_between(places, found[:, 1], found[:, 3], color=LINE, alpha=0.25, linewidth=0)
+        panel.plot(places, found[:, 2], "o-", color=LINE, markersize=3.5, label="median")
+    lost = _thinned(np.flatnonzero(failed))
+    if len(lost):
+        panel.plot(
+            axis.at[lost], np.full(len(lost), 0.025), "|", color=FAILED, markersize=8,
+            transform=panel.get_xaxis_transform(), label="did not complete",
+        )  # fmt: skip
+
+
+def _draw_map(
+    figure: Figure, panel: Axes, x: Variable, y: Variable, values: np.ndarray, label: str
+) -> None:
+    finite = np.isfinite(values)
+    norm = LogNorm() if is_wide(values) else Normalize()
+    _dress(panel, x, "x")
+    _dress(panel, y, "y")
+    table = cells(x, y, values)
+    panel.grid(False)
+    if table is not None:
+        edges = _edges(x), _edges(y)
+        drawn: Any = panel.pcolormesh(
+            *edges, np.ma.masked_invalid(table), cmap=COLOURS, norm=norm, linewidth=0
+        )
+    else:
+        shown = _thinned(np.flatnonzero(finite))
+        drawn = panel.scatter(
+            x.at[shown], y.at[shown], c=values[shown], s=9, cmap=COLOURS, norm=norm, linewidths=0
+        )
+    if finite.any():
+        figure.colorbar(drawn, ax=panel).set_label(label, parse_math=False)
+
+
+def _dress(panel: Axes, axis: Variable, which: str) -> None:
+    """Name, scale and levels of an axis."""
+    if which == "x":
+        panel.set_xlabel(axis.name, parse_math=False)
+    else:
+        panel.set_ylabel(axis.name, parse_math=False)
+    if axis.log:
+        (panel.set_xscale if which == "x" else panel.set_yscale)("log")
+    if axis.labels and axis.levels is not None:
+        ticks = panel.set_xticks if which == "x" else panel.set_yticks
+        turned: dict[str, Any] = {"rotation": 30, "ha": "right"}
+        crowded = which == "x" and len(axis.labels) > 3
+        ticks(axis.levels, axis.labels, parse_math=False, **(turned if crowded else {}))
+
+
+def _edges(axis: Variable) -> np.ndarray:
+    """Borders of the cells around the levels; on a logarithmic axis by ratios."""
+    assert axis.levels is not None, "the axis has levels"
+    levels = np.log(axis.levels) if axis.log else axis.levels
+    if len(levels) == 1:
+        half = 0.5 * (abs(levels[0]) or 1.0)
+        edges = np.array([levels[0] - half, levels[0] + half])
+    else:
+        middle = 0.5 * (levels[1:] + levels[:-1])
+        edges = np.array([2 * levels[0] - middle[0], *middle, 2 * levels[-1] - middle[-1]])
+    return np.exp(edges) if axis.log else edges
+
+
+def _thinned(runs: np.ndarray) -> np.ndarray:
+    """Some of the runs, evenly, when there are very many."""
+    return runs[:: max(1, -(-len(runs) // POINTS))]

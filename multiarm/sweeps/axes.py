@@ -1,0 +1,316 @@
+"""Axes of a sweep: what may stand beside a path of the scene.
+
+    a list of values, {linspace: [5, 50, 10]}, ...         gone through, one value after the other
+    {uniform: [-0.01, 0.01]}, {normal: {mean: ...}}, ...   drawn at random, anew for every run
+
+What is gone through is a sequence that is computed entry by entry, however long it is.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, model_validator
+from typing_extensions import Self
+
+from multiarm.scene.base import Spec
+from multiarm.scene.values import Number, Positive, fault, number_list
+from multiarm.scene.words import listed, shown
+from multiarm.sweeps.draws import Law, LogNormal, LogUniform, Normal, OneOf, Uniform
+
+__all__ = ["Axis", "AxisSpec", "Count", "NonNegativeCount", "paths_of", "plain_value"]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What happens to one path of the scene, or to several that move together.
+
+    Attributes
+    ----------
+    paths : tuple of str
+    written : str
+        How the key is written in the sweep file.
+    spec : AxisSpec
+    """
+
+    paths: tuple[str, ...]
+    written: str
+    spec: AxisSpec
+
+    @property
+    def drawn(self) -> bool:
+        """Whether its values are drawn at random."""
+        return self.spec.law is not None
+
+    @property
+    def count(self) -> int:
+        """How many values are gone through; 1 of what is drawn."""
+        return 1 if self.drawn else len(self.spec.steps)
+
+    def at(self, number: int) -> dict[str, Any]:
+        """Path -> value, of a value that is gone through, counted from 0."""
+        return self._changes(self.spec.steps[number])
+
+    def drawn_at(self, u: float) -> dict[str, Any]:
+        """Path -> value, of the value below which a share ``u`` of all lies."""
+        assert self.spec.law is not None, "the axis is drawn"
+        return self._changes(self.spec.law.quantile(u))
+
+    def _changes(self, value: Any) -> dict[str, Any]:
+        own = value if self.spec.rows is not None else [value] * len(self.paths)
+        return dict(zip(self.paths, own, strict=True))
+
+
+@dataclass(frozen=True)
+class _Spaced(Sequence):
+    """Values from one bound to the other: at equal differences, or as ``between`` has them."""
+
+    start: float
+    stop: float
+    size: int
+    between: Callable[[float, float, float], float] | None = None
+
+    def __len__(self) -> int:
+        return self.size
+
+    def __getitem__(self, number: Any) -> Any:
+        k = range(self.size)[number]
+        if k == 0:
+            return self.start
+        if k == self.size - 1:
+            return self.stop
+        if self.between is not None:
+            return self.between(self.start, self.stop, k / (self.size - 1))
+        # the steps that NumPy takes
+        return self.start + k * ((self.stop - self.start) / (self.size - 1))
+
+
+def _in_ratio(start: float, stop: float, share: float) -> float:
+    low, high = math.log10(start), math.log10(stop)
+    return 10.0 ** (low + share * (high - low))
+
+
+def paths_of(key: str) -> tuple[str, ...]:
+    """The paths in a key of ``over``: one, or several with commas between them."""
+    parts = re.split(r""",(?=(?:[^'"]|'[^']*'|"[^"]*")*$)""", key)
+    return tuple(part.strip() for part in parts)
+
+
+def plain_value(value: Any) -> Any:
+    """The value in what a YAML file can hold.
+
+    Raises
+    ------
+    PydanticCustomError
+        When it cannot.
+    """
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json", exclude_unset=True)
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain_value(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain_value(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_value(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if value is None or isinstance(value, (str, bool, int, float)):
+        return value
+    raise fault(f"{shown(value)} is nothing that a YAML file can hold; give numbers, texts, lists")
+
+
+def _whole(least: int, value: Any) -> int:
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise fault(f"must be a whole number, got {shown(value)}")
+    if value < least:
+        raise fault(f"must be at least {least}, got {value}")
+    return int(value)
+
+
+def _from_zero(value: Any) -> int:
+    return _whole(0, value)
+
+
+def _from_one(value: Any) -> int:
+    return _whole(1, value)
+
+
+Count = Annotated[int, BeforeValidator(_from_one)]
+NonNegativeCount = Annotated[int, BeforeValidator(_from_zero)]
+
+
+def _items(value: Any) -> list[Any]:
+    value = plain_value(value)
+    if not isinstance(value, list) or not value:
+        raise fault(f"must be a list of at least one value, got {shown(value)}")
+    return value
+
+
+def _spaced(value: Any) -> list[Any]:
+    value = _items(value)
+    if len(value) != 3:
+        raise fault(f"must be [first, last, how many], got {shown(value)}")
+    try:
+        count = _whole(1, value[2])
+    except Exception as error:
+        raise fault(f"how many values there are, the third entry, {error}") from None
+    return [*number_list(value[:2]), count]
+
+
+def _exponents(value: Any) -> list[Any]:
+    value = _spaced(value)
+    if max(abs(value[0]), abs(value[1])) > 300.0:
+        raise fault(f"are exponents of ten, of at most 300, got {shown(value)}")
+    return value
+
+
+def _ratios(value: Any) -> list[Any]:
+    value = _spaced(value)
+    if not (value[0] > 0.0 and value[1] > 0.0):
+        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
+    return value
+
+
+def _counted(value: Any) -> list[int]:
+    value = _items(value)
+    whole = all(isinstance(item, int) and not isinstance(item, bool) for item in value)
+    if len(value) > 3 or not whole:
+        raise fault(
+            f"must be whole numbers [stop], [start, stop] or [start, stop, step] as Python's range "
+            f"takes them, got {shown(value)}; of other numbers make a 'linspace'"
+        )
+    if value[2:] == [0] or not range(*value):
+        raise fault(f"has no values: range({', '.join(map(str, value))}) is empty")
+    return value
+
+
+def _bounds(value: Any) -> list[float]:
+    value = _items(value)
+    if len(value) != 2:
+        raise fault(f"must be [lowest, highest], got {shown(value)}")
+    low, high = number_list(value)
+    if not low < high:
+        raise fault(f"the lowest must be below the highest, got {shown(value)}")
+    return [low, high]
+
+
+def _positive_bounds(value: Any) -> list[float]:
+    value = _bounds(value)
+    if not value[0] > 0.0:
+        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
+    return value
+
+
+def _whole_bounds(value: Any) -> list[int]:
+    low, high = _bounds(value)
+    if not (low.is_integer() and high.is_integer()):
+        raise fault(f"must be whole numbers, got {shown(value)}; of others make it 'uniform'")
+    return [int(low), int(high)]
+
+
+class NormalSpec(Spec):
+    """Bell curve: mean and standard deviation, in the unit of the value."""
+
+    mean: Number
+    deviation: Positive
+
+
+class LogNormalSpec(Spec):
+    """Median, and the standard deviation of the natural logarithm, about the relative one."""
+
+    median: Positive
+    deviation: Positive
+
+
+class AxisSpec(Spec):
+    """One of these.
+
+    Attributes
+    ----------
+    values : list
+        Gone through; may be written as the list alone.
+    linspace, logspace, geomspace : [first, last, how many]
+        With equal differences; powers of ten with equally spaced exponents; with equal ratios.
+    range : [stop], [start, stop] or [start, stop, step]
+        Whole numbers, without the stop.
+    rows : list of lists
+        For several paths that move together: a value for each of them.
+    uniform, loguniform : [lowest, highest]
+        Drawn.
+    normal : {mean, deviation}
+    lognormal : {median, deviation}
+    integers : [lowest, highest]
+        Both can be drawn.
+    choice : list
+    """
+
+    values: Annotated[list[Any] | None, BeforeValidator(_items)] = None
+    linspace: Annotated[list[Any] | None, BeforeValidator(_spaced)] = None
+    logspace: Annotated[list[Any] | None, BeforeValidator(_exponents)] = None
+    geomspace: Annotated[list[Any] | None, BeforeValidator(_ratios)] = None
+    range: Annotated[list[int] | None, BeforeValidator(_counted)] = None
+    rows: Annotated[list[Any] | None, BeforeValidator(_items)] = None
+    uniform: Annotated[list[float] | None, BeforeValidator(_bounds)] = None
+    loguniform: Annotated[list[float] | None, BeforeValidator(_positive_bounds)] = None
+    normal: NormalSpec | None = None
+    lognormal: LogNormalSpec | None = None
+    integers: Annotated[list[int] | None, BeforeValidator(_whole_bounds)] = None
+    choice: Annotated[list[Any] | None, BeforeValidator(_items)] = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        if len(self.model_fields_set) != 1:
+            given = listed(self.model_fields_set) if self.model_fields_set else "nothing"
+            raise fault(
+                f"must be a list of values or a table with one of "
+                f"{', '.join(type(self).model_fields)}; got {given}"
+            )
+        return self
+
+    @property
+    def name(self) -> str:
+        """Which of them it is."""
+        return next(iter(self.model_fields_set))
+
+    @cached_property
+    def steps(self) -> Sequence[Any]:
+        """The values that are gone through; empty where they are drawn."""
+        given = getattr(self, self.name)
+        return _STEPS[self.name](given) if self.name in _STEPS else ()
+
+    @cached_property
+    def law(self) -> Law | None:
+        """The law by which values are drawn; None where they are gone through."""
+        given = getattr(self, self.name)
+        return _LAWS[self.name](given) if self.name in _LAWS else None
+
+    def written(self) -> Any:
+        """The axis as it stands in a sweep file."""
+        return self.values if self.values is not None else self.model_dump(exclude_unset=True)
+
+
+_STEPS: dict[str, Callable[[Any], Sequence[Any]]] = {
+    "values": lambda given: given,
+    "rows": lambda given: given,
+    "range": lambda given: range(*given),
+    "linspace": lambda given: _Spaced(*given),
+    "geomspace": lambda given: _Spaced(given[0], given[1], given[2], _in_ratio),
+    "logspace": lambda given: _Spaced(10.0 ** given[0], 10.0 ** given[1], given[2], _in_ratio),
+}
+_LAWS: dict[str, Callable[[Any], Law]] = {
+    "uniform": lambda given: Uniform(*given),
+    "loguniform": lambda given: LogUniform(*given),
+    "normal": lambda given: Normal(given.mean, given.deviation),
+    "lognormal": lambda given: LogNormal(given.median, given.deviation),
+    "integers": lambda given: OneOf(range(given[0], given[1] + 1)),
+    "choice": OneOf,
+}

@@ -1,0 +1,173 @@
+"""Whether a sweep fits its scene: paths that are not there, values that make no scene.
+
+Every fault is told at its place in the sweep, in the words that the scene has for it.  A scene is
+made of the first values of all axes, of the last ones, and of each axis's values beside the first
+ones of the others; of long axes only some.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from multiarm.errors import MultiarmError, SceneError
+from multiarm.scene import Scene, changed, parse_path
+from multiarm.scene.words import place, shown
+from multiarm.sweeps.axes import Axis
+
+if TYPE_CHECKING:
+    from multiarm.sweeps.spec import SweepSpec
+
+__all__ = ["axis_faults", "quantity_faults", "value_faults"]
+
+TRIED = 24
+"""Values of an axis that are tried; all of an axis that has no more."""
+TAILS = (0.5, 0.001, 0.999)
+"""What is tried of a drawn axis: the shares of values that lie below."""
+MOST_RUNS = 100_000_000
+"""Of one sweep."""
+
+
+def axis_faults(spec: SweepSpec) -> list[str]:
+    """What is wrong with the axes, whatever the scene."""
+    faults = []
+    for axis in spec.axes:
+        faults += [f"{_place(axis)}: {text}" for text in _own_faults(axis)]
+    paths = [path for axis in spec.axes for path in axis.paths]
+    for path in sorted({path for path in paths if paths.count(path) > 1}):
+        faults.append(f"{place(('over', path))}: stands twice in the sweep; keep one of the two")
+    steps = [axis for axis in spec.axes if not axis.drawn]
+    if spec.combine == "zip" and len({axis.count for axis in steps}) > 1:
+        counts = ", ".join(f"{axis.count} of {axis.written}" for axis in steps)
+        faults.append(f"$.combine: 'zip' needs as many values of every path, there are {counts}")
+    if spec.repeat > 1 and len(steps) == len(spec.axes):
+        faults.append(
+            f"$.repeat: {spec.repeat} runs of each point would be the same run, for no path is "
+            "drawn at random; leave it out, or draw one, such as (uniform: [0, 1])"
+        )
+    count = spec.repeat
+    for axis in steps[:1] if spec.combine == "zip" else steps:
+        count *= axis.count
+    if count > MOST_RUNS:
+        faults.append(f"$.over: makes {count} runs; at most {MOST_RUNS} are possible")
+    return faults
+
+
+def quantity_faults(spec: SweepSpec) -> list[str]:
+    """What is wrong with the quantities: functions that are not there, names that stand twice."""
+    from multiarm.contacts.written import load_function
+
+    faults = []
+    for entry in spec.keep:
+        function = getattr(entry, "function", None)
+        try:
+            if isinstance(function, str):
+                load_function(function)
+        except MultiarmError as error:
+            # the words are those for functions that a scene names
+            faults.append(f"$.keep: {error}".replace("the scene's folder", "the sweep's folder"))
+    names = [quantity.name for quantity in spec.quantities()]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        faults.append(f"$.keep: {name!r} stands twice; give one of them another 'name'")
+    return faults
+
+
+def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
+    """What is wrong with paths and values in a scene; axes with faults of their own are left out.
+
+    Of values that are computed the first wrong one is told.
+    """
+    axes = tuple(axis for axis in spec.axes if not any(_own_faults(axis)))
+    told: dict[tuple[str, ...], str] = {}
+    for entries in _trials(axes, spec.combine == "zip"):
+        values: dict[str, Any] = {}
+        for axis, entry in zip(axes, entries, strict=True):
+            values |= _values(axis, entry)
+        try:
+            changed(scene, values)
+        except SceneError as error:
+            for fault in error.faults:
+                told.setdefault(*_at_its_axis(fault, axes, entries))
+    return list(told.values())
+
+
+def _own_faults(axis: Axis) -> Iterator[str]:
+    for path in axis.paths:
+        try:
+            parse_path(path)
+        except SceneError as error:
+            yield from (fault.removeprefix("$: ") for fault in error.faults)
+    if axis.spec.rows is None:
+        return
+    width = len(axis.paths)
+    for k, row in enumerate(axis.spec.rows):
+        if not isinstance(row, list) or len(row) != width:
+            yield f"rows[{k}] must be a list of {width}, a value for each path, got {shown(row)}"
+
+
+def _trials(axes: tuple[Axis, ...], zipped: bool) -> Iterator[list[Any]]:
+    """Entries of all axes: the first ones, the last ones, and those of each axis by itself."""
+    steps = [k for k, axis in enumerate(axes) if not axis.drawn]
+    shortest = min((axes[k].count for k in steps), default=1)
+    options: list[list[Any]] = [
+        list(TAILS) if axis.drawn else _some(shortest if zipped else axis.count) for axis in axes
+    ]
+    first = [own[0] for own in options]
+    yield first
+    yield [own[-1] for own in options]
+    together = [steps] if zipped and steps else [[k] for k in steps]
+    together += [[k] for k, axis in enumerate(axes) if axis.drawn]
+    for group in together:
+        for entry in options[group[0]][1:]:
+            yield [entry if k in group else own for k, own in enumerate(first)]
+
+
+def _some(count: int) -> list[int]:
+    """Numbers from 0 to the count, both ends among them."""
+    if count <= TRIED:
+        return list(range(count))
+    return sorted({round(k * (count - 1) / (TRIED - 1)) for k in range(TRIED)})
+
+
+def _values(axis: Axis, entry: Any) -> dict[str, Any]:
+    return axis.drawn_at(entry) if axis.drawn else axis.at(entry)
+
+
+def _at_its_axis(
+    fault: str, axes: tuple[Axis, ...], entries: list[Any]
+) -> tuple[tuple[str, ...], str]:
+    """A fault of the scene, told at the place in the sweep that it comes from; and what it is."""
+    where, _, text = fault.partition(": ")
+    found = [
+        (place(parse_path(path)), axis, entry, path)
+        for axis, entry in zip(axes, entries, strict=True)
+        for path in axis.paths
+        if _meet(place(parse_path(path)), where)
+    ]
+    if not found:
+        return (fault,), f"$.over: the first values of all paths make no scene: {fault}"
+    at, axis, entry, path = max(found, key=lambda one: len(one[0]))
+    if len(where) <= len(at) and _of_path(text):
+        return (at, text), f"{_place(axis)}: {text}"
+    below = where.removeprefix(at).lstrip(".") if where.startswith(at) else ""
+    text = f"its {below}: {text}" if below else text
+    if axis.spec.name == "values":
+        return (at, where, str(entry)), f"{_place(axis)}[{entry}]: {text}"
+    value = shown(_values(axis, entry)[path])
+    return (at, where), f"{_place(axis)}.{axis.spec.name}: the value {value}: {text}"
+
+
+def _of_path(text: str) -> bool:
+    """Whether a fault is about a path, not about a value at it."""
+    lost = "is a list with", "is no list", "nothing is below it"
+    return text.startswith(("unknown key", "unknown effect")) or any(own in text for own in lost)
+
+
+def _meet(path: str, where: str) -> bool:
+    """Whether one place lies in the other, or is it."""
+    long, short = (path, where) if len(path) >= len(where) else (where, path)
+    return long.startswith(short) and (len(long) == len(short) or long[len(short)] in ".[")
+
+
+def _place(axis: Axis) -> str:
+    return place(("over", axis.written))

@@ -1,0 +1,266 @@
+"""The result of a sweep: its table, read when it is asked for, and any of its runs once more.
+
+A run follows from scene, sweep and its number, so that its trajectory need not be kept: it is
+simulated again when it is looked at, bit for bit as it was.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multiarm.errors import SweepError
+from multiarm.sweeps.export import write_csv, write_parquet
+from multiarm.sweeps.row import Row
+from multiarm.sweeps.summary import SweepSummary, status_counts, summarise
+from multiarm.sweeps.table import Column, SweepTable, cell, collected
+
+if TYPE_CHECKING:
+    from multiarm.scene import Scene
+    from multiarm.sweeps.plan import SweepPlan
+    from multiarm.trajectory import Trajectory
+
+__all__ = ["Sweep", "load_sweep"]
+
+
+class Sweep:
+    """A sweep as it is in its file.  Read-only; what is added to the file later is not seen.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    SweepError
+        The file cannot be read, or is no sweep.
+    """
+
+    def __init__(self, path: str | os.PathLike):
+        self.path = Path(path).expanduser().absolute()
+        self._table = SweepTable(self.path)
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    def __repr__(self) -> str:
+        told = ", ".join(f"{count} {status}" for status, count in self.status_counts.items())
+        return f"Sweep({len(self)} of {self.count} runs{': ' if told else ''}{told})"
+
+    @property
+    def count(self) -> int:
+        """Runs that there are to be."""
+        return self._table.header["count"]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every run has its row."""
+        return len(self) == self.count
+
+    @property
+    def runs(self) -> np.ndarray:
+        """Numbers of the runs that have a row, ascending."""
+        return self._table.runs.copy()
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the table: run, status, message, values, quantities, and what was measured."""
+        return self._table.columns
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """What is other from run to run: paths in the scene."""
+        return tuple(self._table.header["paths"])
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What is kept of each run."""
+        return tuple(own["name"] for own in self._table.header["quantities"])
+
+    @property
+    def provenance(self) -> Mapping[str, Any]:
+        """Version, computer and time of the beginning."""
+        return dict(self._table.header["provenance"])
+
+    @property
+    def rows_table(self) -> SweepTable:
+        """The table, to be read block by block."""
+        return self._table
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene that is varied."""
+        from multiarm.scene import parse_scene
+
+        return parse_scene(self._table.text("scene"), self._table.header["folder"], stored=True)
+
+    @property
+    def text(self) -> str:
+        """What is varied, as YAML text."""
+        return self._table.text("sweep")
+
+    @cached_property
+    def plan(self) -> SweepPlan:
+        """What the runs are."""
+        from multiarm.sweeps.plan import plan_of
+
+        return plan_of(self.scene, self.text)
+
+    @cached_property
+    def status_counts(self) -> dict[str, int]:
+        """Status -> runs, the most frequent first."""
+        return status_counts(self._table)
+
+    @cached_property
+    def table(self) -> dict[str, np.ndarray]:
+        """All columns by name, in the order of the runs; numbers that are not there are NaN.
+
+        ``pandas.DataFrame(sweep.table)`` takes it as it is.
+        """
+        return self.select()
+
+    def select(
+        self,
+        columns: Iterable[str] | None = None,
+        *,
+        status: str | None = None,
+        where: Mapping[str, Any] | None = None,
+    ) -> dict[str, np.ndarray]:
+        """Some columns of some runs, in the order of the runs.
+
+        Parameters
+        ----------
+        columns : iterable of str, optional
+            All when left out.
+        status : str, optional
+            Of the runs.
+        where : mapping, optional
+            Name of a column -> what it must hold: a value, or (lowest, highest) of a number.
+
+        Raises
+        ------
+        SweepError
+            There is no such column, with the alternatives.
+        """
+        table = self._table
+        wanted = (
+            [table.column(name) for name in columns] if columns is not None else list(self.columns)
+        )
+        asked = {table.column(name): value for name, value in (where or {}).items()}
+        if status is not None:
+            asked[table.column("status")] = status
+        found: dict[str, list] = {column.name: [] for column in wanted}
+        for row in table.rows():
+            if all(_fits(cell(row, column), value) for column, value in asked.items()):
+                for column in wanted:
+                    found[column.name].append(cell(row, column))
+        return {column.name: collected(column, found[column.name]) for column in wanted}
+
+    def rows(self) -> Iterator[Row]:
+        """The rows in the order of the runs, a bounded number in memory."""
+        return self._table.rows()
+
+    def row(self, run: int) -> Row:
+        """The row of one run.
+
+        Raises
+        ------
+        SweepError
+            There is no such run, or it has no row yet.
+        """
+        self._check(run)
+        found = self._table.row(run)
+        if found is None:
+            raise SweepError(f"run {run} has not been made yet; resume the sweep")
+        return found
+
+    def summary(self) -> SweepSummary:
+        """How the runs ended and how each quantity spreads, read in constant memory."""
+        return summarise(self)
+
+    def values_of(self, run: int) -> dict[str, Any]:
+        """Path -> value in the scene of one run, whether it has been made or not.
+
+        Raises
+        ------
+        SweepError
+            There is no such run.
+        """
+        self._check(run)
+        return self.plan.values(run)
+
+    def scene_of(self, run: int) -> Scene:
+        """The scene of one run.
+
+        Raises
+        ------
+        SweepError
+            There is no such run.
+        """
+        self._check(run)
+        return self.plan.scene_of(run)
+
+    def trajectory(self, run: int) -> Trajectory:
+        """Simulate one run once more.
+
+        Raises
+        ------
+        SweepError
+            There is no such run.
+        """
+        from multiarm.sweeps.work import simulate_run
+
+        self._check(run)
+        return simulate_run(self.plan, run)
+
+    def to_csv(self, path: str | os.PathLike) -> Path:
+        """Write the table as CSV.
+
+        Raises
+        ------
+        MultiarmError
+            The file cannot be written.
+        """
+        return write_csv(self._table, path)
+
+    def to_parquet(self, path: str | os.PathLike) -> Path:
+        """Write the table as Parquet.
+
+        Raises
+        ------
+        MultiarmError
+            PyArrow is not installed, or the file cannot be written.
+        """
+        return write_parquet(self._table, path)
+
+    def close(self) -> None:
+        """Close the file; nothing more can be read."""
+        self._table.close()
+
+    def _check(self, run: int) -> None:
+        whole = isinstance(run, (int, np.integer)) and not isinstance(run, bool)
+        if not whole or not 1 <= run <= self.count:
+            raise SweepError(f"there is no run {run}; runs are 1 to {self.count}")
+
+
+def load_sweep(path: str | os.PathLike) -> Sweep:
+    """Read the file of a sweep, whole or as far as it has come.
+
+    Raises
+    ------
+    SweepError
+        The file cannot be read, or is no sweep.
+    """
+    return Sweep(path)
+
+
+def _fits(value: Any, asked: Any) -> bool:
+    if isinstance(asked, tuple):
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return number and asked[0] <= value <= asked[1]
+    return bool(value == asked)

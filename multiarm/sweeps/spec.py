@@ -1,0 +1,256 @@
+"""What a user writes about many runs: which values of the scene vary, how, and what is kept.
+
+Only the text is judged here; whether its paths and values fit a scene is found out in
+:mod:`multiarm.sweeps.checking`, where both are there.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
+from typing_extensions import Self
+
+from multiarm.errors import SceneError, SweepError
+from multiarm.scene import STEPS_CHOSEN_BY
+from multiarm.scene.base import Spec
+from multiarm.scene.faults import explain
+from multiarm.scene.loader import parse_yaml
+from multiarm.scene.values import fault
+from multiarm.scene.words import listed, shown
+from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, paths_of, plain_value
+from multiarm.sweeps.keeping import DEFAULT_KEEP, Kept, OwnQuantity
+from multiarm.sweeps.quantities import KNOWN, MEASURED, Quantity
+
+__all__ = ["SweepSpec", "examined", "parse_sweep", "read_sweep"]
+
+
+def _axis(value: Any) -> Any:
+    if isinstance(value, (Mapping, AxisSpec)):
+        return value
+    return {"values": value}
+
+
+def _by_text(value: Any) -> Any:
+    """The table with texts as keys: in Python a tuple of paths may be one."""
+    if not isinstance(value, Mapping) or not value:
+        raise fault(
+            "must be a table 'path: values' with at least one path of the scene, such as "
+            f"(object.mass: [5, 10, 20]), got {shown(value)}"
+        )
+    return {
+        ", ".join(key) if isinstance(key, tuple) else str(key): own for key, own in value.items()
+    }
+
+
+def _plain_table(value: Any) -> Any:
+    if not isinstance(value, Mapping):
+        raise fault(f"must be a table of entries of the scene's 'run', got {shown(value)}")
+    return plain_value(value)
+
+
+class SweepSpec(Spec):
+    """Many runs, as they are written.
+
+    Attributes
+    ----------
+    over : table
+        Path of the scene, or several with commas between them, -> its values.
+    combine : 'product' or 'zip'
+        Every value of an axis with every one of the others; or the first with the first, and so on.
+    repeat : int
+        Runs of each point of the grid; needs axes that are drawn.
+    sampling : 'random', 'latin_hypercube' or 'sobol'
+        How the drawn axes are drawn.
+    seed : int
+        Of all draws.
+    keep : list
+        Quantities.
+    certificate : bool
+        Runs of some accuracy are checked, as :func:`multiarm.simulate` does.
+    run : table
+        Replaces entries of the scene's ``run``.
+    """
+
+    over: Annotated[
+        dict[str, Annotated[AxisSpec, BeforeValidator(_axis)]], BeforeValidator(_by_text)
+    ] = Field(description="a table 'path: values' of what varies, such as (object.mass: [5, 10])")
+    combine: Literal["product", "zip"] = "product"
+    repeat: Count = 1
+    sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
+    seed: NonNegativeCount = 0
+    keep: tuple[Kept, ...] = DEFAULT_KEEP
+    certificate: bool = True
+    run: Annotated[dict[str, Any], BeforeValidator(_plain_table)] = Field(default_factory=dict)
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The axes, in the order in which they are written."""
+        return tuple(Axis(paths_of(key), key, spec) for key, spec in self.over.items())
+
+    def quantities(self) -> tuple[Quantity, ...]:
+        """The quantities that are kept, but for what is measured of every run anyway."""
+        found: list[Quantity] = []
+        for entry in self.keep:
+            if isinstance(entry, OwnQuantity):
+                found += entry.quantities()
+            elif entry != MEASURED:
+                known = KNOWN[entry]
+                found.append(Quantity(entry, known.unit, known.words))
+        return tuple(found)
+
+    def located(self, folder: Path) -> Self:
+        """The same with the paths of functions' files made absolute."""
+        keep = [
+            entry.located(folder) if isinstance(entry, OwnQuantity) else entry
+            for entry in self.keep
+        ]
+        return self.model_copy(update={"keep": tuple(keep)})
+
+    def text(self) -> str:
+        """YAML that :func:`parse_sweep` reads back; the same for the same sweep."""
+        keep = [
+            entry.model_dump(mode="json", exclude_none=True)
+            if isinstance(entry, OwnQuantity)
+            else entry
+            for entry in self.keep
+        ]
+        data = {
+            "over": {key: axis.written() for key, axis in self.over.items()},
+            "combine": self.combine,
+            "repeat": self.repeat,
+            "sampling": self.sampling,
+            "seed": self.seed,
+            "keep": keep,
+            "certificate": self.certificate,
+            "run": self.run,
+        }
+        return yaml.safe_dump(
+            data, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
+        )
+
+
+def parse_sweep(source: str | Mapping[str, Any], folder: Path | str | None = None) -> SweepSpec:
+    """The sweep that a YAML text or a table describes.
+
+    Parameters
+    ----------
+    source : str or mapping
+    folder : path, optional
+        Where relative paths of functions' files start; the current folder by default.
+
+    Raises
+    ------
+    SweepError
+        Naming every fault.
+    """
+    try:
+        data = parse_yaml(source) if isinstance(source, str) else source
+    except SceneError as error:
+        raise SweepError(error.faults) from None
+    spec, faults = examined(data, Path(folder or "."))
+    if faults or spec is None:
+        raise SweepError(faults)
+    return spec
+
+
+def read_sweep(
+    source: str | os.PathLike | Mapping[str, Any] | None, changes: Mapping[str, Any]
+) -> tuple[Any, Path]:
+    """The table of a sweep, from its file or from Python, and where relative paths in it start.
+
+    Parameters
+    ----------
+    source : path or mapping, optional
+        A YAML file; a table such as it holds; or its ``over`` alone.
+    changes : mapping
+        Keys of a sweep that take the place of those in ``source``.  Entries of ``run`` are replaced
+        one by one.
+
+    Raises
+    ------
+    SweepError
+        When the file cannot be read, or is not YAML.
+    """
+    if source is None or isinstance(source, Mapping):
+        data: Any = source or {}
+        if data and "over" not in data:
+            data = {"over": data}
+        return _with(data, changes), Path()
+    path = Path(source).expanduser()
+    try:
+        data = parse_yaml(_read(path))
+    except (SceneError, SweepError) as error:
+        raise SweepError(error.faults, source=str(path)) from None
+    return _with(data, changes) if isinstance(data, Mapping) else data, path.parent
+
+
+def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[str]]:
+    """The sweep that a table describes, and its faults: where it has any, the sweep without them.
+
+    Parameters
+    ----------
+    data : mapping
+    folder : path
+        Where relative paths of functions' files start.
+
+    Returns
+    -------
+    spec : SweepSpec or None
+        None: too little is sound.
+    faults : list of str
+    """
+    if not isinstance(data, Mapping):
+        keys = ", ".join(SweepSpec.model_fields)
+        return None, [f"$: a sweep is a table with the keys {keys}; got {shown(data)}"]
+    folder = folder.expanduser().resolve()
+    reader = TypeAdapter(SweepSpec)
+    try:
+        return reader.validate_python(dict(data)).located(folder), []
+    except ValidationError as error:
+        faults = explain(error, SweepSpec)
+        sound = _without(data, [details["loc"] for details in error.errors()])
+    try:
+        return reader.validate_python(sound).located(folder), faults
+    except ValidationError:
+        return None, faults
+
+
+def _without(data: Mapping[str, Any], faults: Sequence[Sequence[Any]]) -> dict[str, Any]:
+    """A sweep's table without what faults lie in: single paths, single quantities, else keys."""
+    places = [tuple(loc) for loc in faults]
+    whole = {loc[0] for loc in places if len(loc) == 1 or loc[0] not in ("over", "keep")}
+    kept = {key: value for key, value in data.items() if key not in whole}
+    if isinstance(kept.get("over"), Mapping):
+        bad = {loc[1] for loc in places if loc[0] == "over" and len(loc) > 1}
+        kept["over"] = {k: v for k, v in _by_text(kept["over"]).items() if k not in bad}
+    if isinstance(kept.get("keep"), (list, tuple)):
+        wrong = {loc[1] for loc in places if loc[0] == "keep" and len(loc) > 1}
+        kept["keep"] = [entry for k, entry in enumerate(kept["keep"]) if k not in wrong]
+    return kept
+
+
+def _with(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    merged = {**data, **changes}
+    old, new = data.get("run"), changes.get("run")
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        replaced = STEPS_CHOSEN_BY if set(STEPS_CHOSEN_BY).intersection(new) else ()
+        merged["run"] = {**{k: v for k, v in old.items() if k not in replaced}, **new}
+    return merged
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        near = sorted(p.name for p in path.parent.glob("*.y*ml")) if path.parent.is_dir() else []
+        also = f"; files in that folder: {listed(near)}" if near else ""
+        raise SweepError(f"there is no such file{also}") from None
+    except UnicodeDecodeError:
+        raise SweepError("this is not a text file; a sweep is YAML in UTF-8") from None
+    except OSError as error:
+        raise SweepError(f"cannot read it: {error.strerror}") from None

@@ -1,0 +1,239 @@
+"""The one file of a sweep, to which rows are appended as runs end, and which goes on after a kill.
+
+On resuming, the rows that are whole are put into a new file beside, which then takes the place of
+the old one: a kill at any moment leaves the one or the other.  Which runs are done is a set of
+bits, so that the memory needed does not follow the runs.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from typing_extensions import Self
+
+from multiarm.errors import SweepError
+from multiarm.sinks import provenance
+from multiarm.storage.locks import WriterLock
+from multiarm.storage.row_file import SWEEP, Block, RowReader, RowWriter
+from multiarm.sweeps.packing import fields_of, pack
+from multiarm.sweeps.row import Row
+
+if TYPE_CHECKING:
+    from multiarm.sweeps.plan import SweepPlan
+
+__all__ = ["RunSet", "SweepFile"]
+
+BLOCK = 1024
+"""Rows that are copied at once."""
+DIFFERENCES = 6
+"""Lines of two texts that differ, told at most."""
+AGAIN = b"interrupted"
+"""Status of rows that are done again."""
+
+
+class RunSet:
+    """Runs of a sweep, a bit each.
+
+    Parameters
+    ----------
+    count : int
+        Of all runs, numbered from 1 on.
+    """
+
+    def __init__(self, count: int):
+        self.count, self._members, self._bits = count, 0, bytearray(count // 8 + 1)
+
+    def __len__(self) -> int:
+        return self._members
+
+    def __contains__(self, run: int) -> bool:
+        return 1 <= run <= self.count and bool(self._bits[run // 8] >> run % 8 & 1)
+
+    def add(self, run: int) -> None:
+        """Put one of the runs in."""
+        if run not in self:
+            self._bits[run // 8] |= 1 << run % 8
+            self._members += 1
+
+    def missing(self) -> Iterator[int]:
+        """The runs that are not in it, in order."""
+        return (run for run in range(1, self.count + 1) if run not in self)
+
+
+class SweepFile:
+    """A file of a sweep that is being written; make one with :meth:`open`.
+
+    Attributes
+    ----------
+    path : Path
+    done : RunSet
+        Runs whose rows are safe.
+    """
+
+    def __init__(
+        self, path: Path, done: RunSet, writer: RowWriter, fields: np.dtype, lock: WriterLock
+    ):
+        self.path, self.done = path, done
+        self._writer, self._fields, self._lock = writer, fields, lock
+
+    @classmethod
+    def open(
+        cls, path: str | os.PathLike, plan: SweepPlan, *, resume: bool = True, fresh: bool = False
+    ) -> Self:
+        """Begin a file, or go on with one of the same plan.
+
+        Parameters
+        ----------
+        path : path-like
+        plan : SweepPlan
+        resume : bool
+            Go on with what is there.
+        fresh : bool
+            Begin anew, and give up what is there.
+
+        Raises
+        ------
+        SweepError
+            The file is that of another sweep, with what differs; is being written by another
+            process; is there, and neither ``resume`` nor ``fresh``; or cannot be written.
+        """
+        target = SWEEP.writable_target(path)
+        fields = fields_of(plan.paths, [quantity.name for quantity in plan.quantities])
+        done, lock = RunSet(plan.count), WriterLock(target, SweepError)
+        try:
+            if fresh or not target.exists():
+                texts, earlier = _texts(plan), _no_rows()
+            elif resume:
+                texts, earlier = _earlier(target, plan, done)
+            else:
+                raise SweepError(
+                    f"'{path}' holds a sweep already; resume it, begin it afresh, or choose "
+                    "another file"
+                )
+            return cls(target, done, RowWriter(target, fields, texts, earlier), fields, lock)
+        except BaseException:
+            lock.release()
+            raise
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """Add rows of runs that have ended; they are safe when this returns.
+
+        A run that is there already is not put in twice: every worker gives the same row.
+
+        Raises
+        ------
+        SweepError
+            The disk takes no more, or a row is of no run of this sweep.
+        """
+        new: dict[int, Row] = {}
+        for row in rows:
+            if not 1 <= row.run <= self.done.count:
+                raise SweepError(f"there is no run {row.run}; runs are 1 to {self.done.count}")
+            if row.run not in self.done:
+                new.setdefault(row.run, row)
+        if not new:
+            return
+        self._writer.append(*pack(list(new.values()), self._fields))
+        for run in new:
+            self.done.add(run)
+
+    def close(self) -> None:
+        """Close the file and let others write to it."""
+        self._writer.close()
+        self._lock.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _earlier(path: Path, plan: SweepPlan, done: RunSet) -> tuple[dict[str, str], Iterator[Block]]:
+    """Texts and rows of a file of the same sweep."""
+    reader = RowReader(path)
+    texts = {name: reader.text(name) for name in ("scene", "sweep", "header")}
+    _check_same(path, texts, plan)
+    return texts, _kept(reader, done)
+
+
+def _no_rows() -> Iterator[Block]:
+    return iter(())
+
+
+def _kept(reader: RowReader, done: RunSet) -> Iterator[Block]:
+    """The rows of a file that need not be done again, each once; they are marked as done."""
+    for start in range(0, reader.count, BLOCK):
+        rows, texts = reader.block(start, start + BLOCK)
+        keep = []
+        for k, (run, status) in enumerate(zip(rows["run"], rows["status"], strict=True)):
+            if 1 <= run <= done.count and int(run) not in done and status != AGAIN:
+                done.add(int(run))
+                keep.append(k)
+        yield rows[keep], [texts[k] for k in keep]
+    reader.close()
+
+
+def _texts(plan: SweepPlan) -> dict[str, str]:
+    """What describes the rows of a new file."""
+    header = json.dumps(_header(plan))
+    return {"scene": plan.scene_text, "sweep": plan.text, "header": header}
+
+
+def _header(plan: SweepPlan) -> dict[str, Any]:
+    """What the file says of itself beside scene and sweep."""
+    return {
+        "fingerprint": plan.fingerprint,
+        "count": plan.count,
+        "paths": list(plan.paths),
+        "quantities": [
+            {"name": own.name, "unit": own.unit, "words": own.words} for own in plan.quantities
+        ],
+        "folder": str(plan.scene.folder),
+        "provenance": _provenance(),
+    }
+
+
+def _provenance() -> dict[str, Any]:
+    told = provenance("")
+    return {key: value for key, value in told.items() if key != "scene"}
+
+
+def _check_same(path: Path, texts: Mapping[str, str], plan: SweepPlan) -> None:
+    """Refuse the file of another sweep."""
+    header = json.loads(texts["header"])
+    if header["fingerprint"] == plan.fingerprint:
+        return
+    differs = [
+        *_differences("scene", texts["scene"], plan.scene_text),
+        *_differences("sweep", texts["sweep"], plan.text),
+    ]
+    there, here = header["provenance"]["version"], _provenance()["version"]
+    if not differs and there != here:
+        differs = [f"it was begun by multiarm {there}, this is {here}"]
+    differs = differs or ["the text of a function that gives a quantity"]
+    lines = "\n".join(f"  {line}" for line in differs)
+    raise SweepError(
+        f"'{path}' holds another sweep; choose another file, or begin afresh and give it up. "
+        f"What differs (- there, + here):\n{lines}"
+    )
+
+
+def _differences(what: str, there: str, here: str) -> list[str]:
+    lines = difflib.unified_diff(there.splitlines(), here.splitlines(), n=0, lineterm="")
+    changed = [line for line in lines if line[0] in "+-" and line[:3] not in ("+++", "---")]
+    more = len(changed) - DIFFERENCES
+    told = [f"{what}: {line}" for line in changed[:DIFFERENCES]]
+    return [*told, f"{what}: and {more} more lines"] if more > 0 else told

@@ -1,0 +1,80 @@
+"""A sweep without robots: what its rows hold follows from the run's number, at no cost.
+
+As a program it is a writer to be killed: it goes on with a file and says what is safe.
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from multiarm.sweeps.row import Row
+from multiarm.sweeps.store import SweepFile
+
+NAMES = ("gap", "force", "never")
+UNITS = {"gap": "m", "force": "N", "never": "J"}
+FAILING = 13
+"""Every so many-th run fails."""
+
+
+@dataclass(frozen=True)
+class StandInPlan:
+    """What the file of a sweep needs to know of its plan."""
+
+    count: int
+    text: str = "over: {object.mass: {uniform: [5, 50]}}\n"
+    paths: tuple[str, ...] = ("object.mass", "effects.joint_damping", "name", "run")
+    fingerprint: str = "stand-in"
+    scene_text: str = "gravity: [0, 0, -9.81]\n"
+
+    @property
+    def quantities(self) -> tuple[Any, ...]:
+        return tuple(SimpleNamespace(name=n, unit=UNITS[n], words=f"its {n}") for n in NAMES)
+
+    @property
+    def scene(self) -> Any:
+        return SimpleNamespace(folder=Path())
+
+
+def row_of(run: int, worker: str = "here") -> Row:
+    """The row that a run has, wherever it is made."""
+    rng = np.random.default_rng(run)
+    values = {
+        "object.mass": float(rng.uniform(5, 50)),
+        "effects.joint_damping": [0, 0.5, 2**60 + 1, None, True][run % 5],
+        "name": f"schön, “{run}”\n" * (1 + 4 * (run % 3)),
+        "run": {"duration": 0.1 * (run % 7), "accuracy": [1e-6, run]},
+    }
+    if run % FAILING == 0:
+        quantities = dict.fromkeys(NAMES)
+        return Row(
+            run, "failed", f"the step of run {run} is too small", values, quantities, 0.0, worker
+        )
+    gap, force = (float(x) for x in rng.standard_normal(2))
+    found = {"gap": gap, "force": force * 10.0 ** rng.integers(-300, 300), "never": None}
+    return Row(run, "completed", "", values, found, float(rng.random()), worker)
+
+
+def write_on(path: Path, plan: StandInPlan, order: int) -> None:
+    """Make what is missing, in an order of its own; say after every block what is safe."""
+    print("begin", flush=True)
+    with SweepFile.open(path, plan) as file:
+        print(len(file.done), flush=True)
+        rng, left = random.Random(order), list(file.done.missing())
+        # in threads of work that finish out of order, as real workers do
+        left.sort(key=lambda run: run + rng.uniform(0, 40))
+        while left:
+            block, left = left[: (size := rng.randint(1, 7))], left[size:]
+            file.append([row_of(run, f"process {order}") for run in block])
+            print(len(file.done), flush=True)
+    print("end", flush=True)
+
+
+if __name__ == "__main__":
+    write_on(Path(sys.argv[1]), StandInPlan(int(sys.argv[2])), int(sys.argv[3]))

@@ -1,0 +1,302 @@
+"""Claims about who carries out many runs: the same rows whoever it is, and none is lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+from mechanics import ur5_pair
+from sweep_runs import (
+    FUNCTIONS,
+    GRIP,
+    KEEP,
+    LIFT,
+    MASS,
+    OVER,
+    RUN,
+    jobs,
+    repeatable,
+    same,
+    statuses,
+)
+
+import multiarm as ma
+from multiarm.errors import SweepError
+from multiarm.scene import changed
+from multiarm.sweeps import work
+from multiarm.sweeps.batches import MOST_JOBS, TARGET, Batches
+from multiarm.sweeps.engines import in_process, on_processes
+from multiarm.sweeps.plan import make_plan
+from multiarm.sweeps.row import Row
+from multiarm.sweeps.work import Job, Work, perform, simulate_run
+
+NOTES = """
+from pathlib import Path
+
+def noted(trajectory):
+    with open(Path(__file__).parent / "notes", "a") as notes:
+        notes.write("x")
+    return 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return ur5_pair({"kind": "weld"}, {"kind": "weld"})
+
+
+@pytest.fixture(scope="module")
+def plan(scene):
+    return make_plan(scene, OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
+
+
+@pytest.fixture(scope="module")
+def expected(plan):
+    return repeatable(in_process(Work.of(plan), jobs(plan)))
+
+
+@pytest.fixture
+def functions(tmp_path):
+    file = tmp_path / "functions.py"
+    file.write_text(FUNCTIONS)
+    return file
+
+
+# --- a run --------------------------------------------------------------------------------------
+
+
+def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, plan, expected):
+    for run in (1, 12):
+        values = plan.values(run)
+        own = scene.replace(
+            object={**vars(scene.object), "mass": values[MASS]},
+            arms={
+                **scene.arms,
+                "left": {**vars(scene.arms["left"]), "base": {"xyz": [-1.1, 0, values[LIFT]]}},
+            },
+            run=RUN,
+        )
+        alone = ma.simulate(ma.compile_system(own))
+        number, status, message, stored, quantities = expected[run - 1]
+        assert (number, status, message, stored) == (run, alone.status, alone.message, values)
+        assert quantities == {
+            "final_x": alone.object_position[-1, 0],
+            "final_z": alone.object_position[-1, 2],
+            "largest_contact_force": max(alone.summary()["contact_force_max_N"].values()),
+            "energy_balance": np.abs(alone.energy_balance).max(),
+            "estimated_error": alone.certificate["estimated_error"]["position_m"],
+        }
+        again = simulate_run(plan, run)
+        np.testing.assert_array_equal(again.read("object/position"), alone.object_position)
+    assert len({row[4]["final_z"] for row in expected}) == 12  # so that a mix-up would be seen
+
+
+def test_a_run_does_not_depend_on_those_before_it(plan, expected):
+    backwards = in_process(Work.of(plan), jobs(plan, lambda runs: runs[::-1]))
+    assert repeatable(backwards) == expected
+    alone = [perform(Work.of(plan, session=str(k)), job) for k, job in enumerate(jobs(plan)[:2])]
+    assert list(map(same, alone)) == expected[:2]
+
+
+def test_threads_of_a_worker_do_not_disturb_each_other(plan, expected):
+    found: list[list[Row]] = []
+    shared = Work.of(plan)
+    threads = [
+        threading.Thread(target=lambda part=part: found.append(work.perform_all(shared, part)))
+        for part in (jobs(plan)[:6], jobs(plan)[6:])
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert repeatable(found) == expected
+
+
+def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
+    def fussy(trajectory):
+        return 1.0 / (trajectory.scene.object.mass - 10.0)
+
+    over = {GRIP: [None, {"xyz": [-3.0, 0, 0]}], MASS: [5.0, 10.0, 20.0]}
+    plan = make_plan(scene, over, keep=["steps", fussy], run=RUN)
+    rows = [row for rows in in_process(Work.of(plan), jobs(plan)) for row in rows]
+    assert [row.status for row in rows] == ["completed", "failed", "completed"] + ["failed"] * 3
+    assert "quantity 'fussy' raised ZeroDivisionError: float division by zero" in rows[1].message
+    assert rows[1].quantities["steps"] > 0 and rows[1].quantities["fussy"] is None
+    assert rows[3].message.startswith("the run could not begin: ")
+    assert rows[3].quantities == {"steps": None, "fussy": None}
+
+
+def test_a_scene_that_cannot_be_compiled_is_no_trouble_for_runs_that_can(scene):
+    broken = changed(scene, {GRIP: {"xyz": [-3.0, 0, 0]}})
+    plan = make_plan(broken, {GRIP: [None, {"xyz": [-3.0, 0, 0]}]}, keep=["steps"], run=RUN)
+    rows = [row for rows in in_process(Work.of(plan), jobs(plan)) for row in rows]
+    assert [row.status for row in rows] == ["completed", "failed"]
+    assert "does not satisfy the joint of arm 'left'" in rows[1].message
+    assert rows[1].quantities == {"steps": None}
+
+
+def test_another_version_of_the_program_is_refused(plan, monkeypatch):
+    begun = Work.of(plan)
+    monkeypatch.setattr(work, "program_version", lambda: "0.0.1")
+    with pytest.raises(SweepError, match=r"has multiarm 0\.0\.1, the sweep was begun by"):
+        work.perform_all(begun, jobs(plan)[:1])
+
+
+# --- batches ------------------------------------------------------------------------------------
+
+
+def timed(run, wall):
+    return Row(run, "completed", "", {}, {}, wall, "")
+
+
+def test_batches_take_about_the_same_time_however_long_a_run_takes():
+    batches = Batches(Job(run, {}) for run in range(1, 2001))
+    assert len(next(batches)) == 1
+    for wall in (1e-2, 10.0, 1e-6):
+        fresh = Batches(Job(run, {}) for run in range(1, 2001))
+        fresh.learn([timed(1, wall)])
+        expected = min(max(int(TARGET / wall), 1), MOST_JOBS)
+        assert len(next(fresh)) == expected
+    assert [job.run for job in next(batches)] == [2]
+
+
+def test_jobs_are_made_when_they_are_asked_for(plan):
+    asked = []
+
+    def endless():
+        for run in range(1, 10**9):
+            asked.append(run)
+            yield Job(run, plan.values(1))
+
+    coming = in_process(Work.of(plan), endless())
+    next(coming)
+    assert asked == [1]
+    coming.close()
+    asked.clear()
+    coming = on_processes(Work.of(plan), endless(), 2)
+    next(coming)
+    time.sleep(0.3)
+    assert len(asked) <= 6 * MOST_JOBS  # those under way, and those that wait beside them
+    coming.close()
+
+
+# --- processes ----------------------------------------------------------------------------------
+
+
+def test_processes_give_the_same_rows(plan, expected):
+    batches = list(on_processes(Work.of(plan), jobs(plan), 2))
+    assert repeatable(batches) == expected
+    workers = {row.worker for rows in batches for row in rows}
+    assert len(workers) == 2
+    assert not any(worker.endswith(f":{os.getpid()}") for worker in workers)
+
+
+def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
+    plan = make_plan(scene, OVER, repeat=4, seed=7, keep=["final_z", f"{functions}:once"], run=RUN)
+    found = statuses(on_processes(Work.of(plan), jobs(plan), 2))
+    assert (functions.parent / "died").exists()
+    assert len(found) == 12 and {status for status, _ in found.values()} == {"completed"}
+
+
+def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
+    over = {MASS: [5.0, 10.0, 20.0, 30.0]}
+    plan = make_plan(scene, over, keep=[f"{functions}:always"], run=RUN)
+    found = statuses(on_processes(Work.of(plan), jobs(plan), 2))
+    assert [found[run][0] for run in (1, 2, 3, 4)] == ["completed", "failed"] + ["completed"] * 2
+    assert found[2][1].startswith("its worker died 3 times")
+
+
+def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypatch):
+    monkeypatch.setattr("multiarm.scene.own_effects._REGISTERED", {})
+
+    class Pull(ma.Effect):
+        name = "pull"
+
+        class Spec(ma.Effect.Spec):
+            force: float = 0.0
+
+        def forces(self, t, state):
+            return ma.Loads(object_wrench=[0, 0, self.spec.force, 0, 0, 0])
+
+    ma.register_effect(Pull)
+    plan = make_plan(
+        scene, {"effects.pull": [{"force": 0.0}, {"force": 50.0}]}, keep=["final_z"], run=RUN
+    )
+    here = repeatable(in_process(Work.of(plan), jobs(plan)))
+    assert here[0][4] != here[1][4]
+    assert repeatable(on_processes(Work.of(plan), jobs(plan), 2)) == here
+
+
+def test_what_cannot_be_sent_to_workers_is_told(scene):
+    lock = threading.Lock()
+    plan = make_plan(scene, {MASS: [5.0]}, keep=[lambda trajectory: lock and 1.0], run=RUN)
+    with pytest.raises(SweepError, match=r"the workers cannot be given the work"):
+        list(on_processes(Work.of(plan), jobs(plan), 2))
+
+
+# --- the whole ----------------------------------------------------------------------------------
+
+
+def test_a_sweep_that_is_stopped_goes_on_where_it_was(scene, expected, tmp_path):
+    told = []
+
+    def stop(done, count, failed):
+        told.append((done, count, failed))
+        if done:
+            raise KeyboardInterrupt
+
+    (tmp_path / "own.py").write_text(NOTES)
+    keep = [*KEEP, f"{tmp_path}/own.py:noted"]
+    asked = {"repeat": 4, "seed": 7, "keep": keep, "out": tmp_path / "s.h5", **RUN}
+    part = ma.sweep(scene, OVER, workers=1, progress=stop, **asked)
+    early = {row.run: row for row in part.rows()}
+    assert told == [(0, 12, 0), (1, 12, 0)]
+    assert len(part) == 1 and not part.complete
+    whole = ma.sweep(scene, OVER, workers=2, **asked)
+    rows = list(whole.rows())
+    assert [(*same(row)[:4], {k: row.quantities[k] for k in KEEP}) for row in rows] == expected
+    # what was done is not done again
+    assert {row.run: row for row in rows if row.run in early} == early
+    assert len((tmp_path / "notes").read_text()) == 12
+    told.clear()
+    ma.sweep(scene, OVER, workers=2, progress=lambda *done: told.append(done), **asked)
+    assert told == [(12, 12, 0)]
+    fresh = ma.sweep(scene, OVER, workers=1, resume=False, **asked)
+    assert list(map(same, fresh.rows())) == list(map(same, rows))
+    assert len((tmp_path / "notes").read_text()) == 24
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_ends_a_sweep_in_good_order(scene, workers, tmp_path):
+    timer = threading.Timer(0.2, signal.raise_signal, [signal.SIGINT])
+
+    def begun(done, count, failed):
+        if done and timer.ident is None:
+            timer.start()
+
+    found = ma.sweep(
+        scene, {MASS: {"linspace": [5, 6, 5000]}}, workers=workers, out=tmp_path / "s.h5",
+        progress=begun, keep=["final_z"], certificate=False, **RUN,
+    )  # fmt: skip
+    timer.join()
+    assert 0 < len(found) < 5000
+    assert {row.status for row in found.rows()} == {"completed"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "text"),
+    [
+        ({"workers": 0}, "workers: must be a number from 1 on, got 0"),
+        ({"workers": 2.5}, "workers: must be a number from 1 on, got 2.5"),
+        ({"workers": 2, "dask": "tcp://here:1"}, "workers and dask exclude each other"),
+        ({"duraton": 1.0}, r"\$\.run\.duraton: unknown key 'duraton'"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_before_anything_is_written(scene, asked, text, tmp_path):
+    with pytest.raises(SweepError, match=text):
+        ma.sweep(scene, {MASS: [5.0]}, out=tmp_path / "s.h5", **asked)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,172 @@
+"""Claims about figures of a sweep: what they draw is what the table says, however many runs."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from sweep_stand_in import NAMES, StandInPlan, row_of
+
+from multiarm.errors import SweepError
+from multiarm.plots.sweep_axes import BAND, PARTS, bands, cells, variable
+from multiarm.plots.sweep_figures import POINTS, sweep_curves, sweep_map, sweep_overview
+from multiarm.sweeps.result import load_sweep
+from multiarm.sweeps.store import SweepFile
+
+PATHS = ("object.mass", "effects.drag", "control.kind", "$x.odd_")
+MASSES, DRAGS = [5.0, 10.0, 20.0], [0.01, 0.1, 1.0, 10.0]
+
+
+def grid_row(run: int):
+    """Three masses, four drags, two words and a number at random; gap = mass * drag + noise."""
+    rng, k = np.random.default_rng(run), run - 1
+    values = {
+        "object.mass": MASSES[k % 3], "effects.drag": DRAGS[k // 3 % 4],
+        "control.kind": ["$none_", "joint_pd"][k // 12 % 2], "$x.odd_": float(rng.normal()),
+    }  # fmt: skip
+    gap = values["object.mass"] * values["effects.drag"] * (1.0 + 0.1 * float(rng.normal()))
+    done = run % 17 != 0
+    found = {"gap": gap, "force": -gap, "never": None} if done else dict.fromkeys(NAMES)
+    return replace(
+        row_of(1),
+        run=run,
+        values=values,
+        quantities=found,
+        status="completed" if done else "failed",
+    )
+
+
+def sweep_of(path, count, row=grid_row, paths=PATHS):
+    with SweepFile.open(path, StandInPlan(count, paths=paths)) as file:
+        file.append(map(row, range(1, count + 1)))
+    return load_sweep(path)
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory):
+    found = sweep_of(tmp_path_factory.mktemp("figures") / "s.h5", 600)
+    yield found
+    found.close()
+
+
+def median_line(panel):
+    (line,) = [line for line in panel.lines if line.get_label() == "median"]
+    return np.array(line.get_xydata())
+
+
+def test_a_curve_is_the_median_at_each_value_of_a_grid(sweep):
+    panel = sweep_curves(sweep, ["effects.drag"], ["gap"]).axes[0]
+    table = sweep.table
+    expected = [
+        (drag, np.median([g for g, d in zip(table["gap"], table["effects.drag"], strict=True)
+                          if d == drag and not np.isnan(g)]))
+        for drag in DRAGS
+    ]  # fmt: skip
+    np.testing.assert_allclose(median_line(panel), expected, rtol=1e-14)
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("effects.drag", "gap [m]")
+    assert (panel.get_xscale(), panel.get_yscale()) == ("log", "log")
+
+
+def test_bands_are_quantiles_of_the_runs_there(sweep):
+    axis = variable("object.mass", sweep.table["object.mass"])
+    places, found = bands(axis, sweep.table["gap"])
+    assert places.tolist() == MASSES
+    for mass, own in zip(MASSES, found, strict=True):
+        there = sweep.select(["gap"], where={"object.mass": mass}, status="completed")["gap"]
+        np.testing.assert_allclose(own, np.quantile(there, BAND))
+
+
+def test_a_value_that_always_differs_is_cut_into_parts_of_equally_many_runs(sweep):
+    axis = variable("x", sweep.table["$x.odd_"])
+    sizes = [len(runs) for _, runs in axis.groups()]
+    assert len(sizes) == PARTS and max(sizes) - min(sizes) <= 1
+    assert sorted(run for _, runs in axis.groups() for run in runs) == list(range(600))
+    ends = [(axis.at[runs].min(), axis.at[runs].max()) for _, runs in axis.groups()]
+    assert all(high <= low for (_, high), (low, _) in pairwise(ends))
+    panel = sweep_curves(sweep, ["$x.odd_"], ["force"]).axes[0]
+    dots = [line for line in panel.lines if line.get_marker() == "."]
+    assert len(dots[0].get_xdata()) == sweep.status_counts["completed"]
+
+
+def test_a_map_shows_the_median_of_every_pair(sweep):
+    figure = sweep_map(sweep, "object.mass", "effects.drag", ["gap"])
+    (mesh,) = figure.axes[0].collections
+    table = np.array(mesh.get_array()).reshape(4, 3)
+    np.testing.assert_allclose(table, np.outer(DRAGS, MASSES), rtol=0.1)
+    for i, drag in enumerate(DRAGS):
+        for k, mass in enumerate(MASSES):
+            own = sweep.select(["gap"], where={"object.mass": mass, "effects.drag": drag})["gap"]
+            assert table[i, k] == np.median(own[~np.isnan(own)])
+    borders = np.array(mesh.get_coordinates())[:, 0, 1]
+    assert all(
+        low < drag < high for low, drag, high in zip(borders, DRAGS, borders[1:], strict=False)
+    )
+
+
+def test_a_pair_without_runs_is_empty_and_a_map_without_a_grid_shows_the_runs(sweep):
+    x = variable("x", np.array([1.0, 2.0, 2.0]))
+    y = variable("y", np.array([1.0, 1.0, 3.0]))
+    np.testing.assert_array_equal(
+        cells(x, y, np.array([7.0, np.nan, 9.0])), [[7.0, np.nan], [np.nan, 9.0]]
+    )
+    panel = sweep_map(sweep, "$x.odd_", "object.mass", ["force"]).axes[0]
+    (dots,) = panel.collections
+    assert len(dots.get_offsets()) == sweep.status_counts["completed"]
+
+
+def test_runs_that_did_not_complete_are_seen(sweep):
+    panel = sweep_curves(sweep, ["object.mass"], ["gap"]).axes[0]
+    (ticks,) = [line for line in panel.lines if line.get_label() == "did not complete"]
+    failed = sweep.select(["object.mass"], status="failed")["object.mass"]
+    assert sorted(ticks.get_xdata()) == sorted(failed)
+
+
+def test_words_are_levels_with_their_names_and_no_formulas(sweep):
+    figure = sweep_curves(sweep, ["control.kind"], ["gap"])
+    figure.savefig(io.BytesIO(), format="svg")
+    labels = [label.get_text() for label in figure.axes[0].get_xticklabels()]
+    assert labels == ["$none_", "joint_pd"]
+
+
+def test_the_overview_has_every_quantity_over_every_value_and_a_map(sweep):
+    figure = sweep_overview(sweep)
+    panels = [panel for panel in figure.axes if panel.get_xlabel()]
+    assert len(panels) == 2 * (len(PATHS) + 1), "the third quantity has no number"
+    for kind in ("png", "svg", "pdf"):
+        figure.savefig(io.BytesIO(), format=kind)
+
+
+def test_ten_thousand_runs_make_a_figure_of_bounded_size(tmp_path):
+    def scattered(run):
+        rng = np.random.default_rng(run)
+        x, y, z = rng.normal(size=3).tolist()
+        return replace(
+            row_of(1), run=run, values={"a": x, "b": y}, quantities={"gap": z, "force": x + y}
+        )
+
+    found = sweep_of(tmp_path / "s.h5", 10_000, scattered, ("a", "b"))
+    figure = sweep_overview(found)
+    drawn = [len(line.get_xdata()) for panel in figure.axes for line in panel.lines]
+    drawn += [len(c.get_offsets()) for panel in figure.axes for c in panel.collections]
+    assert max(drawn) <= POINTS
+    found.close()
+
+
+def test_what_cannot_be_drawn_is_said(sweep, tmp_path):
+    with pytest.raises(SweepError, match="unknown quantity 'gpa'; did you mean 'gap'"):
+        sweep_curves(sweep, quantities=["gpa"])
+    with pytest.raises(SweepError, match=r"unknown varied value 'object.mas'; did you mean"):
+        sweep_map(sweep, "object.mas", "effects.drag")
+    empty = sweep_of(tmp_path / "empty.h5", 0)
+    with pytest.raises(SweepError, match="has no run with a number to draw"):
+        sweep_overview(empty)
+    empty.close()
+    named = sweep_of(
+        tmp_path / "n.h5", 60, lambda k: replace(grid_row(k), values={"name": f"n{k}"}), ("name",)
+    )
+    with pytest.raises(SweepError, match="nothing to draw over: name varies as a number"):
+        sweep_overview(named)
+    named.close()

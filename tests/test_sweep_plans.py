@@ -1,0 +1,427 @@
+"""Claims about plans of many runs: which values run k has, from the plan and k alone."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+import random
+import re
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mechanics import ur5_pair
+from scipy import stats
+
+from multiarm.errors import SceneError, SweepError
+from multiarm.scene import changed, value_at
+from multiarm.sweeps import checking
+from multiarm.sweeps.plan import make_plan, plan_of
+from multiarm.sweeps.spec import parse_sweep
+
+MASS, DAMPING = "object.mass", "effects.joint_damping"
+LIFT = "arms.left.base.xyz[2]"
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return ur5_pair({"kind": "weld"}, {"kind": "weld"})
+
+
+# --- the grid -----------------------------------------------------------------------------------
+
+
+def test_a_product_goes_through_all_combinations_the_last_path_fastest(scene):
+    over = {MASS: [1.0, 2.0], DAMPING: {"linspace": [0, 1, 3]}, "name": {"choice": ["a"]}}
+    plan = make_plan(scene, over, repeat=2)
+    expected = [
+        {MASS: mass, DAMPING: damping, "name": "a"}
+        for mass, damping, _ in itertools.product([1.0, 2.0], [0.0, 0.5, 1.0], range(2))
+    ]
+    assert plan.count == 12
+    assert [run for run, _ in plan.runs()] == list(range(1, 13))
+    assert [values for _, values in plan.runs()] == expected
+    assert plan.paths == (MASS, DAMPING, "name")
+
+
+def test_a_zip_goes_through_all_paths_together(scene):
+    over = {MASS: [1.0, 2.0, 3.0], DAMPING: {"range": [4, 10, 2]}}
+    plan = make_plan(scene, over, combine="zip")
+    values = [values for _, values in plan.runs()]
+    assert values == [{MASS: float(k), DAMPING: 2 + 2 * k} for k in (1, 2, 3)]
+
+
+def test_drawn_paths_do_not_count_in_a_zip(scene):
+    over = {MASS: [1.0, 2.0], LIFT: {"uniform": [0, 1]}, DAMPING: [3, 4]}
+    plan = make_plan(scene, over, combine="zip", repeat=5)
+    assert plan.count == 10
+    assert [values[DAMPING] for _, values in plan.runs()] == [3] * 5 + [4] * 5
+
+
+def test_several_paths_move_together(scene):
+    both = f"{LIFT}, arms.right.base.xyz[2]"
+    pair = "object.pose.xyz[0], object.pose.xyz[1]"
+    plan = make_plan(scene, {both: [0.0, 0.1], pair: {"rows": [[0, 1], [2, 3]]}})
+    assert plan.count == 4
+    assert plan.values(4) == {
+        LIFT: 0.1, "arms.right.base.xyz[2]": 0.1, "object.pose.xyz[0]": 2, "object.pose.xyz[1]": 3,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("written", "expected"),
+    [
+        ({"linspace": [5, 50, 10]}, np.linspace(5, 50, 10)),
+        ({"linspace": [0.1, 0.7, 7]}, np.linspace(0.1, 0.7, 7)),
+        ({"linspace": [3, -1, 1]}, [3.0]),
+        ({"logspace": [-3, 2, 6]}, np.logspace(-3, 2, 6)),
+        ({"geomspace": [0.1, 10, 3]}, np.geomspace(0.1, 10, 3)),
+        ({"geomspace": [2, 7, 12]}, np.geomspace(2, 7, 12)),
+        ({"range": [3]}, [0, 1, 2]),
+        ({"range": [7, 1, -2]}, [7, 5, 3]),
+    ],
+)
+def test_values_that_are_gone_through_are_those_of_numpy(written, expected):
+    axis = parse_sweep({"over": {MASS: written}}).over[MASS]
+    np.testing.assert_allclose(list(axis.steps), expected, rtol=4e-16, atol=0)
+    assert list(axis.steps)[-1] == pytest.approx(expected[-1], rel=1e-15)
+
+
+def test_the_scene_of_a_run_has_its_values_and_the_run_of_the_sweep(scene):
+    over = {"over": {MASS: [5.0, 7.0], "run.duration": [0.5]}, "run": {"accuracy": 1e-3}}
+    plan = make_plan(scene, over, run={"output_step": 0.1})
+    found = plan.scene_of(2)
+    assert (value_at(found, MASS), found.run.duration, found.run.output_step) == (7.0, 0.5, 0.1)
+    assert found == changed(
+        scene, {MASS: 7.0, "run.duration": 0.5, "run.output_step": 0.1, "run.accuracy": 1e-3}
+    )
+    with pytest.raises(SweepError, match=r"there is no run 3; runs are 1 to 2"):
+        plan.values(3)
+    # another choice of steps replaces the file's
+    plan = make_plan(scene, over, run={"integrator": "rk4", "step": 1e-3})
+    assert plan.scene.run.accuracy is None and plan.scene.run.step == 1e-3
+
+
+# --- draws --------------------------------------------------------------------------------------
+
+LAWS = [
+    ({"uniform": [-1, 3]}, stats.uniform(-1, 4)),
+    ({"normal": {"mean": 1.2, "deviation": 0.5}}, stats.norm(1.2, 0.5)),
+    ({"lognormal": {"median": 20, "deviation": 0.3}}, stats.lognorm(0.3, scale=20)),
+    ({"loguniform": [0.01, 100]}, stats.loguniform(0.01, 100)),
+]
+
+
+@pytest.mark.parametrize("sampling", ["random", "latin_hypercube", "sobol"])
+@pytest.mark.parametrize(("written", "law"), LAWS)
+def test_draws_follow_their_law(written, law, sampling):
+    """Kolmogorov and Smirnov would call one in 10^4 of such samples no sample of the law."""
+    sweep = {"over": {MASS: written}, "repeat": 512, "seed": 3, "sampling": sampling}
+    plan = plan_of(None, parse_sweep(sweep).text())
+    sample = [values[MASS] for _, values in plan.runs()]
+    assert stats.kstest(sample, law.cdf).pvalue > 1e-4
+    assert len(set(sample)) == 512
+
+
+def test_choices_and_whole_numbers_are_equally_likely():
+    for written, values in [({"choice": ["a", [1], None]}, 3), ({"integers": [-1, 3]}, 5)]:
+        plan = plan_of(None, parse_sweep({"over": {MASS: written}, "repeat": 3000}).text())
+        found = [str(values[MASS]) for _, values in plan.runs()]
+        counts = [found.count(value) for value in sorted(set(found))]
+        assert len(counts) == values
+        assert stats.chisquare(counts).pvalue > 1e-4
+
+
+@pytest.mark.parametrize("sampling", ["random", "latin_hypercube", "sobol"])
+def test_values_of_a_run_depend_on_seed_and_number_alone(scene, sampling):
+    over = {MASS: [5.0, 6.0, 7.0], LIFT: {"uniform": [0, 1]}, DAMPING: {"uniform": [0, 1]}}
+    plan = make_plan(scene, over, repeat=16, seed=7, sampling=sampling)
+    expected = dict(plan.runs())
+    order = list(expected)
+    random.Random(1).shuffle(order)
+    elsewhere = pickle.loads(pickle.dumps(plan))
+    assert {run: elsewhere.values(run) for run in order} == expected
+    assert dict(plan.runs(start=30)) == {run: expected[run] for run in range(30, 49)}
+    assert dict(plan.among([40, 3])) == {run: expected[run] for run in (40, 3)}
+    # they are drawn anew at each point of the grid, and for another seed
+    assert len({values[LIFT] for values in expected.values()}) == 48
+    other = make_plan(scene, over, repeat=16, seed=8, sampling=sampling)
+    assert all(other.values(run)[LIFT] != expected[run][LIFT] for run in order)
+
+
+def test_random_draws_of_neighbours_have_nothing_to_do_with_each_other():
+    over = {MASS: {"normal": {"mean": 0, "deviation": 1}}, DAMPING: {"uniform": [0, 1]}}
+    plan = plan_of(None, parse_sweep({"over": over, "repeat": 4000}).text())
+    values = np.array([[v[MASS], v[DAMPING]] for _, v in plan.runs()])
+    table = np.column_stack([values[:-1], values[1:]])
+    correlations = np.corrcoef(table.T)[np.triu_indices(4, 1)]
+    assert np.abs(correlations).max() < 4 / np.sqrt(4000)  # four standard deviations
+
+
+def test_one_more_drawn_path_at_the_end_leaves_the_others_as_they_are(scene):
+    few = {LIFT: {"uniform": [0, 1]}}
+    more = {**few, DAMPING: {"uniform": [0, 1]}}
+    pair = [make_plan(scene, over, repeat=9, seed=1) for over in (few, more)]
+    for run in range(1, 10):
+        assert pair[0].values(run)[LIFT] == pair[1].values(run)[LIFT]
+
+
+def strata(plan, path, count):
+    """Which of `count` layers of (0, 1) each draw of a grid point lies in."""
+    return [int(values[path] * count) for _, values in plan.runs()]
+
+
+def test_a_latin_hypercube_fills_every_layer_of_every_path_once_at_each_point(scene):
+    over = {MASS: [5.0, 6.0], LIFT: {"uniform": [0, 1]}, DAMPING: {"uniform": [0, 1]}}
+    plan = make_plan(scene, over, repeat=20, sampling="latin_hypercube", seed=2)
+    for path in (LIFT, DAMPING):
+        layers = strata(plan, path, 20)
+        assert sorted(layers[:20]) == sorted(layers[20:]) == list(range(20))
+    assert strata(plan, LIFT, 20) != strata(plan, DAMPING, 20)
+
+
+def test_sobol_points_are_a_net(scene):
+    """Of 2^m points in two axes every box of volume 2^-m with dyadic sides holds exactly one."""
+    over = {LIFT: {"uniform": [0, 1]}, DAMPING: {"uniform": [0, 1]}}
+    plan = make_plan(scene, over, repeat=64, sampling="sobol", seed=5)
+    points = np.array([[v[LIFT], v[DAMPING]] for _, v in plan.runs()])
+    for wide in range(7):
+        boxes = (points * [2**wide, 2 ** (6 - wide)]).astype(int)
+        assert len({tuple(box) for box in boxes}) == 64
+
+
+# --- large plans --------------------------------------------------------------------------------
+
+
+def peak_of(plan, runs):
+    """[bytes] that going through so many runs takes at most."""
+    for _ in plan.among([1, 2]):  # what is loaded when it is first used
+        pass
+    tracemalloc.start()
+    for _ in itertools.islice(plan.runs(), runs):
+        pass
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak
+
+
+@pytest.mark.parametrize("sampling", ["random", "sobol"])
+def test_memory_does_not_follow_the_number_of_runs(scene, sampling):
+    over = {MASS: {"linspace": [1, 2, 100_000]}, LIFT: {"uniform": [0, 1]}}
+    plan = make_plan(scene, over, repeat=100, sampling=sampling)
+    assert plan.count == 10_000_000
+    assert plan.values(10_000_000)[MASS] == 2.0
+    few, many = peak_of(plan, 300), peak_of(plan, 3000)
+    assert many < few + 10 * 2700  # a list of the values would take a hundred bytes a run
+
+
+def test_of_a_long_axis_some_values_are_tried_the_first_and_the_last_among_them(scene, monkeypatch):
+    tried = []
+
+    def counted(scene, values):
+        tried.append(values)
+        return changed(scene, values)
+
+    monkeypatch.setattr(checking, "changed", counted)
+    make_plan(scene, {MASS: {"linspace": [1, 2, 10_000]}, LIFT: {"uniform": [0, 1]}})
+    assert len(tried) < 40
+    masses = [values[MASS] for values in tried]
+    assert min(masses) == 1.0 and max(masses) == 2.0
+    with pytest.raises(SweepError, match=r"linspace: the value -1.0: must be greater than 0"):
+        make_plan(scene, {MASS: {"linspace": [1, -1, 10_000]}})
+
+
+# --- text ---------------------------------------------------------------------------------------
+
+
+def test_a_stored_plan_is_the_plan(scene):
+    over = {
+        MASS: np.linspace(5, 6, 3),
+        (LIFT, "arms.right.base.xyz[2]"): {"uniform": (0, 1e-6)},
+        "object.pose.xyz": [(0, 0, 0.5), np.array([0, 0.1, 0.5])],
+        "name": ["on", "off"],
+        "object.shape.box[0]": {"normal": {"mean": 1.2, "deviation": 1e-3}},
+    }
+    plan = make_plan(
+        scene, over, repeat=2, seed=4, keep=["steps", "wall_time"], run={"duration": 2}
+    )
+    again = plan_of(plan.scene, plan.text)
+    assert (again.text, again.fingerprint) == (plan.text, plan.fingerprint)
+    assert dict(again.runs()) == dict(plan.runs())
+    assert [own.name for own in again.quantities] == ["steps"]
+
+
+def test_a_file_is_read_as_the_table_in_it(scene, tmp_path):
+    text = """
+over:
+  object.mass: {linspace: [5, 50, 10]}
+  effects.joint_damping: [1e-1, 1, 10]
+  "arms.left.base.xyz[2]": {uniform: [-1e-2, 0.01]}
+repeat: 4
+seed: 7
+keep: [largest_contact_force, "quantities.py:wobble"]
+run: {duration: 1.0}
+"""
+    (tmp_path / "sweep.yaml").write_text(text)
+    (tmp_path / "quantities.py").write_text("def wobble(trajectory):\n    return 1.0\n")
+    plan = make_plan(scene, tmp_path / "sweep.yaml", seed=8)
+    assert (plan.count, plan.seed, plan.scene.run.duration) == (120, 8, 1.0)
+    assert plan.values(120)[DAMPING] == 10 and plan.values(1)[DAMPING] == 0.1
+    assert [own.name for own in plan.quantities] == ["largest_contact_force", "wobble"]
+    assert str(tmp_path / "quantities.py:wobble") in plan.text
+
+
+def test_the_fingerprint_tells_scenes_sweeps_and_functions_apart(scene, tmp_path):
+    file = tmp_path / "own.py"
+    file.write_text("def f(trajectory):\n    return 1.0\n")
+    over, keep = {MASS: [5.0, 6.0]}, [f"{file}:f"]
+    first = make_plan(scene, over, keep=keep)
+    same = make_plan(scene, over, keep=keep)
+    file.write_text("def f(trajectory):\n    return 2.0\n")
+    others = [
+        make_plan(scene, over, keep=keep),
+        make_plan(scene.replace(gravity=[0, 0, -1]), over, keep=keep),
+        make_plan(scene, {MASS: [5.0, 6.5]}, keep=keep),
+        make_plan(scene, {MASS: [6.0, 5.0]}, keep=keep),
+        make_plan(scene, over, keep=keep, run={"duration": 3.0}),
+        make_plan(scene, over, keep=keep, certificate=False),
+    ]
+    assert same.fingerprint == first.fingerprint
+    assert len({plan.fingerprint for plan in [first, *others]}) == 7
+
+
+# --- what is wrong ------------------------------------------------------------------------------
+
+
+def test_all_faults_are_told_at_once_each_at_its_place(scene, tmp_path):
+    (tmp_path / "bad.yaml").write_text("""
+over:
+  object.mas: [1]
+  object.mass: [5, -1, heavy]
+  effects.joint_damping: {linspace: [-1, 1, 500]}
+  "arms.rigth.base.xyz[2]": {uniform: [0, 1]}
+  "arms.left.base.xyz[2]": {uniform: [1, 0]}
+  gravity: {linspce: [1, 2, 3]}
+  a..b: [1]
+combine: zipp
+seed: -1
+keep: [drift, "nofile.py:f"]
+run: {duraton: 1}
+extra: 1
+""")
+    with pytest.raises(SweepError) as caught:
+        make_plan(scene, tmp_path / "bad.yaml")
+    lines = str(caught.value).splitlines()
+    assert lines[0] == f"{tmp_path / 'bad.yaml'}: {len(lines) - 1} faults:"
+    beginnings = [
+        "$.over['object.mas']: unknown key 'mas'; did you mean 'mass'?",
+        "$.over['object.mass'][1]: must be greater than 0, got -1",
+        "$.over['object.mass'][2]: must be a number, got 'heavy'",
+        "$.over['effects.joint_damping'].linspace: the value -1.0: must not be negative",
+        "$.over['arms.rigth.base.xyz[2]']: unknown key 'rigth'; did you mean 'right'?",
+        "$.over['arms.left.base.xyz[2]'].uniform: the lowest must be below the highest",
+        "$.over.gravity.linspce: unknown key 'linspce'; did you mean 'linspace'?",
+        "$.over['a..b']: 'a..b' is no path; write one as 'object.mass'",
+        "$.combine: unknown value 'zipp'; did you mean 'zip'?",
+        "$.seed: must be at least 0, got -1",
+        "$.keep[0]: unknown quantity 'drift'; ",
+        f"$.keep: cannot load the function '{tmp_path}/nofile.py:f': there is no file",
+        "$.run.duraton: unknown key 'duraton'; did you mean 'duration'?",
+        "$.extra: unknown key 'extra'; ",
+    ]
+    assert len(caught.value.faults) == len(beginnings)
+    for beginning in beginnings:
+        assert any(fault.startswith(beginning) for fault in caught.value.faults), beginning
+    assert caught.value.source == str(tmp_path / "bad.yaml")
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("written", "text"),
+    [
+        ({"linspace": [1, 2]}, "linspace: must be [first, last, how many], got [1, 2]"),
+        ({"linspace": [1, 2, 2.5]}, "how many values there are, the third entry, must be a whole"),
+        ({"linspace": [1, 2, 0]}, "the third entry, must be at least 1, got 0"),
+        ({"linspace": [1, "x", 3]}, "linspace[1]: must be a number, got 'x'"),
+        ({"logspace": [1, 400, 3]}, "exponents of ten, of at most 300"),
+        ({"geomspace": [0, 1, 3]}, "both bounds must be positive"),
+        ({"loguniform": [0, 1]}, "both bounds must be positive"),
+        ({"range": [0.5, 2]}, "of other numbers make a 'linspace'"),
+        ({"range": [2, 1]}, "range(2, 1) is empty"),
+        ({"integers": [0.5, 2]}, "of others make it 'uniform'"),
+        ({"normal": {"mean": 1}}, "normal.deviation: is missing"),
+        ({"normal": {"mean": 1, "deviation": 0}}, "deviation: must be greater than 0"),
+        ({"uniform": [0, 1], "choice": [1]}, "must be a list of values or a table with one of"),
+        ({}, "got nothing"),
+        ([], "must be a list of at least one value"),
+        (5.0, "must be a list of at least one value, got 5.0"),
+        ([object()], "is nothing that a YAML file can hold"),
+        ({"rows": [[1, 2], [3]]}, "rows[0] must be a list of 1, a value for each path"),
+    ],
+)  # fmt: skip
+def test_an_axis_that_is_none_is_told_with_the_remedy(scene, written, text):
+    with pytest.raises(SweepError) as caught:
+        make_plan(scene, {MASS: written})
+    assert text in str(caught.value)
+    assert "$.over['object.mass']" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"over": {}}, "$.over: must be a table 'path: values' with at least one path"),
+        ({"over": {MASS: [1, 2], DAMPING: [1]}, "combine": "zip"},
+         "$.combine: 'zip' needs as many values of every path, there are 2 of object.mass, 1 of"),
+        ({"over": {MASS: [1]}, "repeat": 3}, "$.repeat: 3 runs of each point would be the same"),
+        ({"over": {MASS: {"linspace": [1, 2, 10**5]}, DAMPING: {"range": [10**5]}}},
+         "$.over: makes 10000000000 runs; at most 100000000"),
+        ({"over": {MASS: [1], f"{MASS},{DAMPING}": [1]}}, "stands twice in the sweep"),
+        ({"over": {MASS: [1], "object": [{}]}}, "is changed twice, or a part of it is"),
+        ({"over": {MASS: [1]}, "keep": ["steps", "steps"]}, "$.keep: 'steps' stands twice"),
+        ({"over": {MASS: [1]}, "keep": [{"function": "a.py:f", "name": "2 x"}]},
+         "'2 x' cannot name a quantity"),
+        ({"over": {MASS: [1]}, "keep": [3]}, "$.keep[0]: unknown quantity 3"),
+        ({"over": {MASS: [1]}, "run": {"step": 1e-3}}, "$.run: 'step' needs an integrator"),
+        ({"over": {MASS: [1]}, "run": 3}, "$.run: must be a table of entries"),
+    ],
+)  # fmt: skip
+def test_what_contradicts_itself_is_told(scene, changes, text):
+    with pytest.raises(SweepError) as caught:
+        make_plan(scene, changes)
+    assert text in str(caught.value)
+
+
+def test_values_that_are_right_only_together_are_right(scene):
+    over = {"run.integrator": ["rk4", "semi_implicit_euler"], "run.step": [1e-3]}
+    assert make_plan(scene, over).scene_of(2).run.integrator == "semi_implicit_euler"
+    with pytest.raises(SweepError, match=r"\$\.over\['run\.integrator'\]"):
+        make_plan(scene, {"run.integrator": ["rk4"]})
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (None, "no such file; files in that folder: 'other.yaml'"),
+        (b"\xff\xfe\x00", "this is not a text file"),
+        (b"over: {a: [1, 2", "this is not YAML"),
+        (b"over: {a: [1]}\nover: {b: [1]}", "key 'over' stands twice"),
+        (b"- 1", "a sweep is a table with the keys over, combine"),
+        (b"", "a sweep is a table with the keys over, combine"),
+    ],
+)
+def test_a_file_that_is_no_sweep_is_told(scene, content, text, tmp_path):
+    (tmp_path / "other.yaml").touch()
+    if content is not None:
+        (tmp_path / "sweep.yaml").write_bytes(content)
+    with pytest.raises(SweepError, match=re.escape(text)):
+        make_plan(scene, tmp_path / "sweep.yaml")
+
+
+def test_a_sweep_needs_a_scene(scene, tmp_path):
+    with pytest.raises(SweepError, match=r"a sweep needs a scene, or the path of its file"):
+        make_plan(3, {MASS: [1]})
+    with pytest.raises(SceneError, match=r"no scene file"):
+        make_plan(Path(tmp_path / "none.yaml"), {MASS: [1]})
+    with pytest.raises(SweepError, match=r"\$\.over: is missing"):
+        make_plan(scene, None)
