@@ -461,6 +461,19 @@ def test_a_map_may_be_a_segment_a_point_or_nothing(five, plane):
     assert not nothing.contains([0.0, 0.0])
 
 
+def test_places_in_a_map_that_are_none_are_refused(five):
+    found = liftable(five, 10.0, [0, 0, 0], np.eye(3)[:2])
+    nothing = liftable(five.subset([0, 1]), 10.0, [0, 0, 1], np.eye(3)[:2])
+    with pytest.raises(GraspError, match=r"\(0, 0\) leads nowhere"):
+        found.reach((0.0, 0.0))
+    for none in ((0, 0, 0), 1.0, "ab", (np.nan, 1.0), [[0, 1], [1, 0]]):
+        for ask in (found.contains, found.reach, nothing.contains, nothing.reach):
+            with pytest.raises(GraspError, match=r"two (finite )?numbers \(x, y\)"):
+                ask(none)
+    with pytest.raises(GraspError, match=r"several wrenches are a list"):
+        worst_force(five, 1.0)
+
+
 @pytest.mark.parametrize(
     ("limit", "directions", "words"),
     [

@@ -15,17 +15,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
-from scipy.optimize import linprog
+from scipy.optimize import OptimizeResult, linprog
 from scipy.spatial import ConvexHull
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND, evenest
+from multiarm.grasp.balances import BAND, LEAST_MARGIN, evenest
 from multiarm.grasp.contacts import Contacts, wrenches_of
 from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.many_closures import closed_many
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKED = json.loads((ROOT / "tests" / "data" / "worked_examples.json").read_text())["examples"]
+# Seven contacts on a box: two of them 2e-10 m apart; normals that are off by 1e-7.
+HARD = json.loads((ROOT / "tests" / "data" / "hard_contacts.json").read_text())
 BLOCK = WORKED["example_2_1"]
 # rounding of numbers of order 1 through one small factorisation
 ROUNDING = 1e-12
@@ -289,7 +291,7 @@ def test_margin_is_proven_by_pushes_and_by_the_dual_solution(d, count, rng):
         found, W = is_form_closure(contacts), contacts.scaled_wrenches
         best = evenest(W, found.rank)
         if best.pushes is None:
-            assert found.margin == -np.inf
+            assert found.margin == LEAST_MARGIN
             continue
         t, rates = best.smallest, W.T @ best.direction
         # feasibility tolerance of the linear program in floating point
@@ -301,6 +303,70 @@ def test_margin_is_proven_by_pushes_and_by_the_dual_solution(d, count, rng):
         assert rates.min() >= -t - tolerance
         assert rates.sum() + count * t == pytest.approx(1.0, abs=count * tolerance)
         assert found.margin == pytest.approx(t if found else min(t, 0.0), abs=tolerance)
+
+
+def hard(name):
+    return Contacts.along(HARD[name]["points"], HARD[name]["directions"])
+
+
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("name", HARD)
+def test_contacts_that_are_hard_on_linear_programs_are_judged_in_words(name, exact):
+    found = is_form_closure(hard(name), exact=exact)
+    assert not found
+    assert (found.order, found.immobility.pushes) == (0, None)
+    assert "no form closure" in found.message == str(found)
+    assert found.rank == 6
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_the_margin_of_a_unique_balance_is_its_smallest_push_without_rounding(name):
+    contacts = hard(name)
+    rows = list(zip(*given_columns(contacts), strict=True))
+    balance = plane_normals(rows)[0]  # orthogonal to the six rows of W: the null vector
+    sizes = np.linalg.norm(np.array(contacts.given[1]), axis=1)
+    pushes = [push * Fraction(size) for push, size in zip(balance, sizes, strict=True)]
+    t = min(push / sum(pushes) for push in pushes)
+    # the sum of a null vector of length 1 is known to some 1e-16
+    tolerance = 1e-14 * max(1.0, abs(float(t)))
+    assert is_form_closure(contacts).margin == pytest.approx(float(t), rel=tolerance, abs=1e-12)
+
+
+def test_twins_and_normals_of_single_precision_never_cost_the_words(rng):
+    for number in range(40):
+        count = 7 + number % 5
+        points = rng.uniform(-0.5, 0.5, size=(count, 3))
+        axis, side = rng.integers(0, 3, count), rng.choice([-0.5, 0.5], count)
+        points[np.arange(count), axis] = side
+        directions = -2.0 * side[:, None] * np.eye(3)[axis]
+        if number % 2:
+            directions = directions + 1e-7 * rng.normal(size=directions.shape)
+        else:
+            points[1], directions[1] = points[0] + 10.0 ** -(3 + number % 10), directions[0]
+        found = is_form_closure(Contacts.along(points, directions))
+        assert np.isfinite(found.margin)
+        assert (found.margin > 0.0) == found.closed
+        assert found.message
+        assert found.order in ((1,) if found else (0, 2))
+
+
+def test_programs_that_give_up_cost_sharpness_and_not_the_verdict(monkeypatch, rng):
+    contacts = [random_set(rng, 9, 3) for _ in range(12)]
+    sure = [is_form_closure(one) for one in contacts]
+    expected = [(bool(one), one.margin) for one in sure]
+
+    def gives_up(*_, **__):
+        return OptimizeResult(success=False, x=None, message="HiGHS Status 15")
+
+    monkeypatch.setattr("scipy.optimize.linprog", gives_up)
+    for one, (closed, margin) in zip(contacts, expected, strict=True):
+        found = is_form_closure(one)
+        assert found.closed == closed
+        assert np.isfinite(found.margin)
+        assert found.margin <= margin + 1e-9
+        assert found.immobility.proven == closed
+        assert found.message
+    assert 0 < sum(map(bool, sure)) < 12
 
 
 # --- worked examples ----------------------------------------------------------------------------
@@ -639,8 +705,8 @@ def test_a_closed_grasp_says_so():
     assert 0.0 < found.conditioning <= 1.0
 
 
-def test_an_unbounded_program_has_the_margin_minus_infinity():
-    assert is_form_closure(Contacts([[0, 0, 0]], [[0, 0, 1]])).margin == -np.inf
+def test_the_margin_of_contacts_without_any_balance_is_the_least_one():
+    assert is_form_closure(Contacts([[0, 0, 0]], [[0, 0, 1]])).margin == LEAST_MARGIN == -1e10
 
 
 # --- second order -------------------------------------------------------------------------------
@@ -803,7 +869,7 @@ def test_contacts_that_never_balance_leave_the_body_movable(rng):
 
 
 def test_what_is_not_contacts_is_refused():
-    with pytest.raises(GraspError, match=r"Contacts\(points, normals\), not about list"):
+    with pytest.raises(GraspError, match=r"Contacts\(points, normals\), .* not list"):
         is_form_closure([[0, 0, 1]])
 
 

@@ -15,14 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
 from multiarm.grasp.assembling import assembled, crosses, largest_gripper, two_groups
-from multiarm.grasp.block_design import block_design, design_block_grasp
+from multiarm.grasp.blocks import BlockDesign, block_design, design_block_grasp
 from multiarm.grasp.body_class import classify
 from multiarm.grasp.closure_search import search_grasp
 from multiarm.grasp.construction import design_grasp
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.corner_pattern import corner_pattern
 from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.parallel_design import ParallelDesign, design_parallel_grasp, parallel_design
+from multiarm.grasp.parallel_bodies import ParallelDesign, design_parallel_grasp, parallel_design
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seventh_contact import seventh_contact_region
 from multiarm.grasp.wide_design import design_wide_grasp, wide_design
@@ -35,6 +35,7 @@ TOL = 1e-9
 ACROSS = 1e-3
 SQUARE = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
 ELL = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+BOX = Polyhedron.box([1.2, 1.0, 0.8])
 WIDE = {
     "pyramid": Polyhedron.pyramid(SQUARE, [0.0, 0.0, 1.5]),
     "wedge": Polyhedron.wedge([2.0, 1.0, 1.0]),
@@ -196,7 +197,7 @@ def test_any_corner_and_order_of_faces_holds_a_block():
         (lambda: block_design(0.1, 0.15, 0.15), "lies toward the edge"),
         (lambda: block_design(0.1, 0.25), "below 2 A|closed only beyond"),
         (lambda: block_design(-0.1), "are positive"),
-        (lambda: block_design(0.1, 0.05, np.nan), "are positive"),
+        (lambda: block_design(0.1, 0.05, np.nan), "distance is a finite length"),
         (lambda: design_block_grasp(WIDE["wedge"]), "construction for blocks needs one"),
         (lambda: design_block_grasp([1, 1, 1], faces=(0, 1, 3)), "do not meet at a corner"),
         (lambda: design_block_grasp([1, 1, 1], offset=0.6), "edge x is 1 m, more than 1.5 m"),
@@ -541,3 +542,37 @@ def test_bodies_of_revolution_are_refused_for_what_they_stand_for(sides):
 def test_questions_without_a_grasp_are_refused(make, words):
     with pytest.raises(GraspError, match=words):
         make()
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (
+            lambda: design_parallel_grasp(WIDE["wedge"].vertices),
+            "Polyhedron is needed, not ndarray",
+        ),
+        (lambda: design_parallel_grasp(BOX, offsets=(0.1, 0.1, 0.1)), "four lengths E, F, G1, G2"),
+        (lambda: design_parallel_grasp(BOX, offsets=0.1), "four lengths E, F, G1, G2"),
+        (lambda: design_parallel_grasp(BOX, offsets=(0.1, 0.1, "a", 0.1)), "finite length.* 'a'"),
+        (lambda: design_parallel_grasp(BOX, distance="a"), "finite length in metres, not 'a'"),
+        (lambda: design_parallel_grasp(BOX, gripper_size="a"), "finite length in metres, not 'a'"),
+        (lambda: design_block_grasp(BOX, offset="a"), "the offset is a finite length"),
+        (lambda: design_block_grasp(BOX, seventh="a"), "the seventh offset is a finite length"),
+        (lambda: design_block_grasp(BOX, distance="a"), "the distance is a finite length"),
+        (lambda: BlockDesign("a", 0.1, 0.1), "the offset is a finite length"),
+        (lambda: design_grasp(BOX, gripper_size="a"), "size of a gripper is a finite length"),
+        (lambda: design_grasp(BOX, gripper_size=[0.1]), "size of a gripper is a finite length"),
+        (lambda: design_grasp(BOX, offset="a"), "the offset is a finite length"),
+        (lambda: design_wide_grasp(WIDE["wedge"], gripper_size="a"), "size of a gripper is"),
+        (lambda: design_grasp([1, 1, 1]), "Polyhedron is needed, not list"),
+    ],
+)
+def test_lengths_that_are_none_are_refused_in_words(make, words):
+    with pytest.raises(GraspError, match=words):
+        make()
+
+
+def test_offsets_may_be_an_array():
+    offsets = (0.15, 0.1, 0.17, 0.12)
+    made = [design_parallel_grasp(BOX, offsets=given) for given in (offsets, np.array(offsets))]
+    assert np.array_equal(made[0].contacts.points, made[1].contacts.points)

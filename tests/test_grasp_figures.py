@@ -7,7 +7,7 @@ import pytest
 import shapely
 from matplotlib.patches import Circle, FancyArrowPatch, PathPatch
 
-from multiarm.grasp.block_design import design_block_grasp
+from multiarm.grasp.blocks import design_block_grasp
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face import Face
 from multiarm.grasp.grasp import Grasp

@@ -6,6 +6,7 @@ of which may be better than a bound; dense checks of regions; symmetry under siz
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -134,12 +135,8 @@ def test_positive_span_is_what_a_linear_program_says(rng):
             )
             # A strictly positive balance of normals that span space.
             expected = program.status == 0 and np.linalg.matrix_rank(normals) == 3
-            kept = positively_spanning(normals)
             seen.add(expected)
-            if expected:
-                assert kept
-            if not kept:
-                assert not expected
+            assert positively_spanning(normals) == expected
     assert seen == {True, False}
 
 
@@ -228,6 +225,40 @@ def test_quick_bounds_are_above_every_score(rng, objective):
     bound = objective.quick_bounds(reaches[None], twists)[0]
     y = touches.drawn(500, rng)
     assert bound >= objective.scores(touches, y).max() * (1 - 1e-9)
+
+
+def test_quick_bound_of_a_margin_is_sharp_for_the_best_twist(rng):
+    touches = block_touches()
+    y = touches.drawn(300, rng)
+    margins = Margin().scores(touches, y)
+    for k in np.argsort(-margins)[:5]:
+        point = [z + 1e-9 * np.array([[0, 0], [1, 0], [0, 1]]) for z in y[k]]
+        found = bounded(Margin(), touches, Node(point, np.zeros((0, 6)), 1.0), 1.0)
+        work = touches.wrenches(y[k]) @ found.twists.T  # (7, 2)
+        bound = Margin().quick_bounds(work[None], found.twists)[0]
+        assert bound == pytest.approx(margins[k], rel=1e-5)
+
+
+def test_generators_are_the_vertices_of_the_balances_of_forces(rng):
+    """The least of any linear function over all balances is reached at one of them."""
+    sizes = set()
+    for _ in range(5):
+        normals = rng.standard_normal((7, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        if not positively_spanning(normals):
+            continue
+        touches = replace(block_touches(), normals=normals)
+        sizes |= set(np.count_nonzero(touches.generators, axis=1).tolist())
+        A = np.vstack([normals.T, np.ones(7)])
+        np.testing.assert_allclose(
+            touches.generators @ A.T, [[0, 0, 0, 1]] * len(touches.generators), atol=1e-9
+        )
+        for _ in range(20):
+            c = rng.standard_normal(7)
+            program = linprog(c, A_eq=A, b_eq=[0, 0, 0, 1], bounds=(0, None))
+            assert (touches.generators @ c).min() == pytest.approx(program.fun, abs=1e-7)
+    assert sizes == {4}
+    assert set(np.count_nonzero(block_touches().generators, axis=1).tolist()) == {2}
 
 
 def inside(cell, y):
@@ -334,7 +365,7 @@ def test_grasps_of_a_block_keep_to_the_limits_and_say_what_is_proven(objective):
     )
     checked(result, BLOCK, REACH, tip=0.015)
     assert result.choices == 6 and result.nodes <= 12
-    assert result.finished == (result.gap <= 0.05)
+    assert result.finished == (result.gap <= 0.05 + 1e-12)
     assert (objective == "margin") <= result.finished
     assert ("budget" in result.message) != result.finished
 
@@ -412,9 +443,27 @@ def test_a_body_with_twelve_faces_is_done_within_the_gap():
         body, gripper_size=0.4, tip_radius=0.02, progress=lambda *news: told.append(news)
     )
     checked(result, body, 0.4, tip=0.02)
-    assert result.finished and result.gap <= 0.05
+    assert result.finished and result.gap <= 0.05 + 1e-12
     assert told[0][2].startswith("looking") and told[-1][2] == "done"
     assert all(done <= total == 300 for done, total, _ in told)
+
+
+def test_contacts_keep_their_distance_and_the_floor_of_the_conditioning():
+    def best(**limits):
+        return optimise_grasp(
+            BLOCK, gripper_size=REACH, objective="force", places=CORNERS, nodes=1, **limits
+        )
+
+    def nearest(result):
+        points = result.grasp.contacts.points
+        return (np.linalg.norm(points[:, None] - points[None], axis=-1) + 10.0 * np.eye(7)).min()
+
+    free = best()
+    apart = best(spacing=1.2 * nearest(free))
+    assert nearest(apart) >= 1.2 * nearest(free) * (1 - 1e-9)
+    assert apart.value >= free.bound
+    firm = best(conditioning=0.8 * free.conditioning)
+    assert firm.conditioning >= 0.8 * free.conditioning
 
 
 def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter():
@@ -436,8 +485,6 @@ def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter():
         assert other.bound <= other.value and plain.bound <= other.value * (1 + SOLVED)
     pose[:3, :3] = Rotation.from_rotvec([0.3, 0.5, -0.2]).as_matrix()
     places = CORNERS @ pose[:3, :3].T + pose[:3, 3]
-    turned = best(BLOCK.placed(pose), places)  # loads along other axes of the body
-    assert turned.bound <= turned.value
     margins = [
         optimise_grasp(body, gripper_size=REACH, places=where)
         for body, where in ((BLOCK, CORNERS), (BLOCK.placed(pose), places))

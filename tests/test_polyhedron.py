@@ -416,6 +416,18 @@ def test_the_square_pyramid_has_the_worked_triples():
     assert {t.faces: t.opposed for t in classify(body).triples} == expected
 
 
+def test_half_spaces_that_are_told_twice_make_one_face():
+    box = Polyhedron.box([1.0, 2.0, 3.0])
+    n, h = box.normals, np.array([face.offset for face in box.faces])
+    for again, times in (([0], 1.0), ([0, 0, 4], 1.0 / 3.0), ([1], 1.0 + 1e-12), (range(6), 7.0)):
+        more = list(again)
+        body = Polyhedron.halfspaces(
+            np.vstack([n, times * n[more]]), np.concatenate([h, times * h[more]])
+        )
+        np.testing.assert_allclose(body.normals, n, atol=1e-15)
+        assert body.volume == pytest.approx(6.0, rel=1e-12)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_triples_are_those_of_non_negative_least_squares_and_never_missing(seed):
     """Every convex body with more than four faces is in the class (A.7); a tetrahedron is not."""

@@ -21,8 +21,8 @@ from multiarm.grasp.face import Face
 from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.moment_region import basic_solutions, circuits
 from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
-from multiarm.grasp.wrench_cone import closes_on_surface, is_independent, wrench_cone
+from multiarm.grasp.seventh_contact import ContactRegion, region_of, seventh_contact_region
+from multiarm.grasp.wrench_cones import closes_on_surface, is_independent, wrench_cone
 
 DATA = Path(__file__).parent / "data" / "worked_examples.json"
 WORKED = json.loads(DATA.read_text())["examples"]
@@ -428,6 +428,128 @@ def test_facets_of_the_cone_are_those_of_all_sets_of_five_wrenches(count):
             assert min(np.abs(n - other).max() for other in facets) < 1e-7
 
 
+def turned(seed: int, reach: float = 0.0) -> np.ndarray:
+    """A pose with a random rotation, some way off."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.random(random_state=seed).as_matrix()
+    pose[:3, 3] = reach * np.random.default_rng(seed).uniform(-1.0, 1.0, 3)
+    return pose
+
+
+def test_a_thin_cone_closes_nothing_that_its_contacts_cannot_balance():
+    """Contacts 2 and 6 push along -y and none along +y, so that no push along x balances them.
+
+    Their facet is -y; seen along the thin cone of the eight it is easily off by 1e-12.
+    """
+    points = [[0.0, 0.384892, -0.086063], [0.260121, 2.0, 0.178422], [0.71564, 0.932012, -0.5]]
+    points += [[2.0, 0.29981, -0.091044], [2.0, 0.631473, -0.071578], [1.42533, 1.0, -0.230397]]
+    points += [[0.813866, 1.367544, 0.5], [1.357081, 0.035508, -0.5]]
+    normals = [[1, 0, 0], [0, -1, 0], [0, 0, 1], [-1, 0, 0], [-1, 0, 0], [0, -1, 0]]
+    eight = Contacts(points, [*normals, [0, 0, -1], [0, 0, 1]])
+    face = Face([[2.0, 0.0, -0.5], [2.0, 1.0, -0.5], [2.0, 1.0, 0.5], [2.0, 0.0, 0.5]])
+    for seed in range(12):
+        pose = turned(seed, 3.0) if seed else np.eye(4)
+        moved = Face(face.vertices @ pose[:3, :3].T + pose[:3, 3])
+        contacts = eight.placed(pose)
+        points = points_on(moved, 50, np.random.default_rng(seed))
+        for method in METHODS:
+            region = seventh_contact_region(contacts, moved, method)
+            assert not region and not region.contains(points).any()
+        assert not closes_on_surface(contacts, points, -moved.normal).any()
+
+
+def test_facets_hold_their_generators_to_the_last_digits():
+    rng = np.random.default_rng(8)
+    tol = 1e4 * np.finfo(float).eps
+    for body in bodies():
+        for count in (7, 8, 10):
+            contacts = closable(body, count, rng)
+            W = contacts.scaled_wrenches / np.linalg.norm(contacts.scaled_wrenches, axis=0)
+            for n in wrench_cone(contacts).facets:
+                heights = np.abs(n @ W)
+                assert np.sum(heights < tol) >= 5 and (n @ W).min() > -tol
+
+
+def test_region_and_surface_draw_the_border_at_one_place():
+    """Contact 7 on the line y = f, at distances from the border at x = 9/20 down to rounding."""
+    steps = np.concatenate([-np.logspace(-14, -6, 200), [0.0], np.logspace(-14, -6, 200)])
+    here = np.column_stack([0.45 + steps, np.full((len(steps), 2), 0.4)])
+    for seed in range(6):
+        pose = turned(seed, 10.0**seed)
+        contacts = SIX.placed(pose)
+        points = here @ pose[:3, :3].T + pose[:3, 3]
+        face = Face(TOP.vertices @ pose[:3, :3].T + pose[:3, 3])
+        region = seventh_contact_region(contacts, face)
+        inside = region.contains(points)
+        assert np.array_equal(inside, closes_on_surface(contacts, points, -face.normal))
+        assert inside[steps == steps.min()].all() and not inside[steps >= 0.0].any()
+
+
+@pytest.mark.parametrize("tilt", [1e-9, 1e-8, 1e-7, 3e-7])
+def test_moments_refuse_normals_that_are_nearly_parallel(tilt):
+    """What hangs on the difference of such normals is decided by the inverse alone, and rightly."""
+    rng = np.random.default_rng(3)
+    decided = {True: 0, False: 0}
+    for _ in range(8):
+        drawn = closable(BOX, int(rng.integers(6, 9)), rng)
+        tilted = drawn.normals + tilt * rng.normal(size=drawn.normals.shape)
+        contacts = Contacts.along(drawn.points, tilted)
+        with pytest.raises(GraspError, match=r"clearly not; those of contact .* use method"):
+            seventh_contact_region(contacts, TOP, "moments")
+        for face in BOX.faces:
+            region = seventh_contact_region(contacts, face)
+            for point in points_on(face, 4, rng):
+                seven = with_last(contacts, face, point)
+                if not is_form_closure(seven).borderline:
+                    closed = is_form_closure(seven, exact=True).closed
+                    assert bool(region.contains(point)) == closed
+                    decided[closed] += 1
+    assert min(decided.values()) >= 10
+
+
+def test_both_routes_agree_on_normals_with_rounding_errors():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        drawn = closable(BOX, int(rng.integers(6, 9)), rng)
+        noise = 1e-14 * rng.normal(size=drawn.normals.shape)
+        contacts = Contacts.along(drawn.points, drawn.normals + noise)
+        for face in BOX.faces:
+            one, other = (seventh_contact_region(contacts, face, m) for m in METHODS)
+            assert same_region(one, other, 1e-7)
+
+
+def test_pushes_that_balance_without_a_moment_open_no_region():
+    """Normal lines of four contacts meet, and their moment is rounding: it has no side."""
+    k = 1.0 / np.sqrt(3.0)
+    normals = [[-k, -k, -k], [1, 0, 0], [0, 0, 1], [-k, -k, -k], [0, 1, 0], [0, 1, 0], [0, 1, 0]]
+    points = [[0.25, 0.25, 0.5], [0, 0.25, 0.75], [0.5, 0.25, 0], [0.5, 0.5, 0], [0.25, 0, 0.5]]
+    seven = Contacts([*points, [0.5, 0, 0.25], [0, 0, 0.25]], normals)
+    face = Face([[0, 0, 0], [1, 0, 0], [0, 0, 1]])
+    eight = with_last(seven, face, np.array([0.25, 0.0, 0.25]))
+    assert not is_form_closure(eight, exact=True)
+    for method in METHODS:
+        assert not seventh_contact_region(seven, face, method)
+
+
+@pytest.mark.parametrize("count", [7, 8, 10])
+def test_region_of_a_contact_is_where_the_others_may_have_it(count):
+    rng = np.random.default_rng(count)
+    contacts = closable(BOX, count, rng)
+    for j in range(count):
+        others = contacts.subset(k for k in range(count) if k != j)
+        region = region_of(contacts, j, TOP)
+        assert (region is not None) == is_independent(others)
+        if region is not None:
+            assert same_region(region, seventh_contact_region(others, TOP), 1e-12)
+
+
+def test_no_region_for_a_contact_whose_others_are_dependent():
+    twice = SIX.subset([0, 1, 2, 3, 4, 4]).joined(SIX.subset([5]))
+    assert region_of(twice, 6, TOP) is None and region_of(twice, 5, TOP) is not None
+    with pytest.raises(GraspError, match="three or more corners"):
+        region_of(twice, 6, [[0, 0, 0]])
+
+
 # --- refusals -----------------------------------------------------------------------------------
 
 
@@ -458,3 +580,10 @@ def test_questions_without_sense_are_refused():
         closes_on_surface(SIX, [[0, 0, np.nan]], [[0, 0, 1]])
     with pytest.raises(GraspError, match="arrays"):
         closes_on_surface(SIX, np.zeros((2, 3)), np.zeros((4, 3)))
+    with pytest.raises(GraspError, match="one has length 3"):
+        wrench_cone(SIX).levels([0.4, 0.4, 0.4], [[0, 0, -1], [0, 0, -3]])
+    for points in ([0.4, 0.4], [0.4, np.nan, 0.4], "ab"):
+        region = seventh_contact_region(SIX, TOP)
+        for ask in (region.contains, region.depth, region.contact, TOP.room):
+            with pytest.raises(GraspError, match="points are"):
+                ask(points)

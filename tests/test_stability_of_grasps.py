@@ -17,8 +17,13 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
 from multiarm.errors import GraspError
-from multiarm.grasp.block_design import design_block_grasp
-from multiarm.grasp.closure_radii import closure_radius, independence_radius, tangents_of
+from multiarm.grasp.blocks import design_block_grasp
+from multiarm.grasp.closure_radii import (
+    _of_discs,
+    closure_radius,
+    independence_radius,
+    tangents_of,
+)
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.drawn_stability import monte_carlo_stability
 from multiarm.grasp.form_closure import is_form_closure
@@ -26,6 +31,7 @@ from multiarm.grasp.grasp import Grasp, Gripper
 from multiarm.grasp.many_closures import closed_many
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.stability import configuration_stability, own_regions
+from multiarm.grasp.wrench_determinants import Minor
 
 DATA = Path(__file__).parent / "data" / "worked_examples.json"
 WORKED = json.loads(DATA.read_text())["examples"]
@@ -123,6 +129,15 @@ def test_delta_max_is_below_the_exact_radius_of_independence(rng):
             assert np.sign(np.linalg.det(wrenches(contacts, moves))) == sign
         broken = np.linalg.det(wrenches(contacts, exact.displacements))
         assert abs(broken) < 1e-9 * abs(np.linalg.det(wrenches(contacts)))
+
+
+def test_delta_max_counts_what_displacements_do_to_each_column(rng):
+    """Column j of a moves by its own contact and by those of T1's column j, all at their worst."""
+    for _ in range(10):
+        found = configuration_stability(random_grasp(rng).subset(range(6)))
+        T1 = found.T1
+        worst = max(1 + abs(T1[0, j]) + abs(T1[1, j]) + abs(T1[2, j]) for j in range(3))
+        assert found.delta_max == pytest.approx(found.r_star / worst, rel=1e-12)
 
 
 def test_normals_that_do_not_span_in_front_are_put_behind():
@@ -228,6 +243,19 @@ def test_own_regions_hold_the_contacts_and_the_regions_of_the_seventh():
         own_regions(six)
 
 
+def test_own_region_is_none_where_the_other_contacts_are_dependent():
+    body = Polyhedron.box(2 * np.array(BLOCK["half_size"]))
+    six = block_grasp(0.0, 0.3).subset(range(6))
+    seven = six.subset([0, 1, 2, 3, 4, 4]).joined(six.subset([5]))
+    faces = tuple(
+        next(k for k, face in enumerate(body.faces) if np.allclose(face.normal, -e))
+        for e in seven.normals
+    )
+    grippers = (Gripper("a", (0, 1, 2, 6), np.eye(4)), Gripper("b", (3, 4, 5), np.eye(4)))
+    regions = own_regions(Grasp(body, seven, faces, grippers))
+    assert [region is None for region in regions] == [True, True, True, True, False, False, True]
+
+
 # --- the closure radius --------------------------------------------------------------------------
 
 
@@ -264,6 +292,22 @@ def test_no_displacement_within_the_radius_opens_the_grasp_and_one_at_it_does(rn
         assert not closes_by_program(contacts, 1.001 * worst)
         square = closure_radius(contacts, shape="square").lower
         assert square <= found.lower * (1 + 1e-9) <= np.sqrt(2.0) * square * (1 + 2e-9)
+
+
+def test_the_lower_bound_needs_no_luck_in_finding_the_worst_displacements(rng):
+    """Directions that are not the worst, and a radius far too large, leave a bound that holds."""
+
+    class Blind(Minor):
+        def broken_by(self, start, r):
+            turned = start + 0.7 * np.linalg.norm(start) * rng.standard_normal(start.shape)
+            return 2.0 * r, turned / np.linalg.norm(turned, axis=1, keepdims=True)
+
+    for _ in range(4):
+        six = random_grasp(rng).subset(range(6))
+        truth = independence_radius(six)
+        lower, upper, _ = _of_discs(Blind(six, tangents_of(six), None))
+        assert lower * six.length <= truth.upper * (1 + 1e-9) < upper * six.length
+        assert lower * six.length > 0.85 * truth.lower
 
 
 @pytest.mark.parametrize("size", [1e-3, 10.0])
@@ -372,8 +416,13 @@ def test_unusable_questions_are_refused_by_name():
         closure_radius(flat)
     with pytest.raises(GraspError, match=r"not 7"):
         independence_radius(contacts)
-    with pytest.raises(GraspError, match=r"samples"):
-        monte_carlo_stability(contacts, 0.1, 0)
+    for samples in (0, -1, 2.5, np.nan, np.inf, "many", None):
+        with pytest.raises(GraspError, match=r"samples is a positive whole number, not"):
+            monte_carlo_stability(contacts, 0.1, samples)
+    for confidence in (0.0, 1.0, np.nan, "high"):
+        with pytest.raises(GraspError, match=r"confidence is a number between 0 and 1, not"):
+            monte_carlo_stability(contacts, 0.1, 10, confidence=confidence)
+    assert monte_carlo_stability(contacts, 0.1, 2e2, 3).samples == 200
     with pytest.raises(GraspError, match=r"plane"):
         monte_carlo_stability(flat, 0.1)
 

@@ -15,8 +15,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from multiarm.grasp.block_design import BlockDesign, design_block_grasp
-    from multiarm.grasp.body_class import BodyClass, classify
+    from multiarm.grasp.blocks import BlockDesign, block_design, design_block_grasp
+    from multiarm.grasp.body_class import BodyClass, Roundness, classify, roundness
     from multiarm.grasp.closure_radii import ClosureRadius, closure_radius, independence_radius
     from multiarm.grasp.closure_search import search_grasp
     from multiarm.grasp.construction import design_grasp
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
         block_inverse,
         independence,
     )
+    from multiarm.grasp.liftable_map import LiftableMap
     from multiarm.grasp.load_maps import (
-        LiftableMap,
         LoadCapacity,
         WorstForce,
         liftable,
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         worst_force,
     )
     from multiarm.grasp.many_closures import ManyClosures, closed_many
+    from multiarm.grasp.moment_rules import ThreeMoments, three_moments
     from multiarm.grasp.necessary_conditions import Violation, violated_conditions
     from multiarm.grasp.object_frame import (
         FrameCandidate,
@@ -51,8 +52,12 @@ if TYPE_CHECKING:
         object_frame_on_body,
     )
     from multiarm.grasp.optimisation import OptimisedGrasp, optimise_grasp
-    from multiarm.grasp.parallel_design import ParallelDesign, design_parallel_grasp
-    from multiarm.grasp.polyhedron import Polyhedron
+    from multiarm.grasp.parallel_bodies import (
+        ParallelDesign,
+        design_parallel_grasp,
+        parallel_design,
+    )
+    from multiarm.grasp.polyhedron import MassProperties, Polyhedron
     from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
     from multiarm.grasp.special_selections import case_I, case_II, case_III
     from multiarm.grasp.stability import (
@@ -60,13 +65,12 @@ if TYPE_CHECKING:
         configuration_stability,
         own_regions,
     )
-    from multiarm.grasp.three_moments import ThreeMoments
     from multiarm.grasp.wide_design import design_wide_grasp
-    from multiarm.grasp.wrench_cone import WrenchCone, closes_on_surface
+    from multiarm.grasp.wrench_cones import WrenchCone, closes_on_surface, wrench_cone
 
 # Public name -> module of this package that has it.  Imported when first used.
 _HOMES = {
-    "BlockDesign": "block_design",
+    "BlockDesign": "blocks",
     "BlockInverse": "independent_contacts",
     "BodyClass": "body_class",
     "ClosureRadius": "closure_radii",
@@ -82,29 +86,32 @@ _HOMES = {
     "Gripper": "grasp",
     "Immobility": "immobility",
     "Independence": "independent_contacts",
-    "LiftableMap": "load_maps",
+    "LiftableMap": "liftable_map",
     "LoadCapacity": "load_maps",
     "ManyClosures": "many_closures",
+    "MassProperties": "polyhedron",
     "ObjectFrame": "object_frame",
     "OptimisedGrasp": "optimisation",
-    "ParallelDesign": "parallel_design",
+    "ParallelDesign": "parallel_bodies",
     "Polyhedron": "polyhedron",
-    "ThreeMoments": "three_moments",
+    "Roundness": "body_class",
+    "ThreeMoments": "moment_rules",
     "Violation": "necessary_conditions",
     "WorstForce": "load_maps",
-    "WrenchCone": "wrench_cone",
+    "WrenchCone": "wrench_cones",
+    "block_design": "blocks",
     "block_inverse": "independent_contacts",
     "case_I": "special_selections",
     "case_II": "special_selections",
     "case_III": "special_selections",
     "classify": "body_class",
     "closed_many": "many_closures",
-    "closes_on_surface": "wrench_cone",
+    "closes_on_surface": "wrench_cones",
     "closure_radius": "closure_radii",
     "configuration_stability": "stability",
-    "design_block_grasp": "block_design",
+    "design_block_grasp": "blocks",
     "design_grasp": "construction",
-    "design_parallel_grasp": "parallel_design",
+    "design_parallel_grasp": "parallel_bodies",
     "design_wide_grasp": "wide_design",
     "distribute_forces": "force_distribution",
     "independence": "independent_contacts",
@@ -118,10 +125,14 @@ _HOMES = {
     "object_frame_on_body": "object_frame",
     "optimise_grasp": "optimisation",
     "own_regions": "stability",
+    "parallel_design": "parallel_bodies",
+    "roundness": "body_class",
     "search_grasp": "closure_search",
     "seventh_contact_region": "seventh_contact",
+    "three_moments": "moment_rules",
     "violated_conditions": "necessary_conditions",
     "worst_force": "load_maps",
+    "wrench_cone": "wrench_cones",
 }
 
 __all__ = [
@@ -144,14 +155,17 @@ __all__ = [
     "LiftableMap",
     "LoadCapacity",
     "ManyClosures",
+    "MassProperties",
     "ObjectFrame",
     "OptimisedGrasp",
     "ParallelDesign",
     "Polyhedron",
+    "Roundness",
     "ThreeMoments",
     "Violation",
     "WorstForce",
     "WrenchCone",
+    "block_design",
     "block_inverse",
     "case_I",
     "case_II",
@@ -177,10 +191,14 @@ __all__ = [
     "object_frame_on_body",
     "optimise_grasp",
     "own_regions",
+    "parallel_design",
+    "roundness",
     "search_grasp",
     "seventh_contact_region",
+    "three_moments",
     "violated_conditions",
     "worst_force",
+    "wrench_cone",
 ]
 
 

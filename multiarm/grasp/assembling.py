@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
+from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,10 @@ from multiarm.grasp.seventh_contact import ContactRegion
 ROUNDS, SIZE_TOLERANCE, BEGINNING = 12, 1e-6, 1e-2
 # A bound is crossed by this part of itself.
 ACROSS = 1e-3
+# The remedy where lengths are given, and rounding decides about closure.
+OTHER_LENGTHS = (
+    "choose a larger distance of contact 7, or offsets that are larger or more different"
+)
 
 
 def assembled(
@@ -65,6 +71,19 @@ def off_face(face: Face, point: np.ndarray) -> str:
     """Why a contact cannot be at a point of the face's plane; nothing when it can."""
     room = float(face.room(point))
     return "" if room > 0.0 else f"would be {-room:.4g} m outside {face.name}"
+
+
+def proven(grasp: Grasp, crosses_bound: bool, remedy: str = OTHER_LENGTHS) -> Grasp:
+    """A grasp that is closed and opens where its design says so.
+
+    Raises
+    ------
+    GraspError
+        It does not: the design is right, so that rounding must have decided.
+    """
+    if not (grasp.closure and crosses_bound):
+        raise GraspError(f"the grasp hangs on rounding: {remedy}")
+    return grasp
 
 
 def crosses(grasp: Grasp, point_at: Callable[[float], np.ndarray], bound: float) -> bool:
@@ -125,6 +144,23 @@ def two_groups(points: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return first, second
 
 
+def length_of(value: Any, what: str) -> float:
+    """A length [m]; a GraspError if it is no finite number."""
+    if not isinstance(value, Real) or not np.isfinite(float(value)):
+        raise GraspError(f"{what} is a finite length in metres, not {value!r}")
+    return float(value)
+
+
+def size_of_gripper(value: Any) -> float | None:
+    """What a gripper's size is to be [m], or nothing; a GraspError if it is not positive."""
+    if value is None:
+        return None
+    size = length_of(value, "the size of a gripper")
+    if not size > 0.0:
+        raise GraspError(f"the size of a gripper is a positive length, not {value!r}")
+    return size
+
+
 def sized(made: Callable[[float], Grasp], depth: float, gripper_size: float | None) -> Grasp:
     """The grasp ``made(depth)``, or the one whose largest gripper has the wanted size.
 
@@ -133,10 +169,9 @@ def sized(made: Callable[[float], Grasp], depth: float, gripper_size: float | No
     GraspError
         A size that is not positive, or one that does not fit.
     """
+    gripper_size = size_of_gripper(gripper_size)
     if gripper_size is None:
         return made(depth)
-    if not (np.isfinite(gripper_size) and gripper_size > 0.0):
-        raise GraspError(f"the size of a gripper is a positive length, not {gripper_size!r}")
     deep = BEGINNING * depth
     grasp = made(deep)
     for _ in range(ROUNDS):

@@ -35,15 +35,18 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.errors import GraspError
+from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.least_distance import least_distance
 
 # Part of the unit wrench by which closure must be inside.  Normals and points that were computed
 # are off by some 1e-16 to 1e-12; a grasp that hangs on less than this is not to be relied on.
+# Singular values below this part of the largest count as zero: the package has one rank.
 BAND = 1e-10
 # Rounding of one wrench, in units of the machine precision: normalising, products, differences.
 ROUNDINGS = 64.0
 EPS = float(np.finfo(float).eps)
+# Least smallest push, of pushes of sum 1, that is told: below it every balance nearly cancels.
+LEAST_MARGIN = -1.0 / BAND
 # Facets of the hull of this many wrenches are enumerated within milliseconds.
 ENUMERATED = 30
 
@@ -81,10 +84,12 @@ class Evenest:
     Attributes
     ----------
     smallest : float
-        ``t*``; minus infinity when no pushes of sum 1 balance.
+        ``t*``, but no less than -1e10, which also stands for none: no pushes of sum 1 balance.
+        Where the linear program gives up, that of the pushes nearest to equal ones: a lower bound.
     pushes : ndarray, shape (N,), or None
     direction : ndarray, shape (n,), or None
         Solution of the dual problem: ``W^T v >= -t*``, and the sum of ``W^T v`` is ``1 - N t*``.
+        None with a bound only.
     """
 
     smallest: float
@@ -98,6 +103,17 @@ def rounding(reach: Any, length: Any) -> Any:
     ``reach`` is the largest coordinate, ``length`` the spread of the points [m].
     """
     return ROUNDINGS * EPS * (1.0 + reach / length)
+
+
+def tolerance_of(contacts: Contacts) -> float:
+    """What scaled wrenches must differ by, to be told apart: ``BAND`` and their rounding."""
+    return BAND + rounding(float(np.abs(contacts.points).max()), contacts.length)
+
+
+def rank_of(contacts: Contacts) -> int:
+    """Rank of the wrenches: singular values of the scaled ones above `tolerance_of` the largest."""
+    s = np.linalg.svd(contacts.scaled_wrenches, compute_uv=False)
+    return int(np.count_nonzero(s > tolerance_of(contacts) * s[0]))
 
 
 def balance(W: np.ndarray, floor: float) -> Balance:
@@ -136,32 +152,45 @@ def plainest(directions: np.ndarray) -> np.ndarray:
 
 
 def evenest(W: np.ndarray, rank: int) -> Evenest:
-    """Maximise ``t`` with ``W lam = 0``, ``sum lam = 1``, ``lam >= t`` (thesis, 2.1).
+    r"""Maximise ``t`` with ``W lam = 0``, ``sum lam = 1``, ``lam >= t`` (thesis, 2.1).
 
-    Solved for ``lam - t >= 0`` and ``t``, with orthonormal rows instead of those of ``W``.
+    With the part z of ``(1 ... 1)`` that balances, pushes of sum 1 are ``(z / |z| + N q) / |z|``,
+    where the columns of N balance with the sum 0.  The program is solved for ``t |z|`` and q, whose
+    sizes are about 1 however small z is.
+    """
+    count = W.shape[1]
+    null = np.linalg.svd(W)[2][rank:].T
+    sums = null.sum(axis=0)
+    size = float(np.linalg.norm(sums))
+    if size <= BAND * np.sqrt(count):
+        return Evenest(LEAST_MARGIN, None, None)
+    base = null @ (sums / size)
+    best, shares = _highest(base, null @ np.linalg.svd(sums[None])[2][1:].T)
+    smallest = float(best.min()) / size
+    rates = None if shares is None else shares - smallest
+    direction = None if rates is None else np.linalg.lstsq(W.T, rates, rcond=BAND)[0]
+    return Evenest(max(smallest, LEAST_MARGIN), best / size, direction)
+
+
+def _highest(base: np.ndarray, ways: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """``base + ways q`` whose smallest entry is as large as can be, and the prices of the entries.
+
+    Without prices where the linear program gives up: then it is the base itself.
     """
     from scipy.optimize import linprog
 
-    count = W.shape[1]
-    rows = np.linalg.svd(W, full_matrices=False)[2][:rank]
-    totals = rows.sum(axis=1)
-    if np.linalg.norm(np.ones(count) - totals @ rows) <= BAND * np.sqrt(count):
-        return Evenest(-np.inf, None, None)
+    count, free = ways.shape
+    if not free:
+        return base, (np.arange(count) == np.argmin(base)).astype(float)
     solved = linprog(
-        np.append(np.zeros(count), -1.0),
-        A_eq=np.vstack([np.column_stack([rows, totals]), np.append(np.ones(count), count)]),
-        b_eq=np.append(np.zeros(rank), 1.0),
-        bounds=[(0.0, None)] * count + [(None, None)],
+        np.append(np.zeros(free), -1.0),
+        A_ub=np.column_stack([-ways, np.ones(count)]),
+        b_ub=base,
+        bounds=[(None, None)] * (free + 1),
     )
     if not solved.success:
-        raise GraspError(
-            f"the linear program for the evenest pushes of {count} contacts ended with "
-            f"{solved.message!r}; is_form_closure(contacts, exact=True) does without it"
-        )
-    pushes = solved.x[:-1] + solved.x[-1]
-    pushes = pushes - (rows @ pushes) @ rows
-    direction = np.linalg.lstsq(W.T, -solved.eqlin.marginals[:-1] @ rows, rcond=BAND)[0]
-    return Evenest(float(pushes.min() / pushes.sum()), pushes / pushes.sum(), direction)
+        return base, None
+    return base + ways @ solved.x[:-1], -solved.ineqlin.marginals
 
 
 def _simplex(W: np.ndarray, tolerance: float) -> Balance | None:
@@ -220,7 +249,8 @@ def _least_squares(W: np.ndarray, rows: np.ndarray, sigma: float, tolerance: flo
         if bound > tolerance:
             return Balance(True, best.pushes, None, n, bound, False)
     direction = residual if best.direction is None else best.direction
-    return Balance(False, None, direction, n, 0.0, not _separated(W, tolerance))
+    gave_up = best.pushes is not None and best.direction is None
+    return Balance(False, None, direction, n, 0.0, gave_up or not _separated(W, tolerance))
 
 
 def _hull_radius(W: np.ndarray) -> float:

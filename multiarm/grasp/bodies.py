@@ -98,7 +98,7 @@ def hull(points: Any) -> Polyhedron:
 
 
 def halfspaces(normals: Any, offsets: Any) -> Polyhedron:
-    """All x with normals[k] . x <= offsets[k]."""
+    """All x with normals[k] . x <= offsets[k]; those that cut nothing, or no more, make no face."""
     directions = _finite(normals, "the normals of half-spaces")
     levels = np.array(offsets, dtype=float)
     lengths = np.linalg.norm(directions, axis=1)
@@ -110,12 +110,14 @@ def halfspaces(normals: Any, offsets: Any) -> Polyhedron:
     inside = _deepest_point(n, h)
     corners = _cut_corners(n, h - n @ inside)
     size = float(np.ptp(corners, axis=0).max())
-    faces = []
+    faces: list[list[int]] = []
     for normal, level in zip(n, h - n @ inside, strict=True):
         on = np.flatnonzero(np.abs(corners @ normal - level) <= 1e2 * SAME_CORNER * size)
-        if len(on) > 2:
-            faces.append([_around(corners, on, normal)])
-    return Polyhedron(corners + inside, faces)
+        # Two faces of a convex body have two corners in common at most.
+        told = any(np.isin(on, face).sum() > 2 for face in faces)
+        if len(on) > 2 and not told:
+            faces.append(_around(corners, on, normal))
+    return Polyhedron(corners + inside, [[face] for face in faces])
 
 
 def _deepest_point(n: np.ndarray, h: np.ndarray) -> np.ndarray:

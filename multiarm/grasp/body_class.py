@@ -20,10 +20,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from multiarm.errors import GraspError
 from multiarm.grasp.polyhedron import Polyhedron
 
 Kind = Literal["block", "three pairs of parallel faces", "wider class", "tetrahedron", "none"]
@@ -83,9 +84,19 @@ class BodyClass:
         return self.words
 
 
+def as_polyhedron(body: Any) -> Polyhedron:
+    """The body, if it is one; a GraspError otherwise."""
+    if not isinstance(body, Polyhedron):
+        raise GraspError(
+            f"a Polyhedron is needed, not {type(body).__name__}; make one with Polyhedron.box, "
+            f".prism, .hull or .mesh"
+        )
+    return body
+
+
 def classify(body: Polyhedron) -> BodyClass:
     """To which class of the thesis a body belongs, and by which faces."""
-    chosen = _largest(body)
+    chosen = _largest(as_polyhedron(body))
     pairs = tuple(
         (i, j) for i, j in combinations(chosen, 2) if _angle(body.normals[i], -body.normals[j])
     )

@@ -34,7 +34,8 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.balances import rank_of
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.many_closures import closed_many
 from multiarm.grasp.wrench_determinants import Minor
@@ -72,7 +73,9 @@ class ClosureRadius:
     message: str
 
 
-def closure_radius(contacts: Contacts, *, shape: str = "disc", axes: Any = None) -> ClosureRadius:
+def closure_radius(
+    contacts: Contacts | HeldByContacts, *, shape: str = "disc", axes: Any = None
+) -> ClosureRadius:
     """Largest r such that contacts which each slide by at most r still hold the body.
 
     Parameters
@@ -96,7 +99,7 @@ def closure_radius(contacts: Contacts, *, shape: str = "disc", axes: Any = None)
     GraspError
         Fewer than seven contacts, contacts in the plane, another shape, axes out of the face.
     """
-    _check(contacts, shape, least=7)
+    contacts = _checked(contacts, shape, least=7)
     tangents = tangents_of(contacts) if axes is None else _given_axes(contacts, axes)
     if not is_form_closure(contacts):
         return ClosureRadius(0.0, 0.0, np.zeros_like(contacts.points), shape, "not a grasp at all")
@@ -107,7 +110,7 @@ def closure_radius(contacts: Contacts, *, shape: str = "disc", axes: Any = None)
 
 
 def independence_radius(
-    contacts: Contacts, *, shape: str = "disc", axes: Any = None
+    contacts: Contacts | HeldByContacts, *, shape: str = "disc", axes: Any = None
 ) -> ClosureRadius:
     """Largest r such that six contacts which each slide by at most r stay independent.
 
@@ -118,12 +121,11 @@ def independence_radius(
     GraspError
         Not six contacts, or contacts in the plane.
     """
-    _check(contacts, shape, least=6)
+    contacts = _checked(contacts, shape, least=6)
     if contacts.count != 6:
         raise GraspError(f"six contacts are asked about their independence, not {contacts.count}")
     tangents = tangents_of(contacts) if axes is None else _given_axes(contacts, axes)
-    singular = np.linalg.svd(contacts.scaled_wrenches, compute_uv=False)
-    if singular[-1] <= 1e-12 * singular[0]:
+    if rank_of(contacts) < 6:
         return ClosureRadius(0.0, 0.0, np.zeros((6, 3)), shape, "they are dependent as they are")
     return _radius([Minor(contacts, tangents, None)], contacts, shape, "they become dependent")
 
@@ -228,10 +230,12 @@ def _given_axes(contacts: Contacts, axes: Any) -> np.ndarray:
     return tangents
 
 
-def _check(contacts: Contacts, shape: str, least: int) -> None:
+def _checked(given: Contacts | HeldByContacts, shape: str, least: int) -> Contacts:
+    contacts = as_contacts(given)
     if contacts.dimension != 3:
         raise GraspError("contacts in the plane: this question is answered for contacts in space")
     if contacts.count < least:
         raise GraspError(f"{least} contacts at least are needed, not {contacts.count}")
     if shape not in ("disc", "square"):
         raise GraspError(f"shape is 'disc' or 'square', not {shape!r}")
+    return contacts

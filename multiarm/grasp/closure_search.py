@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import assembled, crosses_border, two_groups
+from multiarm.grasp.assembling import assembled, crosses_border, proven, two_groups
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.corners import nearest_corner_frame
 from multiarm.grasp.form_closure import is_form_closure
@@ -27,8 +27,7 @@ from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.mesh import face_triangles
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seven_pushes import smallest_pushes
-from multiarm.grasp.seventh_contact import seventh_contact_region
-from multiarm.grasp.wrench_cone import is_independent
+from multiarm.grasp.seventh_contact import region_of, seventh_contact_region
 
 # Draws in a batch, batches at most, draws that are improved, and rounds of improvement.
 DRAWS, BATCHES, IMPROVED, ROUNDS = 8192, 12, 4, 4
@@ -125,10 +124,7 @@ def _improved(body: Polyhedron, contacts: Contacts, faces: tuple[int, ...]) -> C
 
 def _centred(body: Polyhedron, contacts: Contacts, j: int, number: int) -> Contacts:
     """The contacts with number j in the middle of its region."""
-    others = contacts.subset(k for k in range(len(contacts)) if k != j)
-    if not is_independent(others):
-        return contacts
-    region = seventh_contact_region(others, body.faces[number])
+    region = region_of(contacts, j, body.faces[number])
     if not region:
         return contacts
     points = contacts.points.copy()
@@ -150,6 +146,4 @@ def _grasp(body: Polyhedron, contacts: Contacts, faces: tuple[int, ...]) -> Gras
     note = "found by search: the contacts fit this body, and not others of its shape"
     made = assembled(body, points, on, split, frames, (note,))
     region = seventh_contact_region(made.contacts.subset(range(6)), body.faces[on[6]])
-    if not (made.closure and crosses_border(made, region)):
-        raise GraspError("the grasp that was found hangs on rounding; pass another generator")
-    return made
+    return proven(made, crosses_border(made, region), "pass another generator")

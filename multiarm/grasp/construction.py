@@ -18,12 +18,12 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import largest_gripper, sized
-from multiarm.grasp.block_design import USUAL_OFFSET, design_block_grasp
-from multiarm.grasp.body_class import BodyClass, classify, roundness
+from multiarm.grasp.assembling import largest_gripper, size_of_gripper, sized
+from multiarm.grasp.blocks import USUAL_OFFSET, design_block_grasp
+from multiarm.grasp.body_class import BodyClass, as_polyhedron, classify, roundness
 from multiarm.grasp.closure_search import search_grasp
 from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.parallel_design import design_parallel_grasp
+from multiarm.grasp.parallel_bodies import design_parallel_grasp
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.wide_design import design_wide_grasp
 
@@ -62,11 +62,7 @@ def design_grasp(
         A body of revolution; grippers that are too large for the body; offsets for a body that is
         no block; no grasp found.
     """
-    if not isinstance(body, Polyhedron):
-        raise GraspError(
-            f"a Polyhedron is needed, not {type(body).__name__}; make one with Polyhedron.box, "
-            f".prism, .hull or .mesh"
-        )
+    body, gripper_size = as_polyhedron(body), size_of_gripper(gripper_size)
     nearly_round = _refuse_round(body)
     found = classify(body)
     if found.kind == "block":

@@ -17,7 +17,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from operator import index
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -161,10 +162,33 @@ class Contacts:
         return _fractions(self.given[1])
 
     def subset(self, numbers: Iterable[int]) -> Contacts:
-        """Some of the contacts, by their numbers from 0."""
-        chosen = list(numbers)
+        """Some of the contacts, by their numbers from 0, or by N truth values.
+
+        Raises
+        ------
+        GraspError
+            Numbers of contacts that there are not; none at all.
+        """
+        chosen = self._chosen(list(numbers))
         at, along = ([given[j] for j in chosen] for given in self.given)
         return Contacts.along(at, along, [self.names[j] for j in chosen])
+
+    def _chosen(self, numbers: list[Any]) -> list[int]:
+        if numbers and all(isinstance(one, bool | np.bool_) for one in numbers):
+            if len(numbers) != self.count:
+                raise GraspError(
+                    f"{self.count} contacts are chosen by as many truth values, not {len(numbers)}"
+                )
+            numbers = [j for j, one in enumerate(numbers) if one]
+        if not numbers:
+            raise GraspError("a set of contacts has at least one; none was chosen")
+        try:
+            chosen = [index(one) for one in numbers]
+        except TypeError as error:
+            raise GraspError(f"contacts are chosen by whole numbers, not {numbers!r}") from error
+        if min(chosen) < 0 or max(chosen) >= self.count:
+            raise GraspError(f"contacts have the numbers 0 to {self.count - 1}; asked for {chosen}")
+        return chosen
 
     def joined(self, other: Contacts) -> Contacts:
         """These contacts, then others in the same frame."""
@@ -177,6 +201,31 @@ class Contacts:
         d = self.dimension
         R, x = np.asarray(pose)[:d, :d], np.asarray(pose)[:d, d]
         return Contacts.along(self.points @ R.T + x, self.normals @ R.T, self.names)
+
+
+class HeldByContacts(Protocol):
+    """What has contacts, such as a grasp."""
+
+    @property
+    def contacts(self) -> Contacts:
+        """Those that hold it."""
+
+
+def as_contacts(given: Contacts | HeldByContacts) -> Contacts:
+    """Contacts as they are, or those of a grasp.
+
+    Raises
+    ------
+    GraspError
+        Something that neither is nor has contacts.
+    """
+    found = getattr(given, "contacts", given)
+    if not isinstance(found, Contacts):
+        raise GraspError(
+            f"Contacts(points, normals), or a grasp that has some, are needed here, not "
+            f"{type(given).__name__}"
+        )
+    return found
 
 
 def wrenches_of(points: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ lines would meet.  In coordinates of the faces, :math:`p_1 = R_1 (l_x, a, b)` an
     a = f, \quad b = -e s_\theta + g_1 c_\theta, \quad c = e c_\beta - f s_\beta, \quad
     d = -(e s_\beta + f c_\beta) s_\gamma + g_2 c_\gamma .
 
-One more contact on the top, with three others that balance (see `parallel_design`,
+One more contact on the top, with three others that balance (see `parallel_bodies`,
 `wide_design`), is at :math:`D_1 (e, f) + D_2 (p_x, p_y)`, :math:`D_2 < 0`, where
 
 .. math::

@@ -12,13 +12,14 @@ Wilson's interval, which holds near 0 and 1 too:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.closure_radii import tangents_of
-from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.many_closures import closed_many
 from multiarm.grasp.stability import displacements_of
 
@@ -47,7 +48,7 @@ class DrawnStability:
 
 
 def monte_carlo_stability(
-    contacts: Contacts,
+    contacts: Contacts | HeldByContacts,
     displacement: Any,
     samples: int = 2000,
     rng: np.random.Generator | int | None = None,
@@ -66,8 +67,12 @@ def monte_carlo_stability(
     """
     from scipy.stats import norm
 
-    if samples < 1 or not 0.0 < confidence < 1.0:
-        raise GraspError("samples is a positive number, confidence lies between 0 and 1")
+    contacts = as_contacts(contacts)
+    if not isinstance(samples, Real) or not float(samples).is_integer() or samples < 1:
+        raise GraspError(f"samples is a positive whole number, not {samples!r}")
+    samples = int(samples)
+    if not isinstance(confidence, Real) or not 0.0 < confidence < 1.0:
+        raise GraspError(f"confidence is a number between 0 and 1, not {confidence!r}")
     if contacts.dimension != 3:
         raise GraspError("contacts in the plane: displacements are drawn for contacts in space")
     delta = displacements_of(displacement, contacts)

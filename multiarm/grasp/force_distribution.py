@@ -29,7 +29,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.balances import BAND, rounding
-from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.free_motions import about_origin, motion_in_words, twist_of
 from multiarm.grasp.least_distance import LeastDistance, least_distance
 from multiarm.grasp.loads import bounds_of, wrench_of
@@ -100,7 +100,7 @@ class _Problem:
 
 
 def distribute_forces(
-    contacts: Contacts,
+    contacts: Contacts | HeldByContacts,
     wrench: Any,
     *,
     minimum: Any = 0.0,
@@ -111,7 +111,7 @@ def distribute_forces(
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : Contacts, or a grasp
     wrench : array-like, shape (6,); (3,) in the plane
         What the contacts exert on the body: force [N] and moment [N m] about the frame's origin.
     minimum : float or array-like, shape (N,)
@@ -129,6 +129,7 @@ def distribute_forces(
     """
     if objective not in OBJECTIVES:
         raise GraspError(f"unknown objective {objective!r}; objectives are {', '.join(OBJECTIVES)}")
+    contacts = as_contacts(contacts)
     least, most = bounds_of(contacts, minimum, limit)
     target = wrench_of(contacts, wrench)
     some, null, missing = _any_forces(contacts, target)

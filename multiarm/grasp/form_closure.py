@@ -27,9 +27,8 @@ from functools import cached_property
 
 import numpy as np
 
-from multiarm.errors import GraspError
 from multiarm.grasp.balances import BAND, balance, evenest, rounding
-from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.free_motions import explanation, leaving_contacts, twist_of
 from multiarm.grasp.immobility import Immobility, immobility
 
@@ -87,8 +86,9 @@ class FormClosure:
     def margin(self) -> float:
         """``t*``: the smallest of the pushes (of sum 1), when the evenest ones are taken.
 
-        Positive when closed.  When open, not positive: 0 when only the rank is missing, minus
-        infinity when no pushes of sum 1 balance, not even pulling ones.
+        Positive when closed.  When open, not positive: 0 when only the rank is missing, and never
+        less than -1e10, the value when no pushes of sum 1 balance, not even pulling ones.  Should
+        the linear program give up, the margin of the pushes nearest to equal ones: a lower bound.
         """
         if self.closed and self.contacts.count == self.contacts.freedoms + 1:
             assert self.coefficients is not None  # the balance is unique
@@ -137,12 +137,12 @@ class FormClosure:
         return sentence
 
 
-def is_form_closure(contacts: Contacts, *, exact: bool = False) -> FormClosure:
+def is_form_closure(contacts: Contacts | HeldByContacts, *, exact: bool = False) -> FormClosure:
     """Decide whether contacts hold a body against every motion.
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : Contacts, or a grasp
         Any number, in space or in the plane.
     exact : bool
         Decide without tolerance, in rational arithmetic on the numbers as given (slower).
@@ -152,11 +152,7 @@ def is_form_closure(contacts: Contacts, *, exact: bool = False) -> FormClosure:
     GraspError
         Something else than contacts.
     """
-    if not isinstance(contacts, Contacts):
-        raise GraspError(
-            f"form closure is a question about Contacts(points, normals), not about "
-            f"{type(contacts).__name__}"
-        )
+    contacts = as_contacts(contacts)
     floor = rounding(float(np.abs(contacts.points).max()), contacts.length)
     found = balance(contacts.scaled_wrenches, floor)
     closure = FormClosure(

@@ -33,6 +33,8 @@ MOST_CHOICES = 200_000
 REPORTED = 20
 # So many twists are known to a choice that is looked at first, and so many are learnt from it.
 KNOWN, LEARNT = 200, 6
+# Stands for the choice in the queue when a node need not be looked at again.
+CLOSED = -1
 # Choices that are bounded together: memory stays small.
 CHUNK = 2000
 
@@ -160,29 +162,24 @@ class Search:
         """Bound one node; put its parts into the queue."""
         self.done += 1
         touches = self._touches(number)
-        first = node is None
+        fresh = node is None
         if node is None:
             drawn = touches.drawn(DRAWN // 4, self.rng)
             own = [self.objective.twists(touches, y) for y in drawn]
-            node = Node(
-                list(touches.cells), np.concatenate([self.known, *own]), self.objective.limit
-            )
+            twists = np.concatenate([self.known, *own])
+            node = Node(list(touches.cells), twists, float(self.tops[number]))
         found = bounded(self.objective, touches, node, self.enough)
-        if first:
+        if fresh:
             self._learn(found.twists[:LEARNT])
         if len(found.placements):
             self._try(touches, touches.within(found.placements))
         for part in found.parts:
             if part.bound > self.value:
                 self._push(part.bound, number, part)
-        if not found.parts and found.bound > self.value:
-            self._push(found.bound, number, node) if found.bound > self.enough else self._keep(
-                found.bound
-            )
-
-    def _keep(self, bound: float) -> None:
-        """A node within the gap: it is closed, but its bound still counts."""
-        self._push(bound, -1, None)
+        if not found.parts and found.bound > self.enough:
+            self._push(found.bound, number, node)  # nothing was concluded this time
+        elif not found.parts and found.bound > self.value:
+            self._push(found.bound, CLOSED, None)  # within the gap: but its bound still counts
 
     def _push(self, bound: float, number: int, node: Node | None) -> None:
         self.counted += 1
@@ -264,7 +261,7 @@ class Search:
         self._sharpen()
         renewed = []
         for key, count, number, node in self.queue:
-            fresh = node is None and number >= 0
+            fresh = node is None and number != CLOSED
             sharper = max(key, -float(self.tops[number])) if fresh else key
             renewed.append((sharper, count, number, node))
         self.queue = renewed

@@ -24,8 +24,8 @@ from itertools import combinations
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND
-from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.balances import tolerance_of
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.necessary_conditions import (
     INCIDENCE,
     Violation,
@@ -91,7 +91,7 @@ class Independence:
         return self.independent
 
 
-def block_inverse(contacts: Contacts) -> BlockInverse:
+def block_inverse(contacts: Contacts | HeldByContacts) -> BlockInverse:
     """Invert the wrenches of six contacts by blocks (thesis, 2.2).
 
     Raises
@@ -99,6 +99,7 @@ def block_inverse(contacts: Contacts) -> BlockInverse:
     GraspError
         Not six contacts in space, or dependent ones; the message says why.
     """
+    contacts = as_contacts(contacts)
     found = independence(contacts)
     if not found:
         raise GraspError(f"{found.message}: there is no inverse")
@@ -118,21 +119,21 @@ def block_inverse(contacts: Contacts) -> BlockInverse:
     return BlockInverse(order, T1, a, T2, inverse, determinant)
 
 
-def independence(contacts: Contacts) -> Independence:
+def independence(contacts: Contacts | HeldByContacts) -> Independence:
     """Decide whether the wrenches of six contacts are independent, and say why if not.
 
     They are dependent when the smallest singular value of the scaled wrenches is no more than
-    1e-10 of the largest.
+    1e-10 of the largest, and what rounding does to points far from the origin.
 
     Raises
     ------
     GraspError
         Not six contacts in space.
     """
-    six_in_space(contacts)
+    contacts = six_in_space(contacts)
     W = contacts.scaled_wrenches
     _, s, Vt = np.linalg.svd(W)
-    rank = int(np.count_nonzero(s > BAND * s[0]))
+    rank = int(np.count_nonzero(s > tolerance_of(contacts) * s[0]))
     determinant = float(np.linalg.det(W)) * contacts.length**3
     if rank == 6:
         words = "the six wrenches are independent"

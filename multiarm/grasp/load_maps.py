@@ -20,12 +20,10 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.force_distribution import ForceDistribution, distribute_forces
+from multiarm.grasp.liftable_map import CORNER, LiftableMap
 from multiarm.grasp.loads import bounds_of, wrench_of
-
-# Part of the map's size by which an edge may give way and still count as found.
-CORNER = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,85 +62,14 @@ class LoadCapacity:
     weakest: int
 
 
-@dataclass(frozen=True, eq=False)
-class LiftableMap:
-    """The loads ``w_0 + x d_1 + y d_2`` that can be exerted; its truth value says whether any can.
-
-    Attributes
-    ----------
-    vertices : ndarray, shape (K, 2)
-        Corners (x, y) of a convex polygon, counter-clockwise, in units of the directions; one or
-        two points where it has no area, none where nothing can be exerted.
-    """
-
-    vertices: np.ndarray
-
-    def __bool__(self) -> bool:
-        return len(self.vertices) > 0
-
-    @property
-    def area(self) -> float:
-        """Area of the polygon."""
-        x, y = self.vertices.T
-        return float(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-
-    @property
-    def margin(self) -> float:
-        """How far (x, y) may be from (0, 0) in any direction; negative when ``w_0`` is outside.
-
-        The distance of (0, 0) from the polygon's edge, with a minus sign outside; minus infinity
-        where nothing can be exerted.
-        """
-        if not self:
-            return -np.inf
-        nearest = self._distance(np.zeros(2))
-        return nearest if self.contains((0.0, 0.0)) else 0.0 - nearest
-
-    def contains(self, point: Any) -> bool:
-        """Whether the load at (x, y) can be exerted; the edge belongs to the map."""
-        if not self:
-            return False
-        at = np.asarray(point, dtype=float)
-        on_edge = self._distance(at) <= CORNER * float(np.abs(self.vertices).max())
-        a, b = self._edges()
-        sides, arms = b - a, at - a
-        turns = sides[:, 0] * arms[:, 1] - sides[:, 1] * arms[:, 0]
-        return on_edge or bool(np.all(turns > 0.0))
-
-    def reach(self, direction: Any) -> float:
-        """The largest s such that ``s`` times a direction (x, y) is in the map.
-
-        0 when (0, 0) is outside, and when the map has no area.
-        """
-        along = np.asarray(direction, dtype=float)
-        if len(self.vertices) < 3 or not self.contains((0.0, 0.0)):
-            return 0.0
-        a, b = self._edges()
-        outward = np.column_stack([(b - a)[:, 1], (a - b)[:, 0]])
-        speeds, rooms = outward @ along, np.sum(outward * a, axis=1)
-        ahead = speeds > 0.0
-        return max(float(np.min(rooms[ahead] / speeds[ahead])), 0.0)
-
-    def _edges(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.vertices, np.roll(self.vertices, -1, axis=0)
-
-    def _distance(self, point: np.ndarray) -> float:
-        """Distance of a point from the edge."""
-        a, b = self._edges()
-        ways, arms = b - a, point - a
-        lengths = np.sum(ways**2, axis=1)
-        shares = np.sum(arms * ways, axis=1) / np.where(lengths > 0.0, lengths, 1.0)
-        return float(np.linalg.norm(arms - np.clip(shares, 0.0, 1.0)[:, None] * ways, axis=1).min())
-
-
 def worst_force(
-    contacts: Contacts, wrenches: Any, *, minimum: Any = 0.0, limit: Any = None
+    contacts: Contacts | HeldByContacts, wrenches: Any, *, minimum: Any = 0.0, limit: Any = None
 ) -> WorstForce:
     """The largest force that any of the loads, or any mixture of them, calls for.
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : Contacts, or a grasp
     wrenches : array-like, shape (M, 6); (M, 3) in the plane
         Loads that the contacts exert on the body, about the frame's origin [N, N m].
     minimum, limit
@@ -153,7 +80,7 @@ def worst_force(
     GraspError
         No loads, or numbers of the wrong kind.
     """
-    loads = list(wrenches)
+    contacts, loads = as_contacts(contacts), _listed(wrenches)
     if not loads:
         raise GraspError("the worst of no loads is none: give at least one wrench")
     found = tuple(distribute_forces(contacts, w, minimum=minimum, limit=limit) for w in loads)
@@ -161,12 +88,12 @@ def worst_force(
     return WorstForce(found[load].value, load, found)
 
 
-def load_capacity(contacts: Contacts, wrenches: Any, limit: Any) -> LoadCapacity:
+def load_capacity(contacts: Contacts | HeldByContacts, wrenches: Any, limit: Any) -> LoadCapacity:
     """The largest multiple of each load that the contacts can exert with limited forces.
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : Contacts, or a grasp
     wrenches : array-like, shape (M, 6); (M, 3) in the plane
         Loads, about the frame's origin [N, N m]; not zero.
     limit : float or array-like, shape (N,)
@@ -177,7 +104,8 @@ def load_capacity(contacts: Contacts, wrenches: Any, limit: Any) -> LoadCapacity
     GraspError
         No loads, a load of zero, or numbers of the wrong kind.
     """
-    loads = [wrench_of(contacts, w) for w in wrenches]
+    contacts = as_contacts(contacts)
+    loads = [wrench_of(contacts, w) for w in _listed(wrenches)]
     if not loads:
         raise GraspError("the capacity for no loads is none: give at least one wrench")
     multiples = []
@@ -193,13 +121,18 @@ def load_capacity(contacts: Contacts, wrenches: Any, limit: Any) -> LoadCapacity
 
 
 def liftable(
-    contacts: Contacts, limit: Any, wrench: Any, directions: Any, *, minimum: Any = 0.0
+    contacts: Contacts | HeldByContacts,
+    limit: Any,
+    wrench: Any,
+    directions: Any,
+    *,
+    minimum: Any = 0.0,
 ) -> LiftableMap:
     """The loads of a plane that the contacts can exert with limited forces.
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : Contacts, or a grasp
     limit : float or array-like, shape (N,)
         Largest push of each contact [N].
     wrench : array-like, shape (6,); (3,) in the plane
@@ -214,7 +147,7 @@ def liftable(
     GraspError
         Two directions that are parallel, a limit that is infinite, numbers of the wrong kind.
     """
-    given = list(directions)
+    contacts, given = as_contacts(contacts), _listed(directions)
     if len(given) != 2:
         raise GraspError(f"a map has two directions of wrenches, not {len(given)}")
     rows = np.array([wrench_of(contacts, direction) for direction in given])
@@ -226,6 +159,13 @@ def liftable(
         raise GraspError("the two directions of the map are parallel: they span no plane of loads")
     program = _Exerted(contacts, limit, wrench_of(contacts, wrench), rows, minimum)
     return LiftableMap(_polygon(program) * program.unit / sizes + 0.0)  # no -0
+
+
+def _listed(wrenches: Any) -> list[Any]:
+    try:
+        return list(wrenches)
+    except TypeError as error:
+        raise GraspError(f"several wrenches are a list of them, not {wrenches!r}") from error
 
 
 class _Exerted:

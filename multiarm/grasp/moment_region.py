@@ -29,7 +29,9 @@ from itertools import combinations
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.balances import BAND
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.cutting import distinct
 from multiarm.grasp.face import Face
 
 # Entries below this part of the largest are zero: some thousand roundings.
@@ -37,6 +39,10 @@ ZERO = 1e-12
 # Three directions are dependent when the volume they span is below this; their solutions would
 # have lost most of their digits.
 FLAT = 1e-9
+# Three normals are clearly independent when the volume they span is above this; they are dependent
+# when it is below the band in which form closure is not relied on.  Between the two, solutions are
+# 1e6 times as large as the forces and more, and their differences decide.
+CLEAR = 1e-6
 # The routes to all circuits and pairs grow with the fourth power of the number of contacts.
 MOST_CONTACTS = 12
 
@@ -49,7 +55,7 @@ def moment_half_planes(contacts: Contacts, face: Face) -> np.ndarray | None:
     Raises
     ------
     GraspError
-        More than twelve contacts.
+        More than twelve contacts; three normals that are nearly, but not quite, dependent.
     """
     if contacts.count > MOST_CONTACTS:
         raise GraspError(
@@ -57,19 +63,35 @@ def moment_half_planes(contacts: Contacts, face: Face) -> np.ndarray | None:
             f'use method "inverse"'
         )
     e, e7 = contacts.normals.T, -face.normal
+    _check_normals(contacts)
     arms = (contacts.points - face.centre) / contacts.length
     m = np.cross(arms, contacts.normals).T  # (3, N), about the centre of the face
     B, C = basic_solutions(e, -e7), circuits(e)
     if not len(B) or not np.all(np.vstack([B, C]).any(axis=0)):
         return None
-    first = np.r_[np.ones(len(B)), np.zeros(len(C))]
-    section = _section(np.vstack([first, m @ np.vstack([B, C]).T]), e7)
+    first, forces = np.r_[np.ones(len(B)), np.zeros(len(C))], np.vstack([B, C]).T
+    sizes = first + np.linalg.norm(m, axis=0) @ forces  # of what each generator is summed from
+    section = _section(np.vstack([first, m @ forces]), sizes, e7)
     if section is None:
         return None
     x, y = face.frame[:3, 0], face.frame[:3, 1]
     offsets = -np.cross(e7, section[1:], axisb=0)  # rows e7 x m7, m7 = -(moment of the others)
     facets = _facets(np.column_stack([section[0], offsets @ x, offsets @ y]))
     return None if facets is None else np.column_stack([-facets[:, 1:], facets[:, 0]])
+
+
+def _check_normals(contacts: Contacts) -> None:
+    """Any three normals are dependent or clearly not."""
+    triples = np.array(list(combinations(range(contacts.count), 3)))
+    volumes = np.abs(np.linalg.det(contacts.normals[triples]))
+    doubtful = np.flatnonzero((volumes > BAND) & (volumes < CLEAR))
+    if doubtful.size:
+        first = int(doubtful[0])
+        names = ", ".join(contacts.names[j] for j in triples[first])
+        raise GraspError(
+            f"the route by moments needs normals that are parallel, or in one plane, or clearly "
+            f'not; those of {names} span a volume of {volumes[first]:.3g}; use method "inverse"'
+        )
 
 
 def basic_solutions(e: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -84,7 +106,7 @@ def basic_solutions(e: np.ndarray, target: np.ndarray) -> np.ndarray:
             row = np.zeros(n)
             row[list(triple)] = _cleared(D, ZERO * D.max())
             found.append(row)
-    return _distinct(np.array(found).reshape(-1, n))
+    return distinct(np.array(found).reshape(-1, n))
 
 
 def circuits(e: np.ndarray) -> np.ndarray:
@@ -100,13 +122,12 @@ def circuits(e: np.ndarray) -> np.ndarray:
             row = np.zeros(n)
             row[list(four)] = _cleared(C, ZERO / s[2])
             found.append(row)
-    return _distinct(np.array(found).reshape(-1, n))
+    return distinct(np.array(found).reshape(-1, n))
 
 
-def _section(generators: np.ndarray, e7: np.ndarray) -> np.ndarray | None:
+def _section(generators: np.ndarray, sizes: np.ndarray, e7: np.ndarray) -> np.ndarray | None:
     """Generators (4, S) of the part of the cone of columns (t, m) with ``e7 . m = 0``."""
     heights = e7 @ generators[1:]
-    sizes = np.linalg.norm(generators, axis=0)
     heights[np.abs(heights) <= 1e2 * ZERO * sizes] = 0.0
     above, below = heights > 0.0, heights < 0.0
     if above.any() != below.any():
@@ -122,7 +143,7 @@ def _facets(rows: np.ndarray) -> np.ndarray | None:
     """Inward normals (F, 3) of the cone of rows (S, 3); None when the cone has no inside."""
     sizes = np.linalg.norm(rows, axis=1)
     rows = rows[sizes > ZERO * sizes.max(initial=0.0)]
-    rows = _distinct(rows / np.linalg.norm(rows, axis=1)[:, None])
+    rows = distinct(rows / np.linalg.norm(rows, axis=1)[:, None])
     if np.linalg.matrix_rank(rows, tol=FLAT) < 3:
         return None
     found = []
@@ -133,12 +154,7 @@ def _facets(rows: np.ndarray) -> np.ndarray | None:
         sides = across @ rows.T  # (S, S)
         found.append(across[sides.min(axis=1) >= -1e2 * ZERO])
         found.append(-across[sides.max(axis=1) <= 1e2 * ZERO])
-    return _distinct(np.vstack(found))
-
-
-def _distinct(rows: np.ndarray) -> np.ndarray:
-    """Rows that differ by more than rounding."""
-    return rows[np.sort(np.unique(rows.round(10) + 0.0, axis=0, return_index=True)[1])]
+    return distinct(np.vstack(found))
 
 
 def _cleared(values: np.ndarray, zero: float) -> np.ndarray:

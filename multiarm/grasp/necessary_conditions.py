@@ -28,7 +28,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.balances import rounding
-from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 
 # Sine of an angle, or distance over the spread of the contacts, that counts as none.
 INCIDENCE = 1e-9
@@ -52,7 +52,7 @@ class Violation:
     words: str
 
 
-def violated_conditions(contacts: Contacts) -> tuple[Violation, ...]:
+def violated_conditions(contacts: Contacts | HeldByContacts) -> tuple[Violation, ...]:
     """Necessary conditions 1 to 6 that six contacts do not meet, with the contacts concerned.
 
     Lines count as meeting, parallel or coplanar within 1e-9 (of the spread of the contacts, or as
@@ -64,7 +64,7 @@ def violated_conditions(contacts: Contacts) -> tuple[Violation, ...]:
     GraspError
         Not six contacts in space.
     """
-    six_in_space(contacts)
+    contacts = six_in_space(contacts)
     lines = _Lines(contacts)
     crowds = [*_crowds(contacts, lines)]
     crowded = [set(crowd.contacts) for crowd in crowds]
@@ -83,11 +83,13 @@ def incidence(points: np.ndarray, length: float) -> float:
     return INCIDENCE + rounding(float(np.abs(points).max()), length)
 
 
-def six_in_space(contacts: Contacts) -> None:
-    """Raise a GraspError unless there are six contacts in space."""
+def six_in_space(given: Contacts | HeldByContacts) -> Contacts:
+    """Six contacts in space, or those of a grasp; a GraspError if they are not."""
+    contacts = as_contacts(given)
     if contacts.dimension != 3 or contacts.count != 6:
         where = "in space" if contacts.dimension == 3 else "in the plane"
         raise GraspError(f"this is about six contacts in space, not {contacts.count} {where}")
+    return contacts
 
 
 def named(contacts: Contacts, numbers: tuple[int, ...]) -> str:

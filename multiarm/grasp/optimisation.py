@@ -49,6 +49,8 @@ OBJECTIVES = ("margin", "force", "stability")
 NODES = 300
 # Smallest over largest singular value of the scaled wrenches, at least, unless told.
 CONDITIONING = 1e-3
+# Of gaps.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +185,7 @@ def optimise_grasp(
         value=value,
         bound=bound,
         gap=search.gap,
-        finished=search.gap <= gap,
+        finished=search.gap <= gap + ROUNDING,
         conditioning=conditioned,
         choices=len(search.choices),
         nodes=search.done,
@@ -277,6 +279,6 @@ def _message(objective: str, value: float, bound: float, search: Search, gap: fl
         f"{100 * search.gap:.1f} per cent, after {search.done} nodes over {len(search.choices)} "
         f"choices of faces"
     )
-    if search.gap > gap:
+    if search.gap > gap + ROUNDING:
         text += "; the budget ended before the gap was reached, more nodes narrow it"
     return text

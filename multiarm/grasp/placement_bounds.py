@@ -26,6 +26,8 @@ SETTLED = 0.01
 ROUNDS = 6
 # So many of the sharpest twists go on to the two halves of a cell.
 INHERITED = 80
+# How SciPy says that a program has no solution.
+INFEASIBLE = 2
 # A line that cuts a cell leaves this part of its width on either side.
 SHARE = 0.15
 
@@ -178,7 +180,8 @@ def _best_margin(
         bounds=[(0, None)] * count + [(None, None)],
     )
     if result.x is None or not -result.fun > 0.0:
-        return 0.0, np.zeros((0, 7, 2)), np.zeros((0, 6))
+        none = result.status == INFEASIBLE or result.x is not None  # else nothing is concluded
+        return 0.0 if none else Margin.limit, np.zeros((0, 7, 2)), np.zeros((0, 6))
     mu = result.x[:count]
     y = (sums * mu) @ corners / (sums @ mu)[:, None]
     twist = result.eqlin.marginals[:6]

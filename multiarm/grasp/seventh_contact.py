@@ -2,7 +2,7 @@ r"""Where on a face the last contact closes the grasp: a polygon, exactly.
 
 Given at least six contacts whose wrenches have rank 6, one more contact at p on a plane face with
 the inward normal :math:`e_7` gives form closure when its wrench is on the outer side of all facets
-of the cone of the others (see `wrench_cone`),
+of the cone of the others (see `wrench_cones`),
 
 .. math::
     n_f \cdot \begin{bmatrix} e_7 \\ p \times e_7 \end{bmatrix} < 0 \quad \text{for all } f .
@@ -15,7 +15,6 @@ contacts (eq. 2.4), by other arithmetic: ``method="moments"``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -23,21 +22,21 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
+from multiarm.grasp.cutting import cut_face, distinct
 from multiarm.grasp.face import Face, as_face
 from multiarm.grasp.moment_region import moment_half_planes
-from multiarm.grasp.wrench_cone import wrench_cone
+from multiarm.grasp.wrench_cones import WrenchCone, strictness, wrench_cone
 
 if TYPE_CHECKING:
-    from shapely.geometry import MultiPolygon, Polygon
+    from shapely.geometry import MultiPolygon
 
 # A half-plane whose border is farther away than 1 / FAR_BORDER face sizes holds everywhere or
-# nowhere on the face; where its level is no larger than this either, it is not strictly negative.
+# nowhere on the face.
 FAR_BORDER = 1e-12
-# A region below this part of its face's area is empty: no finger could be placed on it.
-NO_AREA = 1e-12
-# Corners of a region closer than this, in face sizes, are one.
-SAME_CORNER = 1e-12
+# A half-plane whose levels are below so many times what counts as zero is so level on the face that
+# its border is drawn where the level is no longer zero.
+LEVEL = 1e5
 # How well the middle of a region is found, in sizes of the region.
 MIDDLE = 1e-4
 
@@ -74,6 +73,10 @@ class ContactRegion:
         return bool(self.outlines)
 
     @cached_property
+    def _cone(self) -> WrenchCone:
+        return wrench_cone(self.contacts)
+
+    @cached_property
     def polygons(self) -> tuple[np.ndarray, ...]:
         """Outer corners (K, 3) of each piece in the body's frame [m], the largest piece first."""
         return tuple(self.face.at(outline) for outline in self.outlines)
@@ -98,13 +101,13 @@ class ContactRegion:
     def contains(self, points: Any) -> np.ndarray:
         """Which of the points (..., 3), projected onto the face, are inside and not on the border.
 
-        The border is as wide as the rounding of face coordinates, 1e-12 of the largest.
+        A point counts as on the border by the criterion of `WrenchCone.closes`.
         """
         y = self.face.coordinates(points)
         if not self:
             return np.zeros(y.shape[:-1], dtype=bool)
-        border = SAME_CORNER * float(np.abs(self.face.outline).max())  # rounding of y
-        inside = np.all(y @ self.half_planes[:, :2].T < self.half_planes[:, 2] - border, axis=-1)
+        inside = np.all(y @ self.half_planes[:, :2].T < self.half_planes[:, 2], axis=-1)
+        inside &= self._cone.closes(self.face.at(y), -self.face.normal)
         return inside & self.face.contains(points)
 
     def depth(self, points: Any) -> np.ndarray:
@@ -155,7 +158,7 @@ class ContactRegion:
                 f"the balance of {self.contacts.count} contacts with one more is not unique; it is "
                 f"for six"
             )
-        return wrench_cone(self.contacts).levels(point, -self.face.normal)
+        return self._cone.levels(point, -self.face.normal)
 
     def contact(self, point: Any) -> Contacts:
         """All contacts, with one more at a point (3,) of the region, projected onto the face.
@@ -178,20 +181,23 @@ class ContactRegion:
 
 
 def seventh_contact_region(
-    contacts: Contacts, face: Face | Any, method: Literal["inverse", "moments"] = "inverse"
+    contacts: Contacts | HeldByContacts,
+    face: Face | Any,
+    method: Literal["inverse", "moments"] = "inverse",
 ) -> ContactRegion:
     """The part of a face where one more contact makes the grasp form-closed.
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : Contacts, or a grasp
         At least six contacts in space with wrenches of rank 6.
     face : Face, or array-like, shape (K, 3)
         The face, or its corners counter-clockwise as seen from outside.  It need not be convex and
         may have holes.
     method : {"inverse", "moments"}
         By the facets of the cone of wrenches (eq. 2.3 of the thesis, any number of contacts), or by
-        forces that balance and their moments (eq. 2.4, up to twelve contacts).  They agree.
+        forces that balance and their moments (eq. 2.4, up to twelve contacts).  They agree; the
+        second refuses normals that are nearly, but not quite, parallel or in one plane.
 
     Returns
     -------
@@ -200,108 +206,72 @@ def seventh_contact_region(
     Raises
     ------
     GraspError
-        Contacts of a rank below 6; a face that is none; an unknown method.
+        Contacts of a rank below 6; a face that is none; an unknown method, or one that does not
+        take these contacts.
     """
-    plane = as_face(face)
+    contacts, plane = as_contacts(contacts), as_face(face)
     cone = wrench_cone(contacts)
+    rows = _rows(cone, plane, method)
     y0, unit = plane.coordinates(plane.centre), contacts.length
-    if method == "inverse":
-        e, (u, v) = -plane.normal, plane.frame[:3, :2].T
-        level = cone.levels(plane.centre, e)  # at the centre of the face
-        slope = [cone.facets[:, 3:] @ np.cross(along, e) for along in (u, v)]
-        rows = np.column_stack([*slope, -level])
-        rows /= np.linalg.norm(cone.facets, axis=1)[:, None]
-    elif method == "moments":
-        found = moment_half_planes(contacts, plane)
-        rows = np.array([[0.0, 0.0, -1.0]]) if found is None else found
-    else:
-        raise GraspError(f'method {method!r} is unknown; methods are "inverse" and "moments"')
-    outlines, holes = _cut(plane, rows * [1.0, 1.0, unit], y0)
-    lengths = np.linalg.norm(rows[:, :2], axis=1)
-    proper = lengths > FAR_BORDER
-    half_planes = _distinct(rows[proper] / lengths[proper, None]) * [1.0, 1.0, unit]
+    values = rows[:, :2] @ (plane.outline - y0).T / unit - rows[:, 2:]  # (F, K) at the corners
+    largest, room = np.abs(values).max(axis=1), _rounding_room(contacts, plane)
+    somewhere = np.all(values.min(axis=1) < -room)
+    rows[:, 2] -= np.where(largest < LEVEL * room, room, 0.0)
+    proper = (np.ptp(values, axis=1) > FAR_BORDER * largest) & (largest > room)
+    lines = rows[proper] / np.linalg.norm(rows[proper, :2], axis=1)[:, None] * [1.0, 1.0, unit]
+    outlines, holes = cut_face(plane, lines, y0) if somewhere else ((), ())
+    half_planes = distinct(lines / [1.0, 1.0, unit]) * [1.0, 1.0, unit]
     half_planes[:, 2] += half_planes[:, :2] @ y0
     return ContactRegion(contacts, plane, half_planes, outlines, holes, _reason(cone, outlines))
 
 
-def _distinct(rows: np.ndarray) -> np.ndarray:
-    """Rows that differ by more than rounding, in their order."""
-    return rows[np.sort(np.unique(rows.round(9) + 0.0, axis=0, return_index=True)[1])]
+def region_of(contacts: Contacts, number: int, face: Face | Any) -> ContactRegion | None:
+    """Where on its face one contact of a grasp may be while all others stay as they are.
+
+    Parameters
+    ----------
+    contacts : Contacts
+        All of them.
+    number : int
+        The one that moves, counted from 0.
+    face : Face, or array-like, shape (K, 3)
+        The face that it is on.
+
+    Returns
+    -------
+    ContactRegion or None
+        None where the others are dependent, or nearly: wherever it is, it cannot close the grasp.
+    """
+    plane = as_face(face)
+    others = [j for j in range(contacts.count) if j != number]
+    try:
+        return seventh_contact_region(contacts.subset(others), plane)
+    except GraspError:  # a rank below 6, or a cone too flat to have an inside
+        return None
 
 
-Pieces = tuple[tuple[np.ndarray, ...], tuple[tuple[np.ndarray, ...], ...]]
+def _rows(cone: WrenchCone, plane: Face, method: str) -> np.ndarray:
+    """Half-planes ``a . (y - y0) / length < b`` of facets of unit length, about the centre y0."""
+    if method == "inverse":
+        e, (u, v) = -plane.normal, plane.frame[:3, :2].T
+        level = cone.levels(plane.centre, e)
+        slope = [cone.facets[:, 3:] @ np.cross(along, e) for along in (u, v)]
+        sizes = np.linalg.norm(cone.facets, axis=1)
+        return np.column_stack([*slope, -level]) / sizes[:, None]
+    if method == "moments":
+        found = moment_half_planes(cone.contacts, plane)
+        return np.array([[0.0, 0.0, -1.0]]) if found is None else found
+    raise GraspError(f'method {method!r} is unknown; methods are "inverse" and "moments"')
 
 
-def _cut(face: Face, rows: np.ndarray, y0: np.ndarray) -> Pieces:
-    """What the half-planes, about y0, leave of a face: outlines and holes in face coordinates."""
-    own = face.outline - y0
-    size = float(np.ptp(own, axis=0).max())
-    slopes = np.linalg.norm(rows[:, :2], axis=1) * size
-    constant = slopes <= FAR_BORDER * np.abs(rows[:, 2]).max(initial=size)
-    if np.any(rows[constant, 2] <= FAR_BORDER * size):
-        return (), ()
-    low, high = own.min(axis=0), own.max(axis=0)
-    polygon = own if face.convex else _rectangle(low - size, high + size)
-    for row in rows[~constant] / slopes[~constant, None] * size:
-        polygon = _clipped(polygon, row, SAME_CORNER * size)
-    if not _area(polygon) > NO_AREA * face.area:
-        return (), ()
-    if face.convex:
-        return (polygon + y0,), ((),)
-    return _pieces(face, polygon, y0)
+def _rounding_room(contacts: Contacts, plane: Face) -> float:
+    """What counts as zero for the longest wrench of a unit push on the face."""
+    offsets = plane.outline - plane.coordinates(contacts.centre)
+    reach = float(np.linalg.norm(offsets, axis=1).max()) / contacts.length
+    return strictness(contacts, plane.vertices) * float(np.hypot(1.0, reach))
 
 
-def _clipped(polygon: np.ndarray, row: np.ndarray, same: float) -> np.ndarray:
-    """The part (K, 2) of a convex polygon with ``a . y <= b``, without corners that coincide."""
-    if not len(polygon):
-        return polygon
-    over = polygon @ row[:2] - row[2]
-    over[np.abs(over) <= same] = 0.0
-    kept: list[np.ndarray] = []
-    for k in range(len(polygon)):
-        a, b = over[k - 1], over[k]
-        if (a < 0.0 < b) or (b < 0.0 < a):
-            kept.append(polygon[k - 1] + a / (a - b) * (polygon[k] - polygon[k - 1]))
-        if b <= 0.0:
-            kept.append(polygon[k])
-    apart = [p for k, p in enumerate(kept) if np.abs(p - kept[k - 1]).max() > same]
-    return np.array(apart).reshape(-1, 2)
-
-
-def _pieces(face: Face, polygon: np.ndarray, y0: np.ndarray) -> Pieces:
-    """A convex polygon about y0 cut with a face that is not convex; the largest piece first."""
-    from shapely.affinity import translate
-    from shapely.geometry import Polygon
-    from shapely.geometry.polygon import orient
-
-    shape = translate(face.shape, -y0[0], -y0[1]).intersection(Polygon(polygon))
-    pieces = [orient(piece) for piece in getattr(shape, "geoms", [shape]) if _usable(piece, face)]
-    pieces.sort(key=lambda piece: -piece.area)
-    outlines = tuple(_corners(piece.exterior.coords) + y0 for piece in pieces)
-    holes = tuple(tuple(_corners(hole.coords) + y0 for hole in p.interiors) for p in pieces)
-    return outlines, holes
-
-
-def _usable(piece: Polygon, face: Face) -> bool:
-    return bool(piece.geom_type == "Polygon" and piece.area > NO_AREA * face.area)
-
-
-def _corners(ring: Sequence[Any]) -> np.ndarray:
-    return np.array(ring)[:-1, :2]
-
-
-def _rectangle(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-
-
-def _area(polygon: np.ndarray) -> float:
-    if len(polygon) < 3:
-        return 0.0
-    x, y = (polygon - polygon.mean(axis=0)).T
-    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
-def _reason(cone: Any, outlines: tuple[np.ndarray, ...]) -> str:
+def _reason(cone: WrenchCone, outlines: tuple[np.ndarray, ...]) -> str:
     if cone.closed:
         return "the contacts give form closure already, so that one more may be anywhere"
     if not outlines:

@@ -27,8 +27,8 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.moment_rules import meeting_point, point_of, three_moments
 from multiarm.grasp.necessary_conditions import INCIDENCE, incidence, named, six_in_space
-from multiarm.grasp.three_moments import meeting_point, point_of, three_moments
 
 
 def case_I(points: Any, normals: Any, centre: Any = (0.0, 0.0, 0.0)) -> Contacts:

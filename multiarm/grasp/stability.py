@@ -28,24 +28,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.balances import tolerance_of
 from multiarm.grasp.closure_radii import ClosureRadius, closure_radius, tangents_of
-from multiarm.grasp.contacts import Contacts, wrenches_of
-from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
-
-if TYPE_CHECKING:
-    from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, wrenches_of
+from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.seventh_contact import ContactRegion, region_of
 
 # A measure should be at least so many times its largest change to first order.
 ENOUGH = 2.0
 # Displacement when none is given, over the root mean square distance of the contacts.
 DISPLACEMENT = 0.01
-# Scaled wrenches are dependent below this ratio of singular values.
-DEPENDENT = 1e-10
+# A contact whose rate is below this part of the largest one is not felt by a measure: rounding.
+UNFELT = 1e-10
 # Three normals span space well enough to be divided by.
 SPANNING = 1e-3
 
@@ -135,7 +134,7 @@ class ConfigurationStability:
         rates = np.linalg.norm(
             np.concatenate([self.determinant_gradient[None], self.gradient]), axis=2
         )
-        felt = rates > DEPENDENT * rates.max()  # each contact is missing in one of the seven
+        felt = rates > UNFELT * rates.max()  # each contact is missing in one of the seven
         ratios = sizes[:, None] / np.where(felt, rates, 1.0)
         return np.where(felt, ratios, np.inf).min(axis=0) * bool(self.closed)
 
@@ -146,13 +145,13 @@ class ConfigurationStability:
 
 
 def configuration_stability(
-    contacts: Contacts, *, displacement: Any = None
+    contacts: Contacts | HeldByContacts, *, displacement: Any = None
 ) -> ConfigurationStability:
     """Independence of six contacts and measures of the seventh under displacements.
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : Contacts, or a grasp
         Six or more, in space.  With seven, the last one is taken as the seventh unless the first
         six are dependent.  With more, six of them are looked at, and ``radius`` at all.
     displacement : float or array-like, shape (N,), optional
@@ -164,6 +163,7 @@ def configuration_stability(
     GraspError
         Fewer than six contacts, contacts in the plane, no six independent ones among them.
     """
+    contacts = as_contacts(contacts)
     if contacts.dimension != 3 or contacts.count < 6:
         raise GraspError(
             f"configuration stability needs six contacts or more in space, not {contacts.count} in "
@@ -195,22 +195,28 @@ def configuration_stability(
     )
 
 
-def own_regions(grasp: Grasp) -> tuple[ContactRegion, ...]:
-    """Where each contact alone may be in its face while the six others stay, one region for each.
+def own_regions(grasp: Grasp) -> tuple[ContactRegion | None, ...]:
+    """Where each contact alone may be in its face while all others stay, one region for each.
+
+    None where the others are dependent: that contact cannot close the grasp, wherever it is.
 
     Raises
     ------
     GraspError
-        The grasp has not seven contacts.
+        Something else than a grasp, or one of fewer than seven contacts.
     """
+    if not isinstance(grasp, Grasp):
+        raise GraspError(
+            f"regions of single contacts need a Grasp, which knows the faces that its contacts "
+            f"are on, not {type(grasp).__name__}; seventh_contact_region takes contacts and a face"
+        )
     count = grasp.contacts.count
     if count < 7:
         raise GraspError(f"regions of single contacts need seven contacts, not {count}")
-    regions = []
-    for j, number in enumerate(grasp.faces):
-        others = grasp.contacts.subset(k for k in range(count) if k != j)
-        regions.append(seventh_contact_region(others, grasp.body.faces[number]))
-    return tuple(regions)
+    return tuple(
+        region_of(grasp.contacts, j, grasp.body.faces[number])
+        for j, number in enumerate(grasp.faces)
+    )
 
 
 def displacements_of(given: Any, contacts: Contacts) -> np.ndarray:
@@ -261,11 +267,11 @@ def _measures(contacts: Contacts, chosen: list[int]) -> tuple[np.ndarray, np.nda
 
 def _independent_six(contacts: Contacts) -> tuple[int, ...]:
     """The first six independent contacts, three with independent normals in front."""
-    W, chosen = contacts.scaled_wrenches, list[int]()
+    W, tolerance, chosen = contacts.scaled_wrenches, tolerance_of(contacts), list[int]()
     for j in range(contacts.count):
         trial = [*chosen, j]
         s = np.linalg.svd(W[:, trial], compute_uv=False)
-        if len(trial) <= 6 and s[-1] > DEPENDENT * s[0]:
+        if len(trial) <= 6 and s[-1] > tolerance * s[0]:
             chosen = trial
     if len(chosen) < 6:
         raise GraspError(

@@ -25,12 +25,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import assembled, crosses, sized
+from multiarm.grasp.assembling import assembled, crosses, size_of_gripper, sized
 from multiarm.grasp.body_class import Triple, classify
 from multiarm.grasp.corner_pattern import CornerPattern, corner_pattern, even_offsets, right_handed
 from multiarm.grasp.corners import convex_corner, feet, gripper_frame, shared_corner
 from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.parallel_design import OPEN, Three, usual_distance
+from multiarm.grasp.parallel_bodies import OPEN, Three, usual_distance
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.wide_region import region_grasps
 
@@ -125,7 +125,7 @@ def design_wide_grasp(body: Polyhedron, *, gripper_size: float | None = None) ->
     GraspError
         A body outside the class, or one on which no such grasp was found.
     """
-    found = classify(body)
+    found, gripper_size = classify(body), size_of_gripper(gripper_size)
     if not found.triples:
         raise GraspError(f"the construction for the wider class does not fit: {found.words}")
     triples = sorted(found.triples, key=lambda t: shared_corner(body, t.faces) is None)

@@ -23,7 +23,7 @@ from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seven_pushes import smallest_pushes
 from multiarm.grasp.seventh_contact import seventh_contact_region
-from multiarm.grasp.wrench_cone import is_independent
+from multiarm.grasp.wrench_cones import is_independent
 
 Three = tuple[int, int, int]
 

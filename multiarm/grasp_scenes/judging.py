@@ -10,6 +10,7 @@ import numpy as np
 from multiarm.dynamics import Evaluation
 from multiarm.errors import GraspError
 from multiarm.evaluation import evaluate
+from multiarm.grasp.balances import LEAST_MARGIN
 from multiarm.grasp.force_distribution import distribute_forces
 from multiarm.grasp.independent_contacts import independence
 from multiarm.grasp.object_frame import object_frame_on_body
@@ -162,7 +163,7 @@ def judge_grasp(system: System, grasp: SceneGrasp | None = None) -> GraspJudgeme
         closed=bool(closure),
         borderline=closure.borderline,
         verdict=closure.message,
-        margin=_finite(closure.margin),
+        margin=closure.margin if closure.margin > LEAST_MARGIN else None,
         distance=_finite(closure.distance),
         motion=None if closure.motion is None else closure.motion.tolist(),
         immobility_order=closure.order,

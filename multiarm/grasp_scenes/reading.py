@@ -20,7 +20,7 @@ from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.form_closure import FormClosure, is_form_closure
 from multiarm.grasp.grasp import Grasp, Gripper
 from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
+from multiarm.grasp.seventh_contact import ContactRegion, region_of
 from multiarm.scene import ObjectSpec
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.state import State
@@ -76,7 +76,7 @@ class SceneGrasp:
         """Where on its face each contact closes the grasp while all others stay as they are.
 
         None where the face is not known, where the others leave the object more than one freedom,
-        or where it holds both ways.
+        where no place on the face closes the grasp, or where a contact holds both ways.
         """
         return tuple(self._region(j) for j in range(len(self.contacts)))
 
@@ -107,12 +107,7 @@ class SceneGrasp:
         face = self.faces[j]
         if self.body is None or face is None or not self.only_pushes or len(self.contacts) < 7:
             return None
-        others = self.contacts.subset(k for k in range(len(self.contacts)) if k != j)
-        try:
-            region = seventh_contact_region(others, self.body.faces[face])
-        except GraspError:  # the others are dependent: no place of this one alone closes the grasp
-            return None
-        return region or None
+        return region_of(self.contacts, j, self.body.faces[face]) or None
 
 
 def read_grasp(system: System, state: State | None = None) -> SceneGrasp:

@@ -27,18 +27,32 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts, wrenches_of
+from multiarm.grasp.balances import BAND, rank_of, rounding
+from multiarm.grasp.contacts import (
+    UNIT_TOLERANCE,
+    Contacts,
+    HeldByContacts,
+    as_contacts,
+    wrenches_of,
+)
+from multiarm.grasp.cutting import distinct
 
-# Wrenches are dependent when the smallest singular value of the scaled W is below this part of the
-# largest; contacts that are told with nine digits are told apart.
-RANK_TOLERANCE = 1e-9
 # Accuracy that the linear programs are asked for, and a rank decision on what they return, which
 # has to be well above it.
-PROGRAM_TOLERANCE, LINE_TOLERANCE = 1e-10, 1e-7
+PROGRAM_TOLERANCE, LINE_TOLERANCE = 1e-10, 1e-9
 
-ILL = "contacts that nearly coincide make it ill-conditioned; remove one of each such pair"
-# A level is negative only when it is below zero by this part of what it is made of.
-STRICT = 1e-12
+ILL = (
+    "contacts that nearly coincide, or faces that are nearly parallel, make it ill-conditioned; "
+    "remove one of each such pair"
+)
+# A level is negative only when it is below zero by this part of what it is made of.  The origin is
+# no farther inside the hull of all wrenches than a level says, so that this is the band in which
+# form closure is not relied on either.
+STRICT = BAND
+# Generators this close to a facet that Qhull found are on it: Qhull merges facets that nearly agree
+# and is good to some 1e-12 where the cone is thin.  Facets are found again from these generators,
+# if they span one.
+ON_FACET, SPANNING = 1e-10, 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +86,11 @@ class WrenchCone:
             Candidates for the contact, on any surface, and their normals into the body (of unit
             length) [m].
 
+        Raises
+        ------
+        GraspError
+            No such arrays; normals that are not of unit length.
+
         Notes
         -----
         For six contacts they are :math:`W_6^{-1} w_7`, minus the forces of the six that balance a
@@ -83,11 +102,13 @@ class WrenchCone:
     def closes(self, points: Any, normals: Any) -> np.ndarray:
         """Which candidates (...) close the grasp: their levels are negative by more than rounding.
 
-        A level within ``STRICT`` of zero, relative to the sizes of facet and wrench, is zero.
+        A level within 1e-10 of zero, relative to the sizes of facet and wrench, is zero; and so is
+        one within the rounding of points that are far from the origin.
         """
         w = self._wrenches(points, normals)
         sizes = np.linalg.norm(self.facets, axis=1) * np.linalg.norm(w, axis=0)[..., None]
-        return np.all(self.levels(points, normals) < -STRICT * sizes, axis=-1)
+        strict = strictness(self.contacts, np.asarray(points, dtype=float))
+        return np.all(self.levels(points, normals) < -strict * sizes, axis=-1)
 
     def _wrenches(self, points: Any, normals: Any) -> np.ndarray:
         """Scaled wrenches (6, ...) of candidates."""
@@ -100,10 +121,14 @@ class WrenchCone:
                 f"points and normals are arrays (..., 3) of finite numbers; they have shapes "
                 f"{np.shape(points)} and {np.shape(normals)}"
             )
+        lengths = np.linalg.norm(along, axis=-1)
+        if np.any(np.abs(lengths - 1.0) > UNIT_TOLERANCE):
+            worst = float(lengths.flat[int(np.argmax(np.abs(lengths - 1.0)))])
+            raise GraspError(f"normals have length 1; one has length {worst:.6g}: divide by it")
         return wrenches_of((at - self.contacts.centre) / self.contacts.length, along)
 
 
-def wrench_cone(contacts: Contacts) -> WrenchCone:
+def wrench_cone(contacts: Contacts | HeldByContacts) -> WrenchCone:
     """The cone of the wrenches of at least six contacts in space.
 
     Raises
@@ -111,35 +136,41 @@ def wrench_cone(contacts: Contacts) -> WrenchCone:
     GraspError
         Contacts in the plane; fewer than six; wrenches of a rank below 6.
     """
-    if not isinstance(contacts, Contacts):
-        raise GraspError(
-            f"Contacts(points, normals) are needed here, not {type(contacts).__name__}"
-        )
+    contacts = as_contacts(contacts)
     if contacts.dimension != 3:
         raise GraspError("contacts in space are needed here; these are in the plane")
-    W, rank = contacts.scaled_wrenches, _rank(contacts)
+    W, rank = contacts.scaled_wrenches, rank_of(contacts)
     if rank < 6:
+        teller = "independence says what depends on what"
+        if contacts.count != 6:
+            teller = "is_form_closure says which motion is free"
         raise GraspError(
             f"the {contacts.count} contacts have rank {rank}, not 6: in a balance with one more "
             f"contact that contact would have to carry no force, so it cannot close the grasp; "
-            f"move or add contacts so that six are independent (block_inverse says which are)"
+            f"move or add contacts so that six are independent ({teller})"
         )
     if contacts.count == 6:
         return WrenchCone(contacts, np.linalg.inv(W))
     return WrenchCone(contacts, _facets(W / np.linalg.norm(W, axis=0)))
 
 
+def strictness(contacts: Contacts, points: np.ndarray) -> float:
+    """Part of its size by which the level of one more contact at such points is negative."""
+    reach = max(float(np.abs(at).max(initial=0.0)) for at in (points, contacts.points))
+    return STRICT + float(rounding(reach, contacts.length))
+
+
 def is_independent(contacts: Contacts) -> bool:
     """Whether the wrenches of contacts in space have rank 6."""
-    return _rank(contacts) == 6
+    return rank_of(contacts) == 6
 
 
-def closes_on_surface(contacts: Contacts, points: Any, normals: Any) -> np.ndarray:
+def closes_on_surface(contacts: Contacts | HeldByContacts, points: Any, normals: Any) -> np.ndarray:
     """Which points of a surface, curved or plane, close the grasp with one more contact.
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : Contacts, or a grasp
         At least six, of rank 6.
     points, normals : array-like, shape (..., 3)
         Points of the surface [m] and unit normals there, into the body.
@@ -156,11 +187,6 @@ def closes_on_surface(contacts: Contacts, points: Any, normals: Any) -> np.ndarr
     return wrench_cone(contacts).closes(points, normals)
 
 
-def _rank(contacts: Contacts) -> int:
-    W = contacts.scaled_wrenches
-    return int(np.linalg.matrix_rank(W, tol=RANK_TOLERANCE * np.linalg.norm(W, 2)))
-
-
 def _facets(W: np.ndarray) -> np.ndarray:
     """Inward unit normals (F, 6) of the cone of unit columns (6, N) that span the space."""
     balanced = _balanced(W)
@@ -171,6 +197,8 @@ def _facets(W: np.ndarray) -> np.ndarray:
         return np.empty((0, 6))
     G = Q.T @ W[:, ~balanced]  # (m, n): generators of a pointed cone
     G = G[:, np.linalg.norm(G, axis=0) > LINE_TOLERANCE]
+    if not G.size or np.linalg.matrix_rank(G, tol=LINE_TOLERANCE) < len(G):
+        raise GraspError(f"the cone of the contacts is flat: {ILL}")
     return _pointed_facets(G / np.linalg.norm(G, axis=0)) @ Q.T
 
 
@@ -217,7 +245,17 @@ def _pointed_facets(G: np.ndarray) -> np.ndarray:
             raise GraspError(f"the cone of the contacts is flat: {ILL}") from error
     normals = -(equations[:, :-1] @ B.T + equations[:, -1:] * h)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    return normals[np.unique(normals.round(9), axis=0, return_index=True)[1]]
+    return distinct(np.array([_refined(n, G) for n in distinct(normals)]))
+
+
+def _refined(n: np.ndarray, G: np.ndarray) -> np.ndarray:
+    """A facet's normal (m,) to the last digits: the null vector of the generators (m, n) on it."""
+    on = G[:, np.abs(n @ G) <= ON_FACET]
+    U, s, _ = np.linalg.svd(on, full_matrices=True)
+    if np.count_nonzero(s > SPANNING) < len(n) - 1:
+        return n  # a facet so small that its generators do not tell where it is
+    exact = U[:, -1] * np.sign(U[:, -1] @ n)
+    return exact if (exact @ G).min() >= -ON_FACET else n
 
 
 def _program(cost: np.ndarray, **parts: Any) -> np.ndarray:

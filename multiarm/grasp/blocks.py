@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import assembled, crosses
+from multiarm.grasp.assembling import assembled, crosses, length_of, proven
 from multiarm.grasp.body_class import classify
 from multiarm.grasp.corners import gripper_frame, shared_corner
 from multiarm.grasp.grasp import Grasp
@@ -62,10 +62,12 @@ class BlockDesign:
     distance: float
 
     def __post_init__(self) -> None:
-        A, E = self.offset, self.seventh_offset
-        lengths = (A, E, self.distance)
-        if not all(np.isfinite(length) and length > 0.0 for length in lengths):
+        what = {"offset": self.offset, "seventh offset": self.seventh_offset}
+        what["distance"] = self.distance
+        lengths = [length_of(value, f"the {name}") for name, value in what.items()]
+        if min(lengths) <= 0.0:
             raise GraspError(f"offset, seventh offset and distance are positive, not {lengths}")
+        A, E = self.offset, self.seventh_offset
         if self.minimum_distance <= 1e-9 * A:
             raise GraspError(
                 f"offset and seventh offset are both {A:g} m: the normal lines at a corner would "
@@ -140,12 +142,7 @@ class BlockDesign:
         made = assembled(block, points, on, [(0, 1, 2, 6), (3, 4, 5)], frames, self._notes())
         inward = np.sign(self.offset - self.seventh_offset)
         bound = self.minimum_distance
-        if not (made.closure and crosses(made, lambda s: points[2] - inward * s * n[0], bound)):
-            raise GraspError(
-                "the grasp hangs on rounding: choose a larger distance of contact 7, or offsets "
-                "that are larger or more different"
-            )
-        return made
+        return proven(made, crosses(made, lambda s: points[2] - inward * s * n[0], bound))
 
     def _places(self, half: np.ndarray) -> np.ndarray:
         """Contacts (7, 3) in axes of the block, about its middle [m]."""
@@ -227,11 +224,12 @@ def block_design(
     offset: float, seventh: float | None = None, distance: float | None = None
 ) -> BlockDesign:
     """The two grippers for blocks, from A alone if need be: E = A / 2, and twice the bound."""
-    E = USUAL_SEVENTH * offset if seventh is None else seventh
+    A = length_of(offset, "the offset")
+    E = USUAL_SEVENTH * A if seventh is None else length_of(seventh, "the seventh offset")
     if distance is None:
-        bound = 2.0 * abs(offset - E)
-        distance = USUAL_DISTANCE * bound if offset > E else 0.5 * (bound + E)
-    return BlockDesign(float(offset), float(E), float(distance))
+        bound = 2.0 * abs(A - E)
+        distance = USUAL_DISTANCE * bound if A > E else 0.5 * (bound + E)
+    return BlockDesign(A, E, length_of(distance, "the distance"))
 
 
 Three = tuple[int, int, int]

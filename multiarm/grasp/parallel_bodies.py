@@ -24,11 +24,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import assembled, crosses, sized
+from multiarm.grasp.assembling import (
+    assembled,
+    crosses,
+    length_of,
+    proven,
+    size_of_gripper,
+    sized,
+)
 from multiarm.grasp.body_class import classify
 from multiarm.grasp.corner_pattern import CornerPattern, corner_pattern, even_offsets, right_handed
 from multiarm.grasp.corners import gripper_frame, shared_corner
@@ -109,12 +117,7 @@ class ParallelDesign:
         frames = [gripper_frame(body, three, at) for three, at in sides]
         on = (*self.faces, *self.opposite, self.faces[2])
         made = assembled(body, points, on, [(0, 1, 2, 6), (3, 4, 5)], frames, self._notes())
-        if not (made.closure and crosses(made, p.last_point, self.minimum_distance)):
-            raise GraspError(
-                "the grasp hangs on rounding: choose a larger distance of contact 7, or offsets "
-                "that are larger or more different"
-            )
-        return made
+        return proven(made, crosses(made, p.last_point, self.minimum_distance))
 
     def _notes(self) -> tuple[str, ...]:
         return (
@@ -162,12 +165,13 @@ def design_parallel_grasp(
     GraspError
         Another class of body; a gripper that is too large; lengths with which no corner works.
     """
-    found = classify(body)
+    found, gripper_size = classify(body), size_of_gripper(gripper_size)
+    offsets = None if offsets is None else _four(offsets)
     if found.kind not in ("block", "three pairs of parallel faces"):
         raise GraspError(f"three pairs of parallel faces are needed; this body is {found.words}")
     best, faults = None, []
     for three, opposite in _arrangements(body, found.pairs, faces):
-        for step in USUAL_STEPS[: 1 if offsets else None]:
+        for step in USUAL_STEPS[: 1 if offsets is not None else None]:
             try:
                 made = _fitted(body, three, opposite, offsets, step, distance, gripper_size)
             except GraspError as error:
@@ -189,10 +193,11 @@ def parallel_design(
     distance: float | None = None,
 ) -> ParallelDesign:
     """The design with given faces and offsets E, F, G1, G2; contact 7 at twice its bound."""
-    pattern = _pattern(body, faces, opposite, offsets)
+    pattern = _pattern(body, faces, opposite, _four(offsets))
     if distance is None:
         distance = usual_distance(body, faces[2], pattern, 2.0)
-    return ParallelDesign(body, faces, opposite, pattern, float(distance))
+    length = length_of(distance, "the distance of contact 7")
+    return ParallelDesign(body, faces, opposite, pattern, length)
 
 
 def usual_distance(body: Polyhedron, top: int, pattern: CornerPattern, factor: float) -> float:
@@ -209,6 +214,14 @@ def usual_distance(body: Polyhedron, top: int, pattern: CornerPattern, factor: f
             f"choose smaller offsets"
         )
     return min(USUAL_DISTANCE * bound, 0.5 * (bound + end))
+
+
+def _four(offsets: Any) -> Offsets:
+    """E, F, G1 and G2 [m]."""
+    if not isinstance(offsets, list | tuple | np.ndarray) or len(offsets) != 4:
+        raise GraspError(f"offsets are the four lengths E, F, G1, G2 in metres, not {offsets!r}")
+    E, F, G1, G2 = (length_of(one, "an offset from the corner") for one in offsets)
+    return E, F, G1, G2
 
 
 def _fitted(

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.necessary_conditions import INCIDENCE, Violation, incidence, named
 
 
@@ -59,7 +59,9 @@ class ThreeMoments:
         return self.independent
 
 
-def three_moments(contacts: Contacts, about: Any = (0.0, 0.0, 0.0)) -> ThreeMoments:
+def three_moments(
+    contacts: Contacts | HeldByContacts, about: Any = (0.0, 0.0, 0.0)
+) -> ThreeMoments:
     """Decide whether the moments of three contacts are independent, and which rules say no.
 
     Parameters
@@ -74,6 +76,7 @@ def three_moments(contacts: Contacts, about: Any = (0.0, 0.0, 0.0)) -> ThreeMome
     GraspError
         Not three contacts in space, or no point.
     """
+    contacts = as_contacts(contacts)
     if contacts.dimension != 3 or contacts.count != 3:
         raise GraspError(f"the rules are about three contacts in space, not {contacts.count}")
     o = point_of(about)
