@@ -405,12 +405,17 @@ def test_a_surface_is_judged_point_by_point_as_the_linear_program_does():
 
 @pytest.mark.parametrize("count", [6, 7, 8, 9, 12])
 def test_facets_of_the_cone_are_those_of_all_sets_of_five_wrenches(count):
-    """Each facet is spanned by five wrenches and has all others on its inner side."""
+    """Each facet is spanned by five wrenches and has all others on its inner side.
+
+    Pushes that nearly balance, on faces that are nearly parallel, are no balance.
+    """
     rng = np.random.default_rng(count)
-    for body in (bodies()[3], BOX):
+    for body, tilt in ((bodies()[3], 0.0), (BOX, 0.0), (BOX, 1e-4), (BOX, 1e-4)):
         contacts = random_contacts(body, count, rng)
         while not is_independent(contacts):
             contacts = random_contacts(body, count, rng)
+        tilted = contacts.normals + tilt * rng.normal(size=contacts.normals.shape)
+        contacts = Contacts.along(contacts.points, tilted)
         W = contacts.scaled_wrenches
         expected = []
         for five in combinations(range(count), 5):
@@ -436,21 +441,22 @@ def turned(seed: int, reach: float = 0.0) -> np.ndarray:
     return pose
 
 
-def test_a_thin_cone_closes_nothing_that_its_contacts_cannot_balance():
-    """Contacts 2 and 6 push along -y and none along +y, so that no push along x balances them.
-
-    Their facet is -y; seen along the thin cone of the eight it is easily off by 1e-12.
-    """
+def thin() -> Contacts:
+    """Eight contacts with a thin cone; 2 and 6 push along -y, none along +y."""
     points = [[0.0, 0.384892, -0.086063], [0.260121, 2.0, 0.178422], [0.71564, 0.932012, -0.5]]
     points += [[2.0, 0.29981, -0.091044], [2.0, 0.631473, -0.071578], [1.42533, 1.0, -0.230397]]
     points += [[0.813866, 1.367544, 0.5], [1.357081, 0.035508, -0.5]]
     normals = [[1, 0, 0], [0, -1, 0], [0, 0, 1], [-1, 0, 0], [-1, 0, 0], [0, -1, 0]]
-    eight = Contacts(points, [*normals, [0, 0, -1], [0, 0, 1]])
+    return Contacts(points, [*normals, [0, 0, -1], [0, 0, 1]])
+
+
+def test_a_thin_cone_closes_nothing_that_its_contacts_cannot_balance():
+    """Nothing balances contacts 2 and 6 when one more pushes along x: their facet says so."""
     face = Face([[2.0, 0.0, -0.5], [2.0, 1.0, -0.5], [2.0, 1.0, 0.5], [2.0, 0.0, 0.5]])
     for seed in range(12):
         pose = turned(seed, 3.0) if seed else np.eye(4)
         moved = Face(face.vertices @ pose[:3, :3].T + pose[:3, 3])
-        contacts = eight.placed(pose)
+        contacts = thin().placed(pose)
         points = points_on(moved, 50, np.random.default_rng(seed))
         for method in METHODS:
             region = seventh_contact_region(contacts, moved, method)
@@ -460,14 +466,16 @@ def test_a_thin_cone_closes_nothing_that_its_contacts_cannot_balance():
 
 def test_facets_hold_their_generators_to_the_last_digits():
     rng = np.random.default_rng(8)
-    tol = 1e4 * np.finfo(float).eps
+    tol = 1e2 * np.finfo(float).eps
+    minus_y = np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.0])
+    assert np.abs(wrench_cone(thin()).facets - minus_y).max(axis=1).min() < tol
     for body in bodies():
         for count in (7, 8, 10):
             contacts = closable(body, count, rng)
             W = contacts.scaled_wrenches / np.linalg.norm(contacts.scaled_wrenches, axis=0)
             for n in wrench_cone(contacts).facets:
                 heights = np.abs(n @ W)
-                assert np.sum(heights < tol) >= 5 and (n @ W).min() > -tol
+                assert np.sum(heights < 1e2 * tol) >= 5 and (n @ W).min() > -1e2 * tol
 
 
 def test_region_and_surface_draw_the_border_at_one_place():
@@ -490,8 +498,8 @@ def test_moments_refuse_normals_that_are_nearly_parallel(tilt):
     """What hangs on the difference of such normals is decided by the inverse alone, and rightly."""
     rng = np.random.default_rng(3)
     decided = {True: 0, False: 0}
-    for _ in range(8):
-        drawn = closable(BOX, int(rng.integers(6, 9)), rng)
+    for _ in range(12):
+        drawn = closable(BOX, int(rng.integers(6, 11)), rng)
         tilted = drawn.normals + tilt * rng.normal(size=drawn.normals.shape)
         contacts = Contacts.along(drawn.points, tilted)
         with pytest.raises(GraspError, match=r"clearly not; those of contact .* use method"):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from shapely.geometry import Polygon
 
 # What is left below this part of the face's area is nothing: no finger could be placed on it.
-NO_AREA = 1e-12
+NO_AREA = 1e-9
 # Corners closer than this, in face sizes, are one.
 SAME_CORNER = 1e-12
 # Rows of numbers of the size of 1 that agree to so many digits are one.

@@ -29,7 +29,6 @@ from itertools import combinations
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.cutting import distinct
 from multiarm.grasp.face import Face
@@ -39,10 +38,10 @@ ZERO = 1e-12
 # Three directions are dependent when the volume they span is below this; their solutions would
 # have lost most of their digits.
 FLAT = 1e-9
-# Three normals are clearly independent when the volume they span is above this; they are dependent
-# when it is below the band in which form closure is not relied on.  Between the two, solutions are
-# 1e6 times as large as the forces and more, and their differences decide.
-CLEAR = 1e-6
+# Three normals are dependent when the volume they span is below DEPENDENT, which is rounding, and
+# clearly independent above CLEAR.  Between the two, solutions are 1e6 times as large as the forces
+# and more, and their differences decide.
+DEPENDENT, CLEAR = 1e-11, 1e-6
 # The routes to all circuits and pairs grow with the fourth power of the number of contacts.
 MOST_CONTACTS = 12
 
@@ -84,7 +83,7 @@ def _check_normals(contacts: Contacts) -> None:
     """Any three normals are dependent or clearly not."""
     triples = np.array(list(combinations(range(contacts.count), 3)))
     volumes = np.abs(np.linalg.det(contacts.normals[triples]))
-    doubtful = np.flatnonzero((volumes > BAND) & (volumes < CLEAR))
+    doubtful = np.flatnonzero((volumes > DEPENDENT) & (volumes < CLEAR))
     if doubtful.size:
         first = int(doubtful[0])
         names = ", ".join(contacts.names[j] for j in triples[first])

@@ -36,10 +36,7 @@ from multiarm.grasp.contacts import (
     wrenches_of,
 )
 from multiarm.grasp.cutting import distinct
-
-# Accuracy that the linear programs are asked for, and a rank decision on what they return, which
-# has to be well above it.
-PROGRAM_TOLERANCE, LINE_TOLERANCE = 1e-10, 1e-9
+from multiarm.grasp.least_distance import least_distance
 
 ILL = (
     "contacts that nearly coincide, or faces that are nearly parallel, make it ill-conditioned; "
@@ -191,33 +188,29 @@ def _facets(W: np.ndarray) -> np.ndarray:
     """Inward unit normals (F, 6) of the cone of unit columns (6, N) that span the space."""
     balanced = _balanced(W)
     U, s, _ = np.linalg.svd(W[:, balanced], full_matrices=True)
-    lines = int(np.sum(s > LINE_TOLERANCE * s[0])) if s.size else 0
+    lines = int(np.sum(s > BAND * s[0])) if s.size else 0
     Q = U[:, lines:]  # (6, m): what the lines leave
     if not Q.shape[1]:
         return np.empty((0, 6))
     G = Q.T @ W[:, ~balanced]  # (m, n): generators of a pointed cone
-    G = G[:, np.linalg.norm(G, axis=0) > LINE_TOLERANCE]
-    if not G.size or np.linalg.matrix_rank(G, tol=LINE_TOLERANCE) < len(G):
+    if G.shape[1] < G.shape[0]:
         raise GraspError(f"the cone of the contacts is flat: {ILL}")
     return _pointed_facets(G / np.linalg.norm(G, axis=0)) @ Q.T
 
 
 def _balanced(W: np.ndarray) -> np.ndarray:
-    """Which columns take part in some balance W lam = 0, lam >= 0; bool, shape (N,).
+    """Which unit columns take part in some balance ``W lam = 0, lam >= 0``; bool, shape (N,).
 
-    maximise sum t  subject to  W lam = 0,  0 <= t <= lam,  t <= 1:  t is 1 for these and 0 else.
+    Those whose opposite is in the cone, by non-negative least squares: an active-set method, right
+    to the last digits where a linear program's tolerance would decide.
     """
-    n = W.shape[1]
-    none = np.zeros_like(W)
-    best = _program(
-        np.r_[np.zeros(n), -np.ones(n)],
-        A_eq=np.hstack([W, none]),
-        b_eq=np.zeros(6),
-        A_ub=np.hstack([-np.eye(n), np.eye(n)]),
-        b_ub=np.zeros(n),
-        bounds=[(0, None)] * n + [(0, 1)] * n,
-    )
-    return best[n:] > 0.5
+    from scipy.optimize import nnls
+
+    try:
+        left = [nnls(W, -w, maxiter=30 * W.shape[1])[1] for w in W.T]
+    except RuntimeError as error:
+        raise GraspError(f"the cone of the contacts could not be found: {ILL}") from error
+    return np.array(left) <= BAND
 
 
 def _pointed_facets(G: np.ndarray) -> np.ndarray:
@@ -227,13 +220,10 @@ def _pointed_facets(G: np.ndarray) -> np.ndarray:
     m, n = G.shape
     if m == 1:
         return np.sign(G[:1, :1])
-    best = _program(  # the direction that is nearest to all generators
-        np.r_[np.zeros(m), -1.0],
-        A_ub=np.hstack([-G.T, np.ones((n, 1))]),
-        b_ub=np.zeros(n),
-        bounds=[(-1, 1)] * m + [(None, None)],
-    )
-    h = best[:m] / np.linalg.norm(best[:m])
+    h = least_distance(G.T, np.ones(n)).direction  # nearest to all generators
+    if not (h @ G).min() > 0.0:
+        raise GraspError(f"the cone of the contacts is flat: {ILL}")
+    h = h / np.linalg.norm(h)
     B = np.linalg.svd(h[None])[2][1:].T  # (m, m - 1): across h
     slice_ = (B.T @ G / (h @ G)).T  # (n, m - 1): the cone cut at h . w = 1
     if m == 2:
@@ -256,17 +246,3 @@ def _refined(n: np.ndarray, G: np.ndarray) -> np.ndarray:
         return n  # a facet so small that its generators do not tell where it is
     exact = U[:, -1] * np.sign(U[:, -1] @ n)
     return exact if (exact @ G).min() >= -ON_FACET else n
-
-
-def _program(cost: np.ndarray, **parts: Any) -> np.ndarray:
-    """Solution of a linear program that has one."""
-    from scipy.optimize import linprog
-
-    accuracy = {
-        "primal_feasibility_tolerance": PROGRAM_TOLERANCE,
-        "dual_feasibility_tolerance": PROGRAM_TOLERANCE,
-    }
-    found = linprog(cost, options=accuracy, **parts)
-    if found.x is None:
-        raise GraspError(f"the cone of the contacts could not be found ({found.message}): {ILL}")
-    return found.x
