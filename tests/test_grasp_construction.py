@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import assembled, crosses, largest_gripper, two_groups
+from multiarm.grasp.assembling import assembled, crosses, largest_gripper, proven, two_groups
 from multiarm.grasp.blocks import BlockDesign, block_design, design_block_grasp
 from multiarm.grasp.body_class import classify
 from multiarm.grasp.closure_search import search_grasp
@@ -172,6 +172,10 @@ def test_the_grippers_hold_every_block_above_the_smallest(A, ratio, beyond, fact
 def test_what_holds_by_less_than_rounding_is_refused():
     with pytest.raises(GraspError, match="hangs on rounding"):
         block_design(1.0, 0.5, 1.0 + 1e-10).grasp([10.0, 10.0, 10.0])
+    holds = design_block_grasp([1.0, 1.0, 1.0])
+    assert proven(holds, True) is holds
+    with pytest.raises(GraspError, match="hangs on rounding: choose others"):
+        proven(holds, False, "choose others")
 
 
 def test_a_small_gripper_holds_a_block_a_thousand_times_its_size():

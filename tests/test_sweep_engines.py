@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -95,9 +98,16 @@ def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, p
     assert len({row[4]["final_z"] for row in expected}) == 12  # so that a mix-up would be seen
 
 
-def test_a_run_does_not_depend_on_those_before_it(plan, expected):
+def test_a_run_does_not_depend_on_those_before_it(scene, plan, expected):
     backwards = in_process(Work.of(plan), jobs(plan, lambda runs: runs[::-1]))
     assert repeatable(backwards) == expected
+    lighter = make_plan(scene.replace(gravity=None), OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
+    between = [job for pair in zip(jobs(plan), jobs(lighter), strict=True) for job in pair]
+    mixed = [
+        perform(Work.of(plan if k % 2 == 0 else lighter), job) for k, job in enumerate(between)
+    ]
+    assert [same(row) for row in mixed[::2]] == expected
+    assert mixed[0].quantities != mixed[1].quantities
     alone = [perform(Work.of(plan, session=str(k)), job) for k, job in enumerate(jobs(plan)[:2])]
     assert list(map(same, alone)) == expected[:2]
 
@@ -162,6 +172,18 @@ def test_batches_take_about_the_same_time_however_long_a_run_takes():
         expected = min(max(int(TARGET / wall), 1), MOST_JOBS)
         assert len(next(fresh)) == expected
     assert [job.run for job in next(batches)] == [2]
+
+
+def test_towards_the_end_batches_become_short_so_that_workers_end_together():
+    batches = Batches((Job(run, {}) for run in range(1, 101)), count=100)
+    batches.workers = 2
+    batches.learn([timed(0, 0.01)])
+    sizes = [len(batch) for batch in batches]
+    assert sum(sizes) == 100
+    assert sizes == sorted(sizes, reverse=True) and sizes[-1] == 1
+    # no batch is longer than what is left after it makes for each worker
+    assert all(size <= max(1, sum(sizes[k:]) / 2) for k, size in enumerate(sizes))
+    assert sizes[0] == 12
 
 
 def test_jobs_are_made_when_they_are_asked_for(plan):
@@ -231,6 +253,41 @@ def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypat
     assert repeatable(on_processes(Work.of(plan), jobs(plan), 2)) == here
 
 
+CALLER = """
+from mechanics import ur5_pair
+from multiarm.sweeps.engines import on_processes
+from multiarm.sweeps.plan import make_plan
+from multiarm.sweeps.work import Job, Work
+weld = {"kind": "weld"}
+over, run = {"object.mass": {"linspace": [1, 9, 100000]}}, {"duration": 0.02, "arms": "compiled"}
+plan = make_plan(ur5_pair(weld, weld), over, keep=["steps"], run=run)
+for rows in on_processes(Work.of(plan), (Job(*one) for one in plan.runs()), 2):
+    print(rows[0].worker.rpartition(":")[2], flush=True)
+"""
+
+
+def alive(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def test_workers_end_when_their_caller_was_killed():
+    here = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", CALLER]
+    with subprocess.Popen(command, env=here, stdout=subprocess.PIPE, text=True) as caller:
+        workers = {caller.stdout.readline().strip()}
+        while len(workers) < 2:
+            workers.add(caller.stdout.readline().strip())
+        assert all(map(alive, workers))
+        caller.kill()
+    until = time.monotonic() + 60.0
+    while any(map(alive, workers)) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not any(map(alive, workers))
+
+
 def test_what_cannot_be_sent_to_workers_is_told(scene):
     lock = threading.Lock()
     plan = make_plan(scene, {MASS: [5.0]}, keep=[lambda trajectory: lock and 1.0], run=RUN)
@@ -268,6 +325,34 @@ def test_a_sweep_that_is_stopped_goes_on_where_it_was(scene, expected, tmp_path)
     fresh = ma.sweep(scene, OVER, workers=1, resume=False, **asked)
     assert list(map(same, fresh.rows())) == list(map(same, rows))
     assert len((tmp_path / "notes").read_text()) == 24
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.99], ids=["run", "check", "end of check"])
+def test_a_run_that_ctrl_c_ended_is_no_row_nor_one_whose_check_it_ended(scene, share, monkeypatch):
+    monkeypatch.setattr("multiarm.scene.own_effects._REGISTERED", {})
+    calls, when = [], [None]
+
+    class Press(ma.Effect):
+        name = "press"
+
+        def forces(self, t, state):
+            calls.append(t)
+            if len(calls) == when[0]:
+                signal.raise_signal(signal.SIGINT)
+            return ma.Loads()
+
+    ma.register_effect(Press)
+    plan = make_plan(scene, {"effects.press": [{}]}, keep=["estimated_error"], run=RUN)
+    (job,), own = jobs(plan), Work.of(plan)
+    perform(own, job)
+    calls.clear()
+    whole = perform(own, job)
+    assert whole.quantities["estimated_error"] > 0.0
+    when[0] = int(share * len(calls))
+    calls.clear()
+    with pytest.raises(KeyboardInterrupt):
+        perform(own, job)
+    assert same(perform(own, job)) == same(whole)
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -71,8 +71,18 @@ def opened(cluster: Any) -> Iterator[Client]:
         client.close()
 
 
-def on_cluster(work: Work, jobs: Iterable[Job], client: Client) -> Iterator[list[Row]]:
+def on_cluster(
+    work: Work, jobs: Iterable[Job], client: Client, count: int | None = None
+) -> Iterator[list[Row]]:
     """Rows of runs that are carried out by the workers of a cluster.
+
+    Parameters
+    ----------
+    work : Work
+    jobs : iterable of Job
+    client : distributed.Client
+    count : int, optional
+        Of the jobs.
 
     Raises
     ------
@@ -80,11 +90,12 @@ def on_cluster(work: Work, jobs: Iterable[Job], client: Client) -> Iterator[list
         When the cluster has no workers, is lost, or its workers cannot do the work.
     """
     _wait_for_workers(client)
-    batches = Batches(jobs)
+    batches = Batches(jobs, count)
     crew = _Crew(work, client)
     try:
         for rows in crew.rows(batches):
             batches.learn(rows)
+            batches.workers = crew.threads
             yield rows
         yield from crew.rows([job] for job in crew.take_lost())
         for job in crew.take_lost():
@@ -110,7 +121,7 @@ class _Crew:
         self._work, self._client = work, client
         self._out: dict[Any, tuple[Future, list[Job]]] = {}
         self._lost: deque[Job] = deque()
-        self._places, self._looked = 0, 0.0
+        self.threads, self._looked = 0, 0.0
         self.deaths = 0
 
     def rows(self, batches: Iterable[list[Job]]) -> Iterator[list[Row]]:
@@ -149,10 +160,10 @@ class _Crew:
     def _room(self) -> int:
         """Batches that may be under way."""
         now = time.monotonic()
-        if now >= self._looked + LOOK or not self._places:
+        if now >= self._looked + LOOK or not self.threads:
             threads = self._client.nthreads()
-            self._places, self._looked = AHEAD * sum(threads.values()), now
-        return max(1, self._places)
+            self.threads, self._looked = max(1, sum(threads.values())), now
+        return AHEAD * self.threads
 
     def _back(self, future: Future) -> list[Row]:
         """The rows of a batch that ended; none of one that was lost."""

@@ -7,10 +7,13 @@ by run, then each run alone.  A run whose workers die every time is a row that s
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
+import time
 import warnings
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pickle import PicklingError
 from typing import Any
 
@@ -24,6 +27,8 @@ __all__ = ["DEATHS", "dead_row", "in_process", "on_processes", "processors"]
 
 DEATHS = 3
 """Workers that may die on a run."""
+LOOK = 1.0
+"""[s] between two looks of a worker whether its caller is still there."""
 
 
 def in_process(work: Work, jobs: Iterable[Job]) -> Iterator[list[Row]]:
@@ -35,7 +40,9 @@ def in_process(work: Work, jobs: Iterable[Job]) -> Iterator[list[Row]]:
         yield rows
 
 
-def on_processes(work: Work, jobs: Iterable[Job], workers: int) -> Iterator[list[Row]]:
+def on_processes(
+    work: Work, jobs: Iterable[Job], workers: int, count: int | None = None
+) -> Iterator[list[Row]]:
     """Rows of runs that are carried out by processes on this computer (joblib, loky).
 
     Parameters
@@ -44,10 +51,13 @@ def on_processes(work: Work, jobs: Iterable[Job], workers: int) -> Iterator[list
     jobs : iterable of Job
         May be asked by another thread.
     workers : int
+    count : int, optional
+        Of the jobs.
     """
     if not advance.is_cached():
         warm(work)  # else every worker would compile the kernels for itself
-    batches = Batches(jobs)
+    batches = Batches(jobs, count)
+    batches.workers = workers
     while True:
         lost: list[Job] = []
         for rows in _until_death(work, batches, workers, lost):
@@ -109,7 +119,7 @@ def _until_death(
     def handed_out() -> Iterator[Any]:
         for batch in batches:
             out.update((job.run, job) for job in batch)
-            yield delayed(_perform_there)(work, batch)
+            yield delayed(_perform_there)(work, batch, os.getpid())
 
     pool = Parallel(
         n_jobs=max(2, workers),  # with one, joblib would take this process
@@ -143,8 +153,21 @@ def _unsendable(error: Exception) -> str:
     )
 
 
-def _perform_there(work: Work, jobs: list[Job]) -> list[Row]:
+def _perform_there(work: Work, jobs: list[Job], caller: int) -> list[Row]:
     """What a worker process does.  Ctrl-C reaches it too; only the caller acts on it."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _end_with(caller)
     return perform_all(work, jobs)
+
+
+@cache
+def _end_with(caller: int) -> None:
+    """Let this process end soon after the one that began it, even if that was killed."""
+
+    def watch() -> None:
+        while os.getppid() == caller:
+            time.sleep(LOOK)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -168,15 +168,16 @@ def _rows(plan: SweepPlan, file: SweepFile, workers: int | None, dask: Any) -> I
 
     work = Work.of(plan, session=uuid.uuid4().hex)
     jobs = (Job(run, values) for run, values in plan.among(file.done.missing()))
+    missing = plan.count - len(file.done)
     if dask:
         with opened(dask) as client:
-            yield from on_cluster(work, jobs, client)
+            yield from on_cluster(work, jobs, client, missing)
         return
-    at_once = min(workers or processors(), plan.count - len(file.done))
+    at_once = min(workers or processors(), missing)
     if at_once == 1:
         yield from in_process(work, jobs)
     else:
-        yield from on_processes(work, jobs, at_once)
+        yield from on_processes(work, jobs, at_once, missing)
 
 
 def _check_engine(workers: Any, dask: Any) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from multiarm.certificate.words import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.compilation import compile_system
 from multiarm.errors import MultiarmError, SweepError
 from multiarm.scene import Scene, changed, parse_path, parse_scene
@@ -133,8 +134,7 @@ def perform(work: Work, job: Job) -> Row:
     try:
         trajectory = _simulated(work, job.values)
         status, message = trajectory.status, trajectory.message
-        if status == "interrupted":
-            raise KeyboardInterrupt
+        _raise_interrupt(trajectory)
         if status == "completed":
             numbers, fault = measure(work.quantities, trajectory)
             status, message = ("failed", fault) if fault else (status, message)
@@ -162,7 +162,7 @@ def simulate_run(plan: SweepPlan, run: int) -> Trajectory:
 def _simulated(work: Work, values: Mapping[str, Any]) -> Trajectory:
     base = _base(work)
     system = compile_system(changed(base.scene, values), like=base.system)
-    return simulate(system, certificate=False)
+    return simulate(system, certificate=work.certificate)
 
 
 @dataclass(frozen=True)
@@ -189,11 +189,20 @@ def _base(work: Work) -> _Base:
     system: System | None = None
     try:
         system = compile_system(scene)
-        simulate(system, min(scene.run.duration, scene.run.output_step), certificate=False)
+        short = min(scene.run.duration, scene.run.output_step)
+        _raise_interrupt(simulate(system, short, certificate=False))
     except Exception:
         pass  # what is wrong is told by every run that meets it
     _memory.key, _memory.base = key, _Base(scene, system)
     return _memory.base
+
+
+def _raise_interrupt(trajectory: Trajectory) -> None:
+    """Let Ctrl-C act: a run that it ended, or whose check it ended, is no result."""
+    reason = (trajectory.certificate or {}).get("reason")
+    unchecked = trajectory.message.endswith(INTERRUPTED_WORDS)
+    if unchecked or INTERRUPTED in (trajectory.status, reason):
+        raise KeyboardInterrupt
 
 
 def _worker() -> str:
