@@ -174,6 +174,17 @@ def test_a_grasp_without_friction_is_designed_run_and_found_by_touch(printed):
     assert "off by less than 1e-9 m: True" in text
 
 
+def test_a_sweep_goes_on_where_it_was_ended(printed, tmp_path):
+    text = printed("11_sweep.py", "--plot", tmp_path / "sweep.png")
+    assert "ended half way: True" in text
+    assert figures(r"(?m)^# of# runs: \{'completed':#\}$", text) == [(32.0, 32.0, 32.0)]
+    rows = np.array(figures(r"# kg: contact forces up to# N, off its path by# mm", text))
+    np.testing.assert_array_equal(rows[:, 0], [5.0, 20.0, 35.0, 50.0])
+    assert np.all(np.diff(rows[:, 1]) > 0.0)  # heavier boxes press harder
+    assert "once more: completed" in text
+    assert (tmp_path / "sweep.png").stat().st_size > 10_000
+
+
 def test_many_runs_tell_where_the_box_ends(printed, tmp_path):
     text = printed("09_many_runs.py", "--runs", 12, "--plot", tmp_path / "ends.png")
     assert figures("(?m)^# runs of# s in# s: completed$", text)[0][:2] == (12.0, 5.0)
@@ -197,11 +208,16 @@ def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     assert written == set(re.findall(r'"([\w.]+\.(?:h5|html))"', code))
 
 
-def test_all_python_of_the_readme_runs_from_top_to_bottom(workshop):
+def test_all_python_of_the_readme_runs_and_prints_what_stands_below_it(workshop, capsys):
     names: dict[str, object] = {}
-    for code in blocks("python"):
+    pairs = re.findall(r"^```python\n(.*?)^```\n(?:\s*^```text\n(.*?)^```$)?", README, re.M | re.S)
+    assert [code for code, _ in pairs] == blocks("python")
+    for code, expected in pairs:
         exec(compile(code, "README.md", "exec"), names)
-    assert len(blocks("python")) >= 1
+        printed = capsys.readouterr().out
+        if expected:
+            assert_same_print(printed, expected)
+    assert sum(bool(expected) for _, expected in pairs) >= 5
 
 
 def test_readme_names_all_kinds_of_joints_and_control_and_all_integrators():
