@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -74,6 +75,32 @@ def test_a_scene_goes_to_standard_output_and_nothing_else_does(designed):
     assert result.exit_code == 0, result.output
     assert parse_scene(result.stdout) == ma.load_scene(path)
     assert result.stdout.startswith("# multiarm")
+
+
+def test_an_optimised_grasp_tells_its_gap_and_is_drawn(tmp_path):
+    picture, scene = tmp_path / "grasp.png", tmp_path / "grasp.yaml"
+    result = grasp(
+        "design", "box:0.9,0.7,0.5", "--optimise", "margin", "--gripper-size", 0.2, "--gap", 0.1,
+        "--plot", picture, "--out", scene,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    value, bound = map(
+        float, re.search(r"margin ([\d.]+), at most ([\d.]+)", result.stderr).groups()
+    )
+    assert 0.9 * bound - 1e-3 <= value <= bound
+    judged = judge_grasp(ma.compile_system(ma.load_scene(scene)))
+    assert judged.margin == pytest.approx(value, abs=2e-4)  # four digits are told
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_grasp_of_a_scene_is_drawn_where_its_faces_are_known(designed, tmp_path):
+    _, path = designed
+    assert grasp("check", path, "--plot", tmp_path / "a.svg").exit_code == 0
+    assert "<svg" in (tmp_path / "a.svg").read_text()
+    refused = grasp("check", WELDED, "--plot", tmp_path / "b.svg")
+    assert refused.exit_code == 2
+    assert "no grasp of a polyhedron" in refused.stderr
+    assert not (tmp_path / "b.svg").exists()
 
 
 @pytest.mark.parametrize(
