@@ -21,7 +21,14 @@ from typing_extensions import Self
 
 from multiarm.cli.terminal import messages
 
-__all__ = ["ManyRunsProgress", "PartProgress", "RunProgress", "StudyProgress", "kernels_are_cached"]
+__all__ = [
+    "ManyRunsProgress",
+    "PartProgress",
+    "RunProgress",
+    "StudyProgress",
+    "kernels_are_cached",
+    "passing_bar",
+]
 
 COMPILING = "compiling kernels (only the first time on this machine)"
 
@@ -33,6 +40,19 @@ def kernels_are_cached(integrator: str | None = None) -> bool:
 
     return advance.is_cached() and (
         integrator not in OWN_STEPS or OWN_STEPS[integrator].is_cached()
+    )
+
+
+def passing_bar(console: Console, *columns: ProgressColumn, hidden: bool = False) -> Progress:
+    """A bar with words before it and columns behind it, on terminals only; gone in the end."""
+    return Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        *columns,
+        console=console,
+        transient=True,
+        disable=hidden or not console.is_terminal,
     )
 
 
@@ -59,15 +79,7 @@ class RunProgress:
         self, console: Console, duration: float, quiet: bool, integrator: str | None = None
     ) -> None:
         self._console, self._duration, self._quiet = console, duration, quiet
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(),
-            _SimulatedTime(),
-            console=console,
-            transient=True,
-            disable=quiet or not console.is_terminal,
-        )
+        self._bar = passing_bar(console, _SimulatedTime(), hidden=quiet)
         self._task = self._bar.add_task("preparing", total=None)
         self._began: float | None = None
         self.compiling = not kernels_are_cached(integrator)
@@ -120,17 +132,7 @@ class ManyRunsProgress:
     """
 
     def __init__(self, runs: int, duration: float) -> None:
-        console = messages()
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(),
-            _SimulatedTime(),
-            TimeRemainingColumn(),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
+        self._bar = passing_bar(messages(), _SimulatedTime(), TimeRemainingColumn())
         self._runs, self._began = runs, time.perf_counter()
         words = f"0 of {runs} runs" if kernels_are_cached() else COMPILING
         self._task = self._bar.add_task(words, total=duration)
@@ -156,16 +158,7 @@ class PartProgress:
     """A bar on a terminal, told the part that is done, 0 to 1, and what is being done."""
 
     def __init__(self) -> None:
-        console = messages()
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TimeElapsedColumn(),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
+        self._bar = passing_bar(messages(), TimeElapsedColumn())
         self._task = self._bar.add_task("preparing", total=1.0)
 
     def __enter__(self) -> Self:
@@ -194,16 +187,7 @@ class StudyProgress:
     def __init__(self, total: float | None = None, counted: bool = False) -> None:
         console = messages()
         count = [TextColumn("{task.completed:.0f} of {task.total:.0f}")] if counted else []
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            *count,
-            TimeElapsedColumn(),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
+        self._bar = passing_bar(console, *count, TimeElapsedColumn())
         compiling = not kernels_are_cached()
         self._task = self._bar.add_task(COMPILING if compiling else "preparing", total=total)
         self._begun = -1

@@ -6,9 +6,10 @@ import math
 import time
 from datetime import datetime, timedelta
 
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+from rich.progress import TextColumn
 from typing_extensions import Self
 
+from multiarm.cli.progress import passing_bar
 from multiarm.cli.terminal import messages
 
 __all__ = ["SweepProgress"]
@@ -28,16 +29,8 @@ class SweepProgress:
 
     def __init__(self, quiet: bool = False) -> None:
         self._console, self._quiet = messages(), quiet
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.percentage:3.0f} %"),
-            TextColumn("{task.fields[left]}"),
-            console=self._console,
-            transient=True,
-            disable=quiet or not self._console.is_terminal,
-        )
+        done, left = TextColumn("{task.percentage:3.0f} %"), TextColumn("{task.fields[left]}")
+        self._bar = passing_bar(self._console, done, left, hidden=quiet)
         self._task = self._bar.add_task("preparing", total=None, left="")
         self._begun: int | None = None
         self._first: tuple[int, float] | None = None
