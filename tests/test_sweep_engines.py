@@ -232,6 +232,24 @@ def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
     assert found[2][1].startswith("its worker died 3 times")
 
 
+def test_a_single_run_that_kills_its_worker_does_not_kill_its_caller(scene, functions, tmp_path):
+    """Asked for two workers, and there is only one run: it still has a process of its own."""
+    asked = {"over": {MASS: [10.0]}, "keep": [f"{functions}:always"], "certificate": False}
+    found = ma.sweep(scene, asked, out=tmp_path / "one.h5", workers=2, **RUN)
+    assert found.status_counts == {"failed": 1}
+    assert "its worker died 3 times" in found.row(1).message
+
+
+def test_a_function_that_leaves_the_program_is_a_row_that_says_so(scene, tmp_path):
+    def leaving(trajectory):
+        raise SystemExit(3)
+
+    asked = {"over": {MASS: [5.0, 10.0]}, "certificate": False}
+    found = ma.sweep(scene, asked, out=tmp_path / "s.h5", keep=[leaving], workers=1, **RUN)
+    assert found.status_counts == {"failed": 2}
+    assert "SystemExit" in found.row(2).message
+
+
 def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypatch):
     monkeypatch.setattr("multiarm.scene.own_effects._REGISTERED", {})
 

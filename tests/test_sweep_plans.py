@@ -340,6 +340,13 @@ extra: 1
 @pytest.mark.parametrize(
     ("written", "text"),
     [
+        ({"linspace": [1, 2, 1e30]}, "linspace: has at most 1,000,000,000 values"),
+        ({"range": [1, 10**30]}, "range: must be whole numbers of at most 9,007,199,254,740,992"),
+        ({"range": [10**12]}, "range: has at most 1,000,000,000 values, got 1,000,000,000,000"),
+        ({"integers": [1, 1e300]}, "integers: must be whole numbers of at most"),
+        ({"lognormal": {"median": 1.0, "deviation": 1000}}, "are beyond all numbers"),
+        ({"normal": None}, "'normal' is empty; write what it takes behind it"),
+        ({"lognormal": None}, "'lognormal' is empty"),
         ({"linspace": [1, 2]}, "linspace: must be [first, last, how many], got [1, 2]"),
         ({"linspace": [1, 2, 2.5]}, "how many values there are, the third entry, must be a whole"),
         ({"linspace": [1, 2, 0]}, "the third entry, must be at least 1, got 0"),
@@ -416,6 +423,12 @@ def test_a_file_that_is_no_sweep_is_told(scene, content, text, tmp_path):
         (tmp_path / "sweep.yaml").write_bytes(content)
     with pytest.raises(SweepError, match=re.escape(text)):
         make_plan(scene, tmp_path / "sweep.yaml")
+
+
+def test_values_that_fit_no_scene_beside_their_path_are_all_told(scene):
+    """A robot without the tip that the scene names: the fault lies at the tip."""
+    with pytest.raises(SweepError, match=r"no scene is made by arms\.left\.robot = 'planar_3r'"):
+        make_plan(scene, {"arms.left.robot": ["ur5", "planar_3r"]})
 
 
 def test_a_sweep_needs_a_scene(scene, tmp_path):

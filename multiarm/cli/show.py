@@ -141,6 +141,9 @@ def _run_of_sweep(result: Path, run: int | None) -> Trajectory:
             )
         values = ", ".join(f"{path} = {value}" for path, value in sweep.values_of(run).items())
         messages().print(Text(f"simulating run {run}: {values}"), soft_wrap=True)
+        row = sweep.row(run) if run in sweep.runs else None
+        if row is not None and row.status == "failed":
+            print_warnings([f"this run is a failed one of the sweep: {row.message}"])
         return sweep.trajectory(run)
     finally:
         sweep.close()

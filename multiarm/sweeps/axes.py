@@ -144,6 +144,10 @@ def _from_one(value: Any) -> int:
     return _whole(1, value)
 
 
+# Values that an axis may have, and the largest whole number in it: those of a float are exact.
+MOST_VALUES, LARGEST = 10**9, 2**53
+
+
 Count = Annotated[int, BeforeValidator(_from_one)]
 NonNegativeCount = Annotated[int, BeforeValidator(_from_zero)]
 
@@ -163,6 +167,8 @@ def _spaced(value: Any) -> list[Any]:
         count = _whole(1, value[2])
     except Exception as error:
         raise fault(f"how many values there are, the third entry, {error}") from None
+    if count > MOST_VALUES:
+        raise fault(f"has at most {MOST_VALUES:,} values, got {count:,}")
     return [*number_list(value[:2]), count]
 
 
@@ -188,6 +194,10 @@ def _counted(value: Any) -> list[int]:
             f"must be whole numbers [stop], [start, stop] or [start, stop, step] as Python's range "
             f"takes them, got {shown(value)}; of other numbers make a 'linspace'"
         )
+    if max(map(abs, value)) > LARGEST:
+        raise fault(f"must be whole numbers of at most {LARGEST:,}, got {shown(value)}")
+    if value[2:] != [0] and len(range(*value)) > MOST_VALUES:
+        raise fault(f"has at most {MOST_VALUES:,} values, got {len(range(*value)):,}")
     if value[2:] == [0] or not range(*value):
         raise fault(f"has no values: range({', '.join(map(str, value))}) is empty")
     return value
@@ -214,7 +224,13 @@ def _whole_bounds(value: Any) -> list[int]:
     low, high = _bounds(value)
     if not (low.is_integer() and high.is_integer()):
         raise fault(f"must be whole numbers, got {shown(value)}; of others make it 'uniform'")
+    if max(abs(low), abs(high)) > LARGEST:
+        raise fault(f"must be whole numbers of at most {LARGEST:,}, got {shown(value)}")
     return [int(low), int(high)]
+
+
+# So many deviations above its median a drawn value may be.
+FARTHEST = 9.0
 
 
 class NormalSpec(Spec):
@@ -229,6 +245,15 @@ class LogNormalSpec(Spec):
 
     median: Positive
     deviation: Positive
+
+    @model_validator(mode="after")
+    def _stays_finite(self) -> Self:
+        if math.log(self.median) + FARTHEST * self.deviation > math.log(1e300):
+            raise fault(
+                f"values {FARTHEST:g} deviations above the median are beyond all numbers; the "
+                f"deviation is that of the logarithm, 0.1 spreads by a tenth"
+            )
+        return self
 
 
 class AxisSpec(Spec):
@@ -274,6 +299,8 @@ class AxisSpec(Spec):
                 f"must be a list of values or a table with one of "
                 f"{', '.join(type(self).model_fields)}; got {given}"
             )
+        if getattr(self, self.name) is None:
+            raise fault(f"'{self.name}' is empty; write what it takes behind it")
         return self
 
     @property

@@ -145,7 +145,12 @@ def _at_its_axis(
         if _meet(place(parse_path(path)), where)
     ]
     if not found:
-        return (fault,), f"$.over: the first values of all paths make no scene: {fault}"
+        tried = ", ".join(
+            f"{path} = {shown(value)}"
+            for axis, entry in zip(axes, entries, strict=True)
+            for path, value in _values(axis, entry).items()
+        )
+        return (fault,), f"$.over: no scene is made by {tried}: {fault}"
     at, axis, entry, path = max(found, key=lambda one: len(one[0]))
     if len(where) <= len(at) and _of_path(text):
         return (at, text), f"{_place(axis)}: {text}"

@@ -43,7 +43,7 @@ def write_csv(table: SweepTable, path: str | os.PathLike) -> Path:
     kinds = kinds_of(table)
     with (
         in_one_step(Path(path), "CSV") as partial,
-        partial.open("w", newline="", encoding="utf-8") as f,
+        partial.open("w", newline="", encoding="utf-8", errors="backslashreplace") as f,
     ):
         writer = csv.writer(f)
         writer.writerow([column.name for column in table.columns])

@@ -109,7 +109,7 @@ def _measured(
     name = own[0].name if key is None else own[0].name.removesuffix(f".{key}")
     try:
         given = _loaded(function, own[0].digest)(trajectory)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise _Fault(f"quantity {name!r} raised {type(error).__name__}: {error}") from error
     if key is None:
         return {own[0].name: _number(given, name)}

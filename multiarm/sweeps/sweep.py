@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import SweepError
@@ -30,7 +31,7 @@ def sweep(
     out: str | os.PathLike = "sweep.h5",
     workers: int | None = None,
     dask: str | bool | Client | None = None,
-    keep: Sequence[Any] | None = None,
+    keep: str | Sequence[Any] | None = None,
     repeat: int | None = None,
     combine: str | None = None,
     sampling: str | None = None,
@@ -100,7 +101,7 @@ def sweep(
     """
     _check_engine(workers, dask)
     asked = {
-        "keep": None if keep is None else list(keep),
+        "keep": [keep] if isinstance(keep, str) else None if keep is None else list(keep),
         "repeat": repeat,
         "combine": combine,
         "sampling": sampling,
@@ -174,7 +175,7 @@ def _rows(plan: SweepPlan, file: SweepFile, workers: int | None, dask: Any) -> I
             yield from on_cluster(work, jobs, client, missing)
         return
     at_once = min(workers or processors(), missing)
-    if at_once == 1:
+    if workers == 1 or processors() == 1:
         yield from in_process(work, jobs)
     else:
         yield from on_processes(work, jobs, at_once, missing)
@@ -183,6 +184,6 @@ def _rows(plan: SweepPlan, file: SweepFile, workers: int | None, dask: Any) -> I
 def _check_engine(workers: Any, dask: Any) -> None:
     if workers is not None and dask:
         raise SweepError("workers and dask exclude each other: a cluster has its own workers")
-    whole = isinstance(workers, int) and not isinstance(workers, bool)
+    whole = isinstance(workers, Integral) and not isinstance(workers, bool)
     if workers is not None and not (whole and workers >= 1):
         raise SweepError(f"workers: must be a number from 1 on, got {workers!r}")

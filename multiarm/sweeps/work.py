@@ -140,7 +140,7 @@ def perform(work: Work, job: Job) -> Row:
             status, message = ("failed", fault) if fault else (status, message)
     except MultiarmError as error:
         status, message = "failed", f"the run could not begin: {error}"
-    except Exception as error:  # of functions and effects of the user's, which may do anything
+    except (Exception, SystemExit) as error:  # functions and effects of the user's may do anything
         status, message = "failed", f"the run broke off: {type(error).__name__}: {error}"
     wall = time.perf_counter() - began
     return Row(job.run, status, message, job.values, numbers, wall, _worker())
