@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import random
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -32,6 +32,7 @@ class StandInPlan:
     paths: tuple[str, ...] = ("object.mass", "effects.joint_damping", "name", "run")
     fingerprint: str = "stand-in"
     scene_text: str = "gravity: [0, 0, -9.81]\n"
+    files: dict[str, str] = field(default_factory=dict)
 
     @property
     def quantities(self) -> tuple[Any, ...]:

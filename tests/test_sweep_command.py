@@ -202,6 +202,31 @@ def test_a_sweep_of_which_no_run_completes_is_an_error(tmp_path):
 # One run of it
 
 
+def test_what_cannot_be_drawn_costs_no_table(tmp_path):
+    """Nothing is kept of the runs: the figures are written all the same, and the plot is told."""
+    (tmp_path / "few.yaml").write_text(SWEEP + "keep: []\n")
+    out, files = tmp_path / "few.h5", {k: tmp_path / f"few.{k}" for k in ("png", "csv", "json")}
+    result = multiarm(
+        "sweep", SCENE, "--over", tmp_path / "few.yaml", "--out", out, "--workers", 1,
+        "--plot", files["png"], "--csv", files["csv"], "--json", files["json"],
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert "nothing was drawn" in " ".join(result.stderr.split())
+    assert len(files["csv"].read_text().splitlines()) == 7
+    assert json.loads(files["json"].read_text())["files"].keys() == {"result", "csv"}
+    assert not files["png"].exists()
+
+
+def test_a_run_of_which_numbers_failed_says_so_when_it_is_looked_at(tmp_path):
+    (tmp_path / "q.py").write_text("def f(trajectory):\n    raise ValueError('bad')\n")
+    (tmp_path / "bad.yaml").write_text(SWEEP + "keep: ['q.py:f']\n")
+    out = tmp_path / "bad.h5"
+    multiarm("sweep", SCENE, "--over", tmp_path / "bad.yaml", "--out", out, "--workers", 1)
+    result = multiarm("replay", out, "--run", 2, "--html", tmp_path / "a.html")
+    assert result.exit_code == 0, result.output
+    assert "this run is a failed one of the sweep" in " ".join(result.stderr.split())
+
+
 def test_a_run_made_once_more_is_the_run_that_was_made(made):
     sweep = load_sweep(made[0] / "m.h5")
     for run in (2, 5):

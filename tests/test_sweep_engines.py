@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mechanics import ur5_pair
+from mechanics import SCENES, ur5_pair
 from sweep_runs import (
     FUNCTIONS,
     GRIP,
@@ -248,6 +248,75 @@ def test_a_function_that_leaves_the_program_is_a_row_that_says_so(scene, tmp_pat
     found = ma.sweep(scene, asked, out=tmp_path / "s.h5", keep=[leaving], workers=1, **RUN)
     assert found.status_counts == {"failed": 2}
     assert "SystemExit" in found.row(2).message
+
+
+def test_a_cluster_that_does_not_answer_costs_no_rows(scene, tmp_path, monkeypatch):
+    """Not even when the sweep shall begin anew."""
+
+    def silent(dask):
+        raise SweepError("the cluster does not answer")
+
+    out = tmp_path / "s.h5"
+    asked = {"over": {MASS: [5.0, 10.0]}, "certificate": False}
+    ma.sweep(scene, asked, out=out, workers=1, **RUN)
+    monkeypatch.setattr("multiarm.sweeps.cluster.opened", silent)
+    with pytest.raises(SweepError, match="does not answer"):
+        ma.sweep(scene, asked, out=out, dask="tcp://127.0.0.1:1", resume=False, **RUN)
+    assert len(ma.load_sweep(out)) == 2
+
+
+@pytest.fixture
+def by_file(scene, tmp_path):
+    """The scene with an arm from a file beside it, which is named by a relative path."""
+    import shutil
+
+    from multiarm.scene import dump_scene, find_robot, load_scene
+
+    shutil.copy(find_robot("textbook_6r").urdf, tmp_path / "own.urdf")
+    text = dump_scene(ma.load_scene(SCENES / "corner_grippers_block.yaml"))
+    (tmp_path / "scene.yaml").write_text(text)
+    return load_scene(tmp_path / "scene.yaml"), tmp_path / "own.urdf"
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_values_that_are_relative_paths_start_at_the_scenes_folder(by_file, workers, tmp_path):
+    scene, _ = by_file
+    over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
+    asked = {"over": over, "certificate": False, "keep": ["final_z"]}
+    found = ma.sweep(scene, asked, out=tmp_path / "s.h5", workers=workers, **RUN)
+    assert found.status_counts == {"completed": 2}
+
+
+def own_arm(scene, urdf):
+    """The left arm, from a file."""
+    table = scene.arms["left"].model_dump(mode="json", exclude_defaults=True)
+    del table["robot"]
+    return {**table, "urdf": urdf}
+
+
+def test_a_named_file_with_another_text_makes_another_sweep(by_file, tmp_path):
+    scene, urdf = by_file
+    over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
+    asked = {"over": over, "certificate": False, "keep": ["final_z"]}
+    out = tmp_path / "s.h5"
+    found = ma.sweep(scene, asked, out=out, workers=1, **RUN)
+    assert ma.sweep(scene, asked, out=out, workers=1, **RUN).complete  # nothing else changed
+    urdf.write_text(urdf.read_text().replace("</robot>", "<!-- another -->\n</robot>"))
+    with pytest.raises(SweepError, match=r"own\.urdf' has another text, or is gone"):
+        ma.sweep(scene, asked, out=out, workers=1, **RUN)
+    with pytest.warns(UserWarning, match=r"may give other numbers than its row has: the file"):
+        found.trajectory(1)
+
+
+def test_a_run_is_simulated_again_without_a_word_when_only_functions_are_another_ones(
+    scene, tmp_path
+):
+    """A trajectory does not depend on what is kept of it."""
+    asked = {"over": {MASS: [5.0]}, "certificate": False}
+    kept = [lambda trajectory: 1.0]
+    found = ma.sweep(scene, asked, out=tmp_path / "s.h5", keep=kept, workers=1, **RUN)
+    assert ma.load_sweep(tmp_path / "s.h5").trajectory(1).status == "completed"
+    assert found.trajectory(1).status == "completed"
 
 
 def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypatch):

@@ -310,7 +310,7 @@ def test_what_is_no_sweep_is_neither_read_nor_replaced(tmp_path):
         with pytest.raises(SweepError, match=r"not a sweep that may be replaced|folder"):
             SweepFile.open(path, StandInPlan(3), fresh=True)
     sweep = written(tmp_path / "s.h5", 3)
-    with pytest.raises(TrajectoryError, match="not a trajectory that may be replaced"):
+    with pytest.raises(TrajectoryError, match="it is something else, damaged or write"):
         writable_target(sweep)
     with h5py.File(sweep, "r+") as file:
         file.attrs["format_version"] = 2

@@ -425,6 +425,18 @@ def test_a_file_that_is_no_sweep_is_told(scene, content, text, tmp_path):
         make_plan(scene, tmp_path / "sweep.yaml")
 
 
+def test_a_spread_of_one_draw_is_refused(scene):
+    with pytest.raises(SweepError, match=r"\$\.sampling: 'sobol' spreads the draws at one point"):
+        make_plan(scene, {MASS: {"uniform": [1, 2]}}, sampling="sobol")
+
+
+def test_more_quantities_than_a_row_takes_are_refused(scene, tmp_path):
+    (tmp_path / "many.py").write_text("def f(trajectory):\n    return {}\n")
+    asked = {"function": f"{tmp_path / 'many.py'}:f", "gives": [f"q{k}" for k in range(3000)]}
+    with pytest.raises(SweepError, match=r"\$\.keep: 3,000 quantities, at most 500"):
+        make_plan(scene, {MASS: [1.0]}, keep=[asked])
+
+
 def test_values_that_fit_no_scene_beside_their_path_are_all_told(scene):
     """A robot without the tip that the scene names: the fault lies at the tip."""
     with pytest.raises(SweepError, match=r"no scene is made by arms\.left\.robot = 'planar_3r'"):

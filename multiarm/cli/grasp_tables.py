@@ -40,8 +40,8 @@ def judgement_tables(found: GraspJudgement) -> list[RenderableType]:
     """The contacts of a scene's grasp, and what they make."""
     return [
         columns(
-            "Contacts, in the object's frame",
-            ("contact", "face", "at, m", "force at the start", "may slide by", "share"),
+            "Contacts, in the object's frame, at the start",
+            ("arm", "contact", "face", "at, m", "force", "may slide by", "share"),
             [_contact(contact, found) for contact in found.contacts if not contact.pulls],
         ),
         facts("Grasp", _grasp_facts(found)),
@@ -52,7 +52,8 @@ def _contact(contact: ContactFacts, found: GraspJudgement) -> tuple[RenderableTy
     pulled = contact.force < 0.0 and found.only_pushes
     force = Text(number(contact.force, "N"), "yellow" if pulled else "")
     return (
-        contact.name,
+        contact.arm,
+        contact.name.removeprefix(f"{contact.arm}/"),
         contact.face or "-",
         vector(contact.point, digits=3),
         force,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -144,6 +145,10 @@ def _run_of_sweep(result: Path, run: int | None) -> Trajectory:
         row = sweep.row(run) if run in sweep.runs else None
         if row is not None and row.status == "failed":
             print_warnings([f"this run is a failed one of the sweep: {row.message}"])
-        return sweep.trajectory(run)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always", UserWarning)
+            trajectory = sweep.trajectory(run)
+        print_warnings(dict.fromkeys(str(warning.message) for warning in told))
+        return trajectory
     finally:
         sweep.close()

@@ -13,6 +13,7 @@ from multiarm.cli.options import METHOD, OF_SCENE
 from multiarm.cli.sweep_progress import SweepProgress
 from multiarm.cli.sweep_tables import facts_table, spread_table, trouble_lines
 from multiarm.cli.terminal import messages, output, print_error, print_warnings, print_written
+from multiarm.errors import SweepError
 
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep
@@ -158,6 +159,10 @@ def sweep(
     check_plot(plot)
     for source in (scene, over):
         check_targets({"--out": target, **written}, source=source)
+    if parquet is not None:
+        from multiarm.sweeps.export import require_pyarrow
+
+        require_pyarrow()
     changes: dict[str, Any] = {"repeat": repeat, "seed": seed}
     changes |= {"duration": duration, "accuracy": accuracy}
     engine: dict[str, Any] = {"workers": workers, "dask": True if dask == "config" else dask}
@@ -169,7 +174,7 @@ def sweep(
         output().print(spread_table(summary))
         print_written("sweep", target)
     print_warnings(trouble_lines(summary))
-    files = _write(found, {"plot": plot, "csv": csv, "parquet": parquet}, quiet)
+    files = _write(found, {"csv": csv, "parquet": parquet, "plot": plot}, quiet)
     if json is not None:
         figures = {"scene": found.scene.name, "over": list(found.paths), **summary.figures()}
         write_json(json, {**figures, "files": {"result": str(target), **files}})
@@ -191,19 +196,32 @@ def _make(
 
 def _write(found: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[str, str]:
     """Write what was asked for; returns the places."""
-    wanted = {what: path for what, path in targets.items() if path is not None}
-    for what, path in wanted.items():
-        if what == "plot":
-            from multiarm.plots.sweep_figures import write_overview
-
-            write_overview(found, path)
-        elif what == "csv":
-            found.to_csv(path)
-        else:
-            found.to_parquet(path)
+    written = {}
+    for what, path in targets.items():
+        if path is None:
+            continue
+        try:
+            _write_one(found, what, path)
+        except SweepError as error:
+            if what != "plot":
+                raise
+            print_warnings([f"nothing was drawn: {error}"])  # there may be no number to draw
+            continue
+        written[what] = str(path)
         if not quiet:
             print_written(what, path)
-    return {what: str(path) for what, path in wanted.items()}
+    return written
+
+
+def _write_one(found: Sweep, what: str, path: Path) -> None:
+    if what == "plot":
+        from multiarm.plots.sweep_figures import write_overview
+
+        write_overview(found, path)
+    elif what == "csv":
+        found.to_csv(path)
+    else:
+        found.to_parquet(path)
 
 
 def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:

@@ -99,8 +99,8 @@ class FileKind:
             raise self.trouble(f"cannot write '{path}': it is a folder; name a file in it")
         if target.exists() and not (self.matches(target) and os.access(target, os.W_OK)):
             raise self.trouble(
-                f"'{path}' exists and is not {self.noun} that may be replaced; "
-                "move it away or choose another name"
+                f"'{path}' exists and is not {self.noun} that may be replaced: it is something "
+                "else, damaged or write-protected; move it away or choose another name"
             )
         return target
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["axis_faults", "quantity_faults", "value_faults"]
 
+MOST_QUANTITIES = 500
+"""Of a sweep: the description of a row has a limited length in HDF5."""
 TRIED = 24
 """Values of an axis that are tried; all of an axis that has no more."""
 TAILS = (0.5, 0.001, 0.999)
@@ -45,6 +47,11 @@ def axis_faults(spec: SweepSpec) -> list[str]:
             f"$.repeat: {spec.repeat} runs of each point would be the same run, for no path is "
             "drawn at random; leave it out, or draw one, such as (uniform: [0, 1])"
         )
+    elif spec.repeat == 1 and spec.sampling != "random":
+        faults.append(
+            f"$.sampling: {spec.sampling!r} spreads the draws at one point of the grid, and there "
+            "is one; say in 'repeat' how many there are to be"
+        )
     count = spec.repeat
     for axis in steps[:1] if spec.combine == "zip" else steps:
         count *= axis.count
@@ -67,6 +74,11 @@ def quantity_faults(spec: SweepSpec) -> list[str]:
             # the words are those for functions that a scene names
             faults.append(f"$.keep: {error}".replace("the scene's folder", "the sweep's folder"))
     names = [quantity.name for quantity in spec.quantities()]
+    if len(names) > MOST_QUANTITIES:
+        faults.append(
+            f"$.keep: {len(names):,} quantities, at most {MOST_QUANTITIES} fit into a row; keep "
+            f"fewer, and simulate single runs again for the rest"
+        )
     for name in sorted({name for name in names if names.count(name) > 1}):
         faults.append(f"$.keep: {name!r} stands twice; give one of them another 'name'")
     return faults

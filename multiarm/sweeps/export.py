@@ -53,6 +53,22 @@ def write_csv(table: SweepTable, path: str | os.PathLike) -> Path:
     return Path(path)
 
 
+def require_pyarrow() -> None:
+    """See to it that Parquet files can be written, best before the long work.
+
+    Raises
+    ------
+    SweepError
+        PyArrow is not installed.
+    """
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError:
+        raise SweepError(
+            "Parquet files need PyArrow, which is not installed: pip install pyarrow; or write CSV"
+        ) from None
+
+
 def write_parquet(table: SweepTable, path: str | os.PathLike) -> Path:
     """Write the table as Parquet, by groups of rows.
 
@@ -61,13 +77,10 @@ def write_parquet(table: SweepTable, path: str | os.PathLike) -> Path:
     MultiarmError
         PyArrow is not installed, or the file cannot be written.
     """
-    try:
-        import pyarrow as arrow
-        from pyarrow import parquet
-    except ImportError:
-        raise SweepError(
-            "Parquet files need PyArrow, which is not installed: pip install pyarrow; or write CSV"
-        ) from None
+    require_pyarrow()
+    import pyarrow as arrow
+    from pyarrow import parquet
+
     kinds = kinds_of(table)
     schema = arrow.schema([_field(arrow, column, kinds[column.name]) for column in table.columns])
     schema = schema.with_metadata({name: table.text(name) for name in ("scene", "sweep")})

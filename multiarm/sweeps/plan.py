@@ -23,6 +23,7 @@ from multiarm.scene import Scene, changed, dump_scene, load_scene
 from multiarm.sweeps.axes import Axis
 from multiarm.sweeps.checking import axis_faults, quantity_faults, value_faults
 from multiarm.sweeps.draws import Draws
+from multiarm.sweeps.named_files import digests
 from multiarm.sweeps.quantities import Quantity
 from multiarm.sweeps.spec import SweepSpec, examined, parse_sweep, read_sweep
 
@@ -90,13 +91,23 @@ class SweepPlan:
         return dump_scene(self.scene)
 
     @cached_property
+    def files(self) -> dict[str, str]:
+        """Path -> digest of the files that the scene or its values name."""
+        listed = (axis.spec.written() for axis in self.axes)
+        return digests(self.scene, listed)
+
+    @cached_property
     def fingerprint(self) -> str:
-        """The same for plans whose runs give the same numbers: scene, sweep, functions, version."""
+        """The same for plans whose runs give the same numbers.
+
+        Scene, sweep, functions, the files that they name, and the version of the program.
+        """
         parts = [
             program_version(),
             self.scene_text,
             self.text,
             *(one.digest for one in self.quantities),
+            *(f"{path} {digest}" for path, digest in self.files.items()),
         ]
         return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 

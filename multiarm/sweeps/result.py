@@ -7,6 +7,7 @@ simulated again when it is looked at, bit for bit as it was.
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 from multiarm.errors import SweepError
 from multiarm.sweeps.export import write_csv, write_parquet
 from multiarm.sweeps.row import Row
+from multiarm.sweeps.store import differences
 from multiarm.sweeps.summary import SweepSummary, status_counts, summarise
 from multiarm.sweeps.table import Column, SweepTable, cell, collected
 
@@ -208,6 +210,9 @@ class Sweep:
     def trajectory(self, run: int) -> Trajectory:
         """Simulate one run once more.
 
+        A warning tells when something that decides on its numbers is no longer what it was: the
+        version of the program, a file or a function that the sweep names.
+
         Raises
         ------
         SweepError
@@ -216,6 +221,13 @@ class Sweep:
         from multiarm.sweeps.work import simulate_run
 
         self._check(run)
+        texts = {"scene": self._table.text("scene"), "sweep": self.text}
+        differs = differences(self._table.header, texts, self.plan)
+        if differs:
+            warnings.warn(
+                f"this run may give other numbers than its row has: {'; '.join(differs)}",
+                stacklevel=2,
+            )
         return simulate_run(self.plan, run)
 
     def to_csv(self, path: str | os.PathLike) -> Path:

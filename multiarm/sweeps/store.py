@@ -202,6 +202,7 @@ def _header(plan: SweepPlan) -> dict[str, Any]:
             {"name": own.name, "unit": own.unit, "words": own.words} for own in plan.quantities
         ],
         "folder": str(plan.scene.folder),
+        "files": plan.files,
         "provenance": _provenance(),
     }
 
@@ -211,11 +212,15 @@ def _provenance() -> dict[str, Any]:
     return {key: value for key, value in told.items() if key != "scene"}
 
 
-def _check_same(path: Path, texts: Mapping[str, str], plan: SweepPlan) -> None:
-    """Refuse the file of another sweep."""
-    header = json.loads(texts["header"])
-    if header["fingerprint"] == plan.fingerprint:
-        return
+def differences(header: Mapping[str, Any], texts: Mapping[str, str], plan: SweepPlan) -> list[str]:
+    """What decides on trajectories and is not the same in a file and in a plan, in words.
+
+    Parameters
+    ----------
+    header, texts : mappings
+        Of the file; the texts of "scene" and "sweep".
+    plan : SweepPlan
+    """
     differs = [
         *_differences("scene", texts["scene"], plan.scene_text),
         *_differences("sweep", texts["sweep"], plan.text),
@@ -223,6 +228,19 @@ def _check_same(path: Path, texts: Mapping[str, str], plan: SweepPlan) -> None:
     there, here = header["provenance"]["version"], _provenance()["version"]
     if not differs and there != here:
         differs = [f"it was begun by multiarm {there}, this is {here}"]
+    then = header.get("files", {})
+    for name in sorted({*then, *plan.files}):
+        if then.get(name) != plan.files.get(name):
+            differs.append(f"the file '{name}' has another text, or is gone")
+    return differs
+
+
+def _check_same(path: Path, texts: Mapping[str, str], plan: SweepPlan) -> None:
+    """Refuse the file of another sweep."""
+    header = json.loads(texts["header"])
+    if header["fingerprint"] == plan.fingerprint:
+        return
+    differs = differences(header, texts, plan)
     differs = differs or ["the text of a function that gives a quantity"]
     lines = "\n".join(f"  {line}" for line in differs)
     raise SweepError(

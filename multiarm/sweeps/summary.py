@@ -141,7 +141,10 @@ def _spread(table: SweepTable, column: Column) -> Spread:
         levels = {level: _finite(value) for level, value in zip(LEVELS, found, strict=True)}
     mean = None
     if count and extremes.are_finite:
-        mean = math.fsum(_stream(table, column)) / count
+        try:
+            mean = math.fsum(_stream(table, column)) / count
+        except OverflowError:  # only their sum is beyond all numbers
+            mean = math.fsum(value / count for value in _stream(table, column))
     return Spread(
         name=column.name,
         unit=column.unit,

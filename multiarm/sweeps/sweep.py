@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
@@ -127,10 +128,16 @@ def run_plan(
     resume: bool = True,
 ) -> Sweep:
     """Carry out a plan, or what is missing of it; see :func:`sweep`."""
+    from multiarm.sweeps.cluster import opened
+
     _check_engine(workers, dask)
-    with SweepFile.open(out, plan, resume=resume, fresh=not resume) as file:
+    # a cluster that does not answer must not cost the rows of an earlier sweep
+    with (
+        opened(dask) if dask else nullcontext() as client,
+        SweepFile.open(out, plan, resume=resume, fresh=not resume) as file,
+    ):
         if len(file.done) < plan.count:
-            _fill(file, plan, _rows(plan, file, workers, dask), progress)
+            _fill(file, plan, _rows(plan, file, workers, client), progress)
         elif progress is not None:
             progress(plan.count, plan.count, 0)
         path = file.path
@@ -161,24 +168,23 @@ def _fill(
         coming.close()  # type: ignore[attr-defined]
 
 
-def _rows(plan: SweepPlan, file: SweepFile, workers: int | None, dask: Any) -> Iterator[list[Row]]:
+def _rows(
+    plan: SweepPlan, file: SweepFile, workers: int | None, client: Client | None
+) -> Iterator[list[Row]]:
     """Rows of the runs that are missing, as they end."""
-    from multiarm.sweeps.cluster import on_cluster, opened
+    from multiarm.sweeps.cluster import on_cluster
     from multiarm.sweeps.engines import in_process, on_processes, processors
     from multiarm.sweeps.work import Job, Work
 
     work = Work.of(plan, session=uuid.uuid4().hex)
     jobs = (Job(run, values) for run, values in plan.among(file.done.missing()))
     missing = plan.count - len(file.done)
-    if dask:
-        with opened(dask) as client:
-            yield from on_cluster(work, jobs, client, missing)
-        return
-    at_once = min(workers or processors(), missing)
-    if workers == 1 or processors() == 1:
+    if client is not None:
+        yield from on_cluster(work, jobs, client, missing)
+    elif (workers or processors()) == 1:
         yield from in_process(work, jobs)
     else:
-        yield from on_processes(work, jobs, at_once, missing)
+        yield from on_processes(work, jobs, min(workers or processors(), missing), missing)
 
 
 def _check_engine(workers: Any, dask: Any) -> None:

@@ -55,6 +55,8 @@ class Work:
         Effects of the user's that were registered where the sweep was begun.
     version : str
         Of multiarm: another one may give other numbers.
+    folder : str
+        Where relative paths of the scene, and of values in it, start.
     session : str
         A new one for each sweep that is begun: files that the scene names may have changed since
         the last one, which a worker may remember.
@@ -65,6 +67,7 @@ class Work:
     certificate: bool
     version: str
     effects: tuple[type, ...] = ()
+    folder: str | None = None
     session: str = ""
 
     @classmethod
@@ -79,6 +82,7 @@ class Work:
             certificate=plan.spec.certificate,
             version=program_version(),
             effects=tuple(one for one in registered_effects() if one.name in named),  # type: ignore[attr-defined]
+            folder=str(plan.scene.folder),
             session=session,
         )
 
@@ -185,7 +189,7 @@ def _base(work: Work) -> _Base:
         return _memory.base
     for effect in work.effects:
         register_effect(effect)
-    scene = parse_scene(work.scene)
+    scene = parse_scene(work.scene, work.folder)
     system: System | None = None
     try:
         system = compile_system(scene)
