@@ -10,22 +10,30 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-from pydantic import BaseModel, BeforeValidator, model_validator
+from pydantic import BeforeValidator, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.base import Spec
-from multiarm.scene.values import Number, Positive, fault, number_list
-from multiarm.scene.words import listed, shown
+from multiarm.scene.values import Number, Positive, fault
+from multiarm.scene.words import listed
+from multiarm.sweeps.axis_values import (
+    bounds,
+    counted,
+    exponents,
+    items,
+    positive_bounds,
+    ratios,
+    spaced,
+    whole_bounds,
+)
 from multiarm.sweeps.draws import Law, LogNormal, LogUniform, Normal, OneOf, Uniform
 
-__all__ = ["Axis", "AxisSpec", "Count", "NonNegativeCount", "paths_of", "plain_value"]
+__all__ = ["Axis", "AxisSpec", "paths_of"]
 
 
 @dataclass(frozen=True)
@@ -103,132 +111,6 @@ def paths_of(key: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in parts)
 
 
-def plain_value(value: Any) -> Any:
-    """The value in what a YAML file can hold.
-
-    Raises
-    ------
-    PydanticCustomError
-        When it cannot.
-    """
-    if isinstance(value, BaseModel):
-        return value.model_dump(mode="json", exclude_unset=True)
-    if isinstance(value, (np.ndarray, np.generic)):
-        return plain_value(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(key): plain_value(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain_value(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    if value is None or isinstance(value, (str, bool, int, float)):
-        return value
-    raise fault(f"{shown(value)} is nothing that a YAML file can hold; give numbers, texts, lists")
-
-
-def _whole(least: int, value: Any) -> int:
-    if isinstance(value, float) and value.is_integer():
-        value = int(value)
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise fault(f"must be a whole number, got {shown(value)}")
-    if value < least:
-        raise fault(f"must be at least {least}, got {value}")
-    return int(value)
-
-
-def _from_zero(value: Any) -> int:
-    return _whole(0, value)
-
-
-def _from_one(value: Any) -> int:
-    return _whole(1, value)
-
-
-# Values that an axis may have, and the largest whole number in it: those of a float are exact.
-MOST_VALUES, LARGEST = 10**9, 2**53
-
-
-Count = Annotated[int, BeforeValidator(_from_one)]
-NonNegativeCount = Annotated[int, BeforeValidator(_from_zero)]
-
-
-def _items(value: Any) -> list[Any]:
-    value = plain_value(value)
-    if not isinstance(value, list) or not value:
-        raise fault(f"must be a list of at least one value, got {shown(value)}")
-    return value
-
-
-def _spaced(value: Any) -> list[Any]:
-    value = _items(value)
-    if len(value) != 3:
-        raise fault(f"must be [first, last, how many], got {shown(value)}")
-    try:
-        count = _whole(1, value[2])
-    except Exception as error:
-        raise fault(f"how many values there are, the third entry, {error}") from None
-    if count > MOST_VALUES:
-        raise fault(f"has at most {MOST_VALUES:,} values, got {count:,}")
-    return [*number_list(value[:2]), count]
-
-
-def _exponents(value: Any) -> list[Any]:
-    value = _spaced(value)
-    if max(abs(value[0]), abs(value[1])) > 300.0:
-        raise fault(f"are exponents of ten, of at most 300, got {shown(value)}")
-    return value
-
-
-def _ratios(value: Any) -> list[Any]:
-    value = _spaced(value)
-    if not (value[0] > 0.0 and value[1] > 0.0):
-        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
-    return value
-
-
-def _counted(value: Any) -> list[int]:
-    value = _items(value)
-    whole = all(isinstance(item, int) and not isinstance(item, bool) for item in value)
-    if len(value) > 3 or not whole:
-        raise fault(
-            f"must be whole numbers [stop], [start, stop] or [start, stop, step] as Python's range "
-            f"takes them, got {shown(value)}; of other numbers make a 'linspace'"
-        )
-    if max(map(abs, value)) > LARGEST:
-        raise fault(f"must be whole numbers of at most {LARGEST:,}, got {shown(value)}")
-    if value[2:] != [0] and len(range(*value)) > MOST_VALUES:
-        raise fault(f"has at most {MOST_VALUES:,} values, got {len(range(*value)):,}")
-    if value[2:] == [0] or not range(*value):
-        raise fault(f"has no values: range({', '.join(map(str, value))}) is empty")
-    return value
-
-
-def _bounds(value: Any) -> list[float]:
-    value = _items(value)
-    if len(value) != 2:
-        raise fault(f"must be [lowest, highest], got {shown(value)}")
-    low, high = number_list(value)
-    if not low < high:
-        raise fault(f"the lowest must be below the highest, got {shown(value)}")
-    return [low, high]
-
-
-def _positive_bounds(value: Any) -> list[float]:
-    value = _bounds(value)
-    if not value[0] > 0.0:
-        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
-    return value
-
-
-def _whole_bounds(value: Any) -> list[int]:
-    low, high = _bounds(value)
-    if not (low.is_integer() and high.is_integer()):
-        raise fault(f"must be whole numbers, got {shown(value)}; of others make it 'uniform'")
-    if max(abs(low), abs(high)) > LARGEST:
-        raise fault(f"must be whole numbers of at most {LARGEST:,}, got {shown(value)}")
-    return [int(low), int(high)]
-
-
 # So many deviations above its median a drawn value may be.
 FARTHEST = 9.0
 
@@ -278,18 +160,18 @@ class AxisSpec(Spec):
     choice : list
     """
 
-    values: Annotated[list[Any] | None, BeforeValidator(_items)] = None
-    linspace: Annotated[list[Any] | None, BeforeValidator(_spaced)] = None
-    logspace: Annotated[list[Any] | None, BeforeValidator(_exponents)] = None
-    geomspace: Annotated[list[Any] | None, BeforeValidator(_ratios)] = None
-    range: Annotated[list[int] | None, BeforeValidator(_counted)] = None
-    rows: Annotated[list[Any] | None, BeforeValidator(_items)] = None
-    uniform: Annotated[list[float] | None, BeforeValidator(_bounds)] = None
-    loguniform: Annotated[list[float] | None, BeforeValidator(_positive_bounds)] = None
+    values: Annotated[list[Any] | None, BeforeValidator(items)] = None
+    linspace: Annotated[list[Any] | None, BeforeValidator(spaced)] = None
+    logspace: Annotated[list[Any] | None, BeforeValidator(exponents)] = None
+    geomspace: Annotated[list[Any] | None, BeforeValidator(ratios)] = None
+    range: Annotated[list[int] | None, BeforeValidator(counted)] = None
+    rows: Annotated[list[Any] | None, BeforeValidator(items)] = None
+    uniform: Annotated[list[float] | None, BeforeValidator(bounds)] = None
+    loguniform: Annotated[list[float] | None, BeforeValidator(positive_bounds)] = None
     normal: NormalSpec | None = None
     lognormal: LogNormalSpec | None = None
-    integers: Annotated[list[int] | None, BeforeValidator(_whole_bounds)] = None
-    choice: Annotated[list[Any] | None, BeforeValidator(_items)] = None
+    integers: Annotated[list[int] | None, BeforeValidator(whole_bounds)] = None
+    choice: Annotated[list[Any] | None, BeforeValidator(items)] = None
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:

@@ -22,7 +22,8 @@ from multiarm.scene.faults import explain
 from multiarm.scene.loader import parse_yaml
 from multiarm.scene.values import fault
 from multiarm.scene.words import listed, shown
-from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, paths_of, plain_value
+from multiarm.sweeps.axes import Axis, AxisSpec, paths_of
+from multiarm.sweeps.axis_values import Count, NonNegativeCount, plain_value
 from multiarm.sweeps.keeping import DEFAULT_KEEP, Kept, OwnQuantity
 from multiarm.sweeps.quantities import KNOWN, MEASURED, Quantity
 
