@@ -87,8 +87,14 @@ def stand_arms(
         Robots without base and tool, one for each gripper; ``tip`` is the mount.
     course : list of ndarray, shape (4, 4)
         Poses of the object relative to the start, the first the identity.
+    tip_radius : float
+        Of the fingertips [m].
     height : float, optional
-        Of the object's frame at the start; left out: the best of several.
+        Of the object's frame at the start [m]; left out: the best of several.
+    rng : numpy.random.Generator
+        Where searches for postures start.
+    progress : callable, optional
+        Told the part that is done, and what is being done.
 
     Raises
     ------
@@ -100,27 +106,24 @@ def stand_arms(
     lowest = -float(np.min(grasp.body.vertices[:, 2]))
     heights = [height] if height is not None else [lowest + h * max(reaches) for h in HEIGHTS]
     heights = [round(z, 4) for z in heights]  # as they will be written
-    best: tuple[float, float, list[Stand]] | None = None
-    missed = grasp.grippers[0].name
-    for k, z in enumerate(heights):
-        stands = []
-        for g, (gripper, robot, reach) in enumerate(
-            zip(grasp.grippers, robots, reaches, strict=True)
-        ):
-            if progress is not None:
-                done = (k * len(robots) + g) / (len(heights) * len(robots))
-                progress(done, f"postures of '{gripper.name}', object at {z:.2f} m")
-            poses = [lifted(z) @ pose for pose in course]
-            search = _Search(grasp, gripper, robot, poses, tip_radius, rng)
-            found = search.best(reach)
-            if found is None or found.reach.quality < POOREST:
-                missed = gripper.name
-                break
-            stands.append(found)
-        if len(stands) == len(robots):
-            worst = min(stand.quality for stand in stands)
-            if best is None or worst > best[0]:
-                best = worst, z, stands
+    best: tuple[float, list[Stand]] | None = None
+    parts = [(z, g) for z in heights for g in range(len(robots))]
+    found: dict[float, list[Stand]] = {z: [] for z in heights}
+    missed = ""
+    for k, (z, g) in enumerate(parts):
+        if len(found[z]) < g:  # an arm before this one found no place
+            continue
+        gripper = grasp.grippers[g]
+        if progress is not None:
+            progress(k / len(parts), f"postures of '{gripper.name}', object at {z:.2f} m")
+        poses = [lifted(z) @ pose for pose in course]
+        stand = _Search(grasp, gripper, robots[g], poses, tip_radius, rng).best(reaches[g])
+        if stand is None or stand.reach.quality < POOREST:
+            missed = gripper.name
+            continue
+        found[z].append(stand)
+        if len(found[z]) == len(robots) and (best is None or _worst(found[z]) > _worst(best[1])):
+            best = z, found[z]
     if best is None:
         tried = ", ".join(f"{z:.2f}" for z in heights)
         raise GraspError(
@@ -128,11 +131,17 @@ def stand_arms(
             f"of the path, with the object's frame at {tried} m; choose a longer arm, another "
             f"height or a shorter path"
         )
-    return best[1], best[2]
+    return best
+
+
+def _worst(stands: list[Stand]) -> float:
+    return min(stand.quality for stand in stands)
 
 
 @dataclass(frozen=True)
 class _Search:
+    """The search for a place of one arm, with the object at one height."""
+
     grasp: Grasp
     gripper: Gripper
     robot: Arm
@@ -186,7 +195,10 @@ class _Search:
         return find_posture(self.robot, places, self.rng, starts, clear)
 
     def _clearance(self, points: np.ndarray, pose: np.ndarray) -> float:
-        """1 where the links between these points keep apart from object and ground."""
+        """1 where the links between these points keep apart from object and ground.
+
+        A body that is not convex counts with the half-spaces of all its faces.
+        """
         steps = np.linspace(0.0, 1.0, 5)[:, None, None]
         links = (points[:-1] + steps * np.diff(points, axis=0)).reshape(-1, 3)
         seen = (links - pose[:3, 3]) @ pose[:3, :3]
