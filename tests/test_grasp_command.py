@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 import multiarm as ma
 from multiarm.cli import app
 from multiarm.errors import GraspError
+from multiarm.grasp import Polyhedron
 from multiarm.grasp_scenes.judging import judge_grasp
 from multiarm.grasp_scenes.reading import read_grasp
 from multiarm.scene import parse_scene
@@ -75,6 +76,25 @@ def test_a_scene_goes_to_standard_output_and_nothing_else_does(designed):
     assert result.exit_code == 0, result.output
     assert parse_scene(result.stdout) == ma.load_scene(path)
     assert result.stdout.startswith("# multiarm")
+
+
+def test_a_body_that_is_not_convex_gets_a_mesh_beside_its_scene(tmp_path):
+    ell = Polyhedron.prism([[0, 0], [0.8, 0], [0.8, 0.3], [0.3, 0.3], [0.3, 0.7], [0, 0.7]], 0.4)
+    ell.save(tmp_path / "ell.stl")
+    refused = grasp("design", tmp_path / "ell.stl")
+    assert refused.exit_code == 2
+    assert "name the scene with --out" in refused.stderr
+    result = grasp("design", tmp_path / "ell.stl", "--out", tmp_path / "held.yaml")
+    assert result.exit_code == 0, result.output
+    scene = ma.load_scene(tmp_path / "held.yaml")
+    assert scene.object.shape.mesh.file == tmp_path / "held.stl"
+    inertia = ell.mass_properties(scene.object.mass).inertia
+    np.testing.assert_allclose(scene.object.inertia_matrix(), inertia, rtol=1e-5, atol=1e-6)
+    judged = judge_grasp(ma.compile_system(scene))
+    assert judged.closed
+    assert None not in [contact.face for contact in judged.contacts]
+    run = ma.simulate(ma.compile_system(scene), duration=1.0, certificate=False)
+    assert min(forces.min() for forces in run.contact_forces.values()) > 0.0
 
 
 def test_an_optimised_grasp_tells_its_gap_and_is_drawn(tmp_path):

@@ -164,6 +164,7 @@ def design(
             height=height,
             duration=duration,
             seed=seed,
+            mesh=_mesh_beside(solid, out),
             name=f"{_who(arms)} hold {body} by two corners",
             progress=progress,
         )
@@ -264,6 +265,18 @@ def _designed(
         rng=rng,
     )
     return found.grasp.noted(found.message)
+
+
+def _mesh_beside(body: Any, out: Path | None) -> Path | None:
+    """Where the object's mesh goes: beside the scene, for a body that is not convex."""
+    if body.convex:
+        return None
+    if out is None:
+        raise MultiarmError(
+            "the body is not convex, so that its scene needs a mesh file: name the scene with "
+            "--out, and the mesh is written beside it"
+        )
+    return out.with_suffix(".stl")
 
 
 def _who(arms: tuple[str, str]) -> str:

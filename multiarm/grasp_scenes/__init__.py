@@ -11,6 +11,7 @@ import re
 from collections.abc import Sequence
 from itertools import pairwise
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,7 @@ def grasp_scene(
     accuracy: float = 1e-6,
     squeeze: float | None = None,
     name: str | None = None,
+    mesh: str | Path | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Scene:
@@ -79,6 +81,8 @@ def grasp_scene(
         its share of the weight throughout the path.
     name : str, optional
         Title of the scene.
+    mesh : path, optional
+        STL file that is written for a body that is not convex, and that the scene names.
     seed : int
         Of the search for postures.
     progress : callable, optional
@@ -98,6 +102,7 @@ def grasp_scene(
     )
     grasp = _centred(grasp)
     require_room(grasp, tip_radius)
+    body = _object(grasp.body, mass, mesh)
     specs = [ArmSpec(robot=robot, tip=find_robot(robot).tip) for robot in arms]
     way = path_of(path, duration)
     course = [waypoint.matrix() for waypoint in way]
@@ -114,7 +119,7 @@ def grasp_scene(
         name=name
         or f"{len(arms)} arms hold a body of {len(grasp.body.faces)} faces by its corners",
         gravity=GRAVITY,
-        object={"shape": _shape(grasp.body), "mass": mass, "pose": pose_table(start)},
+        object={**body, "pose": pose_table(start)},
         arms={
             arm: _arm(grasp, k, specs[k], stands[k], tip_radius, hand_mass)
             for k, arm in enumerate(names)
@@ -220,19 +225,26 @@ def _arm(
     }
 
 
-def _shape(body: Polyhedron) -> dict[str, Any]:
-    """A block along the axes as such, every other convex body as the hull of its corners."""
+def _object(body: Polyhedron, mass: float, mesh: str | Path | None) -> dict[str, Any]:
+    """A block along the axes as such, other convex bodies by their corners, the rest by a file."""
     edges = np.ptp(body.vertices, axis=0)
     if len(body.vertices) == 8 and np.allclose(
         np.abs(body.vertices), 0.5 * edges, rtol=0.0, atol=1e-12 * body.size
     ):
-        return {"box": edges.tolist()}
-    if not body.convex:
+        return {"shape": {"box": edges.tolist()}, "mass": mass}
+    if body.convex:
+        return {"shape": {"hull": body.vertices.tolist()}, "mass": mass}
+    if mesh is None:
         raise GraspError(
-            "the body is not convex, and a scene draws such an object from a mesh file: save it "
-            "with `body.save('body.stl')` and write the scene's object with `mesh`"
+            "the body is not convex, and a scene takes such an object from a mesh file: say with "
+            "`mesh` which STL file is to be written"
         )
-    return {"hull": body.vertices.tolist()}
+    body.save(mesh)
+    return {
+        "shape": {"mesh": {"file": str(Path(mesh).expanduser().resolve())}},
+        "mass": mass,
+        "inertia": body.mass_properties(mass).inertia.tolist(),
+    }
 
 
 def _upwards(number: float) -> float:
