@@ -287,8 +287,6 @@ def test_the_file_of_another_sweep_is_refused_with_what_differs(tmp_path):
         SweepFile.open(path, light)
     with pytest.raises(SweepError, match="the text of a function that gives a quantity"):
         SweepFile.open(path, replace(plan, fingerprint="other"))
-    with pytest.raises(SweepError, match="holds a sweep already; resume it, begin it afresh"):
-        SweepFile.open(path, plan, resume=False)
     assert path.read_bytes() == before
     with SweepFile.open(path, other, fresh=True) as file:
         assert len(file.done) == 0

@@ -19,6 +19,8 @@ class Row:
     run : int
         From 1 on.
     status : {"completed", "failed"}
+        Failed is also a run that ended well, but of which a function of the user's could not give
+        its number; its other quantities are there.
     message : str
         What happened and, unless all went well, the remedy.
     values : mapping

@@ -84,17 +84,13 @@ class SweepFile:
         self._writer, self._fields, self._lock = writer, fields, lock
 
     @classmethod
-    def open(
-        cls, path: str | os.PathLike, plan: SweepPlan, *, resume: bool = True, fresh: bool = False
-    ) -> Self:
+    def open(cls, path: str | os.PathLike, plan: SweepPlan, *, fresh: bool = False) -> Self:
         """Begin a file, or go on with one of the same plan.
 
         Parameters
         ----------
         path : path-like
         plan : SweepPlan
-        resume : bool
-            Go on with what is there.
         fresh : bool
             Begin anew, and give up what is there.
 
@@ -102,7 +98,7 @@ class SweepFile:
         ------
         SweepError
             The file is that of another sweep, with what differs; is being written by another
-            process; is there, and neither ``resume`` nor ``fresh``; or cannot be written.
+            process; or cannot be written.
         """
         target = SWEEP.writable_target(path)
         fields = fields_of(plan.paths, [quantity.name for quantity in plan.quantities])
@@ -110,13 +106,8 @@ class SweepFile:
         try:
             if fresh or not target.exists():
                 texts, earlier = _texts(plan), _no_rows()
-            elif resume:
-                texts, earlier = _earlier(target, plan, done)
             else:
-                raise SweepError(
-                    f"'{path}' holds a sweep already; resume it, begin it afresh, or choose "
-                    "another file"
-                )
+                texts, earlier = _earlier(target, plan, done)
             return cls(target, done, RowWriter(target, fields, texts, earlier), fields, lock)
         except BaseException:
             lock.release()

@@ -134,7 +134,7 @@ def run_plan(
     # a cluster that does not answer must not cost the rows of an earlier sweep
     with (
         opened(dask) if dask else nullcontext() as client,
-        SweepFile.open(out, plan, resume=resume, fresh=not resume) as file,
+        SweepFile.open(out, plan, fresh=not resume) as file,
     ):
         if len(file.done) < plan.count:
             _fill(file, plan, _rows(plan, file, workers, client), progress)
