@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import random
 import sys
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +22,9 @@ NAMES = ("gap", "force", "never")
 UNITS = {"gap": "m", "force": "N", "never": "J"}
 FAILING = 13
 """Every so many-th run fails."""
+
+PAUSE = 0.001
+"""[s] After a block: so that a fast machine is not done before it is killed."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,7 @@ def write_on(path: Path, plan: StandInPlan, order: int) -> None:
             block, left = left[: (size := rng.randint(1, 7))], left[size:]
             file.append([row_of(run, f"process {order}") for run in block])
             print(len(file.done), flush=True)
+            time.sleep(PAUSE)
     print("end", flush=True)
 
 
