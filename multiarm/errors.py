@@ -10,6 +10,7 @@ from collections.abc import Iterable
 
 __all__ = [
     "ControlError",
+    "FaultsError",
     "GraspError",
     "ModelError",
     "MultiarmError",
@@ -25,58 +26,45 @@ class MultiarmError(Exception):
     """Base class of all errors that multiarm raises on purpose."""
 
 
-class SceneError(MultiarmError):
-    """A scene cannot be used as it is written.
+class FaultsError(MultiarmError):
+    """Something that was written cannot be used; all that is wrong with it is told together.
 
     Parameters
     ----------
     faults : iterable of str, or str
         Every fault found, each one complete: place, value, alternatives, remedy.
     source : str, optional
-        Where the scene came from (a file name), named on the first line of the message.
+        Where it came from (a file name), named on the first line of the message.
 
     Attributes
     ----------
     faults : list of str
         The faults, one text each.
     source : str or None
-        The file the scene came from, when it came from one.
+        The file that it came from, when it came from one.
     """
+
+    noun = "text"
 
     def __init__(self, faults: Iterable[str] | str, source: str | None = None) -> None:
         self.faults: list[str] = [faults] if isinstance(faults, str) else list(faults)
         self.source = source
-        super().__init__(_told(self.faults, source, "scene"))
+        super().__init__(_told(self.faults, source, self.noun))
 
     def __reduce__(self) -> tuple[type, tuple[list[str], str | None]]:
         return type(self), (self.faults, self.source)
 
 
-class SweepError(MultiarmError):
-    """Many runs cannot be planned, carried out or stored as they are asked for.
+class SceneError(FaultsError):
+    """A scene cannot be used as it is written."""
 
-    Parameters
-    ----------
-    faults : iterable of str, or str
-        Every fault found, each one complete: place, value, alternatives, remedy.
-    source : str, optional
-        Where the sweep was written (a file name), named on the first line of the message.
+    noun = "scene"
 
-    Attributes
-    ----------
-    faults : list of str
-        The faults, one text each.
-    source : str or None
-        The file the sweep was written in, when there is one.
-    """
 
-    def __init__(self, faults: Iterable[str] | str, source: str | None = None) -> None:
-        self.faults: list[str] = [faults] if isinstance(faults, str) else list(faults)
-        self.source = source
-        super().__init__(_told(self.faults, source, "sweep"))
+class SweepError(FaultsError):
+    """Many runs cannot be planned, carried out or stored as they are asked for."""
 
-    def __reduce__(self) -> tuple[type, tuple[list[str], str | None]]:
-        return type(self), (self.faults, self.source)
+    noun = "sweep"
 
 
 class ModelError(MultiarmError):
