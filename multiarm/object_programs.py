@@ -51,6 +51,14 @@ def route(start: State, path: Sequence[Waypoint]) -> tuple[list[float], list[np.
     return times, poses
 
 
+def packed_path(times: Sequence[float], poses: Sequence[np.ndarray]) -> np.ndarray:
+    """Numbers of :func:`multiarm.object_control.write_reference` for poses (4, 4) at times [s]."""
+    quaternions = [matrix_to_quaternion(np.ascontiguousarray(pose[:3, :3])) for pose in poses]
+    turns = [difference(a, b) for a, b in pairwise(quaternions)]
+    positions = np.array([pose[:3, 3] for pose in poses])
+    return pack_object_path(np.array(times), positions, np.array(quaternions), np.array(turns))
+
+
 def object_law(system: System, control: ObjectControl) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of a law of :mod:`multiarm.object_control`, and the times of its waypoints.
 
@@ -73,10 +81,7 @@ def object_law(system: System, control: ObjectControl) -> tuple[np.ndarray, np.n
     inner = [offsets, pressing.ravel()] if squeezes else []
     at_rest = Waypoint(time=1.0, **pose_of(start).model_dump())
     times, poses = route(start, control.path or (at_rest,))
-    quaternions = [matrix_to_quaternion(np.ascontiguousarray(pose[:3, :3])) for pose in poses]
-    turns = [difference(a, b) for a, b in pairwise(quaternions)]
-    positions = np.array([pose[:3, 3] for pose in poses])
-    path = pack_object_path(np.array(times), positions, np.array(quaternions), np.array(turns))
+    path = packed_path(times, poses)
     numbers = np.concatenate([gains, [float(squeezes)], *inner, path])
     return numbers, np.array(times) if control.path else np.zeros(0)
 

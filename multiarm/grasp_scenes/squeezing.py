@@ -18,8 +18,10 @@ import numpy as np
 
 from multiarm.contacts.internal_forces import distribute, internal_forces
 from multiarm.grasp.contacts import Contacts
+from multiarm.object_control import write_reference
+from multiarm.object_programs import packed_path
 from multiarm.scene import Waypoint
-from multiarm.spatial import difference, matrix_to_quaternion, quaternion_to_matrix, retract
+from multiarm.spatial import quaternion_to_matrix
 
 # Places of a way from rest to rest at which its wrenches are looked at.
 SAMPLES = np.linspace(0.0, 1.0, 13)
@@ -31,8 +33,7 @@ def motion_wrenches(
     r"""Wrenches that carry the object along a path, shape (K, 6): force [N], moment [N m].
 
     Newton and Euler, :math:`[m(a - g);\ I\dot\omega + \omega \times I\omega]` about the centre of
-    mass in object axes, where each way from pose to pose is passed from rest to rest by the quintic
-    law of time.
+    mass in object axes, along the reference of the control laws, from rest to rest at every pose.
 
     Parameters
     ----------
@@ -43,21 +44,16 @@ def motion_wrenches(
     gravity : ndarray, shape (3,)
         World axes [m/s^2].
     """
+    parameters = packed_path([w.time for w in path], [w.matrix() for w in path])
+    pose, twist, change = np.empty(7), np.empty(6), np.empty(6)
     found = []
     for begin, end in pairwise(path):
-        duration = end.time - begin.time
-        q0, q1 = (
-            matrix_to_quaternion(np.ascontiguousarray(pose.matrix()[:3, :3]))
-            for pose in (begin, end)
-        )
-        shift, turn = np.subtract(end.xyz, begin.xyz), difference(q0, q1)
         for x in SAMPLES:
-            way = x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
-            rate = 30.0 * (x * (1.0 - x)) ** 2 / duration
-            second = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2
-            R = quaternion_to_matrix(retract(q0, way * turn))
-            omega, alpha = R.T @ (rate * turn), R.T @ (second * turn)
-            force = mass * R.T @ (second * shift - gravity)
+            t = begin.time + x * (end.time - begin.time)
+            write_reference(t, parameters, 0, pose, twist, change)
+            R = quaternion_to_matrix(pose[3:])
+            omega, alpha = R.T @ twist[3:], R.T @ change[3:]
+            force = mass * R.T @ (change[:3] - gravity)
             moment = inertia @ alpha + np.cross(omega, inertia @ omega)
             found.append(np.concatenate([force, moment]))
     return np.array(found)
