@@ -6,8 +6,19 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, Protocol
 
 from multiarm.errors import MultiarmError
+
+DOTS = 150
+"""Of a picture, per inch."""
+
+
+class Picture(Protocol):
+    """What can be written to a file, such as a figure of matplotlib."""
+
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """Write it."""
 
 
 @contextmanager
@@ -28,3 +39,15 @@ def in_one_step(path: Path, option: str) -> Iterator[Path]:
         raise MultiarmError(f"{option}: cannot write '{path}': {error.strerror}") from None
     finally:
         partial.unlink(missing_ok=True)
+
+
+def save_figure(figure: Picture, path: Path) -> None:
+    """Write a figure to the file that ``--plot`` names; its ending is the format.
+
+    Raises
+    ------
+    MultiarmError
+        It cannot be written.
+    """
+    with in_one_step(path, "--plot") as partial:
+        figure.savefig(partial, format=path.suffix.lower().lstrip("."), dpi=DOTS)

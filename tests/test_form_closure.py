@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grasp_oracles import rational_rank
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
@@ -92,20 +93,6 @@ def exactly_closed(contacts):
     independent = (normals != 0).any(axis=1)
     spanning = (rates != 0).any()
     return bool(spanning and not (one_sided & independent).any())
-
-
-def rational_rank(rows):
-    rows, rank = [list(map(Fraction, row)) for row in rows], 0
-    for column in range(len(rows[0])):
-        pivot = next((i for i in range(rank, len(rows)) if rows[i][column]), None)
-        if pivot is None:
-            continue
-        rows[rank], rows[pivot] = rows[pivot], rows[rank]
-        for i in range(rank + 1, len(rows)):
-            factor = rows[i][column] / rows[rank][column]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[rank], strict=True)]
-        rank += 1
-    return rank
 
 
 def assert_proven(contacts, found):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
+from grasp_oracles import rational_rank
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
@@ -43,20 +43,6 @@ def numerical_rank(contacts):
     """Rank by a singular value decomposition of our own scaling."""
     s = np.linalg.svd(contacts.scaled_wrenches, compute_uv=False)
     return int(np.sum(s > 1e-9 * s[0]))
-
-
-def exact_rank(rows):
-    rows, rank = [[Fraction(int(x)) for x in row] for row in rows], 0
-    for column in range(len(rows[0])):
-        pivot = next((i for i in range(rank, len(rows)) if rows[i][column]), None)
-        if pivot is None:
-            continue
-        rows[rank], rows[pivot] = rows[pivot], rows[rank]
-        for i in range(rank + 1, len(rows)):
-            factor = rows[i][column] / rows[rank][column]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[rank], strict=True)]
-        rank += 1
-    return rank
 
 
 # --- block inverse ------------------------------------------------------------------------------
@@ -220,7 +206,7 @@ def test_on_a_coarse_grid_a_violation_always_means_dependence(rng):
     for _ in range(300):
         points, along = rng.integers(-1, 2, size=(2, 6, 3))
         along[~along.any(axis=1), 0] = 1
-        rank = exact_rank(np.hstack([along, np.cross(points, along)]))
+        rank = rational_rank(np.hstack([along, np.cross(points, along)]))
         contacts = Contacts.along(points, along)
         found = independence(contacts)
         assert found.rank == rank

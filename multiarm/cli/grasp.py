@@ -21,7 +21,7 @@ from multiarm.cli.terminal import (
     print_written,
 )
 from multiarm.errors import MultiarmError
-from multiarm.writing import in_one_step
+from multiarm.writing import save_figure
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
@@ -286,6 +286,4 @@ def _who(arms: tuple[str, str]) -> str:
 def _draw(grasp: Grasp, path: Path) -> None:
     from multiarm.plots.grasp_figures import draw_grasp
 
-    kind = path.suffix.lower().lstrip(".")
-    with in_one_step(path, "--plot") as partial:
-        draw_grasp(grasp).savefig(partial, format=kind, dpi=150)
+    save_figure(draw_grasp(grasp), path)

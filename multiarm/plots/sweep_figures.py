@@ -20,7 +20,7 @@ from multiarm.errors import SweepError
 from multiarm.plots.style import INK, STYLE
 from multiarm.plots.sweep_axes import Variable, bands, cells, is_wide, variable
 from multiarm.scene.words import unknown
-from multiarm.writing import in_one_step
+from multiarm.writing import save_figure
 
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep
@@ -98,9 +98,7 @@ def write_overview(sweep: Sweep, path: Path) -> None:
     MultiarmError
         There is nothing to draw, or the file cannot be written.
     """
-    figure = sweep_overview(sweep)
-    with in_one_step(path, "--plot") as partial:
-        figure.savefig(partial, format=path.suffix.lower().lstrip("."), dpi=150)
+    save_figure(sweep_overview(sweep), path)
 
 
 class _Data:

@@ -24,7 +24,7 @@ from multiarm.benchmarks.effect_costs.entries import (
 )
 from multiarm.benchmarks.effect_costs.variants import CANDIDATE, SETTING
 from multiarm.plots import GRID, INK, STYLE
-from multiarm.writing import in_one_step
+from multiarm.writing import save_figure
 
 COLOURS = {"present": "#3b7dd8", CANDIDATE: "#d9822b", SETTING: "#8a96a3"}
 MARKS = {PATH: "o", TURN: "s", JOINTS: "^", SLIDES: "v", FORCE: "D"}
@@ -55,9 +55,7 @@ def ledger_figure(found: Ledger, on_page: bool = False) -> Figure:
 
 def write_plot(found: Ledger, path: Path) -> None:
     """Draw the figure to a file; its ending is the format."""
-    kind = path.suffix.lower().lstrip(".")
-    with in_one_step(path, "--plot") as partial:
-        ledger_figure(found).savefig(partial, format=kind, dpi=150)
+    save_figure(ledger_figure(found), path)
 
 
 def _draw_costs(axes: Axes, shown: list[Entry]) -> None:

@@ -16,7 +16,7 @@ from multiarm.benchmarks.work_precision.reference import QUANTITIES
 from multiarm.benchmarks.work_precision.settings import BY_ACCURACY
 from multiarm.benchmarks.work_precision.store import Results
 from multiarm.plots import GRID, INK, STYLE
-from multiarm.writing import in_one_step
+from multiarm.writing import save_figure
 
 PALETTE = (
     "#3b7dd8", "#d1495b", "#2f9e67", "#d9822b", "#8a5cc2", "#0f9aa8", "#c2417c", "#8c7a2b",
@@ -99,9 +99,7 @@ def diagram(results: Results, quantity: str = "motion") -> Figure:
 
 def write_plot(results: Results, path: Path, quantity: str = "motion") -> None:
     """Draw the diagram to a file; its ending is the format."""
-    kind = path.suffix.lower().lstrip(".")
-    with in_one_step(path, "--plot") as partial:
-        diagram(results, quantity).savefig(partial, format=kind, dpi=150)
+    save_figure(diagram(results, quantity), path)
 
 
 def _draw(
