@@ -84,6 +84,11 @@ def test_a_body_that_is_not_convex_gets_a_mesh_beside_its_scene(tmp_path):
     refused = grasp("design", tmp_path / "ell.stl")
     assert refused.exit_code == 2
     assert "name the scene with --out" in refused.stderr
+    before = (tmp_path / "ell.stl").read_bytes()
+    refused = grasp("design", tmp_path / "ell.stl", "--out", tmp_path / "ell.yaml")
+    assert refused.exit_code == 2
+    assert "would take the place of" in refused.stderr
+    assert (tmp_path / "ell.stl").read_bytes() == before
     result = grasp("design", tmp_path / "ell.stl", "--out", tmp_path / "held.yaml")
     assert result.exit_code == 0, result.output
     scene = ma.load_scene(tmp_path / "held.yaml")

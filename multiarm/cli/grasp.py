@@ -164,7 +164,7 @@ def design(
             height=height,
             duration=duration,
             seed=seed,
-            mesh=_mesh_beside(solid, out),
+            mesh=_mesh_beside(solid, out, body),
             name=f"{_who(arms)} hold {body} by two corners",
             progress=progress,
         )
@@ -267,16 +267,22 @@ def _designed(
     return found.grasp.noted(found.message)
 
 
-def _mesh_beside(body: Any, out: Path | None) -> Path | None:
+def _mesh_beside(solid: Any, out: Path | None, body: str) -> Path | None:
     """Where the object's mesh goes: beside the scene, for a body that is not convex."""
-    if body.convex:
+    if solid.convex:
         return None
     if out is None:
         raise MultiarmError(
             "the body is not convex, so that its scene needs a mesh file: name the scene with "
             "--out, and the mesh is written beside it"
         )
-    return out.with_suffix(".stl")
+    mesh = out.with_suffix(".stl")
+    if mesh.expanduser().resolve() == Path(body).expanduser().resolve():
+        raise MultiarmError(
+            f"--out: the object's mesh, beside the scene, would take the place of '{body}'; give "
+            "the scene another name"
+        )
+    return mesh
 
 
 def _who(arms: tuple[str, str]) -> str:
