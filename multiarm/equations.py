@@ -38,6 +38,7 @@ from multiarm.kinematics import (
     object_terms,
     write_joint_rows,
 )
+from multiarm.lanes import lanes_at, lanes_of, put_lanes
 from multiarm.late_entries import LateEntry
 from multiarm.lowlevel import address_of, call_back, call_entry, entry, inlined, kernel
 from multiarm.node.factors import norm
@@ -178,21 +179,22 @@ def _solve(address, size, _a, _b):
     if plant.dense[0] != 0:
         ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
         call_back(plant.calls[CALL_DENSE])
-        buffers.solved[IMBALANCE] = imbalance(buffers, buffers.Wo)
+        buffers.solved[IMBALANCE] = imbalance(buffers, work, buffers.Wo)
         return CALLBACK_FAILED if buffers.flag[0] != 0 else OK
     result = solve_side_by_side(
         work, buffers.Wo, buffers.inertia, buffers.h_o, buffers.h, buffers.c, buffers.q_o,
         buffers.qdd, buffers.force,
     )  # fmt: skip
-    buffers.solved[IMBALANCE] = imbalance(buffers, buffers.Wo) if result == ELIMINATED else math.inf
-    if not buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
-        return call_entry(plant.calls[CALL_COUPLED], book_at(address, size), 0.0, 0.0)
-    ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
-    return OK
+    if result == ELIMINATED:
+        ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
+        buffers.solved[IMBALANCE] = imbalance(buffers, work, buffers.Wo)
+        if buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
+            return OK
+    return call_entry(plant.calls[CALL_COUPLED], book_at(address, size), 0.0, 0.0)
 
 
 @inlined
-def imbalance(buffers, Wo):
+def imbalance(buffers, work, Wo):
     """What is left of ``M_o q_o = h_o + W_o force``, relative to the largest force in it.
 
     ``Wo`` (N, 6) are the rows along which the forces act.  Moments are compared with moments, or
@@ -200,21 +202,20 @@ def imbalance(buffers, Wo):
     ``IMBALANCE_BOUND``; NaN where the solution is not finite.
     """
     inertia, h_o, q_o, m = buffers.inertia, buffers.h_o, buffers.q_o, buffers.inertia[0, 0]
-    s0, s1, s2, s3, s4, s5 = h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5]
+    total = work.lanes  # scratch: the solution has been handed out
+    front, back = lanes_at(h_o, 0), lanes_at(h_o, 2)  # six numbers, two of them twice
     for a in range(buffers.force.size):
-        force = buffers.force[a]
-        s0 += Wo[a, 0] * force
-        s1 += Wo[a, 1] * force
-        s2 += Wo[a, 2] * force
-        s3 += Wo[a, 3] * force
-        s4 += Wo[a, 4] * force
-        s5 += Wo[a, 5] * force
+        force = lanes_of(buffers.force[a])
+        front = front + force * lanes_at(Wo, 6 * a)
+        back = back + force * lanes_at(Wo, 6 * a + 2)
+    put_lanes(total, 0, front)
+    put_lanes(total, 2, back)
     x, y, z = q_o[3], q_o[4], q_o[5]
-    forces = abs(s0 - m * q_o[0]) + abs(s1 - m * q_o[1]) + abs(s2 - m * q_o[2])
+    forces = abs(total[0] - m * q_o[0]) + abs(total[1] - m * q_o[1]) + abs(total[2] - m * q_o[2])
     moments = (
-        abs(s3 - inertia[3, 3] * x - inertia[3, 4] * y - inertia[3, 5] * z)
-        + abs(s4 - inertia[4, 3] * x - inertia[4, 4] * y - inertia[4, 5] * z)
-        + abs(s5 - inertia[5, 3] * x - inertia[5, 4] * y - inertia[5, 5] * z)
+        abs(total[3] - inertia[3, 3] * x - inertia[3, 4] * y - inertia[3, 5] * z)
+        + abs(total[4] - inertia[4, 3] * x - inertia[4, 4] * y - inertia[4, 5] * z)
+        + abs(total[5] - inertia[5, 3] * x - inertia[5, 4] * y - inertia[5, 5] * z)
     )
     largest = m * max(abs(q_o[0]), abs(q_o[1]), abs(q_o[2]))
     small = IMBALANCE_BOUND * max(largest, abs(h_o[0]), abs(h_o[1]), abs(h_o[2]))
@@ -288,7 +289,7 @@ def solve_by_arms(plant, buffers, work, coupled, decompose_all):
     solve_coupled(
         work, coupled, buffers.h_o, buffers.h, buffers.c, buffers.q_o, buffers.qdd, buffers.force
     )
-    buffers.solved[IMBALANCE] = imbalance(buffers, buffers.Wo)
+    buffers.solved[IMBALANCE] = imbalance(buffers, work, buffers.Wo)
     return OK
 
 
