@@ -171,7 +171,7 @@ def carry_out(
     if system.plan is not None:
         comings = EventDriving(system, method_and_tolerance(spec, tighten)[1], spec.step, log)
         task = replace(task, **comings.begin(task.state))
-    run = prepare(task.system, spec, task.state, sink, task.longest_step, tighten, log)
+    run = prepare(task.system, spec, task.state, sink, task.longest_step, log, tighten)
     if comings is not None:
         comings.arm(run)
     run.comings, run.home = comings, system

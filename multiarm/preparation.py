@@ -221,8 +221,8 @@ def prepare(
     state: State | None,
     sink: Sink,
     max_step: float,
-    tighten: float,
     log: EventLog,
+    tighten: float = 1.0,
 ) -> Run:
     """Settings, arrays and the first evaluation; ``tighten`` multiplies the tolerances."""
     name, tolerance = method_and_tolerance(spec, tighten)

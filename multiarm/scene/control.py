@@ -199,7 +199,7 @@ class RunSpec(Spec):
     tolerance: Positive | None = None
     stabilization: Annotated[StabilizationSpec, BeforeValidator(_from_name)] = StabilizationSpec()
     output_step: Positive = 0.01
-    most_steps: Positive = 1e9
+    most_steps: Positive = 1e8
     solver: Literal["node", "dense"] = "node"
     arms: Literal["pinocchio", "compiled"] = "pinocchio"
 
