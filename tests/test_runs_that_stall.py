@@ -6,16 +6,20 @@ this suite and none of the hard cases comes near its default.
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from event_scenes import ball, on_floor
 from mechanics import SCENES
 
 import multiarm as ma
-from multiarm.driving import BUDGET, EVENT_STEPS, JUDGED_STEPS, MESSAGE_LENGTH
+from multiarm.driving import BUDGET, EVENT_STEPS, JUDGED_STEPS, MESSAGE_LENGTH, Pace
 from multiarm.errors import SceneError
 from multiarm.event_driving import EventDriving
 from multiarm.event_log import MOST_LISTED, EventLog
+from multiarm.scene import RunSpec
+from multiarm.time_loop import COUNT_WIDTH, REAL_WIDTH, REJECTED, STEPS, T
 
 FAST, SLOW = 1e9, 0.5  # [Hz]
 # A look at the pace may come late by the steps of one budget of evaluations, of at least 6 each.
@@ -89,6 +93,23 @@ def test_a_run_that_goes_on_with_the_method_for_stiff_scenes_ends_too(monkeypatc
     assert_given_up(run)
     assert "rodas5p took over" in run.message and run.time[-1] > 0.09
     assert tried(run) <= 2 * 500 + BUDGET // 6
+
+
+@pytest.mark.parametrize(
+    ("steps", "rejected", "stops"),
+    [(JUDGED_STEPS, 0, 0), (0, JUDGED_STEPS, 0), (0, 0, JUDGED_STEPS // EVENT_STEPS)],
+)
+def test_steps_rejected_steps_and_events_count(steps, rejected, stops):
+    settings = SimpleNamespace(adaptive=True, longest_step=np.inf, begin=0.0)
+    clock = SimpleNamespace(real=np.zeros(REAL_WIDTH), counts=np.zeros(COUNT_WIDTH, dtype=int))
+    run = SimpleNamespace(settings=settings, clock=clock)
+    pace = Pace(run, RunSpec(duration=10.0))
+    for got_on, verdict in ((2e-8, False), (0.5e-8, True)):  # [s] a step, of 1e-8 s allowed
+        clock.real[T] += got_on * JUDGED_STEPS
+        clock.counts[[STEPS, REJECTED]] += steps, rejected
+        pace.event_stops += stops
+        assert bool(pace.judge(run)) is verdict
+        assert pace.judge(run) == "", "until as many steps have been made again"
 
 
 @pytest.mark.parametrize(
