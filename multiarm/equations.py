@@ -262,18 +262,23 @@ def _solve_coupled(address, size, decompose_all, _b):
 
 @kernel
 def solve_again(book):
-    """Solve the equations at hand once more, no arm eliminated as a whole; returns a status.
+    """Solve the equations at hand once more, no arm eliminated as a whole; returns a status."""
+    plant, _, _ = open_book(book)
+    status = renew_kinematics(book)
+    if status != OK:
+        return status
+    return call_entry(plant.calls[CALL_COUPLED], book, 1.0, 0.0)
 
-    The elimination has used up the kinematics, which are computed anew.
-    """
+
+@kernel
+def renew_kinematics(book):
+    """Compute anew the kinematics that an elimination has used up; returns a status."""
     plant, buffers, _ = open_book(book)
     h_o = buffers.h_o  # kinematics alone leave out the loads from outside
     s0, s1, s2, s3, s4, s5 = h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5]
     status = call_entry(plant.calls[CALL_KINEMATICS], book, 0.0, 0.0)
-    if status != OK:
-        return status
     h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5] = s0, s1, s2, s3, s4, s5
-    return call_entry(plant.calls[CALL_COUPLED], book, 1.0, 0.0)
+    return status
 
 
 @kernel

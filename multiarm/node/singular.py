@@ -162,8 +162,8 @@ def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
     for u, (i, a) in enumerate(zip(coupled.arm[:p], coupled.row[:p], strict=True)):
         own = slice(work.rows[i], work.rows[i + 1])
         rows[u, own] = coupled.V[i, a, : own.stop - own.start]
-    noticed = coupled.basis[:rank, :p] @ rows
-    return np.sqrt(np.maximum(np.sum(rows**2, axis=0) - np.sum(noticed**2, axis=0), 0.0))
+    basis = coupled.basis[:rank, :p]
+    return np.linalg.norm(rows - basis.T @ (basis @ rows), axis=0)
 
 
 @kernel
