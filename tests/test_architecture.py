@@ -116,6 +116,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "shapely": ("grasp", "viewer.regions"),
     "threadpoolctl": ("benchmarks.bursts", "sweeps.work"),
+    "tornado": ("viewer",),
     "trimesh": ("grasp.mesh",),
     "typer": ("cli",),
     "typing_extensions": ("cli", "scene", "sweeps"),

@@ -32,6 +32,8 @@ def replay(
     fps: float = 30,
     speed: float = 1.0,
     meshes: bool = True,
+    host: str = "127.0.0.1",
+    port: int = 0,
 ) -> Path | Visualizer:
     """Show a trajectory in the browser.
 
@@ -48,7 +50,8 @@ def replay(
     ----------
     trajectory : Trajectory
     path : path-like, optional
-        Write one HTML file, which needs no network, there. Absent: a live Meshcat server.
+        Write one HTML file, which needs no network, there. Absent: a live Meshcat server, which
+        ends with the program.
     open_browser : bool
         Open the live scene in the browser; a file is only written.
     fps : float
@@ -57,6 +60,11 @@ def replay(
         Seconds of the trajectory per second of the viewer.
     meshes : bool
         False shows simple bars in place of the robots' mesh files: a small file.
+    host : str
+        Address of this computer at which a live server listens. Only this computer reaches the
+        usual one; whoever reaches another can watch, ``"0.0.0.0"`` stands for all.
+    port : int
+        Of a live server; 0 takes a free one.
 
     Returns
     -------
@@ -66,8 +74,8 @@ def replay(
     Raises
     ------
     ReplayError
-        The trajectory has no samples, the file cannot be written, or `fps` or `speed` is not a
-        number greater than 0.
+        The trajectory has no samples, the file cannot be written, nothing can listen at `host` and
+        `port`, or `fps` or `speed` is not a number greater than 0.
     """
     for name, value in (("fps", fps), ("speed", speed)):
         if not (math.isfinite(value) and value > 0):
@@ -81,7 +89,7 @@ def replay(
     if target is None:
         from multiarm.viewer.server import serve
 
-        visualizer = serve(commands)
+        visualizer = serve(commands, host, port)
         if open_browser:
             visualizer.open()
         return visualizer
