@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import ReplayError
+from multiarm.writing import complete
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -154,12 +155,10 @@ def _target(path: str | os.PathLike) -> Path:
 
 
 def _write(target: Path, page: str) -> None:
-    partial = target.with_name(f".{target.name}.partial")
     try:
-        partial.write_text(page, encoding="utf-8")
-        partial.replace(target)
+        with complete(target) as partial:
+            partial.write_text(page, encoding="utf-8")
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise ReplayError(
             f"cannot write the replay to {target}: {error.strerror}; choose another place"
         ) from error

@@ -31,7 +31,7 @@ from multiarm.benchmarks.work_precision.words import recommendation, reference_t
 from multiarm.outcome import plain
 from multiarm.reporting_parts import NOTHING, quantity
 from multiarm.reporting_style import CSS
-from multiarm.writing import in_one_step
+from multiarm.writing import save_page
 
 
 def write_page(results: Results, path: Path) -> None:
@@ -42,8 +42,7 @@ def write_page(results: Results, path: Path) -> None:
     MultiarmError
         The file cannot be written.
     """
-    with in_one_step(path, "--html") as partial:
-        partial.write_text(render(results), encoding="utf-8")
+    save_page(render(results), path)
 
 
 def render(results: Results) -> str:
