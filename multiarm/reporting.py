@@ -17,6 +17,7 @@ import yaml
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
+from multiarm.printable import printable
 from multiarm.reporting_certificate import certificate_section
 from multiarm.reporting_events import events_section
 from multiarm.reporting_parts import NOTHING, grid, inline_svg, number, quantity, words
@@ -73,7 +74,7 @@ def report(trajectory: Trajectory, path: str | os.PathLike = "report.html") -> P
     page = render(trajectory)
     try:
         with complete(target) as partial:
-            partial.write_text(page, encoding="utf-8")
+            partial.write_text(printable(page), encoding="utf-8")
     except OSError as error:
         raise TrajectoryError(
             f"cannot write '{path}': {os.strerror(error.errno or 0)}; "

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from multiarm.errors import MultiarmError
+from multiarm.printable import printable
 
 DOTS = 150
 """Of a picture, per inch."""
@@ -80,7 +81,7 @@ def in_one_step(path: Path, option: str) -> Iterator[Path]:
 
 
 def save_page(page: str, path: Path, option: str = "--html") -> None:
-    """Write an HTML page to the file that ``option`` names.
+    """Write an HTML page to the file that ``option`` names; all that it shows becomes printable.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def save_page(page: str, path: Path, option: str = "--html") -> None:
         It cannot be written.
     """
     with in_one_step(path, option) as partial:
-        partial.write_text(page, encoding="utf-8")
+        partial.write_text(printable(page), encoding="utf-8")
 
 
 def save_figure(figure: Picture, path: Path) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import ReplayError
+from multiarm.printable import printable_texts
 from multiarm.writing import complete
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def replay(
 
     target = None if path is None else _target(path)
     film = film_of(trajectory, fps=fps, speed=speed, meshes=meshes)
-    commands = draw(film, speed)
+    commands = printable_texts(draw(film, speed))
     if target is None:
         from multiarm.viewer.server import serve
 
@@ -96,7 +97,7 @@ def replay(
         return visualizer
     from multiarm.viewer.page import render
 
-    _write(target, render(commands, _facts(film, speed)))
+    _write(target, render(commands, printable_texts(_facts(film, speed))))
     return target
 
 
