@@ -23,6 +23,7 @@ from multiarm.channels import Channel
 from multiarm.errors import TrajectoryError
 from multiarm.outcome import Outcome, plain
 from multiarm.sample_store import ByArm, ByContacts, Store, arm_names, channels_of
+from multiarm.writing import name_beside
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -315,10 +316,10 @@ class Trajectory:
         TrajectoryError
             The place cannot be written, or holds something that multiarm did not write.
         """
-        from multiarm.storage import Hdf5Writer, temporary_beside, writable_target
+        from multiarm.storage import Hdf5Writer, writable_target
 
         target = writable_target(path)
-        partial = temporary_beside(target).with_suffix(".saving")
+        partial = name_beside(target)
         names = tuple(self._store.channels)
         try:
             writer = Hdf5Writer(partial, tuple(self._store.channels.values()), self.provenance)

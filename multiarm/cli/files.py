@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from multiarm.errors import MultiarmError, TrajectoryError
-from multiarm.writing import in_one_step
+from multiarm.writing import in_one_step, made_anew, name_beside
 
 __all__ = ["check_plot", "check_targets", "open_result", "write_json", "write_text"]
 
@@ -110,15 +110,8 @@ def _fault(target: Path) -> str | None:
         return "it is not an ordinary file; name one"
     if target.exists() and not os.access(target, os.W_OK):
         return "the file is write-protected; choose another name"
-    partial = _beside(target)
     try:
-        partial.touch()
-        partial.unlink()
+        made_anew(name_beside(target)).unlink()
     except OSError as error:
         return f"{error.strerror}; choose a folder that you may write to"
     return None
-
-
-def _beside(target: Path) -> Path:
-    """A temporary name in the same folder, so that the file can be moved in one step."""
-    return target.with_name(f".{target.name}.{os.getpid()}.part")

@@ -21,6 +21,7 @@ from multiarm.cli.terminal import (
     print_written,
 )
 from multiarm.errors import MultiarmError
+from multiarm.printable import printable
 from multiarm.writing import save_figure
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ def design(
     if plot is not None:
         _draw(made, plot)
     if out is None:
-        typer.echo(text, nl=False)
+        typer.echo(printable(text), nl=False)
         return
     write_text(out, text, "--out")
     print_written("scene", out)

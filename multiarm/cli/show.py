@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.text import Text
@@ -46,16 +46,39 @@ def replay(
     no_open: Annotated[
         bool, typer.Option("--no-open", help="Do not open a browser; the address is printed.")
     ] = False,
+    host: Annotated[
+        str,
+        typer.Option(
+            help="Address of this computer at which the live replay is served. Only this computer "
+            "reaches the usual one; whoever reaches another can watch. 0.0.0.0 stands for all.",
+            metavar="ADDRESS",
+        ),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int,
+        typer.Option(
+            help="Port of the live replay.",
+            show_default="a free one",
+            min=0,
+            max=65535,
+            metavar="N",
+        ),
+    ] = 0,
 ) -> None:
     """Show the motion of a run in the browser, until Ctrl-C, or write it to one HTML file.
 
     Shown are arms, object, joints with their axes and limits, contacts and contact forces. A run
     that failed or was interrupted is shown as far as it came. Of a sweep, --run names the run.
+
+    The server ends with the program. From another computer, forward its port: ssh -L
+    8000:127.0.0.1:8000 COMPUTER, there multiarm replay RESULT.h5 --no-open --port 8000.
     """
     check_targets({"--html": html}, source=result)
     trajectory = _open_with_samples(result, run)
     if html is None:
-        serve_until_interrupt(trajectory, fps=fps, speed=speed, open_browser=not no_open)
+        serve_until_interrupt(
+            trajectory, fps=fps, speed=speed, open_browser=not no_open, host=host, port=port
+        )
         return
     import multiarm
 
@@ -82,18 +105,11 @@ def report(
     print_written("report", out)
 
 
-def serve_until_interrupt(
-    trajectory: Trajectory,
-    *,
-    fps: float = 30.0,
-    speed: float = 1.0,
-    open_browser: bool = True,
-    quiet: bool = False,
-) -> None:
-    """Serve a live replay and wait for Ctrl-C; parameters as of ``multiarm.replay``."""
+def serve_until_interrupt(trajectory: Trajectory, *, quiet: bool = False, **options: Any) -> None:
+    """Serve a live replay and wait for Ctrl-C; `options` as of ``multiarm.replay``."""
     import multiarm
 
-    viewer = multiarm.replay(trajectory, fps=fps, speed=speed, open_browser=open_browser)
+    viewer = multiarm.replay(trajectory, **options)
     assert not isinstance(viewer, Path), "without a path the replay is live"
     try:
         if not quiet:
