@@ -25,7 +25,7 @@ PACKAGE = ROOT / "multiarm"
 # rooms of lower layers only, none of its own layer. "multiarm" is the public surface.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "interrupts", "translation", "books", "reporting_style", "state", "terms"),
-    ("lowlevel", "writing"),
+    ("lowlevel", "writing", "user_code"),
     ("spatial", "lanes", "channels", "outcome", "decimation", "event_words", "grasp"),
     ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage")
     + ("complementarity", "sample_store"),

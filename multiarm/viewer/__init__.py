@@ -32,6 +32,7 @@ def replay(
     fps: float = 30,
     speed: float = 1.0,
     meshes: bool = True,
+    code: bool = False,
 ) -> Path | Visualizer:
     """Show a trajectory in the browser.
 
@@ -57,6 +58,9 @@ def replay(
         Seconds of the trajectory per second of the viewer.
     meshes : bool
         False shows simple bars in place of the robots' mesh files: a small file.
+    code : bool
+        Load the functions that the scene of a stored run names, to draw their surfaces. Without, a
+        warning says what is not drawn.  A run made in this process has its functions already.
 
     Returns
     -------
@@ -76,7 +80,7 @@ def replay(
     from multiarm.viewer.filming import film_of
 
     target = None if path is None else _target(path)
-    film = film_of(trajectory, fps=fps, speed=speed, meshes=meshes)
+    film = film_of(trajectory, fps=fps, speed=speed, meshes=meshes, code=code)
     commands = draw(film, speed)
     if target is None:
         from multiarm.viewer.server import serve
