@@ -17,7 +17,7 @@ import numpy as np
 
 from multiarm.dynamics import failure_text, lost_contact_text
 from multiarm.equations import CALLBACK_FAILED, NOT_FINITE
-from multiarm.errors import MultiarmError, SolverError, TrajectoryError
+from multiarm.errors import USER_FAULTS, MultiarmError, SolverError, TrajectoryError
 from multiarm.event_driving import EventDriving
 from multiarm.event_log import EventLog
 from multiarm.integrators.stepper import step_book
@@ -326,7 +326,7 @@ def _trouble(run: Run, reason: int) -> tuple[str, str]:
             return "failed", f"{where}: {lost_contact_text(run.system) or error}"
         except MultiarmError as error:
             return "failed", f"{where}: {error}"
-        except Exception as error:
+        except USER_FAULTS as error:
             return "failed", f"{where}: a callback raised {type(error).__name__}: {error}"
     if reason == STEP_TOO_SMALL:
         return "failed", (

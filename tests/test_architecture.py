@@ -26,7 +26,7 @@ PACKAGE = ROOT / "multiarm"
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "interrupts", "printable", "translation", "books", "reporting_style", "state")
     + ("terms",),
-    ("lowlevel", "writing"),
+    ("lowlevel", "writing", "user_code"),
     ("spatial", "lanes", "channels", "outcome", "decimation", "event_log", "event_words", "grasp"),
     ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage")
     + ("complementarity", "sample_store"),

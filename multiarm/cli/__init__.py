@@ -56,6 +56,9 @@ class _Commands(TyperGroup):
         except KeyboardInterrupt:
             print_error("interrupted")
             raise typer.Exit(1) from None
+        except SystemExit as error:  # no command ends so
+            print_error(f"code that was loaded ended the program: SystemExit: {error}")
+            raise typer.Exit(1) from None
 
 
 app = typer.Typer(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -17,6 +17,9 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.printable import printable
+
+if TYPE_CHECKING:
+    from multiarm.scene import NamedCode
 
 __all__ = [
     "STATUS_STYLES",
@@ -27,6 +30,7 @@ __all__ = [
     "number",
     "output",
     "print_error",
+    "print_loaded",
     "print_warnings",
     "print_written",
     "vector",
@@ -71,6 +75,13 @@ def print_warnings(texts: Iterable[str]) -> None:
     for text in texts:
         line = Text.assemble(("warning: ", "bold yellow"), (printable(text), "yellow"))
         console.print(line, soft_wrap=True)
+
+
+def print_loaded(named: Iterable[NamedCode]) -> None:
+    """Say on stderr which code is going to be loaded, a line each."""
+    console = messages()
+    for one in dict.fromkeys(code.what for code in named):
+        console.print(Text.assemble(("loading ", "yellow"), one), soft_wrap=True)
 
 
 def print_written(what: str, path: Path) -> None:

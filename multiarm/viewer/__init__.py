@@ -36,6 +36,7 @@ def replay(
     meshes: bool = True,
     host: str = "127.0.0.1",
     port: int = 0,
+    code: bool = False,
 ) -> Path | Visualizer:
     """Show a trajectory in the browser.
 
@@ -67,6 +68,9 @@ def replay(
         usual one; whoever reaches another can watch, ``"0.0.0.0"`` stands for all.
     port : int
         Of a live server; 0 takes a free one.
+    code : bool
+        Load the functions that the scene of a stored run names, to draw their surfaces. Without, a
+        warning says what is not drawn.  A run made in this process has its functions already.
 
     Returns
     -------
@@ -86,7 +90,7 @@ def replay(
     from multiarm.viewer.filming import film_of
 
     target = None if path is None else _target(path)
-    film = film_of(trajectory, fps=fps, speed=speed, meshes=meshes)
+    film = film_of(trajectory, fps=fps, speed=speed, meshes=meshes, code=code)
     commands = printable_texts(draw(film, speed))
     if target is None:
         from multiarm.viewer.server import serve
