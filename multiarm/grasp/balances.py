@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.least_distance import least_distance
+from multiarm.grasp.least_distance import least_distance, nonnegative_least_squares
 
 # Part of the unit wrench by which closure must be inside.  Normals and points that were computed
 # are off by some 1e-16 to 1e-12; a grasp that hangs on less than this is not to be relied on.
@@ -226,14 +226,8 @@ def _least_squares(W: np.ndarray, rows: np.ndarray, sigma: float, tolerance: flo
 
     ``rows`` are orthonormal and span those of ``W``.
     """
-    from scipy.optimize import nnls
-
-    n, count = W.shape
-    resultant = W.sum(axis=1)
-    try:
-        pushes = 1.0 + nnls(W, -resultant)[0]
-    except RuntimeError:  # out of iterations
-        pushes = np.ones(count)
+    n = len(W)
+    pushes = 1.0 + nonnegative_least_squares(W, -W.sum(axis=1))
     pushes /= pushes.sum()
     residual = W @ pushes
     left = float(np.linalg.norm(residual))
