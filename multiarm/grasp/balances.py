@@ -35,6 +35,7 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.contacts.screws import first_largest
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.least_distance import least_distance, nonnegative_least_squares
 
@@ -148,7 +149,7 @@ def plainest(directions: np.ndarray) -> np.ndarray:
     turns = int(np.count_nonzero(s > BAND))
     among = directions @ Vt[turns:].T if turns < Vt.shape[0] else directions
     projections = among @ among.T
-    return projections[:, int(np.argmax(np.diag(projections)))]
+    return projections[:, first_largest(np.diag(projections))]
 
 
 def evenest(W: np.ndarray, rank: int) -> Evenest:
