@@ -57,12 +57,16 @@ BAND = (1e-12, 1e-5)
 RANK_BAND = (1e-7, 1e-5)
 # The reference loses the square of the smallest singular value that counts: this leaves 1e-8.
 DEPTH = 1e-4
+# Constraints that count as dependent are missed by this part of the accelerations at the most: the
+# tolerance times what separates one way of weighing from the other.
+DROPPED = 1e-4
 DIGITS = 50
 # Errors relative to the largest terms of the same equation.  Eliminated arms leave eleven digits
 # (a pivot of 1e-5), objects a million times lighter or heavier take three more.
 BALANCE, SOLUTION = 1e-9, 1e-8
-# Accelerations are also off by this part of what the forces in play would do to the body alone.
-ROUNDING = 1e-12
+# Accelerations are also off by this part of what the forces in play would do to a body alone, and
+# forces by this part of the largest of any arm, of which elimination leaves eleven digits.
+ROUNDING, ELIMINATION = 1e-12, 1e-10
 # Coefficients that a solution with eleven digits cannot tell apart.
 BACKWARD = 1e-11
 # One random change of all coefficients stands for the worst one.
@@ -322,14 +326,17 @@ class Oracle:
         able = [name for name, known in self.spectra.items() if not known.deep]
         return [name for name in able if not (self.system.sliding and name == "node")]
 
-    def judge(self, solver: str) -> dict[str, float]:
-        """Every figure of a solver relative to its bound: above 1 is a fault."""
+    def judge(self, solver: str, found: NodeSolution | None = None) -> dict[str, float]:
+        """Every figure of a solver relative to its bound: above 1 is a fault.
+
+        ``found`` is what it found elsewhere; it solves the system here when left out.
+        """
         system, known = self.system, self.spectra[solver]
         try:
-            found = SOLVERS[solver](system)
+            found = found or SOLVERS[solver](system)
         except ValueError:
             return {"refused": np.inf}
-        figures = self._balances(found, known)
+        figures = self._balances(solver, found)
         within = known.least_rank <= found.rank <= known.most_rank
         figures["rank"] = 0.0 if within else np.inf
         determined = not system.sliding or self.rank == sum(c.size for c in system.c)
@@ -342,14 +349,15 @@ class Oracle:
     def _accelerations(self) -> float:
         return SOLUTION * self.scales.accelerations + ROUNDING * self.scales.freed
 
-    def _balances(self, found: NodeSolution, known: Spectrum) -> dict[str, float]:
+    def _balances(self, solver: str, found: NodeSolution) -> dict[str, float]:
         on_object, arms, constraint = balances(self.system, found)
-        forces, missed = self.scales.forces, 0.0
-        if known.in_band:
-            # forces that contribute 1e-7 of theirs may be had
+        forces, dropped, in_band = self.scales.forces, 0.0, self.spectra[solver].in_band
+        if in_band:  # forces that contribute 1e-7 of theirs may be had
             forces = max(forces, min(size_of(*found.contact_forces), forces / RANK_BAND[0]))
-            missed = RANK_BAND[1] * self.scales.accelerations
-        rounding = ROUNDING * max(self.scales.all_forces, forces)
+        if in_band and solver != "node":  # which take off what contributes hardly anything
+            dropped = RANK_BAND[1] * forces
+        rounding = dropped + ELIMINATION * max(self.scales.all_forces, forces)
+        missed = DROPPED * self.scales.accelerations if in_band else 0.0
         return {
             "balance of the object": relative(on_object, BALANCE * forces + rounding),
             "balance of an arm": max(
@@ -362,7 +370,7 @@ class Oracle:
     def _errors(self, found: NodeSolution) -> dict[str, float]:
         figures = {}
         for name, error in errors(self.system, found, self.exact).items():
-            allowed = SOLUTION * self.scales.forces + ROUNDING * self.scales.all_forces
+            allowed = SOLUTION * self.scales.forces + ELIMINATION * self.scales.all_forces
             if "acceleration" in name:
                 allowed = self._accelerations
             figures[name] = relative(error, allowed)
