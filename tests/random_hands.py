@@ -17,7 +17,6 @@ from multiarm.dense_call import read_inertia
 from multiarm.terms import NodeSolution
 
 FAR = 1000.0  # [m]
-_POINTS = ((1, 0, 0), (-1, 1, 0), (-1, -1, 0), (1, 0, 0), (-1, 0, 0), (0, 0, 0))
 
 
 def draw_hand(seed: int, folder: Path) -> ma.Scene:
@@ -45,7 +44,8 @@ def draw_hand(seed: int, folder: Path) -> ma.Scene:
         held = _pose(box.turn.T @ point, box.turn.T @ frame)
         welded = not fixed and rng.random() < 0.3
         joints.append(_joint(name, held, welded, 0.2 * box.lever))
-        torques[name] = (decades(rng, -2, 2) * rng.standard_normal(len(links))).tolist()
+        torque = rng.choice([0.0, 1.0]) * decades(rng, -2, 2)
+        torques[name] = (torque * rng.standard_normal(len(links))).tolist()
     return ma.Scene(
         name=f"hand {seed}",
         gravity=[0.0, 0.0, -9.81],
@@ -54,7 +54,7 @@ def draw_hand(seed: int, folder: Path) -> ma.Scene:
         },
         arms=arms,
         joints=joints,
-        control={"kind": "constant", "torques": torques} if rng.random() < 0.6 else {"kind": "none"},
+        control={"kind": "constant", "torques": torques},
     )  # fmt: skip
 
 
@@ -69,7 +69,9 @@ def _pose(place: np.ndarray, turn: np.ndarray) -> dict:
     return {"xyz": place.tolist(), "quaternion_xyzw": quaternion.tolist()}
 
 
-def _links(rng, box: Box, fixed: bool, tilt: float) -> list[tuple[str, np.ndarray, np.ndarray, float]]:
+def _links(
+    rng, box: Box, fixed: bool, tilt: float
+) -> list[tuple[str, np.ndarray, np.ndarray, float]]:
     """Kind, place after the link before, axis [frame of the contact, z along it], and mass.
 
     Fixed fingers slide along the face, or turn about axes through the contact's line.
@@ -99,7 +101,8 @@ def _urdf(links: list) -> str:
             f"<mass value='{mass!r}'/><inertia ixx='{moment!r}' iyy='{moment!r}' izz='{moment!r}'"
             " ixy='0' ixz='0' iyz='0'/></inertial></link>"
             f"<joint name='joint_{k}' type='{kind}'><parent link='link_{k - 1}'/>"
-            f"<child link='link_{k}'/><origin xyz='{_numbers(ends)}'/><axis xyz='{_numbers(axis)}'/>"
+            f"<child link='link_{k}'/><origin xyz='{_numbers(ends)}'/>"
+            f"<axis xyz='{_numbers(axis)}'/>"
             "<limit lower='-9' upper='9' effort='1e6' velocity='100'/></joint>"
         )
         ends = offset

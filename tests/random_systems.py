@@ -231,13 +231,12 @@ def partly_immovable(rng) -> System:
 
 def repeated(rng) -> System:
     """Contacts up to three times, exactly or nearly, in one arm."""
-    box = draw_box(rng)
+    box, tilt = draw_box(rng), draw_tilt(rng)
     arms = []
     for _ in range(rng.integers(1, 7)):
         contacts = [box.contact(rng) for _ in range(rng.integers(1, 5))]
         for point, normal in list(contacts):
             for _ in range(rng.integers(0, 3)):
-                tilt = draw_tilt(rng)
                 other = normal + tilt * np.cross(normal, unit(rng))
                 contacts.append((point + tilt * box.lever * unit(rng), other))
         arms.append((contacts[:8], [joint(rng, box) for _ in range(rng.integers(1, 9))]))
@@ -246,7 +245,7 @@ def repeated(rng) -> System:
 
 def weld(rng, box: Box) -> list:
     """Six contacts of a rigid grasp at one place of the box."""
-    place, normal = box.contact(rng)
+    place, _ = box.contact(rng)
     frame, spread = turned(rng), 0.2 * box.lever
     points = [(1, 0, 0), (-1, 1, 0), (-1, -1, 0), (1, 0, 0), (-1, 0, 0), (0, 0, 0)]
     return [

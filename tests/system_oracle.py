@@ -27,28 +27,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import localcontext
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from random_systems import System
 from scipy.linalg import block_diag
-from test_singular import exactly, solve_exactly as eliminate
+from test_singular import exactly, solved
+from test_singular import solve_exactly as eliminate
 
 from multiarm.node.dense import solve_dense
 from multiarm.node.reactions import solve_with_reactions
-from multiarm.node.regular import DEFICIENT, ELIMINATED, eliminate_arms
-from multiarm.node.side_by_side import solve_side_by_side
-from multiarm.node.singular import (
-    PART_TOLERANCE,
-    RANK,
-    RANK_TOLERANCE,
-    UNKNOWNS,
-    couple,
-    loose_rows,
-    make_coupled,
-    solve_coupled,
-)
-from multiarm.node.work import make_work
+from multiarm.node.singular import ARMS, PART_TOLERANCE, RANK_TOLERANCE, loose_rows
 from multiarm.terms import NodeSolution
 
 # Singular values relative to the largest: between these there is more than one right answer, ...
@@ -84,25 +74,16 @@ def solve_by_node(system: System) -> NodeSolution:
     ValueError
         When it says that the system cannot be solved.
     """
-    dofs, rows = [len(M) for M in system.M], [W.shape[1] for W in system.W]
-    work, coupled = make_work(dofs, rows), make_coupled(dofs, rows)
-    for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
-        work.L[i, : dofs[i], : dofs[i]], work.Y[i, : dofs[i], : rows[i]] = M, W
-    Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    h, c = np.concatenate(system.h), np.concatenate(system.c)
-    q_o, q, force = np.zeros(6), np.zeros(h.size), np.zeros(c.size)
-    rank, unique = c.size, np.ones(c.size, dtype=bool)
-    given = system.h_o, h, c
-    if solve_side_by_side(work, Wo, system.M_o, *given, q_o, q, force) == DEFICIENT:
-        failed = eliminate_arms(work, Wo)
-        if failed != ELIMINATED or not couple(work, coupled, Wo, system.M_o) > 0.0:
-            raise ValueError("the node algorithm takes an inertia for indefinite")
-        solve_coupled(work, coupled, *given, q_o, q, force)
-        rank -= int(coupled.counts[UNKNOWNS] - coupled.counts[RANK])
-        unique = loose_rows(work, coupled) < PART_TOLERANCE
+    found = solved(system)
+    if not found.solvable:
+        raise ValueError("the node algorithm takes an inertia for indefinite")
+    unique = np.ones(found.force.size, dtype=bool)
+    if found.coupled.counts[ARMS]:
+        unique = loose_rows(found.work, found.coupled) < PART_TOLERANCE
+    dofs, rows = found.work.dofs[1:-1], found.work.rows[1:-1]
     return NodeSolution(
-        q_o, np.split(q, work.dofs[1:-1]), np.split(force, work.rows[1:-1]),
-        np.split(unique, work.rows[1:-1]), rank,
+        found.x[:6], np.split(found.x[6:], dofs), np.split(found.force, rows),
+        np.split(unique, rows), found.rank,
     )  # fmt: skip
 
 
@@ -192,22 +173,19 @@ def solve_exactly(system: System, rank: int) -> NodeSolution:
     """
     turned = np.linalg.svd(measured(system))[2]
     bounds = np.cumsum([0] + [W.shape[1] for W in system.W])
-    rows = [slice(None), *(slice(*ends) for ends in zip(bounds, bounds[1:], strict=False))]
+    bodies = [
+        (system.M_o, system.h_o, np.hstack(system.W_o), np.hstack(system.reaction_o), slice(None)),
+        *zip(
+            system.M, system.h, system.W, system.reaction,
+            (slice(*ends) for ends in pairwise(bounds)), strict=True,
+        ),
+    ]  # fmt: skip
     with localcontext() as context:
         context.prec = DIGITS
         V = exactly(turned[:rank].T)
         F, d, kept = 0, V.T @ exactly(np.concatenate(system.c)), []
-        for M, h, W, own in zip(
-            [system.M_o, *system.M],
-            [system.h_o, *system.h],
-            [
-                (np.hstack(system.W_o), np.hstack(system.reaction_o)),
-                *zip(system.W, system.reaction, strict=True),
-            ],
-            rows,
-            strict=True,
-        ):
-            constraint, reaction = (exactly(matrix) @ V[own] for matrix in W)
+        for M, h, W, R, own in bodies:
+            constraint, reaction = exactly(W) @ V[own], exactly(R) @ V[own]
             moved = eliminate(exactly(M), np.column_stack([reaction, exactly(h)]))
             F, d = F + constraint.T @ moved[:, :-1], d - constraint.T @ moved[:, -1]
             kept.append(moved)
