@@ -22,6 +22,9 @@ import pinocchio as pin
 from multiarm.errors import ModelError
 from multiarm.terms import ArmStructure, ArmTerms, LinkTerms
 
+# How far contacts are from the frame of the tip, about [m].
+HAND = 0.1
+
 
 @dataclass(frozen=True)
 class ArmFiles:
@@ -120,6 +123,17 @@ class Arm:
         for angle, circular in zip(angles, self.circular, strict=True):
             parts += [np.cos(angle), np.sin(angle)] if circular else [angle]
         return np.array(parts)
+
+    def levers(self) -> np.ndarray:
+        """How far a unit turn of each joint may move a contact, at most, shape (n,) [m].
+
+        The lengths of the chain from the joint to the tip, and ``HAND``; 1 for joints that slide.
+        """
+        steps = [np.linalg.norm(X.translation) for X in self.model.jointPlacements.tolist()[2:]]
+        steps += [np.linalg.norm(self.tip_translation)]
+        chain = HAND + np.cumsum(steps[::-1])[::-1]
+        slides = [self.joint_units[joint] == "m" for joint in self.joint_names]
+        return np.where(slides, 1.0, chain)
 
     def link(self, name: str) -> tuple[int, np.ndarray, np.ndarray]:
         """Number of the joint that carries a link; the link's frame in that joint's frame.

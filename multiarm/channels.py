@@ -269,6 +269,6 @@ def _scalar_channels() -> list[Channel]:
         Channel("solver/coupled_arms", (), "1", "", "arms that were solved in the coupled system"),
         Channel(
             "solver/residual", (), "1", "",
-            "largest residual of the constraints, relative to the largest term",
+            "largest relative residual of the constraints or of the object's motion",
         ),
     ]  # fmt: skip

@@ -227,7 +227,8 @@ def _unassembled(
         plant, layout.contacts, supply.configuration, len(pieces.works), pieces.states
     )
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
-    work, coupled = make_work(*sizes), make_coupled(*sizes)
+    levers = [arms[name].levers() if name in arms else np.zeros(0) for name in owners]
+    work, coupled = make_work(*sizes, levers), make_coupled(*sizes)
     calls: dict[str, Trouble] = {**supply.connect(buffers, plant.calls)}
     dense = CallBack(dense_call(plant.pointers, buffers, work), buffers.flag)
     calls["dense"], plant.calls[CALL_DENSE] = dense, dense.address

@@ -41,8 +41,8 @@ from multiarm.grips import (
 from multiarm.node.dense import null_space
 from multiarm.node.regular import NO_INERTIA
 from multiarm.node.singular import ARMS, PART_TOLERANCE, loose_rows
-from multiarm.plant import COUPLED_ARMS, RANK_OF_ALL, RESIDUAL
-from multiarm.solver_watch import note_solution
+from multiarm.plant import COUPLED_ARMS, IMBALANCE, RANK_OF_ALL, RESIDUAL
+from multiarm.solver_watch import believable, note_solution
 from multiarm.stabilization import PROJECTION_FAILED, project_velocities
 from multiarm.state import State
 from multiarm.system import System
@@ -101,6 +101,8 @@ class Evaluation:
         hardly move, or not at all.
     lost_motions : mapping arm -> tuple of str
         What these arms cannot do, in words.
+    message : str
+        Empty when accelerations and forces solve the equations; else what is left over and why.
     contact_states : mapping arm -> tuple of str
         Of contacts that come and go: what each does ("open", "touching", "sticking", ...). Those
         with a floor are named ``floor``, here and among forces, points and normals.
@@ -124,6 +126,7 @@ class Evaluation:
     coupled_arms: tuple[str, ...]
     lost_motions: Mapping[str, tuple[str, ...]]
     _system: System = field(repr=False, compare=False)
+    message: str = ""
     contact_states: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     _joint_forces: Mapping[str, np.ndarray] | None = field(repr=False, default=None)
 
@@ -204,10 +207,12 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
             raise SolverError(lost_contact_text(system) or str(error)) from error
         raise SolverError(failure_text(system, status))
     b, layout = system.buffers, system.layout
+    note_solution(system.book())
     forces, torques = b.force.copy(), b.torque.copy()
     object_acceleration, qdd, h_o = b.q_o.copy(), b.qdd.copy(), b.h_o.copy()
-    note_solution(system.book())
     rank, coupled = int(b.solved[RANK_OF_ALL]), _coupled_arms(system)
+    solved = believable(system.book(), b.solved[RESIDUAL])
+    message = "" if solved else _contradiction_text(system)
     pivots = (
         {}
         if system.plant.dense[0]
@@ -236,6 +241,7 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
         coupled_arms=coupled,
         lost_motions=lost_motions(system, coupled) if coupled else {},
         _system=system,
+        message=message,
     )
 
 
@@ -285,6 +291,12 @@ def failure_text(system: System, status: int) -> str:
 
 def _contradiction_text(system: System) -> str:
     residual = float(system.buffers.solved[RESIDUAL])
+    if system.buffers.solved[IMBALANCE] >= residual:
+        return (
+            f"the contact forces do not balance the object (relative residual {residual:.2g}): too "
+            f"few digits determine them next to a posture in which arms cannot move; start "
+            f"elsewhere, or use `solver: dense`"
+        )
     return (
         f"no acceleration meets all constraints (relative residual {residual:.2g}): some of them "
         f"contradict each other, or the chains have come to where they lose a direction with a "

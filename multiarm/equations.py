@@ -33,12 +33,14 @@ from multiarm.control import control_torques
 from multiarm.kinematics import (
     arm_rows,
     arm_terms,
+    contact_levers,
     load_inertia,
     object_terms,
     write_joint_rows,
 )
 from multiarm.late_entries import LateEntry
 from multiarm.lowlevel import address_of, call_back, call_entry, entry, inlined, kernel
+from multiarm.node.factors import norm
 from multiarm.node.regular import ELIMINATED, eliminate_arms
 from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import ARMS, couple, solve_coupled
@@ -57,10 +59,17 @@ from multiarm.plant import (
     CALL_SURFACE,
     CALLS,
     COUPLED_COUNTS,
+    IMBALANCE,
     open_book,
     open_coupled,
 )
 from multiarm.terms import BIAS_AT, GRAVITY_AT, M_AT, M_STRIDE
+
+# What the object's equation of motion may leave over, relative to the largest force in it.
+# Arms that are eliminated as a whole leave eleven digits, of which two are for cancellation.
+IMBALANCE_BOUND = 1e-9
+# Accelerations below this are no scale for what is left of an equation [m/s^2].
+AT_REST = 1e-9
 
 # Results of an evaluation; k >= 0 means that the elimination failed at arm k (or at the object).
 OK, CALLBACK_FAILED, NOT_FINITE, CONTRADICTION = -1, -2, -4, -5
@@ -169,33 +178,117 @@ def _solve(address, size, _a, _b):
     if plant.dense[0] != 0:
         ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
         call_back(plant.calls[CALL_DENSE])
+        buffers.solved[IMBALANCE] = imbalance(buffers, buffers.Wo)
         return CALLBACK_FAILED if buffers.flag[0] != 0 else OK
     result = solve_side_by_side(
         work, buffers.Wo, buffers.inertia, buffers.h_o, buffers.h, buffers.c, buffers.q_o,
         buffers.qdd, buffers.force,
     )  # fmt: skip
-    if result != ELIMINATED:
+    buffers.solved[IMBALANCE] = imbalance(buffers, buffers.Wo) if result == ELIMINATED else math.inf
+    if not buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
         return call_entry(plant.calls[CALL_COUPLED], book_at(address, size), 0.0, 0.0)
     ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
     return OK
 
 
+@inlined
+def imbalance(buffers, Wo):
+    """What is left of ``M_o q_o = h_o + W_o force``, relative to the largest force in it.
+
+    ``Wo`` (N, 6) are the rows along which the forces act.  Moments are compared with moments, or
+    with that force at the object's radius of gyration.  Zero where it is clearly less than
+    ``IMBALANCE_BOUND``; NaN where the solution is not finite.
+    """
+    inertia, h_o, q_o, m = buffers.inertia, buffers.h_o, buffers.q_o, buffers.inertia[0, 0]
+    s0, s1, s2, s3, s4, s5 = h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5]
+    for a in range(buffers.force.size):
+        force = buffers.force[a]
+        s0 += Wo[a, 0] * force
+        s1 += Wo[a, 1] * force
+        s2 += Wo[a, 2] * force
+        s3 += Wo[a, 3] * force
+        s4 += Wo[a, 4] * force
+        s5 += Wo[a, 5] * force
+    x, y, z = q_o[3], q_o[4], q_o[5]
+    forces = abs(s0 - m * q_o[0]) + abs(s1 - m * q_o[1]) + abs(s2 - m * q_o[2])
+    moments = (
+        abs(s3 - inertia[3, 3] * x - inertia[3, 4] * y - inertia[3, 5] * z)
+        + abs(s4 - inertia[4, 3] * x - inertia[4, 4] * y - inertia[4, 5] * z)
+        + abs(s5 - inertia[5, 3] * x - inertia[5, 4] * y - inertia[5, 5] * z)
+    )
+    largest = m * max(abs(q_o[0]), abs(q_o[1]), abs(q_o[2]))
+    small = IMBALANCE_BOUND * max(largest, abs(h_o[0]), abs(h_o[1]), abs(h_o[2]))
+    square = inertia[3, 3] + inertia[4, 4] + inertia[5, 5]  # m times that of the radius of gyration
+    if forces <= small and m * moments * moments <= small * small * square:
+        return 0.0
+    return relative_imbalance(buffers, Wo, forces, moments)
+
+
+@kernel
+def relative_imbalance(buffers, Wo, forces, moments):
+    """Sums of what is left of forces [N] and moments [N m] relative to the largest ones in play."""
+    inertia = buffers.inertia
+    radius = math.sqrt((inertia[3, 3] + inertia[4, 4] + inertia[5, 5]) / inertia[0, 0])
+    push = max(AT_REST * inertia[0, 0], norm(buffers.h_o[:3], 3))
+    turn = norm(buffers.h_o[3:6], 3)
+    for a in range(buffers.force.size):
+        force = abs(buffers.force[a])
+        push = max(push, force * norm(Wo[a, :3], 3))
+        turn = max(turn, force * norm(Wo[a, 3:6], 3))
+    # NaN stays NaN
+    return forces / push + moments / max(turn, push * radius)
+
+
 @entry
-def _solve_coupled(address, size, _a, _b):
-    """Solve a system with deficient arms, arm by arm; returns a status."""
+def _solve_coupled(address, size, decompose_all, _b):
+    """Solve a system with deficient arms, arm by arm; returns a status.
+
+    Where that leaves too much of the object's equation, or when ``decompose_all`` is not zero, no
+    arm is eliminated as a whole.
+    """
     book = book_at(address, size)
     plant, buffers, work = open_book(book)
     coupled = open_coupled(book)
+    for i in range(plant.pointers.shape[0]):
+        contact_levers(i, plant, buffers, work, coupled.levers[i])
+    status = solve_by_arms(plant, buffers, work, coupled, decompose_all != 0.0)
+    if status != OK or buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
+        return status
+    if decompose_all != 0.0 or coupled.counts[ARMS] == plant.pointers.shape[0]:
+        return status
+    return solve_again(book)
+
+
+@kernel
+def solve_again(book):
+    """Solve the equations at hand once more, no arm eliminated as a whole; returns a status.
+
+    The elimination has used up the kinematics, which are computed anew.
+    """
+    plant, buffers, _ = open_book(book)
+    h_o = buffers.h_o  # kinematics alone leave out the loads from outside
+    s0, s1, s2, s3, s4, s5 = h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5]
+    status = call_entry(plant.calls[CALL_KINEMATICS], book, 0.0, 0.0)
+    if status != OK:
+        return status
+    h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5] = s0, s1, s2, s3, s4, s5
+    return call_entry(plant.calls[CALL_COUPLED], book, 1.0, 0.0)
+
+
+@kernel
+def solve_by_arms(plant, buffers, work, coupled, decompose_all):
+    """Eliminate and couple all arms at the kinematics in the buffers; returns a status."""
     failed = eliminate_arms(work, buffers.Wo)
     if failed != ELIMINATED:
         return failed
-    pivot = couple(work, coupled, buffers.Wo, buffers.inertia)
+    pivot = couple(work, coupled, buffers.Wo, buffers.inertia, decompose_all)
     work.pivot[plant.pointers.shape[0]] = pivot
     if not pivot > 0.0:
         return plant.pointers.shape[0] if pivot == pivot else NOT_FINITE
     solve_coupled(
         work, coupled, buffers.h_o, buffers.h, buffers.c, buffers.q_o, buffers.qdd, buffers.force
     )
+    buffers.solved[IMBALANCE] = imbalance(buffers, buffers.Wo)
     return OK
 
 

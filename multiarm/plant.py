@@ -37,7 +37,7 @@ CALL_ARMS, ARMS_BOOK, ARMS_SIZE, CALL_COUNT = range(15, 19)
 BUSY = 1
 
 # Entries of Buffers.solved.
-RANK_OF_ALL, COUPLED_ARMS, RESIDUAL, SHIFT, KICK, SOLVED_WIDTH = range(6)
+RANK_OF_ALL, COUPLED_ARMS, RESIDUAL, SHIFT, KICK, IMBALANCE, SOLVED_WIDTH = range(7)
 
 # Columns of an event: time, number of the watch, 1 when its margin became positive (else 0).  More
 # than so many between two looks from outside are only counted.
@@ -154,10 +154,11 @@ class Buffers(NamedTuple):
     stage_gap : (2,)
         Gap to which the stages of a step are projected before they are evaluated [m], negative:
         they are not; gap to which states beside one near a loss of rank are.
-    solved : (5,)
+    solved : (6,)
         How the equations were solved last: rank of the constraints, arms in the coupled system,
         largest constraint residual relative to the largest term; largest change of a position and
-        of a velocity by the last projection.
+        of a velocity by the last projection; what the object's equation leaves over relative to
+        the largest force in it.
     lost : int64 (n + 1,), signs : (n,), passed : int64 (n,)
         Directions that each arm has lost at the end of the last step, and the rank; on which side
         of its singular postures an arm is (0: unknown), and whether it changed sides.

@@ -2,7 +2,9 @@
 
 Three numbers are written down: the rank of the constraints, how many arms went through the coupled
 system (:mod:`multiarm.node.singular`), and the largest constraint residual relative to the largest
-term of its equations.  A residual above ``RESIDUAL_BOUND`` refuses the step.
+term of its equations.  Where that is above ``RESIDUAL_BOUND``, the equations are solved once more
+with every arm decomposed; if that does not help, the step is refused.  The object's equation was
+treated likewise when it was solved (:func:`multiarm.equations.imbalance`).
 
 An arm that is not eliminated as a whole *loses a direction* when it can move along it, for the same
 force, by less than ``LOST`` of what it moves along its best one; it has it again some way after it
@@ -12,19 +14,29 @@ the determinant of the arm's square ``W`` has changed its sign.
 
 from __future__ import annotations
 
-from multiarm.lowlevel import kernel
+import math
+
+from multiarm.equations import AT_REST, OK, solve_again
+from multiarm.lowlevel import inlined, kernel
 from multiarm.node.regular import COUPLED_BELOW
 from multiarm.node.side_by_side import largest_free_rate
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
-from multiarm.plant import COUPLED_ARMS, RANK_OF_ALL, RESIDUAL, open_book, open_coupled
+from multiarm.plant import (
+    CALL_CLOSE,
+    CALL_SOLVE,
+    COUPLED_ARMS,
+    IMBALANCE,
+    RANK_OF_ALL,
+    RESIDUAL,
+    open_book,
+    open_coupled,
+)
 
 # Constraint residual, relative to the largest term of its equation, that is still a solution.
 RESIDUAL_BOUND = 1e-5
 # What roundings of gaps make of it: so much over the square of the distance from a loss of rank,
 # and at most.
 ROUNDED_RESIDUAL, MOST_ROUNDED_RESIDUAL = 1e-13, 1e-3
-# Accelerations below this are no scale for a residual [m/s^2].
-AT_REST = 1e-9
 # A direction with a sigma below this fraction of the arm's largest is lost; it is there again at
 # REGAINED times as much.
 LOST, REGAINED = 1e-3, 2.0
@@ -32,16 +44,36 @@ LOST, REGAINED = 1e-3, 2.0
 
 @kernel
 def note_solution(book):
-    """Write rank, coupled arms and residual of the last solution into ``buffers.solved``."""
+    """Write rank, coupled arms and residual of the last solution into ``buffers.solved``.
+
+    A solution that is not believable is replaced by the one with every arm decomposed.
+    """
     plant, buffers, work = open_book(book)
     coupled = open_coupled(book)
-    solved, counts = buffers.solved, coupled.counts
-    solved[RESIDUAL] = constraint_residual(plant, buffers, work)
+    solved, counts, arms = buffers.solved, coupled.counts, plant.pointers.shape[0]
+    solved[RESIDUAL] = residual_of_all(plant, buffers, work)
+    if not believable(book, solved[RESIDUAL]) and can_be_repeated(plant) and counts[ARMS] < arms:
+        if solve_again(book) != OK:
+            solved[IMBALANCE] = math.nan
+        solved[RESIDUAL] = residual_of_all(plant, buffers, work)
     if plant.dense[0] == 0:
         solved[COUPLED_ARMS] = counts[ARMS]
         solved[RANK_OF_ALL] = buffers.force.size
         if counts[ARMS] > 0:
             solved[RANK_OF_ALL] += counts[RANK] - counts[UNKNOWNS]
+
+
+@inlined
+def can_be_repeated(plant):
+    """Whether the node algorithm alone made the solution, without friction or forces of a mode."""
+    return plant.dense[0] == 0 and plant.calls[CALL_SOLVE] == plant.calls[CALL_CLOSE]
+
+
+@inlined
+def residual_of_all(plant, buffers, work):
+    """The constraints' residual or the object's, whichever is larger; NaN if either is."""
+    residual, other = constraint_residual(plant, buffers, work), buffers.solved[IMBALANCE]
+    return residual if other <= residual or residual != residual else other
 
 
 @kernel

@@ -214,7 +214,7 @@ class Trajectory:
 
     @property
     def residual(self) -> np.ndarray:
-        """Largest residual of the constraints relative to the largest term, shape (K,)."""
+        """Largest residual of the constraints or of the object's motion, relative, shape (K,)."""
         return self.channel("solver/residual")
 
     @property

@@ -64,7 +64,9 @@ shapes = st.lists(st.tuples(st.integers(1, 6), st.integers(1, 6)), min_size=1, m
 def eliminated(system):
     """The work of the elimination, room for the coupled system, status, and the solution."""
     dofs, rows = [m.shape[0] for m in system.M], [w.shape[1] for w in system.W]
-    work, coupled = make_work(dofs, rows), make_coupled(dofs, rows)
+    lever = getattr(system, "lever", 1.0)
+    work = make_work(dofs, rows, [np.full(d, lever) for d in dofs])
+    coupled = make_coupled(dofs, rows)
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
         work.L[i, : dofs[i], : dofs[i]] = M
         work.Y[i, : dofs[i], : rows[i]] = W
@@ -579,6 +581,7 @@ def test_the_units_do_not_matter(seed, length, mass):
         W_o=[W_o * object_units[:, None] for W_o in system.W_o],
         W=[W * length for W in system.W],
         c=[c * length for c in system.c],
+        lever=length,
     )
     one, two = solved(system), solved(other)
     assert one.rank == two.rank

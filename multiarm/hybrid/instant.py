@@ -12,6 +12,7 @@ from multiarm.candidates.units import DRY_JOINT, Unit
 from multiarm.complementarity import Bounded, Friction, Push, Sliding
 from multiarm.complementarity import Unit as Law
 from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
+from multiarm.dense_call import read_inertia
 from multiarm.equations import (
     OK,
     evaluate_buffers,
@@ -28,6 +29,9 @@ from multiarm.system import System
 REST_RATE = 1e-9
 # A row that others are held beside is free when this part of its response is left.
 FREE = 1e-6
+# A row is held fast when this part is left of its response to a force with nothing held: roundings
+# of what the others take away.
+HELD_FAST = 1e-12
 # Rows whose scaled response has smaller eigenvalues depend on each other or on others.
 DEPENDENT = 1e-7
 
@@ -72,11 +76,30 @@ class Instant:
         return matrix
 
     def _response(self, matrix: np.ndarray, system: System) -> tuple[np.ndarray, np.ndarray]:
-        """``D`` and what each unit force does, one a column, with the rows of ``system`` held."""
+        """``D`` and what each unit force does, one a column, with the rows of ``system`` held.
+
+        Rows that these hold fast have no response.
+        """
         motions = [_answer(system, row) for row in matrix]
         moved = np.array(motions).T.reshape(matrix.shape[1], matrix.shape[0])
         response = matrix @ moved
-        return 0.5 * (response + response.T), moved
+        response = 0.5 * (response + response.T)
+        fast = np.diag(response) <= HELD_FAST * self._mobility(matrix)
+        response[fast] = response[:, fast] = 0.0
+        return response, moved
+
+    def _mobility(self, matrix: np.ndarray) -> np.ndarray:
+        """Rates of rows to a unit force on each, with nothing held, shape (len(matrix),)."""
+        full = self._full
+        bodies = [full.buffers.inertia]
+        for i, name in enumerate(full.arm_names):
+            bodies.append(read_inertia(full.plant.pointers[i], full.arms[name].dof))
+        total, first = np.zeros(len(matrix)), 0
+        for inertia in bodies:
+            own = matrix[:, first : first + len(inertia)].T
+            total += np.sum(own * np.linalg.solve(inertia, own), axis=0)
+            first += len(inertia)
+        return total
 
     def _free_accelerations(self, rows: list[int], system: System) -> np.ndarray:
         """Accelerations of gaps with the rows of ``system`` held, and no force on others."""

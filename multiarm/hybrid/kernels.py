@@ -39,6 +39,7 @@ from multiarm.equations import (
     add_torques,
     applied_forces,
     drift_terms,
+    imbalance,
     load_gravity_torque,
     passive_forces,
     update_rows,
@@ -82,7 +83,7 @@ from multiarm.node.reaction_coupling import ROWS as REACTION_ROWS
 from multiarm.node.reaction_elimination import eliminate_with_reactions
 from multiarm.node.reaction_solution import solve_for_reactions
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
-from multiarm.plant import CALL_CLOSE, CALL_DENSE, open_book, open_coupled
+from multiarm.plant import CALL_CLOSE, CALL_DENSE, IMBALANCE, open_book, open_coupled
 from multiarm.solver_watch import note_solution, watch_solver
 
 
@@ -175,6 +176,7 @@ def solve_sliding(address, size, _a, _b):
             coupled.counts[UNKNOWNS] = reactions.counts[REACTION_ROWS]
             coupled.counts[RANK] = reactions.counts[REACTION_RANK]
             coupled.margin[0] = math.inf
+    buffers.solved[IMBALANCE] = imbalance(buffers, mode.Wr)
     if mode.stressed[0] != 0:
         add_forces(mode, buffers)
     power = 0.0

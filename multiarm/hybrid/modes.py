@@ -286,7 +286,7 @@ def _reactions(held: System) -> ReactionWork:
     layout, work = held.layout, held.work
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     return make_reaction_work(*sizes)._replace(
-        dofs=work.dofs, rows=work.rows, L=work.L, Y=work.Y, y=work.y
+        dofs=work.dofs, rows=work.rows, levers=work.levers, L=work.L, Y=work.Y, y=work.y
     )
 
 

@@ -55,7 +55,7 @@ def select(full: System, chosen: Sequence[int] | np.ndarray) -> System:
     )
     buffers = _row_buffers(full, table, len(rows))
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
-    work, coupled = make_work(*sizes), make_coupled(*sizes)
+    work, coupled = make_work(*sizes, list(full.work.levers)), make_coupled(*sizes)
     calls = {
         **full.calls,
         "dense": CallBack(dense_call(plant.pointers, buffers, work), buffers.flag),

@@ -10,7 +10,13 @@ import math
 from multiarm.lowlevel import inlined, kernel
 from multiarm.node.factors import factor_lu
 from multiarm.node.reaction_coupling import couple, over_arm
-from multiarm.node.regular import NO_INERTIA, factor_in_place, node_forward
+from multiarm.node.regular import (
+    MOBILITY_WEIGHT,
+    NO_INERTIA,
+    factor_in_place,
+    mobility,
+    node_forward,
+)
 
 # Arms (and the node matrix) with relative pivots below this are solved together with the object:
 # more work, the same result.  The elimination loses the digits that this number has.
@@ -56,7 +62,7 @@ def eliminate_with_reactions(work, Wo, Wr, object_inertia):
 
 @kernel
 def _factor_arm(i, work):
-    """Factor an arm's inertia and ``K``; its smallest relative pivot, or ``NO_INERTIA``."""
+    """Factor an arm's inertia and ``K``; how far it is from being singular, or ``NO_INERTIA``."""
     n = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
     m = work.rows[i + 1] - first
@@ -66,6 +72,7 @@ def _factor_arm(i, work):
     _forward(L, Y, n, m)
     _forward(L, Yr, n, m)
     _gram(Y, Y, n, m, K)
+    least, mobile = mobility(L, n, work.levers[i]) / MOBILITY_WEIGHT, 1.0
     for a in range(m):
         norm, norm_r = 0.0, 0.0
         for j in range(n):
@@ -73,6 +80,7 @@ def _factor_arm(i, work):
             norm_r += Yr[j, a] * Yr[j, a]
         if not math.isfinite(norm + norm_r):
             return math.nan
+        mobile = min(mobile, norm / least, norm_r / least)
         work.arm_scale[first + a] = 1.0 / math.sqrt(norm) if norm > 0.0 else 1.0
         work.arm_scale_r[first + a] = 1.0 / math.sqrt(norm_r) if norm_r > 0.0 else 1.0
     without_friction = factor_in_place(K, m)
@@ -80,7 +88,7 @@ def _factor_arm(i, work):
     for a in range(m):
         for b in range(m):
             K[a, b] *= work.arm_scale[first + a] * work.arm_scale_r[first + b]
-    return max(0.0, min(without_friction, factor_lu(K, m, work.K_pivots[i])))
+    return max(0.0, min(mobile, without_friction, factor_lu(K, m, work.K_pivots[i])))
 
 
 @kernel

@@ -46,6 +46,8 @@ class ReactionWork(NamedTuple):
 
     dofs, rows : int64 (n + 1,)
         Where each arm's joints and contacts start in the stacked vectors.
+    levers : (n, d)
+        As in :class:`multiarm.node.work.NodeWork`.
     L : (n, d, d), Y, Yr : (n, d, m)
         Factors of the inertias (lower triangles, diagonals inverted); ``L^-1 W``, ``L^-1 W~``.
     K : (n, m, m), K_pivots : int64 (n, m), arm_scale, arm_scale_r : (N,)
@@ -57,7 +59,7 @@ class ReactionWork(NamedTuple):
     coupled, loose : int64 (n,)
         Which arms are coupled; whose forces take part in what is not determined of the motion.
     pivot : (n + 1,)
-        Smallest relative pivot of each arm's ``K``, with and without friction; of the node last.
+        How far each arm's ``K`` is from being singular, with and without friction; the node last.
     spread : (6, 6), evenness : (1,)
         How evenly the arms stiffen the object, 1 at best.
     counts : int64 (8,)
@@ -79,6 +81,7 @@ class ReactionWork(NamedTuple):
 
     dofs: Ints1
     rows: Ints1
+    levers: Floats2
     L: Floats3
     Y: Floats3
     Yr: Floats3
@@ -123,7 +126,7 @@ class ReactionWork(NamedTuple):
 
 
 def make_reaction_work(dofs: list[int], rows: list[int]) -> ReactionWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
+    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts; all levers are 1."""
     n, d, m, D, N = len(dofs), max(dofs), max(rows), sum(dofs), sum(rows)
     shapes = {
         "L": (n, d, d), "Y": (n, d, m), "Yr": (n, d, m), "K": (n, m, m), "K_pivots": (n, m),
@@ -140,6 +143,7 @@ def make_reaction_work(dofs: list[int], rows: list[int]) -> ReactionWork:
     return ReactionWork(
         dofs=np.concatenate([[0], np.cumsum(dofs)]).astype(np.int64),
         rows=np.concatenate([[0], np.cumsum(rows)]).astype(np.int64),
+        levers=np.ones((n, d)),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
 

@@ -24,9 +24,12 @@ the *solution* for one right-hand side: accelerations, velocity projections and 
 alike (thesis, 4.10 - 4.12).  The work grows linearly with the number of arms; ``S`` stays 6 by 6.
 
 It exists when every ``K_i`` is regular, that is when each arm can move along all of its own
-constraint directions.  The smallest pivot of ``K_i`` relative to its diagonal (the pivot after
-Jacobi scaling) measures how far that is from failing; arms for which it is small are left to
-:mod:`multiarm.node.singular`.
+constraint directions.  Two numbers measure how far that is from failing: the smallest pivot of
+``K_i`` relative to its diagonal (the pivot after Jacobi scaling), and that diagonal relative to
+the *mobility* of the arm, :math:`\max_j r_j^2 / p_j` with the lever :math:`r_j` of each joint and
+the pivots :math:`p_j` of the inertia.  The second is needed because an arm that cannot move along
+its contact at all leaves a ``K_i`` of roundings, which are large relative to themselves.  Arms for
+which either is small are left to :mod:`multiarm.node.singular`.
 
 Here is what is done to one arm; the arms of regular systems are taken four at a time, in
 :mod:`multiarm.node.side_by_side`.
@@ -41,6 +44,11 @@ from multiarm.lowlevel import inlined, kernel
 # Arms with a relative pivot below this go to the coupled system (:mod:`multiarm.node.singular`).
 # Elimination loses about as many digits as the pivot has zeros: the choice leaves eleven.
 COUPLED_BELOW = 1e-5
+# The same for the diagonal of K relative to the arm's mobility.  Entries of W are rounded relative
+# to the levers, so that a diagonal loses half as many digits as this has zeros: eleven are left.
+IMMOBILE_BELOW = 1e-10
+# Brings the second measure to the scale of the first, so that one bound serves both.
+MOBILITY_WEIGHT = COUPLED_BELOW / IMMOBILE_BELOW
 # Results when all arms, or not all of them, were eliminated.
 ELIMINATED, DEFICIENT = -1, -6
 # Stands in for the pivot of an arm whose inertia matrix is not positive definite.
@@ -76,13 +84,23 @@ def factor_in_place(A, n):
     return smallest
 
 
+@kernel
+def mobility(L, n, levers):
+    """How far the joints could give way to a unit push, at most [1/kg]; ``L`` is the factor."""
+    most = 0.0
+    for j in range(n):
+        reach = levers[j] * L[j, j]
+        most = max(most, reach * reach)
+    return most
+
+
 @inlined
 def eliminate_arm(i, work, Wo):
     """Factor arm ``i``.
 
     On entry ``work.L[i]`` holds the arm's inertia (lower triangle), ``work.Y[i]`` its ``W`` (one
     column a contact) and ``Wo`` (sum of rows, 6) the object's rows; on return the factors.
-    Returns the smallest relative pivot (0 when the arm is singular), or ``NO_INERTIA``.
+    Returns how far the arm is from being singular (1 at best, 0 when it is), or ``NO_INERTIA``.
     """
     n = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
@@ -107,7 +125,11 @@ def eliminate_arm(i, work, Wo):
             factor = Y[j, a]
             for b in range(a + 1):
                 G[a, b] += factor * Y[j, b]
-    pivot = factor_in_place(G, m)
+    least = mobility(L, n, work.levers[i]) / MOBILITY_WEIGHT
+    pivot = 1.0
+    for a in range(m):
+        pivot = min(pivot, G[a, a] / least)
+    pivot = min(pivot, factor_in_place(G, m))
     if not pivot > COUPLED_BELOW:
         return pivot
     for a in range(m):

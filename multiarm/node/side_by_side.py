@@ -24,15 +24,17 @@ products.  Accelerations and forces follow from the last row to the first.  ``M`
 where they are, in ``work.L`` and ``work.Y``.
 
 Arms of fewer joints or contacts than their neighbours are filled up: joints of inertia 1 that
-touch nothing, contacts of pivot -1 that push nothing.  These change no number of the arm, whatever
-its neighbours are.
+touch nothing, contacts of an enormous mobility that push nothing.  These change no number of the
+arm, whatever its neighbours are.
 """
 
 from __future__ import annotations
 
+import math
+
 from multiarm.lanes import LANES, lanes_at, lanes_of, least_positive, put_lanes, sum_of_lanes
 from multiarm.lowlevel import inlined, kernel
-from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED
+from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, MOBILITY_WEIGHT
 from multiarm.node.tables import fill_table, hand_out
 from multiarm.node.work import (
     CONTACTS,
@@ -99,27 +101,30 @@ def reduce_columns(lanes, start, stride, row, low, high, first, last):
 
 
 @inlined
-def eliminate_group(group, work):
-    """Eliminate the joints and contacts of four arms.
+def eliminate_group(group, work, stiffness):
+    """Eliminate the joints and contacts of four arms; ``stiffness`` is a row of ``work.stiffness``.
 
-    Returns the smallest pivot of the inertias or its inverse, 0 where an inertia fails, and the
-    smallest relative pivot of ``K``.
+    Returns the smallest pivot of the inertias or its inverse, 0 where an inertia fails, and how far
+    each arm is from being singular, as :func:`multiarm.node.regular.eliminate_arm` does.
     """
     d, m, start, stride = group[JOINTS], group[CONTACTS], group[START], LANES * group[WIDTH]
     lanes, one = work.lanes, lanes_of(1.0)
-    inertia, relative = one, one
+    inertia, relative, immobile = one, one, lanes_of(math.inf)
     right, row = d + m, start
     for i in range(d):
         pivot = reduce_pivot(lanes, start, stride, i, 0, i, lanes_at(lanes, row + LANES * i))
         inverse = one / pivot
         inertia = least_positive(least_positive(inertia, pivot), inverse)
+        immobile = least_positive(immobile, pivot * lanes_at(stiffness, LANES * i))
         put_lanes(lanes, row + LANES * i, inverse)
         reduce_columns(lanes, start, stride, row, 0, i, i + 1, right + 1)
         row += stride
+    immobile = immobile * lanes_of(-MOBILITY_WEIGHT)  # the diagonal of -K over the mobility
     for i in range(d, right):
         diagonal = reduce_pivot(lanes, start, stride, i, 0, d, lanes_at(lanes, row + LANES * i))
         pivot = reduce_pivot(lanes, start, stride, i, d, i, diagonal)
         relative = least_positive(relative, pivot / diagonal)
+        relative = least_positive(relative, diagonal * immobile)
         put_lanes(lanes, row + LANES * i, one / pivot)
         reduce_columns(lanes, start, stride, row, 0, i, i + 1, right + 1)
         reduce_columns(lanes, start, stride, row, d, i, right + 1, right + 7)
@@ -243,7 +248,7 @@ def solve_side_by_side(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
 
 @inlined
 def least_pivot(work, Wo, h, c):
-    """Eliminate all arms, four at a time; returns the smallest relative pivot.
+    """Eliminate all arms, four at a time; returns how far they are from being singular.
 
     That is 0 where an inertia fails, or where no arm is looked at since one is always deficient.
     """
@@ -253,7 +258,7 @@ def least_pivot(work, Wo, h, c):
     for g in range(work.groups.shape[0]):
         group, present = work.groups[g], work.present[g]
         fill_table(group, work, Wo, h, c, work.places[g], present)
-        inertia, relative = eliminate_group(group, work)
+        inertia, relative = eliminate_group(group, work, work.stiffness[g])
         add_group(group, work, lanes_at(present, present.size - LANES))
         put_lanes(lanes, OBJECT_AT, inertia)
         put_lanes(lanes, OBJECT_AT + LANES, relative)

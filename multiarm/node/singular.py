@@ -7,9 +7,18 @@ Such an arm is not handed over as a whole.  The singular value decomposition of 
 .. math:: Y_i = L_i^{-1} W_i, \qquad Y_i v_a = \sigma_a u_a
 
 turns its constraints into orthogonal *directions* ``v``.  Those with a healthy ``sigma`` are
-eliminated like any regular arm, with :math:`K = \sigma^2`.  The others, along which the arm can
-hardly move or not at all, stay as unknown forces of one *coupled system* with the object; with
-:math:`C = W_o v` and the node matrix :math:`S = L_S L_S^T` of everything that was eliminated,
+eliminated like any regular arm, with :math:`K = \sigma^2`.  Healthy is meant relative to what the
+arm can do at the places of its contacts in *any* direction,
+
+.. math:: \sigma_{any} = \max\big(\max_a \sigma_a,\; \max_j r_j / \sqrt{M_{jj}}\big) ,
+
+with the distance :math:`r_j` that the contacts move per unit motion of joint ``j`` alone: an arm
+that slides along all of its contacts has nothing but roundings for ``sigma``.  Where the contacts
+of an arm hold a point of the object in all directions, the first term is the larger one.
+
+The other directions, along which the arm can hardly move or not at all, stay as unknown forces of
+one *coupled system* with the object; with :math:`C = W_o v` and the node matrix
+:math:`S = L_S L_S^T` of everything that was eliminated,
 
 .. math::
     \big(C^T S^{-1} C + \mathrm{diag}(\sigma^2)\big)\,\lambda = B^T B\,\lambda = d, \qquad
@@ -22,7 +31,7 @@ taken for what it is, and the result goes over smoothly into that of the regular
 *Rank.*  Some combinations of these forces may move neither the object nor an arm (contacts that say
 the same twice, loops that are closed more often than needed).  That is a question of geometry, not
 of masses, and is asked of ``B`` with the object measured in unit directions and lever arms and each
-arm by its own largest ``sigma``: combinations that move less than ``RANK_TOLERANCE`` of that are
+arm by its own ``sigma_any``: combinations that move less than ``RANK_TOLERANCE`` of that are
 given no force.  Since the directions are orthonormal combinations of the contacts, the contact
 forces have the least norm in newtons; if the constraints contradict each other, they are met in the
 sense of least squares.
@@ -51,7 +60,7 @@ from multiarm.node.regular import (
 )
 from multiarm.node.work import NodeWork
 
-# Directions of an arm with a sigma below this fraction of its largest are not eliminated.
+# Directions of an arm with a sigma below this fraction of the best are not eliminated.
 SPLIT = 1e-2
 # Below this fraction the arm does not move at all.
 IMMOVABLE = 1e-11
@@ -75,8 +84,11 @@ class CoupledWork(NamedTuple):
         Directions ``v`` of the deficient arms (one a row), ``Y v``, and its length.
     deficient : int64 (n,)
         1 for the arms that are not eliminated as a whole.
+    levers : (n, d)
+        How far a unit motion of each joint alone moves the contacts of its arm, at this state
+        [m or 1]; read by :func:`couple`.  Where they are 0, the largest ``sigma`` is the scale.
     scale, split : (n,)
-        Of each deficient arm: its largest ``sigma``, and the smallest that is eliminated.
+        Of each deficient arm: ``sigma_any``, and the smallest ``sigma`` that is eliminated.
     inertia : (6, 6)
         Cholesky factor of the object's own inertia.
     arm, row : int64 (N,)
@@ -99,6 +111,7 @@ class CoupledWork(NamedTuple):
     A: Floats3
     sigma: Floats1
     deficient: Ints1
+    levers: Floats2
     scale: Floats1
     split: Floats1
     inertia: Floats2
@@ -115,13 +128,14 @@ class CoupledWork(NamedTuple):
 
 
 def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
+    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts; no lever is known."""
     n, d, m, N = len(dofs), max(dofs), max(rows), sum(rows)
     return CoupledWork(
         V=np.zeros((n, m, m)),
         A=np.zeros((n, m, d)),
         sigma=np.zeros(N),
         deficient=np.zeros(n, dtype=np.int64),
+        levers=np.zeros((n, d)),
         scale=np.zeros(n),
         split=np.zeros(n),
         inertia=np.zeros((6, 6)),
@@ -161,6 +175,18 @@ def object_mobility(row, coupled):
     return norm(wrench, 6)
 
 
+@inlined
+def best_motion(L, n, levers):
+    """Largest ``r_j / sqrt(M_jj)`` of an arm's joints; ``L`` is the factor of its inertia."""
+    best = 0.0
+    for j in range(n):
+        inertia = 1.0 / (L[j, j] * L[j, j])
+        for k in range(j):
+            inertia += L[j, k] * L[j, k]
+        best = max(best, levers[j] / math.sqrt(inertia))
+    return best
+
+
 @kernel
 def split_arm(i, work, coupled, Wo):
     """Decompose ``Y`` of a deficient arm: healthy directions into ``S``, others to the unknowns.
@@ -177,7 +203,8 @@ def split_arm(i, work, coupled, Wo):
         for b in range(m):
             V[a, b] = 1.0 if a == b else 0.0
     orthogonalize(A, m, d, V, m)
-    scale = by_object = total = 0.0
+    by_object = total = 0.0
+    scale = best_motion(work.L[i], d, coupled.levers[i])
     for a in range(m):
         coupled.sigma[first + a] = norm(A[a], d)
         scale = max(scale, coupled.sigma[first + a])
@@ -277,11 +304,12 @@ def image_basis(work, coupled):
 
 
 @inlined
-def couple(work, coupled, Wo, object_inertia):
+def couple(work, coupled, Wo, object_inertia, decompose_all=False):
     """Factor a system with deficient arms, after :func:`multiarm.node.regular.eliminate_arms`.
 
-    Returns the smallest relative pivot of the object's inertia or of the node matrix; the system is
-    of no use unless that is positive (and not NaN).
+    With ``decompose_all`` no arm is eliminated as a whole, whatever its pivots are.  Returns the
+    smallest relative pivot of the object's inertia or of the node matrix; the system is of no use
+    unless that is positive (and not NaN).
     """
     for k in range(6):
         for l in range(k + 1):  # noqa: E741
@@ -290,7 +318,7 @@ def couple(work, coupled, Wo, object_inertia):
     if not pivot > 0.0:
         return pivot
     arms = work.dofs.size - 1
-    for every in range(2):
+    for every in range(1 if decompose_all else 0, 2):
         pivot = build_node(work, coupled, Wo, object_inertia, every == 1)
         if pivot > COUPLED_BELOW or coupled.counts[ARMS] == arms:
             break

@@ -11,6 +11,9 @@ from multiarm.lanes import LANES, gather_lanes, lanes_at, lanes_of, put_lanes
 from multiarm.lowlevel import inlined
 from multiarm.node.work import CONTACTS, COUNT, FIRST_ARM, JOINTS, START, WIDTH
 
+# Mobility of contacts that fill up a table: no arm is as mobile, and its square is finite [1/kg].
+FILLED_UP = 1e100
+
 
 @inlined
 def fill_table(group, work, Wo, h, c, places, present):
@@ -57,11 +60,11 @@ def fill_contact_rows(group, work, Wo, c, places, present):
     """Write ``c`` and ``W_o^T`` of four arms into their table, and zeros for ``K``."""
     d, m = group[JOINTS], group[CONTACTS]
     lanes, row = work.lanes, group[START] + LANES * d * group[WIDTH]
-    zero, one = lanes_of(0.0), lanes_of(1.0)
+    zero, one, endless = lanes_of(0.0), lanes_of(1.0), lanes_of(FILLED_UP)
     for a in range(m):
         held = lanes_at(present, LANES * a)
         at = row + LANES * (d + a)
-        put_lanes(lanes, at, held - one)
+        put_lanes(lanes, at, (held - one) * endless)
         for _ in range(a + 1, m):
             at += LANES
             put_lanes(lanes, at, zero)

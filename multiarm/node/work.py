@@ -7,6 +7,7 @@ follow each other.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -43,8 +44,11 @@ class NodeWork(NamedTuple):
         Factor of the node matrix, lower triangle, diagonal inverted.
     y : (dofs[n],), z : (rows[n],)
         Intermediate vectors of a solution arm by arm.
+    levers : (n, d)
+        How far a unit turn of each joint may move a contact of its arm, at most [m]; 1 for joints
+        that slide.
     pivot : (n + 1,)
-        Smallest relative pivot of each ``K_i``, and of ``S`` last.
+        How far each ``K_i`` is from being singular (1 at best, 0 at worst), and ``S`` last.
     groups : int64 (g, 10)
         The groups of four arms; none when an arm has more contacts than joints, so that it is
         deficient in any posture.  A group of fewer arms repeats its first one.
@@ -52,6 +56,8 @@ class NodeWork(NamedTuple):
         Of every joint and contact of a group, where it stands in the stacked vectors of the arms.
     present : (g, 4 m + 4)
         Of every contact of a group, and last of its arms: 1 where it is there, 0 where it fills up.
+    stiffness : (g, 4 d)
+        Of every joint of a group, ``1 / lever^2``; infinite where it fills up.
     lanes : float64
         Shares of the node matrix, scratch, and the tables.
     """
@@ -66,16 +72,24 @@ class NodeWork(NamedTuple):
     S: Floats2
     y: Floats1
     z: Floats1
+    levers: Floats2
     pivot: Floats1
     groups: Ints2
     places: Ints2
     present: Floats2
+    stiffness: Floats2
     lanes: Floats1
 
 
-def make_work(dofs: list[int], rows: list[int]) -> NodeWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
+def make_work(
+    dofs: list[int], rows: list[int], levers: Sequence[np.ndarray] | None = None
+) -> NodeWork:
+    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts.
+
+    ``levers[i]`` (dofs[i],) are the levers of the arm's joints [m], 1 m when left out.
+    """
     n, d, m = len(dofs), max(dofs), max(rows)
+    every_lever = make_levers(dofs, levers)
     L = np.zeros((n, d, d))
     for inertia, own in zip(L, dofs, strict=True):
         inertia[range(own, d), range(own, d)] = 1.0
@@ -92,12 +106,32 @@ def make_work(dofs: list[int], rows: list[int]) -> NodeWork:
         S=np.zeros((6, 6)),
         y=np.zeros(sum(dofs)),
         z=np.zeros(sum(rows)),
+        levers=every_lever,
         pivot=np.ones(n + 1),
         groups=groups,
         places=places,
         present=present,
+        stiffness=_stiffness(groups, dofs, every_lever),
         lanes=aligned_zeros(size),
     )
+
+
+def make_levers(dofs: list[int], levers: Sequence[np.ndarray] | None) -> np.ndarray:
+    """``NodeWork.levers``."""
+    every = np.ones((len(dofs), max(dofs)))
+    if levers is not None:
+        for row, own in zip(every, levers, strict=True):
+            row[: len(own)] = own
+    return every
+
+
+def _stiffness(groups: np.ndarray, dofs: list[int], levers: np.ndarray) -> np.ndarray:
+    """``NodeWork.stiffness``."""
+    stiffness = np.full((len(groups), levers.shape[1], LANES), np.inf)
+    for g, group in enumerate(groups):
+        for lane, i in enumerate(group[FIRST_ARM:]):
+            stiffness[g, : dofs[i], lane] = 1.0 / levers[i, : dofs[i]] ** 2
+    return stiffness.reshape(len(groups), LANES * levers.shape[1])
 
 
 def _group(dofs: list[int], rows: list[int]) -> tuple[np.ndarray, int]:
