@@ -133,7 +133,7 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, NodeSolu
     found = ma.evaluate(compiled)
     b, work, names = compiled.buffers, compiled.work, compiled.arm_names
     dofs, rows = np.diff(work.dofs), work.rows
-    size = 0.5 * float(np.linalg.norm(scene.object.shape.box))
+    size = float(np.max(np.linalg.norm(b.Wo[:, 3:], axis=1)))
     W_o = [b.Wo[rows[i] : rows[i + 1]].T.copy() for i in range(len(names))]
     W = [work.Y[i, :d, : rows[i + 1] - rows[i]].copy() for i, d in enumerate(dofs)]
     kinds = [compiled.arms[name].model.joints[1:] for name in names]
@@ -141,7 +141,7 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, NodeSolu
         M_o=b.inertia.copy(), h_o=b.h_o.copy(),
         M=[read_inertia(compiled.plant.pointers[i], d) for i, d in enumerate(dofs)],
         h=np.split(b.h.copy(), work.dofs[1:-1]), c=np.split(b.c.copy(), rows[1:-1]),
-        W_o=W_o, W=W, reaction_o=W_o, reaction=W, lever=size,
+        W_o=W_o, W=W, moved=[np.ones(d) for d in dofs], reaction_o=W_o, reaction=W, lever=size,
         reach=[
             np.array([1.0 if "JointModelP" in joint.shortname() else size for joint in own])
             for own in kinds

@@ -33,30 +33,42 @@ from typing import NamedTuple
 import numpy as np
 from random_systems import System
 from scipy.linalg import block_diag
-from test_singular import exactly, solved
+from test_singular import exactly
 from test_singular import solve_exactly as eliminate
 
+from multiarm.equations import IMBALANCE_BOUND
 from multiarm.node.dense import solve_dense
 from multiarm.node.reactions import solve_with_reactions
-from multiarm.node.singular import ARMS, PART_TOLERANCE, RANK_TOLERANCE, loose_rows
+from multiarm.node.regular import ELIMINATED, eliminate_arms
+from multiarm.node.side_by_side import solve_side_by_side
+from multiarm.node.singular import (
+    PART_TOLERANCE,
+    RANK,
+    RANK_TOLERANCE,
+    UNKNOWNS,
+    couple,
+    loose_rows,
+    make_coupled,
+    solve_coupled,
+)
+from multiarm.node.work import make_work
 from multiarm.terms import NodeSolution
 
 # Singular values relative to the largest: between these there is more than one right answer, ...
 BAND = (1e-12, 1e-5)
 # ... but no rank counts what is below, and none leaves out what is above these.
 RANK_BAND = (1e-7, 1e-5)
-# The reference loses the square of the smallest singular value that counts: this leaves 1e-8.
-DEPTH = 1e-4
+# Reference and reactions lose the square of the smallest singular value that counts.
+DEPTH, REFERENCE = 1e-4, 1e-7
 # Constraints that count as dependent are missed by this part of the accelerations at the most: the
 # tolerance times what separates one way of weighing from the other.
 DROPPED = 1e-4
 DIGITS = 50
-# Errors relative to the largest terms of the same equation.  Eliminated arms leave eleven digits
-# (a pivot of 1e-5), objects a million times lighter or heavier take three more.
+# Errors of the node algorithm relative to the largest terms of the same equation.
 BALANCE, SOLUTION = 1e-9, 1e-8
-# Accelerations are also off by this part of what the forces in play would do to a body alone, and
-# forces by this part of the largest of any arm, of which elimination leaves eleven digits.
-ROUNDING, ELIMINATION = 1e-12, 1e-10
+# What elimination leaves of the largest force of any arm, and of what single forces would do to a
+# body alone: eleven digits (a pivot of 1e-5), of which one is lost in sums.
+ELIMINATION = 1e-10
 # Coefficients that a solution with eleven digits cannot tell apart.
 BACKWARD = 1e-11
 # One random change of all coefficients stands for the worst one.
@@ -67,24 +79,50 @@ SENSITIVITY_FACTOR = 10.0
 
 
 def solve_by_node(system: System) -> NodeSolution:
-    """The node algorithm as the time loop runs it.
+    """The node algorithm as an evaluation runs it: again where the object is not in balance.
 
     Raises
     ------
     ValueError
         When it says that the system cannot be solved.
     """
-    found = solved(system)
-    if not found.solvable:
-        raise ValueError("the node algorithm takes an inertia for indefinite")
-    unique = np.ones(found.force.size, dtype=bool)
-    if found.coupled.counts[ARMS]:
-        unique = loose_rows(found.work, found.coupled) < PART_TOLERANCE
-    dofs, rows = found.work.dofs[1:-1], found.work.rows[1:-1]
-    return NodeSolution(
-        found.x[:6], np.split(found.x[6:], dofs), np.split(found.force, rows),
-        np.split(unique, rows), found.rank,
-    )  # fmt: skip
+    dofs, rows = [len(M) for M in system.M], [W.shape[1] for W in system.W]
+    work, coupled = make_work(dofs, rows, system.reach), make_coupled(dofs, rows)
+    for i, (M, W, moved) in enumerate(zip(system.M, system.W, system.moved, strict=True)):
+        work.L[i, : dofs[i], : dofs[i]], work.Y[i, : dofs[i], : rows[i]] = M, W
+        coupled.levers[i, : dofs[i]] = moved
+    Y, Wo = work.Y.copy(), np.ascontiguousarray(np.hstack(system.W_o).T)
+    h, c = np.concatenate(system.h), np.concatenate(system.c)
+    q_o, q, force = np.zeros(6), np.zeros(h.size), np.zeros(c.size)
+    given, found = (system.h_o, h, c), (q_o, q, force)
+
+    def balanced() -> bool:
+        left = system.M_o @ q_o - system.h_o - Wo.T @ force
+        scale = size_of(system.h_o / unit, *(Wo.T / unit[:, None] * force))
+        return size_of(left / unit) <= IMBALANCE_BOUND * scale
+
+    unit = unit_of_object(system)
+    eliminated = solve_side_by_side(work, Wo, system.M_o, *given, *found) == ELIMINATED
+    if eliminated and balanced():
+        return _solution(work, *found, c.size, np.ones(c.size, dtype=bool))
+    for decompose_all in (False, True):
+        for i, M in enumerate(system.M):
+            work.L[i, : dofs[i], : dofs[i]] = M
+        work.Y[:] = Y
+        failed = eliminate_arms(work, Wo)
+        if failed != ELIMINATED or not couple(work, coupled, Wo, system.M_o, decompose_all) > 0.0:
+            raise ValueError("the node algorithm takes an inertia for indefinite")
+        solve_coupled(work, coupled, *given, *found)
+        if balanced():
+            break
+    rank = c.size - int(coupled.counts[UNKNOWNS] - coupled.counts[RANK])
+    return _solution(work, *found, rank, loose_rows(work, coupled) < PART_TOLERANCE)
+
+
+def _solution(work, q_o, q, force, rank: int, unique: np.ndarray) -> NodeSolution:
+    dofs, rows = work.dofs[1:-1], work.rows[1:-1]
+    split = np.split(q, dofs), np.split(force, rows), np.split(unique, rows)
+    return NodeSolution(q_o, *split, rank)
 
 
 def _on_matrices(solver: Callable) -> Callable[[System], NodeSolution]:
@@ -319,13 +357,13 @@ class Oracle:
         figures["rank"] = 0.0 if within else np.inf
         determined = not system.sliding or self.rank == sum(c.size for c in system.c)
         if not known.in_band and determined:
-            figures |= self._errors(found)
+            figures |= self._errors(found, SOLUTION if solver == "node" else REFERENCE)
             figures["which forces are unique"] = self._uniqueness(found)
         return figures
 
     @property
     def _accelerations(self) -> float:
-        return SOLUTION * self.scales.accelerations + ROUNDING * self.scales.freed
+        return SOLUTION * self.scales.accelerations + ELIMINATION * self.scales.freed
 
     def _balances(self, solver: str, found: NodeSolution) -> dict[str, float]:
         on_object, arms, constraint = balances(self.system, found)
@@ -345,12 +383,12 @@ class Oracle:
             "constraints": relative(constraint, self._accelerations + missed),
         }
 
-    def _errors(self, found: NodeSolution) -> dict[str, float]:
+    def _errors(self, found: NodeSolution, part: float) -> dict[str, float]:
         figures = {}
         for name, error in errors(self.system, found, self.exact).items():
-            allowed = SOLUTION * self.scales.forces + ELIMINATION * self.scales.all_forces
+            allowed = part * self.scales.forces + ELIMINATION * self.scales.all_forces
             if "acceleration" in name:
-                allowed = self._accelerations
+                allowed = part * self.scales.accelerations + ELIMINATION * self.scales.freed
             figures[name] = relative(error, allowed)
             if 1.0 < figures[name] < np.inf:
                 sensitive = SENSITIVITY_FACTOR * self.sensitivity[name]
