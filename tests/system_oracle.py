@@ -58,14 +58,16 @@ from multiarm.terms import NodeSolution
 BAND = (1e-12, 1e-5)
 # ... but no rank counts what is below, and none leaves out what is above these.
 RANK_BAND = (1e-7, 1e-5)
-# Reference and reactions lose the square of the smallest singular value that counts.
-DEPTH, REFERENCE = 1e-4, 1e-7
+# Smallest singular value that counts which reference and reactions are asked for.
+DEPTH = 1e-4
 # Constraints that count as dependent are missed by this part of the accelerations at the most: the
 # tolerance times what separates one way of weighing from the other.
 DROPPED = 1e-4
 DIGITS = 50
-# Errors of the node algorithm relative to the largest terms of the same equation.
+# Errors relative to the largest terms of the same equation.
 BALANCE, SOLUTION = 1e-9, 1e-8
+# Forces are accelerations over mobilities, the squares of singular values; a sum's worth of these.
+ROUNDING = 10.0 * float(np.finfo(float).eps)
 # What elimination leaves of the largest force of any arm, and of what single forces would do to a
 # body alone: eleven digits (a pivot of 1e-5), of which one is lost in sums.
 ELIMINATION = 1e-10
@@ -179,6 +181,8 @@ class Spectrum(NamedTuple):
 
     least_rank, rank, most_rank : int
     in_band, deep : bool
+    least : float
+        Smallest singular value that counts.
     """
 
     least_rank: int
@@ -186,6 +190,7 @@ class Spectrum(NamedTuple):
     most_rank: int
     in_band: bool
     deep: bool
+    least: float
 
 
 def spectrum(system: System, solver: str) -> Spectrum:
@@ -198,6 +203,7 @@ def spectrum(system: System, solver: str) -> Spectrum:
         most_rank=int(max(np.sum(plain > RANK_BAND[0]), np.sum(own > RANK_BAND[0]))),
         in_band=any(bool(np.any((v > BAND[0]) & (v < BAND[1]))) for v in (plain, own)),
         deep=solver != "node" and bool(own[rank - 1] < DEPTH),
+        least=min(float(plain[rank - 1]), float(own[rank - 1])),
     )
 
 
@@ -357,7 +363,7 @@ class Oracle:
         figures["rank"] = 0.0 if within else np.inf
         determined = not system.sliding or self.rank == sum(c.size for c in system.c)
         if not known.in_band and determined:
-            figures |= self._errors(found, SOLUTION if solver == "node" else REFERENCE)
+            figures |= self._errors(found, max(SOLUTION, ROUNDING / known.least**2))
             figures["which forces are unique"] = self._uniqueness(found)
         return figures
 
