@@ -114,7 +114,8 @@ def joint(rng, box: Box, contact=None, tilt: float = 0.0) -> tuple[np.ndarray, f
     axis, at = unit(rng), reach * unit(rng)
     if contact is not None:
         point, normal = contact
-        at = point + normal * reach * rng.uniform(-1, 1) + tilt * reach * np.cross(normal, axis)
+        beside = rng.choice([0.0, 1.0]) * rng.uniform(-1, 1)  # or through the point itself
+        at = point + reach * (beside * normal + tilt * np.cross(normal, axis))
     return np.concatenate([np.cross(at, axis), axis]), reach
 
 

@@ -54,7 +54,7 @@ from multiarm.node.singular import (
 from multiarm.node.work import make_work
 from multiarm.terms import NodeSolution
 
-# Singular values relative to the largest: between these there is more than one right answer, ...
+# Singular values of rows of unit pushes: between these there is more than one right answer, ...
 BAND = (1e-12, 1e-5)
 # ... but no rank counts what is below, and none leaves out what is above these.
 RANK_BAND = (1e-7, 1e-5)
@@ -64,7 +64,8 @@ DEPTH = 1e-4
 # tolerance times what separates one way of weighing from the other.
 DROPPED = 1e-4
 DIGITS = 50
-# Errors relative to the largest terms of the same equation.
+# Errors relative to the largest terms of the same equation; only the node algorithm looks at its
+# balances, and solves again where they are not within their bound.
 BALANCE, SOLUTION = 1e-9, 1e-8
 # Forces are accelerations over mobilities, the squares of singular values; a sum's worth of these.
 ROUNDING = 10.0 * float(np.finfo(float).eps)
@@ -172,8 +173,7 @@ def inertia_scaled(system: System) -> np.ndarray:
 
 
 def values_of(matrix: np.ndarray) -> np.ndarray:
-    values = np.linalg.svd(matrix, compute_uv=False)
-    return values / values[0]
+    return np.linalg.svd(matrix, compute_uv=False)
 
 
 class Spectrum(NamedTuple):
@@ -196,6 +196,8 @@ class Spectrum(NamedTuple):
 def spectrum(system: System, solver: str) -> Spectrum:
     plain = values_of(measured(system))
     own = values_of(weighed(system) if solver == "node" else inertia_scaled(system))
+    if solver != "node":
+        own = own / own[0]
     rank = int(np.sum(plain > RANK_TOLERANCE))
     return Spectrum(
         least_rank=int(min(np.sum(plain > RANK_BAND[1]), np.sum(own > RANK_BAND[1]))),
@@ -374,6 +376,7 @@ class Oracle:
     def _balances(self, solver: str, found: NodeSolution) -> dict[str, float]:
         on_object, arms, constraint = balances(self.system, found)
         forces, dropped, in_band = self.scales.forces, 0.0, self.spectra[solver].in_band
+        part = BALANCE if solver == "node" else SOLUTION
         if in_band:  # forces that contribute 1e-7 of theirs may be had
             forces = max(forces, min(size_of(*found.contact_forces), forces / RANK_BAND[0]))
         if in_band and solver != "node":  # which take off what contributes hardly anything
@@ -381,9 +384,9 @@ class Oracle:
         rounding = dropped + ELIMINATION * max(self.scales.all_forces, forces)
         missed = DROPPED * self.scales.accelerations if in_band else 0.0
         return {
-            "balance of the object": relative(on_object, BALANCE * forces + rounding),
+            "balance of the object": relative(on_object, part * forces + rounding),
             "balance of an arm": max(
-                relative(left, BALANCE * own + rounding)
+                relative(left, part * own + rounding)
                 for left, own in zip(arms, self.scales.of_arms, strict=True)
             ),
             "constraints": relative(constraint, self._accelerations + missed),
