@@ -69,6 +69,9 @@ DIGITS = 50
 BALANCE, SOLUTION = 1e-9, 1e-8
 # Forces are accelerations over mobilities, the squares of singular values; a sum's worth of these.
 ROUNDING = 10.0 * float(np.finfo(float).eps)
+# Arms that move by a thousandth of what the object does are eliminated: what is small by inertia
+# loses three more digits.
+SPLIT = 1e3
 # What elimination leaves of the largest force of any arm, and of what single forces would do to a
 # body alone: eleven digits (a pivot of 1e-5), of which one is lost in sums.
 ELIMINATION = 1e-10
@@ -181,8 +184,8 @@ class Spectrum(NamedTuple):
 
     least_rank, rank, most_rank : int
     in_band, deep : bool
-    least : float
-        Smallest singular value that counts.
+    error : float
+        Relative error of solutions.
     """
 
     least_rank: int
@@ -190,22 +193,22 @@ class Spectrum(NamedTuple):
     most_rank: int
     in_band: bool
     deep: bool
-    least: float
+    error: float
 
 
 def spectrum(system: System, solver: str) -> Spectrum:
-    plain = values_of(measured(system))
-    own = values_of(weighed(system) if solver == "node" else inertia_scaled(system))
-    if solver != "node":
-        own = own / own[0]
+    plain, scaled = values_of(measured(system)), values_of(inertia_scaled(system))
+    scaled = scaled / scaled[0]
+    own = values_of(weighed(system)) if solver == "node" else scaled
     rank = int(np.sum(plain > RANK_TOLERANCE))
+    least = min(plain[rank - 1], own[rank - 1])
     return Spectrum(
         least_rank=int(min(np.sum(plain > RANK_BAND[1]), np.sum(own > RANK_BAND[1]))),
         rank=rank,
         most_rank=int(max(np.sum(plain > RANK_BAND[0]), np.sum(own > RANK_BAND[0]))),
         in_band=any(bool(np.any((v > BAND[0]) & (v < BAND[1]))) for v in (plain, own)),
         deep=solver != "node" and bool(own[rank - 1] < DEPTH),
-        least=min(float(plain[rank - 1]), float(own[rank - 1])),
+        error=max(SOLUTION, ROUNDING / least**2, SPLIT * ROUNDING / scaled[rank - 1]),
     )
 
 
@@ -365,18 +368,17 @@ class Oracle:
         figures["rank"] = 0.0 if within else np.inf
         determined = not system.sliding or self.rank == sum(c.size for c in system.c)
         if not known.in_band and determined:
-            figures |= self._errors(found, max(SOLUTION, ROUNDING / known.least**2))
+            figures |= self._errors(found, known.error)
             figures["which forces are unique"] = self._uniqueness(found)
         return figures
 
-    @property
-    def _accelerations(self) -> float:
-        return SOLUTION * self.scales.accelerations + ELIMINATION * self.scales.freed
+    def _accelerations(self, part: float) -> float:
+        return part * self.scales.accelerations + ELIMINATION * self.scales.freed
 
     def _balances(self, solver: str, found: NodeSolution) -> dict[str, float]:
         on_object, arms, constraint = balances(self.system, found)
         forces, dropped, in_band = self.scales.forces, 0.0, self.spectra[solver].in_band
-        part = BALANCE if solver == "node" else SOLUTION
+        part, error = BALANCE if solver == "node" else SOLUTION, self.spectra[solver].error
         if in_band:  # forces that contribute 1e-7 of theirs may be had
             forces = max(forces, min(size_of(*found.contact_forces), forces / RANK_BAND[0]))
         if in_band and solver != "node":  # which take off what contributes hardly anything
@@ -389,7 +391,7 @@ class Oracle:
                 relative(left, part * own + rounding)
                 for left, own in zip(arms, self.scales.of_arms, strict=True)
             ),
-            "constraints": relative(constraint, self._accelerations + missed),
+            "constraints": relative(constraint, self._accelerations(error) + missed),
         }
 
     def _errors(self, found: NodeSolution, part: float) -> dict[str, float]:
@@ -397,7 +399,7 @@ class Oracle:
         for name, error in errors(self.system, found, self.exact).items():
             allowed = part * self.scales.forces + ELIMINATION * self.scales.all_forces
             if "acceleration" in name:
-                allowed = part * self.scales.accelerations + ELIMINATION * self.scales.freed
+                allowed = self._accelerations(part)
             figures[name] = relative(error, allowed)
             if 1.0 < figures[name] < np.inf:
                 sensitive = SENSITIVITY_FACTOR * self.sensitivity[name]
