@@ -14,7 +14,16 @@ import pinocchio as pin
 import pytest
 
 import multiarm as ma
-from multiarm.problems import HARD_CASES, Criterion, contacts, extremes, linkages, loops, spinning
+from multiarm.problems import (
+    HARD_CASES,
+    Criterion,
+    closure,
+    contacts,
+    extremes,
+    linkages,
+    loops,
+    spinning,
+)
 from multiarm.problems.building import own_urdf
 from multiarm.problems.case import apart, completed, energy_error, largest, turned_apart
 from multiarm.problems.one_freedom import Body, OneFreedom, planar
@@ -363,3 +372,35 @@ def test_a_run_off_its_closed_form_is_found_out(name):
 
 def passes_on(criterion: Criterion, system) -> bool:
     return criterion.measure(ma.simulate(system, duration=1.0), system) <= criterion.bound
+
+
+# --- form closure ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tilt", [0.1, -0.2])
+def test_block_and_tilted_fingers_fall_as_in_closed_form(tilt):
+    """At tilts that are no small numbers, by the dense solver."""
+    scene = closure.closure_scene(7, tilt)
+    run = scene.run.model_copy(update={"solver": "dense"})
+    found = ma.evaluate(ma.compile_system(scene.replace(run=run)))
+    expected = closure.fall(7, tilt)
+    forces = np.concatenate(list(found.contact_forces.values()))
+    slides = np.concatenate(list(found.joint_accelerations.values()))
+    np.testing.assert_allclose(forces, expected.forces, rtol=1e-13)
+    np.testing.assert_allclose(slides, expected.slides, rtol=1e-13)
+    turn = pin.Quaternion(np.array(scene.object.pose.quaternion_xyzw)).matrix()
+    np.testing.assert_allclose(turn.T @ found.object_acceleration[:3], expected.block, atol=1e-13)
+    np.testing.assert_allclose(found.object_acceleration[3:], 0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("count", [6, 7])
+def test_fingers_hold_the_weight_of_the_block(count):
+    scene = closure.closure_scene(count)
+    found = ma.evaluate(ma.compile_system(scene.replace(run={"solver": "dense"})))
+    forces = closure.fall(count, closure.ALIGNED).forces
+    normals = np.vstack(list(found.contact_normals.values()))
+    points = np.vstack(list(found.contact_points.values()))
+    assert np.all(forces > 0.0)
+    weight = closure.MASS * np.array(scene.gravity)
+    np.testing.assert_allclose(forces @ normals, -weight, atol=1e-12)
+    np.testing.assert_allclose(forces @ np.cross(points, normals), 0.0, atol=1e-12)

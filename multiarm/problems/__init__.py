@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from multiarm.problems import contacts, extremes, loops, postures, ring, spinning
+from multiarm.problems import closure, contacts, extremes, loops, postures, ring, spinning
 from multiarm.problems.case import Criterion, HardCase
 from multiarm.problems.random_scenes import random_scene
 from multiarm.problems.ring import ring_of_arms
@@ -15,6 +15,6 @@ __all__ = ["HARD_CASES", "Criterion", "HardCase", "random_scene", "ring_of_arms"
 
 HARD_CASES: dict[str, HardCase] = {
     case.name: case
-    for family in (postures, loops, contacts, ring, spinning, extremes)
+    for family in (postures, loops, contacts, closure, ring, spinning, extremes)
     for case in family.CASES
 }
