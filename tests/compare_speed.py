@@ -184,22 +184,12 @@ class Side:
         environment.pop("PYTHONPATH", None)
         return cls(place, environment)
 
-    def worker(self) -> Callable[[str], Any]:
-        """Start a process that measures; what is returned asks it."""
-        process = subprocess.Popen(
+    def worker(self) -> subprocess.Popen[str]:
+        """Start a process that measures; :func:`ask` asks it."""
+        return subprocess.Popen(
             [self.python, str(HERE), "--work"], env=self.environment, cwd=HERE.parent,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
         )  # fmt: skip
-
-        def ask(name: str) -> Any:
-            assert process.stdin is not None and process.stdout is not None
-            print(name, file=process.stdin, flush=True)
-            line = process.stdout.readline()
-            if not line:
-                raise SystemExit(f"the worker of {self.environment.get('PYTHONPATH')} failed")
-            return json.loads(line)
-
-        return ask
 
     def run(self, *arguments: str) -> Times:
         """Time [s] of a process."""
@@ -212,6 +202,16 @@ class Side:
         wall, after = time.perf_counter() - wall, resource.getrusage(resource.RUSAGE_CHILDREN)
         cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         return {"cpu": cpu, "wall": wall}
+
+
+def ask(worker: subprocess.Popen[str], name: str) -> Any:
+    """What a worker measures, or the names of what it can."""
+    assert worker.stdin is not None and worker.stdout is not None
+    print(name, file=worker.stdin, flush=True)
+    line = worker.stdout.readline()
+    if not line:
+        raise SystemExit(f"a worker failed at {name!r}; its last words are above")
+    return json.loads(line)
 
 
 def processes() -> dict[str, tuple[str, ...]]:
@@ -246,24 +246,26 @@ def in_turn(turn: int, measures: Sequence[Callable[[], Times]]) -> Pair:
 
 
 def measure_warm(sides: Sequence[Side], options: argparse.Namespace) -> dict[str, list[Pair]]:
-    """All probes and processes, with the kernels that are cached."""
-    workers = [side.worker() for side in sides]
-    names = [name for name in workers[0]("") if options.only in name]
-    commands = {name: c for name, c in processes().items() if options.only in name}
-    found: dict[str, list[Pair]] = {name: [] for name in (*names, *commands)}
-    for side, worker in enumerate(workers):
-        for k, name in enumerate(names):
-            print(f"\rpreparing {side + 1}/2, {k + 1}/{len(names)} ", end="", file=sys.stderr)
-            worker(name)
-        for arguments in commands.values():
-            sides[side].run(*arguments)
-    for turn in range(options.turns):
-        print(f"\rturn {turn + 1} of {options.turns}      ", end="", file=sys.stderr, flush=True)
-        for name in names:
-            found[name].append(in_turn(turn, [lambda w=w, name=name: w(name) for w in workers]))
-        for name, arguments in commands.items() if turn < options.process_turns else ():
-            calls = [lambda s=s, arguments=arguments: s.run(*arguments) for s in sides]
-            found[name].append(in_turn(turn, calls))
+    """All probes and processes, with the kernels that are cached.
+
+    Where arrays happen to lie in a process is worth some percent, so that workers are started anew.
+    """
+    found: dict[str, list[Pair]] = {}
+    for start in range(options.starts):
+        with sides[0].worker() as before, sides[1].worker() as after:
+            names = [name for name in ask(before, "") if options.only in name]
+            for turn in range(-1, options.turns):  # the first turn prepares
+                print(f"\rstart {start + 1}, turn {turn + 1}   ", end="", file=sys.stderr)
+                for name in names:
+                    pair = in_turn(turn, [partial(ask, worker, name) for worker in (before, after)])
+                    if turn >= 0:
+                        found.setdefault(name, []).append(pair)
+    for turn in range(-1, options.process_turns):
+        for name, arguments in processes().items():
+            if options.only in name:
+                pair = in_turn(turn, [partial(side.run, *arguments) for side in sides])
+                if turn >= 0:
+                    found.setdefault(name, []).append(pair)
     print(file=sys.stderr)
     return found
 
@@ -277,7 +279,7 @@ def measure_cold(options: argparse.Namespace) -> dict[str, list[Pair]]:
             for kind in ("cold", "warm again"):
                 for scene in COLD_SCENES:
                     print(f"\r{kind}: {scene}            ", end="", file=sys.stderr, flush=True)
-                    calls = [lambda s=s, scene=scene: s.run(*_run_command(scene)) for s in sides]
+                    calls = [partial(side.run, *_run_command(scene)) for side in sides]
                     found.setdefault(f"{kind}: {scene}", []).append(in_turn(turn, calls))
     print(file=sys.stderr)
     return found
@@ -293,8 +295,6 @@ def summary(pairs: list[Pair]) -> dict[str, Any]:
         found[kind] = {
             "before_s": statistics.median(before),
             "after_s": statistics.median(after),
-            "fastest_before_s": min(before),
-            "fastest_after_s": min(after),
             "ratio_quartiles": quartiles,
         }
     return found
@@ -302,13 +302,12 @@ def summary(pairs: list[Pair]) -> dict[str, Any]:
 
 def table(found: dict[str, dict[str, Any]]) -> str:
     """The figures as text: processor time, its ratio with quartiles, the ratio of wall times."""
-    head = f"{'':58}{'before':>10}{'after':>10}  ratio (quartiles)      wall ratio"
-    lines = [head]
+    lines = [f"{'':60}{'before':>9}{'after':>9}  ratio (quartiles)      wall ratio"]
     for name, entry in found.items():
-        cpu, low_median_high = entry["cpu"], entry["cpu"]["ratio_quartiles"]
-        low, median, high = low_median_high
+        cpu = entry["cpu"]
+        low, median, high = cpu["ratio_quartiles"]
         lines.append(
-            f"{name:58}{_time(cpu['before_s']):>10}{_time(cpu['after_s']):>10}  "
+            f"{name:60}{_time(cpu['before_s']):>9}{_time(cpu['after_s']):>9}  "
             f"{median:5.3f} ({low:.3f} to {high:.3f})  {entry['wall']['ratio_quartiles'][1]:8.3f}"
         )
     return "\n".join(lines)
@@ -329,7 +328,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--before", required=True, help="checkout or interpreter")
     parser.add_argument("--after", required=True, help="checkout or interpreter")
-    parser.add_argument("--turns", type=int, default=15, help="measurements of each")
+    parser.add_argument("--starts", type=int, default=4, help="of both workers")
+    parser.add_argument("--turns", type=int, default=5, help="measurements of each per start")
     parser.add_argument("--process-turns", type=int, default=5, help="starts of each process")
     parser.add_argument("--cold", type=int, nargs="?", const=1, default=0, metavar="TURNS",
                         help="measure only first runs with an empty kernel cache")  # fmt: skip
