@@ -33,7 +33,6 @@ from multiarm.control import control_torques
 from multiarm.kinematics import (
     arm_rows,
     arm_terms,
-    contact_levers,
     load_inertia,
     object_terms,
     write_joint_rows,
@@ -42,7 +41,7 @@ from multiarm.lanes import lanes_at, lanes_of, put_lanes
 from multiarm.late_entries import LateEntry
 from multiarm.lowlevel import address_of, call_back, call_entry, entry, inlined, kernel
 from multiarm.node.factors import norm
-from multiarm.node.regular import ELIMINATED, eliminate_arms
+from multiarm.node.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
 from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import ARMS, couple, solve_coupled
 from multiarm.plant import (
@@ -66,9 +65,6 @@ from multiarm.plant import (
 )
 from multiarm.terms import BIAS_AT, GRAVITY_AT, M_AT, M_STRIDE
 
-# What the object's equation of motion may leave over, relative to the largest force in it.
-# Arms that are eliminated as a whole leave eleven digits, of which two are for cancellation.
-IMBALANCE_BOUND = 1e-9
 # Accelerations below this are no scale for what is left of an equation [m/s^2].
 AT_REST = 1e-9
 
@@ -250,8 +246,6 @@ def _solve_coupled(address, size, decompose_all, _b):
     book = book_at(address, size)
     plant, buffers, work = open_book(book)
     coupled = open_coupled(book)
-    for i in range(plant.pointers.shape[0]):
-        contact_levers(i, plant, buffers, work, coupled.levers[i])
     status = solve_by_arms(plant, buffers, work, coupled, decompose_all != 0.0)
     if status != OK or buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
         return status

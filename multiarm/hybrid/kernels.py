@@ -35,7 +35,6 @@ from multiarm.contacts.kernel import AT, GAP, GAP_RATE
 from multiarm.control import control_torques
 from multiarm.equations import (
     CALLBACK_FAILED,
-    IMBALANCE_BOUND,
     OK,
     add_torques,
     applied_forces,
@@ -84,6 +83,7 @@ from multiarm.node.reaction_coupling import RANK as REACTION_RANK
 from multiarm.node.reaction_coupling import ROWS as REACTION_ROWS
 from multiarm.node.reaction_elimination import eliminate_with_reactions
 from multiarm.node.reaction_solution import solve_for_reactions
+from multiarm.node.regular import IMBALANCE_BOUND
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
 from multiarm.plant import CALL_CLOSE, CALL_DENSE, IMBALANCE, open_book, open_coupled
 from multiarm.solver_watch import note_solution, watch_solver
