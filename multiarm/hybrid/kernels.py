@@ -179,7 +179,6 @@ def solve_sliding(address, size, _a, _b):
             coupled.counts[UNKNOWNS] = reactions.counts[REACTION_ROWS]
             coupled.counts[RANK] = reactions.counts[REACTION_RANK]
             coupled.margin[0] = math.inf
-    buffers.solved[IMBALANCE] = imbalance(buffers, mode.Wr)
     if mode.stressed[0] != 0:
         add_forces(mode, buffers)
     power = 0.0
