@@ -275,17 +275,21 @@ def size_of(*vectors: np.ndarray) -> float:
 def scales_of(system: System, exact: NodeSolution) -> Scales:
     unit = unit_of_object(system)
     q_o = exact.object_acceleration
-    pushes = [R @ f for R, f in zip(system.reaction_o, exact.contact_forces, strict=True)]
+    pushes = [R * f for R, f in zip(system.reaction_o, exact.contact_forces, strict=True)]
     of_arms, moved = [], [q_o * unit, np.linalg.solve(system.M_o, system.h_o) * unit, *system.c]
-    freed = [np.linalg.solve(system.M_o, push) * unit for push in pushes]
+    freed = [np.linalg.solve(system.M_o, push) * unit[:, None] for push in pushes]
     for M, h, R, reach, q, f in zip(
         system.M, system.h, system.reaction, system.reach, exact.joint_accelerations,
         exact.contact_forces, strict=True,
     ):  # fmt: skip
         of_arms.append(size_of(M @ q / reach, h / reach, f))
         moved += [q * reach, np.linalg.solve(M, h) * reach]
-        freed.append(np.linalg.solve(M, R @ f) * reach)
-    on_object = (system.M_o @ q_o / unit, system.h_o / unit, *(push / unit for push in pushes))
+        freed.append(np.linalg.solve(M, R * f) * reach[:, None])
+    on_object = (
+        system.M_o @ q_o / unit,
+        system.h_o / unit,
+        *(push / unit[:, None] for push in pushes),
+    )
     forces = size_of(*on_object, *exact.contact_forces)
     return Scales(forces, max(forces, *of_arms), of_arms, size_of(*moved), size_of(*freed))
 
