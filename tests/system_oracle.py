@@ -15,8 +15,9 @@ are accepted.
 *Band.*  Constraints that contribute less than ``RANK_TOLERANCE`` count as dependent, and by how
 much they do depends on how levers and inertias are weighed: by each arm's own (node), or by all
 (reference, reactions).  Where a singular value is between the two of ``BAND``, in plain geometry or
-so weighed, only balances and constraints are asked for, and a rank between the numbers of singular
-values above either end of ``RANK_BAND``.
+so weighed, or an arm's beside the object's is below ``BESIDE_OBJECT``, only balances and
+constraints are asked for, and a rank between the numbers of singular values above either end of
+``RANK_BAND``.
 
 *Depth.*  Weighed by all inertias, a gram held by tonnes comes near the tolerance by its mass alone.
 Where a singular value that counts is below ``DEPTH``, reference and reactions are not asked.
@@ -41,6 +42,7 @@ from multiarm.node.reactions import solve_with_reactions
 from multiarm.node.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
 from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import (
+    IMMOVABLE_BY_OBJECT,
     PART_TOLERANCE,
     RANK,
     RANK_TOLERANCE,
@@ -56,9 +58,12 @@ from multiarm.terms import NodeSolution
 # Singular values of rows of unit pushes: between these there is more than one right answer, ...
 BAND = (1e-12, 1e-5)
 # ... but no rank counts what is below, and none leaves out what is above these.
-RANK_BAND = (1e-7, 1e-5)
+RANK_BAND = (1e-8, 1e-5)
+# Arms that move by this part of what the object does on its own, or less, count as immovable: next
+# to these there are two right answers again.
+BESIDE_OBJECT = 10.0 * IMMOVABLE_BY_OBJECT
 # Smallest singular value that counts which reference and reactions are asked for.
-DEPTH = 1e-4
+DEPTH = 1e-3
 # Constraints that count as dependent are missed by this part of the accelerations at the most: the
 # tolerance times what separates one way of weighing from the other.
 DROPPED = 1e-4
@@ -173,6 +178,16 @@ def inertia_scaled(system: System) -> np.ndarray:
     return whole / np.linalg.norm(whole, axis=0)
 
 
+def beside_object(system: System) -> np.ndarray:
+    """How each arm moves along its contacts compared with what the object does on its own."""
+    by_object = np.linalg.norm(
+        np.linalg.solve(np.linalg.cholesky(system.M_o), np.hstack(system.W_o)), axis=0
+    )
+    arms = zip(system.M, system.W, strict=True)
+    moved = [values_of(np.linalg.solve(np.linalg.cholesky(M), W)) for M, W in arms]
+    return np.concatenate(moved) / np.max(by_object)
+
+
 def values_of(matrix: np.ndarray) -> np.ndarray:
     return np.linalg.svd(matrix, compute_uv=False)
 
@@ -197,14 +212,19 @@ class Spectrum(NamedTuple):
 def spectrum(system: System, solver: str) -> Spectrum:
     plain, scaled = values_of(measured(system)), values_of(inertia_scaled(system))
     scaled = scaled / scaled[0]
-    own = values_of(weighed(system)) if solver == "node" else scaled
+    own, beside = scaled, np.zeros(0)
+    if solver == "node":
+        own, beside = values_of(weighed(system)), beside_object(system)
     rank = int(np.sum(plain > RANK_TOLERANCE))
     least = min(plain[rank - 1], own[rank - 1])
     return Spectrum(
         least_rank=int(min(np.sum(plain > RANK_BAND[1]), np.sum(own > RANK_BAND[1]))),
         rank=rank,
         most_rank=int(max(np.sum(plain > RANK_BAND[0]), np.sum(own > RANK_BAND[0]))),
-        in_band=any(bool(np.any((v > BAND[0]) & (v < BAND[1]))) for v in (plain, own)),
+        in_band=any(
+            bool(np.any((values > BAND[0]) & (values < end)))
+            for values, end in ((plain, BAND[1]), (own, BAND[1]), (beside, BESIDE_OBJECT))
+        ),
         deep=solver != "node" and bool(own[rank - 1] < DEPTH),
         error=max(SOLUTION, ROUNDING / least**2, SPLIT * ROUNDING / scaled[rank - 1]),
     )
@@ -273,17 +293,21 @@ def size_of(*vectors: np.ndarray) -> float:
 def scales_of(system: System, exact: NodeSolution) -> Scales:
     unit = unit_of_object(system)
     q_o = exact.object_acceleration
-    pushes = [R @ f for R, f in zip(system.reaction_o, exact.contact_forces, strict=True)]
+    pushes = [R * f for R, f in zip(system.reaction_o, exact.contact_forces, strict=True)]
     of_arms, moved = [], [q_o * unit, np.linalg.solve(system.M_o, system.h_o) * unit, *system.c]
-    freed = [np.linalg.solve(system.M_o, push) * unit for push in pushes]
+    freed = [np.linalg.solve(system.M_o, push) * unit[:, None] for push in pushes]
     for M, h, R, reach, q, f in zip(
         system.M, system.h, system.reaction, system.reach, exact.joint_accelerations,
         exact.contact_forces, strict=True,
     ):  # fmt: skip
         of_arms.append(size_of(M @ q / reach, h / reach, f))
         moved += [q * reach, np.linalg.solve(M, h) * reach]
-        freed.append(np.linalg.solve(M, R @ f) * reach)
-    on_object = (system.M_o @ q_o / unit, system.h_o / unit, *(push / unit for push in pushes))
+        freed.append(np.linalg.solve(M, R * f) * reach[:, None])
+    on_object = (
+        system.M_o @ q_o / unit,
+        system.h_o / unit,
+        *(push / unit[:, None] for push in pushes),
+    )
     forces = size_of(*on_object, *exact.contact_forces)
     return Scales(forces, max(forces, *of_arms), of_arms, size_of(*moved), size_of(*freed))
 
@@ -377,7 +401,7 @@ class Oracle:
         on_object, arms, constraint = balances(self.system, found)
         forces, dropped, in_band = self.scales.forces, 0.0, self.spectra[solver].in_band
         part, error = BALANCE if solver == "node" else SOLUTION, self.spectra[solver].error
-        if in_band:  # forces that contribute 1e-7 of theirs may be had
+        if in_band:  # forces that contribute 1e-8 of theirs may be had
             forces = max(forces, min(size_of(*found.contact_forces), forces / RANK_BAND[0]))
         if in_band and solver != "node":  # which take off what contributes hardly anything
             dropped = RANK_BAND[1] * forces
