@@ -35,7 +35,6 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.contacts.screws import first_largest
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.least_distance import least_distance, nonnegative_least_squares
 
@@ -46,6 +45,8 @@ BAND = 1e-10
 # Rounding of one wrench, in units of the machine precision: normalising, products, differences.
 ROUNDINGS = 64.0
 EPS = float(np.finfo(float).eps)
+# Motions whose nearness to an axis differs by less than this are equally near: the first is taken.
+EQUAL = 1e-6
 # Least smallest push, of pushes of sum 1, that is told: below it every balance nearly cancels.
 LEAST_MARGIN = -1.0 / BAND
 # Facets of the hull of this many wrenches are enumerated within milliseconds.
@@ -149,7 +150,8 @@ def plainest(directions: np.ndarray) -> np.ndarray:
     turns = int(np.count_nonzero(s > BAND))
     among = directions @ Vt[turns:].T if turns < Vt.shape[0] else directions
     projections = among @ among.T
-    return projections[:, first_largest(np.diag(projections))]
+    sizes = np.diag(projections)
+    return projections[:, int(np.argmax(sizes > (1.0 - EQUAL) * sizes.max()))]
 
 
 def evenest(W: np.ndarray, rank: int) -> Evenest:
