@@ -26,6 +26,7 @@ PACKAGE = ROOT / "multiarm"
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "interrupts", "translation", "books", "reporting_style", "state", "terms"),
     ("lowlevel", "writing"),
+    ("vectors",),
     ("spatial", "lanes", "channels", "outcome", "decimation", "event_log", "event_words", "grasp"),
     ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage")
     + ("complementarity", "sample_store"),
