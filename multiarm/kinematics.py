@@ -143,31 +143,20 @@ def arm_rows(i, book, plant, buffers, work):
         put(Wo, 0, e)
         put(Wo, 3, add(cross(sub(p, x_o), e), couple))
         # the arm takes the opposite wrench; its Jacobian is about the world's origin
-        put_column(wrench, 0, k, scale(-1.0, e))
-        put_column(wrench, 3, k, sub(cross(e, p), couple))
+        force, moment = scale(-1.0, e), sub(cross(e, p), couple)
+        if m < LANES:
+            for j in range(d):
+                Y[j, k] = dot(vec(J, 6 * j), force) + dot(vec(J, 6 * j + 3), moment)
+        else:
+            wrench[0, k], wrench[1, k], wrench[2, k] = force
+            wrench[3, k], wrench[4, k], wrench[5, k] = moment
     if m < LANES:
-        for j in range(d):
-            v, w = vec(J, 6 * j), vec(J, 6 * j + 3)
-            for k in range(m):
-                Y[j, k] = dot(v, column(wrench, 0, k)) + dot(w, column(wrench, 3, k))
         return
     k = 0
     while k < m:
         k = min(k, m - LANES)  # the last four may be among those before
         write_columns(i, k, d, J, wrench, work)
         k += LANES
-
-
-@inlined
-def column(matrix, first, k):
-    """Three entries of column ``k`` of a matrix, from row ``first`` on."""
-    return matrix[first, k], matrix[first + 1, k], matrix[first + 2, k]
-
-
-@inlined
-def put_column(matrix, first, k, a):
-    """Write three entries of column ``k`` of a matrix, from row ``first`` on."""
-    matrix[first, k], matrix[first + 1, k], matrix[first + 2, k] = a
 
 
 @inlined

@@ -6,14 +6,15 @@ y, z; arrays hold it row by row.  A symmetric matrix is the tuple ``xx, xy, xz, 
 The numbers are float64, or lanes (:mod:`multiarm.lanes`): what is not read from an array or written
 into one is the same for both.  Tuples live in registers: read all that is needed first, and write
 last, so that no number is read twice.  Functions ``add_...`` add to their first argument term after
-term, so that with lanes every product is added in the instruction that forms it.
+term, so that every product is added in the instruction that forms it; ``cross`` rounds its products
+first, so that ``a x a`` is zero.
 """
 
 from __future__ import annotations
 
 import math
 
-from multiarm.lowlevel import inlined
+from multiarm.lowlevel import fused, inlined
 
 ZERO = (0.0, 0.0, 0.0)
 
@@ -77,13 +78,13 @@ def scale(s, a):
     return s * a[0], s * a[1], s * a[2]
 
 
-@inlined
+@fused
 def add_scaled(c, s, a):
     """``c + s a``."""
     return c[0] + s * a[0], c[1] + s * a[1], c[2] + s * a[2]
 
 
-@inlined
+@fused
 def dot(a, b):
     """``a . b``."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -98,7 +99,7 @@ def norm(a):
 @inlined
 def across(n, a):
     """Part of ``a`` perpendicular to the unit vector ``n``."""
-    return sub(a, scale(dot(n, a), n))
+    return add_scaled(a, -dot(n, a), n)
 
 
 @inlined
@@ -107,7 +108,7 @@ def cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@inlined
+@fused
 def add_cross(c, a, b):
     """``c + a x b``."""
     return (
@@ -117,7 +118,7 @@ def add_cross(c, a, b):
     )
 
 
-@inlined
+@fused
 def rotate(R, a):
     """``R a``."""
     x, y, z = R
@@ -128,7 +129,7 @@ def rotate(R, a):
     )
 
 
-@inlined
+@fused
 def add_rotated(c, R, a):
     """``c + R a``."""
     x, y, z = R
@@ -151,7 +152,7 @@ def compose(R, Q):
     return rotate(R, Q[0]), rotate(R, Q[1]), rotate(R, Q[2])
 
 
-@inlined
+@fused
 def rotate_symmetric(R, A):
     """``R A R^T``."""
     u, v, w = rotate(R, A[0:3]), rotate(R, (A[1], A[3], A[4])), rotate(R, (A[2], A[4], A[5]))
@@ -172,7 +173,7 @@ def add_symmetric(A, B):
     return A[0] + B[0], A[1] + B[1], A[2] + B[2], A[3] + B[3], A[4] + B[4], A[5] + B[5]
 
 
-@inlined
+@fused
 def add_outer(A, s, a):
     """``A + s a a^T``."""
     b = scale(s, a)
@@ -198,7 +199,7 @@ def times(A, a):
     return dot(A[0:3], a), dot((A[1], A[3], A[4]), a), dot((A[2], A[4], A[5]), a)
 
 
-@inlined
+@fused
 def add_times(c, A, a):
     """``c + A a``, A symmetric."""
     return (

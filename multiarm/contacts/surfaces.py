@@ -41,6 +41,7 @@ from multiarm.lowlevel import call_back, inlined, kernel
 from multiarm.vectors import (
     add_outer,
     add_symmetric,
+    compose,
     diagonal,
     dot,
     norm,
@@ -212,13 +213,13 @@ def world_distance(shape, body, d, query, function_call):
     ``body`` (24,) is a row of body kinematics, ``d`` the place seen from the body's origin, a tuple
     in world axes [m].
     """
-    Q, R, side = rotation(shape, SHAPE_AXES), rotation(body, 0), shape[SHAPE_SIDE]
-    put(query, PLACE, rotate_back(Q, sub(rotate_back(R, d), vec(shape, SHAPE_ORIGIN))))
+    Q, side = rotation(shape, SHAPE_AXES), shape[SHAPE_SIDE]
+    R = compose(rotation(body, 0), Q)
+    put(query, PLACE, sub(rotate_back(R, d), rotate_back(Q, vec(shape, SHAPE_ORIGIN))))
     local_distance(shape, query, function_call)
-    # into the body's axes, then into the world's
-    n = rotate(R, rotate(Q, vec(query, GRADIENT)))
-    H = rotate_symmetric(R, rotate_symmetric(Q, symmetric(query, SECOND)))
-    _answer(query, query[DISTANCE], n, H)
+    n = scale(side, rotate(R, vec(query, GRADIENT)))
+    H = rotate_symmetric(R, symmetric(query, SECOND))
+    _answer(query, side * query[DISTANCE], n, H)
     if side < 0.0:
-        for i in range(DISTANCE, QUERY_WIDTH):
+        for i in range(SECOND, QUERY_WIDTH):
             query[i] = -query[i]
