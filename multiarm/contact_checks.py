@@ -179,11 +179,11 @@ def _locate(system: System, row: int, arm: str) -> np.ndarray | None:
     best, smallest, trouble = None, np.inf, None
     for guess in _guesses(system, arm, row, b):
         place = guess.copy()
-        located = locate_pair(a, b, plant.shapes, first, *r, query, calls, place)
+        located = locate_pair(a, b, plant.shapes, first, tuple(r), query, calls, place)
         z = b[:9].reshape(3, 3) @ place
-        world_distance(plant.shapes[first + 1], a, *(z - r), query, calls)
+        world_distance(plant.shapes[first + 1], a, tuple(z - r), query, calls)
         gap, second = query[DISTANCE], query[SECOND : SECOND + 6].copy()
-        world_distance(plant.shapes[first], b, *z, query, calls)
+        world_distance(plant.shapes[first], b, tuple(z), query, calls)
         gap, second = abs(gap + query[DISTANCE]), second + query[SECOND : SECOND + 6]
         if buffers.flag[0] != 0:  # a function of the user's has no answer there
             trouble = system.calls["surface"].error

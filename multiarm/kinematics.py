@@ -29,6 +29,22 @@ from multiarm.lowlevel import call_back, call_entry, inlined
 from multiarm.plant import ARMS_BOOK, ARMS_SIZE, CALL_ARMS, CALL_ROW, CALL_TERMS
 from multiarm.spatial import write_matrix
 from multiarm.terms import DRIFT_AT, J_AT, M_AT, M_STRIDE, POSE_AT, TWIST_AT
+from multiarm.vectors import (
+    ZERO,
+    add,
+    add_cross,
+    cross,
+    dot,
+    put,
+    put_rotation,
+    rotate,
+    rotate_symmetric,
+    rotation,
+    scale,
+    sub,
+    times,
+    vec,
+)
 
 
 @inlined
@@ -62,29 +78,23 @@ def arm_terms(plant, buffers):
 @inlined
 def object_terms(plant, buffers):
     """Pose, motion, inertia ``blkdiag(m I, R I R^T)`` and bias of the object (thesis, 3.2)."""
-    body, inertia, h_o = buffers.body, buffers.inertia, buffers.h_o
+    body, mass = buffers.body, plant.object_mass[0]
     write_matrix(buffers.position[3:7], body)
+    R, omega = rotation(body, 0), vec(buffers.twist, 3)
+    A = plant.object_inertia
+    I = rotate_symmetric(  # noqa: E741
+        R, (A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2])
+    )
+    put(body, ORIGIN_AT, vec(buffers.position, 0))
+    put(body, VELOCITY, vec(buffers.twist, 0))
+    put(body, SPIN, omega)
     for k in range(3):
-        body[ORIGIN_AT + k] = buffers.position[k]
-        body[VELOCITY + k] = buffers.twist[k]
-        body[SPIN + k] = buffers.twist[3 + k]
-    I = plant.object_inertia  # noqa: E741
-    for a in range(3):
-        t0 = body[3 * a] * I[0, 0] + body[3 * a + 1] * I[1, 0] + body[3 * a + 2] * I[2, 0]
-        t1 = body[3 * a] * I[0, 1] + body[3 * a + 1] * I[1, 1] + body[3 * a + 2] * I[2, 1]
-        t2 = body[3 * a] * I[0, 2] + body[3 * a + 1] * I[1, 2] + body[3 * a + 2] * I[2, 2]
-        inertia[a, a] = plant.object_mass[0]
-        for b in range(3):
-            inertia[3 + a, 3 + b] = t0 * body[3 * b] + t1 * body[3 * b + 1] + t2 * body[3 * b + 2]
-    w0, w1, w2 = body[SPIN], body[SPIN + 1], body[SPIN + 2]
-    l0 = inertia[3, 3] * w0 + inertia[3, 4] * w1 + inertia[3, 5] * w2
-    l1 = inertia[4, 3] * w0 + inertia[4, 4] * w1 + inertia[4, 5] * w2
-    l2 = inertia[5, 3] * w0 + inertia[5, 4] * w1 + inertia[5, 5] * w2
-    for k in range(3):
-        h_o[k] = plant.object_mass[0] * plant.gravity[k]
-    h_o[3] = w2 * l1 - w1 * l2
-    h_o[4] = w0 * l2 - w2 * l0
-    h_o[5] = w1 * l0 - w0 * l1
+        buffers.inertia[k, k] = mass
+    put(buffers.inertia[3], 3, I[0:3])
+    put(buffers.inertia[4], 3, (I[1], I[3], I[4]))
+    put(buffers.inertia[5], 3, (I[2], I[4], I[5]))
+    put(buffers.h_o, 0, scale(mass, vec(plant.gravity, 0)))
+    put(buffers.h_o, 3, cross(times(I, omega), omega))
 
 
 @inlined
@@ -95,19 +105,18 @@ def link_motion(pointers, gravity, row):
     the classical acceleration of the origin is ``a + omega x v``.
     """
     pose = floats_at(pointers[POSE_AT], 12)
-    v = floats_at(pointers[TWIST_AT], 6)
-    a = floats_at(pointers[DRIFT_AT], 6)
-    l0 = a[0] + v[4] * v[2] - v[5] * v[1]
-    l1 = a[1] + v[5] * v[0] - v[3] * v[2]
-    l2 = a[2] + v[3] * v[1] - v[4] * v[0]
-    for k in range(3):
-        r0, r1, r2 = pose[k], pose[3 + k], pose[6 + k]  # stored by columns
-        row[3 * k], row[3 * k + 1], row[3 * k + 2] = r0, r1, r2
-        row[ORIGIN_AT + k] = pose[9 + k]
-        row[VELOCITY + k] = r0 * v[0] + r1 * v[1] + r2 * v[2]
-        row[SPIN + k] = r0 * v[3] + r1 * v[4] + r2 * v[5]
-        row[ACCELERATION + k] = r0 * l0 + r1 * l1 + r2 * l2 + gravity[k]
-        row[SPIN_RATE + k] = r0 * a[3] + r1 * a[4] + r2 * a[5]
+    twist = floats_at(pointers[TWIST_AT], 6)
+    drift = floats_at(pointers[DRIFT_AT], 6)
+    R, x = (vec(pose, 0), vec(pose, 3), vec(pose, 6)), vec(pose, 9)  # stored by columns
+    v, omega = vec(twist, 0), vec(twist, 3)
+    a, alpha = add_cross(vec(drift, 0), omega, v), vec(drift, 3)
+    a = add(rotate(R, a), vec(gravity, 0))
+    put_rotation(row, 0, R)
+    put(row, ORIGIN_AT, x)
+    put(row, VELOCITY, rotate(R, v))
+    put(row, SPIN, rotate(R, omega))
+    put(row, ACCELERATION, a)
+    put(row, SPIN_RATE, rotate(R, alpha))
 
 
 @inlined
@@ -120,38 +129,26 @@ def arm_rows(i, book, plant, buffers, work):
     first = work.rows[i]
     m = work.rows[i + 1] - first
     J = floats_at(plant.pointers[i, J_AT], 6 * d)  # column by column
-    x0, x1, x2 = buffers.body[ORIGIN_AT], buffers.body[ORIGIN_AT + 1], buffers.body[ORIGIN_AT + 2]
-    Y, wrench = work.Y[i], buffers.wrench
+    x_o, Y, wrench = vec(buffers.body, ORIGIN_AT), work.Y[i], buffers.wrench
     write_rows(
         first, m, buffers.arms[i], buffers.body, buffers.relative, plant.codes, plant.geometry,
         buffers.contacts, book, i, plant.calls[CALL_ROW],
     )  # fmt: skip
     for k in range(m):
-        row = buffers.contacts[first + k]
-        e0, e1, e2 = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
-        p0, p1, p2 = row[AT], row[AT + 1], row[AT + 2]
-        Wo = buffers.Wo[first + k]
-        Wo[0], Wo[1], Wo[2] = e0, e1, e2
-        Wo[3] = (p1 - x1) * e2 - (p2 - x2) * e1
-        Wo[4] = (p2 - x2) * e0 - (p0 - x0) * e2
-        Wo[5] = (p0 - x0) * e1 - (p1 - x1) * e0
+        row, Wo = buffers.contacts[first + k], buffers.Wo[first + k]
+        e, p = vec(row, NORMAL), vec(row, AT)
+        couple = vec(row, COUPLE) if plant.codes[first + k, KIND] == COMBINED else ZERO
+        put(Wo, 0, e)
+        put(Wo, 3, add(cross(sub(p, x_o), e), couple))
         # the arm takes the opposite wrench; its Jacobian is about the world's origin
-        wrench[0, k], wrench[1, k], wrench[2, k] = -e0, -e1, -e2
-        wrench[3, k] = p2 * e1 - p1 * e2
-        wrench[4, k] = p0 * e2 - p2 * e0
-        wrench[5, k] = p1 * e0 - p0 * e1
-        if plant.codes[first + k, KIND] == COMBINED:
-            for j in range(3):
-                Wo[3 + j] += row[COUPLE + j]
-                wrench[3 + j, k] -= row[COUPLE + j]
+        force, moment = scale(-1.0, e), sub(cross(e, p), couple)
+        if m < LANES:
+            for j in range(d):
+                Y[j, k] = dot(vec(J, 6 * j), force) + dot(vec(J, 6 * j + 3), moment)
+        else:
+            wrench[0, k], wrench[1, k], wrench[2, k] = force
+            wrench[3, k], wrench[4, k], wrench[5, k] = moment
     if m < LANES:
-        for j in range(d):
-            j0, j1, j2 = J[6 * j], J[6 * j + 1], J[6 * j + 2]
-            j3, j4, j5 = J[6 * j + 3], J[6 * j + 4], J[6 * j + 5]
-            for k in range(m):
-                a = j0 * wrench[0, k] + j1 * wrench[1, k] + j2 * wrench[2, k]
-                b = j3 * wrench[3, k] + j4 * wrench[4, k] + j5 * wrench[5, k]
-                Y[j, k] = a + b
         return
     k = 0
     while k < m:

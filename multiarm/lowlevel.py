@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 
 from multiarm.translation import PART, WHOLE
 
-_KERNEL = re.compile(rb"^@(kernel|unlocked|inlined|entry|allocating)\b", re.MULTILINE)
+_KERNEL = re.compile(rb"^@(kernel|unlocked|inlined|fused|entry|allocating)\b", re.MULTILINE)
 _IMPORTED = re.compile(rb"^from multiarm\.([\w.]+) import", re.MULTILINE)
 
 
@@ -105,6 +105,8 @@ def _decorator(**options: Any) -> Callable[[Callable], Kernel]:
 # count every slice they hand to each other, which doubles the cost of an evaluation.
 kernel = _decorator(_nrt=False)
 inlined = _decorator(_nrt=False, forceinline=True)
+# A product that is added at once is rounded once, where the processor can.
+fused = _decorator(_nrt=False, forceinline=True, fastmath={"contract"})
 # A kernel during which other threads may run Python; callbacks wait for their turn.
 unlocked = _decorator(_nrt=False, nogil=True)
 # For kernels that do make arrays; they must not return them to one of the other kind.

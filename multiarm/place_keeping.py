@@ -29,26 +29,19 @@ from multiarm.load_sharing import solve_semidefinite
 from multiarm.lowlevel import allocating
 from multiarm.node.regular import factor_in_place
 from multiarm.terms import J_AT
-
-
-@allocating
-def turned(body, frame, at, vector, out):
-    """Write a vector (3,) in axes of a joint frame at ``at`` of ``frame`` in world axes, (3,)."""
-    for k in range(3):
-        out[k] = 0.0
-        for j in range(3):
-            axis = 0.0
-            for a in range(3):
-                axis += body[3 * k + a] * frame[at + 3 * a + j]
-            out[k] += axis * vector[j]
-
-
-@allocating
-def add_cross(a, b, factor, out):
-    """Add ``factor a x b`` to ``out`` (3,)."""
-    out[0] += factor * (a[1] * b[2] - a[2] * b[1])
-    out[1] += factor * (a[2] * b[0] - a[0] * b[2])
-    out[2] += factor * (a[0] * b[1] - a[1] * b[0])
+from multiarm.vectors import (
+    add,
+    add_cross,
+    add_scaled,
+    compose,
+    cross,
+    put,
+    rotate,
+    rotation,
+    scale,
+    sub,
+    vec,
+)
 
 
 @allocating
@@ -112,45 +105,32 @@ def keep_place(i, stiffness, rate, along, plant, buffers, work, preferred):
     """
     n = work.dofs[i + 1] - work.dofs[i]
     frame, link, body = plant.frames[i], buffers.arms[i], buffers.body
-    rates, places, spring = np.empty(6), np.empty(9), np.empty(6)
+    rates, places, target = np.empty(6), np.empty(9), np.empty(6)
     write_relative(frame, link, body, rates, places)
-    for k in range(6):
-        spring[k] = -stiffness * places[k] - rate * rates[k]
-    m, target, sliding = np.empty(3), np.empty(6), np.empty(3)
-    turned(body, frame, ON_OBJECT, spring[:3], target[:3])
-    turned(body, frame, ON_OBJECT, spring[3:], target[3:])
-    for k in range(3):
-        m[k] = (
-            link[3 * k] * frame[ON_LINK + 9]
-            + link[3 * k + 1] * frame[ON_LINK + 10]
-            + link[3 * k + 2] * frame[ON_LINK + 11]
-        )
-    p = link[ORIGIN_AT : ORIGIN_AT + 3] + m
+    R_J = compose(rotation(body, 0), rotation(frame, ON_OBJECT))
+    shift_rate, turn_rate = rotate(R_J, vec(rates, 0)), rotate(R_J, vec(rates, 3))
+    shift, turn = rotate(R_J, vec(places, 0)), rotate(R_J, vec(places, 3))
+    a = add_scaled(scale(-stiffness, shift), -rate, shift_rate)
+    alpha = add_scaled(scale(-stiffness, turn), -rate, turn_rate)
+    m = rotate(rotation(link, 0), vec(frame, ON_LINK + 9))
+    p = add(vec(link, ORIGIN_AT), m)
     if along:
-        j, inner = p - body[ORIGIN_AT : ORIGIN_AT + 3], np.zeros(3)
-        spin, twirl = body[SPIN : SPIN + 3], link[SPIN : SPIN + 3]
-        for k in range(6):
-            target[k] += buffers.q_o[k]
-        add_cross(buffers.q_o[3:], j, 1.0, target[:3])
-        add_cross(spin, j, 1.0, inner)
-        turned(body, frame, ON_OBJECT, rates[:3], sliding)
-        for k in range(3):
-            inner[k] += 2.0 * sliding[k]
-        add_cross(spin, inner, 1.0, target[:3])
-        turned(body, frame, ON_OBJECT, rates[3:], sliding)
-        add_cross(spin, sliding, 1.0, target[3:])
+        j, omega = sub(p, vec(body, ORIGIN_AT)), vec(body, SPIN)
+        a_o, alpha_o = vec(buffers.q_o, 0), vec(buffers.q_o, 3)
+        inner = add_scaled(cross(omega, j), 2.0, shift_rate)
+        a = add_cross(add_cross(add(a, a_o), alpha_o, j), omega, inner)
+        alpha = add_cross(add(alpha, alpha_o), omega, turn_rate)
         # less what the link does by itself, without joint accelerations
-        for k in range(3):
-            inner[k] = 0.0
-            target[k] -= link[ACCELERATION + k]
-            target[3 + k] -= link[SPIN_RATE + k]
-        add_cross(twirl, m, 1.0, inner)
-        add_cross(twirl, inner, -1.0, target[:3])
-        add_cross(link[SPIN_RATE : SPIN_RATE + 3], m, -1.0, target[:3])
+        omega_m, alpha_m = vec(link, SPIN), vec(link, SPIN_RATE)
+        own = add_cross(vec(link, ACCELERATION), alpha_m, m)
+        a = sub(a, add_cross(own, omega_m, cross(omega_m, m)))
+        alpha = sub(alpha, alpha_m)
+    put(target, 0, a)
+    put(target, 3, alpha)
     J, W, result = floats_at(plant.pointers[i, J_AT], 6 * n), np.empty((n, 6)), np.empty(n)
-    for column in range(n):
-        for k in range(6):  # Pinocchio's Jacobian is about the world's origin
-            W[column, k] = J[6 * column + k]
-        add_cross(J[6 * column + 3 : 6 * column + 6], p, 1.0, W[column, :3])
+    for column in range(n):  # Pinocchio's Jacobian is about the world's origin
+        v, w = vec(J, 6 * column), vec(J, 6 * column + 3)
+        put(W[column], 0, add_cross(v, w, p))
+        put(W[column], 3, w)
     nearest_accelerations(work.L[i], W, preferred, target, result)
     preferred[:] = result

@@ -18,6 +18,7 @@ import math
 import numpy as np
 
 from multiarm.lowlevel import allocating, kernel
+from multiarm.vectors import add_scaled, cross, put, vec
 
 # Below this angle [rad] the closed forms lose digits to cancellation and their series are used.
 _SERIES_ANGLE = 1e-2
@@ -155,12 +156,9 @@ def write_chart_rate(theta: np.ndarray, omega: np.ndarray, out: np.ndarray) -> N
     else:
         angle = math.sqrt(square)
         gamma = (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / square
-    cx = theta[1] * omega[2] - theta[2] * omega[1]
-    cy = theta[2] * omega[0] - theta[0] * omega[2]
-    cz = theta[0] * omega[1] - theta[1] * omega[0]
-    out[0] = omega[0] - 0.5 * cx + gamma * (theta[1] * cz - theta[2] * cy)
-    out[1] = omega[1] - 0.5 * cy + gamma * (theta[2] * cx - theta[0] * cz)
-    out[2] = omega[2] - 0.5 * cz + gamma * (theta[0] * cy - theta[1] * cx)
+    turn, rate = vec(theta, 0), vec(omega, 0)
+    c = cross(turn, rate)
+    put(out, 0, add_scaled(add_scaled(rate, -0.5, c), gamma, cross(turn, c)))
 
 
 @allocating

@@ -27,6 +27,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "interrupts", "printable", "translation", "books", "reporting_style", "state")
     + ("terms",),
     ("lowlevel", "writing", "user_code"),
+    ("vectors",),
     ("spatial", "lanes", "channels", "outcome", "decimation", "event_log", "event_words", "grasp"),
     ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage")
     + ("complementarity", "sample_store"),

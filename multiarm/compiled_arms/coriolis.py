@@ -38,24 +38,27 @@ from multiarm.compiled_arms.arrays import (
 )
 from multiarm.compiled_arms.sweep import load_joints, outwards, times_inertia
 from multiarm.compiled_arms.vectors import (
-    cross_onto,
-    dot,
     nothing,
-    plus,
     power,
-    product_onto,
     put_columns,
     put_pair,
     put_vector,
-    scaled,
-    scaled_onto,
     symmetric_at,
-    symmetric_sum,
-    turned,
     vector_at,
 )
 from multiarm.lanes import LANES, deal_four, lanes_at, lanes_of, put_lanes
 from multiarm.lowlevel import entry, inlined, kernel
+from multiarm.vectors import (
+    add,
+    add_cross,
+    add_scaled,
+    add_symmetric,
+    cross,
+    dot,
+    rotate,
+    scale,
+    times,
+)
 
 
 @entry
@@ -84,24 +87,24 @@ def turns_outwards(arms, b):
         link, at = LANES * LINK_WIDTH * k, LANES * TURN_WIDTH * k
         rate = lanes_at(arms.rate, LANES * (arms.blocks[b, FIRST] + k))
         linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
-        v, w = scaled_onto(v, rate, linear), scaled_onto(w, rate, angular)
-        linear = cross_onto(cross_onto(nothing(), w, linear), v, angular)
-        put_pair(out, at + LANES * COLUMN_RATE, linear, cross_onto(nothing(), w, angular))
+        v, w = add_scaled(v, rate, linear), add_scaled(w, rate, angular)
+        linear = add_cross(cross(w, linear), v, angular)
+        put_pair(out, at + LANES * COLUMN_RATE, linear, cross(w, angular))
         link += LANES * LINK_INERTIA
         mass, moment = lanes_at(links, link), vector_at(links, link + LANES)
         inertia = symmetric_at(links, link + 4 * LANES)
-        put_vector(out, at + LANES * MOMENTUM, cross_onto(scaled(mass, v), w, moment))
+        put_vector(out, at + LANES * MOMENTUM, add_cross(scale(mass, v), w, moment))
         put_columns(out, at + LANES * MATRIX, turning_matrix(moment, inertia, v, w))
 
 
 @inlined
 def turning_matrix(c, inertia, v, w):
     """Columns of the block of B that makes moments of angular velocities."""
-    zero, half = nothing(), lanes_of(0.5)
+    half = lanes_of(0.5)
     xx, xy, xz, yy, yz, zz = inertia
     x, y, z = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
-    a, b, d = cross_onto(zero, w, x), cross_onto(zero, w, y), cross_onto(zero, w, z)
-    h = product_onto(zero, inertia, w)
+    a, b, d = cross(w, x), cross(w, y), cross(w, z)
+    h = times(inertia, w)
     p, q, r = c[0] * v[0], c[1] * v[1], c[2] * v[2]
     return (
         (
@@ -132,19 +135,19 @@ def coriolis_inwards(arms, b):
         link, turn = LANES * LINK_WIDTH * j, LANES * TURN_WIDTH * j
         at = link + LANES * LINK_INERTIA
         mass = mass + lanes_at(links, at)
-        moment = plus(moment, vector_at(links, at + LANES))
-        second = symmetric_sum(second, symmetric_at(links, at + 4 * LANES))
-        h = plus(h, vector_at(turns, turn + LANES * MOMENTUM))
+        moment = add(moment, vector_at(links, at + LANES))
+        second = add_symmetric(second, symmetric_at(links, at + 4 * LANES))
+        h = add(h, vector_at(turns, turn + LANES * MOMENTUM))
         at = turn + LANES * MATRIX
-        x, y = plus(B[0], vector_at(turns, at)), plus(B[1], vector_at(turns, at + 3 * LANES))
-        B = x, y, plus(B[2], vector_at(turns, at + 6 * LANES))
+        x, y = add(B[0], vector_at(turns, at)), add(B[1], vector_at(turns, at + 3 * LANES))
+        B = x, y, add(B[2], vector_at(turns, at + 6 * LANES))
         linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
         force, couple = times_inertia(mass, moment, second, linear, angular)
         # what the transpose of B makes of the column: a couple
-        own = cross_onto((dot(x, angular), dot(y, angular), dot(B[2], angular)), h, linear)
+        own = add_cross((dot(x, angular), dot(y, angular), dot(B[2], angular)), h, linear)
         rate = vector_at(turns, turn), vector_at(turns, turn + 3 * LANES)
         f, c = times_inertia(mass, moment, second, rate[0], rate[1])
-        f, c = cross_onto(f, angular, h), plus(c, turned(B, angular))
+        f, c = add_cross(f, angular, h), add(c, rotate(B, angular))
         for k in range(j + 1):
             at, rates = LANES * LINK_WIDTH * k, LANES * TURN_WIDTH * k
             other = vector_at(links, at), vector_at(links, at + 3 * LANES)

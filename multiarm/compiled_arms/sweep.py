@@ -66,31 +66,35 @@ from multiarm.compiled_arms.arrays import (
 )
 from multiarm.compiled_arms.sines import FAR, write_sines
 from multiarm.compiled_arms.vectors import (
-    cross_onto,
-    dot,
     everywhere,
-    minus,
     nothing,
-    plus,
     power,
-    product_onto,
     put_columns,
     put_pair,
     put_rows,
     put_symmetric,
     put_vector,
-    scaled,
-    scaled_onto,
     symmetric_at,
-    symmetric_sum,
-    turned,
-    turned_onto,
-    turned_symmetric,
     vector_at,
 )
 from multiarm.contacts.kernel import ACCELERATION, BODY_WIDTH, ORIGIN_AT, VELOCITY
 from multiarm.lanes import LANES, deal_four, lanes_at, lanes_of, put_lanes
 from multiarm.lowlevel import entry, inlined, kernel
+from multiarm.vectors import (
+    add,
+    add_cross,
+    add_rotated,
+    add_scaled,
+    add_symmetric,
+    add_times,
+    cross,
+    dot,
+    rotate,
+    rotate_symmetric,
+    scale,
+    sub,
+    times,
+)
 
 
 @entry
@@ -124,29 +128,29 @@ def place_joint(arms, joint, at, axes, p):
     """Axes and origin of a joint's frame from those of the last one's."""
     constants = arms.constants
     sine, cosine = lanes_at(arms.sine, joint), lanes_at(arms.cosine, joint)
-    p = turned_onto(p, axes, vector_at(constants, at + LANES * OFFSET))
-    x = turned(axes, vector_at(constants, at + LANES * AXES))
-    y = turned(axes, vector_at(constants, at + LANES * (AXES + 3)))
-    z = turned(axes, vector_at(constants, at + LANES * (AXES + 6)))
-    p = scaled_onto(p, lanes_at(constants, at + LANES * SLIDES) * lanes_at(arms.angle, joint), z)
+    p = add_rotated(p, axes, vector_at(constants, at + LANES * OFFSET))
+    x = rotate(axes, vector_at(constants, at + LANES * AXES))
+    y = rotate(axes, vector_at(constants, at + LANES * (AXES + 3)))
+    z = rotate(axes, vector_at(constants, at + LANES * (AXES + 6)))
+    p = add_scaled(p, lanes_at(constants, at + LANES * SLIDES) * lanes_at(arms.angle, joint), z)
     backwards = lanes_of(0.0) - sine
-    axes = scaled_onto(scaled(cosine, x), sine, y), scaled_onto(scaled(cosine, y), backwards, x), z
+    axes = add_scaled(scale(cosine, x), sine, y), add_scaled(scale(cosine, y), backwards, x), z
     return axes, p
 
 
 @inlined
 def column(constants, at, z, p):
     """Linear and angular part of a joint's column."""
-    angular = scaled(lanes_at(constants, at + LANES * TURNS), z)
-    linear = scaled(lanes_at(constants, at + LANES * SLIDES), z)
-    return cross_onto(linear, p, angular), angular
+    angular = scale(lanes_at(constants, at + LANES * TURNS), z)
+    linear = scale(lanes_at(constants, at + LANES * SLIDES), z)
+    return add_cross(linear, p, angular), angular
 
 
 @inlined
 def link_inertia(constants, at, axes, p):
     """Mass, centre and inertia about it of a link, world axes."""
-    centre = turned_onto(p, axes, vector_at(constants, at + LANES * CENTRE))
-    inertia = turned_symmetric(axes, symmetric_at(constants, at + LANES * INERTIA))
+    centre = add_rotated(p, axes, vector_at(constants, at + LANES * CENTRE))
+    inertia = rotate_symmetric(axes, symmetric_at(constants, at + LANES * INERTIA))
     return lanes_at(constants, at + LANES * MASS), centre, inertia
 
 
@@ -154,25 +158,25 @@ def link_inertia(constants, at, axes, p):
 def put_link_inertia(links, at, body):
     """Write mass, first moment and second moments ``I + m (c.c - c c^T)`` of a link."""
     mass, c, inertia = body
-    moment = scaled(mass, c)
+    moment = scale(mass, c)
     xx, yy, zz = moment[0] * c[0], moment[1] * c[1], moment[2] * c[2]
     xy, xz, yz = moment[0] * c[1], moment[0] * c[2], moment[1] * c[2]
     zero = lanes_of(0.0)
     put_lanes(links, at, mass)
     put_vector(links, at + LANES, moment)
     own = (yy + zz, zero - xy, zero - xz, xx + zz, zero - yz, xx + yy)
-    put_symmetric(links, at + 4 * LANES, symmetric_sum(inertia, own))
+    put_symmetric(links, at + 4 * LANES, add_symmetric(inertia, own))
 
 
 @inlined
 def put_force(links, at, body, v, w, a, alpha):
     """Write the force that a link asks for, and its moment about the base."""
     mass, c, inertia = body
-    u = cross_onto(v, w, c)
-    force = scaled(mass, cross_onto(cross_onto(a, alpha, c), w, u))
-    momentum = product_onto(nothing(), inertia, w)
-    moment = cross_onto(cross_onto(nothing(), w, momentum), c, force)
-    put_pair(links, at, force, product_onto(moment, inertia, alpha))
+    u = add_cross(v, w, c)
+    force = scale(mass, add_cross(add_cross(a, alpha, c), w, u))
+    momentum = times(inertia, w)
+    moment = add_cross(cross(w, momentum), c, force)
+    put_pair(links, at, force, add_times(moment, inertia, alpha))
 
 
 @kernel
@@ -186,7 +190,7 @@ def outwards(arms, b):
         vector_at(arms.bases[b], 0),
     )
     p = v = w = alpha = zero
-    a = minus(zero, gravity)
+    a = sub(zero, gravity)
     joint, link = LANES * block[FIRST], 0
     at, jacobian, pose = JOINT_WIDTH * joint, LANES * block[JACOBIAN], LANES * block[POSES]
     for _ in range(block[JOINTS]):
@@ -194,26 +198,26 @@ def outwards(arms, b):
         axes, p = place_joint(arms, joint, at, axes, p)
         linear, angular = column(constants, at, axes[2], p)
         put_pair(links, link + LANES * COLUMN, linear, angular)
-        put_pair(leaves, jacobian, cross_onto(linear, origin, angular), angular)
-        linear, angular = scaled(rate, linear), scaled(rate, angular)
-        a = cross_onto(cross_onto(a, w, linear), v, angular)
-        alpha = cross_onto(alpha, w, angular)
-        v, w = plus(v, linear), plus(w, angular)
+        put_pair(leaves, jacobian, add_cross(linear, origin, angular), angular)
+        linear, angular = scale(rate, linear), scale(rate, angular)
+        a = add_cross(add_cross(a, w, linear), v, angular)
+        alpha = add_cross(alpha, w, angular)
+        v, w = add(v, linear), add(w, angular)
         body = link_inertia(constants, at, axes, p)
         put_force(links, link + LANES * FORCE, body, v, w, a, alpha)
         put_link_inertia(links, link + LANES * LINK_INERTIA, body)
         if arms.wanted[WITH_POSES] != 0:
             put_columns(leaves, pose, named_axes(constants, at, axes))
-            put_vector(leaves, pose + LANES * ORIGIN_AT, plus(p, origin))
+            put_vector(leaves, pose + LANES * ORIGIN_AT, add(p, origin))
         at, link, joint = at + LANES * JOINT_WIDTH, link + LANES * LINK_WIDTH, joint + LANES
         jacobian, pose = jacobian + 6 * LANES, pose + 12 * LANES
     body = LANES * block[WIDTH]
     put_rows(leaves, body, named_axes(constants, at - LANES * JOINT_WIDTH, axes))
-    put_vector(leaves, body + LANES * ORIGIN_AT, plus(p, origin))
-    u = cross_onto(v, w, p)
+    put_vector(leaves, body + LANES * ORIGIN_AT, add(p, origin))
+    u = add_cross(v, w, p)
     put_pair(leaves, body + LANES * VELOCITY, u, w)
-    a = cross_onto(cross_onto(a, alpha, p), w, u)
-    put_pair(leaves, body + LANES * ACCELERATION, plus(a, gravity), alpha)
+    a = add_cross(add_cross(a, alpha, p), w, u)
+    put_pair(leaves, body + LANES * ACCELERATION, add(a, gravity), alpha)
 
 
 @inlined
@@ -222,14 +226,14 @@ def named_axes(constants, at, axes):
     at += LANES * NAMED_AXES
     x, y = vector_at(constants, at), vector_at(constants, at + 3 * LANES)
     z = vector_at(constants, at + 6 * LANES)
-    return turned(axes, x), turned(axes, y), turned(axes, z)
+    return rotate(axes, x), rotate(axes, y), rotate(axes, z)
 
 
 @inlined
 def times_inertia(mass, moment, second, linear, angular):
     """Momentum of a body, linear and angular, at a velocity."""
-    couple = product_onto(cross_onto(nothing(), moment, linear), second, angular)
-    return cross_onto(scaled(mass, linear), angular, moment), couple
+    couple = add_times(cross(moment, linear), second, angular)
+    return add_cross(scale(mass, linear), angular, moment), couple
 
 
 @kernel
@@ -243,11 +247,11 @@ def inwards(arms, b):
         link = LANES * LINK_WIDTH * j
         at = link + LANES * LINK_INERTIA
         mass = mass + lanes_at(links, at)
-        moment = plus(moment, vector_at(links, at + LANES))
-        second = symmetric_sum(second, symmetric_at(links, at + 4 * LANES))
+        moment = add(moment, vector_at(links, at + LANES))
+        second = add_symmetric(second, symmetric_at(links, at + 4 * LANES))
         at = link + LANES * FORCE
-        force = plus(force, vector_at(links, at))
-        couple = plus(couple, vector_at(links, at + 3 * LANES))
+        force = add(force, vector_at(links, at))
+        couple = add(couple, vector_at(links, at + 3 * LANES))
         linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
         put_lanes(leaves, LANES * (block[BIAS] + j), power(linear, angular, force, couple))
         # momentum of the composite body for a unit rate of the joint
@@ -260,10 +264,10 @@ def inwards(arms, b):
         drive = lanes_at(constants, LANES * (JOINT_WIDTH * (block[FIRST] + j) + ARMATURE))
         put_lanes(leaves, row + LANES * j, power(linear, angular, f, c) + drive)
         if arms.wanted[WITH_GRAVITY_TORQUE] != 0:
-            weight = scaled(mass, gravity), cross_onto(zero, moment, gravity)
+            weight = scale(mass, gravity), cross(moment, gravity)
             held = lanes_of(0.0) - power(linear, angular, weight[0], weight[1])
             put_lanes(leaves, LANES * (block[GRAVITY_TORQUE] + j), held)
-    moment = scaled_onto(moment, mass, vector_at(arms.bases[b], 0))
+    moment = add_scaled(moment, mass, vector_at(arms.bases[b], 0))
     energy = lanes_of(0.0) - dot(moment, gravity)
     put_lanes(leaves, LANES * block[ENERGY], energy)
 

@@ -23,6 +23,20 @@ import numpy as np
 
 from multiarm.contacts.kernel import ORIGIN_AT, SPIN, VELOCITY
 from multiarm.lowlevel import kernel
+from multiarm.vectors import (
+    add,
+    add_cross,
+    compose,
+    cross,
+    norm,
+    put,
+    rotate,
+    rotate_back,
+    rotation,
+    scale,
+    sub,
+    vec,
+)
 
 # A row of joint frames: the arm's in its link (rotation row by row, origin), the object's in it.
 ON_LINK, ON_OBJECT, FRAME_WIDTH = 0, 12, 24
@@ -75,25 +89,6 @@ class JointFrame:
 
 
 @kernel
-def _axis(body, frame, at, j, k):
-    """Entry ``k`` of the world direction of axis ``j`` of a joint frame."""
-    return (
-        body[3 * k] * frame[at + j]
-        + body[3 * k + 1] * frame[at + 3 + j]
-        + body[3 * k + 2] * frame[at + 6 + j]
-    )
-
-
-@kernel
-def _R(frame, link, body, i, j):
-    """Entry of the rotation from the arm's joint frame to the object's."""
-    r = 0.0
-    for k in range(3):
-        r += _axis(body, frame, ON_OBJECT, i, k) * _axis(link, frame, ON_LINK, j, k)
-    return r
-
-
-@kernel
 def write_relative(frame, link, body, rates, places):
     """Write all six rates [m/s, rad/s] and coordinates [m, rad] of one joint.
 
@@ -108,41 +103,23 @@ def write_relative(frame, link, body, rates, places):
         Kinematics of the link that carries the tip, and of the object.
     rates : (6,), places : (9,), written
     """
-    for k in range(3):
-        m = link[3 * k] * frame[9] + link[3 * k + 1] * frame[10] + link[3 * k + 2] * frame[11]
-        j = body[3 * k] * frame[21] + body[3 * k + 1] * frame[22] + body[3 * k + 2] * frame[23]
-        # scratch: the arm's frame from its link's origin, then from the object's frame
-        places[3 + k] = m
-        places[k] = link[ORIGIN_AT + k] - body[ORIGIN_AT + k] + m - j
-        rates[3 + k] = j
-    w0, w1, w2 = link[SPIN], link[SPIN + 1], link[SPIN + 2]
-    u0, u1, u2 = body[SPIN], body[SPIN + 1], body[SPIN + 2]
-    m0, m1, m2 = places[3], places[4], places[5]
-    x0, x1, x2 = places[0], places[1], places[2]
-    j0, j1, j2 = rates[3] + x0, rates[4] + x1, rates[5] + x2  # from the object's origin
-    v0 = link[VELOCITY] + w1 * m2 - w2 * m1 - body[VELOCITY] - (u1 * j2 - u2 * j1)
-    v1 = link[VELOCITY + 1] + w2 * m0 - w0 * m2 - body[VELOCITY + 1] - (u2 * j0 - u0 * j2)
-    v2 = link[VELOCITY + 2] + w0 * m1 - w1 * m0 - body[VELOCITY + 2] - (u0 * j1 - u1 * j0)
-    s0, s1, s2 = w0 - u0, w1 - u1, w2 - u2
-    for i in range(3):
-        a0, a1 = _axis(body, frame, ON_OBJECT, i, 0), _axis(body, frame, ON_OBJECT, i, 1)
-        a2 = _axis(body, frame, ON_OBJECT, i, 2)
-        places[i] = a0 * x0 + a1 * x1 + a2 * x2
-        rates[i] = a0 * v0 + a1 * v1 + a2 * v2
-        rates[3 + i] = a0 * s0 + a1 * s1 + a2 * s2
+    R_m, R_o = rotation(link, 0), rotation(body, 0)
+    M, J = compose(R_m, rotation(frame, ON_LINK)), compose(R_o, rotation(frame, ON_OBJECT))
+    # the arm's frame from its link's origin, and from the object's frame; it from the object's
+    m, j = rotate(R_m, vec(frame, ON_LINK + 9)), rotate(R_o, vec(frame, ON_OBJECT + 9))
+    x = sub(add(sub(vec(link, ORIGIN_AT), vec(body, ORIGIN_AT)), m), j)
+    omega_m, omega_o = vec(link, SPIN), vec(body, SPIN)
+    v = sub(add_cross(vec(link, VELOCITY), omega_m, m), vec(body, VELOCITY))
+    v = sub(v, cross(omega_o, add(j, x)))
+    put(places, 0, rotate_back(J, x))
+    put(rates, 0, rotate_back(J, v))
+    put(rates, 3, rotate_back(J, sub(omega_m, omega_o)))
     # R = exp(theta): its skew part is 2 sin |theta| along theta, its trace 1 + 2 cos |theta|; the
     # turn about one axis alone needs that axis's entry and two of the diagonal
-    r0, r1, r2 = (
-        _R(frame, link, body, 0, 0),
-        _R(frame, link, body, 1, 1),
-        _R(frame, link, body, 2, 2),
-    )
-    q0 = _R(frame, link, body, 2, 1) - _R(frame, link, body, 1, 2)
-    q1 = _R(frame, link, body, 0, 2) - _R(frame, link, body, 2, 0)
-    q2 = _R(frame, link, body, 1, 0) - _R(frame, link, body, 0, 1)
-    sine, cosine = 0.5 * math.sqrt(q0 * q0 + q1 * q1 + q2 * q2), 0.5 * (r0 + r1 + r2 - 1.0)
-    scale = 0.5 if sine < 1e-12 else 0.5 * math.atan2(sine, cosine) / sine
-    places[3], places[4], places[5] = scale * q0, scale * q1, scale * q2
-    places[6] = math.atan2(q0, r1 + r2)
-    places[7] = math.atan2(q1, r0 + r2)
-    places[8] = math.atan2(q2, r0 + r1)
+    X, Y, Z = rotate_back(J, M[0]), rotate_back(J, M[1]), rotate_back(J, M[2])
+    q = (Y[2] - Z[1], Z[0] - X[2], X[1] - Y[0])
+    sine, cosine = 0.5 * norm(q), 0.5 * (X[0] + Y[1] + Z[2] - 1.0)
+    put(places, 3, scale(0.5 if sine < 1e-12 else 0.5 * math.atan2(sine, cosine) / sine, q))
+    places[6] = math.atan2(q[0], Y[1] + Z[2])
+    places[7] = math.atan2(q[1], X[0] + Z[2])
+    places[8] = math.atan2(q[2], X[0] + Y[1])

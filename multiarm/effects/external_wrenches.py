@@ -25,13 +25,25 @@ from collections.abc import Callable
 import numpy as np
 
 from multiarm.asking import Asked
-from multiarm.books import book_at, floats1, floats2, floats_at, ints1, ints2
+from multiarm.books import book_at, floats2, floats_at, ints1, ints2
 from multiarm.contacts.kernel import SPIN, VELOCITY
 from multiarm.effects.piece import APPLIED, POWER, Piece, Site
 from multiarm.errors import ControlError
-from multiarm.lowlevel import call_back, copy, entry, kernel
+from multiarm.lowlevel import call_back, entry, kernel
 from multiarm.plant import Buffers, open_book
 from multiarm.scene import read_wrench_table
+from multiarm.vectors import (
+    ZERO,
+    add,
+    add_cross,
+    add_rotated,
+    compose,
+    dot,
+    put,
+    rotate,
+    rotation,
+    vec,
+)
 
 # Courses over time.
 CONSTANT, SINUSOID, PULSE, TABLE, FUNCTION = range(5)
@@ -48,27 +60,23 @@ CUBICS, ROW = 2, 26
 
 @entry
 def add_external_wrenches(address, size, at, t):
-    """Own arrays: integers, numbers, rows of tables, the wrenches now, scratch (12,), (3,)."""
+    """Own arrays: integers, numbers, rows of tables, the wrenches now."""
     book = book_at(address, size)
     _, buffers, _ = open_book(book)
     first, power = int(at), 0.0
     slots, integers, numbers = ints1(book, first), ints2(book, first + 1), floats2(book, first + 2)
     rows, wrenches = floats2(book, first + 3), floats2(book, first + 4)
-    pose, lever = floats1(book, first + 5), floats1(book, first + 6)
     for k in range(integers.shape[0]):
         which, own, wrench = integers[k], numbers[k], wrenches[k]
         write_wrench(which, own, rows, t, wrench)
+        # the moment is that about the object's centre of mass, or about the world's origin
+        R, origin = rotation(buffers.body, 0), ZERO
         if which[ON_LINK] != 0:
-            joint_pose(which[POSE], pose)
-        else:
-            copy(buffers.body[:12], pose)
+            pose = floats_at(which[POSE], 12)
+            R, origin = (vec(pose, 0), vec(pose, 3), vec(pose, 6)), vec(pose, 9)  # by columns
         if which[IN_BODY] != 0:
-            to_world(pose, own, wrench)
-        for a in range(3):
-            # the moment is that about the object's centre of mass, or about the world's origin
-            lever[a] = pose[9 + a] if which[ON_LINK] != 0 else 0.0
-            for b in range(3):
-                lever[a] += pose[3 * a + b] * own[POINT + b]
+            to_world(R, own, wrench)
+        lever = add_rotated(origin, R, vec(own, POINT))
         power += apply_wrench(which, wrench, lever, buffers)
     buffers.power[slots[POWER]] = power
     return 0
@@ -112,52 +120,29 @@ def interpolate(rows, t, wrench):
 
 
 @kernel
-def joint_pose(address, pose):
-    """Rotation row by row, and origin, of a joint among an arm's terms."""
-    stored = floats_at(address, 12)  # the rotation by columns
-    for a in range(3):
-        for b in range(3):
-            pose[3 * a + b] = stored[3 * b + a]
-        pose[9 + a] = stored[9 + a]
-
-
-@kernel
-def to_world(pose, own, wrench):
+def to_world(R, own, wrench):
     """Turn force and torque from the axes of the link or object into those of the world."""
-    for first in (0, 3):
-        f0, f1, f2 = wrench[first], wrench[first + 1], wrench[first + 2]
-        g0 = own[FRAME] * f0 + own[FRAME + 1] * f1 + own[FRAME + 2] * f2
-        g1 = own[FRAME + 3] * f0 + own[FRAME + 4] * f1 + own[FRAME + 5] * f2
-        g2 = own[FRAME + 6] * f0 + own[FRAME + 7] * f1 + own[FRAME + 8] * f2
-        for a in range(3):
-            wrench[first + a] = pose[3 * a] * g0 + pose[3 * a + 1] * g1 + pose[3 * a + 2] * g2
+    R = compose(R, rotation(own, FRAME))
+    put(wrench, 0, rotate(R, vec(wrench, 0)))
+    put(wrench, 3, rotate(R, vec(wrench, 3)))
 
 
 @kernel
 def apply_wrench(which, wrench, lever, buffers):
     """Add a wrench to the right-hand sides; returns its power [W]."""
-    r0, r1, r2, power = lever[0], lever[1], lever[2], 0.0
-    f0, f1, f2 = wrench[0], wrench[1], wrench[2]
-    m0 = wrench[3] + r1 * f2 - r2 * f1
-    m1 = wrench[4] + r2 * f0 - r0 * f2
-    m2 = wrench[5] + r0 * f1 - r1 * f0
+    f = vec(wrench, 0)
+    m = add_cross(vec(wrench, 3), lever, f)
     if which[ON_LINK] == 0:
         h_o, body = buffers.h_o, buffers.body
-        h_o[0] += f0
-        h_o[1] += f1
-        h_o[2] += f2
-        h_o[3] += m0
-        h_o[4] += m1
-        h_o[5] += m2
-        power += f0 * body[VELOCITY] + f1 * body[VELOCITY + 1] + f2 * body[VELOCITY + 2]
-        return power + m0 * body[SPIN] + m1 * body[SPIN + 1] + m2 * body[SPIN + 2]
-    joints, first = which[JOINTS], which[FIRST]
+        put(h_o, 0, add(vec(h_o, 0), f))
+        put(h_o, 3, add(vec(h_o, 3), m))
+        return dot(f, vec(body, VELOCITY)) + dot(m, vec(body, SPIN))
+    joints, first, power = which[JOINTS], which[FIRST], 0.0
     J = floats_at(which[JACOBIAN], 6 * joints)
     for j in range(joints):
-        c = J[6 * j : 6 * j + 6]
-        force = c[0] * f0 + c[1] * f1 + c[2] * f2 + c[3] * m0 + c[4] * m1 + c[5] * m2
-        buffers.h[first + j] += force
-        power += force * buffers.v[first + j]
+        torque = dot(f, vec(J, 6 * j)) + dot(m, vec(J, 6 * j + 3))
+        buffers.h[first + j] += torque
+        power += torque * buffers.v[first + j]
     return power
 
 
@@ -199,7 +184,7 @@ def build(spec, site: Site) -> list[Piece]:
             "external_wrenches",
             add_external_wrenches,
             APPLIED,
-            (integers, numbers, rows, wrenches, np.zeros(12), np.zeros(3)),
+            (integers, numbers, rows, wrenches),
             breakpoints=np.concatenate(times),
             connect=connect,
         )
