@@ -68,35 +68,41 @@ class Residuals:
     constraint: float
 
 
+# Buffers that are copied for what is computed later: for all evaluations, and where some arm could
+# not be eliminated as a whole, or the dense solver was asked.
+_MOTION = ("arms", "body", "contacts", "parts", "Wo")
+_COORDINATES = ("angles", "inertia")
+
+
 class Snapshot:
-    """What results that are computed when they are asked for read of an evaluation: copies."""
+    """What an evaluation left in its system's arrays, copied for what is computed later of it."""
 
     def __init__(self, system: System) -> None:
         b, work, coupled = system.buffers, system.work, system.coupled
         self._system = system
-        self._motion = {name: getattr(b, name).copy() for name in _MOTION}
-        self._matrices = {"L": work.L.copy(), "Y": work.Y.copy()}
-        # without deficient arms nothing reads the arrays of the coupled system but this
-        names = coupled._fields if coupled.counts[ARMS] else ("counts",)
-        self._coupled = {name: getattr(coupled, name).copy() for name in names}
+        self._buffers = {name: getattr(b, name).copy() for name in _MOTION}
+        self.regular = not (system.plant.dense[0] or coupled.counts[ARMS])
+        if not self.regular:
+            self._buffers |= {name: getattr(b, name).copy() for name in _COORDINATES}
+            self._work = {"L": work.L.copy(), "Y": work.Y.copy()}
+            self._coupled = type(coupled)(*(array.copy() for array in coupled))
 
     @cached_property
     def system(self) -> System:
-        """The system at the kinematics that were in its buffers, before they are eliminated.
+        """The system with these copies in its arrays, as before its arms were eliminated.
 
-        For reading: what is copied stays, the other arrays go on to other states.
+        For reading: its other arrays go on to other states.  Of a ``regular`` one, in which all
+        arms were eliminated as a whole, only motion and contacts are copied.
         """
         own = self._system
+        if self.regular:
+            return replace(own, buffers=own.buffers._replace(**self._buffers))
         return replace(
             own,
-            buffers=own.buffers._replace(**self._motion),
-            work=own.work._replace(**self._matrices),
-            coupled=own.coupled._replace(**self._coupled),
+            buffers=own.buffers._replace(**self._buffers),
+            work=own.work._replace(**self._work),
+            coupled=self._coupled,
         )
-
-
-# Buffers that a snapshot copies.
-_MOTION = ("arms", "body", "contacts", "parts", "Wo", "inertia", "angles")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -153,6 +159,7 @@ class Evaluation:
     _held: Snapshot  # of the contacts that joints hold
     _all: Snapshot  # of all rows that have forces: others where contacts come and go
     _unique: Callable[[], np.ndarray]
+    _lost_motions: Callable[[], Mapping[str, tuple[str, ...]]]
     _joint_forces: Mapping[str, np.ndarray]
 
     def __repr__(self) -> str:
@@ -194,7 +201,7 @@ class Evaluation:
     @cached_property
     def lost_motions(self) -> Mapping[str, tuple[str, ...]]:
         """What the ``coupled_arms`` cannot do, in words, arm -> tuple of str."""
-        return lost_motions(self._held.system, self.coupled_arms)
+        return self._lost_motions()
 
     @cached_property
     def wrenches(self) -> Mapping[str, np.ndarray]:
@@ -327,6 +334,7 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     arm, on_object, constraint, gap, gap_rate, solved = found.tolist()
     qdd, torques, snapshot = b.qdd.copy(), b.torque.copy(), Snapshot(system)
     forces = layout.split_contacts(b.force.copy())
+    coupled = _coupled_arms(system)
     pivots = () if system.plant.dense[0] else system.work.pivot.tolist()
     return Evaluation(
         time=float(t),
@@ -342,12 +350,13 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
             name: max(pivot, 0.0) for name, pivot in zip(layout.names, pivots, strict=False)
         },
         rank=int(b.solved[RANK_OF_ALL]),
-        coupled_arms=_coupled_arms(system),
+        coupled_arms=coupled,
         message="" if solved else _contradiction_text(system),
         contact_states={},
         _held=snapshot,
         _all=snapshot,
         _unique=partial(_unique_forces, snapshot),
+        _lost_motions=partial(_lost_motions, snapshot, coupled),
         _joint_forces=forces,
     )
 
@@ -450,13 +459,17 @@ def _coupled_arms(system: System) -> tuple[str, ...]:
     return tuple(name for name, is_so in zip(system.arm_names, deficient, strict=False) if is_so)
 
 
+def _lost_motions(snapshot: Snapshot, arms: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    return lost_motions(snapshot.system, arms) if arms else {}
+
+
 def _unique_forces(snapshot: Snapshot) -> np.ndarray:
     """Which contact forces are determined: all, when every arm's elimination succeeded."""
     system = snapshot.system
+    if snapshot.regular:
+        return np.ones(system.constraint_count, dtype=bool)
     if system.plant.dense[0]:
         return null_space(constraint_matrix(system)).untouched
-    if not system.coupled.counts[ARMS]:
-        return np.ones(system.constraint_count, dtype=bool)
     return loose_rows(system.work, system.coupled) < PART_TOLERANCE
 
 

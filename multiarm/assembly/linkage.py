@@ -16,6 +16,7 @@ in the first, changes its sign.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -56,7 +57,7 @@ def projection_tolerance(system: System, size: float | None = None) -> float:
     """
     bases = [np.max(np.abs(arm.files.base[:3, 3])) for arm in system.arms.values()]
     far = max(float(np.max(np.abs(system.buffers.contacts[:, :3]), initial=0.0)), *bases, 0.0)
-    return 100 * np.finfo(float).eps * max(far, scene_size(system) if size is None else size)
+    return 100 * sys.float_info.epsilon * max(far, scene_size(system) if size is None else size)
 
 
 @dataclass(frozen=True)
