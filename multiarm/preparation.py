@@ -258,12 +258,13 @@ def prepare(
             begin, report = adopt_state(system, state)
     place_state(system, 0.0, begin)
     store(system.buffers, step.base, step.z)
-    _first_slope(system, step, settings)
+    feedback = gains(settings, settings.step)
+    _first_slope(system, step, feedback)
     if system.pieces.states:
         step.z[12 + 2 * system.layout.joints :][: system.pieces.states] = system.pieces.start(
             system
         )
-        _first_slope(system, step, settings)
+        _first_slope(system, step, feedback)
     size = scene_size(system)
     settings = settings._replace(
         closed=projection_tolerance(system, size) if settings.closed >= 0.0 else -1.0,
@@ -272,14 +273,15 @@ def prepare(
     if settings.closed >= 0.0 and system.coupled.counts[ARMS]:
         # the start may be where two motions cross
         system.buffers.stage_gap[0] = settings.closed
-        _first_slope(system, step, settings)
+        _first_slope(system, step, feedback)
         system.buffers.stage_gap[0] = -1.0
     watch_start(system.book())
     log.add([{"time": 0.0, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
     solver_log = SolverLog(system, log)
     solver_log.collect(system, 0.0, begin)
     if adaptive:
-        settings = settings._replace(step=_first_step(system, step, settings, method))
+        first = _first_step(system, step, feedback, settings.end, method)
+        settings = settings._replace(step=first)
     width = sample_width(
         system.layout.joints,
         system.buffers.shown.size,
@@ -314,18 +316,19 @@ def positive(name: str, value: float) -> float:
     return float(value)
 
 
-def _first_slope(system: System, step: Step, settings: Settings) -> None:
+def _first_slope(system: System, step: Step, feedback: tuple[float, float]) -> None:
     """Evaluate the beginning; what is impossible there is an error, not a result."""
-    alpha, beta = gains(settings, settings.step)
-    status = evaluate_slope(system.book(), 0.0, step.z, step.base, alpha, beta, step.slope)
+    status = evaluate_slope(system.book(), 0.0, step.z, step.base, *feedback, step.slope)
     if status != OK:
         system.reraise()
         raise SolverError(failure_text(system, status))
 
 
-def _first_step(system: System, step: Step, settings: Settings, method: Method) -> float:
+def _first_step(
+    system: System, step: Step, feedback: tuple[float, float], end: float, method: Method
+) -> float:
     """A first step whose error is about the tolerance (Hairer, Norsett, Wanner, II.4)."""
-    scale, trial = step.tolerance, min(TRIAL_STEP, settings.end)
+    scale, trial = step.tolerance, min(TRIAL_STEP, end)
     judged = scale.size
     first = (np.abs(step.slope[:judged]) / scale).max()
     other = np.zeros_like(step.slope)
@@ -334,7 +337,7 @@ def _first_step(system: System, step: Step, settings: Settings, method: Method) 
         trial,
         step.z + trial * step.slope,
         step.base,
-        *gains(settings, settings.step),
+        *feedback,
         other,
     )
     if status != OK:
@@ -343,6 +346,6 @@ def _first_step(system: System, step: Step, settings: Settings, method: Method) 
     second = (np.abs(other - step.slope)[:judged] / scale).max() / trial
     worst = max(first, second)
     if worst == 0.0:
-        return min(1e-2, settings.end)
+        return min(1e-2, end)
     h = (0.01 / worst) ** (1.0 / (method.error_order + 1.0))
-    return float(min(h, settings.end))
+    return float(min(h, end))
