@@ -127,7 +127,7 @@ def finite_rows(channels: Sequence[Channel], block: Block) -> tuple[Block, str]:
     Returns
     -------
     rows : dict of ndarray
-        Contiguous double precision arrays, cut before the first sample that is not finite.
+        Copies in double precision, cut before the first sample that is not finite.
     fault : str
         Empty, or the sentence that names channel, column and time of the first bad number.
 
@@ -139,7 +139,7 @@ def finite_rows(channels: Sequence[Channel], block: Block) -> tuple[Block, str]:
     arrays = _shaped(channels, block)
     with np.errstate(over="ignore", invalid="ignore"):
         # a number that is not finite stays so in the sum, which is the quicker test
-        if all(math.isfinite(values.sum()) for values in arrays.values()):
+        if math.isfinite(np.concatenate([v.ravel() for v in arrays.values()]).sum()):
             return arrays, ""
     first, culprit = len(arrays["time"]), None
     for channel in channels:
@@ -171,7 +171,7 @@ def _shaped(channels: Sequence[Channel], block: Block) -> Block:
         raise TrajectoryError(
             f"a block of samples lacks the channels {lacking} and has the unknown channels {extra}"
         )
-    arrays = {c.name: np.ascontiguousarray(block[c.name], dtype=np.float64) for c in channels}
+    arrays = {c.name: np.array(block[c.name], dtype=np.float64, order="C") for c in channels}
     samples = arrays["time"].shape[0] if arrays["time"].ndim == 1 else -1
     for channel in channels:
         shape = arrays[channel.name].shape

@@ -78,7 +78,7 @@ def place_state(system: System, t: float, state: State) -> None:
     They are looked for near where they were at the start, and everywhere if that fails.
     """
     system.set_state(t, state)
-    if not np.any(system.plant.codes[:, KIND] == PAIR):
+    if not (system.plant.codes[:, KIND] == PAIR).any():
         return
     status = update_kinematics(system.book())
     if status == OK and np.all(np.isfinite(system.buffers.contacts)):

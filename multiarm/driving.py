@@ -209,10 +209,13 @@ def leave_undone(task: Task, sink: Sink, status: str, message: str) -> Trajector
 def _metadata(task: Task) -> dict[str, Any]:
     """Where the result comes from."""
     system = task.system
-    as_run = system.scene.model_copy(update={"run": task.spec})
     control = "python function" if "control" in system.calls else system.scene.control.kind
     start = "scene" if task.state is None else "given state"
-    return {**provenance(lambda: dump_scene(as_run)), "control": control, "start": start}
+
+    def scene_as_run() -> str:
+        return dump_scene(system.scene.model_copy(update={"run": task.spec}))
+
+    return {**provenance(scene_as_run), "control": control, "start": start}
 
 
 def _drive(

@@ -6,23 +6,21 @@ results, contact matrices, and the residuals of all three equations: a result ce
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import TypeVar
 
 import numpy as np
 
+from multiarm.candidates.units import SURROUNDINGS
 from multiarm.contact_checks import place_state, points_and_normals
 from multiarm.contacts.internal_forces import InternalForces
-from multiarm.contacts.kernel import (
-    BODY_WIDTH,
-    GAP,
-    GAP_BIAS,
-    GAP_RATE,
-)
+from multiarm.contacts.kernel import BODY_WIDTH, GAP, GAP_BIAS, GAP_RATE
 from multiarm.contacts.matrices import contact_matrices
 from multiarm.contacts.motion_space import MotionSpace
+from multiarm.contacts.records import Contact
 from multiarm.deficiency import lost_motions
-from multiarm.dense_call import read_inertia
 from multiarm.equations import (
     CONTRADICTION,
     NOT_FINITE,
@@ -42,11 +40,13 @@ from multiarm.node.dense import null_space
 from multiarm.node.regular import NO_INERTIA
 from multiarm.node.singular import ARMS, PART_TOLERANCE, loose_rows
 from multiarm.plant import COUPLED_ARMS, IMBALANCE, RANK_OF_ALL, RESIDUAL
-from multiarm.solver_watch import believable, note_solution
+from multiarm.solver_watch import evaluate_and_check
 from multiarm.stabilization import PROJECTION_FAILED, project_velocities
-from multiarm.state import State
+from multiarm.state import Layout, State
 from multiarm.system import System
 from multiarm.terms import ContactTerms
+
+Rows = TypeVar("Rows", np.ndarray, tuple)
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,50 @@ class Residuals:
     constraint: float
 
 
-@dataclass(frozen=True)
+# Buffers that are copied for what is computed later: for all evaluations, and where some arm could
+# not be eliminated as a whole, or the dense solver was asked.
+_MOTION = ("arms", "body", "contacts", "parts", "Wo")
+_COORDINATES = ("angles", "inertia")
+
+
+class Snapshot:
+    """What an evaluation left in its system's arrays, copied for what is computed later of it."""
+
+    def __init__(self, system: System) -> None:
+        b, work, coupled = system.buffers, system.work, system.coupled
+        self._system = system
+        self._buffers = {name: getattr(b, name).copy() for name in _MOTION}
+        self.regular = not (system.plant.dense[0] or coupled.counts[ARMS])
+        if not self.regular:
+            self._buffers |= {name: getattr(b, name).copy() for name in _COORDINATES}
+            self._work = {"L": work.L.copy(), "Y": work.Y.copy()}
+            self._coupled = type(coupled)(*(array.copy() for array in coupled))
+
+    @cached_property
+    def system(self) -> System:
+        """The system with these copies in its arrays, as before its arms were eliminated.
+
+        For reading: its other arrays go on to other states.  Of a ``regular`` one, in which all
+        arms were eliminated as a whole, only motion and contacts are copied.
+        """
+        own = self._system
+        if self.regular:
+            return replace(own, buffers=own.buffers._replace(**self._buffers))
+        return replace(
+            own,
+            buffers=own.buffers._replace(**self._buffers),
+            work=own.work._replace(**self._work),
+            coupled=self._coupled,
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
     """Result of one evaluation.
+
+    It stays as it is, whatever the system is used for afterwards.  What takes longer than the
+    evaluation itself is computed when it is first asked for: what the contacts look like, which
+    forces are unique, and ``lost_motions``.
 
     Attributes
     ----------
@@ -83,11 +124,6 @@ class Evaluation:
         limits and lag leave of it.
     contact_forces : mapping arm -> ndarray, shape (N_i,)
         Magnitudes [N]; positive pushes the object along ``contact_normals``.
-    contact_forces_unique : mapping arm -> ndarray of bool, shape (N_i,)
-        Which of them the equations determine.
-    contact_points, contact_normals : mapping arm -> ndarray, shape (N_i, 3)
-        World axes; normals point into the object.
-    contact_terms : mapping arm -> ContactTerms
     position_residual, velocity_residual : float
         Largest gap [m] and gap rate [m/s].
     residuals : Residuals
@@ -99,13 +135,11 @@ class Evaluation:
     coupled_arms : tuple of str
         Arms that could not be eliminated as a whole: along some of their joint's directions they
         hardly move, or not at all.
-    lost_motions : mapping arm -> tuple of str
-        What these arms cannot do, in words.
     message : str
         Empty when accelerations and forces solve the equations; else what is left over and why.
     contact_states : mapping arm -> tuple of str
-        Of contacts that come and go: what each does ("open", "touching", "sticking", ...). Those
-        with a floor are named ``floor``, here and among forces, points and normals.
+        Of contacts that come and go: what each does ("open", "touching", "sticking", ...).  Those
+        with a floor are named ``floor``, here and among forces, wrenches, points and normals.
     """
 
     time: float
@@ -114,21 +148,108 @@ class Evaluation:
     joint_accelerations: Mapping[str, np.ndarray]
     joint_torques: Mapping[str, np.ndarray]
     contact_forces: Mapping[str, np.ndarray]
-    contact_forces_unique: Mapping[str, np.ndarray]
-    contact_points: Mapping[str, np.ndarray]
-    contact_normals: Mapping[str, np.ndarray]
-    contact_terms: Mapping[str, ContactTerms] = field(repr=False)
     position_residual: float
     velocity_residual: float
     residuals: Residuals
     conditioning: Mapping[str, float]
     rank: int
     coupled_arms: tuple[str, ...]
-    lost_motions: Mapping[str, tuple[str, ...]]
-    _system: System = field(repr=False, compare=False)
-    message: str = ""
-    contact_states: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    _joint_forces: Mapping[str, np.ndarray] | None = field(repr=False, default=None)
+    message: str
+    contact_states: Mapping[str, tuple[str, ...]]
+    _held: Snapshot  # of the contacts that joints hold
+    _all: Snapshot  # of all rows that have forces: others where contacts come and go
+    _unique: Callable[[], np.ndarray]
+    _lost_motions: Callable[[], Mapping[str, tuple[str, ...]]]
+    _joint_forces: Mapping[str, np.ndarray]
+
+    def __repr__(self) -> str:
+        left = self.residuals
+        forces = [np.max(np.abs(own), initial=0.0) for own in self.contact_forces.values()]
+        return (
+            f"Evaluation(time={self.time:g}, rank={self.rank}, largest contact force "
+            f"{max(forces, default=0.0):.3g} N,\n  residuals: arm {left.arm:.2g}, "
+            f"object {left.object:.2g}, constraint {left.constraint:.2g})"
+        )
+
+    @cached_property
+    def contact_forces_unique(self) -> Mapping[str, np.ndarray]:
+        """Which contact forces the equations determine, arm -> ndarray of bool, shape (N_i,)."""
+        return rows_by_owner(self._all.system.layout, self._unique())
+
+    @cached_property
+    def contact_points(self) -> Mapping[str, np.ndarray]:
+        """Contact points [m], world axes, arm -> ndarray, shape (N_i, 3)."""
+        return rows_by_owner(self._all.system.layout, self._points_and_normals[0])
+
+    @cached_property
+    def contact_normals(self) -> Mapping[str, np.ndarray]:
+        """Unit normals into the object, world axes, arm -> ndarray, shape (N_i, 3).
+
+        Of rows of friction, the tangents.
+        """
+        return rows_by_owner(self._all.system.layout, self._points_and_normals[1])
+
+    @cached_property
+    def _points_and_normals(self) -> tuple[np.ndarray, np.ndarray]:
+        return points_and_normals(self._all.system, slice(None))
+
+    @cached_property
+    def contact_terms(self) -> Mapping[str, ContactTerms]:
+        """Contact matrices of the joints, arm -> ContactTerms."""
+        return contact_terms(self._held.system)
+
+    @cached_property
+    def lost_motions(self) -> Mapping[str, tuple[str, ...]]:
+        """What the ``coupled_arms`` cannot do, in words, arm -> tuple of str."""
+        return self._lost_motions()
+
+    @cached_property
+    def wrenches(self) -> Mapping[str, np.ndarray]:
+        """What the contact forces of each arm add up to on the object, arm -> ndarray, shape (6,).
+
+        Force [N] and moment [N m] about the object's centre of mass, world axes, with friction.
+        """
+        system = self._all.system
+        rows = rows_by_owner(system.layout, system.buffers.Wo)
+        return {owner: rows[owner].T @ force for owner, force in self.contact_forces.items()}
+
+    @cached_property
+    def normal_forces(self) -> Mapping[str, np.ndarray]:
+        """Forces of the contacts along their normals [N], arm -> ndarray, shape (k,).
+
+        One a contact: those of ``contact_forces`` without friction and without the rows that belong
+        to the arm's own joints.
+        """
+        rows = self._normal_rows
+        return {owner: force[rows[owner]] for owner, force in self.contact_forces.items()}
+
+    @cached_property
+    def tangential_forces(self) -> Mapping[str, np.ndarray]:
+        """Friction forces of the contacts in ``normal_forces`` [N], arm -> ndarray, shape (k, 2).
+
+        Along the two tangents that follow the contact's normal in ``contact_normals``; zero where a
+        contact has no friction.
+        """
+        system, found = self._all.system, {}
+        for owner, records in rows_by_owner(system.layout, system.records).items():
+            found[owner] = np.zeros((len(self._normal_rows[owner]), 2))
+            for pair, row in zip(found[owner], self._normal_rows[owner], strict=True):
+                if any(record.tangent for record in records[row + 1 : row + 2]):
+                    pair[:] = self.contact_forces[owner][row + 1 : row + 3]
+        return found
+
+    @cached_property
+    def _normal_rows(self) -> dict[str, list[int]]:
+        """Rows of each owner that are contacts along their normals."""
+        system = self._all.system
+        return {
+            owner: [
+                row
+                for row, record in enumerate(records)
+                if isinstance(record, Contact) and not record.tangent
+            ]
+            for owner, records in rows_by_owner(system.layout, system.records).items()
+        }
 
     def motion_space(self, arm: str, rows: Sequence[int | str] | None = None) -> MotionSpace:
         """Motions that an arm's joint leaves free, ``v = T alpha``, and ``dT/dt`` (thesis, 3.8).
@@ -144,14 +265,14 @@ class Evaluation:
         GraspError
             When these rates cannot be coordinates; the message lists rows that can.
         """
-        return motion_space_of(self._system, self.state, self.contact_terms, arm, rows)
+        return motion_space_of(self._held.system, self.state, self.contact_terms, arm, rows)
 
     def relative_rates(self, arm: str) -> np.ndarray:
         """Rates ``alpha`` of the free components of an arm's joint, along its own axes, shape (m,).
 
         [m/s, rad/s]; ``system.frames[arm].labels`` says which they are.
         """
-        return relative_rates_of(self._system, self.state, arm)
+        return relative_rates_of(self._held.system, self.state, arm)
 
     def internal_forces(
         self, form: str = "orthonormal", rows: Sequence[int | str] | None = None
@@ -161,7 +282,7 @@ class Evaluation:
         One row a contact, arm after arm.  ``form`` is ``orthonormal``, ``nonnegative`` or
         ``echelon``; see :func:`multiarm.contacts.internal_forces.internal_forces`.
         """
-        return internal_forces_of(self._system, self.contact_terms, form, rows)
+        return internal_forces_of(self._held.system, self.contact_terms, form, rows)
 
     def force_decomposition(
         self, internal: InternalForces | None = None, length: float | None = None
@@ -171,8 +292,9 @@ class Evaluation:
         The resultant is about the centre of mass, in object axes [N, N m].  ``internal`` is the
         basis of its coordinates ``mu_I``, orthonormal when left out.  Friction has no part in it.
         """
-        own = self.contact_forces if self._joint_forces is None else self._joint_forces
-        return force_decomposition_of(self._system, self.contact_terms, own, internal, length)
+        return force_decomposition_of(
+            self._held.system, self.contact_terms, self._joint_forces, internal, length
+        )
 
 
 def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Evaluation:
@@ -196,53 +318,54 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     """
     state = system.initial_state() if state is None else state.copy()
     place_state(system, t, state)
-    status = evaluate_buffers(system.book(), 0.0, 0.0)
-    if status == OK and system.pieces.states:
-        system.buffers.inner[:] = system.pieces.start(system)
+    b, layout, status, found = system.buffers, system.layout, OK, np.empty(6)
+    if system.pieces.states:
         status = evaluate_buffers(system.book(), 0.0, 0.0)
+        if status == OK:
+            system.buffers.inner[:] = system.pieces.start(system)
+    if status == OK:
+        status = evaluate_and_check(system.book(), found)
     if status != OK:
         try:
             system.reraise()
         except SolverError as error:  # of the dense solver, which knows numbers only
             raise SolverError(lost_contact_text(system) or str(error)) from error
         raise SolverError(failure_text(system, status))
-    b, layout = system.buffers, system.layout
-    note_solution(system.book())
-    forces, torques = b.force.copy(), b.torque.copy()
-    object_acceleration, qdd, h_o = b.q_o.copy(), b.qdd.copy(), b.h_o.copy()
-    rank, coupled = int(b.solved[RANK_OF_ALL]), _coupled_arms(system)
-    solved = believable(system.book(), b.solved[RESIDUAL])
-    message = "" if solved else _contradiction_text(system)
-    pivots = (
-        {}
-        if system.plant.dense[0]
-        else dict(zip(layout.names, system.work.pivot.copy(), strict=False))
-    )
-    unique = _unique_forces(system)
-    residuals = _residuals(system, h_o, object_acceleration, qdd, forces)
-    terms = contact_terms(system)
-    b.h_o[:] = h_o  # kinematics alone leave out the loads from outside
+    arm, on_object, constraint, gap, gap_rate, solved = found.tolist()
+    qdd, torques, snapshot = b.qdd.copy(), b.torque.copy(), Snapshot(system)
+    forces = layout.split_contacts(b.force.copy())
+    coupled = _coupled_arms(system)
+    pivots = () if system.plant.dense[0] else system.work.pivot.tolist()
     return Evaluation(
         time=float(t),
         state=state,
-        object_acceleration=object_acceleration,
+        object_acceleration=b.q_o.copy(),
         joint_accelerations=layout.split_joints(qdd),
         joint_torques=layout.split_joints(torques),
-        contact_forces=layout.split_contacts(forces),
-        contact_forces_unique=layout.split_contacts(unique),
-        contact_points={arm: term.points for arm, term in terms.items()},
-        contact_normals={arm: term.normals for arm, term in terms.items()},
-        contact_terms=terms,
-        position_residual=float(np.max(np.abs(b.contacts[:, GAP]), initial=0.0)),
-        velocity_residual=float(np.max(np.abs(b.contacts[:, GAP_RATE]), initial=0.0)),
-        residuals=residuals,
-        conditioning={arm: max(float(p), 0.0) for arm, p in pivots.items()},
-        rank=rank,
+        contact_forces=forces,
+        position_residual=gap,
+        velocity_residual=gap_rate,
+        residuals=Residuals(arm, on_object, constraint),
+        conditioning={
+            name: max(pivot, 0.0) for name, pivot in zip(layout.names, pivots, strict=False)
+        },
+        rank=int(b.solved[RANK_OF_ALL]),
         coupled_arms=coupled,
-        lost_motions=lost_motions(system, coupled) if coupled else {},
-        _system=system,
-        message=message,
+        message="" if solved else _contradiction_text(system),
+        contact_states={},
+        _held=snapshot,
+        _all=snapshot,
+        _unique=partial(_unique_forces, snapshot),
+        _lost_motions=partial(_lost_motions, snapshot, coupled),
+        _joint_forces=forces,
     )
+
+
+def rows_by_owner(layout: Layout, values: Rows) -> dict[str, Rows]:
+    """Values of all rows, shape (N, ...), by arm, and of the surroundings where there are any."""
+    bounds, around = layout.rows, values[layout.surroundings]
+    found = {arm: values[bounds[i] : bounds[i + 1]] for i, arm in enumerate(layout.names)}
+    return {**found, SURROUNDINGS: around} if len(around) else found
 
 
 def project_velocity(system: System, state: State) -> State:
@@ -328,26 +451,6 @@ def lost_contact(system: System, row: int) -> str:
     )
 
 
-def _residuals(
-    system: System, h_o: np.ndarray, q_o: np.ndarray, qdd: np.ndarray, force: np.ndarray
-) -> Residuals:
-    """Put the result back into the equations, with matrices that were not factored."""
-    plant, b, work = system.plant, system.buffers, system.work
-    h, c = b.h.copy(), b.c.copy()
-    update_kinematics(system.book())
-    arm = constraint = 0.0
-    on_object = b.inertia @ q_o - h_o - b.Wo.T @ force
-    for i in range(len(system.arm_names)):
-        d = slice(work.dofs[i], work.dofs[i + 1])
-        r = slice(work.rows[i], work.rows[i + 1])
-        W = work.Y[i, : d.stop - d.start, : r.stop - r.start]
-        M = read_inertia(plant.pointers[i], d.stop - d.start)
-        arm = max(arm, float(np.max(np.abs(M @ qdd[d] - h[d] - W @ force[r]))))
-        gap = b.Wo[r] @ q_o + W.T @ qdd[d] - c[r]
-        constraint = max(constraint, float(np.max(np.abs(gap), initial=0.0)))
-    return Residuals(arm, float(np.max(np.abs(on_object))), constraint)
-
-
 def _coupled_arms(system: System) -> tuple[str, ...]:
     """Arms that went through the coupled system in the last solution."""
     if not system.buffers.solved[COUPLED_ARMS]:
@@ -356,14 +459,18 @@ def _coupled_arms(system: System) -> tuple[str, ...]:
     return tuple(name for name, is_so in zip(system.arm_names, deficient, strict=False) if is_so)
 
 
-def _unique_forces(system: System) -> np.ndarray:
+def _lost_motions(snapshot: Snapshot, arms: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    return lost_motions(snapshot.system, arms) if arms else {}
+
+
+def _unique_forces(snapshot: Snapshot) -> np.ndarray:
     """Which contact forces are determined: all, when every arm's elimination succeeded."""
-    if not system.plant.dense[0]:
-        if not system.coupled.counts[ARMS]:
-            return np.ones(system.constraint_count, dtype=bool)
-        return loose_rows(system.work, system.coupled) < PART_TOLERANCE
-    update_kinematics(system.book())
-    return null_space(constraint_matrix(system)).untouched
+    system = snapshot.system
+    if snapshot.regular:
+        return np.ones(system.constraint_count, dtype=bool)
+    if system.plant.dense[0]:
+        return null_space(constraint_matrix(system)).untouched
+    return loose_rows(system.work, system.coupled) < PART_TOLERANCE
 
 
 def constraint_matrix(system: System) -> np.ndarray:
@@ -382,9 +489,7 @@ def constraint_matrix(system: System) -> np.ndarray:
         r = slice(work.rows[i], work.rows[i + 1])
         n = d.stop - d.start
         matrix[6 + d.start : 6 + d.stop, r] = work.Y[i, :n, : r.stop - r.start]
-        scale[6 + d.start : 6 + d.stop] = np.sqrt(
-            np.diag(read_inertia(system.plant.pointers[i], n))
-        )
+        scale[6 + d.start : 6 + d.stop] = np.sqrt(np.diag(work.L[i])[:n])
     matrix /= scale[:, None]
     return matrix / np.linalg.norm(matrix, axis=0)
 

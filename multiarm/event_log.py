@@ -76,6 +76,8 @@ class EventLog:
             if first:
                 names = [f"{name} (from {t:.4g} s)" for name, t in first.items()]
                 parts.append(f"; {meaning}: {_some(names)}")
+        if not parts:
+            return ""
         return shorten("".join(parts), max(room, LEAST_ROOM), placeholder=" ... (see `events`)")
 
     def _rest(self) -> str:

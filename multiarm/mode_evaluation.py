@@ -10,19 +10,19 @@ the equations with the friction forces.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from multiarm import dynamics
-from multiarm.candidates.units import CONTACT, SURROUNDINGS
+from multiarm.candidates.units import CONTACT
 from multiarm.dense_call import read_inertia
 from multiarm.dynamics import (
     Evaluation,
     Residuals,
+    Snapshot,
     constraint_matrix,
     contact_places,
-    contact_terms,
+    rows_by_owner,
 )
 from multiarm.equations import OK, evaluate_buffers, update_kinematics, update_rows
 from multiarm.errors import SolverError
@@ -77,9 +77,9 @@ def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
     own = dynamics.evaluate(mode.system, t, state)
     forces, unique = _all_forces(full, mode)
     residuals = _residuals(full, mode, forces, own.residuals.constraint)
-    points, normals = contact_places(full, state)
+    contact_places(full, state)
     update_rows(model.book())
-    plan, split = modes.plan, partial(_by_owner, full)
+    plan = modes.plan
     doing: dict[str, list[str]] = {}
     for unit, does in zip(plan.units, mode.choice.states, strict=True):
         if unit.kind == CONTACT:
@@ -87,24 +87,14 @@ def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
     return replace(
         own,
         state=state,
-        contact_forces=split(forces),
-        contact_forces_unique=split(unique),
-        contact_points=split(points),
-        contact_normals=split(normals),
-        contact_terms=contact_terms(model),
+        contact_forces=rows_by_owner(full.layout, forces),
         residuals=residuals,
         contact_states={owner: tuple(words) for owner, words in doing.items()},
-        _system=model,
+        _held=Snapshot(model),
+        _all=Snapshot(full),
+        _unique=lambda: unique,
         _joint_forces=model.layout.split_contacts(forces[list(plan.model)]),
     )
-
-
-def _by_owner(full: System, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of all rows, shape (N, ...), by arm, and of the surroundings where there are any."""
-    bounds = full.layout.rows
-    found = {arm: values[bounds[i] : bounds[i + 1]] for i, arm in enumerate(full.arm_names)}
-    around = values[full.layout.surroundings]
-    return {**found, SURROUNDINGS: around} if len(around) else found
 
 
 def _all_forces(full: System, mode: Mode) -> tuple[np.ndarray, np.ndarray]:

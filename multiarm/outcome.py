@@ -11,6 +11,9 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 
+# Types that JSON knows, whatever the value.
+_PLAIN = (str, int, bool, type(None))
+
 STATUSES = ("completed", "interrupted", "failed")
 
 
@@ -44,11 +47,13 @@ class Outcome:
 
 def plain(value: Any) -> Any:
     """The same value in what JSON knows; a number that is not finite becomes None."""
-    if isinstance(value, np.ndarray | np.generic):
+    if type(value) in _PLAIN:
+        return value
+    if isinstance(value, (np.ndarray, np.generic)):
         return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
+    if isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}

@@ -148,7 +148,7 @@ class Run:
 
 def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) -> RunSpec:
     """The scene's run settings with the caller's in their place, validated together."""
-    data = {name: getattr(written, name) for name in type(written).model_fields}
+    data = dict(written)
     data.update({key: value for key, value in changes.items() if value is not None})
     if any(value is not None for value in choice.values()):
         data.update(choice)
@@ -162,9 +162,9 @@ def method_and_tolerance(spec: RunSpec, tighten: float = 1.0) -> tuple[str, Tole
 
     ``tighten`` multiplies the tolerances.
     """
-    accuracy = AccuracySpec(position=DEFAULT_ACCURACY, rotation=DEFAULT_ACCURACY)
-    if spec.accuracy is not None:
-        accuracy = spec.accuracy
+    accuracy = spec.accuracy
+    if accuracy is None:
+        accuracy = AccuracySpec(position=DEFAULT_ACCURACY, rotation=DEFAULT_ACCURACY)
     name = spec.integrator or ("dop853" if accuracy.smallest < ORDER_8_BELOW else "dopri5")
     if METHODS[name].error_order == 0:
         return name, None
@@ -207,12 +207,12 @@ def _with_own_step(stepping: Stepping, work: tuple) -> Stepping:
     return replace(stepping, own=(work, book))
 
 
-def _tolerances(system: System, tolerance: Tolerance) -> np.ndarray:
+def _tolerances(system: System, tolerance: Tolerance) -> list[float]:
     """One tolerance an entry of the state, but for the works."""
     units = [unit for arm in system.arms.values() for unit in arm.joint_units.values()]
-    lengths = np.array([True] * 3 + [False] * 3 + [unit == "m" for unit in units])
-    own = np.where(np.tile(lengths, 2), tolerance.position, tolerance.rotation)
-    return np.concatenate([own, np.full(system.pieces.states, tolerance.smallest)])
+    of_unit = {"m": tolerance.position, "rad": tolerance.rotation}
+    coordinates = [of_unit[unit] for unit in ["m"] * 3 + ["rad"] * 3 + units]
+    return 2 * coordinates + [tolerance.smallest] * system.pieces.states
 
 
 def prepare(
@@ -258,12 +258,13 @@ def prepare(
             begin, report = adopt_state(system, state)
     place_state(system, 0.0, begin)
     store(system.buffers, step.base, step.z)
-    _first_slope(system, step, settings)
+    feedback = gains(settings, settings.step)
+    _first_slope(system, step, feedback)
     if system.pieces.states:
         step.z[12 + 2 * system.layout.joints :][: system.pieces.states] = system.pieces.start(
             system
         )
-        _first_slope(system, step, settings)
+        _first_slope(system, step, feedback)
     size = scene_size(system)
     settings = settings._replace(
         closed=projection_tolerance(system, size) if settings.closed >= 0.0 else -1.0,
@@ -272,21 +273,22 @@ def prepare(
     if settings.closed >= 0.0 and system.coupled.counts[ARMS]:
         # the start may be where two motions cross
         system.buffers.stage_gap[0] = settings.closed
-        _first_slope(system, step, settings)
+        _first_slope(system, step, feedback)
         system.buffers.stage_gap[0] = -1.0
     watch_start(system.book())
     log.add([{"time": 0.0, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
     solver_log = SolverLog(system, log)
     solver_log.collect(system, 0.0, begin)
     if adaptive:
-        settings = settings._replace(step=_first_step(system, step, settings, method))
+        first = _first_step(system, step, feedback, settings.end, method)
+        settings = settings._replace(step=first)
     width = sample_width(
         system.layout.joints,
         system.buffers.shown.size,
         system.plant.free.shape[0],
         1 + len(system.pieces.works),
     )
-    rows = int(np.clip(BLOCK_NUMBERS // width, 16, samples))
+    rows = min(max(BLOCK_NUMBERS // width, 16), samples)
     return Run(
         system,
         stepping,
@@ -314,35 +316,36 @@ def positive(name: str, value: float) -> float:
     return float(value)
 
 
-def _first_slope(system: System, step: Step, settings: Settings) -> None:
+def _first_slope(system: System, step: Step, feedback: tuple[float, float]) -> None:
     """Evaluate the beginning; what is impossible there is an error, not a result."""
-    alpha, beta = gains(settings, settings.step)
-    status = evaluate_slope(system.book(), 0.0, step.z, step.base, alpha, beta, step.slope)
+    status = evaluate_slope(system.book(), 0.0, step.z, step.base, *feedback, step.slope)
     if status != OK:
         system.reraise()
         raise SolverError(failure_text(system, status))
 
 
-def _first_step(system: System, step: Step, settings: Settings, method: Method) -> float:
+def _first_step(
+    system: System, step: Step, feedback: tuple[float, float], end: float, method: Method
+) -> float:
     """A first step whose error is about the tolerance (Hairer, Norsett, Wanner, II.4)."""
-    scale, trial = step.tolerance, min(TRIAL_STEP, settings.end)
+    scale, trial = step.tolerance, min(TRIAL_STEP, end)
     judged = scale.size
-    first = np.max(np.abs(step.slope[:judged]) / scale)
+    first = (np.abs(step.slope[:judged]) / scale).max()
     other = np.zeros_like(step.slope)
     status = evaluate_slope(
         system.book(),
         trial,
         step.z + trial * step.slope,
         step.base,
-        *gains(settings, settings.step),
+        *feedback,
         other,
     )
     if status != OK:
         system.forgive()  # the run itself will meet the trouble, and tell when
         return float(trial)
-    second = np.max(np.abs(other - step.slope)[:judged] / scale) / trial
+    second = (np.abs(other - step.slope)[:judged] / scale).max() / trial
     worst = max(first, second)
     if worst == 0.0:
-        return min(1e-2, settings.end)
+        return min(1e-2, end)
     h = (0.01 / worst) ** (1.0 / (method.error_order + 1.0))
-    return float(min(h, settings.end))
+    return float(min(h, end))

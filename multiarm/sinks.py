@@ -67,7 +67,7 @@ class MemorySink:
     def append(self, block: Block) -> None:
         """Keep copies of the samples before the first number that is not finite."""
         rows, fault = finite_rows(self._channels, block)
-        self._blocks.append({name: values.copy() for name, values in rows.items()})
+        self._blocks.append(rows)
         if fault:
             raise TrajectoryError(fault)
 
@@ -84,12 +84,15 @@ class MemorySink:
     ) -> Trajectory:
         """Join the blocks to a trajectory."""
         outcome = _outcome(status, message, statistics, events, certificate)
-        arrays, metadata = {}, self._metadata
-        for channel in self._channels:
-            nothing = np.empty((0, *channel.shape))
-            arrays[channel.name] = np.concatenate(
-                [nothing, *(block.pop(channel.name) for block in self._blocks)]
-            )
+        metadata, blocks = self._metadata, self._blocks
+        if not blocks:
+            blocks = [{channel.name: np.empty((0, *channel.shape)) for channel in self._channels}]
+        arrays = blocks[0]
+        if len(blocks) > 1:
+            arrays = {
+                channel.name: np.concatenate([block.pop(channel.name) for block in blocks])
+                for channel in self._channels
+            }
         return Trajectory(ArrayStore(self._channels, arrays, lambda: _told(metadata)), outcome)
 
 

@@ -16,7 +16,15 @@ from __future__ import annotations
 
 import math
 
-from multiarm.equations import AT_REST, OK, solve_again
+from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.equations import (
+    AT_REST,
+    OK,
+    evaluate_buffers,
+    largest,
+    renew_kinematics,
+    solve_again,
+)
 from multiarm.lowlevel import inlined, kernel
 from multiarm.node.regular import COUPLED_BELOW
 from multiarm.node.side_by_side import largest_free_rate
@@ -40,6 +48,74 @@ ROUNDED_RESIDUAL, MOST_ROUNDED_RESIDUAL = 1e-13, 1e-3
 # A direction with a sigma below this fraction of the arm's largest is lost; it is there again at
 # REGAINED times as much.
 LOST, REGAINED = 1e-3, 2.0
+
+
+@kernel
+def evaluate_and_check(book, found):
+    """Evaluate the state in the buffers, and put the result back into the equations.
+
+    Writes into ``found`` (6,) what is left over of the arms' equations, of the object's and of the
+    constraints (largest magnitudes, see :class:`multiarm.dynamics.Residuals`), the largest gap [m]
+    and gap rate [m/s], and whether the result counts as a solution.  The matrices in ``work`` are
+    not factored afterwards.  Returns a status, as :func:`multiarm.equations.evaluate_buffers`.
+    """
+    status = evaluate_buffers(book, 0.0, 0.0)
+    if status != OK:
+        return status
+    note_solution(book)
+    _, buffers, work = open_book(book)
+    found[5] = 1.0 if believable(book, buffers.solved[RESIDUAL]) else 0.0
+    if work.factored[0] != 0:
+        status = renew_kinematics(book)
+    found[0], found[2] = arm_residuals(buffers, work)
+    found[1] = object_residual(buffers)
+    found[3], found[4] = largest(buffers.contacts, GAP), largest(buffers.contacts, GAP_RATE)
+    return status
+
+
+@kernel
+def arm_residuals(buffers, work):
+    """``M q'' - h - W force`` of all arms and ``W_o^T q_o + W^T q'' - c``, largest magnitudes."""
+    of_arms = of_constraints = 0.0
+    for i in range(work.dofs.size - 1):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        r0, r = work.rows[i], work.rows[i + 1] - work.rows[i]
+        M, W = work.L[i], work.Y[i]
+        for j in range(d):
+            left = -buffers.h[d0 + j]
+            for k in range(d):
+                left += M[max(j, k), min(j, k)] * buffers.qdd[d0 + k]
+            for a in range(r):
+                left -= W[j, a] * buffers.force[r0 + a]
+            of_arms = larger(of_arms, left)
+        for a in range(r):
+            left = -buffers.c[r0 + a]
+            for k in range(6):
+                left += buffers.Wo[r0 + a, k] * buffers.q_o[k]
+            for j in range(d):
+                left += W[j, a] * buffers.qdd[d0 + j]
+            of_constraints = larger(of_constraints, left)
+    return of_arms, of_constraints
+
+
+@kernel
+def object_residual(buffers):
+    """``M_o q_o - h_o - W_o force``, largest magnitude."""
+    worst = 0.0
+    for k in range(6):
+        left = -buffers.h_o[k]
+        for j in range(6):
+            left += buffers.inertia[k, j] * buffers.q_o[j]
+        for a in range(buffers.force.size):
+            left -= buffers.Wo[a, k] * buffers.force[a]
+        worst = larger(worst, left)
+    return worst
+
+
+@inlined
+def larger(worst, left):
+    """The larger magnitude; NaN if either is."""
+    return abs(left) if abs(left) > worst or left != left else worst
 
 
 @kernel

@@ -167,6 +167,11 @@ class System:
         asks = self.plant.dense[0] == 1 or bool(self.asked)
         return asks or any(self.plant.calls[place] != 0 for place in places)
 
+    @cached_property
+    def bases(self) -> np.ndarray:
+        """Where the arms stand, world axes, shape (n, 3) [m]."""
+        return np.array([arm.files.base[:3, 3] for arm in self.arms.values()])
+
     @property
     def constraint_count(self) -> int:
         """Number of contacts of all joints together."""

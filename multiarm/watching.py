@@ -95,6 +95,8 @@ def collect_events(system: System, log: EventLog) -> None:
     """Take over the events that the loop has noted since the last call."""
     buffers = system.buffers
     count, noted = int(buffers.event_count[0]), len(buffers.events)
+    if not count:
+        return
     log.add([_named(event, system) for event in buffers.events[: min(count, noted)]])
     if count > noted:
         log.drop(float(buffers.events[-1, 0]), "limits and contacts", count=count - noted)

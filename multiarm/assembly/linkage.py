@@ -16,6 +16,8 @@ in the first, changes its sign.
 
 from __future__ import annotations
 
+import math
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -42,11 +44,11 @@ _NO_REACH = 1e-9  # of the longest row: nothing moves along it
 def scene_size(system: System) -> float:
     """A length that is typical of the scene [m]: of its lever arms, its object and its arms."""
     buffers, plant = system.buffers, system.plant
-    levers = np.linalg.norm(buffers.contacts[:, :3] - buffers.position[:3], axis=1)
-    gyration = np.sqrt(np.trace(plant.object_inertia) / plant.object_mass[0])
-    bases = np.array([arm.files.base[:3, 3] for arm in system.arms.values()])
-    reach = np.linalg.norm(buffers.arms[: len(bases), 9:12] - bases, axis=1)
-    return float(max(np.max(levers, initial=0.0), gyration, np.max(reach)))
+    levers = buffers.contacts[:, :3] - buffers.position[:3]
+    reaches = buffers.arms[: len(system.bases), 9:12] - system.bases
+    squares = [np.square(ways).sum(axis=1).max(initial=0.0) for ways in (levers, reaches)]
+    gyration = plant.object_inertia.trace() / plant.object_mass[0]
+    return math.sqrt(max(*squares, gyration))
 
 
 def projection_tolerance(system: System, size: float | None = None) -> float:
@@ -54,9 +56,9 @@ def projection_tolerance(system: System, size: float | None = None) -> float:
 
     ``size`` is the scene's, where it is known already.
     """
-    bases = [np.max(np.abs(arm.files.base[:3, 3])) for arm in system.arms.values()]
-    far = max(float(np.max(np.abs(system.buffers.contacts[:, :3]), initial=0.0)), *bases, 0.0)
-    return 100 * np.finfo(float).eps * max(far, scene_size(system) if size is None else size)
+    contacts = system.buffers.contacts[:, :3]
+    far = float(max(np.abs(places).max(initial=0.0) for places in (contacts, system.bases)))
+    return 100 * sys.float_info.epsilon * max(far, scene_size(system) if size is None else size)
 
 
 @dataclass(frozen=True)
