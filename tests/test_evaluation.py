@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from event_scenes import arm, ball, ball_on_plate, box, on_floor
 from mechanics import SCENES, ur5_pair
-from test_dynamics import UR5_WRIST_SINGULAR
+from test_dynamics import UR5_WRIST_SINGULAR, two_arm_block_twice
 
 import multiarm as ma
 from multiarm.spatial import quaternion_to_matrix
@@ -55,6 +55,12 @@ def other_state(system):
     return state
 
 
+def overwrite(system) -> None:
+    """Leave nothing in the arrays that an evaluation writes."""
+    for array in (*system.buffers, *system.coupled, system.work.L, system.work.Y):
+        array[:] = 0 if array.dtype == np.int64 else np.nan
+
+
 def everything(ev: ma.Evaluation) -> dict:
     """All that an evaluation tells, in plain numbers and words."""
     told = {
@@ -92,6 +98,7 @@ CASES = {
     "welded": (welded, "node", lambda s: s.initial_state()),
     "dense": (welded, "dense", lambda s: s.initial_state()),
     "singular": (lambda: ur5_pair({"kind": "weld"}, {"kind": "ball"}), "node", singular_state),
+    "repeated": (two_arm_block_twice, "node", lambda s: s.initial_state()),
     "grasped": (grasped, "node", lambda s: s.initial_state()),
     "sliding": (sliding_box, "node", lambda s: s.initial_state()),
 }
@@ -107,6 +114,7 @@ def test_an_evaluation_stays_what_it_was(case):
     ma.evaluate(system, 0.2, other_state(system))
     if case != "dense":
         ma.simulate(system, 0.003, accuracy=1e-4, certificate=False)
+    overwrite(system)
     state.position[:] = state.velocity[:] = np.nan
     assert_same(everything(ev), fresh)
 
