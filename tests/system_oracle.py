@@ -15,9 +15,9 @@ are accepted.
 *Band.*  Constraints that contribute less than ``RANK_TOLERANCE`` count as dependent, and by how
 much they do depends on how levers and inertias are weighed: by each arm's own (node), or by all
 (reference, reactions).  Where a singular value is between the two of ``BAND``, in plain geometry or
-so weighed, or an arm's beside the object's is below ``BESIDE_OBJECT``, only balances and
-constraints are asked for, and a rank between the numbers of singular values above either end of
-``RANK_BAND``.
+so weighed, only balances and constraints are asked for, and a rank between the numbers of singular
+values above either end of ``RANK_BAND``; likewise of the node algorithm where an arm moves by less
+than ``BESIDE_OBJECT`` of what the object does.
 
 *Depth.*  Weighed by all inertias, a gram held by tonnes comes near the tolerance by its mass alone.
 Where a singular value that counts is below ``DEPTH``, reference and reactions are not asked.
@@ -167,8 +167,7 @@ def weighed(system: System) -> np.ndarray:
     """``W`` with each arm in units of what its inertia lets its quickest joint do."""
     blocks = []
     for M, W, reach in zip(system.M, system.W, system.reach, strict=True):
-        quickest = np.max(reach * np.sqrt(np.diag(np.linalg.inv(M))))
-        blocks.append(np.linalg.solve(np.linalg.cholesky(M), W) / quickest)
+        blocks.append(np.linalg.solve(np.linalg.cholesky(M), W) / quickest(M, reach))
     return measured(system, blocks)
 
 
@@ -180,14 +179,21 @@ def inertia_scaled(system: System) -> np.ndarray:
     return whole / np.linalg.norm(whole, axis=0)
 
 
-def beside_object(system: System) -> np.ndarray:
-    """How each arm moves along its contacts compared with what the object does on its own."""
-    by_object = np.linalg.norm(
-        np.linalg.solve(np.linalg.cholesky(system.M_o), np.hstack(system.W_o)), axis=0
-    )
-    arms = zip(system.M, system.W, strict=True)
-    moved = [values_of(np.linalg.solve(np.linalg.cholesky(M), W)) for M, W in arms]
-    return np.concatenate(moved) / np.max(by_object)
+def quickest(M: np.ndarray, reach: np.ndarray) -> float:
+    """How an arm's joints give way to a unit push at the contacts, at best [1/sqrt(kg)]."""
+    return float(np.max(reach * np.sqrt(np.diag(np.linalg.inv(M)))))
+
+
+def taken_for_immovable(system: System) -> bool:
+    """Whether an arm moves along contacts by its own measure and hardly does beside the object."""
+    whole = np.hstack(system.W_o)
+    by_object = np.linalg.norm(np.linalg.solve(np.linalg.cholesky(system.M_o), whole), axis=0)
+    for M, W, reach in zip(system.M, system.W, system.reach, strict=True):
+        moved = values_of(np.linalg.solve(np.linalg.cholesky(M), W))
+        own, beside = moved / quickest(M, reach), moved / np.max(by_object)
+        if np.any((own > RANK_BAND[0]) & (beside < BESIDE_OBJECT)):
+            return True
+    return False
 
 
 def values_of(matrix: np.ndarray) -> np.ndarray:
@@ -214,19 +220,15 @@ class Spectrum(NamedTuple):
 def spectrum(system: System, solver: str) -> Spectrum:
     plain, scaled = values_of(measured(system)), values_of(inertia_scaled(system))
     scaled = scaled / scaled[0]
-    own, beside = scaled, np.zeros(0)
-    if solver == "node":
-        own, beside = values_of(weighed(system)), beside_object(system)
+    own = values_of(weighed(system)) if solver == "node" else scaled
     rank = int(np.sum(plain > RANK_TOLERANCE))
     least = min(plain[rank - 1], own[rank - 1])
     return Spectrum(
         least_rank=int(min(np.sum(plain > RANK_BAND[1]), np.sum(own > RANK_BAND[1]))),
         rank=rank,
         most_rank=int(max(np.sum(plain > RANK_BAND[0]), np.sum(own > RANK_BAND[0]))),
-        in_band=any(
-            bool(np.any((values > BAND[0]) & (values < end)))
-            for values, end in ((plain, BAND[1]), (own, BAND[1]), (beside, BESIDE_OBJECT))
-        ),
+        in_band=any(bool(np.any((v > BAND[0]) & (v < BAND[1]))) for v in (plain, own))
+        or (solver == "node" and taken_for_immovable(system)),
         deep=solver != "node" and bool(own[rank - 1] < DEPTH),
         error=max(SOLUTION, ROUNDING / least**2, SPLIT * ROUNDING / scaled[rank - 1]),
     )
