@@ -28,14 +28,17 @@ HAND = 0.1
 
 @dataclass(frozen=True)
 class ArmFiles:
-    """Where an arm comes from: URDFs, folders of their meshes, mounting and locked joints."""
+    """Where an arm comes from: URDFs, folders of their meshes, mounting and locked joints.
+
+    A tool that has no file is given by the text of its URDF.
+    """
 
     urdf: Path
     package_dirs: tuple[Path, ...]
     base: np.ndarray
     tip: str
     locked: dict[str, float]
-    tool_urdf: Path | None = None
+    tool_urdf: Path | str | None = None
     tool_package_dirs: tuple[Path, ...] = ()
     mount: str | None = None
     tool_placement: np.ndarray | None = None
@@ -297,8 +300,10 @@ def _frame_id(model: pin.Model, frame: str, arm: str) -> int:
     return model.getFrameId(frame)
 
 
-def _from_urdf(name: str, urdf: Path) -> pin.Model:
+def _from_urdf(name: str, urdf: Path | str) -> pin.Model:
     try:
+        if isinstance(urdf, str):
+            return pin.buildModelFromXML(urdf)
         return pin.buildModelFromUrdf(str(urdf))
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"arm '{name}': Pinocchio cannot read {urdf}: {error}") from error
@@ -346,13 +351,14 @@ def _assemble(name: str, files: ArmFiles, visuals: bool) -> tuple[pin.Model, pin
 
 
 def _geometry(
-    model: pin.Model, urdf: Path, package_dirs: tuple[Path, ...], visuals: bool
+    model: pin.Model, urdf: Path | str, package_dirs: tuple[Path, ...], visuals: bool
 ) -> pin.GeometryModel:
     if not visuals:
         return pin.GeometryModel()
+    build = pin.buildGeomFromUrdfString if isinstance(urdf, str) else pin.buildGeomFromUrdf
     folders = [str(p) for p in package_dirs]
     try:
-        return pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.VISUAL, None, folders)
+        return build(model, str(urdf), pin.GeometryType.VISUAL, None, folders)
     except (ValueError, RuntimeError) as error:
         warnings.warn(f"no visual geometry from {urdf}: {error}", stacklevel=2)
         return pin.GeometryModel()

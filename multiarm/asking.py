@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.errors import ControlError, MultiarmError
+from multiarm.errors import USER_FAULTS, ControlError, MultiarmError
 from multiarm.lowlevel import CallBack
 from multiarm.plant import BUSY, Buffers
 from multiarm.state import Layout, State
@@ -90,8 +90,10 @@ class Asked(CallBack):
             answer = self.function(t, state)
         except MultiarmError:
             raise
-        except Exception as error:
-            raise ControlError(f"{self.name} raised {type(error).__name__}: {error}") from error
+        except USER_FAULTS as error:
+            raise ControlError(
+                f"{self.name} raised {type(error).__name__}: {error} (at t = {t:.6g} s)"
+            ) from error
         finally:
             self._buffers.flag[BUSY] = 0
         return self._read(answer)

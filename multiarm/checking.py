@@ -15,11 +15,18 @@ Nothing here prints; the command ``multiarm check`` shows what :func:`inspect_sy
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
 from multiarm.candidates.units import CONTACT, DRY_JOINT, LIMIT, Unit
-from multiarm.dynamics import Evaluation, constraint_matrix, failure_text
+from multiarm.dynamics import (
+    ContactTerms,
+    Evaluation,
+    constraint_matrix,
+    contact_terms,
+    failure_text,
+)
 from multiarm.equations import OK, update_kinematics
 from multiarm.errors import SolverError
 from multiarm.evaluation import evaluate
@@ -39,7 +46,7 @@ from multiarm.inspection import (
 from multiarm.node.dense import RANK_TOLERANCE, null_space
 from multiarm.preparation import method_and_tolerance
 from multiarm.programs import needs_gravity_torque
-from multiarm.scene import ArmSpec, JointSpec, ObjectSpec, RunSpec, Scene, ToolSpec
+from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
 from multiarm.spatial import matrix_to_quaternion, quaternion_to_matrix
 from multiarm.state import State
 from multiarm.system import System
@@ -62,40 +69,59 @@ SINGULAR = 1e-12
 CARRIED = 1e-6
 
 
-def inspect_system(system: System) -> Inspection:
+def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection:
     """Describe a compiled system and judge its start.
 
     Parameters
     ----------
     system : System
+    left : sequence of NamedCode
+        What :func:`multiarm.compilation.compile_for_a_look` left out of it.
 
     Raises
     ------
     SolverError
         When the equations of motion cannot be solved at the start.
     """
-    scene, evaluation = system.scene, evaluate(system)
-    model = held_model(system)
+    scene, model = system.scene, held_model(system)
+    away = {code.arm for code in left}.difference([None])
+    evaluation = None if away else evaluate(system)
+    if away:
+        _place_at_start(model)
+    terms = contact_terms(model) if evaluation is None else evaluation.contact_terms
     return Inspection(
         scene=scene.name,
         gravity=None if scene.gravity is None else list(scene.gravity),
         object=_object_facts(scene.object),
         arms={name: _arm_facts(system, name, evaluation) for name in system.arm_names},
         joints=[
-            _joint_facts(model, joint, evaluation)
+            _joint_facts(model, joint, terms[joint.arm])
             for joint in sorted(scene.joints, key=lambda j: system.arm_names.index(j.arm))
+            if joint.arm not in away
         ],
-        freedom=count_freedom(model),
-        coming_and_going=coming_and_going(system),
+        freedom=None if away else count_freedom(model),
+        coming_and_going=[] if away else coming_and_going(system),
         effects=dict.fromkeys(active_effects(scene)),
         control=scene.control.kind,
         run=resolve_run(scene.run),
-        start=system.start_report,
-        position_residual=evaluation.position_residual,
-        velocity_residual=evaluation.velocity_residual,
-        residuals=evaluation.residuals,
-        carrying=carrying_capacity(model) if _carries(scene) else None,
+        start=None if away else system.start_report,
+        position_residual=None if evaluation is None else evaluation.position_residual,
+        velocity_residual=None if evaluation is None else evaluation.velocity_residual,
+        residuals=None if evaluation is None else evaluation.residuals,
+        carrying=carrying_capacity(model) if _carries(scene) and not away else None,
         warnings=scene.warnings,
+        not_looked_at=[_not_looked_at(code) for code in left],
+    )
+
+
+def _not_looked_at(code: NamedCode) -> str:
+    """What a look leaves out for want of code, and why."""
+    what = "it is left out"
+    if code.arm is not None:
+        what = f"the joint of arm {code.arm!r}, the start, rank and mobility are left out"
+    return (
+        f"{code.place}: {what}, since {code.what} is not loaded by a look; if you trust its "
+        "author, allow it with --code"
     )
 
 
@@ -203,10 +229,10 @@ def _shape_words(spec: ObjectSpec) -> str:
     return f"mesh {shape.mesh.file.name}"
 
 
-def _arm_facts(system: System, name: str, evaluation: Evaluation) -> ArmFacts:
+def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmFacts:
     spec, arm = system.scene.arms[name], system.arms[name]
     position, quaternion = _placement(spec.base.matrix())
-    pivot = evaluation.conditioning.get(name)
+    pivot = None if evaluation is None else evaluation.conditioning.get(name)
     return ArmFacts(
         robot=_model_name(spec),
         urdf=str(arm.files.urdf),
@@ -221,7 +247,7 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation) -> ArmFacts:
         not_compiled=system.not_compiled.get(name),
         conditioning=pivot,
         verdict=_verdict(pivot),
-        lost_motions=list(evaluation.lost_motions.get(name, ())),
+        lost_motions=[] if evaluation is None else list(evaluation.lost_motions.get(name, ())),
     )
 
 
@@ -242,9 +268,9 @@ def _model_name(spec: ArmSpec | ToolSpec) -> str:
     return spec.urdf.name
 
 
-def _joint_facts(system: System, joint: JointSpec, evaluation: Evaluation) -> JointFacts:
+def _joint_facts(system: System, joint: JointSpec, terms: ContactTerms) -> JointFacts:
     frame, names = system.frames[joint.arm], _row_names(system, joint.arm)
-    motions = free_motions(seen_from(frame.on_object, evaluation.contact_terms[joint.arm].W_o))
+    motions = free_motions(seen_from(frame.on_object, terms.W_o))
     return JointFacts(
         arm=joint.arm,
         kind=joint.kind,
@@ -254,7 +280,7 @@ def _joint_facts(system: System, joint: JointSpec, evaluation: Evaluation) -> Jo
         redundant_rows=[n for n, own in zip(names, motions.untouched, strict=True) if not own],
         free_motions=motions.words(),
         coordinates=list(frame.labels),
-        limits=_limit_facts(system, joint, evaluation.state),
+        limits=_limit_facts(system, joint, system.initial_state()),
     )
 
 

@@ -53,7 +53,17 @@ from multiarm.programs import (
     control_program,
     needs_gravity_torque,
 )
-from multiarm.scene import ARM_TERMS, ArmSpec, ResolvedArm, Scene, friction_of, resolve_arm
+from multiarm.scene import (
+    ARM_TERMS,
+    ArmSpec,
+    NamedCode,
+    ResolvedArm,
+    Scene,
+    friction_of,
+    resolve_arm,
+    with_code,
+    without_code,
+)
 from multiarm.spatial import matrix_to_quaternion
 from multiarm.state import Layout, State
 from multiarm.supply import ArmSupply
@@ -67,6 +77,7 @@ def compile_system(
     *,
     arms: str | None = None,
     like: System | None = None,
+    code: bool | None = None,
 ) -> System:
     """Build the system that a scene describes; only what the scene names is in it.
 
@@ -81,15 +92,21 @@ def compile_system(
     like : System, optional
         Of a similar scene: arms and joints that are written alike are not made anew, and no URDF
         of such an arm is read again.  The result is the same; the two may serve different threads.
+    code : bool, optional
+        Whether the functions and the effects of packages that the scene names may be loaded, which
+        is where their code is run first.  When left out, as the scene was read: scene files may,
+        unless ``load_scene`` was told otherwise, and stored results may not.
 
     Raises
     ------
     SceneError
-        When the start does not satisfy the joints and is too far from doing so.
+        When the start does not satisfy the joints and is too far from doing so; when the scene
+        names code and may not load any.
     ModelError
-        When a robot cannot be used, or a compiled arm is not the robot's.
+        When a robot cannot be used, a function cannot be loaded, or a compiled arm is not the
+        robot's.
     """
-    scene = _with_arms(scene, arms)
+    scene = with_code(_with_arms(scene, arms), code)
     known = same_arms(scene, like)
     resolved = {
         name: known[name][0] if name in known else resolve_arm(spec, scene.folder)
@@ -104,6 +121,27 @@ def compile_system(
     if system.plan is not None:
         return _come_and_go(system, control)
     return _controlled(_with_free_motions(_at_start(system)), control)
+
+
+def compile_for_a_look(scene: Scene, arms: str | None = None) -> tuple[System, list[NamedCode]]:
+    """Build a system of what a scene has without the code that it names, and tell what that is.
+
+    Where joints lack contacts, the start is the one that is written, not assembled, the free
+    motions of joints are those of the catalogue only, and there is no control.
+
+    Raises
+    ------
+    SceneError, ModelError
+        See :func:`compile_system`.
+    """
+    scene, left = without_code(_with_arms(scene, arms))
+    if not any(code.arm for code in left):
+        return compile_system(scene), left
+    resolved = {name: resolve_arm(spec, scene.folder) for name, spec in scene.arms.items()}
+    made = {name: _make_arm(name, scene, resolved[name]) for name in scene.arms}
+    joints = make_joints(scene, made, resolved, {})
+    system = _unassembled(scene, Parts(resolved, joints), made)
+    return replace(system, _places=locate_pairs(system, system.initial_state())), left
 
 
 def twin(system: System) -> System:

@@ -23,6 +23,7 @@ from multiarm.contacts.records import (
     Contact,
 )
 from multiarm.contacts.rows import LINE_CONTACT, locate_pair
+from multiarm.contacts.screws import first_largest
 from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
 from multiarm.equations import OK, update_kinematics
 from multiarm.errors import SceneError
@@ -115,8 +116,7 @@ def choose_free(system: System, arm: str) -> tuple[int, ...]:
     for _ in range(space.shape[1]):
         sizes = np.linalg.norm(space, axis=1)
         sizes[chosen] = -1.0
-        # equal sizes up to rounding: the first one, so that the choice does not hang on noise
-        best = int(np.argmax(sizes > (1.0 - 1e-6) * np.max(sizes)))
+        best = first_largest(sizes)
         chosen.append(best)
         direction = space[best] / np.linalg.norm(space[best])
         space = space - np.outer(space @ direction, direction)

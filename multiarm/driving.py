@@ -17,8 +17,9 @@ import numpy as np
 
 from multiarm.dynamics import failure_text, lost_contact_text
 from multiarm.equations import CALLBACK_FAILED, NOT_FINITE
-from multiarm.errors import MultiarmError, SolverError, TrajectoryError
+from multiarm.errors import USER_FAULTS, MultiarmError, SolverError, TrajectoryError
 from multiarm.event_driving import EventDriving
+from multiarm.event_log import EventLog
 from multiarm.integrators.stepper import step_book
 from multiarm.integrators.variational import NOT_CONVERGED
 from multiarm.interrupts import Interrupt, deferred_interrupt
@@ -61,9 +62,19 @@ from multiarm.time_loop import (
     run_book,
 )
 from multiarm.trajectory import Trajectory
+from multiarm.watching import collect_events
 
 BUDGET = 4000  # evaluations between two looks at the clock, progress and Ctrl-C
 CHECKPOINT_INTERVAL = 2.0  # [s] of wall time
+# The pace of a run is judged over so many steps, rejected ones too.  A stop for an event, of which
+# every event makes two, takes about as long as so many steps.
+JUDGED_STEPS, EVENT_STEPS = 5000, 5
+# The unit of time of `run.most_steps` [s]; of a shorter run its duration.
+PACE_UNIT = 1.0
+# Steps of this part of those that the settings ask for are no sign of trouble.
+AS_ASKED = 0.01
+# A message is not made longer than this by what happened on the way [characters].
+MESSAGE_LENGTH = 600
 
 TOO_MANY = "steps became so short that the run hardly got on"
 
@@ -88,6 +99,42 @@ class Task:
     spec: RunSpec
     state: State | None
     longest_step: float
+
+
+class Pace:
+    """How many steps a run takes for a second; one that would go on for ever is given up.
+
+    Attributes
+    ----------
+    event_stops : int
+        How often the loop has stopped for an event.
+    """
+
+    def __init__(self, run: Run, spec: RunSpec) -> None:
+        self.event_stops = 0
+        self._unit, self._most = min(PACE_UNIT, spec.duration), spec.most_steps
+        asked = run.settings.longest_step if run.settings.adaptive else run.settings.step
+        self._shortest = min(self._unit / self._most, AS_ASKED * asked)
+        self._steps, self._t = 0, run.settings.begin
+
+    def judge(self, run: Run) -> str:
+        """Why the run is given up; empty as long as it gets on."""
+        t, counts = float(run.clock.real[T]), run.clock.counts
+        steps = int(counts[STEPS] + counts[REJECTED]) + EVENT_STEPS * self.event_stops
+        made, got_on = steps - self._steps, t - self._t
+        if made < JUDGED_STEPS:
+            return ""
+        self._steps, self._t = steps, t
+        if got_on >= made * self._shortest:
+            return ""
+        loosen = "loosen `accuracy`, " if run.settings.adaptive else ""
+        return (
+            f"{TOO_MANY}: the last {made:,} steps, rejected ones and events counted, advanced it "
+            f"by {got_on:.2g} s, the next one is {run.clock.real[H]:.2g} s long; a pace of more "
+            f"than {self._most:.2g} steps (`run.most_steps`) for {self._unit:.3g} s; {loosen}look "
+            f"for a control that jumps or oscillates, contacts that chatter or a singular posture "
+            f"there, or raise `most_steps`"
+        )
 
 
 def carry_out(
@@ -120,27 +167,29 @@ def carry_out(
         When the sink cannot be opened.
     """
     system, spec = task.system, task.spec
-    comings = None
+    log, comings = EventLog(), None
     if system.plan is not None:
-        comings = EventDriving(system, method_and_tolerance(spec, tighten)[1], spec.step)
+        comings = EventDriving(system, method_and_tolerance(spec, tighten)[1], spec.step, log)
         task = replace(task, **comings.begin(task.state))
-    run = prepare(task.system, spec, task.state, sink, task.longest_step, tighten)
+    run = prepare(task.system, spec, task.state, sink, task.longest_step, log, tighten)
     if comings is not None:
         comings.arm(run)
     run.comings, run.home = comings, system
     run.sink.open(system.channels, _metadata(task))
     interrupt = Interrupt()
     try:
-        status, message, wall = _drive(run, progress, most_evaluations, interrupt)
+        pace = Pace(run, spec)
+        status, message, wall = _drive(run, progress, most_evaluations, pace, interrupt)
     except BaseException as error:
         # not ours to handle, but what was simulated is kept
         with suppress(TrajectoryError):
             _flush(run)
         statistics = _statistics(run, spec, 0.0)
-        run.sink.finish("failed", f"{_where(run)}: {error!r}", statistics, _events(run))
+        run.sink.finish("failed", f"{_where(run)}: {error!r}", statistics, log.all())
         raise
-    message += stiffness_remark(run) + run.events.summary() + run.solver_log.summary()
-    trajectory = run.sink.finish(status, message, _statistics(run, spec, wall), _events(run))
+    message += stiffness_remark(run)
+    message += log.summary(MESSAGE_LENGTH - len(message))
+    trajectory = run.sink.finish(status, message, _statistics(run, spec, wall), log.all())
     interrupt.deliver()
     return trajectory
 
@@ -167,7 +216,11 @@ def _metadata(task: Task) -> dict[str, Any]:
 
 
 def _drive(
-    run: Run, progress: Progress | None, most_evaluations: float, interrupt: Interrupt
+    run: Run,
+    progress: Progress | None,
+    most_evaluations: float,
+    pace: Pace,
+    interrupt: Interrupt,
 ) -> tuple[str, str, float]:
     """Let the compiled loop run to its end; returns status, message and wall time [s].
 
@@ -180,8 +233,9 @@ def _drive(
     with deferred_interrupt(interrupt):
         while True:
             ended = None
-            run.events.collect(run.system)
+            collect_events(run.system, run.log)
             if run.comings is not None and reason in (EVENT, STOPPED):
+                pace.event_stops += 1
                 trouble = run.comings.happens(run, reason == STOPPED)
                 ended = ("failed", f"{_where(run)}: {trouble}") if trouble else None
                 advance_by = _advancer(run)
@@ -212,6 +266,9 @@ def _drive(
                 ended = _trouble(run, reason)
             elif run.clock.counts[EVALUATIONS] > most_evaluations and not ended:
                 ended = "failed", f"{_where(run)}: {TOO_MANY}"
+            elif not ended:
+                trouble = pace.judge(run)
+                ended = ("failed", f"{_where(run)}: {trouble}") if trouble else None
             due = time.perf_counter() >= next_checkpoint
             try:
                 if ended or due or reason == BLOCK_FULL:
@@ -242,13 +299,6 @@ def _advancer(run: Run) -> Callable[[int], int]:
     return advance_by
 
 
-def _events(run: Run) -> list[dict]:
-    """Everything that happened, in order of time."""
-    of_contacts = [] if run.comings is None else run.comings.told
-    every = [*run.events.told, *run.solver_log.told, *of_contacts]
-    return sorted(every, key=lambda event: event["time"])
-
-
 def _state(run: Run) -> State:
     """The state at the beginning of the next step."""
     n, z = run.system.layout.joints, run.stepping.step.z
@@ -276,7 +326,7 @@ def _trouble(run: Run, reason: int) -> tuple[str, str]:
             return "failed", f"{where}: {lost_contact_text(run.system) or error}"
         except MultiarmError as error:
             return "failed", f"{where}: {error}"
-        except Exception as error:
+        except USER_FAULTS as error:
             return "failed", f"{where}: a callback raised {type(error).__name__}: {error}"
     if reason == STEP_TOO_SMALL:
         return "failed", (

@@ -33,15 +33,15 @@ from multiarm.control import control_torques
 from multiarm.kinematics import (
     arm_rows,
     arm_terms,
-    contact_levers,
     load_inertia,
     object_terms,
     write_joint_rows,
 )
+from multiarm.lanes import lanes_at, lanes_of, put_lanes
 from multiarm.late_entries import LateEntry
 from multiarm.lowlevel import address_of, call_back, call_entry, entry, inlined, kernel
 from multiarm.node.factors import norm
-from multiarm.node.regular import ELIMINATED, eliminate_arms
+from multiarm.node.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
 from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import ARMS, couple, solve_coupled
 from multiarm.plant import (
@@ -65,9 +65,6 @@ from multiarm.plant import (
 )
 from multiarm.terms import BIAS_AT, GRAVITY_AT, M_AT, M_STRIDE
 
-# What the object's equation of motion may leave over, relative to the largest force in it.
-# Arms that are eliminated as a whole leave eleven digits, of which two are for cancellation.
-IMBALANCE_BOUND = 1e-9
 # Accelerations below this are no scale for what is left of an equation [m/s^2].
 AT_REST = 1e-9
 
@@ -178,21 +175,22 @@ def _solve(address, size, _a, _b):
     if plant.dense[0] != 0:
         ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
         call_back(plant.calls[CALL_DENSE])
-        buffers.solved[IMBALANCE] = imbalance(buffers, buffers.Wo)
+        buffers.solved[IMBALANCE] = imbalance(buffers, work, buffers.Wo)
         return CALLBACK_FAILED if buffers.flag[0] != 0 else OK
     result = solve_side_by_side(
         work, buffers.Wo, buffers.inertia, buffers.h_o, buffers.h, buffers.c, buffers.q_o,
         buffers.qdd, buffers.force,
     )  # fmt: skip
-    buffers.solved[IMBALANCE] = imbalance(buffers, buffers.Wo) if result == ELIMINATED else math.inf
-    if not buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
-        return call_entry(plant.calls[CALL_COUPLED], book_at(address, size), 0.0, 0.0)
-    ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
-    return OK
+    if result == ELIMINATED:
+        ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
+        buffers.solved[IMBALANCE] = imbalance(buffers, work, buffers.Wo)
+        if buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
+            return OK
+    return call_entry(plant.calls[CALL_COUPLED], book_at(address, size), 0.0, 0.0)
 
 
 @inlined
-def imbalance(buffers, Wo):
+def imbalance(buffers, work, Wo):
     """What is left of ``M_o q_o = h_o + W_o force``, relative to the largest force in it.
 
     ``Wo`` (N, 6) are the rows along which the forces act.  Moments are compared with moments, or
@@ -200,21 +198,20 @@ def imbalance(buffers, Wo):
     ``IMBALANCE_BOUND``; NaN where the solution is not finite.
     """
     inertia, h_o, q_o, m = buffers.inertia, buffers.h_o, buffers.q_o, buffers.inertia[0, 0]
-    s0, s1, s2, s3, s4, s5 = h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5]
+    total = work.lanes  # scratch: the solution has been handed out
+    front, back = lanes_at(h_o, 0), lanes_at(h_o, 2)  # six numbers, two of them twice
     for a in range(buffers.force.size):
-        force = buffers.force[a]
-        s0 += Wo[a, 0] * force
-        s1 += Wo[a, 1] * force
-        s2 += Wo[a, 2] * force
-        s3 += Wo[a, 3] * force
-        s4 += Wo[a, 4] * force
-        s5 += Wo[a, 5] * force
+        force = lanes_of(buffers.force[a])
+        front = front + force * lanes_at(Wo, 6 * a)
+        back = back + force * lanes_at(Wo, 6 * a + 2)
+    put_lanes(total, 0, front)
+    put_lanes(total, 2, back)
     x, y, z = q_o[3], q_o[4], q_o[5]
-    forces = abs(s0 - m * q_o[0]) + abs(s1 - m * q_o[1]) + abs(s2 - m * q_o[2])
+    forces = abs(total[0] - m * q_o[0]) + abs(total[1] - m * q_o[1]) + abs(total[2] - m * q_o[2])
     moments = (
-        abs(s3 - inertia[3, 3] * x - inertia[3, 4] * y - inertia[3, 5] * z)
-        + abs(s4 - inertia[4, 3] * x - inertia[4, 4] * y - inertia[4, 5] * z)
-        + abs(s5 - inertia[5, 3] * x - inertia[5, 4] * y - inertia[5, 5] * z)
+        abs(total[3] - inertia[3, 3] * x - inertia[3, 4] * y - inertia[3, 5] * z)
+        + abs(total[4] - inertia[4, 3] * x - inertia[4, 4] * y - inertia[4, 5] * z)
+        + abs(total[5] - inertia[5, 3] * x - inertia[5, 4] * y - inertia[5, 5] * z)
     )
     largest = m * max(abs(q_o[0]), abs(q_o[1]), abs(q_o[2]))
     small = IMBALANCE_BOUND * max(largest, abs(h_o[0]), abs(h_o[1]), abs(h_o[2]))
@@ -249,8 +246,6 @@ def _solve_coupled(address, size, decompose_all, _b):
     book = book_at(address, size)
     plant, buffers, work = open_book(book)
     coupled = open_coupled(book)
-    for i in range(plant.pointers.shape[0]):
-        contact_levers(i, plant, buffers, work, coupled.levers[i])
     status = solve_by_arms(plant, buffers, work, coupled, decompose_all != 0.0)
     if status != OK or buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
         return status
@@ -261,18 +256,23 @@ def _solve_coupled(address, size, decompose_all, _b):
 
 @kernel
 def solve_again(book):
-    """Solve the equations at hand once more, no arm eliminated as a whole; returns a status.
+    """Solve the equations at hand once more, no arm eliminated as a whole; returns a status."""
+    plant, _, _ = open_book(book)
+    status = renew_kinematics(book)
+    if status != OK:
+        return status
+    return call_entry(plant.calls[CALL_COUPLED], book, 1.0, 0.0)
 
-    The elimination has used up the kinematics, which are computed anew.
-    """
+
+@kernel
+def renew_kinematics(book):
+    """Compute anew the kinematics that an elimination has used up; returns a status."""
     plant, buffers, _ = open_book(book)
     h_o = buffers.h_o  # kinematics alone leave out the loads from outside
     s0, s1, s2, s3, s4, s5 = h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5]
     status = call_entry(plant.calls[CALL_KINEMATICS], book, 0.0, 0.0)
-    if status != OK:
-        return status
     h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5] = s0, s1, s2, s3, s4, s5
-    return call_entry(plant.calls[CALL_COUPLED], book, 1.0, 0.0)
+    return status
 
 
 @kernel
@@ -288,7 +288,7 @@ def solve_by_arms(plant, buffers, work, coupled, decompose_all):
     solve_coupled(
         work, coupled, buffers.h_o, buffers.h, buffers.c, buffers.q_o, buffers.qdd, buffers.force
     )
-    buffers.solved[IMBALANCE] = imbalance(buffers, buffers.Wo)
+    buffers.solved[IMBALANCE] = imbalance(buffers, work, buffers.Wo)
     return OK
 
 

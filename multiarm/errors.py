@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 __all__ = [
+    "USER_FAULTS",
     "ControlError",
     "FaultsError",
     "GraspError",
@@ -20,6 +21,10 @@ __all__ = [
     "SweepError",
     "TrajectoryError",
 ]
+
+USER_FAULTS = (Exception, SystemExit)
+"""What a function of the user's may raise that is a fault of it: ``sys.exit`` there would end the
+program in the middle of a run, with success.  ``KeyboardInterrupt`` is the user's own."""
 
 
 class MultiarmError(Exception):

@@ -17,6 +17,7 @@ from multiarm.candidates.units import DRY_JOINT
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import OK, evaluate_buffers, update_kinematics, update_rows
 from multiarm.errors import MultiarmError, SolverError
+from multiarm.event_log import EventLog
 from multiarm.hybrid.arrays import (
     GUARD_KIND,
     PATCH_GUARD,
@@ -39,7 +40,6 @@ from multiarm.integrators.stepper import evaluate_slope, step_book, store
 from multiarm.preparation import make_stepping
 from multiarm.stabilization import project
 from multiarm.time_loop import ERROR_OLD, H_OLD, T_OLD, H, T, gains
-from multiarm.watching import MOST_TOLD
 
 if TYPE_CHECKING:
     from multiarm.preparation import Run, Tolerance
@@ -90,25 +90,22 @@ class EventDriving:
 
     Attributes
     ----------
-    told : list of dict
-        Events, as the result has them.
-    untold : int
-        How many more there were.
     residual : float
         Largest residual of the complementarity problems.
     """
 
-    def __init__(self, system: System, tolerance: Tolerance | None, step: float | None):
+    def __init__(
+        self, system: System, tolerance: Tolerance | None, step: float | None, log: EventLog
+    ):
         if tolerance is None:
             assert step is not None, "steps are either fixed or chosen"
             slow = SLOW_OF_STEP * step
         else:
             slow = SLOW * tolerance.position
         self.modes = Modes(system, max(slow, SLOWEST))
-        self.told: list[dict[str, Any]] = []
-        self.untold = 0
         self.residual = 0.0
         self.count = 0
+        self._log = log
         self._size = 1.0
         self._tolerance = tolerance
         self._rest_height = 0.0
@@ -323,9 +320,7 @@ class EventDriving:
     def _tell(self, t: float, decision: Decision, before: Choice) -> None:
         events = decision_events(self.modes, t, decision, before)
         self.count += len(events)
-        room = max(MOST_TOLD - len(self.told), 0)
-        self.told += events[:room]
-        self.untold += len(events[room:])
+        self._log.add(events)
 
     def _crowded(self, t: float) -> None:
         """Give up where events come without end at one time."""

@@ -231,7 +231,7 @@ class Inspection:
     object : ObjectFacts
     arms : dict arm -> ArmFacts
     joints : list of JointFacts
-    freedom : Freedom
+    freedom : Freedom or None
         With all contacts of the joints held, and those with a floor open.
     coming_and_going : list of str
         What may let go, close, slide or stick.
@@ -239,15 +239,18 @@ class Inspection:
         Effects that are modelled, gravity among them; None where nothing was measured.
     control : str
     run : RunFacts
-    start : StartReport
+    start : StartReport or None
         How far the written start was off, and what was corrected.
-    position_residual, velocity_residual : float
+    position_residual, velocity_residual : float or None
         Largest gap [m] and gap rate [m/s] of the assembled start.
-    residuals : Residuals
+    residuals : Residuals or None
         Of the equations of motion at the start.
     carrying : Carrying or None
         None where the control does not carry the object, or nothing has weight.
     warnings : list of str
+    not_looked_at : list of str
+        What was left out, since it needs code that was not loaded.  Where contacts are, what is
+        above by "or None" is None, ``joints`` are the others, and postures are as written.
     """
 
     scene: str
@@ -255,17 +258,18 @@ class Inspection:
     object: ObjectFacts
     arms: dict[str, ArmFacts]
     joints: list[JointFacts]
-    freedom: Freedom
+    freedom: Freedom | None
     coming_and_going: list[str]
     effects: dict[str, EffectFacts | None]
     control: str
     run: RunFacts
-    start: StartReport
-    position_residual: float
-    velocity_residual: float
-    residuals: Residuals
+    start: StartReport | None
+    position_residual: float | None
+    velocity_residual: float | None
+    residuals: Residuals | None
     carrying: Carrying | None
     warnings: list[str]
+    not_looked_at: list[str]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain dictionaries and lists under the names above; what is not finite is None."""

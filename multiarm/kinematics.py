@@ -7,8 +7,6 @@ in world axes.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from multiarm.books import book_at, floats_at
@@ -24,10 +22,10 @@ from multiarm.contacts.kernel import (
     SPIN_RATE,
     VELOCITY,
 )
-from multiarm.contacts.records import COMBINED, JOINT, KIND, RADIUS, SIDE, WEIGHT
+from multiarm.contacts.records import COMBINED, KIND, RADIUS, SIDE, WEIGHT
 from multiarm.contacts.rows import write_rows
 from multiarm.lanes import LANES, lanes_at, lanes_of, put_lanes
-from multiarm.lowlevel import call_back, call_entry, inlined, kernel
+from multiarm.lowlevel import call_back, call_entry, inlined
 from multiarm.plant import ARMS_BOOK, ARMS_SIZE, CALL_ARMS, CALL_ROW, CALL_TERMS
 from multiarm.spatial import write_matrix
 from multiarm.terms import DRIFT_AT, J_AT, M_AT, M_STRIDE, POSE_AT, TWIST_AT
@@ -191,35 +189,6 @@ def write_joint_rows(plant, buffers, work):
         )
         buffers.contacts[row, GAP_RATE] = side * buffers.v[joint]
         work.Y[i, joint - work.dofs[i], row - work.rows[i]] = side
-
-
-@kernel
-def contact_levers(i, plant, buffers, work, levers):
-    """Write how far a unit motion of each joint of arm ``i`` alone moves its contacts, at most.
-
-    For a contact that is the speed of its point, for a couple that of the turn [m or 1].
-    """
-    d = work.dofs[i + 1] - work.dofs[i]
-    J = floats_at(plant.pointers[i, J_AT], 6 * d)  # column by column, about the world's origin
-    for j in range(d):
-        v0, v1, v2 = J[6 * j], J[6 * j + 1], J[6 * j + 2]
-        w0, w1, w2 = J[6 * j + 3], J[6 * j + 4], J[6 * j + 5]
-        turn = w0 * w0 + w1 * w1 + w2 * w2
-        most = 0.0
-        for k in range(work.rows[i], work.rows[i + 1]):
-            row, kind = buffers.contacts[k], plant.codes[k, KIND]
-            if kind == JOINT:
-                continue
-            u0 = v0 + w1 * row[AT + 2] - w2 * row[AT + 1]
-            u1 = v1 + w2 * row[AT] - w0 * row[AT + 2]
-            u2 = v2 + w0 * row[AT + 1] - w1 * row[AT]
-            e0, e1, e2 = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
-            square = (u0 * u0 + u1 * u1 + u2 * u2) * (e0 * e0 + e1 * e1 + e2 * e2)
-            if kind == COMBINED:
-                c0, c1, c2 = row[COUPLE], row[COUPLE + 1], row[COUPLE + 2]
-                square += turn * (c0 * c0 + c1 * c1 + c2 * c2)
-            most = max(most, square)
-        levers[j] = math.sqrt(most)
 
 
 @inlined

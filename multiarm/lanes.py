@@ -144,6 +144,17 @@ def least_positive(typing_context, a, b):
 
 
 @intrinsic
+def lesser(typing_context, a, b):
+    """In every lane the lesser of ``a`` and ``b``; ``b`` where one of them is NaN."""
+
+    def generate(context, builder, signature, arguments):
+        a, b = arguments
+        return builder.select(builder.fcmp_ordered("<", a, b), a, b)
+
+    return _LANES(_LANES, _LANES), generate
+
+
+@intrinsic
 def sum_of_lanes(typing_context, value):
     """Sum of the four numbers."""
 

@@ -14,6 +14,7 @@ from multiarm.contact_checks import place_state
 from multiarm.dynamics import failure_text
 from multiarm.equations import OK
 from multiarm.errors import SceneError, SolverError
+from multiarm.event_log import EventLog
 from multiarm.integrators.rosenbrock import make_rosenbrock, rosenbrock_step
 from multiarm.integrators.stepper import (
     OWN_BOOK,
@@ -48,7 +49,6 @@ from multiarm.time_loop import (
     make_clock,
     watch_start,
 )
-from multiarm.watching import EventLog
 
 if TYPE_CHECKING:
     from multiarm.event_driving import EventDriving
@@ -120,8 +120,8 @@ class Run:
         What the loop works on; the method may change on the way.
     sink, block
         Where samples go, and the rows that are not there yet.
-    events, solver_log
-        What happened.
+    log, solver_log
+        What happened, and what adds to it what the solver met.
     tolerance : Tolerance or None
         None: the step is fixed.
     may_switch : bool
@@ -138,7 +138,7 @@ class Run:
     clock: Clock
     sink: Sink
     block: np.ndarray
-    events: EventLog
+    log: EventLog
     solver_log: SolverLog
     tolerance: Tolerance | None
     may_switch: bool
@@ -221,6 +221,7 @@ def prepare(
     state: State | None,
     sink: Sink,
     max_step: float,
+    log: EventLog,
     tighten: float = 1.0,
 ) -> Run:
     """Settings, arrays and the first evaluation; ``tighten`` multiplies the tolerances."""
@@ -274,7 +275,8 @@ def prepare(
         _first_slope(system, step, settings)
         system.buffers.stage_gap[0] = -1.0
     watch_start(system.book())
-    solver_log = SolverLog(system)
+    log.add([{"time": 0.0, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
+    solver_log = SolverLog(system, log)
     solver_log.collect(system, 0.0, begin)
     if adaptive:
         settings = settings._replace(step=_first_step(system, step, settings, method))
@@ -292,20 +294,12 @@ def prepare(
         make_clock(settings),
         sink,
         np.zeros((rows, width)),
-        _event_log(report),
+        log,
         solver_log,
         tolerance,
         settings.switch,
         system,
     )
-
-
-def _event_log(report: StartReport) -> EventLog:
-    """An event log that begins with what was corrected at the start."""
-    events = EventLog()
-    for line in report.lines():
-        events.told.append({"time": 0.0, "kind": "start", "text": f"start: {line}"})
-    return events
 
 
 def positive(name: str, value: float) -> float:

@@ -17,10 +17,12 @@ import yaml
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
+from multiarm.printable import printable
 from multiarm.reporting_certificate import certificate_section
 from multiarm.reporting_events import events_section
 from multiarm.reporting_parts import NOTHING, grid, inline_svg, number, quantity, words
 from multiarm.reporting_style import CSS
+from multiarm.writing import complete
 
 if TYPE_CHECKING:
     from multiarm.trajectory import Trajectory
@@ -71,7 +73,8 @@ def report(trajectory: Trajectory, path: str | os.PathLike = "report.html") -> P
     target = Path(path).expanduser()
     page = render(trajectory)
     try:
-        target.write_text(page, encoding="utf-8")
+        with complete(target) as partial:
+            partial.write_text(printable(page), encoding="utf-8")
     except OSError as error:
         raise TrajectoryError(
             f"cannot write '{path}': {os.strerror(error.errno or 0)}; "

@@ -111,6 +111,6 @@ def simulate(
     task = Task(system, spec, state, max_step)
     attempts = Attempts(task, None if out is None else Path(out), progress)
     trajectory = attempts.first()
-    if not certificate or spec.accuracy is None or trajectory.status != "completed":
-        return trajectory
-    return attempts.certify()
+    if certificate and spec.accuracy is not None and trajectory.status == "completed":
+        trajectory = attempts.certify()
+    return trajectory.of(system.scene)

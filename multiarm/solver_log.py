@@ -9,34 +9,19 @@ import numpy as np
 from multiarm.deficiency import describe, lost_motions
 from multiarm.dense_call import read_inertia
 from multiarm.equations import update_kinematics
+from multiarm.event_log import EventLog
 from multiarm.state import State
 from multiarm.system import System
-from multiarm.watching import MOST_TOLD, some_of
 
 # So many events are described; finding the words takes as long as many steps.
 DESCRIBED = 100
-# What kinds of events mean for the run as a whole.
-_MEANINGS = {
-    "loses a direction": "arms could not follow their joint in every direction",
-    "passes a singular posture": "singular postures were passed",
-    "rank falls": "the chains lost constraints on the way",
-}
 
 
 class SolverLog:
-    """Events of one run; their times are those of the steps' ends.
+    """Adds what the solver met to a run's log; the times are those of the steps' ends."""
 
-    Attributes
-    ----------
-    told : list of dict
-        ``time`` [s], ``kind``, ``arm`` (absent for the rank), ``text``; at most ``MOST_TOLD``.
-    untold : int
-        How many more there were.
-    """
-
-    def __init__(self, system: System) -> None:
-        self.told: list[dict[str, Any]] = []
-        self.untold = 0
+    def __init__(self, system: System, log: EventLog) -> None:
+        self._log, self._added = log, 0
         self._lost = np.zeros(len(system.arm_names), dtype=np.int64)
         self._rank = int(system.buffers.lost[-1])
 
@@ -48,8 +33,9 @@ class SolverLog:
         events = self._of_rank(rank)
         changed = np.flatnonzero((lost != self._lost) | (passed != 0))
         if changed.size:
-            _load(system, state)
-            in_words = len(self.told) < DESCRIBED
+            in_words = self._added < DESCRIBED
+            if in_words:
+                _load(system, state)
             other = changed[lost[changed] != self._lost[changed]] if in_words else []
             words = lost_motions(system, [system.arm_names[i] for i in other])
             for i in map(int, changed):
@@ -62,28 +48,13 @@ class SolverLog:
                     text = f"{arm}: passed a singular posture{where}"
                     events.append({"kind": "passes a singular posture", "arm": arm, "text": text})
         self._lost, self._rank = lost, rank
-        room = max(MOST_TOLD - len(self.told), 0)
-        self.told += [{"time": float(t), **event} for event in events[:room]]
-        self.untold += len(events[room:])
+        self._added += len(events)
+        self._log.add([{"time": float(t), **event} for event in events])
 
     def settle(self, system: System) -> None:
-        """Take the solution that was noted last as the one to compare with, and tell nothing."""
+        """Take the solution that was noted last as the one to compare with, and log nothing."""
         self._lost = system.buffers.lost[: len(system.arm_names)].copy()
         self._rank = int(system.buffers.lost[-1])
-
-    def summary(self) -> str:
-        """What a reader of the result's message must know; empty when nothing happened."""
-        parts = []
-        for kind, meaning in _MEANINGS.items():
-            first: dict[str, float] = {}
-            for event in self.told:
-                if event["kind"] == kind:
-                    first.setdefault(event["text"], event["time"])
-            if first:
-                parts.append(f"; {meaning}: {some_of(first)}")
-        if self.untold:
-            parts.append(f"; {self.untold} more events of the solver are not listed")
-        return "".join(parts)
 
     def _of_rank(self, rank: int) -> list[dict[str, Any]]:
         if rank == self._rank:

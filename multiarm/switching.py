@@ -75,7 +75,7 @@ class Switch:
     def _tell(self, run: Run, why: str) -> None:
         name, t = run.stepping.tableau.name, float(run.clock.real[T])
         text = f"{why}: the run goes on with {name}"
-        run.events.told.append({"time": t, "kind": "method", "text": text})
+        run.log.add([{"time": t, "kind": "method", "text": text}])
 
 
 def _spent(run: Run) -> int:

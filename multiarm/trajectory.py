@@ -23,6 +23,7 @@ from multiarm.channels import Channel
 from multiarm.errors import TrajectoryError
 from multiarm.outcome import Outcome, plain
 from multiarm.sample_store import ByArm, ByContacts, Store, arm_names, channels_of
+from multiarm.writing import name_beside
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -37,12 +38,13 @@ class Trajectory:
     an arm has nv joints, base to tip, and N contacts.
     """
 
-    __slots__ = ("_cache", "_outcome", "_scene", "_store")
+    __slots__ = ("_cache", "_outcome", "_scene", "_simulated", "_store")
 
     def __init__(self, store: Store, outcome: Outcome):
         self._store, self._outcome = store, outcome
         self._cache: dict[str, np.ndarray] = {}
         self._scene: Scene | None = None
+        self._simulated: Scene | None = None
 
     def __len__(self) -> int:
         return self._store.samples
@@ -269,6 +271,19 @@ class Trajectory:
             self._scene = parse_scene(self.scene_text, folder=None, stored=True)
         return self._scene
 
+    @property
+    def simulated_scene(self) -> Scene:
+        """The scene that was simulated, with its functions, of a run made by this process.
+
+        Of a run that was read from a file, and in general, :attr:`scene`.
+        """
+        return self._simulated or self.scene
+
+    def of(self, scene: Scene) -> Trajectory:
+        """The same, which knows the scene that was simulated."""
+        self._simulated = scene
+        return self
+
     def summary(self) -> dict[str, Any]:
         """The run in a few numbers.
 
@@ -315,10 +330,10 @@ class Trajectory:
         TrajectoryError
             The place cannot be written, or holds something that multiarm did not write.
         """
-        from multiarm.storage import Hdf5Writer, temporary_beside, writable_target
+        from multiarm.storage import Hdf5Writer, writable_target
 
         target = writable_target(path)
-        partial = temporary_beside(target).with_suffix(".saving")
+        partial = name_beside(target)
         names = tuple(self._store.channels)
         try:
             writer = Hdf5Writer(partial, tuple(self._store.channels.values()), self.provenance)

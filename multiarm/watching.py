@@ -21,6 +21,7 @@ from multiarm.books import floats1
 from multiarm.contacts.frames import COMPONENTS
 from multiarm.contacts.kernel import AT, NORMAL
 from multiarm.contacts.records import SURFACE_BODY, SURFACE_ON_OBJECT, TIP_RADIUS, Contact, Patch
+from multiarm.event_log import EventLog
 from multiarm.lowlevel import kernel
 from multiarm.plant import open_book
 
@@ -40,10 +41,6 @@ ON_OBJECT, FORCE, LIMIT, DRIVE = -1, -2, -3, -4
 NO_PULL = 1e-6
 # An excess smaller than this [m, rad] is rounding.
 NO_EXCESS = 1e-9
-# Events kept in a result; more are counted.
-MOST_TOLD = 1000
-# Contacts named in the message of a run.
-NAMED = 3
 
 
 def make_watches(
@@ -94,59 +91,16 @@ def _watch(row: int, body: int, patch: Patch | None = None) -> np.ndarray:
     return watch
 
 
-class EventLog:
-    """What happened in a run, in words.
-
-    Attributes
-    ----------
-    told : list of dict
-        ``time`` [s], ``kind``, ``arm``, ``contact``, ``text``; at most ``MOST_TOLD``.
-    untold : int
-        How many more there were.
-    """
-
-    def __init__(self) -> None:
-        self.told: list[dict[str, Any]] = []
-        self.untold = 0
-
-    def collect(self, system: System) -> None:
-        """Take over the events that the loop has noted."""
-        buffers = system.buffers
-        count = int(buffers.event_count[0])
-        noted = min(count, len(buffers.events), MOST_TOLD - len(self.told))
-        self.told += [_named(event, system) for event in buffers.events[:noted]]
-        self.untold += count - noted
-        buffers.event_count[0] = 0
-
-    def summary(self) -> str:
-        """What a reader of the result's message must know; empty when nothing happened."""
-        parts = []
-        for kind, meaning in _MEANINGS.items():
-            first: dict[str, float] = {}
-            for event in self.told:
-                if event["kind"] == kind:
-                    name = event["text"].replace(f" {kind}", "")
-                    first.setdefault(name, event["time"])
-            if first:
-                parts.append(f"; {meaning}: {some_of(first)}")
-        if self.untold:
-            parts.append(f"; {self.untold} more events are not listed")
-        return "".join(parts)
+def collect_events(system: System, log: EventLog) -> None:
+    """Take over the events that the loop has noted since the last call."""
+    buffers = system.buffers
+    count, noted = int(buffers.event_count[0]), len(buffers.events)
+    log.add([_named(event, system) for event in buffers.events[: min(count, noted)]])
+    if count > noted:
+        log.drop(float(buffers.events[-1, 0]), "limits and contacts", count=count - noted)
+    buffers.event_count[0] = 0
 
 
-def some_of(first: dict[str, float]) -> str:
-    """The first few of what happened, each with the time from which on [s], and how many more."""
-    who = [f"{name} (from {t:.4g} s)" for name, t in first.items()]
-    more = f" and {len(who) - NAMED} more" if len(who) > NAMED else ""
-    return f"{', '.join(who[:NAMED])}{more}"
-
-
-_MEANINGS = {
-    "pulls": "contacts that can only push were pulled, where real ones would come apart",
-    "leaves its patch": "contact points left the patch of their surface",
-    "passes its limit": "joints passed their limits, which are not enforced",
-    "saturates": "drives came to their torque limits",
-}
 _KINDS = {
     ON_OBJECT: ("leaves its patch", "is back on its patch"),
     FORCE: ("pulls", "pushes again"),

@@ -37,10 +37,9 @@ from scipy.linalg import block_diag
 from test_singular import exactly
 from test_singular import solve_exactly as eliminate
 
-from multiarm.equations import IMBALANCE_BOUND
 from multiarm.node.dense import solve_dense
 from multiarm.node.reactions import solve_with_reactions
-from multiarm.node.regular import ELIMINATED, eliminate_arms
+from multiarm.node.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
 from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import (
     IMMOVABLE_BY_OBJECT,
@@ -99,9 +98,8 @@ def solve_by_node(system: System) -> NodeSolution:
     """
     dofs, rows = [len(M) for M in system.M], [W.shape[1] for W in system.W]
     work, coupled = make_work(dofs, rows, system.reach), make_coupled(dofs, rows)
-    for i, (M, W, moved) in enumerate(zip(system.M, system.W, system.moved, strict=True)):
+    for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
         work.L[i, : dofs[i], : dofs[i]], work.Y[i, : dofs[i], : rows[i]] = M, W
-        coupled.levers[i, : dofs[i]] = moved
     Y, Wo = work.Y.copy(), np.ascontiguousarray(np.hstack(system.W_o).T)
     h, c = np.concatenate(system.h), np.concatenate(system.c)
     q_o, q, force = np.zeros(6), np.zeros(h.size), np.zeros(c.size)

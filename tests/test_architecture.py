@@ -24,9 +24,10 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top. A room is a module or a package directly below `multiarm`; it imports
 # rooms of lower layers only, none of its own layer. "multiarm" is the public surface.
 LAYERS: tuple[tuple[str, ...], ...] = (
-    ("errors", "interrupts", "translation", "books", "reporting_style", "state", "terms"),
-    ("lowlevel", "writing"),
-    ("spatial", "lanes", "channels", "outcome", "decimation", "event_words", "grasp"),
+    ("errors", "interrupts", "printable", "translation", "books", "reporting_style", "state")
+    + ("terms",),
+    ("lowlevel", "writing", "user_code"),
+    ("spatial", "lanes", "channels", "outcome", "decimation", "event_log", "event_words", "grasp"),
     ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage")
     + ("complementarity", "sample_store"),
     ("place_keeping",),
@@ -116,6 +117,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "shapely": ("grasp", "viewer.regions"),
     "threadpoolctl": ("benchmarks.bursts", "sweeps.work"),
+    "tornado": ("viewer",),
     "trimesh": ("grasp.mesh",),
     "typer": ("cli",),
     "typing_extensions": ("cli", "scene", "sweeps"),

@@ -28,6 +28,7 @@ from multiarm.scene import (
     WeldJoint,
     WrenchesJoint,
 )
+from multiarm.scene.code import loaded_functions
 
 AXIS = (0.3, -0.5, 0.9)
 # our joint -> name of the worked example
@@ -337,7 +338,7 @@ def test_joints_of_wrenches_stay_closed_when_they_move_far(name, carried_by, rng
 
 def listed(arm, body, **more):
     joint = ContactsJoint(arm="a", contacts=[{"arm": arm, "object": body, **more}])
-    return joint_contacts(joint, np.eye(4))
+    return joint_contacts(loaded_functions(joint), np.eye(4))
 
 
 HERE = [0.2, 0.0, 0.1]
@@ -436,10 +437,16 @@ def test_functions_are_found_in_files_and_in_modules(tmp_path, monkeypatch):
         ("no_such_module:ball", "cannot load the function 'no_such_module:ball': ModuleNotFound"),
         ("no_such_file.py:ball", "there is no file no_such_file.py"),
         (
-            "math:no_such_name",
-            "there is no 'no_such_name' in math; its functions are 'acos', 'acosh'",
+            "mechanics:no_such_name",
+            "there is no 'no_such_name' in mechanics; its functions are 'replace', 'Path'",
         ),
-        ("math:pi", "'pi' in math is not a function"),
+        ("numpy:pi", "'pi' in numpy is not a function"),
+        ("math:hypot", "'math' belongs to Python's standard library; name a function in a .py"),
+        ("os.path:join", "'os.path' belongs to Python's standard library"),
+        ("posix:system", "'posix' belongs to Python's standard library"),
+        ("builtins:exec", "'builtins' belongs to Python's standard library"),
+        ("mechanics:np.save", "'np.save' is not a plain name; name a function that stands in"),
+        ("mechanics:Path", "it is one of 'pathlib"),
         ("tests:<lambda>", "has no name by which it can be found again"),
     ],
 )

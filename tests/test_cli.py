@@ -529,7 +529,7 @@ def test_torques_of_wrong_shape_are_refused():
 
 
 def test_an_unexpected_exception_is_not_hidden(monkeypatch):
-    def fail(_system):
+    def fail(*_):
         raise RuntimeError("a bug")
 
     monkeypatch.setattr("multiarm.checking.inspect_system", fail)

@@ -16,7 +16,7 @@ from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.force_distribution import distribute_forces
 from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.least_distance import least_distance
+from multiarm.grasp.least_distance import least_distance, nonnegative_least_squares
 from multiarm.grasp.load_maps import liftable, load_capacity, worst_force
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -203,11 +203,17 @@ def test_worked_planar_grasp_has_the_forces_of_statics(five):
     assert not both
 
 
+FIVE = [[1, 0], [-1, 0], [0, -1], [0, 1], [0, 1]]
+
+
+def lever_grasp(lever):
+    return [[-1, 0], [1, 0], [0, 1], [-lever, -1], [lever, -1]]
+
+
 @pytest.mark.parametrize("lever", [1e-2, 1e-4, 1e-6, 1e-8])
 def test_short_levers_take_large_forces_and_exert_the_wrench_all_the_same(lever):
     # 1 N m from two fingers below at +- lever, and from the one above
-    points = [[-1, 0], [1, 0], [0, 1], [-lever, -1], [lever, -1]]
-    contacts = Contacts(points, [[1, 0], [-1, 0], [0, -1], [0, 1], [0, 1]])
+    contacts = Contacts(lever_grasp(lever), FIVE)
     for objective, value in (("largest", 1 / lever), ("norm", np.sqrt(2) / lever)):
         found = distribute_forces(contacts, [0, 0, 1], objective=objective)
         assert found.value == pytest.approx(value, rel=1e-6)
@@ -216,6 +222,68 @@ def test_short_levers_take_large_forces_and_exert_the_wrench_all_the_same(lever)
             assert found.forces * lever == pytest.approx([0, 0, 1, 0, 1], abs=TOLERANCE)
         assert distribute_forces(contacts, [0, 0, 1], objective=objective, limit=2 / lever)
         assert not distribute_forces(contacts, [0, 0, 1], objective=objective, limit=0.9 / lever)
+
+
+def cube_grasp(places):
+    """Contacts at the same places of all six faces of a cube."""
+    points, normals = [], []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            for place in places:
+                points.append(np.roll([side, *place], axis))
+                normals.append(np.roll([-side, 0.0, 0.0], axis))
+    return points, normals
+
+
+# two pinches along x, and one finger that alone can push upward
+ALONE = [[-1, 0], [1, 0], [-1, 0.5], [1, 0.5], [0, -1]], [[1, 0], [-1, 0], [1, 0], [-1, 0], [0, 1]]
+CORNERS = [(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+# Grasps some of whose forces have no room, no part in the internal forces, or the same wrench as
+# others: in floating-point numbers, what decides about them is rounding.
+UNDECIDED = {
+    "short lever": (lever_grasp(1e-2), FIVE, [0, 0, 1], {}),
+    "shorter lever": (lever_grasp(1e-4), FIVE, [0, 0, 1], {}),
+    "shortest lever": (lever_grasp(1e-6), FIVE, [0, 0, 1], {}),
+    "squeezed five": (lever_grasp(1.0), FIVE, [0, 0, 0], {"minimum": 1.0}),
+    "alone at its limit": (*ALONE, [0, 5, 1], {"limit": [9, 9, 9, 9, 5]}),
+    "alone above its limit by less than tolerance": (
+        *ALONE,
+        [3, 5, 0.2],
+        {"limit": [9, 9, 9, 9, 5 - 1e-9]},
+    ),
+    "cube above its limit by less than tolerance": (
+        *cube_grasp(CORNERS),
+        [0, 0, 10, 0, 0, 0],
+        {"limit": 2.5 - 1e-9},
+    ),
+    "alone between its bounds": (*ALONE, [0, 5, 1], {"minimum": [1, 0, 0, 0, 5], "limit": 5}),
+    "cube": (*cube_grasp([(0.5, 0.5), (-0.5, -0.5)]), [1, 2, 3, 0, 0, 0], {"limit": 5.0}),
+    "cube by its corners": (*cube_grasp(CORNERS), [0, 0, 10, 1, 0, 0], {}),
+    "limited cube": (*cube_grasp(CORNERS), [0, 0, 10, 5, 0, 0], {"limit": 2.5}),
+    "squeezed cube": (*cube_grasp(CORNERS), [0, 0, 10, 0, 0, 0], {"minimum": 1.0}),
+}
+
+
+@pytest.mark.parametrize("objective", ["largest", "norm"])
+@pytest.mark.parametrize("grasp", UNDECIDED)
+def test_roundings_and_the_order_of_the_contacts_do_not_decide_the_forces(grasp, objective, rng):
+    points, normals, wrench, bounds = UNDECIDED[grasp]
+    points, normals = np.array(points, float), np.array(normals, float)
+    expected = distribute_forces(Contacts(points, normals), wrench, objective=objective, **bounds)
+    few = 4 * np.finfo(float).eps
+    for _ in range(60):
+        order = rng.permutation(len(points))
+        contacts = Contacts(
+            (points + few * rng.uniform(-1, 1, points.shape))[order],
+            (normals + few * rng.uniform(-1, 1, normals.shape))[order],
+        )
+        ordered = {
+            name: np.broadcast_to(bound, len(order))[order] for name, bound in bounds.items()
+        }
+        found = distribute_forces(contacts, wrench, objective=objective, **ordered)
+        assert found.value == pytest.approx(expected.value, rel=TOLERANCE)
+        assert found.forces == pytest.approx(expected.forces[order], abs=TOLERANCE * expected.value)
+        assert found.residual < 0.1 * TOLERANCE * found.value
 
 
 @pytest.mark.parametrize("depth", [1e-2, 1e-5, 1e-8])
@@ -342,6 +410,18 @@ def test_least_distance_is_the_projection_onto_the_inequalities(rng):
             assert np.abs(G.T @ found.weights).max() < 1e-9
             assert h @ found.weights > 0.5
     assert 10 < solved < 50
+
+
+def test_least_squares_with_dependent_columns_are_at_their_minimum(rng):
+    for number in range(300):
+        A = (rng.integers(-1, 2, (6, 4)) @ rng.integers(-1, 2, (4, 30))).astype(float)
+        A += 1e-15 * rng.normal(size=A.shape)
+        b = rng.normal(size=6) if number else np.zeros(6)
+        u = nonnegative_least_squares(A, b)
+        gradient = A.T @ (A @ u - b)
+        assert u.min() >= 0.0
+        assert gradient.min() > -1e-8
+        assert np.abs(gradient[u > 0.0]).max(initial=0.0) < 1e-8
 
 
 # --- what can be carried ------------------------------------------------------------------------

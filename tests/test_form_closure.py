@@ -462,6 +462,30 @@ def test_a_touching_contact_makes_an_open_grasp_borderline_and_a_clear_way_out_d
     assert (found.closed, found.rank, found.borderline) == (False, 3, False)
 
 
+@pytest.mark.parametrize(
+    ("points", "normals"),
+    [
+        ([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]], [[0, 0, 1]] * 4),
+        ([[1, 0, 0], [-1, 0, 0]], [[-1, 0, 0], [1, 0, 0]]),
+        ([[0, 1, 1], [1, 0, 1], [1, 1, 0]], np.eye(3)),
+    ],
+    ids=["tray", "pinch", "corner"],
+)
+def test_of_many_free_motions_roundings_and_order_choose_none(points, normals, rng):
+    points, normals = np.array(points, float), np.array(normals, float)
+    expected = is_form_closure(Contacts(points, normals)).motion
+    few = 4 * np.finfo(float).eps
+    for _ in range(20):
+        order = rng.permutation(len(points))
+        found = is_form_closure(
+            Contacts(
+                (points + few * rng.uniform(-1, 1, points.shape))[order],
+                (normals + few * rng.uniform(-1, 1, normals.shape))[order],
+            )
+        )
+        assert found.motion == pytest.approx(expected, abs=1e-12)
+
+
 def test_on_the_boundary_itself_nothing_closes_exactly():
     found = is_form_closure(worked_block(Fraction("0.45"), Fraction("0.4")), exact=True)
     assert (found.closed, found.borderline) == (False, True)

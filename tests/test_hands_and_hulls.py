@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.errors import SceneError
 from multiarm.scene import ObjectSpec, dump_scene, parse_scene
-from multiarm.scene.fingers import FingersSpec, fingers_urdf, urdf_text
+from multiarm.scene.fingers import FingersSpec, urdf_text
 
 HAND = {
     "tips": [[0.1, 0.03, -0.01], [-0.01, 0.1, 0.08], [0.05, -0.01, 0.06]],
@@ -42,7 +42,7 @@ def one_arm(tool, **more):
 
 
 def test_the_corner_and_the_fingertips_are_where_the_scene_says():
-    model = pin.buildModelFromUrdf(str(fingers_urdf(FingersSpec(**HAND))))
+    model = pin.buildModelFromXML(urdf_text(FingersSpec(**HAND)))
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     place = {frame.name: data.oMf[k] for k, frame in enumerate(model.frames)}
@@ -74,7 +74,7 @@ def test_rods_lead_from_the_palm_to_the_fingertips():
 
 
 def test_a_hand_weighs_what_it_should_and_has_an_inertia_that_a_body_can_have():
-    model = pin.buildModelFromUrdf(str(fingers_urdf(FingersSpec(**HAND))))
+    model = pin.buildModelFromXML(urdf_text(FingersSpec(**HAND)))
     (inertia,) = [i for i in model.inertias if i.mass > 0.0]
     assert inertia.mass == pytest.approx(0.7, rel=1e-12)
     moments = np.linalg.eigvalsh(inertia.inertia)
@@ -85,16 +85,6 @@ def test_a_hand_weighs_what_it_should_and_has_an_inertia_that_a_body_can_have():
 def test_a_hand_of_one_finger_without_length_still_has_an_inertia():
     spec = FingersSpec(tips=[[0, 0, 0]], corner={"xyz": [0, 0, 0]})
     assert "nan" not in urdf_text(spec)
-
-
-def test_the_same_hand_has_the_same_file_and_a_lost_file_is_written_again():
-    spec = FingersSpec(**HAND)
-    path = fingers_urdf(spec)
-    path.unlink()
-    assert fingers_urdf(spec) == path
-    assert path.is_file()
-    other = FingersSpec(**{**HAND, "mass": 0.8})
-    assert fingers_urdf(other) != path
 
 
 def test_a_scene_with_a_hand_runs_and_survives_its_own_text():

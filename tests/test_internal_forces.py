@@ -93,6 +93,22 @@ def test_every_form_spans_what_moves_nothing(grasp, form):
     assert np.linalg.matrix_rank(internal.basis, 1e-9) == count - 6
 
 
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("places", [[(0.0, 0.0)], [(0.5, 0.2), (-0.5, -0.2)]])
+def test_roundings_do_not_turn_the_basis(places, form, rng):
+    # contacts at the same places of all six faces of a cube
+    points = [np.roll([side, *at], axis) for axis in range(3) for side in (-1, 1) for at in places]
+    normals = [
+        np.roll([-side, 0, 0], axis) for axis in range(3) for side in (-1, 1) for _ in places
+    ]
+    W = np.hstack([normals, np.cross(points, normals)]).T
+    expected = internal_forces(W, form)
+    for _ in range(20):
+        found = internal_forces(W + 4 * EPS * rng.uniform(-1, 1, W.shape), form)
+        assert found.rows == expected.rows
+        np.testing.assert_allclose(found.basis, expected.basis, atol=1e-12)
+
+
 @given(grasps)
 def test_orthonormal_form_keeps_lengths(grasp):
     A = internal_forces(grasp[0]).basis

@@ -295,6 +295,4 @@ def test_live_viewer_shows_the_same_scene(browser, trajectory):
         page.wait_for_function(framed, timeout=30_000)
     finally:
         page.close()
-        visualizer.window.zmq_socket.close()
-        with visualizer.window.server_proc as server:
-            server.kill()
+        visualizer.window.close()

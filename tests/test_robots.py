@@ -364,7 +364,10 @@ def tip_pose(spec: ArmSpec) -> np.ndarray:
     resolved = resolve_arm(spec)
     model = pin.buildModelFromUrdf(str(resolved.urdf))
     if resolved.tool_urdf is not None:
-        tool = pin.buildModelFromUrdf(str(resolved.tool_urdf))
+        text = resolved.tool_urdf  # of a hand, which has no file
+        if not isinstance(text, str):
+            text = text.read_text(encoding="utf-8")
+        tool = pin.buildModelFromXML(text)
         mount = model.getFrameId(spec.tool.mount)
         model = pin.appendModel(model, tool, mount, pin.SE3(spec.tool.at.matrix()))
     q = pin.neutral(model)

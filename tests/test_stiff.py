@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
+from multiarm.event_log import EventLog
 from multiarm.integrators.stepper import step_book
 from multiarm.integrators.tableaus import METHODS
 from multiarm.preparation import prepare, run_spec
@@ -115,7 +116,7 @@ def step_of_the_package(system, state, h):
     choice = {"accuracy": None, "integrator": "rodas5p", "step": None, "tolerance": 1.0}
     changes = {"duration": h, "stabilization": "none", "output_step": h}
     spec = run_spec(system.scene.run, changes, choice, None)
-    run = prepare(system, spec, state, None, np.inf)
+    run = prepare(system, spec, state, None, np.inf, EventLog())
     stepping = run.stepping
     settings = run.settings._replace(adaptive=False, step=h, apart=np.inf)
     arrays, joints_ = step_book(stepping.method, stepping.step), system.layout.joints

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mechanics import (
+    EPS,
     carried,
     first_difference,
     kernel_rows,
@@ -73,6 +74,30 @@ def test_a_difference_of_contacts_is_the_difference_of_their_rows(difference, rn
     assert rows.phi[0] == pytest.approx(gap(0.0), abs=1e-13)
     assert rows.phi_dot[0] == pytest.approx(first_difference(gap, 1e-2), abs=1e-10)
     assert rows.c[0] == pytest.approx(-second_difference(gap, 1.5e-2), rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    "across", [[X + Y, Z], [X + Y, X - Y - 2 * Z], [X, Y]], ids=["level", "diagonal", "upright"]
+)
+@pytest.mark.parametrize("kind", ["hinge", "slider", "weld"])
+def test_roundings_of_the_wrenches_do_not_move_the_contacts(kind, across, rng):
+    """The contacts of a wrench decide the finite motion: their rows are compared off the start."""
+    forces, couples = np.eye(6)[:3], np.eye(6)[3:]
+    wrenches = {
+        "hinge": np.vstack([forces, across @ couples]),
+        "slider": np.vstack([across @ forces, couples]),
+        "weld": np.vstack([forces, couples]),
+    }[kind]
+    poses = random_pose(rng), random_pose(rng)
+
+    def rows(wrenches):
+        joint = WrenchesJoint(arm="a", wrenches=wrenches.tolist())
+        return kernel_rows(joint_contacts(joint, np.eye(4)), *poses).W_o
+
+    expected = rows(wrenches)
+    for _ in range(20):
+        rounded = wrenches + 4 * EPS * rng.uniform(-1, 1, wrenches.shape)
+        np.testing.assert_allclose(rows(rounded), expected, atol=1e-11)
 
 
 # --- a hinge by its wrenches ----------------------------------------------------------------------

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.assembly.linkage import Linkage, Posture
+from multiarm.contacts.screws import first_largest
 
 CLOSED, STUCK, FAR = "closed", "stuck", "far"
 
@@ -170,7 +171,7 @@ def _buckled(linkage: Linkage, here: Posture) -> Posture | None:
     if not values[0] < -_CURVED * here.norm * linkage.size:
         return None
     way = vectors[:, 0] @ null
-    way *= np.sign(way[np.argmax(np.abs(way))]) / np.max(np.abs(way))
+    way *= np.sign(way[first_largest(np.abs(way))]) / np.max(np.abs(way))
     length = min(RADIUS, 2.0 * here.norm / np.sqrt(-values[0]))
     low, high = linkage.room(here)
     for _ in range(40):

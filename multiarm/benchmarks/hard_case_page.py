@@ -23,9 +23,9 @@ from multiarm.benchmarks.hard_cases import (
     rank_text,
 )
 from multiarm.benchmarks.peer_trials import OURS, Answer
-from multiarm.errors import MultiarmError
 from multiarm.reporting import inline_svg, quantity
 from multiarm.reporting_style import CSS
+from multiarm.writing import save_page
 
 SHOWN_EVENTS = 12
 NOTHING = "\N{EN DASH}"
@@ -81,10 +81,7 @@ def write_page(suite: SuiteResult, path: str | os.PathLike) -> Path:
         The file cannot be written.
     """
     target = Path(path).expanduser()
-    try:
-        target.write_text(render(suite), encoding="utf-8")
-    except OSError as error:
-        raise MultiarmError(f"--html: cannot write '{path}': {error.strerror}") from None
+    save_page(render(suite), target)
     return target
 
 

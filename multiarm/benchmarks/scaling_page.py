@@ -11,9 +11,9 @@ from typing import Any
 
 from multiarm.benchmarks.scaling_plots import study_figure
 from multiarm.benchmarks.scaling_tables import Table, disturbance, exponent, micro, tables
-from multiarm.errors import MultiarmError
 from multiarm.reporting import inline_svg, quantity
 from multiarm.reporting_style import CSS
+from multiarm.writing import save_page
 
 _TITLES = {
     "evaluations": "The cost of one evaluation",
@@ -53,10 +53,7 @@ def write_page(result: dict[str, Any], path: str | os.PathLike) -> Path:
         The file cannot be written.
     """
     target = Path(path).expanduser()
-    try:
-        target.write_text(render(result), encoding="utf-8")
-    except OSError as error:
-        raise MultiarmError(f"--html: cannot write '{path}': {error.strerror}") from None
+    save_page(render(result), target)
     return target
 
 

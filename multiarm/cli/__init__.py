@@ -8,6 +8,7 @@ interrupted, its results up to there are saved; 2 something given was wrong, and
 
 from __future__ import annotations
 
+import warnings
 from typing import Annotated, Any
 
 import typer
@@ -24,24 +25,39 @@ from multiarm.cli.scaling import scaling
 from multiarm.cli.show import replay, report
 from multiarm.cli.stability import stability
 from multiarm.cli.sweep import sweep
-from multiarm.cli.terminal import print_error
+from multiarm.cli.terminal import print_error, print_warnings
 from multiarm.errors import MultiarmError
+from multiarm.printable import printable
 
 __all__ = ["app", "main"]
 
 
+# Typer gives no name to what it raises for a wrong command line.
+_UsageError: Any = typer.BadParameter.__base__
+
+
 class _Commands(TyperGroup):
-    """All commands; the one place where an error on purpose becomes a message and exit code 2."""
+    """All commands; the one place where warnings become messages, and an error on purpose one too,
+    with exit code 2.
+    """
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; an exception that is not ours passes through."""
         try:
-            return super().invoke(ctx)
+            with warnings.catch_warnings():
+                warnings.showwarning = lambda message, *_, **__: print_warnings([str(message)])
+                return super().invoke(ctx)
         except MultiarmError as error:
             print_error(str(error))
             raise typer.Exit(2) from None
+        except _UsageError as error:
+            error.message = printable(error.message)
+            raise
         except KeyboardInterrupt:
             print_error("interrupted")
+            raise typer.Exit(1) from None
+        except SystemExit as error:  # no command ends so
+            print_error(f"code that was loaded ended the program: SystemExit: {error}")
             raise typer.Exit(1) from None
 
 

@@ -10,19 +10,19 @@ import typer
 from rich.text import Text
 
 from multiarm.cli.accuracy_tables import decade_table, method_table, point_table
-from multiarm.cli.files import check_plot, check_targets, write_json
-from multiarm.cli.options import ARMS, Arms
+from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
+from multiarm.cli.options import ARMS, NO_CODE, Arms
 from multiarm.cli.progress import StudyProgress
 from multiarm.cli.terminal import (
     output,
     print_error,
-    print_warnings,
     print_written,
 )
 from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
     from multiarm.benchmarks.work_precision.store import Results
+    from multiarm.scene import Scene
 
 __all__ = ["accuracy"]
 
@@ -122,6 +122,7 @@ def accuracy(
             rich_help_panel=FILES,
         ),
     ] = None,
+    no_code: Annotated[bool, NO_CODE] = False,
 ) -> None:
     """Measure what accuracy costs on a scene: every method, beside other programs.
 
@@ -150,7 +151,8 @@ def accuracy(
             {"--results": target, "--plot": plot, "--html": html, "--json": json}, source=scene
         )
         changes = {"duration": duration, "output_step": output_step, "arms": arms and arms.value}
-        found = _measure(scene, target, changes, peers, quick, redo)
+        loaded = scene_to_run(scene, no_code)
+        found = _measure(loaded, target, changes, peers, quick, redo)
         print_written("study", target)
     _print(found, error.value, every)
     _write(found, error.value, plot, html, json)
@@ -163,14 +165,11 @@ def _own_file(scene: Path, arms: Arms | None) -> Path:
 
 
 def _measure(
-    path: Path, target: Path, changes: dict, peers: bool, quick: bool, redo: bool
+    scene: Scene, target: Path, changes: dict, peers: bool, quick: bool, redo: bool
 ) -> Results:
     """Study a scene behind a progress bar; what was measured stays in the file."""
     from multiarm.preparation import run_spec
-    from multiarm.scene import load_scene
 
-    scene = load_scene(path)
-    print_warnings(scene.warnings)
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
     with StudyProgress() as watched:
         from multiarm.benchmarks.hard_cases import machine

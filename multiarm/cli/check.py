@@ -11,8 +11,8 @@ import typer
 from rich.console import RenderableType
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, write_json
-from multiarm.cli.options import ARMS, Arms
+from multiarm.cli.files import check_targets, scene_to_look_at, write_json
+from multiarm.cli.options import ARMS, CODE, Arms
 from multiarm.cli.terminal import (
     accuracy,
     columns,
@@ -24,6 +24,7 @@ from multiarm.cli.terminal import (
 )
 
 if TYPE_CHECKING:
+    from multiarm.assembly import StartReport
     from multiarm.inspection import (
         ArmFacts,
         Carrying,
@@ -46,6 +47,7 @@ def check(
         ),
     ] = None,
     arms: Annotated[Arms | None, ARMS] = None,
+    code: Annotated[bool, CODE] = False,
 ) -> None:
     """Show what a scene compiles to: arms, joints, effects, freedom, and how good its start is.
 
@@ -53,22 +55,21 @@ def check(
     code is then 2.
 
     The JSON has the keys scene, gravity, object, arms, joints, freedom, coming_and_going, effects,
-    control, run, start, position_residual, velocity_residual, residuals, carrying, warnings; their
-    meaning and units are those of multiarm.inspection.Inspection. Numbers are finite, or null where
-    there is none.
+    control, run, start, position_residual, velocity_residual, residuals, carrying, warnings,
+    not_looked_at; their meaning and units are those of multiarm.inspection.Inspection. Numbers are
+    finite, or null where there is none.
     """
     check_targets({"--json": json}, source=scene)
-    from multiarm.scene import load_scene
-
-    loaded = load_scene(scene)
-    print_warnings(loaded.warnings)
+    loaded = scene_to_look_at(scene, code)
     from multiarm.benchmarks.effect_costs.evaluations import effects_of_evaluation
     from multiarm.checking import inspect_system
-    from multiarm.compilation import compile_system
+    from multiarm.compilation import compile_for_a_look
 
-    system = compile_system(loaded, arms=None if arms is None else arms.value)
-    inspection = inspect_system(system)
-    inspection = replace(inspection, effects={**effects_of_evaluation(system)})
+    system, left = compile_for_a_look(loaded, None if arms is None else arms.value)
+    inspection = inspect_system(system, left)
+    print_warnings(inspection.not_looked_at)
+    if inspection.start is not None:
+        inspection = replace(inspection, effects={**effects_of_evaluation(system)})
     if json is not None:
         write_json(json, inspection.as_dict())
     console = output()
@@ -77,7 +78,7 @@ def check(
 
 
 def _tables(found: Inspection) -> list[RenderableType]:
-    return [
+    tables = [
         facts(found.scene, _general(found)),
         *(facts(f"Arm {name}", _arm(arm)) for name, arm in found.arms.items()),
         columns(
@@ -86,10 +87,12 @@ def _tables(found: Inspection) -> list[RenderableType]:
             [_joint(joint) for joint in found.joints],
         ),
         _effects(found.effects),
-        facts("Freedom", _freedom(found.freedom, found.coming_and_going)),
-        facts("Start", _start(found)),
-        facts("Run", _run(found.run)),
     ]
+    if found.freedom is not None:
+        tables.append(facts("Freedom", _freedom(found.freedom, found.coming_and_going)))
+    if found.start is not None:
+        tables.append(facts("Start", _start(found, found.start)))
+    return [*tables, facts("Run", _run(found.run))]
 
 
 def _general(found: Inspection) -> dict[str, RenderableType]:
@@ -194,8 +197,9 @@ def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
     return rows
 
 
-def _start(found: Inspection) -> dict[str, RenderableType]:
-    start = found.start
+def _start(found: Inspection, start: StartReport) -> dict[str, RenderableType]:
+    left = found.residuals
+    assert left is not None, "a start has been evaluated"
     rows: dict[str, RenderableType] = {
         "gaps as written": _by_arm(start.gaps, "m"),
         "gap rates as written": _by_arm(start.gap_rates, "m/s"),
@@ -203,9 +207,8 @@ def _start(found: Inspection) -> dict[str, RenderableType]:
         "gaps after assembly": _by_arm(start.gaps_left, "m"),
         "after assembly": f"gap {number(found.position_residual, 'm')}, "
         f"rate {number(found.velocity_residual, 'm/s')}",
-        "residuals of the equations": f"arms {number(found.residuals.arm, 'N m')}, object "
-        f"{number(found.residuals.object, 'N')}, constraints "
-        f"{number(found.residuals.constraint, 'm/s^2')}",
+        "residuals of the equations": f"arms {number(left.arm, 'N m')}, object "
+        f"{number(left.object, 'N')}, constraints {number(left.constraint, 'm/s^2')}",
     }
     if found.carrying is not None:
         rows["weight of the object"] = _carrying(found.carrying)

@@ -9,13 +9,14 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.files import check_plot, check_targets, write_json
-from multiarm.cli.options import ARMS, Arms
+from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
+from multiarm.cli.options import ARMS, NO_CODE, Arms
 from multiarm.cli.progress import StudyProgress
-from multiarm.cli.terminal import columns, output, print_warnings, print_written
+from multiarm.cli.terminal import columns, output, print_written
 
 if TYPE_CHECKING:
     from multiarm.benchmarks.effect_costs.entries import Entry, Ledger
+    from multiarm.scene import Scene
 
 __all__ = ["effects"]
 
@@ -66,6 +67,7 @@ def effects(
             rich_help_panel=FILES,
         ),
     ] = None,
+    no_code: Annotated[bool, NO_CODE] = False,
 ) -> None:
     """Measure what each effect of a scene costs, and what it changes.
 
@@ -84,22 +86,19 @@ def effects(
     check_plot(plot)
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
     changes = {"duration": duration, "arms": arms and arms.value}
-    found = _measure(scene, changes, candidates, repeats)
+    found = _measure(scene_to_run(scene, no_code), changes, candidates, repeats)
     _print(found)
     _write(found, plot, html, json)
 
 
-def _measure(path: Path, changes: dict, candidates: bool, repeats: int) -> Ledger:
+def _measure(scene: Scene, changes: dict, candidates: bool, repeats: int) -> Ledger:
     from multiarm.preparation import run_spec
-    from multiarm.scene import load_scene
 
-    loaded = load_scene(path)
-    print_warnings(loaded.warnings)
-    loaded = loaded.replace(run=run_spec(loaded.run, changes, {}, None))
+    scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
     with StudyProgress() as watched:
         from multiarm.benchmarks.effect_costs.study import ledger
 
-        return ledger(loaded, candidates=candidates, repeats=repeats, progress=watched.tell)
+        return ledger(scene, candidates=candidates, repeats=repeats, progress=watched.tell)
 
 
 def _print(found: Ledger) -> None:

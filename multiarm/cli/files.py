@@ -6,12 +6,24 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from multiarm.cli.terminal import print_loaded, print_warnings
 from multiarm.errors import MultiarmError, TrajectoryError
-from multiarm.writing import in_one_step
+from multiarm.writing import in_one_step, made_anew, name_beside
 
-__all__ = ["check_plot", "check_targets", "open_result", "write_json", "write_text"]
+if TYPE_CHECKING:
+    from multiarm.scene import Scene
+
+__all__ = [
+    "check_plot",
+    "check_targets",
+    "open_result",
+    "scene_to_look_at",
+    "scene_to_run",
+    "write_json",
+    "write_text",
+]
 
 PLOTS = ("png", "svg", "pdf")
 
@@ -82,6 +94,52 @@ def check_plot(plot: Path | None) -> None:
         raise MultiarmError(f"--plot: '{plot}' ends in none of .{', .'.join(PLOTS)}")
 
 
+def scene_to_run(path: Path, no_code: bool, over: Path | None = None) -> Scene:
+    """Read a scene that is going to be run, and say which code it names, and a sweep over it.
+
+    Raises
+    ------
+    SceneError
+        The scene cannot be read; there is code, and ``no_code`` refuses it.
+    SweepError
+        The sweep cannot be read.
+    """
+    from multiarm.scene import load_scene, named_code, refuse_code
+
+    scene = load_scene(path, code=not no_code)
+    print_warnings(scene.warnings)
+    named = named_code(scene)
+    if over is not None:
+        from multiarm.sweeps.checking import sweep_code
+        from multiarm.sweeps.spec import examined, read_sweep
+
+        spec, _ = examined(*read_sweep(over, {}))  # faults are told when the sweep is planned
+        named += [] if spec is None else sweep_code(scene, spec)
+    if no_code:
+        refuse_code(named)
+    print_loaded(named)
+    return scene
+
+
+def scene_to_look_at(path: Path, code: bool) -> Scene:
+    """Read a scene that is going to be looked at; with ``code``, load what it names, and say so.
+
+    Raises
+    ------
+    SceneError
+        The scene cannot be read.
+    ModelError
+        Its code cannot be loaded.
+    """
+    from multiarm.scene import load_scene, with_code
+
+    if code:
+        return with_code(scene_to_run(path, no_code=False))
+    scene = load_scene(path)
+    print_warnings(scene.warnings)
+    return scene
+
+
 def open_result(path: Path):
     """Load the trajectory of a finished run.
 
@@ -110,15 +168,8 @@ def _fault(target: Path) -> str | None:
         return "it is not an ordinary file; name one"
     if target.exists() and not os.access(target, os.W_OK):
         return "the file is write-protected; choose another name"
-    partial = _beside(target)
     try:
-        partial.touch()
-        partial.unlink()
+        made_anew(name_beside(target)).unlink()
     except OSError as error:
         return f"{error.strerror}; choose a folder that you may write to"
     return None
-
-
-def _beside(target: Path) -> Path:
-    """A temporary name in the same folder, so that the file can be moved in one step."""
-    return target.with_name(f".{target.name}.{os.getpid()}.part")

@@ -9,18 +9,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from multiarm.cli.bodies import FORMS, body_of_text
-from multiarm.cli.files import check_plot, check_targets, write_json, write_text
+from multiarm.cli.files import (
+    check_plot,
+    check_targets,
+    scene_to_look_at,
+    write_json,
+    write_text,
+)
 from multiarm.cli.grasp_tables import design_facts, judgement_tables
+from multiarm.cli.options import CODE
 from multiarm.cli.progress import PartProgress
 from multiarm.cli.terminal import (
     facts,
     messages,
     number,
     output,
-    print_warnings,
     print_written,
 )
-from multiarm.errors import MultiarmError
+from multiarm.errors import GraspError, MultiarmError
+from multiarm.printable import printable
 from multiarm.writing import save_figure
 
 if TYPE_CHECKING:
@@ -177,7 +184,7 @@ def design(
     if plot is not None:
         _draw(made, plot)
     if out is None:
-        typer.echo(text, nl=False)
+        typer.echo(printable(text), nl=False)
         return
     write_text(out, text, "--out")
     print_written("scene", out)
@@ -201,26 +208,31 @@ def check(
             metavar="FILE",
         ),
     ] = None,
+    code: Annotated[bool, CODE] = False,
 ) -> None:
     """Judge the grasp of any scene: do the contacts hold the object, and how well?
 
     The question is whether the object can move while the arms hold still. Contacts that only push
-    count as such; those of a weld or a hinge hold both ways.
+    count as such; those of a weld or a hinge hold both ways. Contacts on surfaces by functions
+    take --code.
 
     The exit code is 0 whatever the verdict. The JSON has the fields of
     multiarm.grasp_scenes.judging.GraspJudgement; numbers are finite, or null where there is none.
     """
     check_plot(plot)
     check_targets({"--json": json, "--plot": plot}, source=scene)
-    from multiarm.scene import load_scene
-
-    loaded = load_scene(scene)
-    print_warnings(loaded.warnings)
-    from multiarm.compilation import compile_system
+    loaded = scene_to_look_at(scene, code)
+    from multiarm.compilation import compile_for_a_look
     from multiarm.grasp_scenes.judging import judge_grasp
     from multiarm.grasp_scenes.reading import read_grasp
 
-    system = compile_system(loaded)
+    system, left = compile_for_a_look(loaded)
+    unknown = [f"{one.what} ({one.place})" for one in left if one.arm]
+    if unknown:
+        raise GraspError(
+            f"this grasp cannot be judged without {', '.join(unknown)}, which a look does not "
+            "load; if you trust its author, allow it with --code"
+        )
     found = read_grasp(system)
     judgement = judge_grasp(system, found)
     if json is not None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from multiarm.cli.files import check_targets, write_json
-from multiarm.cli.options import ARMS, METHOD, OF_SCENE, Arms
+from multiarm.cli.files import check_targets, scene_to_run, write_json
+from multiarm.cli.options import ARMS, METHOD, NO_CODE, OF_SCENE, Arms
 from multiarm.cli.progress import RunProgress
 from multiarm.cli.show import serve_until_interrupt
 from multiarm.cli.summary import run_figures, summary_table
@@ -184,6 +184,7 @@ def run(
             "--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=FILES
         ),
     ] = False,
+    no_code: Annotated[bool, NO_CODE] = False,
 ) -> None:
     """Simulate a scene and keep the result.
 
@@ -203,11 +204,9 @@ def run(
     arm, contact or joint, where in m, before and after as they apply), compiled_kernels, and files
     (result, replay, report). Numbers are finite, or null where there is none.
     """
-    from multiarm.scene import load_scene
     from multiarm.storage import writable_target
 
-    loaded = load_scene(scene)
-    print_warnings(loaded.warnings)
+    loaded = scene_to_run(scene, no_code)
     target = out if out is not None else Path(f"{scene.stem}.h5")
     pages = {"replay": replay_html, "report": report_html}
     check_targets(

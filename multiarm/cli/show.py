@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, open_result
-from multiarm.cli.terminal import messages, print_warnings, print_written
+from multiarm.cli.options import CODE
+from multiarm.cli.terminal import messages, print_loaded, print_warnings, print_written
 from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
@@ -46,20 +49,52 @@ def replay(
     no_open: Annotated[
         bool, typer.Option("--no-open", help="Do not open a browser; the address is printed.")
     ] = False,
+    host: Annotated[
+        str,
+        typer.Option(
+            help="Address of this computer at which the live replay is served. Only this computer "
+            "reaches the usual one; whoever reaches another can watch. 0.0.0.0 stands for all.",
+            metavar="ADDRESS",
+        ),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int,
+        typer.Option(
+            help="Port of the live replay.",
+            show_default="a free one",
+            min=0,
+            max=65535,
+            metavar="N",
+        ),
+    ] = 0,
+    code: Annotated[bool, CODE] = False,
 ) -> None:
     """Show the motion of a run in the browser, until Ctrl-C, or write it to one HTML file.
 
     Shown are arms, object, joints with their axes and limits, contacts and contact forces. A run
     that failed or was interrupted is shown as far as it came. Of a sweep, --run names the run.
+    Surfaces by functions are drawn with --code.
+
+    The server ends with the program. From another computer, forward its port: ssh -L
+    8000:127.0.0.1:8000 COMPUTER, there multiarm replay RESULT.h5 --no-open --port 8000.
     """
     check_targets({"--html": html}, source=result)
-    trajectory = _open_with_samples(result, run)
+    trajectory = _open_with_samples(result, run, code)
     if html is None:
-        serve_until_interrupt(trajectory, fps=fps, speed=speed, open_browser=not no_open)
+        serve_until_interrupt(
+            trajectory,
+            fps=fps,
+            speed=speed,
+            open_browser=not no_open,
+            host=host,
+            port=port,
+            code=code,
+        )
         return
     import multiarm
 
-    multiarm.replay(trajectory, html, fps=fps, speed=speed)
+    with _warnings_printed():
+        multiarm.replay(trajectory, html, fps=fps, speed=speed, code=code)
     print_written("replay", html)
 
 
@@ -69,31 +104,26 @@ def report(
         Path, typer.Option(help="The HTML file; replaced if it exists.", metavar="FILE.html")
     ] = Path("report.html"),
     run: Annotated[int | None, RUN] = None,
+    code: Annotated[bool, CODE] = False,
 ) -> None:
     """Write a report of a run: figures of motion, forces, energy and drift, in one HTML file.
 
     Of a sweep, --run names the run.
     """
     check_targets({"--out": out}, source=result)
-    trajectory = _open_with_samples(result, run)
+    trajectory = _open_with_samples(result, run, code)
     import multiarm
 
     multiarm.report(trajectory, out)
     print_written("report", out)
 
 
-def serve_until_interrupt(
-    trajectory: Trajectory,
-    *,
-    fps: float = 30.0,
-    speed: float = 1.0,
-    open_browser: bool = True,
-    quiet: bool = False,
-) -> None:
-    """Serve a live replay and wait for Ctrl-C; parameters as of ``multiarm.replay``."""
+def serve_until_interrupt(trajectory: Trajectory, *, quiet: bool = False, **options: Any) -> None:
+    """Serve a live replay and wait for Ctrl-C; `options` as of ``multiarm.replay``."""
     import multiarm
 
-    viewer = multiarm.replay(trajectory, fps=fps, speed=speed, open_browser=open_browser)
+    with _warnings_printed():
+        viewer = multiarm.replay(trajectory, **options)
     assert not isinstance(viewer, Path), "without a path the replay is live"
     try:
         if not quiet:
@@ -104,9 +134,16 @@ def serve_until_interrupt(
         return
 
 
-def _open_with_samples(result: Path, run: int | None) -> Trajectory:
+def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
     """The trajectory in a file, or of a sweep's run; one that did not end well is said to be so."""
-    trajectory = _run_of_sweep(result, run) if _is_sweep(result) else _only_run(result, run)
+    if _is_sweep(result):
+        trajectory = _run_of_sweep(result, run, code)
+    else:
+        trajectory = _only_run(result, run)
+        if code:
+            from multiarm.scene import named_code
+
+            print_loaded(named_code(trajectory.scene))
     which = f"'{result}'" if run is None else f"run {run} of '{result}'"
     if not len(trajectory):
         raise MultiarmError(f"{which} has no samples to show: {trajectory.message}")
@@ -129,11 +166,12 @@ def _only_run(result: Path, run: int | None) -> Trajectory:
     return trajectory
 
 
-def _run_of_sweep(result: Path, run: int | None) -> Trajectory:
-    """Simulate a run of a sweep again."""
+def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
+    """Simulate a run of a sweep again; one whose scene names code takes ``code``."""
+    from multiarm.scene import named_code
     from multiarm.sweeps.result import load_sweep
 
-    sweep = load_sweep(result.expanduser())
+    sweep = load_sweep(result.expanduser(), code)
     try:
         if run is None:
             raise MultiarmError(
@@ -145,10 +183,24 @@ def _run_of_sweep(result: Path, run: int | None) -> Trajectory:
         row = sweep.row(run) if run in sweep.runs else None
         if row is not None and row.status == "failed":
             print_warnings([f"this run is a failed one of the sweep: {row.message}"])
-        with warnings.catch_warnings(record=True) as told:
-            warnings.simplefilter("always", UserWarning)
-            trajectory = sweep.trajectory(run)
-        print_warnings(dict.fromkeys(str(warning.message) for warning in told))
-        return trajectory
+        named = named_code(sweep.scene_of(run))
+        if named and not code:
+            raise MultiarmError(
+                f"run {run} of '{result}' is simulated again, which needs "
+                f"{', '.join(dict.fromkeys(one.what for one in named))} and loads no code that a "
+                "result names; if you trust its author, allow it with --code"
+            )
+        print_loaded(named)
+        with _warnings_printed():
+            return sweep.trajectory(run)
     finally:
         sweep.close()
+
+
+@contextmanager
+def _warnings_printed() -> Iterator[None]:
+    """Print what Python code warns of as the commands print it."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    print_warnings(dict.fromkeys(str(warning.message) for warning in told))

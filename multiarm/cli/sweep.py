@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.text import Text
 
-from multiarm.cli.files import check_plot, check_targets, write_json
-from multiarm.cli.options import METHOD, OF_SCENE
+from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
+from multiarm.cli.options import METHOD, NO_CODE, OF_SCENE
 from multiarm.cli.sweep_progress import SweepProgress
 from multiarm.cli.sweep_tables import facts_table, spread_table, trouble_lines
 from multiarm.cli.terminal import messages, output, print_error, print_warnings, print_written
 from multiarm.errors import SweepError
 
 if TYPE_CHECKING:
+    from multiarm.scene import Scene
     from multiarm.sweeps.result import Sweep
     from multiarm.sweeps.summary import SweepSummary
 
@@ -139,6 +140,7 @@ def sweep(
             "--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=FILES
         ),
     ] = False,
+    no_code: Annotated[bool, NO_CODE] = False,
 ) -> None:
     """Run a scene many times with other values in it, and keep some numbers of every run.
 
@@ -167,7 +169,7 @@ def sweep(
     changes |= {"duration": duration, "accuracy": accuracy}
     engine: dict[str, Any] = {"workers": workers, "dask": True if dask == "config" else dask}
     given = {key: value for key, value in (changes | engine).items() if value is not None}
-    found = _make(scene, over, target, fresh, quiet, given)
+    found = _make(scene_to_run(scene, no_code, over), over, target, fresh, quiet, given)
     summary = found.summary()
     if not quiet:
         output().print(facts_table(found.scene.name, summary, found.paths))
@@ -182,16 +184,13 @@ def sweep(
 
 
 def _make(
-    scene: Path, over: Path, target: Path, fresh: bool, quiet: bool, given: dict[str, Any]
+    scene: Scene, over: Path, target: Path, fresh: bool, quiet: bool, given: dict[str, Any]
 ) -> Sweep:
     """Plan the sweep and make its runs behind a progress bar."""
-    from multiarm.scene import load_scene
     from multiarm.sweeps.sweep import sweep as run_sweep
 
-    loaded = load_scene(scene)
-    print_warnings(loaded.warnings)
     with SweepProgress(quiet) as progress:
-        return run_sweep(loaded, over, out=target, resume=not fresh, progress=progress, **given)
+        return run_sweep(scene, over, out=target, resume=not fresh, progress=progress, **given)
 
 
 def _write(found: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[str, str]:

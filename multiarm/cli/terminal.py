@@ -1,17 +1,25 @@
 """What all commands print with: messages on stderr, tables on stdout, numbers in one style.
 
-Texts that come from users (names, paths, messages) are never read as markup.
+Texts that come from users (names, paths, messages) are never read as markup, and what would steer
+the terminal is written out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rich import box
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
+
+from multiarm.printable import printable
+
+if TYPE_CHECKING:
+    from multiarm.scene import NamedCode
 
 __all__ = [
     "STATUS_STYLES",
@@ -22,6 +30,7 @@ __all__ = [
     "number",
     "output",
     "print_error",
+    "print_loaded",
     "print_warnings",
     "print_written",
     "vector",
@@ -30,19 +39,33 @@ __all__ = [
 STATUS_STYLES = {"completed": "bold green", "interrupted": "bold yellow", "failed": "bold red"}
 
 
+class _Terminal(Console):
+    """A console that shows all texts as they are; only Rich itself sends codes to the terminal."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **options)
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Render to segments; their texts become printable, codes of Rich's own stay."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else printable(text), style, control)
+
+
 def output() -> Console:
     """Where results go: stdout."""
-    return Console(highlight=False)
+    return _Terminal()
 
 
 def messages() -> Console:
     """Where errors, warnings and progress go: stderr."""
-    return Console(stderr=True, highlight=False)
+    return _Terminal(stderr=True)
 
 
 def print_error(text: str) -> None:
     """Print ``error: text`` in red on stderr; lines stay whole."""
-    line = Text.assemble(("error: ", "bold red"), (text, "red"))
+    line = Text.assemble(("error: ", "bold red"), (printable(text), "red"))
     messages().print(line, soft_wrap=True)
 
 
@@ -50,13 +73,22 @@ def print_warnings(texts: Iterable[str]) -> None:
     """Print each text in yellow on stderr."""
     console = messages()
     for text in texts:
-        line = Text.assemble(("warning: ", "bold yellow"), (text, "yellow"))
+        line = Text.assemble(("warning: ", "bold yellow"), (printable(text), "yellow"))
         console.print(line, soft_wrap=True)
+
+
+def print_loaded(named: Iterable[NamedCode]) -> None:
+    """Say on stderr which code is going to be loaded, a line each."""
+    console = messages()
+    for one in dict.fromkeys(code.what for code in named):
+        console.print(Text.assemble(("loading ", "yellow"), one), soft_wrap=True)
 
 
 def print_written(what: str, path: Path) -> None:
     """Say on stdout where something was written."""
-    output().print(Text.assemble(f"{what} written to ", (str(path), "green")), soft_wrap=True)
+    output().print(
+        Text.assemble(f"{what} written to ", (printable(str(path)), "green")), soft_wrap=True
+    )
 
 
 def number(value: float | None, unit: str = "") -> str:
@@ -85,24 +117,28 @@ def vector(values: Sequence[float], unit: str = "", digits: int = 4) -> str:
 def facts(title: str, rows: dict[str, RenderableType]) -> Table:
     """A table of two columns, what and how much; texts are shown as they are."""
     table = Table(
-        title=Text(title, "bold"), box=box.SIMPLE_HEAD, show_header=False, title_justify="left"
+        title=Text(printable(title), "bold"),
+        box=box.SIMPLE_HEAD,
+        show_header=False,
+        title_justify="left",
     )
     table.add_column(style="cyan", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in rows.items():
-        table.add_row(Text(name), _as_text(value))
+        table.add_row(*map(_as_text, (name, value)))
     return table
 
 
 def columns(title: str, names: Sequence[str], rows: Iterable[Sequence[RenderableType]]) -> Table:
     """A table with a heading for each column; texts are shown as they are."""
-    table = Table(title=Text(title, "bold"), box=box.SIMPLE_HEAD, title_justify="left")
+    table = Table(title=Text(printable(title), "bold"), box=box.SIMPLE_HEAD, title_justify="left")
     for name in names:
-        table.add_column(Text(name), header_style="cyan", overflow="fold")
+        table.add_column(_as_text(name), header_style="cyan", overflow="fold")
     for row in rows:
         table.add_row(*(_as_text(cell) for cell in row))
     return table
 
 
 def _as_text(value: RenderableType) -> RenderableType:
-    return Text(value) if isinstance(value, str) else value
+    """A text as it will be seen, so that columns are as wide as they have to be."""
+    return Text(printable(value)) if isinstance(value, str) else value

@@ -25,7 +25,7 @@ from functools import partial
 
 import numpy as np
 
-from multiarm.errors import ModelError
+from multiarm.errors import USER_FAULTS, ModelError
 
 __all__ = [
     "Differences",
@@ -142,7 +142,7 @@ class Differences:
             warnings.simplefilter("error")
             try:
                 errors = self._first(x) - first, self._second(x) - second
-            except Exception:  # whatever a function does with numbers it was not made for
+            except USER_FAULTS:  # whatever a function does with numbers it was not made for
                 self.takes_complex = False
                 return
         lengths = self.lengths.reshape(-1, *(1,) * (first.ndim - 1))
@@ -242,7 +242,7 @@ def _evaluated(
 ) -> np.ndarray:
     try:
         value = np.asarray(function(*x) if spread else function(x))
-    except Exception as error:
+    except USER_FAULTS as error:
         raise ModelError(
             f"{subject} failed at {_place(x)}: {type(error).__name__}: {error}; mend the function"
         ) from error

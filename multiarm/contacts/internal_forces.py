@@ -36,6 +36,7 @@ from multiarm.contacts.screws import (
     pivots,
     row_scale,
     screw_system,
+    settled,
     wrench_matrix,
 )
 from multiarm.errors import GraspError
@@ -136,7 +137,7 @@ def internal_forces(
     chosen: tuple[int, ...] = ()
     if form == "orthonormal":
         # signs are free: the more contacts a column presses, the better it reads
-        A = A * np.where(A.sum(axis=0) < 0.0, -1.0, 1.0)
+        A = A * np.where(A.sum(axis=0) < -PRESSING_TOLERANCE, -1.0, 1.0)
     elif form == "nonnegative":
         A = _nonnegative(A, labels)
     else:
@@ -255,7 +256,7 @@ def _nonnegative(A: np.ndarray, labels: list[str]) -> np.ndarray:
     pressing = _evenest(A, labels)
     others = A - np.outer(pressing, pressing @ A) / (pressing @ pressing)
     # what is left of the basis beside `pressing`, one column fewer
-    others = np.linalg.svd(others)[0][:, : A.shape[1] - 1]
+    others = settled(np.linalg.svd(others)[0][:, : A.shape[1] - 1])
     columns = [pressing]
     for column in others.T:
         # as little of the pressing column as keeps every contact from pulling

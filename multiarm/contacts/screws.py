@@ -44,6 +44,9 @@ RANK_TOLERANCE = 1e-9
 # Lever arms are compared with no less than this [m], so that rounding errors of the moments of
 # wrenches through the origin are not taken for moments.
 SHORTEST_LEVER = 1e-3
+# Sizes that differ by less than this part of the largest are equal: rounding, which changes with
+# the processor, does not choose between them.
+EQUAL = 1e-6
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,7 @@ def _across(axis: np.ndarray, other: np.ndarray | None = None) -> np.ndarray:
     """Unit vector across a unit vector, and across another vector unless the two are parallel."""
     u = np.zeros(3) if other is None else np.cross(axis, other)
     if other is None or not np.linalg.norm(u) > 1e-12 * np.linalg.norm(other):
-        u = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        u = np.cross(axis, np.eye(3)[first_largest(1.0 - np.abs(axis))])
     u = u / np.linalg.norm(u)
     u = u - (u @ axis) * axis
     return u / np.linalg.norm(u)
@@ -161,7 +164,7 @@ class ScrewSystem:
     reciprocal : ndarray, shape (6, 6 - rank)
         Twists on which no wrench does work; columns ``t`` orthonormal as ``[v; length omega]``.
     dependencies : ndarray, shape (N, N - rank)
-        Orthonormal columns ``lambda`` with ``W lambda = 0``.
+        Orthonormal columns ``lambda`` with ``W lambda = 0``, as `settled` makes them.
     singular : ndarray, shape (min(6, N),)
         Singular values on which the rank was decided, relative to the largest.
     length : float
@@ -194,7 +197,8 @@ def screw_system(W: np.ndarray) -> ScrewSystem:
     singular = singular / max(singular[0], 1e-300) if singular.size else singular
     rank = int(np.sum(singular > RANK_TOLERANCE))
     dependencies, _ = np.linalg.qr(right[rank:].T / norms[:, None])
-    return ScrewSystem(rank, scale[:, None] * left[:, rank:], dependencies, singular, length)
+    reciprocal = scale[:, None] * left[:, rank:]
+    return ScrewSystem(rank, reciprocal, settled(dependencies), singular, length)
 
 
 def pivots(basis: np.ndarray) -> tuple[int, ...]:
@@ -206,12 +210,26 @@ def pivots(basis: np.ndarray) -> tuple[int, ...]:
     left, chosen = basis.copy(), []
     for _ in range(basis.shape[1]):
         size = np.linalg.norm(left, axis=1)
-        # of rows that differ by rounding only the first, so that the choice does not flicker
-        best = int(np.argmax(size > (1.0 - 1e-6) * np.max(size)))
+        best = first_largest(size)
         chosen.append(best)
         q = left[best] / size[best]
         left = left - np.outer(left @ q, q)
     return tuple(sorted(chosen))
+
+
+def first_largest(sizes: np.ndarray) -> int:
+    """The first of the numbers that are as large as the largest (positive) but for rounding."""
+    return int(np.argmax(sizes > (1.0 - EQUAL) * np.max(sizes)))
+
+
+def settled(basis: np.ndarray) -> np.ndarray:
+    """The orthonormal columns (n, m) that span the same space whatever basis of it is given.
+
+    A singular value decomposition leaves the basis of a null space to rounding.  Here the rows of
+    `pivots` are triangular, with a positive diagonal.
+    """
+    turned, triangle = np.linalg.qr(basis[list(pivots(basis))].T)
+    return basis @ (turned * np.sign(np.diag(triangle)))
 
 
 def lever_arm(W: np.ndarray) -> float:

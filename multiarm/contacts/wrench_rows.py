@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from multiarm.contacts.records import Contact, plane, point
-from multiarm.contacts.screws import ZeroPitch, zero_pitch
+from multiarm.contacts.screws import ZeroPitch, first_largest, zero_pitch
 
 # A factor this near to 1 is 1: the direction was written with the digits of a number.
 UNIT_TOLERANCE = 1e-14
@@ -63,7 +63,7 @@ def _centre_and_axis(wrenches: np.ndarray, size: float) -> tuple[np.ndarray, np.
         equations.append(across @ np.cross(w / size, np.eye(3)).T)  # v + w x centre is a slide
         right.append(-across @ v)
     found = np.linalg.lstsq(np.vstack(equations), np.concatenate(right), rcond=TURN_TOLERANCE)
-    way = ways[:, 0] * np.sign(ways[np.argmax(np.abs(ways[:, 0])), 0])
+    way = ways[:, 0] * np.sign(ways[first_largest(np.abs(ways[:, 0])), 0])
     centre = np.where(np.abs(found[0]) > CENTRE_TOLERANCE * size, found[0], 0.0)
     return centre, way if turns == 1 else None
 

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-import itertools
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 
 from multiarm.contacts import records
 from multiarm.contacts.records import Contact, Patch, Surface
 from multiarm.contacts.smooth import ParametricSurface, SignedDistanceSurface
-from multiarm.errors import ModelError
 
 
 def listed_contacts(joint) -> list[Contact]:
     """Contact records of a joint of kind ``contacts``, in the joint frame.
 
+    Functions of surfaces have been loaded already.
+
     Raises
     ------
     ModelError
-        When a function of the user's cannot be found, or is not what it is said to be.
+        When a function of the user's is not what it is said to be.
     """
     contacts = []
     for k, spec in enumerate(joint.contacts):
@@ -49,59 +44,16 @@ def surface(geometry) -> Surface:
     return replace(found, patch=Patch(np.array(lower), np.array(upper)))
 
 
-def load_function(given: Callable | str) -> Callable:
-    """The function that a scene names as ``file.py:name`` or ``package.module:name``.
-
-    Raises
-    ------
-    ModelError
-        When there is no such file, module or name, or when loading it fails.
-    """
-    if not isinstance(given, str):
-        return given
-    place, _, name = given.rpartition(":")
-    if name.startswith("<"):
-        raise ModelError(
-            f"the function {given!r} has no name by which it can be found again; give the function "
-            "itself, or name one as 'file.py:name' or 'package.module:name'"
-        )
-    if place.endswith(".py") and not Path(place).is_file():
-        raise ModelError(
-            f"cannot load the function {given!r}: there is no file {place}; mend the path, which "
-            "starts at the scene's folder"
-        )
-    try:
-        module = _file_module(Path(place)) if place.endswith(".py") else _module(place)
-    except Exception as error:
-        raise ModelError(
-            f"cannot load the function {given!r}: {type(error).__name__}: {error}; mend the module "
-            "(functions are named 'file.py:name' or 'package.module:name')"
-        ) from error
-    found: object = module
-    for part in name.split("."):
-        if not hasattr(found, part):
-            raise ModelError(f"there is no {name!r} in {place}; {_functions_in(module)}")
-        found = getattr(found, part)
-    if not callable(found):
-        raise ModelError(f"{name!r} in {place} is not a function; {_functions_in(module)}")
-    return found
-
-
 def _ellipsoid(g) -> Surface:
     return records.ellipsoid(g.center, g.orientation().rotation(), g.semi_axes, g.inside)
 
 
 def _smooth(g) -> Surface:
     shape: SignedDistanceSurface | ParametricSurface
-    given = g.parametrisation if g.distance is None else g.distance
-    function = load_function(given)
-    name = f"the surface {given!r}" if isinstance(given, str) else None
     if g.distance is not None:
-        gradient, hessian = _loaded(g.gradient), _loaded(g.hessian)
-        shape = SignedDistanceSurface(function, gradient, hessian, g.length, name)
+        shape = SignedDistanceSurface(g.distance, g.gradient, g.hessian, g.length)
     else:
-        derivatives = _loaded(g.derivatives)
-        shape = ParametricSurface(function, g.u, g.v, derivatives, g.flip, g.length, name)
+        shape = ParametricSurface(g.parametrisation, g.u, g.v, g.derivatives, g.flip, g.length)
     return records.smooth(shape, g.origin, g.orientation().rotation(), g.inside)
 
 
@@ -115,35 +67,3 @@ _SURFACES: dict[str, Callable[..., Surface]] = {
     "ellipsoid": _ellipsoid,
     "surface": _smooth,
 }
-
-
-def _loaded(given: Callable | str | None) -> Callable | None:
-    return None if given is None else load_function(given)
-
-
-def _module(name: str) -> ModuleType:
-    return importlib.import_module(name)
-
-
-_LOADED = itertools.count()
-
-
-def _file_module(path: Path) -> ModuleType:
-    """Run a file as a module, anew each time; it is not left among the imported ones."""
-    name = f"surfaces_of_{path.stem}_{next(_LOADED)}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None, "a name that ends in .py has a loader"
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # data classes look for their module while it is run
-    try:
-        spec.loader.exec_module(module)
-    finally:
-        sys.modules.pop(name, None)
-    return module
-
-
-def _functions_in(module: ModuleType) -> str:
-    names = [n for n, value in vars(module).items() if callable(value) and not n.startswith("_")]
-    return (
-        f"its functions are {', '.join(map(repr, names[:8]))}" if names else "it has no functions"
-    )

@@ -33,7 +33,10 @@ def _own_pieces(name: str, spec: Any, site: Site) -> list[Piece]:
             f"effects.{name}: the package of this effect is not installed; install it, or register "
             "its class with multiarm.register_effect"
         )
-    found = effect(spec).build(site)
+    try:
+        found = effect(spec).build(site)
+    except SystemExit as error:
+        raise ModelError(f"effects.{name}: build raised SystemExit: {error}") from error
     if not isinstance(found, list) or not all(isinstance(piece, Piece) for piece in found):
         raise ModelError(
             f"effects.{name}: build returned {type(found).__name__}; return a list of "

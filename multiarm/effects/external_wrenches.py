@@ -27,7 +27,6 @@ import numpy as np
 from multiarm.asking import Asked
 from multiarm.books import book_at, floats1, floats2, floats_at, ints1, ints2
 from multiarm.contacts.kernel import SPIN, VELOCITY
-from multiarm.contacts.written import load_function
 from multiarm.effects.piece import APPLIED, POWER, Piece, Site
 from multiarm.errors import ControlError
 from multiarm.lowlevel import call_back, copy, entry, kernel
@@ -163,13 +162,7 @@ def apply_wrench(which, wrench, lever, buffers):
 
 
 def build(spec, site: Site) -> list[Piece]:
-    """The piece of a system on which wrenches from outside act.
-
-    Raises
-    ------
-    ModelError
-        When a function cannot be found.
-    """
+    """The piece of a system on which wrenches from outside act; functions have been loaded."""
     count = len(spec)
     integers, numbers = np.zeros((count, INTEGERS), dtype=np.int64), np.zeros((count, NUMBERS))
     wrenches, rows, times = np.zeros((count, 6)), np.zeros((0, ROW)), [np.zeros(0)]
@@ -191,7 +184,7 @@ def build(spec, site: Site) -> list[Piece]:
             times.append(np.append(own[:, 0], own[-1, 1]))
         elif wrench.function is not None:
             integers[k, COURSE] = FUNCTION
-            functions[k] = load_function(wrench.function)
+            functions[k] = wrench.function
 
     def connect(buffers: Buffers) -> dict[str, Asked]:
         calls = {}

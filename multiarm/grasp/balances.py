@@ -35,8 +35,9 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.contacts.screws import first_largest
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.least_distance import least_distance
+from multiarm.grasp.least_distance import least_distance, nonnegative_least_squares
 
 # Part of the unit wrench by which closure must be inside.  Normals and points that were computed
 # are off by some 1e-16 to 1e-12; a grasp that hangs on less than this is not to be relied on.
@@ -148,7 +149,7 @@ def plainest(directions: np.ndarray) -> np.ndarray:
     turns = int(np.count_nonzero(s > BAND))
     among = directions @ Vt[turns:].T if turns < Vt.shape[0] else directions
     projections = among @ among.T
-    return projections[:, int(np.argmax(np.diag(projections)))]
+    return projections[:, first_largest(np.diag(projections))]
 
 
 def evenest(W: np.ndarray, rank: int) -> Evenest:
@@ -226,14 +227,8 @@ def _least_squares(W: np.ndarray, rows: np.ndarray, sigma: float, tolerance: flo
 
     ``rows`` are orthonormal and span those of ``W``.
     """
-    from scipy.optimize import nnls
-
-    n, count = W.shape
-    resultant = W.sum(axis=1)
-    try:
-        pushes = 1.0 + nnls(W, -resultant)[0]
-    except RuntimeError:  # out of iterations
-        pushes = np.ones(count)
+    n = len(W)
+    pushes = 1.0 + nonnegative_least_squares(W, -W.sum(axis=1))
     pushes /= pushes.sum()
     residual = W @ pushes
     left = float(np.linalg.norm(residual))

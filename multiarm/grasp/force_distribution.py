@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND, rounding
+from multiarm.grasp.balances import BAND, rank_of, rounding
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.free_motions import about_origin, motion_in_words, twist_of
 from multiarm.grasp.least_distance import LeastDistance, least_distance
@@ -84,7 +84,8 @@ class ForceDistribution:
 class _Problem:
     """A force problem in scaled numbers: wrenches scaled, forces in units of ``unit``.
 
-    All forces that exert the wrench are ``some + null y``; ``bounds`` are those given [N].
+    All forces that exert the wrench are ``some + null y``, but for the rounding ``blur`` of the
+    entries of ``null``; ``bounds`` are those given [N].
     """
 
     contacts: Contacts
@@ -96,7 +97,13 @@ class _Problem:
     unit: float
     some: np.ndarray
     null: np.ndarray
+    blur: float
     bounds: tuple[np.ndarray, np.ndarray]
+
+    @property
+    def room(self) -> float:
+        """What counts as rounding in a bound of a force."""
+        return min(self.blur, SLACK)
 
 
 def distribute_forces(
@@ -150,6 +157,7 @@ def distribute_forces(
         unit=unit,
         some=some / unit,
         null=null,
+        blur=_blur(contacts),
         bounds=(least, most),
     )
     return _largest(problem) if objective == "largest" else _least_norm(problem)
@@ -170,6 +178,16 @@ def _any_forces(
     return some, Vt[rank:].T, missing if lost else None
 
 
+def _blur(contacts: Contacts) -> float:
+    """What rounding may do to a unit of internal forces: that of the wrenches over their least s.
+
+    Rows of the basis that are smaller may be zero, and singular values of it too.
+    """
+    s = np.linalg.svd(contacts.scaled_wrenches, compute_uv=False)
+    floor = rounding(float(np.abs(contacts.points).max()), contacts.length)
+    return float(floor * s[0] / s[rank_of(contacts) - 1])
+
+
 def _least_norm(problem: _Problem) -> ForceDistribution:
     """``|lam|^2 = |some|^2 + |y|^2``: the shortest y within the bounds."""
     scale, solved = 1.0, _shortest(problem)
@@ -179,7 +197,7 @@ def _least_norm(problem: _Problem) -> ForceDistribution:
             return _infeasible(problem, solved.weights)
         lam = problem.some + problem.null @ program.x[:-1]
         scale = float(lam.max())
-        solved = _shortest(problem, scale)
+        solved = _shortest(problem, lam)
     prices = np.zeros(len(problem.some))
     if solved.s > COARSE:
         lam = problem.some + scale * problem.null @ solved.point
@@ -201,7 +219,8 @@ def _largest(problem: _Problem) -> ForceDistribution:
     # the shares in the largest force are W^T slope + prices
     slope = np.linalg.lstsq(problem.W.T, shares - prices, rcond=BAND)[0]
     lam = problem.some + problem.null @ program.x[:-1]
-    lam = _calmed(problem, lam, (np.abs(prices) > SLACK) | (shares > SLACK))
+    nothing = SLACK + problem.blur
+    lam = _calmed(problem, lam, (np.abs(prices) > nothing) | (shares > nothing))
     return _found(problem, lam, float(lam.max()), slope, prices)
 
 
@@ -212,16 +231,16 @@ def _calmed(problem: _Problem, lam: np.ndarray, held: np.ndarray) -> np.ndarray:
     needs.
     """
     _, s, Vt = np.linalg.svd(problem.null[held])
-    basis = problem.null @ Vt[int(np.count_nonzero(s > BAND)) :].T
+    basis = problem.null @ Vt[int(np.count_nonzero(s > BAND + problem.blur)) :].T
     scale, rest = float(lam.max()), ~held
     shortest = lam - basis @ (basis.T @ lam)
     least, most = np.minimum(problem.least, lam), np.minimum(np.maximum(problem.limit, lam), scale)
     G = np.vstack([basis[rest], -basis[rest]])
     h = np.concatenate([(least - shortest)[rest], (shortest - most)[rest]])
-    solved = least_distance(G, h / scale)
+    solved = least_distance(G, h / scale, problem.room)
     if solved.s < COARSE:
         return lam
-    found, room = shortest + scale * basis @ solved.point, SLACK * scale
+    found, room = shortest + scale * basis @ solved.point, 2.0 * SLACK * scale
     return found if np.all((found >= least - room) & (found <= most + room)) else lam
 
 
@@ -239,12 +258,19 @@ def _program(problem: _Problem) -> Any:
     )
 
 
-def _shortest(problem: _Problem, scale: float = 1.0) -> LeastDistance:
-    """The shortest y within the bounds, in units of ``scale``."""
-    bounded = np.isfinite(problem.limit)
+def _shortest(problem: _Problem, within: np.ndarray | None = None) -> LeastDistance:
+    """The shortest y within the bounds; if forces are known that meet them, in their unit.
+
+    These meet the bounds to the tolerance of a linear program, to which the bounds give way.
+    """
+    least, limit, scale = problem.least, problem.limit, 1.0
+    if within is not None:
+        least, limit = np.minimum(least, within), np.maximum(limit, within)
+        scale = float(within.max())
+    bounded = np.isfinite(limit)
     G = np.vstack([problem.null, -problem.null[bounded]])
-    room = [problem.least - problem.some, (problem.some - problem.limit)[bounded]]
-    return least_distance(G, np.concatenate(room) / scale)
+    h = np.concatenate([least - problem.some, (problem.some - limit)[bounded]])
+    return least_distance(G, h / scale, problem.room)
 
 
 def _signed(problem: _Problem, weights: np.ndarray) -> np.ndarray:

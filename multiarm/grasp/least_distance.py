@@ -20,10 +20,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.errors import GraspError
-
 # Solutions longer than 1e6 (in the caller's units) count as none: s would be lost in rounding.
 NONE = 1e-12
+# Gradients below this, relative to the data, are those of a minimum: between the rounding of an
+# active-set method (1e-13) and where such a method stops on a wrong set (1e-4).
+OPTIMAL = 1e-9
+EPS = float(np.finfo(float).eps)
+# Rounding of a sum of a few dozen products, in units of the machine precision.
+ROUNDINGS = 64.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +39,7 @@ class LeastDistance:
     direction : ndarray, shape (k,)
         ``r_1``, along the solution.
     s : float
-        Shrinks as the solution grows.
+        Shrinks as the solution grows; 0 where rounding hides it.
     weights : ndarray, shape (m,)
         ``u >= 0``.
     """
@@ -60,18 +64,59 @@ class LeastDistance:
         return self.weights / self.s
 
 
-def least_distance(G: np.ndarray, h: np.ndarray) -> LeastDistance:
-    """Solve  min ``|y|``  with  ``G y >= h``; G has shape (m, k), h has shape (m,)."""
-    from scipy.optimize import nnls
+def least_distance(G: np.ndarray, h: np.ndarray, room: float = 0.0) -> LeastDistance:
+    """Solve  min ``|y|``  with  ``G y >= h``.
 
-    E = np.vstack([G.T, h])
+    Parameters
+    ----------
+    G : ndarray, shape (m, k)
+    h : ndarray, shape (m,)
+    room : float
+        What counts as rounding of ``h`` and of a product with G.  Inequalities that leave no room,
+        or hold whatever y is, would be decided by it; relaxed by ``room``, all that hold but for
+        rounding hold.  The solution is that of those then tight, as equations without the room.
+    """
+    E = np.vstack([G.T, h - room])
     target = np.append(np.zeros(G.shape[1]), 1.0)
-    try:
-        weights = nnls(E, target, maxiter=30 * max(E.shape))[0]
-    except RuntimeError as error:
-        raise GraspError(
-            f"non-negative least squares over {len(h)} inequalities ran out of iterations; the "
-            f"contacts may nearly coincide"
-        ) from error
+    weights = nonnegative_least_squares(E, target)
     left = E @ weights - target
-    return LeastDistance(left[:-1], float(-left[-1]), weights)
+    terms = 1.0 + float(np.abs(E[-1]) @ weights)  # s is what is left of these
+    s = float(-left[-1]) if -left[-1] > ROUNDINGS * EPS * terms else 0.0
+    found = LeastDistance(left[:-1], s, weights)
+    return _sharpened(found, G, h, room) if room > 0.0 and found.solved else found
+
+
+def _sharpened(found: LeastDistance, G: np.ndarray, h: np.ndarray, room: float) -> LeastDistance:
+    """The solution for ``h`` itself; as found, if the other inequalities do not allow it."""
+    tight, prices = found.weights > 0.0, np.zeros(len(h))
+    y = np.linalg.lstsq(G[tight], h[tight], rcond=None)[0]
+    prices[tight] = np.maximum(np.linalg.lstsq(G[tight].T, y, rcond=None)[0], 0.0)
+    if np.any(G @ y < h - room):
+        return found
+    s = 1.0 / (1.0 + float(y @ y))
+    return LeastDistance(s * y, s, s * prices)
+
+
+def nonnegative_least_squares(A: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Minimise ``|A u - b|`` over ``u >= 0``, shape (m,); A has shape (n, m), b has shape (n,).
+
+    SciPy's ``nnls`` stops short of the minimum when columns depend on one another, as those of
+    symmetric contacts do, by roundings that change with the processor.  Its answer counts when the
+    gradient says so; otherwise a second method is asked, and the better answer taken.
+    """
+    from scipy.optimize import lsq_linear, nnls
+
+    try:
+        first = nnls(A, b, maxiter=30 * max(A.shape))[0]
+        if _excess(A, b, first) <= OPTIMAL * np.linalg.norm(A) * np.linalg.norm(b):
+            return first
+    except RuntimeError:  # out of iterations
+        first = np.zeros(A.shape[1])
+    second = lsq_linear(A, b, bounds=(0.0, np.inf), method="bvls", tol=EPS).x
+    return min(first, second, key=lambda u: _excess(A, b, u))
+
+
+def _excess(A: np.ndarray, b: np.ndarray, u: np.ndarray) -> float:
+    """The gradient that a minimum over ``u >= 0`` does not have: negative, or where ``u > 0``."""
+    gradient = A.T @ (A @ u - b)
+    return float(np.max(np.where(u > 0.0, np.abs(gradient), -gradient), initial=0.0))

@@ -36,7 +36,7 @@ from multiarm.grasp.contacts import (
     wrenches_of,
 )
 from multiarm.grasp.cutting import distinct
-from multiarm.grasp.least_distance import least_distance
+from multiarm.grasp.least_distance import least_distance, nonnegative_least_squares
 
 ILL = (
     "contacts that nearly coincide, or faces that are nearly parallel, make it ill-conditioned; "
@@ -204,12 +204,7 @@ def _balanced(W: np.ndarray) -> np.ndarray:
     Those whose opposite is in the cone, by non-negative least squares: an active-set method, right
     to the last digits where a linear program's tolerance would decide.
     """
-    from scipy.optimize import nnls
-
-    try:
-        left = [nnls(W, -w, maxiter=30 * W.shape[1])[1] for w in W.T]
-    except RuntimeError as error:
-        raise GraspError(f"the cone of the contacts could not be found: {ILL}") from error
+    left = [np.linalg.norm(W @ nonnegative_least_squares(W, -w) + w) for w in W.T]
     return np.array(left) <= BAND
 
 

@@ -42,6 +42,7 @@ from multiarm.equations import (
     imbalance,
     load_gravity_torque,
     passive_forces,
+    renew_kinematics,
     update_rows,
 )
 from multiarm.hybrid.arrays import (
@@ -82,6 +83,7 @@ from multiarm.node.reaction_coupling import RANK as REACTION_RANK
 from multiarm.node.reaction_coupling import ROWS as REACTION_ROWS
 from multiarm.node.reaction_elimination import eliminate_with_reactions
 from multiarm.node.reaction_solution import solve_for_reactions
+from multiarm.node.regular import IMBALANCE_BOUND
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
 from multiarm.plant import CALL_CLOSE, CALL_DENSE, IMBALANCE, open_book, open_coupled
 from multiarm.solver_watch import note_solution, watch_solver
@@ -155,6 +157,7 @@ def solve_sliding(address, size, _a, _b):
     write_reactions(plant, buffers, work, mode, reactions)
     if mode.stressed[0] != 0:
         add_prestress(mode, mode.Wr, reactions.Yr, buffers, work)
+    buffers.solved[IMBALANCE] = 0.0
     coupled = open_coupled(book)
     coupled.counts[ARMS] = 0
     if plant.dense[0] != 0:
@@ -162,21 +165,20 @@ def solve_sliding(address, size, _a, _b):
         if buffers.flag[0] != 0:
             return CALLBACK_FAILED
     else:
-        work.factored[0] = 1
-        failed = eliminate_with_reactions(reactions, buffers.Wo, mode.Wr, buffers.inertia)
-        if failed >= 0:
-            return failed
-        solve_for_reactions(
-            reactions, buffers.Wo, mode.Wr, buffers.h_o, buffers.h, buffers.c, buffers.q_o,
-            buffers.qdd, buffers.force,
-        )  # fmt: skip
+        status = solve_reactions(buffers, work, mode, reactions, False)
+        if status == OK and not buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
+            status = renew_kinematics(book)
+            if status == OK:
+                write_reactions(plant, buffers, work, mode, reactions)
+                status = solve_reactions(buffers, work, mode, reactions, True)
+        if status != OK:
+            return status
         lacking = reactions.counts[REACTION_ROWS] - reactions.counts[REACTION_RANK]
         if lacking > 0:
             coupled.counts[ARMS] = 1
             coupled.counts[UNKNOWNS] = reactions.counts[REACTION_ROWS]
             coupled.counts[RANK] = reactions.counts[REACTION_RANK]
             coupled.margin[0] = math.inf
-    buffers.solved[IMBALANCE] = imbalance(buffers, mode.Wr)
     if mode.stressed[0] != 0:
         add_forces(mode, buffers)
     power = 0.0
@@ -185,6 +187,21 @@ def solve_sliding(address, size, _a, _b):
     buffers.power[mode.slots[0]] = power
     buffers.power[buffers.power.size - 1] += power
     note_least(plant, buffers)
+    return OK
+
+
+@kernel
+def solve_reactions(buffers, work, mode, reactions, couple_all):
+    """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
+    work.factored[0] = 1
+    failed = eliminate_with_reactions(reactions, buffers.Wo, mode.Wr, buffers.inertia, couple_all)
+    if failed >= 0:
+        return failed
+    solve_for_reactions(
+        reactions, buffers.Wo, mode.Wr, buffers.h_o, buffers.h, buffers.c, buffers.q_o,
+        buffers.qdd, buffers.force,
+    )  # fmt: skip
+    buffers.solved[IMBALANCE] = imbalance(buffers, work, mode.Wr)
     return OK
 
 

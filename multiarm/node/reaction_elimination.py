@@ -27,8 +27,10 @@ STIFF = 1e-3
 
 
 @kernel
-def eliminate_with_reactions(work, Wo, Wr, object_inertia):
+def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
     """Factor the whole system; -1, or the number of the arm (n: the object) that failed.
+
+    With ``couple_all`` every arm is solved together with the object, whatever its pivots are.
 
     On entry ``work.L[i]`` holds the arms' inertias (lower triangles), ``work.Y[i]`` and
     ``work.Yr[i]`` their ``W`` and ``W~`` (one column a contact), ``Wo`` and ``Wr`` (N, 6) the
@@ -46,7 +48,7 @@ def eliminate_with_reactions(work, Wo, Wr, object_inertia):
         work.pivot[i] = pivot
         if not pivot >= 0.0:
             return i
-        work.coupled[i] = 0 if pivot > COUPLING_TOLERANCE else 1
+        work.coupled[i] = 0 if pivot > COUPLING_TOLERANCE and not couple_all else 1
     work.pivot[n] = _factor_node(work, Wo, Wr, object_inertia)
     if not work.evenness[0] > COUPLING_TOLERANCE:
         for i in range(n):

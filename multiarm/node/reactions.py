@@ -36,6 +36,7 @@ from multiarm.books import Floats1, Floats2, Floats3, Ints1, Ints2
 from multiarm.node.reaction_coupling import COUNTS, FREE, MOVING, PART_TOLERANCE, RANK, ROWS
 from multiarm.node.reaction_elimination import eliminate_with_reactions
 from multiarm.node.reaction_solution import solve_for_reactions
+from multiarm.node.regular import IMBALANCE_BOUND
 from multiarm.terms import NodeSolution
 
 
@@ -171,21 +172,25 @@ def solve_with_reactions(
     dofs, rows = [len(m) for m in M], [w.shape[1] for w in W]
     reaction = W if reaction is None else reaction
     work = make_reaction_work(dofs, rows)
-    for i, (inertia, own, forces) in enumerate(zip(M, W, reaction, strict=True)):
-        work.L[i, : dofs[i], : dofs[i]] = inertia
-        work.Y[i, : dofs[i], : rows[i]] = own
-        work.Yr[i, : dofs[i], : rows[i]] = forces
     Wo = np.ascontiguousarray(np.hstack(W_o).T, dtype=float)
     Wr = Wo if reaction_o is None else np.ascontiguousarray(np.hstack(reaction_o).T, dtype=float)
-    failed = eliminate_with_reactions(work, Wo, Wr, np.array(M_o, dtype=float))
-    if failed >= 0:
-        part = "the object" if failed == len(M) else f"arm {failed + 1}"
-        raise ValueError(
-            f"{part}: the inertia matrix is not positive definite, or a number is not finite"
-        )
+    loads = np.array(h_o, float), np.concatenate(h).astype(float), np.concatenate(c).astype(float)
     q_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
-    loads = np.concatenate(h).astype(float), np.concatenate(c).astype(float)
-    residual = solve_for_reactions(work, Wo, Wr, np.array(h_o, float), *loads, q_o, q, force)
+    for couple_all in (False, True):
+        for i, (inertia, own, forces) in enumerate(zip(M, W, reaction, strict=True)):
+            work.L[i, : dofs[i], : dofs[i]] = inertia
+            work.Y[i, : dofs[i], : rows[i]] = own
+            work.Yr[i, : dofs[i], : rows[i]] = forces
+        failed = eliminate_with_reactions(work, Wo, Wr, np.array(M_o, float), couple_all)
+        if failed >= 0:
+            part = "the object" if failed == len(M) else f"arm {failed + 1}"
+            raise ValueError(
+                f"{part}: the inertia matrix is not positive definite, or a number is not finite"
+            )
+        residual = solve_for_reactions(work, Wo, Wr, *loads, q_o, q, force)
+        left = np.abs(np.array(M_o) @ q_o - h_o - Wr.T @ force)
+        if np.all(left <= IMBALANCE_BOUND * (np.abs(h_o) + np.abs(Wr).T @ np.abs(force))):
+            break
     counts, bounds = work.counts, np.cumsum(rows)[:-1]
     free = work.free[: counts[FREE], : len(force)]
     return NodeSolution(

@@ -49,6 +49,9 @@ COUPLED_BELOW = 1e-5
 IMMOBILE_BELOW = 1e-10
 # Brings the second measure to the scale of the first, so that one bound serves both.
 MOBILITY_WEIGHT = COUPLED_BELOW / IMMOBILE_BELOW
+# What the object's equation of motion may leave over, relative to the largest force in it.
+# Arms that are eliminated as a whole leave eleven digits, of which two are for cancellation.
+IMBALANCE_BOUND = 1e-9
 # Results when all arms, or not all of them, were eliminated.
 ELIMINATED, DEFICIENT = -1, -6
 # Stands in for the pivot of an arm whose inertia matrix is not positive definite.

@@ -32,7 +32,15 @@ from __future__ import annotations
 
 import math
 
-from multiarm.lanes import LANES, lanes_at, lanes_of, least_positive, put_lanes, sum_of_lanes
+from multiarm.lanes import (
+    LANES,
+    lanes_at,
+    lanes_of,
+    least_positive,
+    lesser,
+    put_lanes,
+    sum_of_lanes,
+)
 from multiarm.lowlevel import inlined, kernel
 from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, MOBILITY_WEIGHT
 from multiarm.node.tables import fill_table, hand_out
@@ -108,28 +116,29 @@ def eliminate_group(group, work, stiffness):
     each arm is from being singular, as :func:`multiarm.node.regular.eliminate_arm` does.
     """
     d, m, start, stride = group[JOINTS], group[CONTACTS], group[START], LANES * group[WIDTH]
-    lanes, one = work.lanes, lanes_of(1.0)
-    inertia, relative, immobile = one, one, lanes_of(math.inf)
+    lanes, one, zero = work.lanes, lanes_of(1.0), lanes_of(0.0)
+    inertia, relative = one, one
+    stiffest, weakest = lanes_of(math.inf), lanes_of(math.inf)
     right, row = d + m, start
     for i in range(d):
         pivot = reduce_pivot(lanes, start, stride, i, 0, i, lanes_at(lanes, row + LANES * i))
         inverse = one / pivot
         inertia = least_positive(least_positive(inertia, pivot), inverse)
-        immobile = least_positive(immobile, pivot * lanes_at(stiffness, LANES * i))
+        stiffest = lesser(stiffest, pivot * lanes_at(stiffness, LANES * i))
         put_lanes(lanes, row + LANES * i, inverse)
         reduce_columns(lanes, start, stride, row, 0, i, i + 1, right + 1)
         row += stride
-    immobile = immobile * lanes_of(-MOBILITY_WEIGHT)  # the diagonal of -K over the mobility
     for i in range(d, right):
         diagonal = reduce_pivot(lanes, start, stride, i, 0, d, lanes_at(lanes, row + LANES * i))
         pivot = reduce_pivot(lanes, start, stride, i, d, i, diagonal)
         relative = least_positive(relative, pivot / diagonal)
-        relative = least_positive(relative, diagonal * immobile)
+        weakest = lesser(weakest, zero - diagonal)
         put_lanes(lanes, row + LANES * i, one / pivot)
         reduce_columns(lanes, start, stride, row, 0, i, i + 1, right + 1)
         reduce_columns(lanes, start, stride, row, d, i, right + 1, right + 7)
         row += stride
-    return inertia, relative
+    mobile = weakest * stiffest * lanes_of(MOBILITY_WEIGHT)  # the diagonal of K over the mobility
+    return inertia, least_positive(relative, mobile)
 
 
 @inlined

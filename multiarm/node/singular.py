@@ -7,14 +7,14 @@ Such an arm is not handed over as a whole.  The singular value decomposition of 
 .. math:: Y_i = L_i^{-1} W_i, \qquad Y_i v_a = \sigma_a u_a
 
 turns its constraints into orthogonal *directions* ``v``.  Those with a healthy ``sigma`` are
-eliminated like any regular arm, with :math:`K = \sigma^2`.  Healthy is meant relative to what the
-arm can do at the places of its contacts in *any* direction,
+eliminated like any regular arm, with :math:`K = \sigma^2`.  Healthy is meant relative to
 
-.. math:: \sigma_{any} = \max\big(\max_a \sigma_a,\; \max_j r_j / \sqrt{M_{jj}}\big) ,
+.. math:: \sigma_{best} = \max_a \sigma_a \; \max\big(1, (\gamma / g)^2\big), \qquad
+    g = \max_{a, j} |W_{ja}| / r_j ,
 
-with the distance :math:`r_j` that the contacts move per unit motion of joint ``j`` alone: an arm
-that slides along all of its contacts has nothing but roundings for ``sigma``.  Where the contacts
-of an arm hold a point of the object in all directions, the first term is the larger one.
+with the levers :math:`r_j` of the joints, so that ``g`` is 1 where a joint moves a contact as much
+as it can.  The second factor is there for arms that slide along all of their contacts: they have
+nothing but roundings for ``sigma``, which are large relative to each other.
 
 The other directions, along which the arm can hardly move or not at all, stay as unknown forces of
 one *coupled system* with the object; with :math:`C = W_o v` and the node matrix
@@ -31,7 +31,7 @@ taken for what it is, and the result goes over smoothly into that of the regular
 *Rank.*  Some combinations of these forces may move neither the object nor an arm (contacts that say
 the same twice, loops that are closed more often than needed).  That is a question of geometry, not
 of masses, and is asked of ``B`` with the object measured in unit directions and lever arms and each
-arm by its own ``sigma_any``: combinations that move less than ``RANK_TOLERANCE`` of that are
+arm by its own ``sigma_best``: combinations that move less than ``RANK_TOLERANCE`` of that are
 given no force.  Since the directions are orthonormal combinations of the contacts, the contact
 forces have the least norm in newtons; if the constraints contradict each other, they are met in the
 sense of least squares.
@@ -66,6 +66,9 @@ SPLIT = 1e-2
 IMMOVABLE = 1e-11
 # The same two, in terms of how far the object alone would give way to the same push.
 SPLIT_BY_OBJECT, IMMOVABLE_BY_OBJECT = 1e-3, 1e-9
+# ``gamma``: an arm whose joints do less than this part of what they can along all of its contacts
+# hardly moves along any.  With RANK_TOLERANCE it does not move at all below the same part.
+HARDLY_ALIGNED = 1e-3
 # Forces that move object and arms by less than this fraction of their own scale do not exist.
 RANK_TOLERANCE = 1e-6
 # Forces with a smaller part in every combination that moves nothing are determined.
@@ -84,11 +87,8 @@ class CoupledWork(NamedTuple):
         Directions ``v`` of the deficient arms (one a row), ``Y v``, and its length.
     deficient : int64 (n,)
         1 for the arms that are not eliminated as a whole.
-    levers : (n, d)
-        How far a unit motion of each joint alone moves the contacts of its arm, at this state
-        [m or 1]; read by :func:`couple`.  Where they are 0, the largest ``sigma`` is the scale.
     scale, split : (n,)
-        Of each deficient arm: ``sigma_any``, and the smallest ``sigma`` that is eliminated.
+        Of each deficient arm: ``sigma_best``, and the smallest ``sigma`` that is eliminated.
     inertia : (6, 6)
         Cholesky factor of the object's own inertia.
     arm, row : int64 (N,)
@@ -111,7 +111,6 @@ class CoupledWork(NamedTuple):
     A: Floats3
     sigma: Floats1
     deficient: Ints1
-    levers: Floats2
     scale: Floats1
     split: Floats1
     inertia: Floats2
@@ -128,14 +127,13 @@ class CoupledWork(NamedTuple):
 
 
 def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
-    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts; no lever is known."""
+    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
     n, d, m, N = len(dofs), max(dofs), max(rows), sum(rows)
     return CoupledWork(
         V=np.zeros((n, m, m)),
         A=np.zeros((n, m, d)),
         sigma=np.zeros(N),
         deficient=np.zeros(n, dtype=np.int64),
-        levers=np.zeros((n, d)),
         scale=np.zeros(n),
         split=np.zeros(n),
         inertia=np.zeros((6, 6)),
@@ -162,8 +160,8 @@ def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
     for u, (i, a) in enumerate(zip(coupled.arm[:p], coupled.row[:p], strict=True)):
         own = slice(work.rows[i], work.rows[i + 1])
         rows[u, own] = coupled.V[i, a, : own.stop - own.start]
-    noticed = coupled.basis[:rank, :p] @ rows
-    return np.sqrt(np.maximum(np.sum(rows**2, axis=0) - np.sum(noticed**2, axis=0), 0.0))
+    basis = coupled.basis[:rank, :p]
+    return np.linalg.norm(rows - basis.T @ (basis @ rows), axis=0)
 
 
 @kernel
@@ -175,16 +173,17 @@ def object_mobility(row, coupled):
     return norm(wrench, 6)
 
 
-@inlined
-def best_motion(L, n, levers):
-    """Largest ``r_j / sqrt(M_jj)`` of an arm's joints; ``L`` is the factor of its inertia."""
-    best = 0.0
+@kernel
+def aligned_share(L, Y, n, m, levers):
+    """Largest ``|W_ja| / r_j`` of an arm with ``n`` joints and ``m`` contacts; ``W = L Y``."""
+    largest = 0.0
     for j in range(n):
-        inertia = 1.0 / (L[j, j] * L[j, j])
-        for k in range(j):
-            inertia += L[j, k] * L[j, k]
-        best = max(best, levers[j] / math.sqrt(inertia))
-    return best
+        for a in range(m):
+            w = Y[j, a] / L[j, j]  # the factor's diagonal is inverted
+            for k in range(j):
+                w += L[j, k] * Y[k, a]
+            largest = max(largest, abs(w) / levers[j])
+    return largest
 
 
 @kernel
@@ -203,8 +202,8 @@ def split_arm(i, work, coupled, Wo):
         for b in range(m):
             V[a, b] = 1.0 if a == b else 0.0
     orthogonalize(A, m, d, V, m)
-    by_object = total = 0.0
-    scale = best_motion(work.L[i], d, coupled.levers[i])
+    scale = by_object = total = 0.0
+    aligned = aligned_share(work.L[i], Y, d, m, work.levers[i])
     for a in range(m):
         coupled.sigma[first + a] = norm(A[a], d)
         scale = max(scale, coupled.sigma[first + a])
@@ -212,6 +211,8 @@ def split_arm(i, work, coupled, Wo):
         total += coupled.sigma[first + a]
     if not math.isfinite(total):
         return False
+    if aligned < HARDLY_ALIGNED:
+        scale *= (HARDLY_ALIGNED / aligned) ** 2 if aligned > 0.0 else 1.0
     coupled.scale[i] = scale
     coupled.split[i] = max(SPLIT * scale, SPLIT_BY_OBJECT * by_object)
     least = max(IMMOVABLE * scale, IMMOVABLE_BY_OBJECT * by_object)

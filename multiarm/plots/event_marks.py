@@ -103,6 +103,8 @@ class EventMarks:
             handlelength=3.2, borderaxespad=0.2, borderpad=0.0, columnspacing=1.6,
         )  # fmt: skip
         legend.set_gid("events")
+        for text in legend.get_texts():
+            text.set_parse_math(False)
 
     def _columns(self, width: float) -> int:
         longest = max(len(label) for label in self._labels.values())

@@ -3,6 +3,7 @@
 from multiarm.scene.arm_spec import ArmSpec, ToolSpec
 from multiarm.scene.base import Pose
 from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
+from multiarm.scene.code import NamedCode, named_code, refuse_code, with_code, without_code
 from multiarm.scene.contact_spec import ContactSpec
 from multiarm.scene.control import (
     ARM_TERMS,
@@ -109,6 +110,7 @@ __all__ = [
     "JointPDControl",
     "JointSpec",
     "Mesh",
+    "NamedCode",
     "NoControl",
     "ObjectGain",
     "ObjectImpedanceControl",
@@ -152,12 +154,16 @@ __all__ = [
     "gain_vector",
     "joint_vector",
     "load_scene",
+    "named_code",
     "parse_path",
     "parse_scene",
     "read_urdf",
     "read_wrench_table",
+    "refuse_code",
     "resolve_arm",
     "resolve_mesh",
     "resolve_package_dirs",
     "value_at",
+    "with_code",
+    "without_code",
 ]

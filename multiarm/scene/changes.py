@@ -106,7 +106,9 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     if isinstance(made.get("run"), dict):
         made["run"] = _one_choice(made["run"], tree["run"])
     try:
-        found = Scene.from_mapping({**data, **made}, scene.folder, like=scene)
+        found = Scene.from_mapping(
+            {**data, **made}, scene.folder, like=scene, from_file=scene.is_from_file
+        )
     except SceneError as error:
         faults += error.faults
     if faults:

@@ -80,8 +80,11 @@ class SceneParts:
     run: RunSpec | None
 
     @classmethod
-    def of(cls, data: Mapping[str, Any], folder: Path) -> SceneParts:
-        """Save what can be saved from ``data``, which may hold instances or plain tables."""
+    def of(cls, data: Mapping[str, Any], folder: Path, load: bool = True) -> SceneParts:
+        """Save what can be saved from ``data``, which may hold instances or plain tables.
+
+        Effects of packages are loaded only where ``load`` says so.
+        """
         arms = data.get("arms")
         sound = {}
         for name, arm in (arms if isinstance(arms, Mapping) else {}).items():
@@ -92,7 +95,7 @@ class SceneParts:
         listing = list(joints) if isinstance(joints, (list, tuple)) else []
         named = [(i, _entry(joint, "arm")) for i, joint in enumerate(listing)]
         thing = _sound(ObjectSpec, data.get("object"))
-        effects = _sound(EffectsSpec, data.get("effects", {}))
+        effects = _sound(EffectsSpec, data.get("effects", {}), {"load": load})
         return cls(
             arm_names=[str(name) for name in arms] if isinstance(arms, Mapping) else None,
             arms=sound,
@@ -240,11 +243,11 @@ def method_fault(
     )
 
 
-def _sound(kind: Any, data: Any) -> Any:
+def _sound(kind: Any, data: Any, context: dict[str, Any] | None = None) -> Any:
     if data is None:
         return None
     try:
-        return TypeAdapter(kind).validate_python(data)
+        return TypeAdapter(kind).validate_python(data, context=context)
     except ValidationError:
         return None
 

@@ -178,6 +178,10 @@ class RunSpec(Spec):
         How drift off the joints is prevented.
     output_step : float
         Time between stored samples [s].
+    most_steps : float
+        Steps for one second of simulated time (for the whole run, if that is shorter): a run that
+        needs more at the pace of its last thousands of steps, rejected ones and events counted,
+        fails instead of going on for hours.
     solver : 'node' or 'dense'
         The node algorithm, or the whole linear system at once (for comparison).
     arms : 'pinocchio' or 'compiled'
@@ -195,6 +199,7 @@ class RunSpec(Spec):
     tolerance: Positive | None = None
     stabilization: Annotated[StabilizationSpec, BeforeValidator(_from_name)] = StabilizationSpec()
     output_step: Positive = 0.01
+    most_steps: Positive = 1e8
     solver: Literal["node", "dense"] = "node"
     arms: Literal["pinocchio", "compiled"] = "pinocchio"
 

@@ -1,17 +1,12 @@
 """A hand of rigid fingers, told by its fingertips: a tool that needs no URDF file of its own.
 
 Such hands are small and made for one object, as the corner grippers of the thesis (2.2.3): each rod
-leads from a palm to a spherical fingertip.  What a scene says about them becomes a URDF, so that
-hands are tools like all others; the file lies among the temporary ones and is written anew whenever
-it is missing.
+leads from a palm to a spherical fingertip.  What a scene says about them becomes the text of a
+URDF, so that hands are tools like all others.
 """
 
 from __future__ import annotations
 
-import hashlib
-import os
-import tempfile
-from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -20,7 +15,7 @@ from pydantic import Field, field_validator
 from multiarm.scene.base import Pose, Spec
 from multiarm.scene.values import Positive, Vec3, fault
 
-__all__ = ["FingersSpec", "fingers_urdf"]
+__all__ = ["FingersSpec", "urdf_text"]
 
 # The palm stands at this part of the way from the mount to the corner.
 PALM = 0.3
@@ -63,21 +58,6 @@ class FingersSpec(Spec):
         if not tips:
             raise fault("a hand needs at least one fingertip")
         return tips
-
-
-def fingers_urdf(spec: FingersSpec) -> Path:
-    """The URDF file of a hand; the same hand always has the same file."""
-    text = urdf_text(spec)
-    name = hashlib.sha256(text.encode()).hexdigest()[:16]
-    owner = os.getuid() if hasattr(os, "getuid") else "user"
-    folder = Path(tempfile.gettempdir()) / f"multiarm-hands-{owner}"
-    path = folder / f"hand_{name}.urdf"
-    if not (path.is_file() and path.read_text(encoding="utf-8") == text):
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, encoding="utf-8") as file:
-            file.write(text)
-        os.replace(file.name, path)
-    return path
 
 
 def urdf_text(spec: FingersSpec) -> str:

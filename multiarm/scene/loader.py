@@ -20,13 +20,16 @@ from multiarm.scene.schema import Scene
 __all__ = ["dump_scene", "load_scene", "parse_scene", "parse_yaml"]
 
 
-def load_scene(path: Path | str) -> Scene:
-    """Read a scene file.
+def load_scene(path: Path | str, code: bool = True) -> Scene:
+    """Read a scene file; nothing that it names is loaded or run.
 
     Parameters
     ----------
     path : path
         A YAML file. Relative paths in it start at its folder.
+    code : bool
+        Whether :func:`multiarm.compile_system` may load the functions and effects of packages that
+        it names; without, it refuses a scene that names any.
 
     Returns
     -------
@@ -51,13 +54,16 @@ def load_scene(path: Path | str) -> Scene:
         data = parse_yaml(text)
         if isinstance(data, Mapping):
             data = {"name": path.stem.replace("_", " "), **data}
-        return Scene.from_mapping(data, path.resolve().parent)
+        return Scene.from_mapping(data, path.resolve().parent, from_file=True, code=code)
     except SceneError as error:
         raise SceneError(error.faults, source=str(path)) from None
 
 
 def parse_scene(
-    source: str | Mapping[str, Any], folder: Path | str | None = None, stored: bool = False
+    source: str | Mapping[str, Any],
+    folder: Path | str | None = None,
+    stored: bool = False,
+    code: bool | None = None,
 ) -> Scene:
     """Return the scene that a YAML text or a table describes.
 
@@ -69,6 +75,9 @@ def parse_scene(
         Where relative paths start; the current folder by default.
     stored : bool
         It is that of a run, to be looked at: effects of one's own need not be there.
+    code : bool, optional
+        Whether :func:`multiarm.compile_system` may load the code that it names; not, when left out,
+        if it is ``stored``.
 
     Raises
     ------
@@ -76,7 +85,7 @@ def parse_scene(
         Naming every fault.
     """
     data = parse_yaml(source) if isinstance(source, str) else source
-    return Scene.from_mapping(data, folder, stored)
+    return Scene.from_mapping(data, folder, stored, code=code)
 
 
 def dump_scene(scene: Scene) -> str:

@@ -9,8 +9,9 @@ packages,
     [project.entry-points."multiarm.effects"]
     magnet = "my_package.magnet:Magnet"
 
-A package is imported only by scenes that name its effect.  The class's ``Spec`` validates what
-stands under the name, and every fault is told at its place, as for our own effects.  What the class
+A package is imported only for scenes that name its effect: when one is made in Python, and when one
+that was read from a file is compiled.  The class's ``Spec`` then validates what stands under the
+name, and every fault is told at its place, as for our own effects.  What the class
 must offer says :class:`multiarm.effects.effect.Effect`; here only its name and its ``Spec`` matter.
 """
 
@@ -24,7 +25,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from multiarm.errors import ModelError
+from multiarm.errors import USER_FAULTS, ModelError
 from multiarm.scene.base import Spec
 from multiarm.scene.faults import sentences
 from multiarm.scene.values import fault
@@ -36,6 +37,8 @@ __all__ = [
     "OwnEffect",
     "OwnSpec",
     "find_effect",
+    "known_effect",
+    "offered_words",
     "own_effect_names",
     "register_effect",
     "registered_effects",
@@ -94,6 +97,16 @@ def register_effect(effect: AnyEffect) -> AnyEffect:
     return effect
 
 
+def known_effect(name: str) -> type | None:
+    """The class of an effect that was registered or loaded before; None where none was."""
+    return _REGISTERED.get(name) or _LOADED.get(name)
+
+
+def offered_words(name: str) -> str:
+    """Which installed packages offer an effect of a name; empty where none does."""
+    return " and ".join(sorted({_offered(point) for point in _entry_points(name)}))
+
+
 def find_effect(name: str) -> type | None:
     """The class of an effect; None where nobody has one of that name.
 
@@ -102,7 +115,7 @@ def find_effect(name: str) -> type | None:
     ModelError
         Its package is broken, or several have one.
     """
-    known = _REGISTERED.get(name) or _LOADED.get(name)
+    known = known_effect(name)
     if known is not None:
         return known
     points = {point.value: point for point in _entry_points(name)}
@@ -114,7 +127,7 @@ def find_effect(name: str) -> type | None:
     (point,) = points.values()
     try:
         effect = point.load()
-    except Exception as error:
+    except USER_FAULTS as error:
         raise ModelError(
             f"effect {name!r}: {_offered(point)} cannot be loaded, {type(error).__name__}: {error}"
         ) from error
@@ -145,16 +158,20 @@ class Named:
 def _read(entry: Any, info: ValidationInfo) -> Any:
     """The validated parameters of an effect; None where a scene leaves it out by ``name: null``.
 
-    A stored scene is read without the effect's package too; its parameters stay what they are.
+    A scene that is read from a file loads no package, and a stored one does without it: the
+    parameters stay what they are, see :mod:`multiarm.scene.code`.
     """
     if not isinstance(entry, Named):
         return entry
+    context = info.context or {}
+    if not context.get("load", True) and not known_effect(entry.name) and offered_words(entry.name):
+        return entry.value
     try:
         effect = find_effect(entry.name)
     except ModelError as error:
         raise fault(str(error)) from None
     if effect is None:
-        if (info.context or {}).get("stored"):
+        if context.get("stored"):
             return entry.value
         text = unknown("effect", entry.name, [*entry.ours, *own_effect_names()], "effects")
         raise fault(f"{text}; effects of your own need multiarm.register_effect, or their package")
@@ -175,7 +192,7 @@ def _validated(effect: Any, value: Any) -> Any:
         raise ValidationError.from_exception_data(effect.name, details) from None
     except PydanticCustomError:
         raise
-    except Exception as error:
+    except USER_FAULTS as error:
         raise fault(
             f"the Spec of effect {effect.name!r} raised {type(error).__name__}: {error}"
         ) from None

@@ -14,9 +14,9 @@ import numpy as np
 
 from multiarm.errors import ModelError, SceneError
 from multiarm.scene.arm_spec import ArmSpec, ToolSpec
-from multiarm.scene.fingers import fingers_urdf
+from multiarm.scene.fingers import urdf_text
 from multiarm.scene.robots import find_robot, resolve_mesh, resolve_package_dirs
-from multiarm.scene.urdf import CHAIN_JOINTS, JointOutline, UrdfOutline, read_urdf
+from multiarm.scene.urdf import CHAIN_JOINTS, JointOutline, UrdfOutline, outline_of_text, read_urdf
 from multiarm.scene.values import joint_value_faults, joint_vector
 from multiarm.scene.words import listed, place, unknown
 
@@ -35,8 +35,8 @@ class ResolvedArm:
         The robot's file.
     package_dirs : tuple of Path
         Where ``package://`` addresses of the robot are looked for, in order.
-    tool_urdf : Path or None
-        The tool's file.
+    tool_urdf : Path, str or None
+        The tool's file, or the text of its URDF where the scene describes it.
     tool_package_dirs : tuple of Path
         The same for the tool.
     joints : tuple of JointOutline, length n
@@ -49,7 +49,7 @@ class ResolvedArm:
 
     urdf: Path
     package_dirs: tuple[Path, ...]
-    tool_urdf: Path | None
+    tool_urdf: Path | str | None
     tool_package_dirs: tuple[Path, ...]
     joints: tuple[JointOutline, ...]
     posture: np.ndarray
@@ -141,7 +141,7 @@ def examine_arm(spec: ArmSpec) -> Examination:
         found.arm = ResolvedArm(
             urdf=robot.path,
             package_dirs=resolve_package_dirs(robot.path, spec.package_dirs),
-            tool_urdf=None if tool is None else tool.path,
+            tool_urdf=None if tool is None else tool.text or tool.path,
             tool_package_dirs=_tool_package_dirs(spec, tool),
             joints=free,
             posture=posture,
@@ -157,7 +157,7 @@ def _outline(
     key = "urdf" if spec.robot is None else "robot"
     try:
         if isinstance(spec, ToolSpec) and spec.fingers is not None:
-            return read_urdf(fingers_urdf(spec.fingers))
+            return outline_of_text(urdf_text(spec.fingers), "hand.urdf")
         path = spec.urdf if spec.robot is None else find_robot(spec.robot).urdf
         assert path is not None, "a model has a name or a file"
         return read_urdf(path)
@@ -279,7 +279,7 @@ def _start(
 
 
 def _tool_package_dirs(spec: ArmSpec, tool: UrdfOutline | None) -> tuple[Path, ...]:
-    if tool is None or spec.tool is None:
+    if tool is None or spec.tool is None or tool.text is not None:
         return ()
     return resolve_package_dirs(tool.path, spec.tool.package_dirs)
 

@@ -20,10 +20,12 @@ from multiarm.scene.check import Looked, SceneParts, check
 from multiarm.scene.control import ControlSpec, NoControl, RunSpec
 from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.faults import explain
+from multiarm.scene.functions import function_references
 from multiarm.scene.joints import JointSpec
 from multiarm.scene.object_spec import ObjectSpec
 from multiarm.scene.values import ArmName, Vec3
-from multiarm.scene.words import shown
+from multiarm.scene.words import place, shown
+from multiarm.user_code import reference_fault
 
 __all__ = ["Scene"]
 
@@ -69,6 +71,8 @@ class Scene(Spec):
     run: RunSpec = Field(default_factory=RunSpec)
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
+    _from_file: bool = PrivateAttr(default=False)
+    _may_load_code: bool = PrivateAttr(default=True)
     _warnings: tuple[str, ...] = PrivateAttr(default=())
     _looked: Looked = PrivateAttr(default_factory=dict)
 
@@ -84,17 +88,24 @@ class Scene(Spec):
         folder: Path | str | None = None,
         stored: bool = False,
         like: Scene | None = None,
+        from_file: bool = False,
+        code: bool | None = None,
     ) -> Self:
         """Return the scene that ``data``, such as a parsed YAML file, describes.
 
         A ``stored`` one is that of a run: effects of one's own need not be there to look at it.
-        Arms that are those of another scene, ``like`` it, are not looked at once more.
+        Arms that are those of another scene, ``like`` it, are not looked at once more; it decides
+        about code too.  What is ``from_file`` loads nothing now, and its functions lie in its
+        folder; ``code`` tells whether a system may load them, by default unless it is stored.
         """
         if not isinstance(data, Mapping):
             keys = ", ".join(cls.model_fields)
             raise SceneError(f"$: a scene is a table with the keys {keys}; got {shown(data)}")
         scene = cls.__new__(cls)
-        scene._fill(data, folder, stored, like)
+        scene._fill(data, folder, stored, like, from_file)
+        if like is not None:
+            code = like.may_load_code
+        scene._may_load_code = not stored if code is None else code
         return scene
 
     @classmethod
@@ -111,6 +122,16 @@ class Scene(Spec):
     def folder(self) -> Path:
         """The folder at which relative paths of this scene started."""
         return self._folder
+
+    @property
+    def is_from_file(self) -> bool:
+        """Whether it was written in a scene file, or is that of such a file with other values."""
+        return self._from_file
+
+    @property
+    def may_load_code(self) -> bool:
+        """Whether the functions and effects that it names may be loaded when it is compiled."""
+        return self._may_load_code
 
     @property
     def warnings(self) -> list[str]:
@@ -139,19 +160,34 @@ class Scene(Spec):
         folder: Path | str | None,
         stored: bool = False,
         like: Scene | None = None,
+        from_file: bool = False,
     ) -> None:
         folder = Path(folder or ".").expanduser().resolve()
         faults: list[str] = []
+        load = not (stored or from_file)
         try:
             self.__pydantic_validator__.validate_python(
-                data, self_instance=self, context={"folder": folder, "stored": stored}
+                data, self_instance=self, context={"folder": folder, "stored": stored, "load": load}
             )
             parts = SceneParts.of(self.__dict__, folder)
+            if from_file:
+                faults = _function_faults(self, folder)
         except ValidationError as error:
             faults = explain(error, type(self))
-            parts = SceneParts.of(data, folder)
+            parts = SceneParts.of(data, folder, load)
         found = check(parts, None if like is None else like._looked)
         if faults or found.faults:
             raise SceneError([*faults, *found.faults])
         self._folder, self._warnings = folder, tuple(found.warnings)
+        self._from_file = from_file
         self._looked = found.arms
+
+
+def _function_faults(scene: Scene, folder: Path) -> list[str]:
+    """Functions that a scene file may not name."""
+    named = [
+        *function_references(scene.joints, ("joints",)),
+        *function_references(scene.effects, ("effects",)),
+    ]
+    found = ((parts, reference_fault(reference, folder)) for parts, reference in named)
+    return [f"{place(parts)}: {reason}" for parts, reason in found if reason]

@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from multiarm.errors import ModelError
 from multiarm.scene.words import listed, unknown
 
-__all__ = ["JointOutline", "Mimic", "UrdfOutline", "read_urdf"]
+__all__ = ["JointOutline", "Mimic", "UrdfOutline", "outline_of_text", "read_urdf"]
 
 CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
 _KNOWN_JOINTS = (*CHAIN_JOINTS, "fixed", "planar", "floating")
@@ -81,12 +81,12 @@ class JointOutline:
 
 @dataclass(frozen=True)
 class UrdfOutline:
-    """Names and structure of one URDF file.
+    """Names and structure of one URDF.
 
     Attributes
     ----------
     path : Path
-        The file.
+        The file; where there is none, what messages call it.
     links : tuple of str
         All link names.
     joints : tuple of JointOutline
@@ -95,6 +95,8 @@ class UrdfOutline:
         Addresses of the visual meshes as written in the file, each once.
     root : str
         The link that has no parent.
+    text : str or None
+        The URDF itself, where there is no file.
     """
 
     path: Path
@@ -102,6 +104,7 @@ class UrdfOutline:
     joints: tuple[JointOutline, ...]
     meshes: tuple[str, ...]
     root: str
+    text: str | None = None
 
     def chain(self, tip: str) -> tuple[JointOutline, ...]:
         """Return all joints, fixed ones too, from the root to link ``tip``.
@@ -146,6 +149,12 @@ def read_urdf(path: Path | str) -> UrdfOutline:
 
 
 @lru_cache(maxsize=128)
+def outline_of_text(text: str, name: str) -> UrdfOutline:
+    """Return the outline of a URDF that is no file; `name` is what messages call it."""
+    return replace(_outline(ElementTree.fromstring(text), Path(name)), text=text)
+
+
+@lru_cache(maxsize=128)
 def _read(path: Path, _stamp: int) -> UrdfOutline:
     try:
         robot = ElementTree.parse(path).getroot()
@@ -153,6 +162,10 @@ def _read(path: Path, _stamp: int) -> UrdfOutline:
         raise ModelError(f"{path} is not valid XML: {error}") from None
     except OSError as error:
         raise ModelError(f"cannot read {path}: {error.strerror}") from None
+    return _outline(robot, path)
+
+
+def _outline(robot: ElementTree.Element, path: Path) -> UrdfOutline:
     if robot.tag != "robot":
         raise ModelError(f"{path} is not a URDF file: its root element is <{robot.tag}>")
     if any("xacro" in str(element.tag) for element in robot.iter()):

@@ -16,10 +16,9 @@ never closed, `amendment` says more about a run that is complete.
 """
 
 from multiarm.storage.amendment import amend
-from multiarm.storage.growing import temporary_beside
 from multiarm.storage.reader import TRAJECTORY, Hdf5Store
 from multiarm.storage.writer import Hdf5Writer
 
 writable_target = TRAJECTORY.writable_target
 
-__all__ = ["Hdf5Store", "Hdf5Writer", "amend", "temporary_beside", "writable_target"]
+__all__ = ["Hdf5Store", "Hdf5Writer", "amend", "writable_target"]

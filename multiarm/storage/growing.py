@@ -20,6 +20,7 @@ import h5py
 
 from multiarm.errors import MultiarmError, TrajectoryError
 from multiarm.storage.layout import CACHE_BYTES, PAGE_BYTES, reason
+from multiarm.writing import complete
 
 _UNCLOSABLE: list[GrowingFile] = []
 """Files with a failed write, kept to the end of the program: HDF5 crashes on closing one."""
@@ -60,18 +61,16 @@ class GrowingFile:
         trouble: type[MultiarmError] = TrajectoryError,
     ):
         self.path, self._spare_bytes, self._trouble, self._fault = path, spare_bytes, trouble, ""
-        partial = temporary_beside(path)
-        try:
-            self._probe(partial, first_bytes + spare_bytes)
+        # one name for all: writers come one at a time, the next removes what a killed one left
+        beside = path.with_name(f".{path.name}.part")
+        with self._room(path.parent), complete(path, beside) as partial:
+            _allocate(partial, first_bytes + spare_bytes)
             self.file = _create_file(partial)
             self.reserve(first_bytes)
             with self.writing("write"):
                 build(self.file)
                 self.file.swmr_mode = True
                 self.file.flush()
-                os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
 
     def reserve(self, size: int) -> None:
         """Ask the disk for room for `size` more bytes of data and what HDF5 adds to them.
@@ -110,15 +109,14 @@ class GrowingFile:
             os.ftruncate(self.file.id.get_vfd_handle(), self.file.id.get_filesize())
             self.file.close()
 
-    def _probe(self, path: Path, size: int) -> None:
-        """Find out whether a file of this size can be made, before HDF5 tries."""
+    @contextmanager
+    def _room(self, folder: Path) -> Iterator[None]:
+        """Around the making of the file: an error becomes a message."""
         try:
-            with open(path, "wb") as file:
-                if hasattr(os, "posix_fallocate"):
-                    os.posix_fallocate(file.fileno(), 0, size)
+            yield
         except OSError as error:
             raise self._trouble(
-                f"cannot write to '{path.parent}': {reason(error)}; "
+                f"cannot write to '{folder}': {reason(error)}; "
                 "choose a folder that you may write to and that has room"
             ) from error
 
@@ -129,9 +127,11 @@ class GrowingFile:
         )
 
 
-def temporary_beside(target: Path) -> Path:
-    """A name in the same folder, so that the finished file can be moved in one step."""
-    return target.with_name(f".{target.name}.part")
+def _allocate(path: Path, size: int) -> None:
+    """Find out whether a file of this size can be made, before HDF5 tries."""
+    if hasattr(os, "posix_fallocate"):
+        with open(path, "r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, size)
 
 
 def _create_file(path: Path) -> h5py.File:

@@ -6,6 +6,7 @@ replaced on resuming, and a lock would stay with the old one.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import platform
@@ -64,12 +65,23 @@ class WriterLock:
 
     def _open(self, trouble: type[MultiarmError]) -> int:
         try:
-            return os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
+            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
         except OSError as error:
+            if error.errno == errno.ELOOP:
+                raise trouble(self._linked()) from None
             raise trouble(
                 f"cannot write to '{self._path.parent}': {error.strerror}; "
                 "choose a folder that you may write to"
             ) from None
+        if os.fstat(descriptor).st_nlink > 1:  # what is written to it would be written elsewhere
+            os.close(descriptor)
+            raise trouble(self._linked())
+        return descriptor
+
+    def _linked(self) -> str:
+        return (
+            f"'{self._path}' is a link, which is not followed: remove it, or choose another folder"
+        )
 
     def _is_at_its_place(self, descriptor: int) -> bool:
         try:

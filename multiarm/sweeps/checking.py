@@ -7,18 +7,25 @@ ones of the others; of long axes only some.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, SceneError
-from multiarm.scene import Scene, changed, parse_path
+from multiarm.scene import NamedCode, Scene, changed, parse_path
+from multiarm.scene.own_effects import own_effect_names
 from multiarm.scene.words import place, shown
 from multiarm.sweeps.axes import Axis
+from multiarm.user_code import FunctionReference, load_function, reference_fault
 
 if TYPE_CHECKING:
     from multiarm.sweeps.spec import SweepSpec
 
-__all__ = ["axis_faults", "quantity_faults", "value_faults"]
+__all__ = ["axis_faults", "quantity_faults", "sweep_code", "value_faults"]
+
+# A value that names a function; after the colon of an address, such as package://, is no name.
+_FUNCTION = re.compile(r"[^:\s][^\n]*:[A-Za-z_][\w.]*")
 
 MOST_QUANTITIES = 500
 """Of a sweep: the description of a row has a limited length in HDF5."""
@@ -60,19 +67,22 @@ def axis_faults(spec: SweepSpec) -> list[str]:
     return faults
 
 
-def quantity_faults(spec: SweepSpec) -> list[str]:
-    """What is wrong with the quantities: functions that are not there, names that stand twice."""
-    from multiarm.contacts.written import load_function
+def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
+    """What is wrong with the quantities: functions that are not there, names that stand twice.
 
+    Functions are loaded.  Those of a file lie in its ``folder``.
+    """
     faults = []
-    for entry in spec.keep:
-        function = getattr(entry, "function", None)
+    for _, function in _functions(spec):
+        reason = reference_fault(function, folder)
         try:
-            if isinstance(function, str):
+            if not reason:
                 load_function(function)
         except MultiarmError as error:
+            reason = str(error)
+        if reason:
             # the words are those for functions that a scene names
-            faults.append(f"$.keep: {error}".replace("the scene's folder", "the sweep's folder"))
+            faults.append(f"$.keep: {reason}".replace("the scene's folder", "the sweep's folder"))
     names = [quantity.name for quantity in spec.quantities()]
     if len(names) > MOST_QUANTITIES:
         faults.append(
@@ -82,6 +92,40 @@ def quantity_faults(spec: SweepSpec) -> list[str]:
     for name in sorted({name for name in names if names.count(name) > 1}):
         faults.append(f"$.keep: {name!r} stands twice; give one of them another 'name'")
     return faults
+
+
+def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
+    """The code that a sweep names: its quantities, and what its values bring into the scene."""
+    found = [NamedCode.function(("keep", k), function) for k, function in _functions(spec)]
+    effects = {*own_effect_names()}.difference(scene.effects.model_extra or {})
+    for axis in spec.axes:
+        at = ("over", axis.written)
+        texts = {*_words([axis.spec.written(), *map(parse_path, axis.paths)])}
+        found += [NamedCode.effect(at, name) for name in sorted(effects & texts)]
+        for text in sorted(texts):
+            if _FUNCTION.fullmatch(text):
+                function = FunctionReference(text).below(scene.folder)
+                found.append(NamedCode.function(at, function))
+    return found
+
+
+def _functions(spec: SweepSpec) -> Iterator[tuple[int, FunctionReference]]:
+    """Functions that are named as quantities, and which entries of ``keep`` they are."""
+    for k, entry in enumerate(spec.keep):
+        function = getattr(entry, "function", None)
+        if isinstance(function, FunctionReference):
+            yield k, function
+
+
+def _words(value: Any) -> Iterator[str]:
+    """All texts in values, keys of tables among them."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        yield from _words(list(value.items()))
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            yield from _words(item)
 
 
 def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:

@@ -200,9 +200,12 @@ def make_plan(
     if not isinstance(scene, Scene):
         scene = load_scene(_path_of(scene))
     source = str(over) if isinstance(over, (str, os.PathLike)) else None
-    spec, faults = examined(*read_sweep(over, changes))
+    data, folder = read_sweep(over, changes)
+    spec, faults = examined(data, folder)
     if spec is not None:
-        faults += [*axis_faults(spec), *quantity_faults(spec)]
+        # what is given in Python may name any file of the user's
+        within = None if source is None or "keep" in changes else folder
+        faults += [*axis_faults(spec), *quantity_faults(spec, within)]
         try:  # the places of the sweep's `run` are those of the scene's
             scene = changed(scene, {f"run.{key}": value for key, value in spec.run.items()})
         except SceneError as error:

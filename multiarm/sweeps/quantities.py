@@ -14,10 +14,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
 from numbers import Real
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from multiarm.errors import USER_FAULTS
+from multiarm.user_code import FunctionReference, load_function
 
 if TYPE_CHECKING:
     from multiarm.trajectory import Trajectory
@@ -38,8 +40,8 @@ class Quantity:
     unit : str
     words : str
         What it is.
-    function : callable or str, optional
-        The user's function, or where it is: ``file.py:name``, ``package.module:name``.
+    function : callable or FunctionReference, optional
+        The user's function, or where it is.
     key : str, optional
         Of the table that the function gives.
     digest : str
@@ -49,7 +51,7 @@ class Quantity:
     name: str
     unit: str
     words: str
-    function: Callable[[Trajectory], Any] | str | None = None
+    function: Callable[[Trajectory], Any] | FunctionReference | None = None
     key: str | None = None
     digest: str = ""
 
@@ -87,8 +89,8 @@ def digest(function: Callable | str) -> str:
     """A short text that changes when the function's does, as far as that can be seen."""
     try:
         if isinstance(function, str):
-            file = Path(function.rpartition(":")[0])
-            text = file.read_text(encoding="utf-8") if file.suffix == ".py" else ""
+            file = FunctionReference(function).file
+            text = "" if file is None else file.read_text(encoding="utf-8")
         else:
             text = inspect.getsource(function)
     except (OSError, TypeError, ValueError):
@@ -101,7 +103,7 @@ class _Fault(Exception):
 
 
 def _measured(
-    function: Callable | str | None, own: list[Quantity], trajectory: Trajectory
+    function: Callable | FunctionReference | None, own: list[Quantity], trajectory: Trajectory
 ) -> dict[str, float | None]:
     if function is None:
         return {one.name: KNOWN[one.name].function(trajectory) for one in own}
@@ -109,7 +111,7 @@ def _measured(
     name = own[0].name if key is None else own[0].name.removesuffix(f".{key}")
     try:
         given = _loaded(function, own[0].digest)(trajectory)
-    except (Exception, SystemExit) as error:
+    except USER_FAULTS as error:
         raise _Fault(f"quantity {name!r} raised {type(error).__name__}: {error}") from error
     if key is None:
         return {own[0].name: _number(given, name)}
@@ -135,10 +137,8 @@ def _number(value: Any, name: str) -> float:
 
 
 @lru_cache(maxsize=64)
-def _loaded(function: Callable | str, _digest: str) -> Callable:
+def _loaded(function: Callable | FunctionReference, _digest: str) -> Callable:
     """The function; one in a file is read again when its text is another."""
-    from multiarm.contacts.written import load_function
-
     return load_function(function)
 
 

@@ -36,6 +36,8 @@ class Sweep:
     Parameters
     ----------
     path : path-like
+    code : bool
+        Whether a run that is simulated again may load the code that its scene names.
 
     Raises
     ------
@@ -43,8 +45,9 @@ class Sweep:
         The file cannot be read, or is no sweep.
     """
 
-    def __init__(self, path: str | os.PathLike):
+    def __init__(self, path: str | os.PathLike, code: bool = False):
         self.path = Path(path).expanduser().absolute()
+        self._code = code
         self._table = SweepTable(self.path)
 
     def __len__(self) -> int:
@@ -99,7 +102,8 @@ class Sweep:
         """The scene that is varied."""
         from multiarm.scene import parse_scene
 
-        return parse_scene(self._table.text("scene"), self._table.header["folder"], stored=True)
+        text, folder = self._table.text("scene"), self._table.header["folder"]
+        return parse_scene(text, folder, stored=True, code=self._code)
 
     @property
     def text(self) -> str:
@@ -217,6 +221,8 @@ class Sweep:
         ------
         SweepError
             There is no such run.
+        SceneError
+            Its scene names code, which :func:`load_sweep` was not allowed to load.
         """
         from multiarm.sweeps.work import simulate_run
 
@@ -260,15 +266,22 @@ class Sweep:
             raise SweepError(f"there is no run {run}; runs are 1 to {self.count}")
 
 
-def load_sweep(path: str | os.PathLike) -> Sweep:
-    """Read the file of a sweep, whole or as far as it has come.
+def load_sweep(path: str | os.PathLike, code: bool = False) -> Sweep:
+    """Read the file of a sweep, whole or as far as it has come; nothing that it names is loaded.
+
+    Parameters
+    ----------
+    path : path-like
+    code : bool
+        Whether a run that is simulated again, ``sweep.trajectory(run)``, may load the functions and
+        effects of packages that its scene names; without, it is refused if there are any.
 
     Raises
     ------
     SweepError
         The file cannot be read, or is no sweep.
     """
-    return Sweep(path)
+    return Sweep(path, code)
 
 
 def _fits(value: Any, asked: Any) -> bool:

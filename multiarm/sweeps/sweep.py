@@ -141,7 +141,7 @@ def run_plan(
         elif progress is not None:
             progress(plan.count, plan.count, 0)
         path = file.path
-    return load_sweep(path)
+    return load_sweep(path, code=plan.scene.may_load_code)
 
 
 def _fill(

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from multiarm.certificate.words import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.compilation import compile_system
-from multiarm.errors import MultiarmError, SweepError
+from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.scene import Scene, changed, parse_path, parse_scene
 from multiarm.scene.own_effects import register_effect, registered_effects
 from multiarm.simulation import simulate
@@ -144,7 +144,7 @@ def perform(work: Work, job: Job) -> Row:
             status, message = ("failed", fault) if fault else (status, message)
     except MultiarmError as error:
         status, message = "failed", f"the run could not begin: {error}"
-    except (Exception, SystemExit) as error:  # functions and effects of the user's may do anything
+    except USER_FAULTS as error:  # functions and effects of the user's may do anything
         status, message = "failed", f"the run broke off: {type(error).__name__}: {error}"
     wall = time.perf_counter() - began
     return Row(job.run, status, message, job.values, numbers, wall, _worker())
@@ -195,7 +195,7 @@ def _base(work: Work) -> _Base:
         system = compile_system(scene)
         short = min(scene.run.duration, scene.run.output_step)
         _raise_interrupt(simulate(system, short, certificate=False))
-    except Exception:
+    except USER_FAULTS:
         pass  # what is wrong is told by every run that meets it
     _memory.key, _memory.base = key, _Base(scene, system)
     return _memory.base

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import ReplayError
+from multiarm.printable import printable_texts
+from multiarm.writing import complete
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -32,6 +34,9 @@ def replay(
     fps: float = 30,
     speed: float = 1.0,
     meshes: bool = True,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    code: bool = False,
 ) -> Path | Visualizer:
     """Show a trajectory in the browser.
 
@@ -48,7 +53,8 @@ def replay(
     ----------
     trajectory : Trajectory
     path : path-like, optional
-        Write one HTML file, which needs no network, there. Absent: a live Meshcat server.
+        Write one HTML file, which needs no network, there. Absent: a live Meshcat server, which
+        ends with the program.
     open_browser : bool
         Open the live scene in the browser; a file is only written.
     fps : float
@@ -57,6 +63,14 @@ def replay(
         Seconds of the trajectory per second of the viewer.
     meshes : bool
         False shows simple bars in place of the robots' mesh files: a small file.
+    host : str
+        Address of this computer at which a live server listens. Only this computer reaches the
+        usual one; whoever reaches another can watch, ``"0.0.0.0"`` stands for all.
+    port : int
+        Of a live server; 0 takes a free one.
+    code : bool
+        Load the functions that the scene of a stored run names, to draw their surfaces. Without, a
+        warning says what is not drawn.  A run made in this process has its functions already.
 
     Returns
     -------
@@ -66,8 +80,8 @@ def replay(
     Raises
     ------
     ReplayError
-        The trajectory has no samples, the file cannot be written, or `fps` or `speed` is not a
-        number greater than 0.
+        The trajectory has no samples, the file cannot be written, nothing can listen at `host` and
+        `port`, or `fps` or `speed` is not a number greater than 0.
     """
     for name, value in (("fps", fps), ("speed", speed)):
         if not (math.isfinite(value) and value > 0):
@@ -76,18 +90,18 @@ def replay(
     from multiarm.viewer.filming import film_of
 
     target = None if path is None else _target(path)
-    film = film_of(trajectory, fps=fps, speed=speed, meshes=meshes)
-    commands = draw(film, speed)
+    film = film_of(trajectory, fps=fps, speed=speed, meshes=meshes, code=code)
+    commands = printable_texts(draw(film, speed))
     if target is None:
         from multiarm.viewer.server import serve
 
-        visualizer = serve(commands)
+        visualizer = serve(commands, host, port)
         if open_browser:
             visualizer.open()
         return visualizer
     from multiarm.viewer.page import render
 
-    _write(target, render(commands, _facts(film, speed)))
+    _write(target, render(commands, printable_texts(_facts(film, speed))))
     return target
 
 
@@ -146,12 +160,10 @@ def _target(path: str | os.PathLike) -> Path:
 
 
 def _write(target: Path, page: str) -> None:
-    partial = target.with_name(f".{target.name}.partial")
     try:
-        partial.write_text(page, encoding="utf-8")
-        partial.replace(target)
+        with complete(target) as partial:
+            partial.write_text(page, encoding="utf-8")
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise ReplayError(
             f"cannot write the replay to {target}: {error.strerror}; choose another place"
         ) from error

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from multiarm.compilation import compile_system
+from multiarm.compilation import compile_for_a_look, compile_system
 from multiarm.errors import ReplayError
 from multiarm.viewer.commands import rgb
 from multiarm.viewer.film import Body, Film, along, rotations
@@ -40,7 +40,9 @@ OBJECT_COLOR, OBJECT_OPACITY = np.array([0.94, 0.78, 0.60]), 0.5
 MOST_FRAMES = 6000
 
 
-def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -> Film:
+def film_of(
+    trajectory: Trajectory, *, fps: float, speed: float, meshes: bool, code: bool = False
+) -> Film:
     """Return the film of a trajectory, up to wherever it got.
 
     Parameters
@@ -52,6 +54,8 @@ def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
         Seconds of the trajectory per second of the viewer.
     meshes : bool
         False shows simple bars in place of mesh files: a small page.
+    code : bool
+        Whether the code that a stored scene names may be loaded.
 
     Raises
     ------
@@ -59,14 +63,14 @@ def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
         The trajectory has no samples.
     """
     rows = frame_rows(trajectory.time, fps / speed)
-    system = compile_system(trajectory.scene)
+    system, missing = _system(trajectory, code)
     colors = arm_colors(system)
     bodies = [_object(trajectory, rows)]
     cache: dict[tuple, Mesh] = {}
     for name in system.arm_names:
         arm, angles = system.arms[name], trajectory.joint_positions[name][rows]
         bodies += _links(arm, angles, colors[name], meshes, cache)
-    grasp = scene_grasp(system)
+    grasp = None if missing else scene_grasp(system)  # regions depend on all contacts
     if grasp is not None:
         bodies += region_bodies(grasp, trajectory, rows, colors)
     plain = grasp is not None and grasp.body is not None  # its faces are the object's own
@@ -78,6 +82,7 @@ def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
     bodies += columns(bases, floor, len(rows))
     contacts = contacts_of(system, trajectory, rows, colors)
     note = "" if trajectory.status == "completed" else trajectory.message
+    notes = [f"{trajectory.status}: {note}"] if note else []
     return Film(
         title=trajectory.scene.name,
         time=trajectory.time[rows],
@@ -85,10 +90,29 @@ def film_of(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
         contacts=contacts,
         hinges=hinges_of(system, trajectory, rows, colors),
         floor=float(floor),
-        note=f"{trajectory.status}: {note}" if note else "",
+        note="; ".join([*notes, *missing]),
         moments=moments_of(trajectory, trajectory.time[rows], contacts),
         events=trajectory.events,
     )
+
+
+def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
+    """The system to be drawn, and which of its contacts cannot be drawn without code."""
+    scene = trajectory.simulated_scene
+    if code:
+        return compile_system(scene, code=True), []
+    system, left = compile_for_a_look(scene)
+    unseen = [one for one in left if one.arm]
+    if not unseen:
+        return system, []
+    missing = (
+        f"contacts and surfaces of {', '.join(dict.fromkeys(f'arm {one.arm!r}' for one in unseen))}"
+        f" that need {', '.join(dict.fromkeys(one.what for one in unseen))} are not drawn, since "
+        "code that a result names is not loaded; if you trust its author, allow it with --code "
+        "(`code=True` in Python)"
+    )
+    warnings.warn(missing, stacklevel=4)
+    return system, [missing]
 
 
 def frame_rows(time: np.ndarray, rate: float) -> np.ndarray:

@@ -12,6 +12,7 @@ import gzip
 import html
 import importlib.util
 import json
+import re
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -49,9 +50,8 @@ def render(commands: list[Command], facts: dict[str, Any]) -> str:
         "{{payload}}": base64.b64encode(gzip.compress(payload, mtime=0)).decode(),
     }
     page = resources.files("multiarm.viewer").joinpath("player.html").read_text("utf-8")
-    for mark, value in filling.items():
-        page = page.replace(mark, value, 1)
-    return page
+    # in one pass: a mark in what was filled in stays as it is
+    return re.sub("|".join(map(re.escape, filling)), lambda found: filling[found[0]], page)
 
 
 class _Block:

@@ -37,13 +37,17 @@ def contacts_of(
         if not shown:
             continue
         k, records = list(shown), list(shown.values())
+        columns = np.array(k) - own.start
+        labels = trajectory.channels[channel].labels
+        if len(labels) != len(own):  # contacts are left out: see `filming`
+            columns = np.array([labels.index(record.name) for record in records])
         tracks.append(
             ContactTracks(
                 arm=owner,
                 color=colors.get(owner, FLOOR_COLOR),
                 point=points[:, k],
                 normal=normals[:, k],
-                force=trajectory.read(channel)[rows][:, np.array(k) - own.start],
+                force=trajectory.read(channel)[rows][:, columns],
                 state=row_states(trajectory, owner, records, rows),
                 names=tuple(record.name for record in records),
                 friction=tuple(_is_friction(trajectory, owner, record) for record in records),

@@ -17,7 +17,7 @@ from multiarm.benchmarks.effect_costs.words import (
 )
 from multiarm.reporting_parts import NOTHING, inline_svg, quantity
 from multiarm.reporting_style import CSS
-from multiarm.writing import in_one_step
+from multiarm.writing import save_page
 
 _CSS = """
 main { max-width: 78rem; }
@@ -50,8 +50,7 @@ def write_page(found: Ledger, path: Path) -> None:
     MultiarmError
         The file cannot be written.
     """
-    with in_one_step(path, "--html") as partial:
-        partial.write_text(render(found), encoding="utf-8")
+    save_page(render(found), path)
 
 
 def render(found: Ledger) -> str:

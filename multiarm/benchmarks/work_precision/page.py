@@ -29,9 +29,10 @@ from multiarm.benchmarks.work_precision.reference import QUANTITIES
 from multiarm.benchmarks.work_precision.store import Results
 from multiarm.benchmarks.work_precision.words import recommendation, reference_text, told
 from multiarm.outcome import plain
+from multiarm.printable import printable_texts
 from multiarm.reporting_parts import NOTHING, quantity
 from multiarm.reporting_style import CSS
-from multiarm.writing import in_one_step
+from multiarm.writing import save_page
 
 
 def write_page(results: Results, path: Path) -> None:
@@ -42,15 +43,16 @@ def write_page(results: Results, path: Path) -> None:
     MultiarmError
         The file cannot be written.
     """
-    with in_one_step(path, "--html") as partial:
-        partial.write_text(render(results), encoding="utf-8")
+    save_page(render(results), path)
 
 
 def render(results: Results) -> str:
     """The page as text."""
     name = results.about["scene"]["name"]
     series = all_series(results)
-    data = json.dumps(plain(_data(results, series)), ensure_ascii=False, allow_nan=False)
+    data = json.dumps(
+        printable_texts(plain(_data(results, series))), ensure_ascii=False, allow_nan=False
+    )
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -93,7 +93,7 @@ def diagram(results: Results, quantity: str = "motion") -> Figure:
         right.set_title("Error over evaluations", parse_math=False)
         handles, labels = left.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside right center", frameon=False, fontsize=8)
-        figure.suptitle(results.about["scene"]["name"], fontsize=12, color=INK)
+        figure.suptitle(results.about["scene"]["name"], fontsize=12, color=INK, parse_math=False)
     return figure
 
 

@@ -176,7 +176,7 @@ def scene_digest(scene: Scene) -> str:
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode())
     for arm in scene.arms.values():
         resolved = resolve_arm(arm, scene.folder)
-        for file in (resolved.urdf, resolved.tool_urdf):
-            if file is not None:
-                digest.update(file.read_bytes())
+        for urdf in (resolved.urdf, resolved.tool_urdf):
+            if urdf is not None:
+                digest.update(urdf.encode() if isinstance(urdf, str) else urdf.read_bytes())
     return digest.hexdigest()[:16]
