@@ -74,7 +74,8 @@ def _links(
 ) -> list[tuple[str, np.ndarray, np.ndarray, float]]:
     """Kind, place after the link before, axis [frame of the contact, z along it], and mass.
 
-    Fixed fingers slide along the face, or turn about axes through the contact's line.
+    Fixed fingers slide along the face, or turn about axes through the contact's line; the last one
+    may go through the contact itself.  A tilt makes them miss that a little.
     """
     mass, links = decades(rng, -3, 3), []
     for _ in range(rng.choice([1, 1, 2]) if fixed else rng.integers(1, 8)):
@@ -87,6 +88,9 @@ def _links(
             axis = axis + [0.0, 0.0, tilt] if kind == "prismatic" else axis
         links.append((str(kind), offset, axis, mass))
         mass *= decades(rng, -1, 0)
+    if fixed and rng.random() < 0.5:
+        kind, _, axis, mass = links[-1]
+        links[-1] = (kind, np.array([tilt * box.lever, 0.0, 0.0]), axis, mass)
     return links
 
 
@@ -136,16 +140,12 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, NodeSolu
     size = float(np.max(np.linalg.norm(b.Wo[:, 3:], axis=1)))
     W_o = [b.Wo[rows[i] : rows[i + 1]].T.copy() for i in range(len(names))]
     W = [work.Y[i, :d, : rows[i + 1] - rows[i]].copy() for i, d in enumerate(dofs)]
-    kinds = [compiled.arms[name].model.joints[1:] for name in names]
     system = System(
         M_o=b.inertia.copy(), h_o=b.h_o.copy(),
         M=[read_inertia(compiled.plant.pointers[i], d) for i, d in enumerate(dofs)],
         h=np.split(b.h.copy(), work.dofs[1:-1]), c=np.split(b.c.copy(), rows[1:-1]),
-        W_o=W_o, W=W, moved=[np.ones(d) for d in dofs], reaction_o=W_o, reaction=W, lever=size,
-        reach=[
-            np.array([1.0 if "JointModelP" in joint.shortname() else size for joint in own])
-            for own in kinds
-        ],
+        W_o=W_o, W=W, reaction_o=W_o, reaction=W, lever=size,
+        reach=[compiled.arms[name].levers() for name in names],
     )  # fmt: skip
     return system, NodeSolution(
         found.object_acceleration, list(found.joint_accelerations.values()),
