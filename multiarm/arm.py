@@ -22,8 +22,8 @@ import pinocchio as pin
 from multiarm.errors import ModelError
 from multiarm.terms import ArmStructure, ArmTerms, LinkTerms
 
-# How far contacts are from the frame of the tip, about [m].
-HAND = 0.1
+# No joint moves the contacts by less than this part of what another one may.
+LEAST_LEVER = 0.1
 
 
 @dataclass(frozen=True)
@@ -127,14 +127,16 @@ class Arm:
             parts += [np.cos(angle), np.sin(angle)] if circular else [angle]
         return np.array(parts)
 
-    def levers(self) -> np.ndarray:
-        """How far a unit turn of each joint may move a contact, at most, shape (n,) [m].
+    def levers(self, place: np.ndarray) -> np.ndarray:
+        """How far a unit turn of each joint may move the contacts, at most, shape (n,) [m].
 
-        The lengths of the chain from the joint to the tip, and ``HAND``; 1 for joints that slide.
+        The length of the chain from the joint to ``place`` (3,), where the contacts are in the
+        tip's frame [m], or ``LEAST_LEVER`` of the longest; 1 for joints that slide.
         """
-        steps = [np.linalg.norm(X.translation) for X in self.model.jointPlacements.tolist()[2:]]
-        steps += [np.linalg.norm(self.tip_translation)]
-        chain = HAND + np.cumsum(steps[::-1])[::-1]
+        ends = [X.translation for X in self.model.jointPlacements.tolist()[2:]]
+        ends.append(self.tip_translation + self.tip_rotation @ place)
+        chain = np.cumsum(np.linalg.norm(ends, axis=1)[::-1])[::-1]
+        chain = np.maximum(chain, LEAST_LEVER * chain[0]) if chain[0] > 0.0 else np.ones(self.dof)
         slides = [self.joint_units[joint] == "m" for joint in self.joint_names]
         return np.where(slides, 1.0, chain)
 

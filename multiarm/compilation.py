@@ -265,7 +265,8 @@ def _unassembled(
         plant, layout.contacts, supply.configuration, len(pieces.works), pieces.states
     )
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
-    levers = [arms[name].levers() if name in arms else np.zeros(0) for name in owners]
+    levers = [arms[name].levers(joints[name].frame.on_tip[:3, 3]) for name in arms]
+    levers += [np.zeros(0)] * (len(owners) - len(arms))
     work, coupled = make_work(*sizes, levers), make_coupled(*sizes)
     calls: dict[str, Trouble] = {**supply.connect(buffers, plant.calls)}
     dense = CallBack(dense_call(plant.pointers, buffers, work), buffers.flag)

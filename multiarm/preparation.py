@@ -194,7 +194,9 @@ def make_stepping(system: System, name: str, tolerance: Tolerance | None) -> Ste
             raise SceneError(f"integrator: {fault}")
         call, places = system.coriolis()
         shape, rows = system.work.Y.shape, system.layout.contacts
-        momenta = make_variational(step, system.book(), shape, rows, call, places)
+        momenta = make_variational(
+            step, system.book(), system.layout.joints, shape, rows, call, places
+        )
         return _with_own_step(Stepping(tableau, method, step), momenta)
     return Stepping(tableau, method, step)
 

@@ -426,7 +426,7 @@ def _write(file: Path, only: str) -> None:
     kept = load(file) if only else {}
     frozen = {case.name: freeze(case, [o[case.name] for o in others]) for case in own}
     both = {**kept, **frozen}
-    _save(file, {case.name: both[case.name] for case in cases()})
+    _save(file, {case.name: both[case.name] for case in cases() if case.name in both})
     for name, entry in frozen.items():
         print(f"{name}: {_looseness(entry['results'])}")
 

@@ -144,7 +144,7 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, NodeSolu
         M_o=b.inertia.copy(), h_o=b.h_o.copy(),
         M=[read_inertia(compiled.plant.pointers[i], d) for i, d in enumerate(dofs)],
         h=np.split(b.h.copy(), work.dofs[1:-1]), c=np.split(b.c.copy(), rows[1:-1]),
-        W_o=W_o, W=W, moved=[np.ones(d) for d in dofs], reaction_o=W_o, reaction=W, lever=size,
+        W_o=W_o, W=W, reaction_o=W_o, reaction=W, lever=size,
         reach=[compiled.arms[name].levers() for name in names],
     )  # fmt: skip
     return system, NodeSolution(

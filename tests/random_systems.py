@@ -20,9 +20,8 @@ class System:
 
     reaction_o, reaction : lists like W_o, W
         Where contact forces act: along the constraints without friction.
-    reach, moved : list of (n_i,)
-        What each joint may move at the contacts by a unit rate, and what it does move: 1 of slides,
-        metres of hinges.
+    reach : list of (n_i,)
+        What each joint may move at the contacts by a unit rate: 1 of slides, metres of hinges.
     lever : float
         Largest moment of a unit push on the object [m].
     """
@@ -37,7 +36,6 @@ class System:
     reaction_o: list[np.ndarray]
     reaction: list[np.ndarray]
     reach: list[np.ndarray]
-    moved: list[np.ndarray]
     lever: float
 
     @property
@@ -138,7 +136,7 @@ def assemble(rng, box: Box, arms: list, light: float = 0.0, friction: float = 0.
     torque = decades(rng, -2, 3) * rng.choice([0.0, 1.0])
     moving = rng.choice([0.0, 1.0]) * decades(rng, -1, 2)
     accelerated = moving * np.concatenate([unit(rng), unit(rng) / box.lever])
-    names = ("M", "h", "W_o", "W", "c", "reach", "moved", "reaction_o", "reaction")
+    names = ("M", "h", "W_o", "W", "c", "reach", "reaction_o", "reaction")
     rows: dict[str, list] = {name: [] for name in names}
     for contacts, joints in arms:
         W_o = np.array([wrench(*contact) for contact in contacts]).T
@@ -151,9 +149,6 @@ def assemble(rng, box: Box, arms: list, light: float = 0.0, friction: float = 0.
         rows["W_o"].append(W_o)
         rows["W"].append(W)
         rows["reach"].append(reach)
-        points = np.array([point for point, _ in contacts])
-        rates = [twist[:3] + np.cross(twist[3:], points) for twist, _ in joints]
-        rows["moved"].append(np.array([np.max(np.linalg.norm(rate, axis=1)) for rate in rates]))
         rows["h"].append(reach * (torque + 9.81 * mass) * rng.standard_normal(len(reach)))
         joints_accelerated = moving * rng.standard_normal(len(reach)) / reach
         rows["c"].append(W_o.T @ accelerated + W.T @ joints_accelerated)

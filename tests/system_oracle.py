@@ -15,9 +15,9 @@ are accepted.
 *Band.*  Constraints that contribute less than ``RANK_TOLERANCE`` count as dependent, and by how
 much they do depends on how levers and inertias are weighed: by each arm's own (node), or by all
 (reference, reactions).  Where a singular value is between the two of ``BAND``, in plain geometry or
-so weighed, or an arm's beside the object's is below ``BESIDE_OBJECT``, only balances and
-constraints are asked for, and a rank between the numbers of singular values above either end of
-``RANK_BAND``.
+so weighed, only balances and constraints are asked for, and a rank between the numbers of singular
+values above either end of ``RANK_BAND``; likewise of the node algorithm where an arm moves by less
+than ``BESIDE_OBJECT`` of what the object does.
 
 *Depth.*  Weighed by all inertias, a gram held by tonnes comes near the tolerance by its mass alone.
 Where a singular value that counts is below ``DEPTH``, reference and reactions are not asked.
@@ -38,7 +38,12 @@ from test_singular import exactly
 from test_singular import solve_exactly as eliminate
 
 from multiarm.node.dense import solve_dense
-from multiarm.node.reactions import solve_with_reactions
+from multiarm.node.reaction_coupling import FREE
+from multiarm.node.reaction_coupling import RANK as REACTION_RANK
+from multiarm.node.reaction_coupling import ROWS as REACTION_ROWS
+from multiarm.node.reaction_elimination import eliminate_with_reactions
+from multiarm.node.reaction_solution import solve_for_reactions
+from multiarm.node.reactions import make_reaction_work
 from multiarm.node.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
 from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import (
@@ -68,8 +73,7 @@ DEPTH = 1e-3
 # tolerance times what separates one way of weighing from the other.
 DROPPED = 1e-4
 DIGITS = 50
-# Errors relative to the largest terms of the same equation; only the node algorithm looks at its
-# balances, and solves again where they are not within their bound.
+# Errors relative to the largest terms of the same equation.
 BALANCE, SOLUTION = 1e-9, 1e-8
 # Forces are accelerations over mobilities, the squares of singular values; a sum's worth of these.
 ROUNDING = 10.0 * float(np.finfo(float).eps)
@@ -88,6 +92,38 @@ SENSITIVITY_FACTOR = 10.0
 # --- solvers on matrices -------------------------------------------------------------------------
 
 
+class Loads(NamedTuple):
+    """Right-hand sides and unknowns, stacked, as the kernels take them."""
+
+    h_o: np.ndarray
+    h: np.ndarray
+    c: np.ndarray
+    q_o: np.ndarray
+    q: np.ndarray
+    force: np.ndarray
+
+
+def loads_of(system: System) -> Loads:
+    h, c = np.concatenate(system.h), np.concatenate(system.c)
+    return Loads(system.h_o, h, c, np.zeros(6), np.zeros(h.size), np.zeros(c.size))
+
+
+def balanced(system: System, loads: Loads) -> bool:
+    """Whether the object is, so that the equations are not solved again."""
+    unit, pushes = unit_of_object(system), np.hstack(system.reaction_o) * loads.force
+    left = (system.M_o @ loads.q_o - system.h_o - np.sum(pushes, axis=1)) / unit
+    scale = size_of(system.h_o / unit, pushes / unit[:, None])
+    return size_of(left) <= IMBALANCE_BOUND * scale
+
+
+def load_arms(system: System, work, columns: dict[str, list[np.ndarray]]) -> None:
+    """Write the arms' inertias, and matrices of one column a contact, into ``work``."""
+    for i, M in enumerate(system.M):
+        work.L[i, : len(M), : len(M)] = M
+        for name, matrices in columns.items():
+            getattr(work, name)[i, : len(M), : matrices[i].shape[1]] = matrices[i]
+
+
 def solve_by_node(system: System) -> NodeSolution:
     """The node algorithm as an evaluation runs it: again where the object is not in balance.
 
@@ -98,51 +134,65 @@ def solve_by_node(system: System) -> NodeSolution:
     """
     dofs, rows = [len(M) for M in system.M], [W.shape[1] for W in system.W]
     work, coupled = make_work(dofs, rows, system.reach), make_coupled(dofs, rows)
-    for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):
-        work.L[i, : dofs[i], : dofs[i]], work.Y[i, : dofs[i], : rows[i]] = M, W
-    Y, Wo = work.Y.copy(), np.ascontiguousarray(np.hstack(system.W_o).T)
-    h, c = np.concatenate(system.h), np.concatenate(system.c)
-    q_o, q, force = np.zeros(6), np.zeros(h.size), np.zeros(c.size)
-    given, found = (system.h_o, h, c), (q_o, q, force)
-
-    def balanced() -> bool:
-        left = system.M_o @ q_o - system.h_o - Wo.T @ force
-        scale = size_of(system.h_o / unit, *(Wo.T / unit[:, None] * force))
-        return size_of(left / unit) <= IMBALANCE_BOUND * scale
-
-    unit = unit_of_object(system)
-    eliminated = solve_side_by_side(work, Wo, system.M_o, *given, *found) == ELIMINATED
-    if eliminated and balanced():
-        return _solution(work, *found, c.size, np.ones(c.size, dtype=bool))
+    loads, Wo = loads_of(system), np.ascontiguousarray(np.hstack(system.W_o).T)
+    load_arms(system, work, {"Y": system.W})
+    eliminated = solve_side_by_side(work, Wo, system.M_o, *loads) == ELIMINATED
+    if eliminated and balanced(system, loads):
+        return _solution(work, loads, loads.c.size, np.ones(loads.c.size, dtype=bool))
     for decompose_all in (False, True):
-        for i, M in enumerate(system.M):
-            work.L[i, : dofs[i], : dofs[i]] = M
-        work.Y[:] = Y
+        load_arms(system, work, {"Y": system.W})
         failed = eliminate_arms(work, Wo)
         if failed != ELIMINATED or not couple(work, coupled, Wo, system.M_o, decompose_all) > 0.0:
             raise ValueError("the node algorithm takes an inertia for indefinite")
-        solve_coupled(work, coupled, *given, *found)
-        if balanced():
+        solve_coupled(work, coupled, *loads)
+        if balanced(system, loads):
             break
-    rank = c.size - int(coupled.counts[UNKNOWNS] - coupled.counts[RANK])
-    return _solution(work, *found, rank, loose_rows(work, coupled) < PART_TOLERANCE)
+    rank = loads.c.size - int(coupled.counts[UNKNOWNS] - coupled.counts[RANK])
+    return _solution(work, loads, rank, loose_rows(work, coupled) < PART_TOLERANCE)
 
 
-def _solution(work, q_o, q, force, rank: int, unique: np.ndarray) -> NodeSolution:
+def solve_by_reactions(system: System) -> NodeSolution:
+    """The form with reactions, with all arms coupled where the object is not in balance.
+
+    Raises
+    ------
+    ValueError
+        When it says that the system cannot be solved.
+    """
+    rows = [W.shape[1] for W in system.W]
+    work = make_reaction_work([len(M) for M in system.M], rows)
+    for own, reach in zip(work.levers, system.reach, strict=True):
+        own[: len(reach)] = reach
+    loads = loads_of(system)
+    Wo, Wr = (np.ascontiguousarray(np.hstack(W).T) for W in (system.W_o, system.reaction_o))
+    for couple_all in (False, True):
+        load_arms(system, work, {"Y": system.W, "Yr": system.reaction})
+        if eliminate_with_reactions(work, Wo, Wr, system.M_o, couple_all) >= 0:
+            raise ValueError("the form with reactions takes an inertia for indefinite")
+        solve_for_reactions(work, Wo, Wr, *loads)
+        if balanced(system, loads):
+            break
+    counts, size = work.counts, loads.c.size
+    rank = size - int(counts[REACTION_ROWS] - counts[REACTION_RANK])
+    loose = np.linalg.norm(work.free[: counts[FREE], :size], axis=0)
+    return _solution(work, loads, rank, loose < PART_TOLERANCE)
+
+
+def _solution(work, loads: Loads, rank: int, unique: np.ndarray) -> NodeSolution:
     dofs, rows = work.dofs[1:-1], work.rows[1:-1]
-    split = np.split(q, dofs), np.split(force, rows), np.split(unique, rows)
-    return NodeSolution(q_o, *split, rank)
+    split = np.split(loads.q, dofs), np.split(loads.force, rows), np.split(unique, rows)
+    return NodeSolution(loads.q_o, *split, rank)
 
 
-def _on_matrices(solver: Callable) -> Callable[[System], NodeSolution]:
+def solve_by_reference(system: System) -> NodeSolution:
     names = ("M_o", "h_o", "M", "h", "W_o", "W", "c", "reaction_o", "reaction")
-    return lambda system: solver(*(getattr(system, name) for name in names))
+    return solve_dense(*(getattr(system, name) for name in names))
 
 
 SOLVERS: dict[str, Callable[[System], NodeSolution]] = {
     "node": solve_by_node,
-    "reactions": _on_matrices(solve_with_reactions),
-    "dense": _on_matrices(solve_dense),
+    "reactions": solve_by_reactions,
+    "dense": solve_by_reference,
 }
 
 
@@ -165,8 +215,7 @@ def weighed(system: System) -> np.ndarray:
     """``W`` with each arm in units of what its inertia lets its quickest joint do."""
     blocks = []
     for M, W, reach in zip(system.M, system.W, system.reach, strict=True):
-        quickest = np.max(reach * np.sqrt(np.diag(np.linalg.inv(M))))
-        blocks.append(np.linalg.solve(np.linalg.cholesky(M), W) / quickest)
+        blocks.append(np.linalg.solve(np.linalg.cholesky(M), W) / quickest(M, reach))
     return measured(system, blocks)
 
 
@@ -178,14 +227,21 @@ def inertia_scaled(system: System) -> np.ndarray:
     return whole / np.linalg.norm(whole, axis=0)
 
 
-def beside_object(system: System) -> np.ndarray:
-    """How each arm moves along its contacts compared with what the object does on its own."""
-    by_object = np.linalg.norm(
-        np.linalg.solve(np.linalg.cholesky(system.M_o), np.hstack(system.W_o)), axis=0
-    )
-    arms = zip(system.M, system.W, strict=True)
-    moved = [values_of(np.linalg.solve(np.linalg.cholesky(M), W)) for M, W in arms]
-    return np.concatenate(moved) / np.max(by_object)
+def quickest(M: np.ndarray, reach: np.ndarray) -> float:
+    """How an arm's joints give way to a unit push at the contacts, at best [1/sqrt(kg)]."""
+    return float(np.max(reach * np.sqrt(np.diag(np.linalg.inv(M)))))
+
+
+def taken_for_immovable(system: System) -> bool:
+    """Whether an arm moves along contacts by its own measure and hardly does beside the object."""
+    whole = np.hstack(system.W_o)
+    by_object = np.linalg.norm(np.linalg.solve(np.linalg.cholesky(system.M_o), whole), axis=0)
+    for M, W, reach in zip(system.M, system.W, system.reach, strict=True):
+        moved = values_of(np.linalg.solve(np.linalg.cholesky(M), W))
+        own, beside = moved / quickest(M, reach), moved / np.max(by_object)
+        if np.any((own > RANK_BAND[0]) & (beside < BESIDE_OBJECT)):
+            return True
+    return False
 
 
 def values_of(matrix: np.ndarray) -> np.ndarray:
@@ -212,19 +268,15 @@ class Spectrum(NamedTuple):
 def spectrum(system: System, solver: str) -> Spectrum:
     plain, scaled = values_of(measured(system)), values_of(inertia_scaled(system))
     scaled = scaled / scaled[0]
-    own, beside = scaled, np.zeros(0)
-    if solver == "node":
-        own, beside = values_of(weighed(system)), beside_object(system)
+    own = values_of(weighed(system)) if solver == "node" else scaled
     rank = int(np.sum(plain > RANK_TOLERANCE))
     least = min(plain[rank - 1], own[rank - 1])
     return Spectrum(
         least_rank=int(min(np.sum(plain > RANK_BAND[1]), np.sum(own > RANK_BAND[1]))),
         rank=rank,
         most_rank=int(max(np.sum(plain > RANK_BAND[0]), np.sum(own > RANK_BAND[0]))),
-        in_band=any(
-            bool(np.any((values > BAND[0]) & (values < end)))
-            for values, end in ((plain, BAND[1]), (own, BAND[1]), (beside, BESIDE_OBJECT))
-        ),
+        in_band=any(bool(np.any((v > BAND[0]) & (v < BAND[1]))) for v in (plain, own))
+        or (solver == "node" and taken_for_immovable(system)),
         deep=solver != "node" and bool(own[rank - 1] < DEPTH),
         error=max(SOLUTION, ROUNDING / least**2, SPLIT * ROUNDING / scaled[rank - 1]),
     )

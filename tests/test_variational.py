@@ -24,6 +24,7 @@ from test_rolling import BALL, CARRIER, RADIUS, rolling_scene
 
 import multiarm as ma
 from multiarm.equations import update_kinematics
+from multiarm.preparation import make_stepping
 from multiarm.problems import HARD_CASES
 from multiarm.problems.contacts import NORMALS, POINTS, held_box
 from multiarm.problems.spinning import TUMBLING_INERTIA, free_spin_scene
@@ -323,6 +324,17 @@ def test_energy_balance_counts_the_work_of_torques_and_damping():
         worst.append(np.max(np.abs(run.energy_balance)))
     assert np.max(np.abs(run.energy - run.energy[0])) > 100 * worst[0]
     assert worst[0] / worst[1] == pytest.approx(4.0, abs=0.3)
+
+
+def test_works_of_effects_are_no_unknowns_of_a_step(ur5_system):
+    """The unknowns are velocities: one more would read and write beyond the joints' arrays."""
+    effects = {"joint_damping": 0.5, "drag": {"linear": 1.0}}
+    system = ma.compile_system(ur5_system.scene.replace(effects=effects))
+    assert len(system.pieces.works) == 2
+    step = make_stepping(system, "variational", None).own[0]
+    for unknowns in (step.xi, step.start, step.push, step.scratch):
+        assert unknowns.size == 6 + system.layout.joints
+    assert step.last.shape == (2, 6 + system.layout.joints + system.layout.contacts)
 
 
 def test_rolling_converges_with_order_2(tmp_path):

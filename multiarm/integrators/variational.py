@@ -116,6 +116,7 @@ class VariationalWork(NamedTuple):
 def make_variational(
     step: Step,
     system_book: np.ndarray,
+    joints: int,
     W_shape: tuple[int, ...],
     rows: int,
     call: np.ndarray,
@@ -126,7 +127,7 @@ def make_variational(
     ``W_shape`` is that of ``NodeWork.Y``, ``rows`` the number of contacts; ``call`` and
     ``coriolis`` are described in :class:`VariationalWork`.
     """
-    size = (step.z.size - 1) // 2  # an own state of an effect is refused before, works are last
+    size = 6 + joints
     return VariationalWork(
         system=system_book,
         z=step.z,
