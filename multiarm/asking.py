@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import USER_FAULTS, ControlError, MultiarmError
-from multiarm.lowlevel import CallBack
+from multiarm.jit.pointers import PythonCallback
 from multiarm.plant import BUSY, Buffers
 from multiarm.state import Layout, State
 
@@ -24,7 +24,7 @@ from multiarm.state import Layout, State
 SAME = 1e-9
 
 
-class Asked(CallBack):
+class Asked(PythonCallback):
     """A function of the user's, to be called from compiled code; ``name`` says which.
 
     Systems of several threads may ask one function: each has an instance of this for itself.

@@ -324,7 +324,7 @@ def _carries(scene: Scene) -> bool:
 def _place_at_start(system: System) -> None:
     """Bring the kinematics of the start into the system's buffers."""
     system.set_state(0.0, system.initial_state())
-    status = update_kinematics(system.book())
+    status = update_kinematics(system.struct())
     if status != OK:
         system.reraise()
         raise SolverError(failure_text(system, status))

@@ -30,12 +30,12 @@ from multiarm.crossing import connect_crossing
 from multiarm.dense_call import dense_call
 from multiarm.effects.building import build_pieces
 from multiarm.effects.piece import Piece, Pieces, Site, joint_numbers
-from multiarm.equations import connect_entries
+from multiarm.equations import connect_functions
 from multiarm.errors import ModelError
 from multiarm.hybrid.beginning import check_beginning
 from multiarm.hybrid.selection import joint_rows, link_springs, select
+from multiarm.jit.pointers import GuardedCall, PythonCallback
 from multiarm.likeness import same_arms, same_joints, same_supply, shared
-from multiarm.lowlevel import CallBack, Trouble
 from multiarm.node.singular import make_coupled
 from multiarm.node.work import make_work
 from multiarm.plant import (
@@ -268,16 +268,16 @@ def _unassembled(
     levers = [arms[name].levers(joints[name].frame.on_tip[:3, 3]) for name in arms]
     levers += [np.zeros(0)] * (len(owners) - len(arms))
     work, coupled = make_work(*sizes, levers), make_coupled(*sizes)
-    calls: dict[str, Trouble] = {**supply.connect(buffers, plant.calls)}
-    dense = CallBack(dense_call(plant.pointers, buffers, work), buffers.flag)
+    calls: dict[str, GuardedCall] = {**supply.connect(buffers, plant.calls)}
+    dense = PythonCallback(dense_call(plant.pointers, buffers, work), buffers.flag)
     calls["dense"], plant.calls[CALL_DENSE] = dense, dense.address
     for name, call in pieces.connect(buffers).items():
         calls[name] = call
         plant.calls[CALL_FUNCTION] = call.address
-    calls |= {**connect_entries(plant.calls), **connect_crossing(plant.calls)}
+    calls |= {**connect_functions(plant.calls), **connect_crossing(plant.calls)}
     if table.functions:
         answer = answering(table.functions, buffers.query[RELATIVE_WIDTH:])
-        calls["surface"] = CallBack(answer, buffers.flag)
+        calls["surface"] = PythonCallback(answer, buffers.flag)
         plant.calls[CALL_SURFACE] = calls["surface"].address
     system = System(
         scene=scene,

@@ -53,7 +53,7 @@ def locate_pairs(system: System, start: State) -> np.ndarray:
     if not pairs.size:
         return places
     system.set_state(0.0, start)
-    update_kinematics(system.book())
+    update_kinematics(system.struct())
     system.forgive()  # what is not located yet may well have failed
     faults = []
     for row in map(int, pairs):
@@ -80,7 +80,7 @@ def place_state(system: System, t: float, state: State) -> None:
     system.set_state(t, state)
     if not (system.plant.codes[:, KIND] == PAIR).any():
         return
-    status = update_kinematics(system.book())
+    status = update_kinematics(system.struct())
     if status == OK and np.all(np.isfinite(system.buffers.contacts)):
         return
     system.forgive()
@@ -163,7 +163,7 @@ def _outside(system: System) -> list[str]:
 
 def _kinematics(system: System, state: State) -> None:
     system.set_state(0.0, state)
-    if update_kinematics(system.book()) != OK:
+    if update_kinematics(system.struct()) != OK:
         system.reraise()
 
 

@@ -20,15 +20,16 @@ import math
 
 import numpy as np
 
-from multiarm.books import book_at
+from multiarm.jit.kernels import cfunc, inlined, kernel
+from multiarm.jit.pointers import call_cfunc, call_python
+from multiarm.jit.structs import struct_at
 from multiarm.load_sharing import static_forces
-from multiarm.lowlevel import call_back, call_entry, entry, inlined, kernel
 from multiarm.object_control import (
     add_computed_torque,
     add_object_impedance,
     take_contact_forces,
 )
-from multiarm.plant import CALL_CONTROL, open_book
+from multiarm.plant import CALL_CONTROL, open_system
 
 
 @kernel
@@ -96,68 +97,68 @@ def add_joint_pd(t, angles, velocity, parameters, at, torque):
 
 @inlined
 def control_torques(address, size, t, plant, buffers):
-    """Let the laws of ``plant.control`` write ``buffers.torque``, at the system with this book."""
+    """Let the laws of ``plant.control`` write ``buffers.torque`` of the system."""
     for j in range(buffers.torque.size):
         buffers.torque[j] = 0.0
     for k in range(plant.control.shape[0]):
-        call_entry(plant.control[k, 0], book_at(address, size), float(plant.control[k, 1]), t)
+        call_cfunc(plant.control[k, 0], struct_at(address, size), float(plant.control[k, 1]), t)
 
 
-@entry
+@cfunc
 def harmonic(address, size, at, t):
     """See :func:`add_harmonic`; constant torques have no amplitude."""
-    plant, buffers, _ = open_book(book_at(address, size))
+    plant, buffers, _ = open_system(struct_at(address, size))
     add_harmonic(t, plant.parameters, int(at), buffers.torque)
     return 0
 
 
-@entry
+@cfunc
 def joint_pd(address, size, at, t):
     """See :func:`add_joint_pd`."""
-    plant, buffers, _ = open_book(book_at(address, size))
+    plant, buffers, _ = open_system(struct_at(address, size))
     add_joint_pd(t, buffers.angles, buffers.v, plant.parameters, int(at), buffers.torque)
     return 0
 
 
-@entry
+@cfunc
 def gravity_compensation(address, size, _at, _t):
     """See :func:`add_gravity_compensation`."""
-    plant, buffers, work = open_book(book_at(address, size))
+    plant, buffers, work = open_system(struct_at(address, size))
     add_gravity_compensation(plant, buffers, work, buffers.torque)
     return 0
 
 
-@entry
+@cfunc
 def computed_torque(address, size, at, t):
     """See :func:`multiarm.object_control.add_computed_torque`."""
-    plant, buffers, work = open_book(book_at(address, size))
+    plant, buffers, work = open_system(struct_at(address, size))
     add_computed_torque(t, plant.parameters, int(at), plant, buffers, work, buffers.torque)
     return 0
 
 
-@entry
+@cfunc
 def object_impedance(address, size, at, t):
     """See :func:`multiarm.object_control.add_object_impedance`."""
-    plant, buffers, work = open_book(book_at(address, size))
+    plant, buffers, work = open_system(struct_at(address, size))
     add_object_impedance(t, plant.parameters, int(at), plant, buffers, work, buffers.torque)
     return 0
 
 
-@entry
+@cfunc
 def python_control(address, size, _at, _t):
     """The user's function, which writes all torques."""
-    plant, _, _ = open_book(book_at(address, size))
-    call_back(plant.calls[CALL_CONTROL])
+    plant, _, _ = open_system(struct_at(address, size))
+    call_python(plant.calls[CALL_CONTROL])
     return 0
 
 
 @kernel
-def write_holding_torque(book):
+def write_holding_torque(struct):
     """Write the torques that hold the configuration in the buffers into ``buffers.torque``.
 
     Needs its kinematics and ``gravity_torque`` in the buffers.
     """
-    plant, buffers, work = open_book(book)
+    plant, buffers, work = open_system(struct)
     for j in range(buffers.torque.size):
         buffers.torque[j] = 0.0
     add_gravity_compensation(plant, buffers, work, buffers.torque)

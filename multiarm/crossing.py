@@ -24,12 +24,22 @@ import math
 
 import numpy as np
 
-from multiarm.books import book_at
 from multiarm.equations import CALLBACK_FAILED, OK, evaluate_buffers
-from multiarm.late_entries import LateEntry
-from multiarm.lowlevel import call_entry, clear, copy, entry, kernel
+from multiarm.jit.kernels import cfunc, clear, copy, kernel
+from multiarm.jit.lazy import LazyFunction
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import struct_at
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
-from multiarm.plant import CALL_CROSSING, KICK, SHIFT, asks_python, open_book, open_coupled
+from multiarm.plant import (
+    CALL_CROSSING,
+    CALLS,
+    FLAG,
+    KICK,
+    SHIFT,
+    asks_python,
+    open_coupled,
+    open_system,
+)
 from multiarm.solver_watch import believable, constraint_residual
 from multiarm.spatial import retract_into
 from multiarm.stabilization import greatest, project
@@ -45,25 +55,25 @@ AT_REST = 1e-8
 
 
 @kernel
-def evaluate_on_branch(book, closed, alpha, beta):
+def evaluate_on_branch(struct, closed, alpha, beta):
     """:func:`multiarm.equations.evaluate_buffers`, interpolated near a loss of rank.
 
     ``closed`` is the gap to which states are projected [m]; negative: nothing is interpolated.
     """
-    status = evaluate_buffers(book, alpha, beta)
-    if status != OK or closed < 0.0 or open_coupled(book).counts[ARMS] == 0:
+    status = evaluate_buffers(struct, alpha, beta)
+    if status != OK or closed < 0.0 or open_coupled(struct).counts[ARMS] == 0:
         return status
-    plant, buffers, _ = open_book(book)
+    plant, buffers, _ = open_system(struct)
     buffers.stage_gap[1] = closed
-    return call_entry(plant.calls[CALL_CROSSING], book, alpha, beta)
+    return call_cfunc(plant.calls[CALL_CROSSING], struct, alpha, beta)
 
 
-@entry
+@cfunc
 def _evaluate_near_crossing(address, size, alpha, beta):
     """Go on with an evaluation in which some arms are deficient; see the function above."""
-    book = book_at(address, size)
-    plant, buffers, work = open_book(book)
-    coupled, closed = open_coupled(book), buffers.stage_gap[1]
+    struct = struct_at(address, size)
+    plant, buffers, work = open_system(struct)
+    coupled, closed = open_coupled(struct), buffers.stage_gap[1]
     # before a run nothing is known of the rank elsewhere: the state may be on the very crossing
     unknown = buffers.lost[buffers.lost.size - 1] == 0 and excess(coupled) > 0
     if not (coupled.margin[0] < ZONE or unknown):
@@ -75,21 +85,21 @@ def _evaluate_near_crossing(address, size, alpha, beta):
         return OK
     shift, kick = buffers.solved[SHIFT], buffers.solved[KICK]
     keep_state(buffers, buffers.kept)
-    crossing = mix_evaluations(book, closed, alpha, beta, OFFSET / rate)
+    crossing = mix_evaluations(struct, closed, alpha, beta, OFFSET / rate)
     restore_state(buffers.kept, buffers)
     buffers.solved[SHIFT], buffers.solved[KICK] = shift, kick
     # everything but the accelerations belongs to the state itself
-    status = evaluate_buffers(book, alpha, beta)
+    status = evaluate_buffers(struct, alpha, beta)
     if status == OK and crossing:
         exchange_solution(buffers)
-        if not believable(book, constraint_residual(plant, buffers, work)):
+        if not believable(struct, constraint_residual(plant, buffers, work)):
             exchange_solution(buffers)
     return status
 
 
-def connect_crossing(calls: np.ndarray) -> dict[str, LateEntry]:
+def connect_crossing(calls: np.ndarray) -> dict[str, LazyFunction]:
     """Write the address of what follows near a loss of rank into ``Plant.calls``."""
-    crossing = LateEntry(_evaluate_near_crossing, CALL_CROSSING, CALLBACK_FAILED)
+    crossing = LazyFunction(_evaluate_near_crossing, CALLS, CALL_CROSSING, FLAG, CALLBACK_FAILED)
     calls[CALL_CROSSING] = crossing.address
     return {"crossing": crossing}
 
@@ -101,14 +111,14 @@ def excess(coupled):
 
 
 @kernel
-def mix_evaluations(book, closed, alpha, beta, delay):
+def mix_evaluations(struct, closed, alpha, beta, delay):
     """Accelerations from states ``delay`` [s] and its multiples before and behind.
 
     Returns whether ``buffers.mixed`` has them: not when a state cannot be reached, or when the
     constraints are no further from losing rank there.
     """
-    _, buffers, _ = open_book(book)
-    coupled = open_coupled(book)
+    _, buffers, _ = open_system(struct)
+    coupled = open_coupled(struct)
     n, mixed = buffers.angles.size, buffers.mixed
     here, there, fewest = coupled.margin[0], 0.0, excess(coupled)
     more = fewest
@@ -117,7 +127,7 @@ def mix_evaluations(book, closed, alpha, beta, delay):
         k = 1 + side // 2
         restore_state(buffers.kept, buffers)
         move_state(buffers, (k if side % 2 == 0 else -k) * delay)
-        if project(book, closed) != OK or evaluate_buffers(book, alpha, beta) != OK:
+        if project(struct, closed) != OK or evaluate_buffers(struct, alpha, beta) != OK:
             return False
         there = max(there, coupled.margin[0] if coupled.counts[ARMS] > 0 else math.inf)
         fewest = min(fewest, excess(coupled) if coupled.counts[ARMS] > 0 else 0)

@@ -20,9 +20,10 @@ from multiarm.equations import CALLBACK_FAILED, NOT_FINITE
 from multiarm.errors import USER_FAULTS, MultiarmError, SolverError, TrajectoryError
 from multiarm.event_driving import EventDriving
 from multiarm.event_log import EventLog
-from multiarm.integrators.stepper import step_book
+from multiarm.integrators.stepper import step_struct
 from multiarm.integrators.variational import NOT_CONVERGED
 from multiarm.interrupts import Interrupt, deferred_interrupt
+from multiarm.jit.structs import struct_of
 from multiarm.plant import BUSY
 from multiarm.preparation import Run, method_and_tolerance, prepare
 from multiarm.samples import named_samples
@@ -32,34 +33,17 @@ from multiarm.state import State
 from multiarm.switching import Switch, stiffness_remark
 from multiarm.system import System
 from multiarm.time_loop import (
-    BLOCK_FIRST,
     BLOCK_FULL,
     BUDGET_USED,
-    COUPLED_STEPS,
     DIVERGED,
-    ERROR_SUM,
-    EVALUATIONS,
     EVENT,
     FINISHED,
-    HIGHEST_RANK,
     LARGE_CORRECTION,
-    LARGEST,
-    LOWEST_RANK,
-    PROJECTIONS,
-    REJECTED,
-    SAMPLE,
-    SMALLEST,
     SOLVER_CHANGED,
     STEP_TOO_SMALL,
-    STEPS,
     STIFF,
     STOPPED,
-    WORST_CORRECTION,
-    WORST_RESIDUAL,
-    H,
-    T,
     advance,
-    run_book,
 )
 from multiarm.trajectory import Trajectory
 from multiarm.watching import collect_events
@@ -119,8 +103,8 @@ class Pace:
 
     def judge(self, run: Run) -> str:
         """Why the run is given up; empty as long as it gets on."""
-        t, counts = float(run.clock.real[T]), run.clock.counts
-        steps = int(counts[STEPS] + counts[REJECTED]) + EVENT_STEPS * self.event_stops
+        t, clock = run.clock.t, run.clock
+        steps = clock.steps + clock.rejected + EVENT_STEPS * self.event_stops
         made, got_on = steps - self._steps, t - self._t
         if made < JUDGED_STEPS:
             return ""
@@ -130,7 +114,7 @@ class Pace:
         loosen = "loosen `accuracy`, " if run.settings.adaptive else ""
         return (
             f"{TOO_MANY}: the last {made:,} steps, rejected ones and events counted, advanced it "
-            f"by {got_on:.2g} s, the next one is {run.clock.real[H]:.2g} s long; a pace of more "
+            f"by {got_on:.2g} s, the next one is {run.clock.h:.2g} s long; a pace of more "
             f"than {self._most:.2g} steps (`run.most_steps`) for {self._unit:.3g} s; {loosen}look "
             f"for a control that jumps or oscillates, contacts that chatter or a singular posture "
             f"there, or raise `most_steps`"
@@ -251,11 +235,11 @@ def _drive(
             if reason == SOLVER_CHANGED and run.comings is not None:
                 run.solver_log.settle(run.system)  # contacts that come and go have their own events
             elif reason == SOLVER_CHANGED:
-                run.solver_log.collect(run.system, float(run.clock.real[T]), _state(run))
+                run.solver_log.collect(run.system, run.clock.t, _state(run))
             try:
                 if progress is not None:
                     run.system.buffers.flag[BUSY] = 1
-                    progress(float(run.clock.real[T]))
+                    progress(run.clock.t)
             except KeyboardInterrupt:  # the caller's way to end the run in good order
                 interrupt.pressed = reason != FINISHED
             finally:
@@ -267,7 +251,7 @@ def _drive(
                 ended = "interrupted", f"stopped by the user {_where(run)}"
             elif reason not in (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED, STIFF) and not ended:
                 ended = _trouble(run, reason)
-            elif run.clock.counts[EVALUATIONS] > most_evaluations and not ended:
+            elif run.clock.evaluations > most_evaluations and not ended:
                 ended = "failed", f"{_where(run)}: {TOO_MANY}"
             elif not ended:
                 trouble = pace.judge(run)
@@ -288,16 +272,16 @@ def _drive(
 
 def _advancer(run: Run) -> Callable[[int], int]:
     """The compiled loop as a function of its budget of evaluations."""
-    book, joints = run.system.book(), run.system.layout.joints
-    arrays = step_book(run.stepping.method, run.stepping.step)
+    struct, joints = run.system.struct(), run.system.layout.joints
+    arrays = step_struct(run.stepping.method, run.stepping.step)
 
-    settings, times = run.settings, run_book(run.clock, run.settings)
+    settings, fixed = run.settings, struct_of(run.settings)
 
     def advance_by(budget: int) -> int:
-        nonlocal settings, times
+        nonlocal settings, fixed
         if run.settings is not settings:  # an event has changed them
-            settings, times = run.settings, run_book(run.clock, run.settings)
-        return advance(book, joints, arrays, times, run.block, budget)
+            settings, fixed = run.settings, struct_of(run.settings)
+        return advance(struct, joints, arrays, run.clock.struct, fixed, run.block, budget)
 
     return advance_by
 
@@ -313,7 +297,7 @@ def _state(run: Run) -> State:
 
 
 def _where(run: Run) -> str:
-    return f"at t = {run.clock.real[T]:.9g} s (step {run.clock.counts[STEPS]})"
+    return f"at t = {run.clock.t:.9g} s (step {run.clock.steps})"
 
 
 def _trouble(run: Run, reason: int) -> tuple[str, str]:
@@ -333,7 +317,7 @@ def _trouble(run: Run, reason: int) -> tuple[str, str]:
             return "failed", f"{where}: a callback raised {type(error).__name__}: {error}"
     if reason == STEP_TOO_SMALL:
         return "failed", (
-            f"{where}: the step became too small ({run.clock.real[H]:.2g} s) for the asked "
+            f"{where}: the step became too small ({run.clock.h:.2g} s) for the asked "
             "accuracy; loosen `accuracy`, or look for a discontinuous controller or a singular "
             "posture there"
         )
@@ -360,11 +344,11 @@ def _trouble(run: Run, reason: int) -> tuple[str, str]:
 
 def _flush(run: Run) -> None:
     """Hand the samples in the block to the sink and begin a new one."""
-    count = run.clock.counts
-    rows = int(count[SAMPLE] - count[BLOCK_FIRST])
+    clock = run.clock
+    rows = clock.sample - clock.block_first
     if rows == 0:
         return
-    count[BLOCK_FIRST] = count[SAMPLE]
+    clock.block_first = clock.sample
     run.sink.append(
         named_samples(
             run.home.layout,
@@ -377,8 +361,8 @@ def _flush(run: Run) -> None:
 
 
 def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:
-    count, real, settings = run.clock.counts, run.clock.real, run.settings
-    simulated = float(real[T])
+    clock, settings = run.clock, run.settings
+    simulated = clock.t
     return {
         "integrator": run.stepping.tableau.name,
         "solver": spec.solver,
@@ -388,18 +372,18 @@ def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:
         "accuracy": None if spec.accuracy is None else spec.accuracy.written,
         "tolerance": settings.tolerance if settings.adaptive else None,
         "simulated_s": simulated,
-        "steps": int(count[STEPS]),
-        "rejected_steps": int(count[REJECTED]),
-        "evaluations": int(count[EVALUATIONS]),
-        "projections": int(count[PROJECTIONS]),
-        "smallest_step_s": float(real[SMALLEST]) if count[STEPS] else None,
-        "largest_step_s": float(real[LARGEST]) if count[STEPS] else None,
-        "error_estimate": float(real[ERROR_SUM]) if settings.adaptive else None,
-        "coupled_steps": int(count[COUPLED_STEPS]),
-        "lowest_rank": int(count[LOWEST_RANK]) if count[STEPS] else None,
-        "highest_rank": int(count[HIGHEST_RANK]) if count[STEPS] else None,
-        "residual_max": float(real[WORST_RESIDUAL]),
-        "correction_max": float(real[WORST_CORRECTION]),
+        "steps": clock.steps,
+        "rejected_steps": clock.rejected,
+        "evaluations": clock.evaluations,
+        "projections": clock.projections,
+        "smallest_step_s": clock.smallest_step if clock.steps else None,
+        "largest_step_s": clock.largest_step if clock.steps else None,
+        "error_estimate": clock.error_sum if settings.adaptive else None,
+        "coupled_steps": clock.coupled_steps,
+        "lowest_rank": clock.lowest_rank if clock.steps else None,
+        "highest_rank": clock.highest_rank if clock.steps else None,
+        "residual_max": clock.worst_residual,
+        "correction_max": clock.worst_correction,
         **({} if run.comings is None else run.comings.statistics()),
         "wall_time_s": wall,
         "realtime_factor": simulated / wall if wall > 0.0 else None,

@@ -320,11 +320,11 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     place_state(system, t, state)
     b, layout, status, found = system.buffers, system.layout, OK, np.empty(6)
     if system.pieces.states:
-        status = evaluate_buffers(system.book(), 0.0, 0.0)
+        status = evaluate_buffers(system.struct(), 0.0, 0.0)
         if status == OK:
             system.buffers.inner[:] = system.pieces.start(system)
     if status == OK:
-        status = evaluate_and_check(system.book(), found)
+        status = evaluate_and_check(system.struct(), found)
     if status != OK:
         try:
             system.reraise()
@@ -375,9 +375,9 @@ def project_velocity(system: System, state: State) -> State:
     all gap rates.  Positions stay.
     """
     place_state(system, 0.0, state)
-    status = update_kinematics(system.book())
+    status = update_kinematics(system.struct())
     if status == OK:
-        status = project_velocities(system.book())
+        status = project_velocities(system.struct())
     if status != OK:
         system.reraise()
         raise SolverError(failure_text(system, status))
@@ -505,7 +505,7 @@ def contact_places(system: System, state: State) -> tuple[np.ndarray, np.ndarray
         When a surface of the user's own fails.
     """
     place_state(system, 0.0, state)
-    status = update_kinematics(system.book())
+    status = update_kinematics(system.struct())
     if status != OK:
         system.reraise()
         raise SolverError(failure_text(system, status))

@@ -21,7 +21,6 @@ import math
 
 import numpy as np
 
-from multiarm.books import book_at, floats_at, ints1
 from multiarm.compiled_arms.arrays import energy_of_arms, open_arms
 from multiarm.contacts.kernel import (
     GAP,
@@ -30,6 +29,11 @@ from multiarm.contacts.kernel import (
 )
 from multiarm.contacts.rows import write_row
 from multiarm.control import control_torques
+from multiarm.jit.kernels import cfunc, inlined, kernel
+from multiarm.jit.lazy import LazyFunction
+from multiarm.jit.pointers import address_of, call_cfunc, call_python
+from multiarm.jit.simd import broadcast, load_pack, store_pack
+from multiarm.jit.structs import floats_at, ints1, struct_at
 from multiarm.kinematics import (
     arm_rows,
     arm_terms,
@@ -37,16 +41,13 @@ from multiarm.kinematics import (
     object_terms,
     write_joint_rows,
 )
-from multiarm.lanes import lanes_at, lanes_of, put_lanes
-from multiarm.late_entries import LateEntry
-from multiarm.lowlevel import address_of, call_back, call_entry, entry, inlined, kernel
+from multiarm.node.batched import solve_batched
 from multiarm.node.factors import norm
 from multiarm.node.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
-from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import ARMS, couple, solve_coupled
 from multiarm.plant import (
-    ARMS_BOOK,
     ARMS_SIZE,
+    ARMS_STRUCT,
     CALL_ARMS,
     CALL_CLOSE,
     CALL_COUPLED,
@@ -59,9 +60,10 @@ from multiarm.plant import (
     CALL_SURFACE,
     CALLS,
     COUPLED_COUNTS,
+    FLAG,
     IMBALANCE,
-    open_book,
     open_coupled,
+    open_system,
 )
 from multiarm.terms import BIAS_AT, GRAVITY_AT, M_AT, M_STRIDE
 
@@ -72,32 +74,32 @@ AT_REST = 1e-9
 OK, CALLBACK_FAILED, NOT_FINITE, CONTRADICTION = -1, -2, -4, -5
 
 
-@entry
+@cfunc
 def _kinematics(address, size, _a, _b):
     """See :func:`update_kinematics`."""
-    book = book_at(address, size)
-    plant, buffers, work = open_book(book)
+    struct = struct_at(address, size)
+    plant, buffers, work = open_system(struct)
     arm_terms(plant, buffers)
     if buffers.flag[0] != 0:
         return CALLBACK_FAILED
     object_terms(plant, buffers)
     work.factored[0] = 0
     for i in range(plant.pointers.shape[0]):
-        arm_rows(i, book, plant, buffers, work)
+        arm_rows(i, struct, plant, buffers, work)
         load_inertia(i, plant, work)
     write_joint_rows(plant, buffers, work)
     # a surface of the user's may have failed
     return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
 
 
-@entry
+@cfunc
 def _right_hand_sides(address, size, alpha, beta):
     """Forces ``h`` from bias, control and effects, and ``c`` with feedback on the drift.
 
     ``c = -phi''|_0 - 2 alpha phi' - beta^2 phi`` (thesis, 4.3 and Example 4.2).  Returns ``OK`` or
     ``CALLBACK_FAILED``.
     """
-    plant, buffers, work = open_book(book_at(address, size))
+    plant, buffers, work = open_system(struct_at(address, size))
     passive_forces(address, size, plant, buffers, work)
     power = 0.0
     if plant.control.shape[0] > 0:
@@ -155,7 +157,7 @@ def drift_terms(buffers, alpha, beta):
 @inlined
 def call_effect(effect, address, size, buffers):
     """Let one effect add its part; ``effect`` is its row of ``Plant.effects``."""
-    call_entry(effect[0], book_at(address, size), float(effect[1]), buffers.time[0])
+    call_cfunc(effect[0], struct_at(address, size), float(effect[1]), buffers.time[0])
 
 
 @inlined
@@ -168,25 +170,25 @@ def load_gravity_torque(plant, buffers, work):
             buffers.gravity_torque[d0 + j] = g[j]
 
 
-@entry
+@cfunc
 def _solve(address, size, _a, _b):
     """See :func:`solve_constrained`."""
-    plant, buffers, work = open_book(book_at(address, size))
+    plant, buffers, work = open_system(struct_at(address, size))
     if plant.dense[0] != 0:
-        ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
-        call_back(plant.calls[CALL_DENSE])
+        ints1(struct_at(address, size), COUPLED_COUNTS)[ARMS] = 0
+        call_python(plant.calls[CALL_DENSE])
         buffers.solved[IMBALANCE] = imbalance(buffers, work, buffers.Wo)
         return CALLBACK_FAILED if buffers.flag[0] != 0 else OK
-    result = solve_side_by_side(
+    result = solve_batched(
         work, buffers.Wo, buffers.inertia, buffers.h_o, buffers.h, buffers.c, buffers.q_o,
         buffers.qdd, buffers.force,
     )  # fmt: skip
     if result == ELIMINATED:
-        ints1(book_at(address, size), COUPLED_COUNTS)[ARMS] = 0
+        ints1(struct_at(address, size), COUPLED_COUNTS)[ARMS] = 0
         buffers.solved[IMBALANCE] = imbalance(buffers, work, buffers.Wo)
         if buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
             return OK
-    return call_entry(plant.calls[CALL_COUPLED], book_at(address, size), 0.0, 0.0)
+    return call_cfunc(plant.calls[CALL_COUPLED], struct_at(address, size), 0.0, 0.0)
 
 
 @inlined
@@ -198,14 +200,14 @@ def imbalance(buffers, work, Wo):
     ``IMBALANCE_BOUND``; NaN where the solution is not finite.
     """
     inertia, h_o, q_o, m = buffers.inertia, buffers.h_o, buffers.q_o, buffers.inertia[0, 0]
-    total = work.lanes  # scratch: the solution has been handed out
-    front, back = lanes_at(h_o, 0), lanes_at(h_o, 2)  # six numbers, two of them twice
+    total = work.packs  # scratch: the solution has been handed out
+    front, back = load_pack(h_o, 0), load_pack(h_o, 2)  # six numbers, two of them twice
     for a in range(buffers.force.size):
-        force = lanes_of(buffers.force[a])
-        front = front + force * lanes_at(Wo, 6 * a)
-        back = back + force * lanes_at(Wo, 6 * a + 2)
-    put_lanes(total, 0, front)
-    put_lanes(total, 2, back)
+        force = broadcast(buffers.force[a])
+        front = front + force * load_pack(Wo, 6 * a)
+        back = back + force * load_pack(Wo, 6 * a + 2)
+    store_pack(total, 0, front)
+    store_pack(total, 2, back)
     x, y, z = q_o[3], q_o[4], q_o[5]
     forces = abs(total[0] - m * q_o[0]) + abs(total[1] - m * q_o[1]) + abs(total[2] - m * q_o[2])
     moments = (
@@ -236,41 +238,41 @@ def relative_imbalance(buffers, Wo, forces, moments):
     return forces / push + moments / max(turn, push * radius)
 
 
-@entry
+@cfunc
 def _solve_coupled(address, size, decompose_all, _b):
     """Solve a system with deficient arms, arm by arm; returns a status.
 
     Where that leaves too much of the object's equation, or when ``decompose_all`` is not zero, no
     arm is eliminated as a whole.
     """
-    book = book_at(address, size)
-    plant, buffers, work = open_book(book)
-    coupled = open_coupled(book)
+    struct = struct_at(address, size)
+    plant, buffers, work = open_system(struct)
+    coupled = open_coupled(struct)
     status = solve_by_arms(plant, buffers, work, coupled, decompose_all != 0.0)
     if status != OK or buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
         return status
     if decompose_all != 0.0 or coupled.counts[ARMS] == plant.pointers.shape[0]:
         return status
-    return solve_again(book)
+    return solve_again(struct)
 
 
 @kernel
-def solve_again(book):
+def solve_again(struct):
     """Solve the equations at hand once more, no arm eliminated as a whole; returns a status."""
-    plant, _, _ = open_book(book)
-    status = renew_kinematics(book)
+    plant, _, _ = open_system(struct)
+    status = renew_kinematics(struct)
     if status != OK:
         return status
-    return call_entry(plant.calls[CALL_COUPLED], book, 1.0, 0.0)
+    return call_cfunc(plant.calls[CALL_COUPLED], struct, 1.0, 0.0)
 
 
 @kernel
-def renew_kinematics(book):
+def renew_kinematics(struct):
     """Compute anew the kinematics that an elimination has used up; returns a status."""
-    plant, buffers, _ = open_book(book)
+    plant, buffers, _ = open_system(struct)
     h_o = buffers.h_o  # kinematics alone leave out the loads from outside
     s0, s1, s2, s3, s4, s5 = h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5]
-    status = call_entry(plant.calls[CALL_KINEMATICS], book, 0.0, 0.0)
+    status = call_cfunc(plant.calls[CALL_KINEMATICS], struct, 0.0, 0.0)
     h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5] = s0, s1, s2, s3, s4, s5
     return status
 
@@ -292,10 +294,10 @@ def solve_by_arms(plant, buffers, work, coupled, decompose_all):
     return OK
 
 
-@entry
+@cfunc
 def _other_row(address, size, row, arm):
     """Write a row of an arm that is not a tip on a plane, a sphere or a cylinder."""
-    plant, buffers, _ = open_book(book_at(address, size))
+    plant, buffers, _ = open_system(struct_at(address, size))
     write_row(
         int(row), buffers.arms[int(arm)], buffers.body, plant.codes, plant.geometry, plant.shapes,
         plant.calls[CALL_SURFACE], buffers.contacts, buffers.parts, buffers.query, buffers.places,
@@ -304,7 +306,7 @@ def _other_row(address, size, row, arm):
     return OK
 
 
-def connect_entries(calls: np.ndarray) -> dict[str, LateEntry]:
+def connect_functions(calls: np.ndarray) -> dict[str, LazyFunction]:
     """Write the addresses of the compiled parts of an evaluation into ``Plant.calls``.
 
     Returns those that are compiled when they are called: what regular scenes of idealised joints
@@ -313,33 +315,33 @@ def connect_entries(calls: np.ndarray) -> dict[str, LateEntry]:
     calls[CALL_KINEMATICS] = address_of(_kinematics)
     calls[CALL_FORCES] = address_of(_right_hand_sides)
     calls[CALL_SOLVE] = calls[CALL_CLOSE] = address_of(_solve)
-    coupled = LateEntry(_solve_coupled, CALL_COUPLED, CALLBACK_FAILED)
-    row = LateEntry(_other_row, CALL_ROW, CALLBACK_FAILED)
+    coupled = LazyFunction(_solve_coupled, CALLS, CALL_COUPLED, FLAG, CALLBACK_FAILED)
+    row = LazyFunction(_other_row, CALLS, CALL_ROW, FLAG, CALLBACK_FAILED)
     calls[CALL_COUPLED], calls[CALL_ROW] = coupled.address, row.address
     return {"coupled": coupled, "row": row}
 
 
 @kernel
-def update_kinematics(book):
+def update_kinematics(struct):
     """The arms' terms, the object's, and all contact rows at the state in the buffers.
 
     Leaves W in ``work.Y`` and the inertias in ``work.L``, ready for the elimination.  Returns
     ``OK`` or ``CALLBACK_FAILED``.
     """
-    return call_entry(ints1(book, CALLS)[CALL_KINEMATICS], book, 0.0, 0.0)
+    return call_cfunc(ints1(struct, CALLS)[CALL_KINEMATICS], struct, 0.0, 0.0)
 
 
 @kernel
-def update_rows(book):
+def update_rows(struct):
     """Contact rows alone, of a system that shares its bodies' motion with one that has it."""
-    plant, buffers, work = open_book(book)
+    plant, buffers, work = open_system(struct)
     for i in range(plant.pointers.shape[0]):
-        arm_rows(i, book, plant, buffers, work)
+        arm_rows(i, struct, plant, buffers, work)
     write_joint_rows(plant, buffers, work)
 
 
 @kernel
-def solve_constrained(book):
+def solve_constrained(struct):
     """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``buffers``.
 
     Contacts push along their normals here, as impulses that close gaps do; friction has its part in
@@ -347,24 +349,24 @@ def solve_constrained(book):
     or the number of the arm (or of the object, behind the arms) whose inertia is not positive
     definite.
     """
-    return call_entry(ints1(book, CALLS)[CALL_CLOSE], book, 0.0, 0.0)
+    return call_cfunc(ints1(struct, CALLS)[CALL_CLOSE], struct, 0.0, 0.0)
 
 
 @kernel
-def evaluate_buffers(book, alpha, beta):
+def evaluate_buffers(struct, alpha, beta):
     """Evaluate the state in the buffers; returns ``OK`` or what went wrong.
 
     Reads ``time, position, angles, twist, v``; writes everything else.  ``alpha`` [1/s] and
     ``beta`` [1/s] are the gains of the drift feedback (0: none).
     """
-    calls = ints1(book, CALLS)
-    status = call_entry(calls[CALL_KINEMATICS], book, 0.0, 0.0)
+    calls = ints1(struct, CALLS)
+    status = call_cfunc(calls[CALL_KINEMATICS], struct, 0.0, 0.0)
     if status != OK:
         return status
-    status = call_entry(calls[CALL_FORCES], book, alpha, beta)
+    status = call_cfunc(calls[CALL_FORCES], struct, alpha, beta)
     if status != OK:
         return status
-    return call_entry(calls[CALL_SOLVE], book, 0.0, 0.0)
+    return call_cfunc(calls[CALL_SOLVE], struct, 0.0, 0.0)
 
 
 @kernel
@@ -394,9 +396,9 @@ def potential_energy(plant, buffers):
     for k in range(3):
         energy -= plant.object_mass[0] * plant.gravity[k] * buffers.position[k]
     if calls[CALL_ARMS] != 0:
-        energy += energy_of_arms(open_arms(book_at(calls[ARMS_BOOK], calls[ARMS_SIZE])))
+        energy += energy_of_arms(open_arms(struct_at(calls[ARMS_STRUCT], calls[ARMS_SIZE])))
     if calls[CALL_POTENTIAL] != 0:
-        call_back(calls[CALL_POTENTIAL])
+        call_python(calls[CALL_POTENTIAL])
         energy += buffers.energy[0]
     return energy
 

@@ -36,10 +36,10 @@ from multiarm.hybrid.probing import Probe
 from multiarm.hybrid.springs import pressed_units
 from multiarm.hybrid.telling import decision_events
 from multiarm.hybrid.transition import Decision, Transition, closed_units
-from multiarm.integrators.stepper import evaluate_slope, step_book, store
+from multiarm.integrators.stepper import evaluate_slope, step_struct, store
 from multiarm.preparation import make_stepping
 from multiarm.stabilization import project
-from multiarm.time_loop import ERROR_OLD, H_OLD, T_OLD, H, T, gains
+from multiarm.time_loop import gains
 
 if TYPE_CHECKING:
     from multiarm.preparation import Run, Tolerance
@@ -154,10 +154,10 @@ class EventDriving:
 
     def locate(self, run: Run) -> str:
         """Find the first event in the step just made, and let the loop stop there."""
-        arrays, t = self.mode.arrays, float(run.clock.real[T])
+        arrays, t = self.mode.arrays, run.clock.t
         begin, end = arrays.span
-        book, method = run.system.book(), run.stepping.method
-        probe = Probe(book, step_book(method, run.stepping.step), self.mode, begin, end)
+        struct, method = run.system.struct(), run.stepping.method
+        probe = Probe(struct, step_struct(method, run.stepping.step), self.mode, begin, end)
         theta, guards = first_event(probe, arrays.found.copy(), arrays.levels[:, THRESHOLD])
         arrays.least[:] = np.inf
         arrays.muted[0] = 1
@@ -176,7 +176,7 @@ class EventDriving:
         """Decide what comes after the event at which the run has stopped; trouble or nothing."""
         assert self._pending is not None, "the run stops where an event was found"
         pending, self._pending = self._pending, None
-        t, step = float(run.clock.real[T]), run.stepping.step
+        t, step = run.clock.t, run.stepping.step
         before = self.mode.choice
         self._load(run)
         guards = self.mode.arrays.guards[pending.guards]
@@ -237,11 +237,11 @@ class EventDriving:
 
     def _holds(self) -> bool:
         """Whether the mode agrees with the state in the buffers."""
-        book, arrays = self.mode.system.book(), self.mode.arrays
-        if evaluate_buffers(book, 0.0, 0.0) != OK:
+        struct, arrays = self.mode.system.struct(), self.mode.arrays
+        if evaluate_buffers(struct, 0.0, 0.0) != OK:
             self.mode.system.reraise()
             return False
-        start_guards(book)
+        start_guards(struct)
         return bool(np.all(arrays.values >= -arrays.levels[:, THRESHOLD]))
 
     def _load(self, run: Run) -> None:
@@ -251,10 +251,10 @@ class EventDriving:
         b.position[:3], b.position[3:] = z[:3], step.base  # a chart begins at every step
         b.angles[:], b.twist[:], b.v[:] = z[6 : 6 + n], z[6 + n : 12 + n], z[12 + n : 12 + 2 * n]
         b.inner[:] = z[12 + 2 * n :][: b.inner.size]
-        b.time[0], b.time[1] = run.clock.real[T], np.inf
-        if update_kinematics(bare.book()) != OK:
+        b.time[0], b.time[1] = run.clock.t, np.inf
+        if update_kinematics(bare.struct()) != OK:
             bare.reraise()
-        update_rows(self.modes.full.book())
+        update_rows(self.modes.full.struct())
 
     def _touching(self, pending: Pending) -> set[int]:
         """Units that touch at an event: those that were held, and those that came."""
@@ -288,7 +288,7 @@ class EventDriving:
         system = self.mode.system
         joints = system.layout.joints
         run.system = system
-        if run.settings.closed >= 0.0 and project(system.book(), run.settings.closed) != OK:
+        if run.settings.closed >= 0.0 and project(system.struct(), run.settings.closed) != OK:
             raise SolverError("the state could not be put on the contacts that closed")
         run.stepping = make_stepping(system, run.stepping.tableau.name, run.tolerance)
         new = run.stepping.step
@@ -298,15 +298,15 @@ class EventDriving:
             works = new.z[12 + 2 * joints + system.pieces.states :]
             works[system.pieces.slot("impacts")] += decision.energy
             works[-1] += decision.energy
-        real = run.clock.real
+        clock = run.clock
         length = max(SHORTER * self._last_length, 1e-12)
         if run.settings.adaptive:
-            real[H] = min(max(real[H], length), length)
-        real[ERROR_OLD], real[T_OLD], real[H_OLD] = 1.0, real[T], 0.0
+            clock.h = min(max(clock.h, length), length)
+        clock.error_before, clock.t_before, clock.h_before = 1.0, clock.t, 0.0
         run.settings = run.settings._replace(stop=np.inf)
         alpha, beta = gains(run.settings, run.settings.step)
-        t = float(real[T])
-        status = evaluate_slope(system.book(), t, new.z, new.base, alpha, beta, new.slope)
+        t = clock.t
+        status = evaluate_slope(system.struct(), t, new.z, new.base, alpha, beta, new.slope)
         if status != OK:
             system.reraise()
             raise SolverError(f"the motion after the event could not be evaluated ({status})")
@@ -314,7 +314,7 @@ class EventDriving:
 
     def arm(self, run: Run) -> None:
         """Let the guards begin at the state in the buffers, which has been evaluated."""
-        start_guards(run.system.book())
+        start_guards(run.system.struct())
         run.solver_log.settle(run.system)
 
     def _tell(self, t: float, decision: Decision, before: Choice) -> None:

@@ -121,7 +121,7 @@ def inverse_dynamics(
     ev = _uncontrolled(system, t, state)
     b, layout = system.buffers, system.layout
     free, h_o, c = b.h.copy(), b.h_o.copy(), b.c.copy()
-    if update_kinematics(system.book()) != OK:
+    if update_kinematics(system.struct()) != OK:
         system.reraise()
     force = _contact_forces(ev, b.inertia @ wanted - h_o, internal_forces, basis)
     qdd, torque, faults = np.zeros(layout.joints), np.zeros(layout.joints), []

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.books import book_at, floats_at
 from multiarm.contacts.kernel import (
     ACCELERATION,
     AT,
@@ -24,12 +23,11 @@ from multiarm.contacts.kernel import (
 )
 from multiarm.contacts.records import COMBINED, KIND, RADIUS, SIDE, WEIGHT
 from multiarm.contacts.rows import write_rows
-from multiarm.lanes import LANES, lanes_at, lanes_of, put_lanes
-from multiarm.lowlevel import call_back, call_entry, inlined
-from multiarm.plant import ARMS_BOOK, ARMS_SIZE, CALL_ARMS, CALL_ROW, CALL_TERMS
-from multiarm.spatial import write_matrix
-from multiarm.terms import DRIFT_AT, J_AT, M_AT, M_STRIDE, POSE_AT, TWIST_AT
-from multiarm.vectors import (
+from multiarm.jit.kernels import inlined
+from multiarm.jit.pointers import call_cfunc, call_python
+from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
+from multiarm.jit.structs import floats_at, struct_at
+from multiarm.jit.vectors import (
     ZERO,
     add,
     add_cross,
@@ -45,6 +43,9 @@ from multiarm.vectors import (
     times,
     vec,
 )
+from multiarm.plant import ARMS_SIZE, ARMS_STRUCT, CALL_ARMS, CALL_ROW, CALL_TERMS
+from multiarm.spatial import write_matrix
+from multiarm.terms import DRIFT_AT, J_AT, M_AT, M_STRIDE, POSE_AT, TWIST_AT
 
 
 @inlined
@@ -66,10 +67,10 @@ def arm_terms(plant, buffers):
     """All terms of the arms, and the motion of the links that carry their tips."""
     calls = plant.calls
     if calls[CALL_ARMS] != 0:
-        call_entry(calls[CALL_ARMS], book_at(calls[ARMS_BOOK], calls[ARMS_SIZE]), 0.0, 0.0)
+        call_cfunc(calls[CALL_ARMS], struct_at(calls[ARMS_STRUCT], calls[ARMS_SIZE]), 0.0, 0.0)
     if calls[CALL_TERMS] != 0:
         fill_configuration(plant, buffers)
-        call_back(calls[CALL_TERMS])
+        call_python(calls[CALL_TERMS])
     for i in range(plant.pointers.shape[0]):
         if plant.pointers[i, TWIST_AT] != 0:
             link_motion(plant.pointers[i], plant.gravity, buffers.arms[i])
@@ -120,10 +121,10 @@ def link_motion(pointers, gravity, row):
 
 
 @inlined
-def arm_rows(i, book, plant, buffers, work):
+def arm_rows(i, struct, plant, buffers, work):
     """Contact kinematics of arm ``i``, its rows of ``W_o`` and its ``W`` (into ``work.Y``).
 
-    ``plant, buffers, work`` are the views of ``book``.
+    ``plant, buffers, work`` are the views of ``struct``.
     """
     d = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
@@ -132,7 +133,7 @@ def arm_rows(i, book, plant, buffers, work):
     x_o, Y, wrench = vec(buffers.body, ORIGIN_AT), work.Y[i], buffers.wrench
     write_rows(
         first, m, buffers.arms[i], buffers.body, buffers.relative, plant.codes, plant.geometry,
-        buffers.contacts, book, i, plant.calls[CALL_ROW],
+        buffers.contacts, struct, i, plant.calls[CALL_ROW],
     )  # fmt: skip
     for k in range(m):
         row, Wo = buffers.contacts[first + k], buffers.Wo[first + k]
@@ -161,17 +162,21 @@ def arm_rows(i, book, plant, buffers, work):
 def write_columns(i, k, d, J, wrench, work):
     """Four columns of ``W``, contacts ``k`` to ``k + 3``, side by side."""
     N, Y = wrench.shape[1], work.Y
-    w0, w1, w2 = lanes_at(wrench, k), lanes_at(wrench, N + k), lanes_at(wrench, 2 * N + k)
+    w0, w1, w2 = load_pack(wrench, k), load_pack(wrench, N + k), load_pack(wrench, 2 * N + k)
     w3, w4, w5 = (
-        lanes_at(wrench, 3 * N + k),
-        lanes_at(wrench, 4 * N + k),
-        lanes_at(wrench, 5 * N + k),
+        load_pack(wrench, 3 * N + k),
+        load_pack(wrench, 4 * N + k),
+        load_pack(wrench, 5 * N + k),
     )
     at = i * Y.shape[1] * Y.shape[2] + k
     for j in range(d):
-        a = lanes_of(J[6 * j]) * w0 + lanes_of(J[6 * j + 1]) * w1 + lanes_of(J[6 * j + 2]) * w2
-        b = lanes_of(J[6 * j + 3]) * w3 + lanes_of(J[6 * j + 4]) * w4 + lanes_of(J[6 * j + 5]) * w5
-        put_lanes(Y, at, a + b)
+        a = broadcast(J[6 * j]) * w0 + broadcast(J[6 * j + 1]) * w1 + broadcast(J[6 * j + 2]) * w2
+        b = (
+            broadcast(J[6 * j + 3]) * w3
+            + broadcast(J[6 * j + 4]) * w4
+            + broadcast(J[6 * j + 5]) * w5
+        )
+        store_pack(Y, at, a + b)
         at += Y.shape[2]
 
 

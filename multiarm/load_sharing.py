@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from multiarm.lowlevel import allocating
+from multiarm.jit.kernels import allocating
 
 # [m]; contacts whose lines all pass the centre of mass closer than this have no moments
 SHORTEST_LEVER = 1e-6

@@ -63,9 +63,9 @@ def _standing(modes: Modes, t: float, state: State) -> Mode:
     if decision.trouble:
         raise SolverError(decision.trouble)
     mode = modes.enter(decision.choice, decision.directions)
-    if evaluate_buffers(mode.system.book(), 0.0, 0.0) != OK:
+    if evaluate_buffers(mode.system.struct(), 0.0, 0.0) != OK:
         mode.system.reraise()
-    start_guards(mode.system.book())
+    start_guards(mode.system.struct())
     if np.any(mode.arrays.values < -mode.arrays.levels[:, THRESHOLD]):
         mode.set_prestress(decision.forces)  # least forces do not obey the laws, but others do
     return mode
@@ -78,7 +78,7 @@ def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
     forces, unique = _all_forces(full, mode)
     residuals = _residuals(full, mode, forces, own.residuals.constraint)
     contact_places(full, state)
-    update_rows(model.book())
+    update_rows(model.struct())
     plan = modes.plan
     doing: dict[str, list[str]] = {}
     for unit, does in zip(plan.units, mode.choice.states, strict=True):
@@ -122,17 +122,17 @@ def _columns(full: System) -> np.ndarray:
 
     Coordinates are scaled by the square root of their inertia, rows to unit length.
     """
-    update_kinematics(full.book())
+    update_kinematics(full.struct())
     return constraint_matrix(full)
 
 
 def _residuals(full: System, mode: Mode, forces: np.ndarray, constraint: float) -> Residuals:
     """Put forces of all rows into the equations of motion."""
     b, work = mode.system.buffers, full.work
-    if evaluate_buffers(mode.system.book(), 0.0, 0.0) != OK:
+    if evaluate_buffers(mode.system.struct(), 0.0, 0.0) != OK:
         mode.system.reraise()
     q_o, qdd, h, h_o = b.q_o.copy(), b.qdd.copy(), b.h.copy(), b.h_o.copy()
-    update_kinematics(full.book())
+    update_kinematics(full.struct())
     pushing = forces.copy()
     pushing[mode.arrays.springs] = 0.0  # effects have their part in h and h_o
     arm = 0.0

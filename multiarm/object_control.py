@@ -35,8 +35,8 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.contacts.kernel import GAP_BIAS
+from multiarm.jit.kernels import allocating, kernel
 from multiarm.load_sharing import share_load, static_forces
-from multiarm.lowlevel import allocating, kernel
 from multiarm.place_keeping import keep_place, nearest_accelerations
 from multiarm.spatial import difference, retract_into, write_chart_rate
 

@@ -70,7 +70,7 @@ def object_law(system: System, control: ObjectControl) -> tuple[np.ndarray, np.n
     """
     start = system.initial_state()
     system.set_state(0.0, start)
-    if update_kinematics(system.book()) != OK:
+    if update_kinematics(system.struct()) != OK:
         system.reraise()
     Wo = system.buffers.Wo.copy()
     _require_hold(Wo, control.kind)

@@ -22,14 +22,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.books import floats_at
 from multiarm.contacts.frames import ON_LINK, ON_OBJECT, write_relative
 from multiarm.contacts.kernel import ACCELERATION, ORIGIN_AT, SPIN, SPIN_RATE
-from multiarm.load_sharing import solve_semidefinite
-from multiarm.lowlevel import allocating
-from multiarm.node.regular import factor_in_place
-from multiarm.terms import J_AT
-from multiarm.vectors import (
+from multiarm.jit.kernels import allocating
+from multiarm.jit.structs import floats_at
+from multiarm.jit.vectors import (
     add,
     add_cross,
     add_scaled,
@@ -42,6 +39,9 @@ from multiarm.vectors import (
     sub,
     vec,
 )
+from multiarm.load_sharing import solve_semidefinite
+from multiarm.node.regular import factor_in_place
+from multiarm.terms import J_AT
 
 
 @allocating

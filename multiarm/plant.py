@@ -1,7 +1,7 @@
 """What a scene compiles to, and what an evaluation writes: plain arrays with names.
 
 :class:`Plant` holds the constants, :class:`Buffers` everything that one evaluation reads and
-writes.  An address book (:func:`system_book`) stands for both, and for the node algorithm's arrays,
+writes.  A struct (:func:`system_struct`) stands for both, and for the node algorithm's arrays,
 in calls between the functions of the time loop.
 """
 
@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Floats1, Floats2, Ints1, Ints2, address_book, view
 from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
 from multiarm.contacts.surfaces import QUERY_WIDTH
-from multiarm.lowlevel import inlined
+from multiarm.jit.kernels import inlined
+from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, make_struct, view
 from multiarm.node.singular import CoupledWork
 from multiarm.node.work import NodeWork
 
@@ -30,8 +30,8 @@ CALL_FUNCTION = 12
 CALL_ROW = 13
 # Goes on with an evaluation near a loss of rank.
 CALL_CROSSING = 14
-# Entry that computes the terms of compiled arms, address and size of its own book: 0 without them.
-CALL_ARMS, ARMS_BOOK, ARMS_SIZE, CALL_COUNT = range(15, 19)
+# Function that computes the terms of compiled arms, address and size of its struct, or 0.
+CALL_ARMS, ARMS_STRUCT, ARMS_SIZE, CALL_COUNT = range(15, 19)
 
 # Entry of Buffers.flag.
 BUSY = 1
@@ -67,7 +67,7 @@ class Plant(NamedTuple):
     control : int64 (k, 2), parameters : float64
         Address of each control law's kernel and offset of its numbers in ``parameters``.
     effects : int64 (k, 2), phases : int64 (3,)
-        Address of each effect's kernel and place of its first array in the system's book; where
+        Address of each effect's kernel and place of its first array in the system's struct; where
         the three phases of an evaluation end in this list, see :mod:`multiarm.effects.piece`.
     calls : int64 (18,)
         Addresses of the callbacks (terms of Pinocchio's arms, Python controller, dense solver,
@@ -79,7 +79,7 @@ class Plant(NamedTuple):
     joint_rows : int64 (r, 3)
         Rows of W that belong to a joint: arm, row, joint in the stacked vector.
     links : int64 (l,)
-        Addresses and sizes of other books, of scenes whose contacts come and go.
+        Addresses and sizes of other structs, of scenes whose contacts come and go.
     """
 
     pointers: Ints2
@@ -269,18 +269,18 @@ def make_buffers(
     )
 
 
-def system_book(
+def system_struct(
     plant: Plant,
     buffers: Buffers,
     work: NodeWork,
     coupled: CoupledWork,
     others: Sequence[np.ndarray] = (),
 ) -> np.ndarray:
-    """Address book of one system; :func:`open_book` and :func:`open_coupled` are its inverse.
+    """Struct of one system; :func:`open_system` and :func:`open_coupled` are its inverse.
 
     ``others`` are the effects' own arrays, from place ``OWN_ARRAYS`` on.
     """
-    return address_book([*plant, *buffers, *work, *coupled, *others])
+    return make_struct([*plant, *buffers, *work, *coupled, *others])
 
 
 _PARTS = (Plant, Buffers, NodeWork, CoupledWork)
@@ -288,10 +288,10 @@ _FIRST = [sum(len(part._fields) for part in _PARTS[:k]) for k in range(len(_PART
 _open_plant, _open_buffers, _open_work = (
     view(part, at) for part, at in zip(_PARTS[:3], _FIRST[:3], strict=True)
 )
-# Views of the coupled system's arrays in a system's book.
+# Views of the coupled system's arrays in a system's struct.
 open_coupled = view(CoupledWork, _FIRST[3])
 
-# Places of ``calls``, ``flag`` and of the coupled system's ``counts`` in the address book of a
+# Places of ``calls``, ``flag`` and of the coupled system's ``counts`` in the struct of a
 # system, and of the first of the effects' arrays.
 CALLS = Plant._fields.index("calls")
 FLAG = _FIRST[1] + Buffers._fields.index("flag")
@@ -300,9 +300,9 @@ OWN_ARRAYS = _FIRST[4]
 
 
 @inlined
-def open_book(book):
-    """Views ``plant, buffers, work`` of the arrays in a system's book."""
-    return _open_plant(book), _open_buffers(book), _open_work(book)
+def open_system(struct):
+    """Views ``plant, buffers, work`` of the arrays in a system's struct."""
+    return _open_plant(struct), _open_buffers(struct), _open_work(struct)
 
 
 @inlined

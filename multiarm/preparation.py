@@ -9,7 +9,6 @@ import numpy as np
 
 from multiarm.adoption import adopt_state
 from multiarm.assembly import StartReport, projection_tolerance, scene_size
-from multiarm.books import address_book
 from multiarm.contact_checks import place_state
 from multiarm.dynamics import failure_text
 from multiarm.equations import OK
@@ -17,9 +16,9 @@ from multiarm.errors import SceneError, SolverError
 from multiarm.event_log import EventLog
 from multiarm.integrators.rosenbrock import make_rosenbrock, rosenbrock_step
 from multiarm.integrators.stepper import (
-    OWN_BOOK,
     OWN_SIZE,
     OWN_STEP,
+    OWN_STRUCT,
     Method,
     Step,
     evaluate_slope,
@@ -29,7 +28,8 @@ from multiarm.integrators.stepper import (
 )
 from multiarm.integrators.tableaus import METHODS, ROSENBROCK, VARIATIONAL, Tableau
 from multiarm.integrators.variational import make_variational, variational_step
-from multiarm.lowlevel import address_of
+from multiarm.jit.pointers import address_of
+from multiarm.jit.structs import make_struct
 from multiarm.node.singular import ARMS
 from multiarm.samples import sample_width
 from multiarm.scene import RunSpec
@@ -186,7 +186,7 @@ def make_stepping(system: System, name: str, tolerance: Tolerance | None) -> Ste
     if tolerance is not None:
         step.tolerance[:] = _tolerances(system, tolerance)
     if tableau.kind == ROSENBROCK:
-        work = make_rosenbrock(tableau, method, step, system.layout.joints, system.book())
+        work = make_rosenbrock(tableau, method, step, system.layout.joints, system.struct())
         return _with_own_step(Stepping(tableau, method, step), work)
     if tableau.kind == VARIATIONAL:
         fault = method_fault(name, pieces.with_states, system.scene.effects.with_events)
@@ -195,7 +195,7 @@ def make_stepping(system: System, name: str, tolerance: Tolerance | None) -> Ste
         call, places = system.coriolis()
         shape, rows = system.work.Y.shape, system.layout.contacts
         momenta = make_variational(
-            step, system.book(), system.layout.joints, shape, rows, call, places
+            step, system.struct(), system.layout.joints, shape, rows, call, places
         )
         return _with_own_step(Stepping(tableau, method, step), momenta)
     return Stepping(tableau, method, step)
@@ -203,10 +203,10 @@ def make_stepping(system: System, name: str, tolerance: Tolerance | None) -> Ste
 
 def _with_own_step(stepping: Stepping, work: tuple) -> Stepping:
     """A method whose step works on the arrays ``work``."""
-    book, own = address_book(work), stepping.step.own
+    struct, own = make_struct(work), stepping.step.own
     own[OWN_STEP] = address_of(OWN_STEPS[stepping.tableau.name])
-    own[OWN_BOOK], own[OWN_SIZE] = book.ctypes.data, book.size
-    return replace(stepping, own=(work, book))
+    own[OWN_STRUCT], own[OWN_SIZE] = struct.ctypes.data, struct.size
+    return replace(stepping, own=(work, struct))
 
 
 def _tolerances(system: System, tolerance: Tolerance) -> list[float]:
@@ -277,7 +277,7 @@ def prepare(
         system.buffers.stage_gap[0] = settings.closed
         _first_slope(system, step, feedback)
         system.buffers.stage_gap[0] = -1.0
-    watch_start(system.book())
+    watch_start(system.struct())
     log.add([{"time": 0.0, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
     solver_log = SolverLog(system, log)
     solver_log.collect(system, 0.0, begin)
@@ -320,7 +320,7 @@ def positive(name: str, value: float) -> float:
 
 def _first_slope(system: System, step: Step, feedback: tuple[float, float]) -> None:
     """Evaluate the beginning; what is impossible there is an error, not a result."""
-    status = evaluate_slope(system.book(), 0.0, step.z, step.base, *feedback, step.slope)
+    status = evaluate_slope(system.struct(), 0.0, step.z, step.base, *feedback, step.slope)
     if status != OK:
         system.reraise()
         raise SolverError(failure_text(system, status))
@@ -335,7 +335,7 @@ def _first_step(
     first = (np.abs(step.slope[:judged]) / scale).max()
     other = np.zeros_like(step.slope)
     status = evaluate_slope(
-        system.book(),
+        system.struct(),
         trial,
         step.z + trial * step.slope,
         step.base,

@@ -21,7 +21,8 @@ from multiarm.control import (
 )
 from multiarm.equations import OK, update_kinematics
 from multiarm.errors import ControlError
-from multiarm.lowlevel import Kernel, address_of
+from multiarm.jit.kernels import Kernel
+from multiarm.jit.pointers import address_of
 from multiarm.object_programs import object_law, pose_of, route
 from multiarm.plant import Buffers
 from multiarm.scene import Scene, gain_vector
@@ -238,14 +239,14 @@ def holding_torque(system: System) -> np.ndarray:
     state = system.initial_state()
     state.velocity[:] = 0.0
     system.set_state(0.0, state)
-    if update_kinematics(system.book()) != OK:
+    if update_kinematics(system.struct()) != OK:
         system.reraise()
     at = 0
     for arm, angles in state.joint_positions.items():
         torque = system.arms[arm].gravity_torque(angles, plant.gravity)
         buffers.gravity_torque[at : at + torque.size] = torque
         at += torque.size
-    write_holding_torque(system.book())
+    write_holding_torque(system.struct())
     return buffers.torque.copy()
 
 

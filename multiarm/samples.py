@@ -17,13 +17,14 @@ import numpy as np
 from multiarm.contacts.frames import SINGLE_TURN, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import kinetic_energy, largest, potential_energy
-from multiarm.lowlevel import call_entry, copy, inlined, kernel
+from multiarm.jit.kernels import copy, inlined, kernel
+from multiarm.jit.pointers import call_cfunc
 from multiarm.plant import (
     CALL_SHOW,
     COUPLED_ARMS,
     RANK_OF_ALL,
     RESIDUAL,
-    open_book,
+    open_system,
 )
 from multiarm.state import Layout
 
@@ -34,12 +35,12 @@ def sample_width(joints: int, contacts: int, free: int, works: int) -> int:
 
 
 @kernel
-def write_sample(book, t, works, row):
+def write_sample(struct, t, works, row):
     """One row of the block from an evaluated state: time, positions, velocities, torques, contact
     forces, relative rates and coordinates, kinetic and potential energy, works, largest gap and gap
     rate, rank, coupled arms and residual.
     """
-    plant, buffers, work = open_book(book)
+    plant, buffers, work = open_system(struct)
     n, m = buffers.angles.size, buffers.shown.size
     row[0] = t
     copy(buffers.position, row[1:8])
@@ -49,7 +50,7 @@ def write_sample(book, t, works, row):
     copy(buffers.torque, row[14 + 2 * n : 14 + 3 * n])
     at = 14 + 3 * n
     if plant.calls[CALL_SHOW] != 0:
-        call_entry(plant.calls[CALL_SHOW], book, t, 0.0)
+        call_cfunc(plant.calls[CALL_SHOW], struct, t, 0.0)
     copy(buffers.shown, row[at : at + m])
     at += m
     write_free(plant, buffers, row[at:])

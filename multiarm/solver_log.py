@@ -93,4 +93,4 @@ def _load(system: System, state: State) -> None:
     b = system.buffers
     b.position[:], b.angles[:] = state.position[:7], state.position[7:]
     b.twist[:], b.v[:] = state.velocity[:6], state.velocity[6:]
-    update_kinematics(system.book())
+    update_kinematics(system.struct())

@@ -25,9 +25,9 @@ from multiarm.equations import (
     renew_kinematics,
     solve_again,
 )
-from multiarm.lowlevel import inlined, kernel
+from multiarm.jit.kernels import inlined, kernel
+from multiarm.node.batched import largest_free_rate
 from multiarm.node.regular import COUPLED_BELOW
-from multiarm.node.side_by_side import largest_free_rate
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
 from multiarm.plant import (
     CALL_CLOSE,
@@ -36,8 +36,8 @@ from multiarm.plant import (
     IMBALANCE,
     RANK_OF_ALL,
     RESIDUAL,
-    open_book,
     open_coupled,
+    open_system,
 )
 
 # Constraint residual, relative to the largest term of its equation, that is still a solution.
@@ -51,7 +51,7 @@ LOST, REGAINED = 1e-3, 2.0
 
 
 @kernel
-def evaluate_and_check(book, found):
+def evaluate_and_check(struct, found):
     """Evaluate the state in the buffers, and put the result back into the equations.
 
     Writes into ``found`` (6,) what is left over of the arms' equations, of the object's and of the
@@ -59,14 +59,14 @@ def evaluate_and_check(book, found):
     and gap rate [m/s], and whether the result counts as a solution.  The matrices in ``work`` are
     not factored afterwards.  Returns a status, as :func:`multiarm.equations.evaluate_buffers`.
     """
-    status = evaluate_buffers(book, 0.0, 0.0)
+    status = evaluate_buffers(struct, 0.0, 0.0)
     if status != OK:
         return status
-    note_solution(book)
-    _, buffers, work = open_book(book)
-    found[5] = 1.0 if believable(book, buffers.solved[RESIDUAL]) else 0.0
+    note_solution(struct)
+    _, buffers, work = open_system(struct)
+    found[5] = 1.0 if believable(struct, buffers.solved[RESIDUAL]) else 0.0
     if work.factored[0] != 0:
-        status = renew_kinematics(book)
+        status = renew_kinematics(struct)
     found[0], found[2] = arm_residuals(buffers, work)
     found[1] = object_residual(buffers)
     found[3], found[4] = largest(buffers.contacts, GAP), largest(buffers.contacts, GAP_RATE)
@@ -119,17 +119,17 @@ def larger(worst, left):
 
 
 @kernel
-def note_solution(book):
+def note_solution(struct):
     """Write rank, coupled arms and residual of the last solution into ``buffers.solved``.
 
     A solution that is not believable is replaced by the one with every arm decomposed.
     """
-    plant, buffers, work = open_book(book)
-    coupled = open_coupled(book)
+    plant, buffers, work = open_system(struct)
+    coupled = open_coupled(struct)
     solved, counts, arms = buffers.solved, coupled.counts, plant.pointers.shape[0]
     solved[RESIDUAL] = residual_of_all(plant, buffers, work)
-    if not believable(book, solved[RESIDUAL]) and can_be_repeated(plant) and counts[ARMS] < arms:
-        if solve_again(book) != OK:
+    if not believable(struct, solved[RESIDUAL]) and can_be_repeated(plant) and counts[ARMS] < arms:
+        if solve_again(struct) != OK:
             solved[IMBALANCE] = math.nan
         solved[RESIDUAL] = residual_of_all(plant, buffers, work)
     if plant.dense[0] == 0:
@@ -191,13 +191,13 @@ def constraint_residual(plant, buffers, work):
 
 
 @kernel
-def believable(book, residual):
+def believable(struct, residual):
     """Whether a relative residual is that of a solution.
 
     Near a loss of rank the roundings of a gap, magnified twice, are part of it: there the state is
     only so near to the motion that it is on.
     """
-    coupled = open_coupled(book)
+    coupled = open_coupled(struct)
     if coupled.counts[ARMS] == 0:
         return residual <= RESIDUAL_BOUND
     margin = coupled.margin[0]
@@ -215,9 +215,9 @@ def free_acceleration(buffers):
 
 
 @kernel
-def watch_solver(book):
+def watch_solver(struct):
     """Compare with the step before; returns the number of changes, for Python to put into words."""
-    plant, buffers, work = open_book(book)
+    plant, buffers, work = open_system(struct)
     changes = 0
     rank = int(buffers.solved[RANK_OF_ALL])
     last = buffers.lost.size - 1
@@ -226,7 +226,7 @@ def watch_solver(book):
         changes += 1
     if plant.dense[0] != 0:
         return changes
-    coupled = open_coupled(book)
+    coupled = open_coupled(struct)
     for i in range(last):
         buffers.passed[i] = 0
         lost = 0

@@ -17,8 +17,8 @@ import math
 
 import numpy as np
 
-from multiarm.lowlevel import allocating, kernel
-from multiarm.vectors import add_scaled, cross, put, vec
+from multiarm.jit.kernels import allocating, kernel
+from multiarm.jit.vectors import add_scaled, cross, put, vec
 
 # Below this angle [rad] the closed forms lose digits to cancellation and their series are used.
 _SERIES_ANGLE = 1e-2

@@ -22,12 +22,12 @@ from __future__ import annotations
 
 import math
 
-from multiarm.books import ints1
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.equations import OK, largest, solve_constrained, update_kinematics
-from multiarm.lowlevel import clear, inlined, kernel
+from multiarm.jit.kernels import clear, inlined, kernel
+from multiarm.jit.structs import ints1
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
-from multiarm.plant import COUPLED_COUNTS, KICK, SHIFT, open_book, open_coupled
+from multiarm.plant import COUPLED_COUNTS, KICK, SHIFT, open_coupled, open_system
 from multiarm.spatial import retract_into
 
 # alpha = beta = FEEDBACK_RATIO / step
@@ -56,7 +56,7 @@ def clear_forces(buffers):
 
 
 @kernel
-def project_positions(book, tolerance, hold_object, longest, iterations):
+def project_positions(struct, tolerance, hold_object, longest, iterations):
     """Newton's method for ``phi = 0`` in the inertia metric; moves ``position`` and ``angles``.
 
     Parameters
@@ -77,27 +77,27 @@ def project_positions(book, tolerance, hold_object, longest, iterations):
         what :func:`multiarm.equations.solve_constrained` returned.  The largest change of a
         coordinate is in ``buffers.solved[SHIFT]``.
     """
-    _, buffers, _ = open_book(book)
+    _, buffers, _ = open_system(struct)
     buffers.solved[SHIFT] = 0.0
     before, further = math.inf, FURTHER_ITERATIONS
     for _ in range(iterations):
-        status = update_kinematics(book)
+        status = update_kinematics(struct)
         if status != OK:
             return status
         worst = largest(buffers.contacts, GAP)
         if worst <= tolerance:
-            if further == 0 or worst > 0.5 * before or not near_loss(book):
+            if further == 0 or worst > 0.5 * before or not near_loss(struct):
                 return OK
             further -= 1
         if not math.isfinite(worst):
             return PROJECTION_FAILED
-        if worst > 0.5 * before and worst <= UNREACHED * tolerance and lacks_rank(book):
+        if worst > 0.5 * before and worst <= UNREACHED * tolerance and lacks_rank(struct):
             return OK
         before = worst
         clear_forces(buffers)
         for k in range(buffers.c.size):
             buffers.c[k] = -buffers.contacts[k, GAP]
-        status = solve_constrained(book)
+        status = solve_constrained(struct)
         if status != OK:
             return status
         reach = greatest(buffers.qdd)
@@ -113,16 +113,16 @@ def project_positions(book, tolerance, hold_object, longest, iterations):
 
 
 @kernel
-def near_loss(book):
+def near_loss(struct):
     """Whether the constraints were near a loss of rank when they were solved last."""
-    coupled = open_coupled(book)
+    coupled = open_coupled(struct)
     return coupled.counts[ARMS] > 0 and coupled.margin[0] < NEAR_LOSS
 
 
 @kernel
-def lacks_rank(book):
+def lacks_rank(struct):
     """Whether some constraints of the last solution depended on others."""
-    counts = ints1(book, COUPLED_COUNTS)
+    counts = ints1(struct, COUPLED_COUNTS)
     return counts[ARMS] > 0 and counts[RANK] < counts[UNKNOWNS]
 
 
@@ -147,16 +147,16 @@ def move_object(buffers, scale):
 
 
 @kernel
-def project_velocities(book):
+def project_velocities(struct):
     """Project ``twist`` and ``v`` on ``W^T v = 0``; needs the state's kinematics in the buffers.
 
     The largest change is in ``buffers.solved[KICK]``.
     """
-    _, buffers, _ = open_book(book)
+    _, buffers, _ = open_system(struct)
     clear_forces(buffers)
     for k in range(buffers.c.size):
         buffers.c[k] = -buffers.contacts[k, GAP_RATE]
-    status = solve_constrained(book)
+    status = solve_constrained(struct)
     if status != OK:
         return status
     buffers.solved[KICK] = max(greatest(buffers.q_o), greatest(buffers.qdd))
@@ -168,12 +168,12 @@ def project_velocities(book):
 
 
 @kernel
-def project(book, tolerance):
-    """Project the state in the buffers of the system with this address book; returns a status.
+def project(struct, tolerance):
+    """Project the state in the buffers of the system with this struct; returns a status.
 
     The kinematics left in the buffers are those of before the velocities' correction.
     """
-    status = project_positions(book, tolerance, False, 0.5, MAX_ITERATIONS)
+    status = project_positions(struct, tolerance, False, 0.5, MAX_ITERATIONS)
     if status != OK:
         return status
-    return project_velocities(book)
+    return project_velocities(struct)

@@ -16,7 +16,7 @@ import numpy as np
 
 from multiarm.arm import Arm
 from multiarm.arm_groups import ArmGroup, group_arms
-from multiarm.lowlevel import CallBack
+from multiarm.jit.pointers import PythonCallback
 from multiarm.plant import CALL_POTENTIAL, CALL_TERMS, Buffers
 from multiarm.terms import POINTER_WIDTH
 
@@ -28,7 +28,7 @@ class Coriolis(NamedTuple):
     """Where the arms' matrices of Coriolis forces are, and what updates them.
 
     calls : int64 (4,)
-        Address of a callback (0: none), and of an entry (0: none) with its address book and size.
+        Address of a callback (0: none), and of an entry (0: none) with its struct and size.
     places : int64 (arms, 2)
         Addresses and strides.
     """
@@ -77,7 +77,7 @@ class ArmSupply:
         every = list(arms.values())
         self.by_arm = {name: "compiled" if k in own else "pinocchio" for k, name in enumerate(arms)}
         self._groups: list[_Group] = []
-        self._coriolis: tuple[Coriolis, CallBack | None] | None = None
+        self._coriolis: tuple[Coriolis, PythonCallback | None] | None = None
         self.q_slots = np.full(self._first[-1], -1, dtype=np.int64)
         self.configuration = 0
         for places in _runs([k for k in range(len(every)) if k not in own]):
@@ -119,12 +119,12 @@ class ArmSupply:
         own = next(g for g in reversed(self._groups) if g.place <= arm)
         return own.group.pose_address(arm - own.place, joint)
 
-    def connect(self, buffers: Buffers, calls: np.ndarray) -> dict[str, CallBack]:
+    def connect(self, buffers: Buffers, calls: np.ndarray) -> dict[str, PythonCallback]:
         """Let all arms read and write a system's buffers; writes addresses into ``Plant.calls``.
 
         Returns
         -------
-        dict of str to CallBack
+        dict of str to PythonCallback
             What enters Python; empty where all arms are compiled.
         """
         if self.compiled is not None:
@@ -133,10 +133,10 @@ class ArmSupply:
         if not self._groups:
             return {}
         updates = [g.group.bind(buffers.q[g.numbers], buffers.v[g.joints]) for g in self._groups]
-        made = {"terms": CallBack(_all_of(updates), buffers.flag)}
+        made = {"terms": PythonCallback(_all_of(updates), buffers.flag)}
         calls[CALL_TERMS] = made["terms"].address
         if any(np.any(own.group.model.gravity.linear) for own in self._groups):
-            made["potential"] = CallBack(self._potential_call(buffers), buffers.flag)
+            made["potential"] = PythonCallback(self._potential_call(buffers), buffers.flag)
             calls[CALL_POTENTIAL] = made["potential"].address
         return made
 
@@ -145,7 +145,7 @@ class ArmSupply:
         energy = 0.0 if self.compiled is None else self.compiled.potential_energy()
         return energy + self._of_pinocchio(buffers)
 
-    def coriolis(self, buffers: Buffers) -> tuple[Coriolis, CallBack | None]:
+    def coriolis(self, buffers: Buffers) -> tuple[Coriolis, PythonCallback | None]:
         """What updates the matrices of Coriolis forces, and where they are; the callback in it.
 
         Raises
@@ -157,7 +157,7 @@ class ArmSupply:
             self._coriolis = self._make_coriolis(buffers)
         return self._coriolis
 
-    def _make_coriolis(self, buffers: Buffers) -> tuple[Coriolis, CallBack | None]:
+    def _make_coriolis(self, buffers: Buffers) -> tuple[Coriolis, PythonCallback | None]:
         places = np.zeros((len(self.pointers), 2), dtype=np.int64)
         calls = np.zeros(4, dtype=np.int64)
         updates, call = [], None
@@ -166,7 +166,7 @@ class ArmSupply:
             updates.append(update)
             places[own.place : own.place + len(at)] = at
         if updates:
-            call = CallBack(_all_of(updates), buffers.flag)
+            call = PythonCallback(_all_of(updates), buffers.flag)
             calls[0] = call.address
         if self.compiled is not None:
             from multiarm.compiled_arms.verification import CORIOLIS, verify

@@ -10,16 +10,7 @@ from __future__ import annotations
 
 from multiarm.integrators.tableaus import EXPLICIT
 from multiarm.preparation import Run, make_stepping
-from multiarm.time_loop import (
-    EVALUATIONS,
-    H_OLD,
-    SAMPLE,
-    STEPS,
-    STIFF_AFTER,
-    STIFF_SINCE,
-    STIFF_STEPS,
-    T,
-)
+from multiarm.time_loop import STIFF_AFTER
 
 FOR_STIFF_SCENES = "rodas5p"
 # The method has shown how long its steps are after so many of them.
@@ -41,13 +32,13 @@ class Switch:
         """Go on with the method for stiff scenes, on trial."""
         method, clock = run.stepping.method, run.clock
         self._explicit = run.stepping.tableau.name
-        self._pace = float(clock.real[H_OLD]) / (method.stages + _BESIDE_STAGES)
+        self._pace = clock.h_before / (method.stages + _BESIDE_STAGES)
         self._change(run, FOR_STIFF_SCENES)
         self._tell(run, "the scene is stiff")
 
     def judge(self, run: Run) -> bool:
         """Whether the trial has just failed, so that the run goes on with the explicit method."""
-        if self._explicit is None or run.clock.counts[STEPS] < self._until:
+        if self._explicit is None or run.clock.steps < self._until:
             return False
         explicit, kept = self._explicit, self._keeps(run)
         self._explicit = None
@@ -59,40 +50,39 @@ class Switch:
 
     def _keeps(self, run: Run) -> bool:
         """Whether the method on trial gets further with an evaluation."""
-        got_on = float(run.clock.real[T]) - self._since
+        got_on = run.clock.t - self._since
         return got_on > self._pace * (_spent(run) - self._spent)
 
     def _change(self, run: Run, name: str) -> None:
         """Give a run another method; what it has come to stays."""
-        count = run.clock.counts
         old, run.stepping = run.stepping.step, make_stepping(run.system, name, run.tolerance)
         new = run.stepping.step
         new.z[:], new.base[:], new.slope[:] = old.z, old.base, old.slope
         run.settings = run.settings._replace(switch=False)
-        self._until, self._spent = int(count[STEPS]) + TRIAL_STEPS, _spent(run)
-        self._since = float(run.clock.real[T])
+        self._until, self._spent = run.clock.steps + TRIAL_STEPS, _spent(run)
+        self._since = run.clock.t
 
     def _tell(self, run: Run, why: str) -> None:
-        name, t = run.stepping.tableau.name, float(run.clock.real[T])
+        name, t = run.stepping.tableau.name, run.clock.t
         text = f"{why}: the run goes on with {name}"
         run.log.add([{"time": t, "kind": "method", "text": text}])
 
 
 def _spent(run: Run) -> int:
     """Evaluations without those of the samples, which cost the same with any method."""
-    count, projected = run.clock.counts, run.settings.closed >= 0.0
-    return int(count[EVALUATIONS]) - int(count[SAMPLE]) * (3 if projected else 1)
+    clock, projected = run.clock, run.settings.closed >= 0.0
+    return clock.evaluations - clock.sample * (3 if projected else 1)
 
 
 def stiffness_remark(run: Run) -> str:
     """What the user should know of a scene that is stiff: what was done, or should be; or empty."""
-    real, count = run.clock.real, run.clock.counts
+    clock = run.clock
     if run.stepping.tableau.name == FOR_STIFF_SCENES and run.may_switch:
         return (
-            f"; the scene is stiff: {FOR_STIFF_SCENES} took over at t = {real[STIFF_SINCE]:.3g} s"
+            f"; the scene is stiff: {FOR_STIFF_SCENES} took over at t = {clock.stiff_since:.3g} s"
         )
     named = run.stepping.tableau.kind == EXPLICIT and not run.may_switch
-    if not named or count[STIFF_STEPS] < STIFF_AFTER:
+    if not named or clock.stiff_steps < STIFF_AFTER:
         return ""
-    since = f"stiff from t = {real[STIFF_SINCE]:.3g} s"
+    since = f"stiff from t = {clock.stiff_since:.3g} s"
     return f"; the scene is {since}: `integrator: {FOR_STIFF_SCENES}` takes longer steps there"

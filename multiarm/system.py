@@ -26,7 +26,7 @@ from multiarm.contacts.records import Contact, JointRow, SmoothShape
 from multiarm.control import python_control
 from multiarm.effects.piece import Pieces
 from multiarm.errors import ControlError, ModelError
-from multiarm.lowlevel import Trouble, address_of
+from multiarm.jit.pointers import GuardedCall, address_of
 from multiarm.node.singular import CoupledWork
 from multiarm.node.work import NodeWork
 from multiarm.plant import (
@@ -37,7 +37,7 @@ from multiarm.plant import (
     CALL_TERMS,
     Buffers,
     Plant,
-    system_book,
+    system_struct,
 )
 from multiarm.programs import (
     ControlFunction,
@@ -79,7 +79,7 @@ class System:
         Surfaces of the user's.
     parts : Parts
         What it was made of, so that similar systems can be made of the same.
-    calls : dict of str to Trouble
+    calls : dict of str to GuardedCall
         What they call in Python: terms, dense, potential, surface, functions of effects, and
         control when that is in Python.
     """
@@ -103,7 +103,7 @@ class System:
     _supply: ArmSupply = field(repr=False)
     _ground: Ground | None = field(repr=False)
     _places: np.ndarray = field(repr=False)
-    calls: dict[str, Trouble] = field(repr=False)
+    calls: dict[str, GuardedCall] = field(repr=False)
     plan: Plan | None = field(repr=False, default=None)
 
     @property
@@ -121,13 +121,13 @@ class System:
         """Names of the arms in the order of the stacked vectors."""
         return self.layout.names
 
-    def book(self) -> np.ndarray:
-        """Address book of this system for the time loop; valid while the system lives."""
-        return self._book
+    def struct(self) -> np.ndarray:
+        """Struct of this system for the time loop; valid while the system lives."""
+        return self._struct
 
     @cached_property
-    def _book(self) -> np.ndarray:
-        return system_book(self.plant, self.buffers, self.work, self.coupled, self.pieces.arrays)
+    def _struct(self) -> np.ndarray:
+        return system_struct(self.plant, self.buffers, self.work, self.coupled, self.pieces.arrays)
 
     @property
     def asked(self) -> list[Asked]:

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Flag, Float, Floats1, Int, Ints1, book_of, view
 from multiarm.contacts.kernel import GAP
 from multiarm.crossing import evaluate_on_branch
 from multiarm.equations import (
@@ -38,7 +37,9 @@ from multiarm.integrators.stepper import (
     write_slope,
 )
 from multiarm.integrators.tableaus import EXPLICIT, SEMI_IMPLICIT, VARIATIONAL
-from multiarm.lowlevel import call_entry, clear, copy, kernel, unlocked
+from multiarm.jit.kernels import clear, copy, kernel, unlocked
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import Flag, Float, Floats1, Int, Numbers, view
 from multiarm.plant import (
     CALL_GUARDS,
     COUPLED_ARMS,
@@ -46,8 +47,8 @@ from multiarm.plant import (
     RANK_OF_ALL,
     RESIDUAL,
     SHIFT,
-    open_book,
     open_coupled,
+    open_system,
 )
 from multiarm.samples import follow_joints, write_sample
 from multiarm.solver_watch import believable, note_solution, watch_solver
@@ -62,13 +63,6 @@ EVENT, STOPPED = -19, -20
 
 # Step size control (Hairer, Norsett, Wanner, II.4 and IV.2).
 SAFETY, SHRINK, GROW = 0.9, 0.2, 6.0
-
-# Entries of Clock.real and Clock.counts.
-T, H, T_OLD, H_OLD, ERROR_OLD, ERROR_SUM, SMALLEST, LARGEST = range(8)
-CORRECTION, WORST_RESIDUAL, WORST_CORRECTION, STIFF_SINCE, REAL_WIDTH = range(8, 13)
-STEPS, REJECTED, EVALUATIONS, PROJECTIONS, SAMPLE, BLOCK_FIRST, BREAK, CAUSE = range(8)
-COUPLED_STEPS, LOWEST_RANK, HIGHEST_RANK, CHANGES, CAREFUL = range(8, 13)
-STIFF_STEPS, SMOOTH_STEPS, COUNT_WIDTH = range(13, 16)
 
 NONE, FEEDBACK, PROJECTION = 0, 1, 2
 
@@ -144,41 +138,85 @@ class Settings(NamedTuple):
     stop: Float
 
 
-class Clock(NamedTuple):
+class Clock(Numbers):
     """What the loop remembers between calls.
 
-    real : (13,)
-        Time, next step, beginning and length of the step before, its error, the sum of the accepted
-        steps' error estimates [m, rad], smallest and largest step, correction for which the step
-        was rejected last (in tolerances), largest relative residual, largest correction of an
-        accepted step [m, rad; m/s, rad/s], time at which the scene turned out to be stiff.
-    counts : int64 (16,)
-        Steps, rejected steps, evaluations, projections, next sample, the block's first sample, next
-        breakpoint, cause of the last rejection; steps that ended with deficient arms, lowest and
-        highest rank, changes of the solver that nobody has looked at, steps to go with projected
-        stages; steps held up by stiffness, and steps since that were not.
+    Attributes
+    ----------
+    t, h : float
+        Time, and the next step [s].
+    t_before, h_before, error_before : float
+        Beginning, length and error of the last step [s, s, tolerances].
+    error_sum : float
+        Sum of the accepted steps' error estimates [m, rad].
+    smallest_step, largest_step : float
+        [s]
+    correction : float
+        For which the step was rejected last [tolerances].
+    worst_residual, worst_correction : float
+        Largest relative residual, and largest correction of an accepted step [m, rad; m/s, rad/s].
+    stiff_since : float
+        Time at which the scene turned out to be stiff [s].
+    steps, rejected, evaluations, projections : int
+    sample, block_first : int
+        Next sample, and the first one of the block.
+    breakpoint : int
+        The next one.
+    cause : int
+        Why the last step was rejected.
+    coupled_steps, lowest_rank, highest_rank : int
+        Steps that ended with deficient arms; ranks of the constraints.
+    solver_changes : int
+        That Python has not looked at.
+    retry_steps : int
+        Steps to go with projected stages.
+    stiff_steps, smooth_steps : int
+        Steps limited by stiffness, and steps since that were not.
     """
 
-    real: Floats1
-    counts: Ints1
+    t: Float
+    h: Float
+    t_before: Float
+    h_before: Float
+    error_before: Float
+    error_sum: Float
+    smallest_step: Float
+    largest_step: Float
+    correction: Float
+    worst_residual: Float
+    worst_correction: Float
+    stiff_since: Float
+    steps: Int
+    rejected: Int
+    evaluations: Int
+    projections: Int
+    sample: Int
+    block_first: Int
+    breakpoint: Int
+    cause: Int
+    coupled_steps: Int
+    lowest_rank: Int
+    highest_rank: Int
+    solver_changes: Int
+    retry_steps: Int
+    stiff_steps: Int
+    smooth_steps: Int
 
 
-_open_clock, _open_settings = view(Clock), view(Settings, len(Clock._fields))
-
-
-def run_book(clock: Clock, settings: Settings) -> np.ndarray:
-    """Address book of a run's clock and settings, as :func:`advance` takes it."""
-    return book_of(clock, settings)
+_view_clock, _view_settings = view(Clock), view(Settings)
 
 
 def make_clock(settings: Settings) -> Clock:
     """A clock at the beginning of a run."""
-    real, count = np.zeros(REAL_WIDTH), np.zeros(COUNT_WIDTH, dtype=np.int64)
-    real[T], real[H], real[ERROR_OLD] = settings.begin, settings.step, 1.0
-    real[SMALLEST], real[STIFF_SINCE] = math.inf, math.nan
-    count[CAUSE] = STEP_TOO_SMALL
-    count[LOWEST_RANK] = np.iinfo(np.int64).max
-    return Clock(real, count)
+    return Clock(
+        t=settings.begin,
+        h=settings.step,
+        error_before=1.0,
+        smallest_step=math.inf,
+        stiff_since=math.nan,
+        cause=STEP_TOO_SMALL,
+        lowest_rank=np.iinfo(np.int64).max,
+    )
 
 
 @kernel
@@ -200,77 +238,75 @@ def sample_time(settings, k):
 
 
 @kernel
-def settle(book, clock, settings, projected, t, alpha, beta):
+def settle(struct, clock, settings, projected, t, alpha, beta):
     """Project the state in the buffers, unless it is ``projected``, and evaluate it; returns a
     status.
     """
-    _, buffers, _ = open_book(book)
+    _, buffers, _ = open_system(struct)
     if settings.closed >= 0.0 and not projected:
-        status = project(book, settings.closed)
-        clock.counts[PROJECTIONS] += 1
-        clock.counts[EVALUATIONS] += 2
+        status = project(struct, settings.closed)
+        clock.projections += 1
+        clock.evaluations += 2
         if status != OK:
             return status
     buffers.time[0] = t
-    clock.counts[EVALUATIONS] += 1
-    return evaluate_on_branch(book, settings.closed, alpha, beta)
+    clock.evaluations += 1
+    return evaluate_on_branch(struct, settings.closed, alpha, beta)
 
 
 @kernel
-def emit_samples(book, method, step, clock, settings, block):
+def emit_samples(struct, method, step, clock, settings, block):
     """Write the samples that are due up to now; returns a status (``OK``: all written)."""
-    _, buffers, _ = open_book(book)
-    real, count = clock.real, clock.counts
-    t = real[T]
-    rows = count[SAMPLE] - count[BLOCK_FIRST]
-    near = 1e-9 * max(real[H_OLD], 1e-12)
-    while count[SAMPLE] < settings.samples:
-        due = sample_time(settings, count[SAMPLE])
+    _, buffers, _ = open_system(struct)
+    t = clock.t
+    rows = clock.sample - clock.block_first
+    near = 1e-9 * max(clock.h_before, 1e-12)
+    while clock.sample < settings.samples:
+        due = sample_time(settings, clock.sample)
         if due > t + near:
             return OK
         if rows >= block.shape[0]:
             return BLOCK_FULL
-        alpha, beta = gains(settings, max(real[H_OLD], settings.step))
+        alpha, beta = gains(settings, max(clock.h_before, settings.step))
         projected = True
         if due >= t - near:
             load(step.z, step.base, buffers)
             works = step.z[step.tolerance.size :]
         else:
             projected = False
-            interpolate(method, step, (due - real[T_OLD]) / real[H_OLD], step.z_stage)
+            interpolate(method, step, (due - clock.t_before) / clock.h_before, step.z_stage)
             load(step.z_stage, step.base_old, buffers)
             works = step.z_stage[step.tolerance.size :]
-        status = settle(book, clock, settings, projected, due, alpha, beta)
+        status = settle(struct, clock, settings, projected, due, alpha, beta)
         if status != OK:
             return status
-        note_solution(book)
-        write_sample(book, due, works, block[rows])
+        note_solution(struct)
+        write_sample(struct, due, works, block[rows])
         if buffers.flag[0] != 0:
             return CALLBACK_FAILED
         rows += 1
-        count[SAMPLE] += 1
+        clock.sample += 1
     return OK
 
 
 @kernel
-def watch_start(book):
+def watch_start(struct):
     """Note the joints' coordinates at the start of a run, and what is amiss there already."""
-    plant, buffers, _ = open_book(book)
+    plant, buffers, _ = open_system(struct)
     follow_joints(plant, buffers)
-    watch_step(book, 0.0, 0.0)
-    note_solution(book)
-    watch_solver(book)
+    watch_step(struct, 0.0, 0.0)
+    note_solution(struct)
+    watch_solver(struct)
 
 
 @kernel
 def planned_step(method, clock, settings):
     """Length of the next step and the time at which it ends."""
-    real, count = clock.real, clock.counts
-    t = real[T]
+    t = clock.t
     breakpoints = settings.breakpoints
     near = CLOSE_IN_TIME * (1.0 + settings.end)
-    while count[BREAK] < breakpoints.size and breakpoints[count[BREAK]] <= t + near:
-        count[BREAK] += 1
+    while clock.breakpoint < breakpoints.size and breakpoints[clock.breakpoint] <= t + near:
+        clock.breakpoint += 1
     if not settings.adaptive:
         past = math.floor((t - settings.begin) / settings.step + 1e-9)
         end = settings.begin + (past + 1) * settings.step
@@ -279,9 +315,9 @@ def planned_step(method, clock, settings):
             end = last
         return end - t, end
     stop = min(settings.end, settings.stop)
-    if count[BREAK] < breakpoints.size and breakpoints[count[BREAK]] < stop - near:
-        stop = breakpoints[count[BREAK]]
-    h = min(real[H], settings.longest_step)
+    if clock.breakpoint < breakpoints.size and breakpoints[clock.breakpoint] < stop - near:
+        stop = breakpoints[clock.breakpoint]
+    h = min(clock.h, settings.longest_step)
     if t + 1.01 * h >= stop:
         return stop - t, stop
     if t + 2.0 * h > stop:
@@ -292,7 +328,7 @@ def planned_step(method, clock, settings):
 @kernel
 def breakpoint_at(clock, settings, end):
     """The breakpoint at which a step ends; infinite when it ends at none."""
-    k = clock.counts[BREAK]
+    k = clock.breakpoint
     near = CLOSE_IN_TIME * (1.0 + settings.end)
     if k < settings.breakpoints.size and abs(settings.breakpoints[k] - end) <= near:
         return settings.breakpoints[k]
@@ -300,25 +336,24 @@ def breakpoint_at(clock, settings, end):
 
 
 @kernel
-def try_step(book, joints, method, step, clock, settings, h):
+def try_step(struct, joints, method, step, clock, settings, h):
     """Stages and error estimate of one step; returns (status, error in units of the tolerance)."""
-    real, count = clock.real, clock.counts
-    t = real[T]
+    t = clock.t
     alpha, beta = gains(settings, h)
     copy(step.slope, step.k[0])
     if settings.stabilization == FEEDBACK and settings.adaptive:
         # the gains belong to this step's length, the slope at hand to another one's
-        status = evaluate_slope(book, t, step.z, step.base, alpha, beta, step.k[0])
-        count[EVALUATIONS] += 1
+        status = evaluate_slope(struct, t, step.z, step.base, alpha, beta, step.k[0])
+        clock.evaluations += 1
         if status != OK:
             return status, 0.0
-    status = run_stages(book, joints, method, step, t, h, alpha, beta)
-    _, buffers, _ = open_book(book)
+    status = run_stages(struct, joints, method, step, t, h, alpha, beta)
+    _, buffers, _ = open_system(struct)
     own = method.kind != EXPLICIT and method.kind != SEMI_IMPLICIT
     stages = step.own[OWN_EVALUATIONS] if own else method.stages - 1
     # a projection is counted as two evaluations
     projected = buffers.stage_gap[0] >= 0.0 and method.kind != VARIATIONAL
-    count[EVALUATIONS] += 3 * stages if projected else stages
+    clock.evaluations += 3 * stages if projected else stages
     if status != OK:
         return status, 0.0
     if not finite(step.z_new):
@@ -327,17 +362,17 @@ def try_step(book, joints, method, step, clock, settings, h):
         return OK, 0.0
     if method.error[0, method.stages] != 0.0:
         status = evaluate_slope(
-            book, t + h, step.z_new, step.base, alpha, beta, step.k[method.stages]
+            struct, t + h, step.z_new, step.base, alpha, beta, step.k[method.stages]
         )
-        count[EVALUATIONS] += 1
+        clock.evaluations += 1
         if status != OK:
             return status, 0.0
-    error = error_estimate(method, step, h, rounding_floor(book, clock))
+    error = error_estimate(method, step, h, rounding_floor(struct, clock))
     return (OK, error) if math.isfinite(error) else (NOT_FINITE, 0.0)
 
 
 @kernel
-def judge_solution(book, buffers, clock, settings):
+def judge_solution(struct, buffers, clock, settings):
     """Whether the end of a step can be believed: ``CONTRADICTION``, ``LARGE_CORRECTION`` or ``OK``.
 
     What the projection changes is the part of a step's error that led off the joints, and must be
@@ -345,11 +380,11 @@ def judge_solution(book, buffers, clock, settings):
     branches, and the projection then takes the state far: a shorter step ends nearer to the branch
     that the motion is on.  There the change has other causes too, and may be larger.
     """
-    if not believable(book, buffers.solved[RESIDUAL]):
+    if not believable(struct, buffers.solved[RESIDUAL]):
         return CONTRADICTION
     if settings.adaptive and settings.closed >= 0.0:
-        floor = max(settings.tolerance, rounding_floor(book, clock))
-        margin, most = open_coupled(book).margin[1], 1.0
+        floor = max(settings.tolerance, rounding_floor(struct, clock))
+        margin, most = open_coupled(struct).margin[1], 1.0
         moved, kicked = ROUNDED_SHIFT * settings.closed, ROUNDED_KICK * settings.closed
         if not math.isinf(margin):
             most = MOST_CORRECTED
@@ -358,43 +393,42 @@ def judge_solution(book, buffers, clock, settings):
         correction = max(
             buffers.solved[SHIFT] / max(floor, moved), buffers.solved[KICK] / max(floor, kicked)
         )
-        before = clock.real[CORRECTION]
+        before = clock.correction
         lessened = before == 0.0 or correction < LESSENED * before or correction > HOPELESS
         if correction > most and lessened:
-            clock.real[CORRECTION] = correction
+            clock.correction = correction
             return LARGE_CORRECTION
     return OK
 
 
 @kernel
-def count_solution(book, buffers, clock):
+def count_solution(struct, buffers, clock):
     """Statistics of how the end of an accepted step was solved."""
-    real, count, solved = clock.real, clock.counts, buffers.solved
+    solved = buffers.solved
     rank = int(solved[RANK_OF_ALL])
-    count[LOWEST_RANK] = min(count[LOWEST_RANK], rank)
-    count[HIGHEST_RANK] = max(count[HIGHEST_RANK], rank)
+    clock.lowest_rank = min(clock.lowest_rank, rank)
+    clock.highest_rank = max(clock.highest_rank, rank)
     if solved[COUPLED_ARMS] > 0.0:
-        count[COUPLED_STEPS] += 1
-    real[WORST_RESIDUAL] = max(real[WORST_RESIDUAL], solved[RESIDUAL])
-    real[WORST_CORRECTION] = max(real[WORST_CORRECTION], solved[SHIFT], solved[KICK])
-    count[CHANGES] += watch_solver(book)
+        clock.coupled_steps += 1
+    clock.worst_residual = max(clock.worst_residual, solved[RESIDUAL])
+    clock.worst_correction = max(clock.worst_correction, solved[SHIFT], solved[KICK])
+    clock.solver_changes += watch_solver(struct)
 
 
 @kernel
-def complete_step(book, method, step, clock, settings, h, end):
+def complete_step(struct, method, step, clock, settings, h, end):
     """Stabilise the end of an accepted step, evaluate there, prepare its dense output."""
-    plant, buffers, _ = open_book(book)
-    count = clock.counts
-    t = clock.real[T]
+    plant, buffers, _ = open_system(struct)
+    t = clock.t
     alpha, beta = gains(settings, h)
     load(step.z_new, step.base, buffers)
     # the variational method keeps the joints closed itself
     closed = method.kind == VARIATIONAL
-    status = settle(book, clock, settings, closed, min(end, buffers.time[1]), alpha, beta)
+    status = settle(struct, clock, settings, closed, min(end, buffers.time[1]), alpha, beta)
     if status != OK:
         return status
-    note_solution(book)
-    status = judge_solution(book, buffers, clock, settings)
+    note_solution(struct)
+    status = judge_solution(struct, buffers, clock, settings)
     if status != OK:
         return status
     gap = largest(buffers.contacts, GAP)
@@ -402,30 +436,30 @@ def complete_step(book, method, step, clock, settings, h, end):
         return DIVERGED if math.isfinite(gap) else NOT_FINITE
     # the slope of the next step, in this chart for the dense output and in the next one for it
     write_slope(step.z_new, buffers, step.k[method.stages])
-    if plant.calls[CALL_GUARDS] != 0 and call_entry(plant.calls[CALL_GUARDS], book, t, end) != OK:
-        status = prepare_dense(book, method, step, t, h, alpha, beta)
+    if plant.calls[CALL_GUARDS] != 0 and call_cfunc(plant.calls[CALL_GUARDS], struct, t, end) != OK:
+        status = prepare_dense(struct, method, step, t, h, alpha, beta)
         return EVENT if status == OK else status
     if buffers.places.size > 0:
         for i in range(buffers.places.shape[0]):
             copy(buffers.located[i], buffers.places[i])
     follow_joints(plant, buffers)
-    watch_step(book, t, end)
-    count_solution(book, buffers, clock)
+    watch_step(struct, t, end)
+    count_solution(struct, buffers, clock)
     if settings.adaptive and method.kind == EXPLICIT:
         note_stiffness(method, step, clock, h, end)
     if not math.isinf(buffers.time[1]):
         after = max(end, breakpoint_at(clock, settings, end))
-        status = settle(book, clock, settings, True, after, alpha, beta)
+        status = settle(struct, clock, settings, True, after, alpha, beta)
         if status != OK:
             return status
     clear(step.z_stage)
     write_slope(step.z_stage, buffers, step.slope_next)
-    due = sample_time(settings, count[SAMPLE]) if count[SAMPLE] < settings.samples else math.inf
+    due = sample_time(settings, clock.sample) if clock.sample < settings.samples else math.inf
     store(buffers, step.base_next, step.z_next)
     copy(step.z_new[step.tolerance.size :], step.z_next[step.tolerance.size :])
     if due < end - 1e-9 * h:
-        status = prepare_dense(book, method, step, t, h, alpha, beta)
-        count[EVALUATIONS] += max(0, method.A.shape[0] - method.stages - 1)
+        status = prepare_dense(struct, method, step, t, h, alpha, beta)
+        clock.evaluations += max(0, method.A.shape[0] - method.stages - 1)
         if status != OK:
             return status
     copy(step.z_next, step.z)
@@ -441,47 +475,47 @@ def note_stiffness(method, step, clock, h, end):
     The last stage and the end of the step belong to one time; what separates them shows the largest
     eigenvalue, :math:`|\lambda| \approx \|f(z_1) - f(z_2)\| / \|z_1 - z_2\|`.
     """
-    count, last, end_of = clock.counts, method.stages - 1, method.stages
+    last, end_of = method.stages - 1, method.stages
     rates = states = 0.0
     for i in range(step.tolerance.size):
         rates += (step.k[end_of, i] - step.k[last, i]) ** 2
         states += (step.z_new[i] - step.z_stage[i]) ** 2
     if states > 0.0 and h * h * rates > method.stability**2 * states:
-        count[STIFF_STEPS] += 1
-        count[SMOOTH_STEPS] = 0
-        if count[STIFF_STEPS] == STIFF_AFTER:
-            clock.real[STIFF_SINCE] = end
-    elif count[STIFF_STEPS] < STIFF_AFTER:
-        count[SMOOTH_STEPS] += 1
-        if count[SMOOTH_STEPS] == SMOOTH_AFTER:
-            count[STIFF_STEPS] = 0
+        clock.stiff_steps += 1
+        clock.smooth_steps = 0
+        if clock.stiff_steps == STIFF_AFTER:
+            clock.stiff_since = end
+    elif clock.stiff_steps < STIFF_AFTER:
+        clock.smooth_steps += 1
+        if clock.smooth_steps == SMOOTH_AFTER:
+            clock.stiff_steps = 0
 
 
 @kernel
-def rounding_floor(book, clock):
+def rounding_floor(struct, clock):
     """Smallest error that a step with projected stages can be asked for."""
-    if clock.counts[CAREFUL] == 0:
+    if clock.retry_steps == 0:
         return 0.0
-    margin = open_coupled(book).margin[1]
+    margin = open_coupled(struct).margin[1]
     return min(MOST_ROUNDED, ROUNDED / margin**3)
 
 
 @kernel
-def before_breakpoint(book, clock, settings, end):
+def before_breakpoint(struct, clock, settings, end):
     """See to it that a step that ends at a breakpoint does not see what comes after it."""
-    _, buffers, _ = open_book(book)
+    _, buffers, _ = open_system(struct)
     ahead = not math.isinf(breakpoint_at(clock, settings, end))
     buffers.time[1] = end - CLOSE_IN_TIME * (1.0 + settings.end) if ahead else math.inf
 
 
 @kernel
-def project_stages(book, clock, settings):
+def project_stages(struct, clock, settings):
     """Decide whether the stages of the coming step are projected."""
-    _, buffers, _ = open_book(book)
-    open_coupled(book).margin[1] = math.inf
-    careful = clock.counts[CAREFUL] > 0
+    _, buffers, _ = open_system(struct)
+    open_coupled(struct).margin[1] = math.inf
+    careful = clock.retry_steps > 0
     if not settings.adaptive and settings.closed >= 0.0:
-        careful = near_loss(book)
+        careful = near_loss(struct)
     buffers.stage_gap[0] = settings.closed if careful else -1.0
 
 
@@ -496,73 +530,71 @@ def next_length(method, h, error, error_old):
 
 
 @unlocked
-def advance(book, joints, arrays, run, block, budget):
+def advance(struct, joints, arrays, clock, settings, block, budget):
     """Integrate until the end, a full block, the budget of evaluations, or trouble.
 
-    ``book`` is the system's address book, ``arrays`` that of the method and its step, ``run`` that
-    of the clock and the settings.
-    ``block`` (samples, width) receives the samples from ``clock.counts[BLOCK_FIRST]`` on.  Returns
+    ``struct`` is the system's, ``arrays`` that of the method and its step; ``clock`` and
+    ``settings`` are those of the run.
+    ``block`` (samples, width) receives the samples from ``clock.block_first`` on.  Returns
     the reason.
     """
     method, step = open_step(arrays)
-    clock, settings = _open_clock(run), _open_settings(run)
-    real, count = clock.real, clock.counts
-    limit = count[EVALUATIONS] + budget
+    clock, settings = _view_clock(clock), _view_settings(settings)
+    limit = clock.evaluations + budget
     while True:
-        status = emit_samples(book, method, step, clock, settings, block)
+        status = emit_samples(struct, method, step, clock, settings, block)
         if status != OK:
             return status
-        if real[T] >= settings.end:
+        if clock.t >= settings.end:
             return FINISHED
-        if real[T] >= settings.stop:
+        if clock.t >= settings.stop:
             return STOPPED
-        if settings.switch and count[STIFF_STEPS] >= STIFF_AFTER:
+        if settings.switch and clock.stiff_steps >= STIFF_AFTER:
             return STIFF
-        if count[EVALUATIONS] >= limit:
+        if clock.evaluations >= limit:
             return BUDGET_USED
         h, end = planned_step(method, clock, settings)
-        if not h > max(SMALLEST_STEP * real[T], 8.0 * np.finfo(np.float64).eps * 1e-3):
-            return count[CAUSE]
-        project_stages(book, clock, settings)
-        before_breakpoint(book, clock, settings, end)
-        status, error = try_step(book, joints, method, step, clock, settings, h)
+        if not h > max(SMALLEST_STEP * clock.t, 8.0 * np.finfo(np.float64).eps * 1e-3):
+            return clock.cause
+        project_stages(struct, clock, settings)
+        before_breakpoint(struct, clock, settings, end)
+        status, error = try_step(struct, joints, method, step, clock, settings, h)
         if status == OK and error <= 1.0:
-            status = complete_step(book, method, step, clock, settings, h, end)
+            status = complete_step(struct, method, step, clock, settings, h, end)
             if status == OK:
-                accept(book, method, clock, settings, h, end, error)
-                if count[CHANGES] > 0:
-                    count[CHANGES] = 0
+                accept(struct, method, clock, settings, h, end, error)
+                if clock.solver_changes > 0:
+                    clock.solver_changes = 0
                     return SOLVER_CHANGED
                 continue
         if status in (CALLBACK_FAILED, EVENT) or not settings.adaptive:
             return status
-        count[REJECTED] += 1
-        if near_loss(book) and settings.closed >= 0.0:
-            if count[CAREFUL] == 0:
-                count[CAREFUL] = CAREFUL_STEPS
+        clock.rejected += 1
+        if near_loss(struct) and settings.closed >= 0.0:
+            if clock.retry_steps == 0:
+                clock.retry_steps = CAREFUL_STEPS
                 continue  # the same step, with projected stages
-            count[CAREFUL] = CAREFUL_STEPS
+            clock.retry_steps = CAREFUL_STEPS
         if status == OK:
-            count[CAUSE] = STEP_TOO_SMALL
-            real[H] = h * max(SHRINK, SAFETY * error ** (-1.0 / (method.error_order + 1.0)))
+            clock.cause = STEP_TOO_SMALL
+            clock.h = h * max(SHRINK, SAFETY * error ** (-1.0 / (method.error_order + 1.0)))
         else:
-            count[CAUSE] = status
-            real[H] = 0.25 * h
+            clock.cause = status
+            clock.h = 0.25 * h
 
 
 @kernel
-def accept(book, method, clock, settings, h, end, error):
+def accept(struct, method, clock, settings, h, end, error):
     """Move the clock to the end of an accepted step."""
-    real, count = clock.real, clock.counts
     if settings.adaptive:
-        proposal = next_length(method, h, error, real[ERROR_OLD])
+        proposal = next_length(method, h, error, clock.error_before)
         # a step cut short by a breakpoint or the end says little about the one planned
-        real[H] = max(proposal, real[H]) if h < real[H] else proposal
-        real[ERROR_OLD] = max(error, 1e-4)
-        real[ERROR_SUM] += error * max(settings.tolerance, rounding_floor(book, clock))
-    real[T_OLD], real[H_OLD], real[T] = real[T], h, end
-    real[CORRECTION] = 0.0
-    count[CAREFUL] = max(count[CAREFUL] - 1, 0)
-    real[SMALLEST] = min(real[SMALLEST], h)
-    real[LARGEST] = max(real[LARGEST], h)
-    count[STEPS] += 1
+        clock.h = max(proposal, clock.h) if h < clock.h else proposal
+        clock.error_before = max(error, 1e-4)
+        clock.error_sum += error * max(settings.tolerance, rounding_floor(struct, clock))
+    clock.t_before, clock.h_before, clock.t = clock.t, h, end
+    clock.correction = 0.0
+    clock.retry_steps = max(clock.retry_steps - 1, 0)
+    clock.smallest_step = min(clock.smallest_step, h)
+    clock.largest_step = max(clock.largest_step, h)
+    clock.steps += 1

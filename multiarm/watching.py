@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multiarm.books import floats1
 from multiarm.contacts.frames import COMPONENTS
 from multiarm.contacts.kernel import AT, NORMAL
 from multiarm.contacts.records import SURFACE_BODY, SURFACE_ON_OBJECT, TIP_RADIUS, Contact, Patch
 from multiarm.event_log import EventLog
-from multiarm.lowlevel import kernel
-from multiarm.plant import open_book
+from multiarm.jit.kernels import kernel
+from multiarm.jit.structs import floats1
+from multiarm.plant import open_system
 
 if TYPE_CHECKING:
     from multiarm.state import Layout
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 # Columns of a watch: row of W; body that carries the patch (``ON_OBJECT``, else the arm), or
 # ``FORCE``, ``LIMIT``, ``DRIVE``; the patch's frame (rotation row by row, origin) in that body; its
 # corners.  A limit has the arm in place of the row, then the component of the joint's motion, and
-# its bounds.  A drive has the arm, then where its margin is: place of an array in the address book,
+# its bounds.  A drive has the arm, then where its margin is: place of an array in the struct,
 # and the joint's number, which is the entry there.
 WATCH_ROW, WATCH_BODY, WATCH_POSE, WATCH_LOWER, WATCH_UPPER, WATCH_WIDTH = 0, 1, 2, 14, 17, 20
 ON_OBJECT, FORCE, LIMIT, DRIVE = -1, -2, -3, -4
@@ -53,7 +53,7 @@ def make_watches(
 
     The contacts have the arms' geometry in the frame of the link that carries the tip; ``limits``
     are by arm and component of the joint's relative motion; ``drives`` are places of margins in the
-    system's address book and joints.
+    system's struct and joints.
     """
     rows: list[np.ndarray] = []
     for i, (arm, own) in enumerate(contacts.items()):
@@ -166,17 +166,17 @@ def margin_of(watch, plant, buffers):
 
 
 @kernel
-def watch_step(book, begin, end):
+def watch_step(struct, begin, end):
     """Note the margins at the end of a step, and every one that changed its sign in it.
 
     ``buffers.margins`` holds those of the step's beginning (NaN at the start of a run);
     ``buffers.coordinates`` the joints' coordinates at its end.
     """
-    plant, buffers, _ = open_book(book)
+    plant, buffers, _ = open_system(struct)
     for k in range(plant.watches.shape[0]):
         before, watch = buffers.margins[k], plant.watches[k]
         if int(watch[WATCH_BODY]) == DRIVE:
-            now = floats1(book, int(watch[WATCH_POSE]))[int(watch[WATCH_POSE + 1])]
+            now = floats1(struct, int(watch[WATCH_POSE]))[int(watch[WATCH_POSE + 1])]
         elif int(watch[WATCH_BODY]) == LIMIT:
             x = buffers.coordinates[int(watch[WATCH_ROW]), int(watch[WATCH_POSE])]
             now = max(watch[WATCH_LOWER] - x, x - watch[WATCH_UPPER]) - NO_EXCESS

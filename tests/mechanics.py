@@ -31,7 +31,7 @@ from multiarm.contacts.records import (
 )
 from multiarm.contacts.rows import write_row
 from multiarm.contacts.surfaces import answering
-from multiarm.lowlevel import CallBack
+from multiarm.jit.pointers import PythonCallback
 from multiarm.scene import parse_scene
 
 ROOT = Path(__file__).parents[1]
@@ -276,7 +276,7 @@ def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
     rows, parts = np.zeros((n, CONTACT_WIDTH)), np.zeros((len(table.codes) - n, CONTACT_WIDTH))
     scratch, located = np.zeros(29), np.zeros((len(table.shapes), 3))
     places = np.zeros_like(located)
-    answer = CallBack(answering(table.functions, scratch[15:]), np.zeros(1, dtype=np.int64))
+    answer = PythonCallback(answering(table.functions, scratch[15:]), np.zeros(1, dtype=np.int64))
     for k in range(n):
         if table.codes[k, KIND] == PAIR:
             places[table.codes[k, LINK]] = near[k]

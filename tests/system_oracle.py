@@ -37,6 +37,7 @@ from scipy.linalg import block_diag
 from test_singular import exactly
 from test_singular import solve_exactly as eliminate
 
+from multiarm.node.batched import solve_batched
 from multiarm.node.dense import solve_dense
 from multiarm.node.reaction_coupling import FREE
 from multiarm.node.reaction_coupling import RANK as REACTION_RANK
@@ -45,7 +46,6 @@ from multiarm.node.reaction_elimination import eliminate_with_reactions
 from multiarm.node.reaction_solution import solve_for_reactions
 from multiarm.node.reactions import make_reaction_work
 from multiarm.node.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
-from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import (
     IMMOVABLE_BY_OBJECT,
     PART_TOLERANCE,
@@ -136,7 +136,7 @@ def solve_by_node(system: System) -> NodeSolution:
     work, coupled = make_work(dofs, rows, system.reach), make_coupled(dofs, rows)
     loads, Wo = loads_of(system), np.ascontiguousarray(np.hstack(system.W_o).T)
     load_arms(system, work, {"Y": system.W})
-    eliminated = solve_side_by_side(work, Wo, system.M_o, *loads) == ELIMINATED
+    eliminated = solve_batched(work, Wo, system.M_o, *loads) == ELIMINATED
     if eliminated and balanced(system, loads):
         return _solution(work, loads, loads.c.size, np.ones(loads.c.size, dtype=bool))
     for decompose_all in (False, True):

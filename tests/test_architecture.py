@@ -24,16 +24,14 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top. A room is a module or a package directly below `multiarm`; it imports
 # rooms of lower layers only, none of its own layer. "multiarm" is the public surface.
 LAYERS: tuple[tuple[str, ...], ...] = (
-    ("errors", "interrupts", "printable", "translation", "books", "reporting_style", "state")
-    + ("terms",),
-    ("lowlevel", "writing", "user_code"),
-    ("vectors",),
-    ("spatial", "lanes", "channels", "outcome", "decimation", "event_log", "event_words", "grasp"),
+    ("errors", "interrupts", "printable", "reporting_style", "state") + ("terms",),
+    ("jit", "writing", "user_code"),
+    ("spatial", "channels", "outcome", "decimation", "event_log", "event_words", "grasp"),
     ("contacts", "load_sharing", "node", "scene", "arm", "payload", "storage")
     + ("complementarity", "sample_store"),
     ("place_keeping",),
     ("plant", "arm_groups", "trajectory", "guide", "object_control", "candidates", "connections"),
-    ("asking", "kinematics", "late_entries", "compiled_arms"),
+    ("asking", "kinematics", "compiled_arms"),
     ("control", "dense_call", "effects", "sinks", "supply"),
     ("equations",),
     ("stabilization", "samples", "watching", "solver_watch"),
@@ -83,7 +81,14 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "distributed": ("sweeps.cluster", "sweeps.sweep"),
     "h5py": ("storage",),
     "joblib": ("sweeps.engines",),
-    "llvmlite": ("books", "lanes", "lowlevel", "translation"),
+    "llvmlite": (
+        "jit.kernels",
+        "jit.lazy",
+        "jit.linking",
+        "jit.pointers",
+        "jit.simd",
+        "jit.structs",
+    ),
     "matplotlib": (
         "plots",
         "reporting_parts",
@@ -94,7 +99,15 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "meshcat": ("viewer",),
     "mujoco": ("benchmarks.mujoco_peer",),
-    "numba": ("books", "lanes", "lowlevel", "translation", "benchmarks.torque_tape"),
+    "numba": (
+        "jit.kernels",
+        "jit.lazy",
+        "jit.linking",
+        "jit.pointers",
+        "jit.simd",
+        "jit.structs",
+        "benchmarks.torque_tape",
+    ),
     "pinocchio": ("arm", "arm_groups", "viewer", "benchmarks.peers", "benchmarks.pinocchio_motion"),
     "pyarrow": ("sweeps.export",),
     "pydantic": ("scene", "sweeps"),
@@ -278,7 +291,7 @@ def test_modules_import_each_other_without_cycles():
 
 def test_node_sees_arrays_only():
     seen = {found.rooms[1] for found in imports() if found.ours and found.rooms[0] == "node"}
-    assert seen <= {"node", "terms", "lowlevel", "books", "lanes"}
+    assert seen <= {"node", "terms", "jit"}
 
 
 @pytest.mark.parametrize("library", LIBRARIES)

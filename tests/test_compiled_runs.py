@@ -25,7 +25,7 @@ from test_cli import figures, multiarm
 import multiarm as ma
 from multiarm.compiled_arms import choice
 from multiarm.errors import ModelError, SceneError
-from multiarm.lowlevel import CallBack
+from multiarm.jit.pointers import PythonCallback
 from multiarm.plant import (
     CALL_ARMS,
     CALL_COUPLED,
@@ -233,7 +233,7 @@ def test_certificates_are_the_same():
 def entered(monkeypatch):
     """Names of the functions in Python that compiled code has called."""
     names: list[str] = []
-    begin = CallBack.__init__
+    begin = PythonCallback.__init__
 
     def counting(self, function, flag):
         def counted():
@@ -242,7 +242,7 @@ def entered(monkeypatch):
 
         begin(self, counted, flag)
 
-    monkeypatch.setattr(CallBack, "__init__", counting)
+    monkeypatch.setattr(PythonCallback, "__init__", counting)
     return names
 
 

@@ -167,7 +167,7 @@ def accelerations(name, coordinate, rate, closed):
     """Object's acceleration on the closed form; ``closed`` < 0: not interpolated."""
     system = compiled(name)
     system.set_state(0.0, state_on(name, coordinate, rate))
-    assert evaluate_on_branch(system.book(), closed, 0.0, 0.0) == OK
+    assert evaluate_on_branch(system.struct(), closed, 0.0, 0.0) == OK
     return system.buffers.q_o.copy(), system
 
 
@@ -219,7 +219,7 @@ def test_interpolation_leaves_the_state_as_it_was():
 def test_far_from_the_flat_position_nothing_is_interpolated():
     found, system = accelerations("four_bar", math.pi + 0.5, 6.0, 1e-13)
     assert system.coupled.margin[0] > ZONE
-    assert evaluate_buffers(system.book(), 0.0, 0.0) == OK
+    assert evaluate_buffers(system.struct(), 0.0, 0.0) == OK
     np.testing.assert_array_equal(found, system.buffers.q_o)
 
 

@@ -28,7 +28,7 @@ def placed(scene):
     """A system with the kinematics of its start in the buffers."""
     system = ma.compile_system(scene)
     system.set_state(0.0, system.initial_state())
-    assert update_kinematics(system.book()) == OK
+    assert update_kinematics(system.struct()) == OK
     return system
 
 

@@ -395,7 +395,7 @@ def test_each_effect_alone_adds_what_it_adds_to_all(rng):
 def test_a_scene_without_effects_has_nothing_of_them(sledge):
     system = sledge({})
     assert system.plant.effects.size == 0 and system.pieces.arrays == []
-    assert system.book().size == 4 * OWN_ARRAYS
+    assert system.struct().size == 4 * OWN_ARRAYS
     assert system.buffers.inner.size == 0 and system.buffers.power.size == 1
     assert not system.plant.watches.size
 

@@ -13,8 +13,19 @@ import numpy as np
 import pytest
 
 import multiarm as ma
-from multiarm.books import Flag, Float, Floats1, Floats2, Int, Ints1, address_book, book_of, view
-from multiarm.lowlevel import address_of, entry, kernel
+from multiarm.jit.kernels import cfunc, kernel
+from multiarm.jit.pointers import address_of
+from multiarm.jit.structs import (
+    Flag,
+    Float,
+    Floats1,
+    Floats2,
+    Int,
+    Ints1,
+    make_struct,
+    struct_of,
+    view,
+)
 from multiarm.plant import CALL_COUPLED, CALL_ROW
 from multiarm.problems import HARD_CASES, ring_of_arms
 
@@ -34,9 +45,9 @@ open_things, open_behind = view(Things), view(Things, len(Things._fields))
 
 
 @kernel
-def sum_of(book):
+def sum_of(struct):
     """Everything in the second of two sets of things."""
-    things = open_behind(book)
+    things = open_behind(struct)
     total = things.count + things.share + (100.0 if things.wanted else 0.0)
     for i in range(things.line.size):
         total += things.line[i]
@@ -47,9 +58,9 @@ def sum_of(book):
 
 
 @kernel
-def write_into(book):
+def write_into(struct):
     """Write where the first set's table is."""
-    open_things(book).table[1, 0] = 7.0
+    open_things(struct).table[1, 0] = 7.0
 
 
 def things(wanted: bool = True) -> Things:
@@ -59,33 +70,33 @@ def things(wanted: bool = True) -> Things:
 
 def test_a_view_has_the_arrays_and_numbers_of_its_book():
     first, second = things(), things(wanted=False)
-    book = address_book([*first, *second])
-    assert sum_of(book) == 3 + 0.25 + 3 + 15 + 40
-    assert sum_of(address_book([*second, *first])) == 100 + 3 + 0.25 + 3 + 15 + 40
+    struct = make_struct([*first, *second])
+    assert sum_of(struct) == 3 + 0.25 + 3 + 15 + 40
+    assert sum_of(make_struct([*second, *first])) == 100 + 3 + 0.25 + 3 + 15 + 40
 
 
 def test_numbers_become_what_their_fields_are():
     given = things()._replace(count=3.0, share=2, wanted=np.bool_(True))
-    assert sum_of(book_of(things(), given)) == 100 + 3 + 2 + 3 + 15 + 40
+    assert sum_of(struct_of(things(), given)) == 100 + 3 + 2 + 3 + 15 + 40
 
 
 def test_what_a_kernel_writes_through_a_view_is_in_the_array():
     first = things()
-    book = address_book([*first, *things()])
-    write_into(book)
+    struct = make_struct([*first, *things()])
+    write_into(struct)
     assert first.table[1, 0] == 7.0
 
 
 def test_views_do_not_exist_in_python():
     @kernel
-    def returns_a_view(book):
-        return open_things(book)
+    def returns_a_view(struct):
+        return open_things(struct)
 
     with pytest.raises((TypeError, NotImplementedError)):
-        returns_a_view(address_book([*things()]))
+        returns_a_view(make_struct([*things()]))
 
 
-@entry
+@cfunc
 def told(address, size, a, b):
     """An entry that nobody has asked for yet."""
     return int(a + b) + size
@@ -107,7 +118,7 @@ def test_threads_that_ask_at_once_get_one_entry():
 
 
 OWN = """
-from multiarm.lowlevel import kernel
+from multiarm.jit.kernels import kernel
 FACTOR = {factor}
 
 @kernel

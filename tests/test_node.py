@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mechanics import EPS, WORKED
 
+from multiarm.node.batched import largest_free_rate, solve_batched
 from multiarm.node.dense import solve_dense
 from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, NO_INERTIA, eliminate_arms
-from multiarm.node.side_by_side import largest_free_rate, solve_side_by_side
 from multiarm.node.singular import couple, make_coupled, solve_coupled
 from multiarm.node.work import make_work
 
@@ -34,7 +34,7 @@ def solve_by_node(system):
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
     q_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
     h, c = np.concatenate(system.h), np.concatenate(system.c)
-    failed = solve_side_by_side(work, Wo, system.M_o, system.h_o, h, c, q_o, q, force)
+    failed = solve_batched(work, Wo, system.M_o, system.h_o, h, c, q_o, q, force)
     if failed == DEFICIENT:
         coupled = make_coupled(dofs, rows)
         assert eliminate_arms(work, Wo) == ELIMINATED
@@ -188,7 +188,7 @@ def test_numbers_that_are_not_finite_never_count_as_solved(which, value):
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
     right = system.h_o, np.concatenate(system.h), np.concatenate(system.c)
     found = np.zeros(6), np.zeros(9), np.zeros(5)
-    assert solve_side_by_side(work, Wo, system.M_o, *right, *found) == DEFICIENT
+    assert solve_batched(work, Wo, system.M_o, *right, *found) == DEFICIENT
     if which == "M":
         assert eliminate_arms(work, Wo) == 1 and work.pivot[1] == NO_INERTIA
     else:
@@ -245,7 +245,7 @@ def solve_in(work, system):
     q_o, q, force = np.zeros(6), np.zeros(work.dofs[-1]), np.zeros(work.rows[-1])
     right = system.h_o, np.concatenate(system.h), np.concatenate(system.c)
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
-    status = solve_side_by_side(work, Wo, system.M_o, *right, q_o, q, force)
+    status = solve_batched(work, Wo, system.M_o, *right, q_o, q, force)
     arms = zip(np.split(q, work.dofs[1:-1]), np.split(force, work.rows[1:-1]), strict=True)
     return status, [np.concatenate(arm) for arm in arms]
 

@@ -58,7 +58,7 @@ def pinocchio_calls(monkeypatch):
 
 
 def array_count(system: ma.System) -> int:
-    return len(system.book()) // 4
+    return len(system.struct()) // 4
 
 
 def test_a_scene_without_effects_has_no_piece_and_no_array_of_one():

@@ -19,7 +19,6 @@ from multiarm.errors import SceneError
 from multiarm.event_driving import EventDriving
 from multiarm.event_log import MOST_LISTED, EventLog
 from multiarm.scene import RunSpec
-from multiarm.time_loop import COUNT_WIDTH, REAL_WIDTH, REJECTED, STEPS, T
 
 FAST, SLOW = 1e9, 0.5  # [Hz]
 # A look at the pace may come late by the steps of one budget of evaluations, of at least 6 each.
@@ -101,12 +100,12 @@ def test_a_run_that_goes_on_with_the_method_for_stiff_scenes_ends_too(monkeypatc
 )
 def test_steps_rejected_steps_and_events_count(steps, rejected, stops):
     settings = SimpleNamespace(adaptive=True, longest_step=np.inf, begin=0.0)
-    clock = SimpleNamespace(real=np.zeros(REAL_WIDTH), counts=np.zeros(COUNT_WIDTH, dtype=int))
+    clock = SimpleNamespace(t=0.0, h=0.0, steps=0, rejected=0)
     run = SimpleNamespace(settings=settings, clock=clock)
     pace = Pace(run, RunSpec(duration=10.0))
     for got_on, verdict in ((2e-8, False), (0.5e-8, True)):  # [s] a step, of 1e-8 s allowed
-        clock.real[T] += got_on * JUDGED_STEPS
-        clock.counts[[STEPS, REJECTED]] += steps, rejected
+        clock.t += got_on * JUDGED_STEPS
+        clock.steps, clock.rejected = clock.steps + steps, clock.rejected + rejected
         pace.event_stops += stops
         assert bool(pace.judge(run)) is verdict
         assert pace.judge(run) == "", "until as many steps have been made again"
@@ -138,7 +137,7 @@ def endless_events(monkeypatch):
     kinds = ("bounces", "slides", "sticks")
 
     def cross(self, run):
-        t = float(run.clock.real[0])
+        t = run.clock.t
         events = [{"time": t, "kind": kind, "arm": "floor", "text": kind} for kind in kinds]
         self._log.add(events)
         self.count += len(events)

@@ -28,8 +28,8 @@ from multiarm.benchmarks.scaling_plots import plot_scaling
 from multiarm.benchmarks.scaling_tables import Cell, disturbance, tables
 from multiarm.benchmarks.solver_forms import Coefficients
 from multiarm.cli import app
-from multiarm.lanes import LANES
-from multiarm.lowlevel import Kernel
+from multiarm.jit.kernels import Kernel
+from multiarm.jit.simd import LANES
 from multiarm.node import side_by_side
 from multiarm.node import tables as group_tables
 from multiarm.node.dense import solve_dense
@@ -167,12 +167,12 @@ def put(array, at, value):
 
 # What the instructions on lanes do to the first of them.
 ONE_LANE = {
-    "lanes_at": lambda array, at: array[at],
-    "put_lanes": put,
-    "lanes_of": Counting,
-    "gather_lanes": lambda array, at, *_: np.ravel(array)[at],
-    "least_positive": lambda a, b: (b if b < a else a) if b > 0.0 else 0.0,
-    "sum_of_lanes": lambda x: x + 0.0 + 0.0 + 0.0,
+    "load_pack": lambda array, at: array[at],
+    "store_pack": put,
+    "broadcast": Counting,
+    "gather_pack": lambda array, at, *_: np.ravel(array)[at],
+    "min_positive": lambda a, b: (b if b < a else a) if b > 0.0 else 0.0,
+    "sum_pack": lambda x: x + 0.0 + 0.0 + 0.0,
 }
 
 
@@ -212,7 +212,7 @@ def test_node_operations_are_those_that_the_time_loop_performs(monkeypatch, rng,
     q_o, q, force = (counted(np.zeros(size)) for size in (6, n * d, n * N))
     right = [counted(part) for part in (s.h_o, s.h.ravel(), s.c.ravel())]
     monkeypatch.setattr(Counting, "count", 0)
-    status = side_by_side.solve_side_by_side(work, Wo, counted(s.M_o), *right, q_o, q, force)
+    status = side_by_side.solve_batched(work, Wo, counted(s.M_o), *right, q_o, q, force)
     assert status == ELIMINATED
     assert Counting.count == node_operations(n, d, N)
     np.testing.assert_allclose(np.concatenate([numbers(q_o), numbers(q)]), dense(s), rtol=1e-9)

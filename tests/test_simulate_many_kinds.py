@@ -13,7 +13,7 @@ from mechanics import ur5_pair
 
 import multiarm as ma
 from multiarm.compilation import twin
-from multiarm.plant import ARMS_BOOK, CALL_DENSE, CALL_TERMS
+from multiarm.plant import ARMS_STRUCT, CALL_DENSE, CALL_TERMS
 from multiarm.scene import changed
 from multiarm.terms import M_STRIDE
 
@@ -187,7 +187,7 @@ def where_terms_are(system) -> set[int]:
     """Addresses of the arms' terms, and of what computes them."""
     pointers = system.plant.pointers[: len(system.arms)]
     places = set(np.delete(pointers, M_STRIDE, axis=1).ravel())
-    return (places | set(system.plant.calls[[CALL_TERMS, CALL_DENSE, ARMS_BOOK]])) - {0}
+    return (places | set(system.plant.calls[[CALL_TERMS, CALL_DENSE, ARMS_STRUCT]])) - {0}
 
 
 def test_twins_share_no_array_that_is_written(system):

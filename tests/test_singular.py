@@ -32,8 +32,8 @@ from test_dynamics import UR5_WRIST_SINGULAR, two_arm_block_twice
 from test_node import random_system, seeds, stacked, worked_system
 
 import multiarm as ma
+from multiarm.node.batched import solve_batched
 from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, eliminate_arms
-from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.singular import (
     ARMS,
     MOVABLE,
@@ -72,7 +72,7 @@ def eliminated(system):
         work.Y[i, : dofs[i], : rows[i]] = W
     h, c = np.concatenate(system.h), np.concatenate(system.c)
     found = np.zeros(6), np.zeros(h.size), np.zeros(c.size)
-    status = solve_side_by_side(work, object_rows(system), system.M_o, system.h_o, h, c, *found)
+    status = solve_batched(work, object_rows(system), system.M_o, system.h_o, h, c, *found)
     if status == DEFICIENT:
         failed = eliminate_arms(work, object_rows(system))
         status = DEFICIENT if failed == ELIMINATED else failed

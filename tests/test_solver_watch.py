@@ -284,7 +284,7 @@ def test_the_largest_term_may_be_what_contact_forces_hold_back(welded_ur5_system
     system = welded_ur5_system
     evaluation = ma.evaluate(system, 0.0, system.initial_state())
     M, h, W, c = system_matrices(system, evaluation)
-    assert evaluate_buffers(system.book(), 0.0, 0.0) == OK
+    assert evaluate_buffers(system.struct(), 0.0, 0.0) == OK
     buffers = system.buffers
     x = np.concatenate([buffers.q_o, buffers.qdd])
     x[6] = buffers.qdd[0] = x[6] + 1e-3

@@ -15,11 +15,12 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.event_log import EventLog
-from multiarm.integrators.stepper import step_book
+from multiarm.integrators.stepper import step_struct
 from multiarm.integrators.tableaus import METHODS
+from multiarm.jit.structs import struct_of
 from multiarm.preparation import prepare, run_spec
 from multiarm.problems import HARD_CASES, ring_of_arms
-from multiarm.time_loop import FINISHED, STEPS, advance, run_book
+from multiarm.time_loop import FINISHED, advance
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
 AMPLITUDE = {
@@ -119,9 +120,11 @@ def step_of_the_package(system, state, h):
     run = prepare(system, spec, state, None, np.inf, EventLog())
     stepping = run.stepping
     settings = run.settings._replace(adaptive=False, step=h, apart=np.inf)
-    arrays, joints_ = step_book(stepping.method, stepping.step), system.layout.joints
-    reason = advance(system.book(), joints_, arrays, run_book(run.clock, settings), run.block, 1000)
-    assert reason == FINISHED and run.clock.counts[STEPS] == 1
+    arrays, joints_ = step_struct(stepping.method, stepping.step), system.layout.joints
+    reason = advance(
+        system.struct(), joints_, arrays, run.clock.struct, struct_of(settings), run.block, 1000
+    )
+    assert reason == FINISHED and run.clock.steps == 1
     return stepping.own[0]
 
 

@@ -362,13 +362,13 @@ def test_rolling_converges_with_order_2(tmp_path):
 
 def coriolis_matrices(system):
     """``C`` of every arm at the state in the buffers, read where the kernels read it."""
-    (callback, address, *book), places = system.coriolis()
-    update_kinematics(system.book())
+    (callback, address, *struct), places = system.coriolis()
+    update_kinematics(system.struct())
     if callback:
         ctypes.CFUNCTYPE(None)(int(callback))()
     if address:
         kinds = [ctypes.c_int64] * 3 + [ctypes.c_double] * 2
-        ctypes.CFUNCTYPE(*kinds)(int(address))(*map(int, book), 0.0, 0.0)
+        ctypes.CFUNCTYPE(*kinds)(int(address))(*map(int, struct), 0.0, 0.0)
     found = []
     for (at, stride), arm in zip(places, system.arms.values(), strict=True):
         n = arm.dof

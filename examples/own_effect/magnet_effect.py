@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 import multiarm as ma
-from multiarm.books import book_at, floats1, ints1
 from multiarm.effects.piece import APPLIED, POWER, Piece
-from multiarm.lowlevel import entry
-from multiarm.plant import open_book
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.plant import open_system
 
 
 class Magnet(ma.Effect):
@@ -34,12 +34,12 @@ class Magnet(ma.Effect):
         return ma.Loads(object_wrench=[*(self.spec.strength * way / distance**3), 0, 0, 0])
 
 
-@entry
+@cfunc
 def pull(address, size, at, _t):
     """Own array: place of the magnet, strength, softening."""
-    book = book_at(address, size)
-    _, buffers, _ = open_book(book)
-    slots, magnet = ints1(book, int(at)), floats1(book, int(at) + 1)
+    struct = struct_at(address, size)
+    _, buffers, _ = open_system(struct)
+    slots, magnet = ints1(struct, int(at)), floats1(struct, int(at) + 1)
     squared = magnet[4] ** 2
     for k in range(3):
         squared += (magnet[k] - buffers.position[k]) ** 2

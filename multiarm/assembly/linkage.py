@@ -204,7 +204,7 @@ class Linkage:
             if self.with_object:
                 b.position[:3] += move[:3]
                 b.position[3:7] = retract(posture.position[3:7], move[3:6])
-        if update_kinematics(self._system.book()) != OK:
+        if update_kinematics(self._system.struct()) != OK:
             self._system.reraise()
 
     def moved(self, posture: Posture, u: np.ndarray) -> Posture | None:

@@ -85,13 +85,13 @@ def _arms_close(system: System, heavy: System, state: State, tolerance: float) -
     where it fails, near singular postures, the arms are led.
     """
     system.set_state(0.0, state)
-    if project_positions(heavy.book(), tolerance, True, _LONGEST_JOINT_CHANGE, _ITERATIONS) == OK:
+    if project_positions(heavy.struct(), tolerance, True, _LONGEST_JOINT_CHANGE, _ITERATIONS) == OK:
         return True
     system.reraise()
     system.set_state(0.0, state)
     free = np.full((system.layout.joints, 2), [-np.inf, np.inf])
     for i in range(len(system.arm_names)):
-        if update_kinematics(system.book()) != OK:
+        if update_kinematics(system.struct()) != OK:
             system.reraise()
         if close_gaps(Linkage(system, [i], False, free), tolerance).status != CLOSED:
             return False

@@ -223,5 +223,5 @@ def _limits(system: System, written: State) -> tuple[np.ndarray, tuple[str, ...]
 
 
 def _update(system: System) -> None:
-    if update_kinematics(system.book()) != OK:
+    if update_kinematics(system.struct()) != OK:
         system.reraise()

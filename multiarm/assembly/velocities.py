@@ -66,6 +66,6 @@ def close_rates(system: System, size: float | None = None) -> float:
         v -= np.linalg.solve(place.factor.T, Vt.T @ taken)
         lost += 0.5 * float(taken @ taken)
         b.twist[:], b.v[:] = np.split(linkage.unit * v, [6])
-        if update_kinematics(system.book()) != OK:
+        if update_kinematics(system.struct()) != OK:
             system.reraise()
     return lost

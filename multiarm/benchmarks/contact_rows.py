@@ -32,7 +32,8 @@ from multiarm.contacts.records import (
 from multiarm.contacts.rows import write_row, write_rows
 from multiarm.contacts.smooth import SignedDistanceSurface
 from multiarm.contacts.surfaces import QUERY_WIDTH, answering
-from multiarm.lowlevel import CallBack, kernel
+from multiarm.jit.kernels import kernel
+from multiarm.jit.pointers import PythonCallback
 
 ROWS = 24
 X, Y, Z = np.eye(3)
@@ -103,7 +104,7 @@ class _Burst:
         self._places = np.tile([0.47, 0.01, 0.01], (shapes, 1))
         self._located = np.zeros((shapes, 3))
         answer = answering(self._table.functions, self._scratch[RELATIVE_WIDTH:])
-        self._call = CallBack(answer, np.zeros(1, dtype=np.int64))
+        self._call = PythonCallback(answer, np.zeros(1, dtype=np.int64))
         self._repeats = 1
         self.time()
         self._repeats = max(1, round(2e-3 / (self.time() * self._count)))
@@ -133,12 +134,12 @@ def _moving(speed: float) -> np.ndarray:
 @kernel
 def _write_often(
     repeats, count, arm, body, relative, codes, geometry, shapes, calls, rows, parts, scratch,
-    places, located, no_book,
+    places, located, no_struct,
 ):  # fmt: skip
     plain = codes[0, KIND] <= CYLINDER
     for _ in range(repeats):
         if plain:
-            write_rows(0, count, arm, body, relative, codes, geometry, rows, no_book, 0, 0)
+            write_rows(0, count, arm, body, relative, codes, geometry, rows, no_struct, 0, 0)
             continue
         for k in range(count):
             write_row(

@@ -37,7 +37,8 @@ from multiarm.equations import OK
 from multiarm.errors import SolverError
 from multiarm.integrators.stepper import evaluate_slope, make_step, store
 from multiarm.integrators.tableaus import RK4
-from multiarm.lowlevel import call_back, kernel
+from multiarm.jit.kernels import kernel
+from multiarm.jit.pointers import call_python
 from multiarm.plant import CALL_TERMS
 from multiarm.problems import ring_of_arms
 from multiarm.state import State
@@ -96,13 +97,13 @@ def moving_state(system: System, seed: int) -> State:
 
 def slope_burst(system: System) -> Burst:
     """Evaluations as the time loop performs them, at the state in the buffers."""
-    joints, pieces, book = system.layout.joints, system.pieces, system.book()
+    joints, pieces, struct = system.layout.joints, system.pieces, system.struct()
     step = make_step(RK4, joints, pieces.states, 1 + len(pieces.works))
     store(system.buffers, step.base, step.z)
     step.z[12 + 2 * joints :][: pieces.states] = pieces.start(system)
 
     def burst(count: int) -> None:
-        if _evaluate_often(book, step.z, step.base, step.slope, count) != OK:
+        if _evaluate_often(struct, step.z, step.base, step.slope, count) != OK:
             system.reraise()
             raise SolverError("an evaluation of the benchmark failed")
 
@@ -199,10 +200,10 @@ def _slopes(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
 
 
 @kernel
-def _evaluate_often(book, z, base, slope, count):
+def _evaluate_often(struct, z, base, slope, count):
     status = OK
     for i in range(count):
-        status = evaluate_slope(book, 1e-4 * i, z, base, 0.0, 0.0, slope)
+        status = evaluate_slope(struct, 1e-4 * i, z, base, 0.0, 0.0, slope)
         if status != OK:
             return status
     return status
@@ -211,4 +212,4 @@ def _evaluate_often(book, z, base, slope, count):
 @kernel
 def _terms_often(address, count):
     for _ in range(count):
-        call_back(address)
+        call_python(address)

@@ -12,7 +12,7 @@ algorithm takes, an arm,
     \underbrace{2 d N + 2 d^2}_{q_i}
 
 to leading orders when the equations (4.10) - (4.12) of the thesis are carried out as written, and
-:math:`\tfrac13 6^3 + 2 \cdot 6^2` for the object: linear.  What :mod:`multiarm.node.side_by_side`
+:math:`\tfrac13 6^3 + 2 \cdot 6^2` for the object: linear.  What :mod:`multiarm.node.batched`
 really does is less, since triangular factors and symmetric halves serve twice;
 :func:`node_operations` counts it exactly, each arm's own operations.
 """

@@ -13,7 +13,6 @@ import numpy as np
 from multiarm.assembly import projection_tolerance
 from multiarm.benchmarks.bursts import Burst
 from multiarm.benchmarks.evaluation_costs import slope_burst, terms_burst
-from multiarm.books import ints1
 from multiarm.dynamics import evaluate
 from multiarm.equations import OK, finite
 from multiarm.errors import SolverError
@@ -24,13 +23,15 @@ from multiarm.integrators.stepper import (
     make_method,
     make_step,
     open_step,
-    step_book,
+    step_struct,
     store,
     write_slope,
 )
 from multiarm.integrators.tableaus import METHODS, RK4
-from multiarm.lowlevel import call_entry, kernel
-from multiarm.plant import CALL_FORCES, CALL_KINEMATICS, CALL_SOLVE, CALLS, open_book
+from multiarm.jit.kernels import kernel
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import ints1
+from multiarm.plant import CALL_FORCES, CALL_KINEMATICS, CALL_SOLVE, CALLS, open_system
 from multiarm.samples import sample_width, write_sample
 from multiarm.stabilization import project
 from multiarm.system import System
@@ -41,13 +42,13 @@ OPEN = 1e-9
 
 def part_bursts(system: System, integrator: str) -> dict[str, Burst]:
     """The loops over the parts, all at the state in the system's buffers."""
-    book, buffers, work = system.book(), system.buffers, system.work
+    struct, buffers, work = system.struct(), system.buffers, system.work
     state = system.get_state()
     slopes = make_step(RK4, system.layout.joints)
     store(buffers, slopes.base, slopes.z)
     pushed = slopes.z.copy()
     pushed[:3] += OPEN
-    _kinematics_often(book, 1)
+    _kinematics_often(struct, 1)
     L, Y = work.L.copy(), work.Y.copy()
     joints = system.layout.joints
     sample = np.zeros(
@@ -63,7 +64,7 @@ def part_bursts(system: System, integrator: str) -> dict[str, Burst]:
 
     def checked(function: Callable[..., int], *arguments: Any) -> Burst:
         def burst(count: int) -> None:
-            if function(book, *arguments, count) != OK:
+            if function(struct, *arguments, count) != OK:
                 system.reraise()
                 raise SolverError("a part of an evaluation failed in the benchmark")
 
@@ -89,7 +90,7 @@ def _arithmetic_burst(joints: int, integrator: str) -> Burst:
     tableau = METHODS[integrator]
     method, step = make_method(tableau), make_step(tableau, joints)
     step.k[:] = np.random.default_rng(joints).normal(size=step.k.shape)
-    arrays = step_book(method, step)
+    arrays = step_struct(method, step)
 
     def burst(count: int) -> None:
         _combine_often(arrays, count)
@@ -99,18 +100,18 @@ def _arithmetic_burst(joints: int, integrator: str) -> Burst:
 
 
 @kernel
-def _kinematics_often(book, count):
+def _kinematics_often(struct, count):
     status = OK
     for _ in range(count):
-        status = call_entry(ints1(book, CALLS)[CALL_KINEMATICS], book, 0.0, 0.0)
+        status = call_cfunc(ints1(struct, CALLS)[CALL_KINEMATICS], struct, 0.0, 0.0)
     return status
 
 
 @kernel
-def _forces_often(book, count):
+def _forces_often(struct, count):
     status = OK
     for _ in range(count):
-        status = call_entry(ints1(book, CALLS)[CALL_FORCES], book, 0.0, 0.0)
+        status = call_cfunc(ints1(struct, CALLS)[CALL_FORCES], struct, 0.0, 0.0)
     return status
 
 
@@ -124,7 +125,7 @@ def _reload(source, out):
 
 
 @kernel
-def _reload_often(book, L, Y, to_L, to_Y, count):
+def _reload_often(struct, L, Y, to_L, to_Y, count):
     for _ in range(count):
         _reload(L, to_L)
         _reload(Y, to_Y)
@@ -132,19 +133,19 @@ def _reload_often(book, L, Y, to_L, to_Y, count):
 
 
 @kernel
-def _solve_often(book, L, Y, to_L, to_Y, count):
+def _solve_often(struct, L, Y, to_L, to_Y, count):
     status = OK
     for _ in range(count):
         _reload(L, to_L)
         _reload(Y, to_Y)
-        status = call_entry(ints1(book, CALLS)[CALL_SOLVE], book, 0.0, 0.0)
+        status = call_cfunc(ints1(struct, CALLS)[CALL_SOLVE], struct, 0.0, 0.0)
     return status
 
 
 @kernel
-def _pass_often(book, z, base, slope, count):
+def _pass_often(struct, z, base, slope, count):
     """The state's way into the buffers, and the slope's out of them."""
-    _, buffers, _ = open_book(book)
+    _, buffers, _ = open_system(struct)
     good = True
     for _ in range(count):
         good = finite(z) and good
@@ -154,10 +155,10 @@ def _pass_often(book, z, base, slope, count):
 
 
 @kernel
-def _sample_often(book, row, count):
-    _, buffers, _ = open_book(book)
+def _sample_often(struct, row, count):
+    _, buffers, _ = open_system(struct)
     for i in range(count):
-        write_sample(book, 1e-3 * i, buffers.power, row)
+        write_sample(struct, 1e-3 * i, buffers.power, row)
     return OK
 
 
@@ -175,11 +176,11 @@ def _combine_often(arrays, count):
 
 
 @kernel
-def _project_often(book, z, base, closed, count):
+def _project_often(struct, z, base, closed, count):
     """Projection of a state whose joints are open."""
-    _, buffers, _ = open_book(book)
+    _, buffers, _ = open_system(struct)
     status = OK
     for _ in range(count):
         load(z, base, buffers)
-        status = project(book, closed)
+        status = project(struct, closed)
     return status

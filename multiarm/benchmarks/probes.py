@@ -10,7 +10,7 @@ from multiarm.contacts.kernel import GAP
 from multiarm.control import harmonic
 from multiarm.dense_call import read_inertia
 from multiarm.equations import evaluate_buffers, update_kinematics
-from multiarm.lowlevel import address_of
+from multiarm.jit.pointers import address_of
 from multiarm.state import State
 from multiarm.system import System
 
@@ -66,7 +66,7 @@ def control_torque(system: System, t: float, state: State) -> np.ndarray:
     if not is_controlled(system):
         return np.zeros(system.layout.joints)
     system.set_state(t, state)
-    evaluate_buffers(system.book(), 0.0, 0.0)  # torques are there whatever the solver says
+    evaluate_buffers(system.struct(), 0.0, 0.0)  # torques are there whatever the solver says
     system.forgive()
     return system.buffers.torque.copy()
 
@@ -79,14 +79,14 @@ def is_controlled(system: System) -> bool:
 def largest_gap(system: System, state: State) -> float:
     """Largest gap of a contact [m]."""
     system.set_state(0.0, state)
-    update_kinematics(system.book())
+    update_kinematics(system.struct())
     return float(np.max(np.abs(system.buffers.contacts[:, GAP]), initial=0.0))
 
 
 def total_energy(system: System, state: State) -> float:
     """Kinetic and potential energy [J]."""
     system.set_state(0.0, state)
-    update_kinematics(system.book())
+    update_kinematics(system.struct())
     twist, buffers = state.object_twist, system.buffers
     kinetic = twist @ buffers.inertia @ twist
     for i, v in enumerate(state.joint_velocities.values()):

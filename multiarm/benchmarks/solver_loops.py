@@ -6,19 +6,20 @@ import numpy as np
 
 from multiarm.benchmarks.bursts import Burst
 from multiarm.benchmarks.solver_forms import Coefficients, Solution, assemble
-from multiarm.books import ints1
 from multiarm.equations import OK
 from multiarm.errors import SolverError
-from multiarm.lowlevel import call_entry, kernel
+from multiarm.jit.kernels import kernel
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import ints1
+from multiarm.node.batched import solve_batched
 from multiarm.node.regular import ELIMINATED
-from multiarm.node.side_by_side import solve_side_by_side
 from multiarm.node.work import make_work
 from multiarm.plant import CALL_FORCES, CALL_KINEMATICS, CALLS
 from multiarm.system import System
 
 
 class CompiledNode:
-    """The node algorithm of the time loop (:mod:`multiarm.node.side_by_side`) on coefficients."""
+    """The node algorithm of the time loop (:mod:`multiarm.node.batched`) on coefficients."""
 
     def __init__(self, s: Coefficients) -> None:
         n, d, N = s.W.shape
@@ -48,10 +49,10 @@ class CompiledNode:
 
 def build_burst(system: System) -> Burst:
     """The coefficients of (4.9) at the state in the system's buffers, with ``W`` and all forces."""
-    book = system.book()
+    struct = system.struct()
 
     def burst(count: int) -> None:
-        if _build_often(book, count) != OK:
+        if _build_often(struct, count) != OK:
             system.reraise()
             raise SolverError("the coefficients of the study cannot be built")
 
@@ -70,14 +71,14 @@ def assembly_burst(s: Coefficients) -> Burst:
 
 
 @kernel
-def _build_often(book, count):
-    """Coefficients of the system in the book: Pinocchio, contacts, forces."""
-    calls = ints1(book, CALLS)
+def _build_often(struct, count):
+    """Coefficients of the system in the struct: Pinocchio, contacts, forces."""
+    calls = ints1(struct, CALLS)
     status = OK
     for _ in range(count):
-        status = call_entry(calls[CALL_KINEMATICS], book, 0.0, 0.0)
+        status = call_cfunc(calls[CALL_KINEMATICS], struct, 0.0, 0.0)
         if status == OK:
-            status = call_entry(calls[CALL_FORCES], book, 0.0, 0.0)
+            status = call_cfunc(calls[CALL_FORCES], struct, 0.0, 0.0)
         if status != OK:
             return status
     return status
@@ -94,7 +95,7 @@ def _node_often(work, M, W, Wo, M_o, h_o, h, c, q_o, q, force, count):
                     work.L[i, a, b] = M[i, a, b]
                 for b in range(W.shape[2]):
                     work.Y[i, a, b] = W[i, a, b]
-        status = solve_side_by_side(work, Wo, M_o, h_o, h, c, q_o, q, force)
+        status = solve_batched(work, Wo, M_o, h_o, h, c, q_o, q, force)
         if status != ELIMINATED:
             return status
     return status

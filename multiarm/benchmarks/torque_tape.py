@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import cfunc, types
 
-from multiarm.books import book_at, floats_at
+from multiarm.jit.structs import floats_at, struct_at
 
 _NEXT, _WIDTH, _LAST = 1, 2, 3
 
@@ -39,7 +39,7 @@ class TorqueTape:
 
         @cfunc(types.void(types.intp, types.intp))
         def play(_model, _data):
-            state = book_at(address, 5)
+            state = struct_at(address, 5)
             width = state[_WIDTH]
             row = floats_at(state[0] + 8 * width * state[_NEXT], width)
             out = floats_at(state[4], width)

@@ -27,7 +27,7 @@ class Springs:
     force : ndarray, shape (s,)
         Contact forces at the state evaluated last [N].
     links : int64 (2,)
-        Address and size of the book of a system with these rows.
+        Address and size of the struct of a system with these rows.
     kept : list
         What is reached by these addresses.
     """

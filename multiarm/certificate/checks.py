@@ -182,13 +182,13 @@ class _Energies:
     """Momenta and energies of a system at any state."""
 
     def __init__(self, system: System) -> None:
-        self._system, self._book = system, system.book()
+        self._system, self._struct = system, system.struct()
 
     def momentum(self, state: State) -> np.ndarray:
         """Generalised momenta M v, shape (6 + n,)."""
         system = self._system
         place_state(system, 0.0, state)
-        if update_kinematics(self._book) != OK:
+        if update_kinematics(self._struct) != OK:
             system.reraise()
         parts = [system.buffers.inertia @ state.velocity[:6]]
         for i, (a, b) in enumerate(pairwise(system.layout.dofs)):

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Floats1, Floats2, Ints1, Ints2, view
 from multiarm.contacts.kernel import BODY_WIDTH
-from multiarm.lanes import LANES
-from multiarm.lowlevel import kernel
+from multiarm.jit.kernels import kernel
+from multiarm.jit.simd import LANES
+from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, view
 
 # Columns of ArmTables.blocks: joints; the first of them among those of all blocks; where the first
 # arm's terms begin; where an arm's Jacobian, bias, gravity torque, potential energy and poses are

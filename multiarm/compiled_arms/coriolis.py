@@ -22,7 +22,6 @@ not zero, those that act on angular velocities:
 
 from __future__ import annotations
 
-from multiarm.books import book_at
 from multiarm.compiled_arms.arrays import (
     COLUMN_RATE,
     FIRST,
@@ -46,9 +45,10 @@ from multiarm.compiled_arms.vectors import (
     symmetric_at,
     vector_at,
 )
-from multiarm.lanes import LANES, deal_four, lanes_at, lanes_of, put_lanes
-from multiarm.lowlevel import entry, inlined, kernel
-from multiarm.vectors import (
+from multiarm.jit.kernels import cfunc, inlined, kernel
+from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack, transpose_four
+from multiarm.jit.structs import struct_at
+from multiarm.jit.vectors import (
     add,
     add_cross,
     add_scaled,
@@ -61,10 +61,10 @@ from multiarm.vectors import (
 )
 
 
-@entry
+@cfunc
 def update_coriolis(address, size, _a, _b):
     """Write the matrices of Coriolis forces of compiled arms, column by column."""
-    arms = open_arms(book_at(address, size))
+    arms = open_arms(struct_at(address, size))
     load_joints(arms)
     for b in range(arms.blocks.shape[0]):
         outwards(arms, b)
@@ -74,7 +74,9 @@ def update_coriolis(address, size, _a, _b):
         at0, width = block[TERMS], block[WIDTH]
         at1, at2, at3 = at0 + width, at0 + 2 * width, at0 + 3 * width
         for k in range(0, block[JOINTS] * block[JOINTS], LANES):
-            deal_four(arms.leaves, LANES * k, arms.coriolis, at0 + k, at1 + k, at2 + k, at3 + k)
+            transpose_four(
+                arms.leaves, LANES * k, arms.coriolis, at0 + k, at1 + k, at2 + k, at3 + k
+            )
     return 0
 
 
@@ -85,13 +87,13 @@ def turns_outwards(arms, b):
     v = w = nothing()
     for k in range(arms.blocks[b, JOINTS]):
         link, at = LANES * LINK_WIDTH * k, LANES * TURN_WIDTH * k
-        rate = lanes_at(arms.rate, LANES * (arms.blocks[b, FIRST] + k))
+        rate = load_pack(arms.rate, LANES * (arms.blocks[b, FIRST] + k))
         linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
         v, w = add_scaled(v, rate, linear), add_scaled(w, rate, angular)
         linear = add_cross(cross(w, linear), v, angular)
         put_pair(out, at + LANES * COLUMN_RATE, linear, cross(w, angular))
         link += LANES * LINK_INERTIA
-        mass, moment = lanes_at(links, link), vector_at(links, link + LANES)
+        mass, moment = load_pack(links, link), vector_at(links, link + LANES)
         inertia = symmetric_at(links, link + 4 * LANES)
         put_vector(out, at + LANES * MOMENTUM, add_cross(scale(mass, v), w, moment))
         put_columns(out, at + LANES * MATRIX, turning_matrix(moment, inertia, v, w))
@@ -100,7 +102,7 @@ def turns_outwards(arms, b):
 @inlined
 def turning_matrix(c, inertia, v, w):
     """Columns of the block of B that makes moments of angular velocities."""
-    half = lanes_of(0.5)
+    half = broadcast(0.5)
     xx, xy, xz, yy, yz, zz = inertia
     x, y, z = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
     a, b, d = cross(w, x), cross(w, y), cross(w, z)
@@ -129,12 +131,12 @@ def turning_matrix(c, inertia, v, w):
 def coriolis_inwards(arms, b):
     """Matrices of one block, all columns of lanes, into ``leaves``."""
     links, turns, leaves, n = arms.links, arms.link_turns, arms.leaves, arms.blocks[b, JOINTS]
-    zero, mass, moment, h = nothing(), lanes_of(0.0), nothing(), nothing()
+    zero, mass, moment, h = nothing(), broadcast(0.0), nothing(), nothing()
     second, B = zero + zero, (zero, zero, zero)
     for j in range(n - 1, -1, -1):
         link, turn = LANES * LINK_WIDTH * j, LANES * TURN_WIDTH * j
         at = link + LANES * LINK_INERTIA
-        mass = mass + lanes_at(links, at)
+        mass = mass + load_pack(links, at)
         moment = add(moment, vector_at(links, at + LANES))
         second = add_symmetric(second, symmetric_at(links, at + 4 * LANES))
         h = add(h, vector_at(turns, turn + LANES * MOMENTUM))
@@ -153,5 +155,5 @@ def coriolis_inwards(arms, b):
             other = vector_at(links, at), vector_at(links, at + 3 * LANES)
             change = vector_at(turns, rates), vector_at(turns, rates + 3 * LANES)
             below = power(change[0], change[1], force, couple) + dot(other[1], own)
-            put_lanes(leaves, LANES * (n * k + j), below)
-            put_lanes(leaves, LANES * (n * j + k), power(other[0], other[1], f, c))
+            store_pack(leaves, LANES * (n * k + j), below)
+            store_pack(leaves, LANES * (n * j + k), power(other[0], other[1], f, c))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from multiarm.books import address_book
 from multiarm.compiled_arms.arrays import (
     BIAS,
     ENERGY,
@@ -26,8 +25,9 @@ from multiarm.compiled_arms.coriolis import update_coriolis
 from multiarm.compiled_arms.sweep import update_arms
 from multiarm.compiled_arms.tables import lane_of
 from multiarm.contacts.kernel import BODY_WIDTH
-from multiarm.lowlevel import ENTRY_PROTOTYPE, address_of
-from multiarm.plant import ARMS_BOOK, ARMS_SIZE, CALL_ARMS
+from multiarm.jit.pointers import CFUNC_PROTOTYPE, address_of
+from multiarm.jit.structs import make_struct
+from multiarm.plant import ARMS_SIZE, ARMS_STRUCT, CALL_ARMS
 from multiarm.terms import (
     BIAS_AT,
     GRAVITY_AT,
@@ -82,12 +82,12 @@ class CompiledArms:
     def connect(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
         """Let the sweeps read a system's positions and velocities, and write its bodies."""
         self._arrays = make_arrays(self.tables, self._terms, self._coriolis, angles, rates, bodies)
-        self._book = address_book(self._arrays)
+        self._struct = make_struct(self._arrays)
 
     def write_calls(self, calls: np.ndarray) -> None:
-        """Write entry, address book and its size into ``Plant.calls``."""
+        """Write entry, struct and its size into ``Plant.calls``."""
         calls[CALL_ARMS] = address_of(update_arms)
-        calls[ARMS_BOOK], calls[ARMS_SIZE] = self._book.ctypes.data, self._book.size
+        calls[ARMS_STRUCT], calls[ARMS_SIZE] = self._struct.ctypes.data, self._struct.size
 
     def want_gravity_torque(self) -> None:
         """Write gravity torques from now on."""
@@ -108,13 +108,15 @@ class CompiledArms:
         return float(np.sum(self._terms[self.tables.energies]))
 
     def coriolis_call(self) -> tuple[int, int, int]:
-        """Entry that updates the matrices of Coriolis forces, address book and its size."""
-        return address_of(update_coriolis), self._book.ctypes.data, self._book.size
+        """Entry that updates the matrices of Coriolis forces, struct and its size."""
+        return address_of(update_coriolis), self._struct.ctypes.data, self._struct.size
 
     def update(self, with_coriolis: bool = False) -> None:
         """Compute all terms at the system's positions and velocities, from Python."""
         for entry in (update_arms, update_coriolis) if with_coriolis else (update_arms,):
-            ENTRY_PROTOTYPE(address_of(entry))(self._book.ctypes.data, self._book.size, 0.0, 0.0)
+            CFUNC_PROTOTYPE(address_of(entry))(
+                self._struct.ctypes.data, self._struct.size, 0.0, 0.0
+            )
 
     def terms(self, arm: int) -> LinkTerms:
         """The terms of arm number ``arm`` of these as they were computed last, as copies."""

@@ -9,7 +9,7 @@ unit in the last place, given what ``y`` was rounded by.
 
 from __future__ import annotations
 
-from multiarm.lowlevel import kernel
+from multiarm.jit.kernels import kernel
 
 # Angles beyond this need more digits of pi [rad].
 FAR = 1e5

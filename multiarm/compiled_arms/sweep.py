@@ -34,7 +34,6 @@ from __future__ import annotations
 
 import math
 
-from multiarm.books import book_at
 from multiarm.compiled_arms.arrays import (
     ARMATURE,
     AXES,
@@ -78,9 +77,10 @@ from multiarm.compiled_arms.vectors import (
     vector_at,
 )
 from multiarm.contacts.kernel import ACCELERATION, BODY_WIDTH, ORIGIN_AT, VELOCITY
-from multiarm.lanes import LANES, deal_four, lanes_at, lanes_of, put_lanes
-from multiarm.lowlevel import entry, inlined, kernel
-from multiarm.vectors import (
+from multiarm.jit.kernels import cfunc, inlined, kernel
+from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack, transpose_four
+from multiarm.jit.structs import struct_at
+from multiarm.jit.vectors import (
     add,
     add_cross,
     add_rotated,
@@ -97,10 +97,10 @@ from multiarm.vectors import (
 )
 
 
-@entry
+@cfunc
 def update_arms(address, size, _a, _b):
     """Write all terms of compiled arms and the motion of the links that carry their tips."""
-    arms = open_arms(book_at(address, size))
+    arms = open_arms(struct_at(address, size))
     load_joints(arms)
     for b in range(arms.blocks.shape[0]):
         outwards(arms, b)
@@ -127,13 +127,13 @@ def load_joints(arms):
 def place_joint(arms, joint, at, axes, p):
     """Axes and origin of a joint's frame from those of the last one's."""
     constants = arms.constants
-    sine, cosine = lanes_at(arms.sine, joint), lanes_at(arms.cosine, joint)
+    sine, cosine = load_pack(arms.sine, joint), load_pack(arms.cosine, joint)
     p = add_rotated(p, axes, vector_at(constants, at + LANES * OFFSET))
     x = rotate(axes, vector_at(constants, at + LANES * AXES))
     y = rotate(axes, vector_at(constants, at + LANES * (AXES + 3)))
     z = rotate(axes, vector_at(constants, at + LANES * (AXES + 6)))
-    p = add_scaled(p, lanes_at(constants, at + LANES * SLIDES) * lanes_at(arms.angle, joint), z)
-    backwards = lanes_of(0.0) - sine
+    p = add_scaled(p, load_pack(constants, at + LANES * SLIDES) * load_pack(arms.angle, joint), z)
+    backwards = broadcast(0.0) - sine
     axes = add_scaled(scale(cosine, x), sine, y), add_scaled(scale(cosine, y), backwards, x), z
     return axes, p
 
@@ -141,8 +141,8 @@ def place_joint(arms, joint, at, axes, p):
 @inlined
 def column(constants, at, z, p):
     """Linear and angular part of a joint's column."""
-    angular = scale(lanes_at(constants, at + LANES * TURNS), z)
-    linear = scale(lanes_at(constants, at + LANES * SLIDES), z)
+    angular = scale(load_pack(constants, at + LANES * TURNS), z)
+    linear = scale(load_pack(constants, at + LANES * SLIDES), z)
     return add_cross(linear, p, angular), angular
 
 
@@ -151,7 +151,7 @@ def link_inertia(constants, at, axes, p):
     """Mass, centre and inertia about it of a link, world axes."""
     centre = add_rotated(p, axes, vector_at(constants, at + LANES * CENTRE))
     inertia = rotate_symmetric(axes, symmetric_at(constants, at + LANES * INERTIA))
-    return lanes_at(constants, at + LANES * MASS), centre, inertia
+    return load_pack(constants, at + LANES * MASS), centre, inertia
 
 
 @inlined
@@ -161,8 +161,8 @@ def put_link_inertia(links, at, body):
     moment = scale(mass, c)
     xx, yy, zz = moment[0] * c[0], moment[1] * c[1], moment[2] * c[2]
     xy, xz, yz = moment[0] * c[1], moment[0] * c[2], moment[1] * c[2]
-    zero = lanes_of(0.0)
-    put_lanes(links, at, mass)
+    zero = broadcast(0.0)
+    store_pack(links, at, mass)
     put_vector(links, at + LANES, moment)
     own = (yy + zz, zero - xy, zero - xz, xx + zz, zero - yz, xx + yy)
     put_symmetric(links, at + 4 * LANES, add_symmetric(inertia, own))
@@ -184,7 +184,7 @@ def outwards(arms, b):
     """Columns, inertias and forces of the links of one block; Jacobians, poses and bodies."""
     constants, links, leaves, block = arms.constants, arms.links, arms.leaves, arms.blocks[b]
     zero, gravity = nothing(), everywhere(arms.gravity)
-    one, none = lanes_of(1.0), lanes_of(0.0)
+    one, none = broadcast(1.0), broadcast(0.0)
     axes, origin = (
         ((one, none, none), (none, one, none), (none, none, one)),
         vector_at(arms.bases[b], 0),
@@ -194,7 +194,7 @@ def outwards(arms, b):
     joint, link = LANES * block[FIRST], 0
     at, jacobian, pose = JOINT_WIDTH * joint, LANES * block[JACOBIAN], LANES * block[POSES]
     for _ in range(block[JOINTS]):
-        rate = lanes_at(arms.rate, joint)
+        rate = load_pack(arms.rate, joint)
         axes, p = place_joint(arms, joint, at, axes, p)
         linear, angular = column(constants, at, axes[2], p)
         put_pair(links, link + LANES * COLUMN, linear, angular)
@@ -241,35 +241,35 @@ def inwards(arms, b):
     """Bias, inertia and energy of the arms of one block; gravity torques where they are wanted."""
     constants, links, leaves, block = arms.constants, arms.links, arms.leaves, arms.blocks[b]
     n, zero, gravity = block[JOINTS], nothing(), everywhere(arms.gravity)
-    mass, moment, force, couple = lanes_of(0.0), zero, zero, zero
+    mass, moment, force, couple = broadcast(0.0), zero, zero, zero
     second = zero + zero
     for j in range(n - 1, -1, -1):
         link = LANES * LINK_WIDTH * j
         at = link + LANES * LINK_INERTIA
-        mass = mass + lanes_at(links, at)
+        mass = mass + load_pack(links, at)
         moment = add(moment, vector_at(links, at + LANES))
         second = add_symmetric(second, symmetric_at(links, at + 4 * LANES))
         at = link + LANES * FORCE
         force = add(force, vector_at(links, at))
         couple = add(couple, vector_at(links, at + 3 * LANES))
         linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
-        put_lanes(leaves, LANES * (block[BIAS] + j), power(linear, angular, force, couple))
+        store_pack(leaves, LANES * (block[BIAS] + j), power(linear, angular, force, couple))
         # momentum of the composite body for a unit rate of the joint
         f, c = times_inertia(mass, moment, second, linear, angular)
         row = LANES * n * j
         for k in range(j):
             at = LANES * LINK_WIDTH * k
             other = vector_at(links, at), vector_at(links, at + 3 * LANES)
-            put_lanes(leaves, row + LANES * k, power(other[0], other[1], f, c))
-        drive = lanes_at(constants, LANES * (JOINT_WIDTH * (block[FIRST] + j) + ARMATURE))
-        put_lanes(leaves, row + LANES * j, power(linear, angular, f, c) + drive)
+            store_pack(leaves, row + LANES * k, power(other[0], other[1], f, c))
+        drive = load_pack(constants, LANES * (JOINT_WIDTH * (block[FIRST] + j) + ARMATURE))
+        store_pack(leaves, row + LANES * j, power(linear, angular, f, c) + drive)
         if arms.wanted[WITH_GRAVITY_TORQUE] != 0:
             weight = scale(mass, gravity), cross(moment, gravity)
-            held = lanes_of(0.0) - power(linear, angular, weight[0], weight[1])
-            put_lanes(leaves, LANES * (block[GRAVITY_TORQUE] + j), held)
+            held = broadcast(0.0) - power(linear, angular, weight[0], weight[1])
+            store_pack(leaves, LANES * (block[GRAVITY_TORQUE] + j), held)
     moment = add_scaled(moment, mass, vector_at(arms.bases[b], 0))
-    energy = lanes_of(0.0) - dot(moment, gravity)
-    put_lanes(leaves, LANES * block[ENERGY], energy)
+    energy = broadcast(0.0) - dot(moment, gravity)
+    store_pack(leaves, LANES * block[ENERGY], energy)
 
 
 @inlined
@@ -279,9 +279,9 @@ def deal_terms(arms, b):
     width, at0 = block[WIDTH], block[TERMS]
     at1, at2, at3 = at0 + width, at0 + 2 * width, at0 + 3 * width
     for k in range(0, width if arms.wanted[WITH_POSES] != 0 else block[POSES], LANES):
-        deal_four(arms.leaves, LANES * k, arms.terms, at0 + k, at1 + k, at2 + k, at3 + k)
+        transpose_four(arms.leaves, LANES * k, arms.terms, at0 + k, at1 + k, at2 + k, at3 + k)
     at0, at1 = BODY_WIDTH * block[PLACES], BODY_WIDTH * block[PLACES + 1]
     at2, at3 = BODY_WIDTH * block[PLACES + 2], BODY_WIDTH * block[PLACES + 3]
     for k in range(0, BODY_WIDTH, LANES):
         source = LANES * (width + k)
-        deal_four(arms.leaves, source, arms.bodies, at0 + k, at1 + k, at2 + k, at3 + k)
+        transpose_four(arms.leaves, source, arms.bodies, at0 + k, at1 + k, at2 + k, at3 + k)

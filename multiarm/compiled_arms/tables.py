@@ -30,7 +30,7 @@ from multiarm.compiled_arms.arrays import (
     ArmTables,
     block_columns,
 )
-from multiarm.lanes import LANES
+from multiarm.jit.simd import LANES
 from multiarm.spatial import skew
 from multiarm.terms import ArmStructure
 

@@ -1,27 +1,27 @@
 """Vectors, rotations and symmetric matrices of four arms at once, in arrays of lanes.
 
-What is computed with them is in :mod:`multiarm.vectors`.
+What is computed with them is in :mod:`multiarm.jit.vectors`.
 """
 
 from __future__ import annotations
 
-from multiarm.lanes import LANES, lanes_at, lanes_of, put_lanes
-from multiarm.lowlevel import inlined
-from multiarm.vectors import dot
+from multiarm.jit.kernels import inlined
+from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
+from multiarm.jit.vectors import dot
 
 
 @inlined
 def vector_at(array, at):
     """Three lanes that follow each other."""
-    return lanes_at(array, at), lanes_at(array, at + LANES), lanes_at(array, at + 2 * LANES)
+    return load_pack(array, at), load_pack(array, at + LANES), load_pack(array, at + 2 * LANES)
 
 
 @inlined
 def put_vector(array, at, a):
     """Write three lanes."""
-    put_lanes(array, at, a[0])
-    put_lanes(array, at + LANES, a[1])
-    put_lanes(array, at + 2 * LANES, a[2])
+    store_pack(array, at, a[0])
+    store_pack(array, at + LANES, a[1])
+    store_pack(array, at + 2 * LANES, a[2])
 
 
 @inlined
@@ -64,14 +64,14 @@ def put_rows(array, at, axes):
 @inlined
 def nothing():
     """The vector zero."""
-    zero = lanes_of(0.0)
+    zero = broadcast(0.0)
     return zero, zero, zero
 
 
 @inlined
 def everywhere(a):
     """A vector of plain numbers, the same for all arms."""
-    return lanes_of(a[0]), lanes_of(a[1]), lanes_of(a[2])
+    return broadcast(a[0]), broadcast(a[1]), broadcast(a[2])
 
 
 @inlined

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.contacts.kernel import ORIGIN_AT, SPIN, VELOCITY
-from multiarm.lowlevel import kernel
-from multiarm.vectors import (
+from multiarm.jit.kernels import kernel
+from multiarm.jit.vectors import (
     add,
     add_cross,
     compose,

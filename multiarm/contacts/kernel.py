@@ -50,8 +50,8 @@ from multiarm.contacts.records import (
     SIDE,
     TIP_RADIUS,
 )
-from multiarm.lowlevel import inlined
-from multiarm.vectors import (
+from multiarm.jit.kernels import inlined
+from multiarm.jit.vectors import (
     ZERO,
     across,
     add,

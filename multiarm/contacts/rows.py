@@ -74,8 +74,9 @@ from multiarm.contacts.records import (
     WEIGHT,
 )
 from multiarm.contacts.surfaces import DISTANCE, GRADIENT, SECOND, world_distance
-from multiarm.lowlevel import call_entry, inlined, kernel
-from multiarm.vectors import (
+from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.vectors import (
     ZERO,
     across,
     add,
@@ -110,7 +111,7 @@ _NEAR_POLE = 0.2
 
 
 @inlined
-def write_rows(first, count, arm, body, relative, codes, geometry, rows, book, i, other):
+def write_rows(first, count, arm, body, relative, codes, geometry, rows, struct, i, other):
     """Write ``count`` rows of arm ``i`` from ``first`` on; for the arguments see ``write_row``.
 
     Tips on planes, spheres and cylinders, which nearly all rows are, share the relative motion
@@ -120,7 +121,7 @@ def write_rows(first, count, arm, body, relative, codes, geometry, rows, book, i
     for k in range(first, first + count):
         kind, surface_body = codes[k, KIND], codes[k, SURFACE_BODY]
         if kind > CYLINDER:
-            call_entry(other, book, float(k), float(i))
+            call_cfunc(other, struct, float(k), float(i))
         elif surface_body == SURFACE_ON_OBJECT:
             if seen_from != surface_body:
                 relative_motion(arm, body, relative)

@@ -37,8 +37,9 @@ from multiarm.contacts.records import (
     TORUS,
     SmoothShape,
 )
-from multiarm.lowlevel import call_back, inlined, kernel
-from multiarm.vectors import (
+from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.pointers import call_python
+from multiarm.jit.vectors import (
     add_outer,
     add_symmetric,
     compose,
@@ -127,7 +128,7 @@ def local_distance(shape, query, function_call):
         _ellipsoid(query, y, a, b, c)
     else:
         query[FUNCTION] = shape[SHAPE_FUNCTION]
-        call_back(function_call)
+        call_python(function_call)
 
 
 @inlined

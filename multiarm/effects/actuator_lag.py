@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multiarm.books import book_at, floats1, ints1
 from multiarm.effects.piece import ACTUATOR, STATE, Piece, Site
-from multiarm.lowlevel import entry
-from multiarm.plant import open_book
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.plant import open_system
 
 if TYPE_CHECKING:
     from multiarm.system import System
 
 
-@entry
+@cfunc
 def lag_torques(address, size, at, _t):
     """Own arrays: the lagging joints; their time constants [s]; their commands, written here."""
-    book = book_at(address, size)
-    _, buffers, _ = open_book(book)
+    struct = struct_at(address, size)
+    _, buffers, _ = open_system(struct)
     first = int(at)
-    slots, lagging = ints1(book, first), ints1(book, first + 1)
-    constants, commands = floats1(book, first + 2), floats1(book, first + 3)
+    slots, lagging = ints1(struct, first), ints1(struct, first + 1)
+    constants, commands = floats1(struct, first + 2), floats1(struct, first + 3)
     torque, state = buffers.torque, slots[STATE]
     for k in range(lagging.size):
         j = lagging[k]

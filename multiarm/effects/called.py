@@ -10,25 +10,26 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from multiarm.asking import Asked
-from multiarm.books import book_at, floats1, ints1
 from multiarm.effects.effect import Loads
 from multiarm.effects.piece import APPLIED, POWER, Piece
 from multiarm.errors import ControlError
-from multiarm.lowlevel import call_back, entry
-from multiarm.plant import Buffers, open_book
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.pointers import call_python
+from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.plant import Buffers, open_system
 from multiarm.state import Layout, State
 
 
-@entry
+@cfunc
 def add_called_loads(address, size, at, _t):
     """Own arrays: address of the function, and what it answers: wrench, then torques."""
-    book = book_at(address, size)
-    _, buffers, _ = open_book(book)
-    slots, function = ints1(book, int(at)), ints1(book, int(at) + 1)
-    loads, power = floats1(book, int(at) + 2), 0.0
+    struct = struct_at(address, size)
+    _, buffers, _ = open_system(struct)
+    slots, function = ints1(struct, int(at)), ints1(struct, int(at) + 1)
+    loads, power = floats1(struct, int(at) + 2), 0.0
     if buffers.flag[0] != 0:
         return 0  # another function failed: nobody is asked any more
-    call_back(function[0])
+    call_python(function[0])
     for k in range(6):
         buffers.h_o[k] += loads[k]
         power += loads[k] * buffers.twist[k]

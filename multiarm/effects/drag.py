@@ -17,19 +17,19 @@ import math
 
 import numpy as np
 
-from multiarm.books import book_at, floats1, ints1
 from multiarm.contacts.kernel import SPIN, VELOCITY
 from multiarm.effects.piece import APPLIED, POWER, Piece, Site
-from multiarm.lowlevel import entry
-from multiarm.plant import open_book
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.plant import open_system
 
 
-@entry
+@cfunc
 def add_drag(address, size, at, _t):
     """Own array: linear, quadratic and angular coefficients of the axes; the medium's velocity."""
-    book = book_at(address, size)
-    _, buffers, _ = open_book(book)
-    slots, own = ints1(book, int(at)), floats1(book, int(at) + 1)
+    struct = struct_at(address, size)
+    _, buffers, _ = open_system(struct)
+    slots, own = ints1(struct, int(at)), floats1(struct, int(at) + 1)
     body, h_o, power = buffers.body, buffers.h_o, 0.0
     square = 0.0
     for a in range(3):

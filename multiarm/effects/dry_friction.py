@@ -8,20 +8,20 @@ contacts and impacts have their work noted under names of their own.
 
 from __future__ import annotations
 
-from multiarm.books import book_at, floats1, ints1
 from multiarm.candidates.plan import Plan
 from multiarm.candidates.units import DRY_JOINT
 from multiarm.effects.piece import APPLIED, PASSIVE, POWER, Piece
-from multiarm.lowlevel import entry
-from multiarm.plant import open_book
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.plant import open_system
 
 
-@entry
+@cfunc
 def add_dry_friction(address, size, at, _t):
     """Own array: the torque on every joint."""
-    book = book_at(address, size)
-    _, buffers, _ = open_book(book)
-    slots, torque = ints1(book, int(at)), floats1(book, int(at) + 1)
+    struct = struct_at(address, size)
+    _, buffers, _ = open_system(struct)
+    slots, torque = ints1(struct, int(at)), floats1(struct, int(at) + 1)
     power = 0.0
     for j in range(buffers.h.size):
         buffers.h[j] += torque[j]

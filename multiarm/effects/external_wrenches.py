@@ -25,14 +25,13 @@ from collections.abc import Callable
 import numpy as np
 
 from multiarm.asking import Asked
-from multiarm.books import book_at, floats2, floats_at, ints1, ints2
 from multiarm.contacts.kernel import SPIN, VELOCITY
 from multiarm.effects.piece import APPLIED, POWER, Piece, Site
 from multiarm.errors import ControlError
-from multiarm.lowlevel import call_back, entry, kernel
-from multiarm.plant import Buffers, open_book
-from multiarm.scene import read_wrench_table
-from multiarm.vectors import (
+from multiarm.jit.kernels import cfunc, kernel
+from multiarm.jit.pointers import call_python
+from multiarm.jit.structs import floats2, floats_at, ints1, ints2, struct_at
+from multiarm.jit.vectors import (
     ZERO,
     add,
     add_cross,
@@ -44,6 +43,8 @@ from multiarm.vectors import (
     rotation,
     vec,
 )
+from multiarm.plant import Buffers, open_system
+from multiarm.scene import read_wrench_table
 
 # Courses over time.
 CONSTANT, SINUSOID, PULSE, TABLE, FUNCTION = range(5)
@@ -58,14 +59,18 @@ FRAME, POINT, SIZE, TIMES, NUMBERS = 0, 9, 12, 18, 20
 CUBICS, ROW = 2, 26
 
 
-@entry
+@cfunc
 def add_external_wrenches(address, size, at, t):
     """Own arrays: integers, numbers, rows of tables, the wrenches now."""
-    book = book_at(address, size)
-    _, buffers, _ = open_book(book)
+    struct = struct_at(address, size)
+    _, buffers, _ = open_system(struct)
     first, power = int(at), 0.0
-    slots, integers, numbers = ints1(book, first), ints2(book, first + 1), floats2(book, first + 2)
-    rows, wrenches = floats2(book, first + 3), floats2(book, first + 4)
+    slots, integers, numbers = (
+        ints1(struct, first),
+        ints2(struct, first + 1),
+        floats2(struct, first + 2),
+    )
+    rows, wrenches = floats2(struct, first + 3), floats2(struct, first + 4)
     for k in range(integers.shape[0]):
         which, own, wrench = integers[k], numbers[k], wrenches[k]
         write_wrench(which, own, rows, t, wrench)
@@ -87,7 +92,7 @@ def write_wrench(which, own, rows, t, wrench):
     """Force and torque at time ``t``, in the axes in which they are given."""
     course, factor = which[COURSE], 1.0
     if course == FUNCTION:
-        call_back(which[SOURCE])  # writes them
+        call_python(which[SOURCE])  # writes them
         return
     if course == TABLE:
         interpolate(rows[which[SOURCE] : which[SOURCE] + which[ROWS]], t, wrench)

@@ -2,19 +2,19 @@ r"""Viscous friction in the joints: :math:`\tau_j = -d_j \dot q_j` [N m s/rad, N
 
 from __future__ import annotations
 
-from multiarm.books import book_at, floats1, ints1
 from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
-from multiarm.lowlevel import entry
-from multiarm.plant import open_book
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.plant import open_system
 from multiarm.scene import damping_of
 
 
-@entry
+@cfunc
 def add_joint_damping(address, size, at, _t):
     """Own array: one coefficient a joint."""
-    book = book_at(address, size)
-    _, buffers, _ = open_book(book)
-    slots, damping = ints1(book, int(at)), floats1(book, int(at) + 1)
+    struct = struct_at(address, size)
+    _, buffers, _ = open_system(struct)
+    slots, damping = ints1(struct, int(at)), floats1(struct, int(at) + 1)
     power = 0.0
     for j in range(buffers.h.size):
         force = -damping[j] * buffers.v[j]

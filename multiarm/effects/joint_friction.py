@@ -12,20 +12,24 @@ import math
 
 import numpy as np
 
-from multiarm.books import book_at, floats1, ints1
 from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
-from multiarm.lowlevel import entry
-from multiarm.plant import open_book
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.plant import open_system
 from multiarm.scene import friction_of
 
 
-@entry
+@cfunc
 def add_joint_friction(address, size, at, _t):
     """Own arrays: one friction torque a joint; the speed ``s``."""
-    book = book_at(address, size)
-    _, buffers, _ = open_book(book)
+    struct = struct_at(address, size)
+    _, buffers, _ = open_system(struct)
     first = int(at)
-    slots, friction, speed = ints1(book, first), floats1(book, first + 1), floats1(book, first + 2)
+    slots, friction, speed = (
+        ints1(struct, first),
+        floats1(struct, first + 1),
+        floats1(struct, first + 2),
+    )
     power = 0.0
     for j in range(buffers.h.size):
         force = -friction[j] * math.tanh(buffers.v[j] / speed[0])

@@ -8,7 +8,7 @@ An evaluation forms the right-hand sides ``h`` of the arms and ``h_o`` of the ob
 3. the control writes ``torque``; *actuator* pieces change it (limits, lag); then it is added;
 4. *applied* pieces add what comes from outside (wrenches, drag), which no controller knows.
 
-A kernel reads and writes the arrays of the system's address book, behind which its own stand.  A
+A kernel reads and writes the arrays of the system's struct, behind which its own stand.  A
 scene that names no effect has an empty list here, and nothing is called.
 """
 
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from multiarm.lowlevel import address_of
+from multiarm.jit.pointers import address_of
 from multiarm.plant import OWN_ARRAYS
 from multiarm.scene import joint_vector
 from multiarm.terms import J_AT
@@ -51,8 +51,9 @@ class Piece:
         Of the effect, as in the scene.
     kernel : entry or None
         None: something else does the work that is noted under this name.
-        A function decorated with :func:`multiarm.lowlevel.entry`, called with address and size of
-        the system's book, the place ``at`` of the piece's first array there (a float), and the time
+        A function decorated with :func:`multiarm.jit.kernels.cfunc`, called with address and size
+        of the system's struct, the place ``at`` of the piece's first array there (a float), and the
+        time
         [s].  That first array, int64 (2,), holds ``POWER`` and ``STATE``; ``arrays`` follow it.
     phase : int
         ``PASSIVE``, ``ACTUATOR`` or ``APPLIED``.
@@ -226,7 +227,7 @@ class Pieces:
 
     @property
     def watched(self) -> list[tuple[int, int]]:
-        """Margins to watch: place of the array in the address book, joint."""
+        """Margins to watch: place of the array in the struct, joint."""
         places = zip(self.every, self._places(), strict=True)
         return [(at + 1 + k, joint) for piece, at in places for k, joint in piece.watched]
 
@@ -237,7 +238,7 @@ class Pieces:
 
     @property
     def arrays(self) -> list[np.ndarray]:
-        """What stands behind the system's own arrays in its address book."""
+        """What stands behind the system's own arrays in its struct."""
         return [
             array
             for piece, slots in zip(self.every, self._slots, strict=True)
@@ -252,7 +253,7 @@ class Pieces:
         return np.array(rows, dtype=np.int64).reshape(-1, 2), np.array(last, dtype=np.int64)
 
     def _places(self) -> list[int]:
-        """Place of each piece's first array in the system's address book."""
+        """Place of each piece's first array in the system's struct."""
         sizes = [1 + len(piece.arrays) for piece in self.every]
         return [OWN_ARRAYS + sum(sizes[:k]) for k in range(len(sizes))]
 

@@ -11,22 +11,22 @@ import math
 
 import numpy as np
 
-from multiarm.books import book_at, floats1
 from multiarm.effects.piece import ACTUATOR, Piece, Site
-from multiarm.lowlevel import entry
-from multiarm.plant import open_book
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import floats1, struct_at
+from multiarm.plant import open_system
 from multiarm.scene import effort_limit_of
 
 # A command that exceeds its limit by less than this fraction of it does so by rounding.
 ROUNDED = 1e-9
 
 
-@entry
+@cfunc
 def limit_torques(address, size, at, _t):
     """Own arrays: limits; margins, positive where the command exceeds them."""
-    book = book_at(address, size)
-    _, buffers, _ = open_book(book)
-    limits, margins = floats1(book, int(at) + 1), floats1(book, int(at) + 2)
+    struct = struct_at(address, size)
+    _, buffers, _ = open_system(struct)
+    limits, margins = floats1(struct, int(at) + 1), floats1(struct, int(at) + 2)
     torque = buffers.torque
     for j in range(torque.size):
         wanted = abs(torque[j])

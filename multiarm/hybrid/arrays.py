@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Floats1, Floats2, Ints1, Ints2, address_book, view
+from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, make_struct, view
 from multiarm.node.reactions import ReactionWork
 
-# Places of addresses and sizes of other books in ``Plant.links``.
+# Places of addresses and sizes of other structs in ``Plant.links``.
 MODEL, FULL, ASIDE, OWN, LINKS = 0, 2, 4, 6, 8
 
 # Columns of ModeArrays.slides: row held, its arm, first tangent in the aside rows, and among all.
@@ -97,10 +97,10 @@ class ModeArrays(NamedTuple):
     spring_force: Floats1
 
 
-def mode_book(arrays: ModeArrays, reactions: ReactionWork | None) -> np.ndarray:
-    """Address book of a mode; :func:`open_mode` and :func:`open_reactions` are its inverse."""
-    return address_book([*arrays, *(reactions or ())])
+def mode_struct(arrays: ModeArrays, reactions: ReactionWork | None) -> np.ndarray:
+    """Struct of a mode; :func:`open_mode` and :func:`open_reactions` are its inverse."""
+    return make_struct([*arrays, *(reactions or ())])
 
 
-# Views of the arrays in a mode's book: its own, and those of the node algorithm with friction.
+# Views of the arrays in a mode's struct: its own, and those of the node algorithm with friction.
 open_mode, open_reactions = view(ModeArrays), view(ReactionWork, len(ModeArrays._fields))

@@ -31,7 +31,7 @@ def check_beginning(full: System, start: State) -> None:
     """
     assert full.plan is not None, "something comes and goes"
     full.set_state(0.0, start)
-    if update_kinematics(full.book()) != 0:
+    if update_kinematics(full.struct()) != 0:
         full.reraise()
     allowed, gaps = TOUCHING * scene_size(full), full.buffers.contacts[:, GAP]
     inside = [
@@ -68,9 +68,9 @@ def touching_units(modes: Modes, t: float, state: State) -> tuple[set[int], froz
     """
     full, bare = modes.full, modes.bare
     place_state(bare, t, state)
-    if update_kinematics(bare.book()) != OK:
+    if update_kinematics(bare.struct()) != OK:
         bare.reraise()
-    update_rows(full.book())
+    update_rows(full.struct())
     size, nothing = scene_size(modes.model), Choice((), ())
     touching = closed_units(modes, TOUCHING * size) | pressed_units(modes, nothing, set())
     return touching, beside_units(modes, nothing, set()), size

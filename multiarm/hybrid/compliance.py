@@ -13,26 +13,26 @@ K.L. Johnson, Contact Mechanics, Cambridge 1985, linearised about a load.
 
 from __future__ import annotations
 
-from multiarm.books import book_at, floats1, ints1
 from multiarm.candidates.springs import Springs
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.effects.piece import APPLIED, POWER, Piece
 from multiarm.equations import update_rows
-from multiarm.lowlevel import entry
-from multiarm.plant import open_book
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.plant import open_system
 
 
-@entry
+@cfunc
 def add_contact_compliance(address, size, at, _t):
     """Own arrays: those of :class:`multiarm.candidates.springs.Springs`."""
-    book, first = book_at(address, size), int(at)
-    _, buffers, _ = open_book(book)
-    slots, links, owners = ints1(book, first), ints1(book, first + 1), ints1(book, first + 2)
-    stiffness, damping = floats1(book, first + 3), floats1(book, first + 4)
-    active, force = ints1(book, first + 5), floats1(book, first + 6)
-    own = book_at(links[0], links[1])
+    struct, first = struct_at(address, size), int(at)
+    _, buffers, _ = open_system(struct)
+    slots, links, owners = ints1(struct, first), ints1(struct, first + 1), ints1(struct, first + 2)
+    stiffness, damping = floats1(struct, first + 3), floats1(struct, first + 4)
+    active, force = ints1(struct, first + 5), floats1(struct, first + 6)
+    own = struct_at(links[0], links[1])
     update_rows(own)
-    _, rows, work = open_book(own)
+    _, rows, work = open_system(own)
     power = 0.0
     for s in range(owners.size):
         i, rate = owners[s], rows.contacts[s, GAP_RATE]

@@ -53,8 +53,8 @@ class Instant:
 
     def _update(self) -> None:
         """Kinematics of all rows at the state in the buffers."""
-        _require(update_kinematics(self._bare.book()), self._bare)
-        update_rows(self._full.book())
+        _require(update_kinematics(self._bare.struct()), self._bare)
+        update_rows(self._full.struct())
 
     def _rates(self) -> np.ndarray:
         return self._full.buffers.contacts[:, GAP_RATE]
@@ -110,9 +110,9 @@ class Instant:
             b.position[:3] += delay * b.twist[:3]
             b.position[3:] = retract(b.position[3:], delay * b.twist[3:])
             b.angles[:] += delay * b.v
-        _require(evaluate_buffers(system.book(), 0.0, 0.0), system)
+        _require(evaluate_buffers(system.struct(), 0.0, 0.0), system)
         motion = np.concatenate([b.q_o, b.qdd])
-        update_rows(self._full.book())
+        update_rows(self._full.struct())
         free = self._matrix(rows) @ motion + self._full.buffers.contacts[rows, GAP_BIAS]
         if delay > 0.0:
             b.time[:], b.position[:], b.angles[:] = kept
@@ -170,9 +170,9 @@ def leans_on_others(response: np.ndarray, matrix: np.ndarray) -> bool:
 def _answer(system: System, push: np.ndarray) -> np.ndarray:
     """Accelerations (velocities) of object and joints to forces (impulses), (6 + n,)."""
     b = system.buffers
-    _require(update_kinematics(system.book()), system)
+    _require(update_kinematics(system.struct()), system)
     b.h_o[:], b.h[:], b.c[:] = push[:6], push[6:], 0.0
-    _require(solve_constrained(system.book()), system)
+    _require(solve_constrained(system.struct()), system)
     return np.concatenate([b.q_o, b.qdd])
 
 

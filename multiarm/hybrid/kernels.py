@@ -30,7 +30,6 @@ from __future__ import annotations
 
 import math
 
-from multiarm.books import book_at
 from multiarm.contacts.kernel import AT, GAP, GAP_RATE
 from multiarm.control import control_torques
 from multiarm.equations import (
@@ -77,30 +76,32 @@ from multiarm.hybrid.arrays import (
     open_mode,
     open_reactions,
 )
+from multiarm.jit.kernels import cfunc, inlined, kernel
+from multiarm.jit.pointers import call_cfunc, call_python
+from multiarm.jit.structs import struct_at
 from multiarm.kinematics import arm_rows, load_inertia
-from multiarm.lowlevel import call_back, call_entry, entry, inlined, kernel
 from multiarm.node.reaction_coupling import RANK as REACTION_RANK
 from multiarm.node.reaction_coupling import ROWS as REACTION_ROWS
 from multiarm.node.reaction_elimination import eliminate_with_reactions
 from multiarm.node.reaction_solution import solve_for_reactions
 from multiarm.node.regular import IMBALANCE_BOUND
 from multiarm.node.singular import ARMS, RANK, UNKNOWNS
-from multiarm.plant import CALL_CLOSE, CALL_DENSE, IMBALANCE, open_book, open_coupled
+from multiarm.plant import CALL_CLOSE, CALL_DENSE, IMBALANCE, open_coupled, open_system
 from multiarm.solver_watch import note_solution, watch_solver
 
 
-@entry
+@cfunc
 def forces_by_model(address, size, alpha, beta):
     """Right-hand sides of a mode; its control reckons with all contacts of the model."""
-    plant, buffers, work = open_book(book_at(address, size))
-    mode = open_mode(book_at(plant.links[OWN], plant.links[OWN + 1]))
+    plant, buffers, work = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
     buffers.power[mode.slots[0]] = 0.0
     passive_forces(address, size, plant, buffers, work)
     power = 0.0
     if plant.control.shape[0] > 0:
         at_model, size_of_model = plant.links[MODEL], plant.links[MODEL + 1]
-        model = book_at(at_model, size_of_model)
-        of_model, own, theirs = open_book(model)
+        model = struct_at(at_model, size_of_model)
+        of_model, own, theirs = open_system(model)
         for i in range(of_model.pointers.shape[0]):
             arm_rows(i, model, of_model, own, theirs)
             load_inertia(i, of_model, theirs)
@@ -112,15 +113,15 @@ def forces_by_model(address, size, alpha, beta):
     return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
 
 
-@entry
+@cfunc
 def solve_held(address, size, _a, _b):
     """Solve a mode in which nothing slides, and note how near its guards come to zero."""
-    book = book_at(address, size)
-    plant, buffers, work = open_book(book)
-    mode = open_mode(book_at(plant.links[OWN], plant.links[OWN + 1]))
+    struct = struct_at(address, size)
+    plant, buffers, work = open_system(struct)
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
     if mode.stressed[0] != 0:
         add_prestress(mode, buffers.Wo, work.Y, buffers, work)
-    status = call_entry(plant.calls[CALL_CLOSE], book, 0.0, 0.0)
+    status = call_cfunc(plant.calls[CALL_CLOSE], struct, 0.0, 0.0)
     if mode.stressed[0] != 0:
         add_forces(mode, buffers)
     note_least(plant, buffers)
@@ -147,27 +148,27 @@ def add_forces(mode, buffers):
         buffers.force[k] += mode.prestress[k]
 
 
-@entry
+@cfunc
 def solve_sliding(address, size, _a, _b):
     """Solve a mode in which contacts slide."""
-    book = book_at(address, size)
-    plant, buffers, work = open_book(book)
-    own = book_at(plant.links[OWN], plant.links[OWN + 1])
+    struct = struct_at(address, size)
+    plant, buffers, work = open_system(struct)
+    own = struct_at(plant.links[OWN], plant.links[OWN + 1])
     mode, reactions = open_mode(own), open_reactions(own)
     write_reactions(plant, buffers, work, mode, reactions)
     if mode.stressed[0] != 0:
         add_prestress(mode, mode.Wr, reactions.Yr, buffers, work)
     buffers.solved[IMBALANCE] = 0.0
-    coupled = open_coupled(book)
+    coupled = open_coupled(struct)
     coupled.counts[ARMS] = 0
     if plant.dense[0] != 0:
-        call_back(plant.calls[CALL_DENSE])
+        call_python(plant.calls[CALL_DENSE])
         if buffers.flag[0] != 0:
             return CALLBACK_FAILED
     else:
         status = solve_reactions(buffers, work, mode, reactions, False)
         if status == OK and not buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
-            status = renew_kinematics(book)
+            status = renew_kinematics(struct)
             if status == OK:
                 write_reactions(plant, buffers, work, mode, reactions)
                 status = solve_reactions(buffers, work, mode, reactions, True)
@@ -208,8 +209,8 @@ def solve_reactions(buffers, work, mode, reactions, couple_all):
 @kernel
 def write_reactions(plant, buffers, work, mode, reactions):
     """Reaction matrices at the kinematics in the buffers, into ``mode.Wr`` and ``reactions.Yr``."""
-    update_rows(book_at(plant.links[ASIDE], plant.links[ASIDE + 1]))
-    _, aside, tangents = open_book(book_at(plant.links[ASIDE], plant.links[ASIDE + 1]))
+    update_rows(struct_at(plant.links[ASIDE], plant.links[ASIDE + 1]))
+    _, aside, tangents = open_system(struct_at(plant.links[ASIDE], plant.links[ASIDE + 1]))
     for k in range(buffers.Wo.shape[0]):
         for l in range(6):  # noqa: E741
             mode.Wr[k, l] = buffers.Wo[k, l]
@@ -243,11 +244,11 @@ def write_direction(s, mode, first, second):
     mode.speed[s] = first * d0 + second * d1
 
 
-@entry
+@cfunc
 def show_forces(address, size, _t, _b):
     """Write the forces of all rows, and what every contact does, into ``buffers.shown``."""
-    plant, buffers, _ = open_book(book_at(address, size))
-    mode = open_mode(book_at(plant.links[OWN], plant.links[OWN + 1]))
+    plant, buffers, _ = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
     shown = buffers.shown
     shown[:] = 0.0
     for k in range(mode.held.size):
@@ -296,7 +297,7 @@ def is_about_a_gap(g, mode):
 @kernel
 def note_least(plant, buffers):
     """Note the least values of guards about forces in the stages of a step."""
-    mode = open_mode(book_at(plant.links[OWN], plant.links[OWN + 1]))
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
     for g in range(mode.guards.shape[0]):
         if is_about_forces(mode.guards[g, GUARD_KIND]):
             mode.least[g] = min(mode.least[g], force_guard(g, mode, buffers))
@@ -352,7 +353,7 @@ def guard_value(g, mode, plant, buffers, everything):
     return force_guard(g, mode, buffers)
 
 
-@entry
+@cfunc
 def write_guards(address, size, _a, _b):
     """:func:`value_guards` for callers that know its address."""
     return value_guards(address, size)
@@ -361,23 +362,23 @@ def write_guards(address, size, _a, _b):
 @kernel
 def value_guards(address, size):
     """Write the values of all guards at the state evaluated last."""
-    plant, buffers, _ = open_book(book_at(address, size))
-    mode = open_mode(book_at(plant.links[OWN], plant.links[OWN + 1]))
-    update_rows(book_at(plant.links[FULL], plant.links[FULL + 1]))
-    _, everything, _ = open_book(book_at(plant.links[FULL], plant.links[FULL + 1]))
+    plant, buffers, _ = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    update_rows(struct_at(plant.links[FULL], plant.links[FULL + 1]))
+    _, everything, _ = open_system(struct_at(plant.links[FULL], plant.links[FULL + 1]))
     for g in range(mode.guards.shape[0]):
         mode.values[g] = guard_value(g, mode, plant, buffers, everything)
     return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
 
 
-@entry
+@cfunc
 def check_guards(address, size, begin, end):
     """Look at all guards at the end of a step; not ``OK`` when one has something to tell."""
-    plant, _, _ = open_book(book_at(address, size))
-    mode = open_mode(book_at(plant.links[OWN], plant.links[OWN + 1]))
+    plant, _, _ = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
     if value_guards(address, size) != OK:
         return OK  # the flag is up: the loop will notice
-    _, everything, _ = open_book(book_at(plant.links[FULL], plant.links[FULL + 1]))
+    _, everything, _ = open_system(struct_at(plant.links[FULL], plant.links[FULL + 1]))
     mode.span[0], mode.span[1] = begin, end
     events = 0
     for g in range(mode.guards.shape[0]):
@@ -441,15 +442,15 @@ def accept_guards(mode, everything):
 
 
 @kernel
-def start_guards(book):
+def start_guards(struct):
     """Take the state evaluated last as the end of a step: its guards, and how it was solved."""
-    note_solution(book)
-    watch_solver(book)
-    plant, _, _ = open_book(book)
-    mode = open_mode(book_at(plant.links[OWN], plant.links[OWN + 1]))
-    update_rows(book_at(plant.links[FULL], plant.links[FULL + 1]))
-    _, everything, _ = open_book(book_at(plant.links[FULL], plant.links[FULL + 1]))
-    _, buffers, _ = open_book(book)
+    note_solution(struct)
+    watch_solver(struct)
+    plant, _, _ = open_system(struct)
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    update_rows(struct_at(plant.links[FULL], plant.links[FULL + 1]))
+    _, everything, _ = open_system(struct_at(plant.links[FULL], plant.links[FULL + 1]))
+    _, buffers, _ = open_system(struct)
     for g in range(mode.guards.shape[0]):
         mode.values[g] = guard_value(g, mode, plant, buffers, everything)
     accept_guards(mode, everything)

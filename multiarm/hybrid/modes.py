@@ -32,7 +32,7 @@ from multiarm.hybrid.arrays import (
     SLIP_GUARD,
     SPRING_GUARD,
     ModeArrays,
-    mode_book,
+    mode_struct,
 )
 from multiarm.hybrid.kernels import (
     check_guards,
@@ -43,7 +43,7 @@ from multiarm.hybrid.kernels import (
 )
 from multiarm.hybrid.patches import patch_of
 from multiarm.hybrid.selection import select
-from multiarm.lowlevel import CallBack, address_of
+from multiarm.jit.pointers import PythonCallback, address_of
 from multiarm.node.reactions import ReactionWork, make_reaction_work
 from multiarm.plant import CALL_DENSE, CALL_FORCES, CALL_GUARDS, CALL_SHOW, CALL_SOLVE
 from multiarm.system import System
@@ -186,9 +186,14 @@ class Modes:
         aside = select(full, tangents) if sliding else self._nothing
         arrays = self._arrays(choice, rows, sliding)
         reactions = _reactions(held) if sliding else None
-        book = mode_book(arrays, reactions)
+        struct = mode_struct(arrays, reactions)
         links, plant = np.zeros(LINKS, dtype=np.int64), held.plant
-        others = {MODEL: self.model.book(), FULL: full.book(), ASIDE: aside.book(), OWN: book}
+        others = {
+            MODEL: self.model.struct(),
+            FULL: full.struct(),
+            ASIDE: aside.struct(),
+            OWN: struct,
+        }
         for at, other in others.items():
             links[at : at + 2] = other.ctypes.data, other.size
         plant.calls[CALL_FORCES] = address_of(forces_by_model)
@@ -199,13 +204,13 @@ class Modes:
         calls = held.calls
         if reactions is not None:
             solve = dense_call(plant.pointers, buffers, held.work, (arrays.Wr, reactions.Yr))
-            calls = {**calls, "dense": CallBack(solve, buffers.flag)}
+            calls = {**calls, "dense": PythonCallback(solve, buffers.flag)}
             plant.calls[CALL_DENSE] = calls["dense"].address
         system = replace(
             held, plant=plant._replace(links=links), buffers=buffers, calls=calls, plan=None
         )
         return Mode(
-            choice, system, arrays, (held, aside, book, reactions, others, self.model, full)
+            choice, system, arrays, (held, aside, struct, reactions, others, self.model, full)
         )
 
     def _arrays(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> ModeArrays:

@@ -8,33 +8,34 @@ from multiarm.equations import OK, evaluate_buffers
 from multiarm.hybrid.kernels import write_guards
 from multiarm.integrators.dense_output import interpolate
 from multiarm.integrators.stepper import load, open_step
-from multiarm.lowlevel import address_of, call_entry, kernel
-from multiarm.plant import open_book
+from multiarm.jit.kernels import kernel
+from multiarm.jit.pointers import address_of, call_cfunc
+from multiarm.plant import open_system
 
 
 @kernel
-def probe(book, arrays, entry, t, h, theta):
-    """Evaluate the mode with this book at the fraction ``theta`` of a step; returns a status.
+def probe(struct, arrays, entry, t, h, theta):
+    """Evaluate the mode with this struct at the fraction ``theta`` of a step; returns a status.
 
     ``entry`` is the address of :func:`multiarm.hybrid.kernels.write_guards`, which leaves the
     values in the mode's arrays.
     """
     method, step = open_step(arrays)
-    _, buffers, _ = open_book(book)
+    _, buffers, _ = open_system(struct)
     interpolate(method, step, theta, step.z_stage)
     load(step.z_stage, step.base_old, buffers)
     buffers.time[0] = min(t + theta * h, buffers.time[1])
-    status = evaluate_buffers(book, 0.0, 0.0)
+    status = evaluate_buffers(struct, 0.0, 0.0)
     if status != OK:
         return status
-    return call_entry(entry, book, 0.0, 0.0)
+    return call_cfunc(entry, struct, 0.0, 0.0)
 
 
 class Probe:
     """Values of all guards as a function of the fraction of a step."""
 
-    def __init__(self, book, arrays, mode, begin: float, end: float):
-        self._call = book, arrays, address_of(write_guards), begin, end - begin
+    def __init__(self, struct, arrays, mode, begin: float, end: float):
+        self._call = struct, arrays, address_of(write_guards), begin, end - begin
         self._mode = mode
         self._known: dict[float, np.ndarray] = {}
 

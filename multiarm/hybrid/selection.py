@@ -26,7 +26,7 @@ from multiarm.contacts.records import (
 )
 from multiarm.contacts.surfaces import answering
 from multiarm.dense_call import dense_call
-from multiarm.lowlevel import CallBack
+from multiarm.jit.pointers import PythonCallback
 from multiarm.node.singular import make_coupled
 from multiarm.node.work import make_work
 from multiarm.plant import CALL_DENSE, CALL_SURFACE
@@ -58,12 +58,12 @@ def select(full: System, chosen: Sequence[int] | np.ndarray) -> System:
     work, coupled = make_work(*sizes, list(full.work.levers)), make_coupled(*sizes)
     calls = {
         **full.calls,
-        "dense": CallBack(dense_call(plant.pointers, buffers, work), buffers.flag),
+        "dense": PythonCallback(dense_call(plant.pointers, buffers, work), buffers.flag),
     }
     plant.calls[CALL_DENSE] = calls["dense"].address
     if table.functions:
         answer = answering(table.functions, buffers.query[RELATIVE_WIDTH:])
-        calls["surface"] = CallBack(answer, buffers.flag)
+        calls["surface"] = PythonCallback(answer, buffers.flag)
         plant.calls[CALL_SURFACE] = calls["surface"].address
     selection = replace(
         full,
@@ -101,9 +101,9 @@ def held_model(system: System) -> System:
 def link_springs(full: System, springs: Springs) -> None:
     """Give the springs of a system their rows, with which all its modes reckon."""
     rows = select(full, springs.rows)
-    book = rows.book()
-    springs.kept[:] = rows, book
-    springs.links[:] = book.ctypes.data, book.size
+    struct = rows.struct()
+    springs.kept[:] = rows, struct
+    springs.links[:] = struct.ctypes.data, struct.size
 
 
 def take_places(full: System, selection: System, rows: np.ndarray) -> None:

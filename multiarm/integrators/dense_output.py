@@ -5,11 +5,11 @@ from __future__ import annotations
 from multiarm.equations import OK
 from multiarm.integrators.stepper import combine, evaluate_slope, weighted_slopes
 from multiarm.integrators.tableaus import HERMITE, POLYNOMIAL, QUARTIC
-from multiarm.lowlevel import clear, copy, kernel
+from multiarm.jit.kernels import clear, copy, kernel
 
 
 @kernel
-def prepare_dense(book, method, step, t, h, alpha, beta):
+def prepare_dense(struct, method, step, t, h, alpha, beta):
     """Coefficients of the dense output of the step just made; its end slope is ``k[stages]``."""
     z, new, k, dense = step.z, step.z_new, step.k, step.dense
     copy(z, step.z_old)
@@ -35,7 +35,7 @@ def prepare_dense(book, method, step, t, h, alpha, beta):
     for s in range(end + 1, method.A.shape[0]):
         combine(step, method.A[s], s, h, step.z_stage)
         status = evaluate_slope(
-            book, t + method.c[s] * h, step.z_stage, step.base, alpha, beta, k[s]
+            struct, t + method.c[s] * h, step.z_stage, step.base, alpha, beta, k[s]
         )
         if status != OK:
             return status

@@ -37,7 +37,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Floats1, Floats2, Ints1, book_at, view
 from multiarm.equations import NOT_FINITE, OK
 from multiarm.integrators.stepper import (
     OWN_EVALUATIONS,
@@ -47,9 +46,10 @@ from multiarm.integrators.stepper import (
     evaluate_slope,
 )
 from multiarm.integrators.tableaus import Tableau
-from multiarm.lowlevel import clear, copy, entry, kernel
+from multiarm.jit.kernels import cfunc, clear, copy, kernel
+from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at, view
 from multiarm.node.factors import factor_lu, solve_lu
-from multiarm.plant import open_book
+from multiarm.plant import open_system
 
 # Changes of a position [m, rad], of a velocity (times the fastest one, if that is above 1) and of
 # the time (times the step, if that is below 1) from which derivatives are taken.
@@ -61,7 +61,7 @@ class RosenbrockWork(NamedTuple):
     ``M = N + e`` velocities and inner states, ``w`` works.
 
     system : int64
-        Address book of the system.
+        Struct of the system.
     A, b, c, C, d, gamma
         Of the tableau; ``gamma`` (1,).
     z, z_new, z_stage, base, k, gains, own
@@ -101,13 +101,13 @@ class RosenbrockWork(NamedTuple):
 
 
 def make_rosenbrock(
-    tableau: Tableau, method: Method, step: Step, joints: int, system_book: np.ndarray
+    tableau: Tableau, method: Method, step: Step, joints: int, system_struct: np.ndarray
 ) -> RosenbrockWork:
     """Allocate the arrays of a Rosenbrock method's steps."""
     size, n = step.z.size, 6 + joints
     m = step.tolerance.size - n
     return RosenbrockWork(
-        system=system_book,
+        system=system_struct,
         A=method.A,
         b=method.b,
         c=method.c,
@@ -135,10 +135,10 @@ def make_rosenbrock(
 _open = view(RosenbrockWork)
 
 
-@entry
+@cfunc
 def rosenbrock_step(address, size, t, h):
     """All stages of a step of length ``h`` from time ``t``, then ``z_new``; returns a status."""
-    work = _open(book_at(address, size))
+    work = _open(struct_at(address, size))
     copy(work.k[0], work.slope)
     work.own[OWN_EVALUATIONS] = 0
     status = differentiate(work, t, h)
@@ -207,7 +207,7 @@ def differentiate(work, t, h):
 @kernel
 def differentiate_by_time(work, t, h):
     """``f_t`` from two later times, inside the step: its beginning may be a kink."""
-    plant, _, _ = open_book(work.system)
+    plant, _, _ = open_system(work.system)
     rate, other = work.time_slope, work.other
     clear(rate)
     if plant.control.shape[0] == 0 and plant.effects.shape[0] == 0:

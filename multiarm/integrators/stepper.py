@@ -27,12 +27,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Float, Floats1, Floats2, Int, Ints1, book_at, book_of, view
 from multiarm.crossing import evaluate_on_branch
 from multiarm.equations import NOT_FINITE, OK, finite
 from multiarm.integrators.tableaus import EXPLICIT, SEMI_IMPLICIT, Tableau
-from multiarm.lowlevel import call_entry, clear, copy, inlined, kernel
-from multiarm.plant import open_book
+from multiarm.jit.kernels import clear, copy, inlined, kernel
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import Float, Floats1, Floats2, Int, Ints1, struct_at, struct_of, view
+from multiarm.plant import open_system
 from multiarm.spatial import retract_into, write_chart_rate
 from multiarm.stabilization import project
 
@@ -40,7 +41,7 @@ from multiarm.stabilization import project
 _DENSE_ROWS = 7
 
 # Entries of Step.own.
-OWN_STEP, OWN_BOOK, OWN_SIZE, OWN_EVALUATIONS = range(4)
+OWN_STEP, OWN_STRUCT, OWN_SIZE, OWN_EVALUATIONS = range(4)
 
 
 class Method(NamedTuple):
@@ -79,7 +80,7 @@ class Step(NamedTuple):
     gains : (2,)
         Feedback gains of the step at hand [1/s].
     own : int64 (4,)
-        Of a method that is not explicit: its entry, address and size of its address book, and the
+        Of a method that is not explicit: its entry, address and size of its struct, and the
         evaluations that its last step took.  All 0 for explicit ones.
     """
 
@@ -143,15 +144,15 @@ def make_step(tableau: Tableau, joints: int, states: int = 0, works: int = 1) ->
 _open_method, _open_arrays = view(Method), view(Step, len(Method._fields))
 
 
-def step_book(method: Method, step: Step) -> np.ndarray:
-    """Address book of a method and its step; :func:`open_step` is its inverse."""
-    return book_of(method, step)
+def step_struct(method: Method, step: Step) -> np.ndarray:
+    """Struct of a method and its step; :func:`open_step` is its inverse."""
+    return struct_of(method, step)
 
 
 @inlined
-def open_step(book):
-    """Views ``method, step`` of a step's book."""
-    return _open_method(book), _open_arrays(book)
+def open_step(struct):
+    """Views ``method, step`` of a step's struct."""
+    return _open_method(struct), _open_arrays(struct)
 
 
 @inlined
@@ -209,8 +210,8 @@ def write_slope(z, buffers, slope):
 
 
 @kernel
-def evaluate_slope(book, t, z, base, alpha, beta, slope):
-    """Rate of ``z`` at time ``t`` of the system with this address book; returns a status.
+def evaluate_slope(struct, t, z, base, alpha, beta, slope):
+    """Rate of ``z`` at time ``t`` of the system with this struct; returns a status.
 
     Later times than ``buffers.time[1]`` count as that: a step that ends where something jumps does
     not see what comes after.
@@ -219,14 +220,14 @@ def evaluate_slope(book, t, z, base, alpha, beta, slope):
     """
     if not finite(z):
         return NOT_FINITE
-    _, buffers, _ = open_book(book)
+    _, buffers, _ = open_system(struct)
     load(z, base, buffers)
     if buffers.stage_gap[0] >= 0.0:
-        status = project(book, buffers.stage_gap[0])
+        status = project(struct, buffers.stage_gap[0])
         if status != OK:
             return status
     buffers.time[0] = min(t, buffers.time[1])
-    status = evaluate_on_branch(book, buffers.stage_gap[0], alpha, beta)
+    status = evaluate_on_branch(struct, buffers.stage_gap[0], alpha, beta)
     if status == OK:
         write_slope(z, buffers, slope)
     return status
@@ -257,18 +258,20 @@ def weighted_slopes(step, weights, count, h, out):
 
 
 @kernel
-def run_stages(book, joints, method, step, t, h, alpha, beta):
+def run_stages(struct, joints, method, step, t, h, alpha, beta):
     """Stages 1.. of a step whose first slope is known, then ``z_new``; returns a status."""
     if method.kind == SEMI_IMPLICIT:
         semi_implicit_euler(step, h, joints)
         return OK
     if method.kind != EXPLICIT:
         step.gains[0], step.gains[1] = alpha, beta
-        return call_entry(step.own[OWN_STEP], book_at(step.own[OWN_BOOK], step.own[OWN_SIZE]), t, h)
+        return call_cfunc(
+            step.own[OWN_STEP], struct_at(step.own[OWN_STRUCT], step.own[OWN_SIZE]), t, h
+        )
     for i in range(1, method.stages):
         combine(step, method.A[i], i, h, step.z_stage)
         status = evaluate_slope(
-            book, t + method.c[i] * h, step.z_stage, step.base, alpha, beta, step.k[i]
+            struct, t + method.c[i] * h, step.z_stage, step.base, alpha, beta, step.k[i]
         )
         if status != OK:
             return status

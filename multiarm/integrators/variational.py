@@ -42,7 +42,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Floats1, Floats2, Floats3, Ints1, Ints2, book_at, floats_at, view
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.records import KIND, TANGENT
 from multiarm.equations import (
@@ -53,8 +52,10 @@ from multiarm.equations import (
     update_kinematics,
 )
 from multiarm.integrators.stepper import OWN_EVALUATIONS, Step, load
-from multiarm.lowlevel import call_back, call_entry, clear, copy, entry, kernel
-from multiarm.plant import CALL_FORCES, open_book
+from multiarm.jit.kernels import cfunc, clear, copy, kernel
+from multiarm.jit.pointers import call_cfunc, call_python
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, floats_at, struct_at, view
+from multiarm.plant import CALL_FORCES, open_system
 from multiarm.spatial import retract_into, write_chart_rate
 from multiarm.terms import M_AT, M_STRIDE
 
@@ -70,12 +71,12 @@ class VariationalWork(NamedTuple):
     """A step's arrays, for ``n`` joints, ``N`` contacts, ``a`` arms.
 
     system : int64
-        Address book of the system.
+        Struct of the system.
     z, z_new, base, k, own
         Of :class:`multiarm.integrators.stepper.Step`; ``k[0]`` holds the first slope on entry.
     call : int64 (4,)
         What updates the matrices of Coriolis forces: address of a callback (0: none), and of an
-        entry (0: none) with its address book and size.
+        entry (0: none) with its struct and size.
     coriolis : int64 (a, 2)
         Address and stride of each arm's.
     Wo : (N, 6), W : (a, d, m)
@@ -115,7 +116,7 @@ class VariationalWork(NamedTuple):
 
 def make_variational(
     step: Step,
-    system_book: np.ndarray,
+    system_struct: np.ndarray,
     joints: int,
     W_shape: tuple[int, ...],
     rows: int,
@@ -129,7 +130,7 @@ def make_variational(
     """
     size = 6 + joints
     return VariationalWork(
-        system=system_book,
+        system=system_struct,
         z=step.z,
         z_new=step.z_new,
         base=step.base,
@@ -153,10 +154,10 @@ def make_variational(
 _open = view(VariationalWork)
 
 
-@entry
+@cfunc
 def variational_step(address, size, t, h):
     """One step of length ``h`` from time ``t``; writes ``z_new`` and returns a status."""
-    own = _open(book_at(address, size))
+    own = _open(struct_at(address, size))
     own.own[OWN_EVALUATIONS] = 0
     status = begin(own, t, h)
     if status != OK:
@@ -170,7 +171,7 @@ def variational_step(address, size, t, h):
 @kernel
 def begin(own, t, h):
     """Momenta and constraint matrices at the beginning, and a guess of what is unknown."""
-    plant, buffers, work = open_book(own.system)
+    plant, buffers, work = open_system(own.system)
     n = buffers.angles.size
     for k in range(buffers.force.size):  # of the last evaluation, which was here or near
         own.impulse[k] = 0.5 * h * buffers.force[k]
@@ -216,7 +217,7 @@ def momenta(plant, buffers, work, out):
 @kernel
 def find_velocities(own, t, h):
     """Newton's method for the velocities over the step and the contacts' impulses."""
-    plant, buffers, _ = open_book(own.system)
+    plant, buffers, _ = open_system(own.system)
     n, before = buffers.angles.size, math.inf
     for iteration in range(MOST_ITERATIONS):
         place(own, buffers, h, t + h)
@@ -302,14 +303,14 @@ def place(own, buffers, delay, t):
 @kernel
 def drive(own, h):
     """Kinematics and forces half way: ``push = h F / 2``; returns a status."""
-    plant, buffers, work = open_book(own.system)
+    plant, buffers, work = open_system(own.system)
     status = update_kinematics(own.system)
     if status != OK:
         return status
     update_coriolis(own.call)
     if buffers.flag[0] != 0:
         return CALLBACK_FAILED
-    status = call_entry(plant.calls[CALL_FORCES], own.system, 0.0, 0.0)
+    status = call_cfunc(plant.calls[CALL_FORCES], own.system, 0.0, 0.0)
     if status != OK:
         return status
     inertia, w, push, half = buffers.inertia, buffers.twist[3:6], own.push, 0.5 * h
@@ -338,9 +339,9 @@ def drive(own, h):
 def update_coriolis(call):
     """Matrices of Coriolis forces of all arms."""
     if call[0] != 0:
-        call_back(call[0])
+        call_python(call[0])
     if call[1] != 0:
-        call_entry(call[1], book_at(call[2], call[3]), 0.0, 0.0)
+        call_cfunc(call[1], struct_at(call[2], call[3]), 0.0, 0.0)
 
 
 @kernel
@@ -349,7 +350,7 @@ def imbalance(own, h):
 
     ``p_0 + W_0 S_0 + h F / 2 - pi``; needs the kinematics half way in the buffers.
     """
-    plant, buffers, work = open_book(own.system)
+    plant, buffers, work = open_system(own.system)
     n, momentum = buffers.angles.size, own.scratch
     momenta(plant, buffers, work, momentum)
     l, theta = buffers.weight[:3], buffers.weight[3:]  # noqa: E741  free between evaluations
@@ -384,7 +385,7 @@ def add_impulses(Wo, W, impulse, work, out):
 @kernel
 def end(own, t, h):
     """Momenta at the end, and the velocities on the joints that have them: ``z_new``."""
-    _, buffers, work = open_book(own.system)
+    _, buffers, work = open_system(own.system)
     n, z, new = buffers.angles.size, own.z, own.z_new
     momentum = own.scratch
     for k in range(6 + n):

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from multiarm.lowlevel import inlined, kernel
+from multiarm.jit.kernels import inlined, kernel
 
 _EPS = float(np.finfo(float).eps)
 # Rows count as orthogonal when the cosine between them is below this: what the sums of their

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 
-from multiarm.lowlevel import inlined, kernel
+from multiarm.jit.kernels import inlined, kernel
 from multiarm.node.factors import decompose, solve_lu, solve_lu_transposed
 from multiarm.node.regular import node_backward, node_forward
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from multiarm.lowlevel import inlined, kernel
+from multiarm.jit.kernels import inlined, kernel
 from multiarm.node.factors import factor_lu
 from multiarm.node.reaction_coupling import couple, over_arm
 from multiarm.node.regular import (

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from multiarm.lowlevel import inlined, kernel
+from multiarm.jit.kernels import inlined, kernel
 from multiarm.node.reaction_coupling import (
     CORE_RANK,
     FREE,

@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Floats1, Floats2, Floats3, Ints1, Ints2
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2
 from multiarm.node.reaction_coupling import COUNTS, FREE, MOVING, PART_TOLERANCE, RANK, ROWS
 from multiarm.node.reaction_elimination import eliminate_with_reactions
 from multiarm.node.reaction_solution import solve_for_reactions

@@ -32,14 +32,14 @@ its contact at all leaves a ``K_i`` of roundings, which are large relative to th
 which either is small are left to :mod:`multiarm.node.singular`.
 
 Here is what is done to one arm; the arms of regular systems are taken four at a time, in
-:mod:`multiarm.node.side_by_side`.
+:mod:`multiarm.node.batched`.
 """
 
 from __future__ import annotations
 
 import math
 
-from multiarm.lowlevel import inlined, kernel
+from multiarm.jit.kernels import inlined, kernel
 
 # Arms with a relative pivot below this go to the coupled system (:mod:`multiarm.node.singular`).
 # Elimination loses about as many digits as the pivot has zeros: the choice leaves eleven.

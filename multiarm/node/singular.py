@@ -44,8 +44,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Floats1, Floats2, Floats3, Ints1
-from multiarm.lowlevel import copy, inlined, kernel
+from multiarm.jit.kernels import copy, inlined, kernel
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1
 from multiarm.node.factors import norm, orthogonalize
 from multiarm.node.regular import (
     COUPLED_BELOW,

@@ -1,7 +1,7 @@
 """The arrays of the node algorithm.
 
-Arms are eliminated four at a time (:mod:`multiarm.node.side_by_side`), those of equal sizes
-together.  Each such group has a table in ``NodeWork.lanes``, in which the numbers of its four arms
+Arms are eliminated four at a time (:mod:`multiarm.node.batched`), those of equal sizes
+together.  Each such group has a table in ``NodeWork.packs``, in which the numbers of its four arms
 follow each other.
 """
 
@@ -12,15 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.books import Floats1, Floats2, Floats3, Ints1, Ints2
-from multiarm.lanes import LANES, aligned_zeros
+from multiarm.jit.simd import LANES, aligned_zeros
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2
 
 # Columns of NodeWork.groups: joints and contacts of the largest arm, number of arms, place and
 # width of the table, the four arms.
 JOINTS, CONTACTS, COUNT, START, WIDTH, FIRST_ARM = range(6)
 GROUP_WIDTH = FIRST_ARM + LANES
 
-# What stands in NodeWork.lanes before the tables: the node matrix's lower triangle, each row behind
+# What stands in NodeWork.packs before the tables: the node matrix's lower triangle, each row behind
 # its right-hand side; the object's unknowns, scratch before; scratch for a row's factors.
 NODE_AT, NODE_WIDTH = 0, 7
 OBJECT_AT = NODE_AT + LANES * 6 * NODE_WIDTH
@@ -58,7 +58,7 @@ class NodeWork(NamedTuple):
         Of every contact of a group, and last of its arms: 1 where it is there, 0 where it fills up.
     stiffness : (g, 4 d)
         Of every joint of a group, ``1 / lever^2``; infinite where it fills up.
-    lanes : float64
+    packs : float64
         Shares of the node matrix, scratch, and the tables.
     """
 
@@ -78,7 +78,7 @@ class NodeWork(NamedTuple):
     places: Ints2
     present: Floats2
     stiffness: Floats2
-    lanes: Floats1
+    packs: Floats1
 
 
 def make_work(
@@ -112,7 +112,7 @@ def make_work(
         places=places,
         present=present,
         stiffness=_stiffness(groups, dofs, every_lever),
-        lanes=aligned_zeros(size),
+        packs=aligned_zeros(size),
     )
 
 
@@ -135,7 +135,7 @@ def _stiffness(groups: np.ndarray, dofs: list[int], levers: np.ndarray) -> np.nd
 
 
 def _group(dofs: list[int], rows: list[int]) -> tuple[np.ndarray, int]:
-    """``NodeWork.groups`` and the size of ``NodeWork.lanes``."""
+    """``NodeWork.groups`` and the size of ``NodeWork.packs``."""
     groups: list[list[int]] = []
     size = FACTORS_AT + LANES * (max(dofs) + max(rows))
     if all(d >= m for d, m in zip(dofs, rows, strict=True)):

@@ -102,8 +102,8 @@ class _Size:
 
     @classmethod
     def of(cls, system: System) -> _Size:
-        # some arrays stand in the book under two names
-        shapes = np.unique(system.book().reshape(-1, 4), axis=0)[:, 1:]
+        # some arrays stand in the struct under two names
+        shapes = np.unique(system.struct().reshape(-1, 4), axis=0)[:, 1:]
         return cls(
             bytes=ITEM * int(shapes.prod(axis=1).sum()),
             states=system.pieces.states,

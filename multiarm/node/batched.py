@@ -1,7 +1,7 @@
 r"""The node algorithm on four arms at a time: the same elimination, without roots.
 
 The arms do not know of each other until their shares of the node matrix are added up.  So four of
-them stand side by side in the processor's registers (:mod:`multiarm.lanes`) and are eliminated by
+them are packed into the processor's vector registers (:mod:`multiarm.jit.simd`) and eliminated by
 the same instructions.  An arm's equations (:mod:`multiarm.node.regular`), with
 :math:`\mu = -\lambda`, are one symmetric table
 
@@ -32,16 +32,16 @@ from __future__ import annotations
 
 import math
 
-from multiarm.lanes import (
+from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.simd import (
     LANES,
-    lanes_at,
-    lanes_of,
-    least_positive,
-    lesser,
-    put_lanes,
-    sum_of_lanes,
+    broadcast,
+    load_pack,
+    min_positive,
+    minimum,
+    store_pack,
+    sum_pack,
 )
-from multiarm.lowlevel import inlined, kernel
 from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, MOBILITY_WEIGHT
 from multiarm.node.tables import fill_table, hand_out
 from multiarm.node.work import (
@@ -64,9 +64,9 @@ def reduce_pivot(lanes, start, stride, i, low, high, pivot):
     at = start + LANES * i + low * stride
     diagonal = start + low * (stride + LANES)
     for j in range(low, high):
-        u = lanes_at(lanes, at)
-        factor = u * lanes_at(lanes, diagonal)
-        put_lanes(lanes, FACTORS_AT + LANES * j, factor)
+        u = load_pack(lanes, at)
+        factor = u * load_pack(lanes, diagonal)
+        store_pack(lanes, FACTORS_AT + LANES * j, factor)
         pivot = pivot - factor * u
         at += stride
         diagonal += stride + LANES
@@ -82,29 +82,29 @@ def reduce_columns(lanes, start, stride, row, low, high, first, last):
     k = first
     while k + 4 <= last:
         at = row + LANES * k
-        s0, s1 = lanes_at(lanes, at), lanes_at(lanes, at + LANES)
-        s2, s3 = lanes_at(lanes, at + 2 * LANES), lanes_at(lanes, at + 3 * LANES)
+        s0, s1 = load_pack(lanes, at), load_pack(lanes, at + LANES)
+        s2, s3 = load_pack(lanes, at + 2 * LANES), load_pack(lanes, at + 3 * LANES)
         other = start + LANES * k + low * stride
         for j in range(low, high):
-            factor = lanes_at(lanes, FACTORS_AT + LANES * j)
-            s0 = s0 - factor * lanes_at(lanes, other)
-            s1 = s1 - factor * lanes_at(lanes, other + LANES)
-            s2 = s2 - factor * lanes_at(lanes, other + 2 * LANES)
-            s3 = s3 - factor * lanes_at(lanes, other + 3 * LANES)
+            factor = load_pack(lanes, FACTORS_AT + LANES * j)
+            s0 = s0 - factor * load_pack(lanes, other)
+            s1 = s1 - factor * load_pack(lanes, other + LANES)
+            s2 = s2 - factor * load_pack(lanes, other + 2 * LANES)
+            s3 = s3 - factor * load_pack(lanes, other + 3 * LANES)
             other += stride
-        put_lanes(lanes, at, s0)
-        put_lanes(lanes, at + LANES, s1)
-        put_lanes(lanes, at + 2 * LANES, s2)
-        put_lanes(lanes, at + 3 * LANES, s3)
+        store_pack(lanes, at, s0)
+        store_pack(lanes, at + LANES, s1)
+        store_pack(lanes, at + 2 * LANES, s2)
+        store_pack(lanes, at + 3 * LANES, s3)
         k += 4
     while k < last:
         at = row + LANES * k
-        s = lanes_at(lanes, at)
+        s = load_pack(lanes, at)
         other = start + LANES * k + low * stride
         for j in range(low, high):
-            s = s - lanes_at(lanes, FACTORS_AT + LANES * j) * lanes_at(lanes, other)
+            s = s - load_pack(lanes, FACTORS_AT + LANES * j) * load_pack(lanes, other)
             other += stride
-        put_lanes(lanes, at, s)
+        store_pack(lanes, at, s)
         k += 1
 
 
@@ -116,42 +116,42 @@ def eliminate_group(group, work, stiffness):
     each arm is from being singular, as :func:`multiarm.node.regular.eliminate_arm` does.
     """
     d, m, start, stride = group[JOINTS], group[CONTACTS], group[START], LANES * group[WIDTH]
-    lanes, one, zero = work.lanes, lanes_of(1.0), lanes_of(0.0)
+    lanes, one, zero = work.packs, broadcast(1.0), broadcast(0.0)
     inertia, relative = one, one
-    stiffest, weakest = lanes_of(math.inf), lanes_of(math.inf)
+    stiffest, weakest = broadcast(math.inf), broadcast(math.inf)
     right, row = d + m, start
     for i in range(d):
-        pivot = reduce_pivot(lanes, start, stride, i, 0, i, lanes_at(lanes, row + LANES * i))
+        pivot = reduce_pivot(lanes, start, stride, i, 0, i, load_pack(lanes, row + LANES * i))
         inverse = one / pivot
-        inertia = least_positive(least_positive(inertia, pivot), inverse)
-        stiffest = lesser(stiffest, pivot * lanes_at(stiffness, LANES * i))
-        put_lanes(lanes, row + LANES * i, inverse)
+        inertia = min_positive(min_positive(inertia, pivot), inverse)
+        stiffest = minimum(stiffest, pivot * load_pack(stiffness, LANES * i))
+        store_pack(lanes, row + LANES * i, inverse)
         reduce_columns(lanes, start, stride, row, 0, i, i + 1, right + 1)
         row += stride
     for i in range(d, right):
-        diagonal = reduce_pivot(lanes, start, stride, i, 0, d, lanes_at(lanes, row + LANES * i))
+        diagonal = reduce_pivot(lanes, start, stride, i, 0, d, load_pack(lanes, row + LANES * i))
         pivot = reduce_pivot(lanes, start, stride, i, d, i, diagonal)
-        relative = least_positive(relative, pivot / diagonal)
-        weakest = lesser(weakest, zero - diagonal)
-        put_lanes(lanes, row + LANES * i, one / pivot)
+        relative = min_positive(relative, pivot / diagonal)
+        weakest = minimum(weakest, zero - diagonal)
+        store_pack(lanes, row + LANES * i, one / pivot)
         reduce_columns(lanes, start, stride, row, 0, i, i + 1, right + 1)
         reduce_columns(lanes, start, stride, row, d, i, right + 1, right + 7)
         row += stride
-    mobile = weakest * stiffest * lanes_of(MOBILITY_WEIGHT)  # the diagonal of K over the mobility
-    return inertia, least_positive(relative, mobile)
+    mobile = weakest * stiffest * broadcast(MOBILITY_WEIGHT)  # the diagonal of K over the mobility
+    return inertia, min_positive(relative, mobile)
 
 
 @inlined
 def add_group(group, work, share):
     """Add the shares of four eliminated arms to the node matrix: ``share`` is 1, 0 of no arm."""
     d, start, stride = group[JOINTS], group[START], LANES * group[WIDTH]
-    lanes, right = work.lanes, group[JOINTS] + group[CONTACTS]
+    lanes, right = work.packs, group[JOINTS] + group[CONTACTS]
     for k in range(6):
         at = start + d * stride + LANES * (right + 1 + k)
         diagonal = start + d * (stride + LANES)
         for j in range(d, right):
-            factor = lanes_at(lanes, at) * (lanes_at(lanes, diagonal) * share)
-            put_lanes(lanes, FACTORS_AT + LANES * j, factor)
+            factor = load_pack(lanes, at) * (load_pack(lanes, diagonal) * share)
+            store_pack(lanes, FACTORS_AT + LANES * j, factor)
             at += stride
             diagonal += stride + LANES
         row = NODE_AT + LANES * (NODE_WIDTH * k - right)  # the table's right column comes first
@@ -162,33 +162,33 @@ def add_group(group, work, share):
 def substitute_group(group, work):
     """Unknowns of four eliminated arms, from the last row to the first, into the row behind."""
     d, m, start, stride = group[JOINTS], group[CONTACTS], group[START], LANES * group[WIDTH]
-    lanes = work.lanes
+    lanes = work.packs
     right = d + m
     x = start + right * stride  # a row of its own behind the table
     row = start + right * stride
     for i in range(right - 1, -1, -1):
         row -= stride
         at = row + LANES * right
-        s = lanes_at(lanes, at)
+        s = load_pack(lanes, at)
         if i >= d:
             for k in range(6):
                 at += LANES
-                s = s - lanes_at(lanes, at) * lanes_at(lanes, OBJECT_AT + LANES * k)
+                s = s - load_pack(lanes, at) * load_pack(lanes, OBJECT_AT + LANES * k)
         for k in range(right - 1, i, -1):
-            s = s - lanes_at(lanes, row + LANES * k) * lanes_at(lanes, x + LANES * k)
-        put_lanes(lanes, x + LANES * i, s * lanes_at(lanes, row + LANES * i))
+            s = s - load_pack(lanes, row + LANES * k) * load_pack(lanes, x + LANES * k)
+        store_pack(lanes, x + LANES * i, s * load_pack(lanes, row + LANES * i))
 
 
 @inlined
 def solve_node(work, object_inertia, h_o, q_o):
     """Add up the arms' shares and solve for the object; returns the smallest relative pivot."""
-    lanes, S = work.lanes, work.S
+    lanes, S = work.packs, work.S
     for k in range(6):
         at = NODE_AT + LANES * NODE_WIDTH * k
-        q_o[k] = h_o[k] + sum_of_lanes(lanes_at(lanes, at))
+        q_o[k] = h_o[k] + sum_pack(load_pack(lanes, at))
         for l in range(k + 1):  # noqa: E741
             at += LANES
-            S[k, l] = object_inertia[k, l] + sum_of_lanes(lanes_at(lanes, at))
+            S[k, l] = object_inertia[k, l] + sum_pack(load_pack(lanes, at))
     smallest = 1.0
     for j in range(6):
         diagonal = S[j, j]
@@ -219,7 +219,7 @@ def solve_node(work, object_inertia, h_o, q_o):
 
 
 @inlined
-def solve_side_by_side(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
+def solve_batched(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
     """Eliminate the whole system and solve it for one right-hand side.
 
     Parameters
@@ -240,7 +240,7 @@ def solve_side_by_side(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
         digits would be lost, or an inertia fails: then nothing is solved, and the arms are to be
         looked at one by one.  The pivots are left in ``work.pivot``.
     """
-    lanes, n = work.lanes, work.dofs.size - 1
+    lanes, n = work.packs, work.dofs.size - 1
     if not least_pivot(work, Wo, h, c) > COUPLED_BELOW:
         return DEFICIENT
     work.pivot[n] = solve_node(work, object_inertia, h_o, q_o)
@@ -248,7 +248,7 @@ def solve_side_by_side(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
     if not work.pivot[n] > COUPLED_BELOW:
         return DEFICIENT
     for k in range(6):
-        put_lanes(lanes, OBJECT_AT + LANES * k, lanes_of(q_o[k]))
+        store_pack(lanes, OBJECT_AT + LANES * k, broadcast(q_o[k]))
     for g in range(work.groups.shape[0]):
         substitute_group(work.groups[g], work)
         hand_out(work.groups[g], work, q, force)
@@ -261,16 +261,16 @@ def least_pivot(work, Wo, h, c):
 
     That is 0 where an inertia fails, or where no arm is looked at since one is always deficient.
     """
-    lanes, least = work.lanes, 1.0 if work.groups.shape[0] > 0 else 0.0
+    lanes, least = work.packs, 1.0 if work.groups.shape[0] > 0 else 0.0
     for k in range(6 * NODE_WIDTH):
-        put_lanes(lanes, NODE_AT + LANES * k, lanes_of(0.0))
+        store_pack(lanes, NODE_AT + LANES * k, broadcast(0.0))
     for g in range(work.groups.shape[0]):
         group, present = work.groups[g], work.present[g]
         fill_table(group, work, Wo, h, c, work.places[g], present)
         inertia, relative = eliminate_group(group, work, work.stiffness[g])
-        add_group(group, work, lanes_at(present, present.size - LANES))
-        put_lanes(lanes, OBJECT_AT, inertia)
-        put_lanes(lanes, OBJECT_AT + LANES, relative)
+        add_group(group, work, load_pack(present, present.size - LANES))
+        store_pack(lanes, OBJECT_AT, inertia)
+        store_pack(lanes, OBJECT_AT + LANES, relative)
         for lane in range(group[COUNT]):
             pivot = lanes[OBJECT_AT + LANES + lane]
             work.pivot[group[FIRST_ARM + lane]] = pivot
@@ -281,7 +281,7 @@ def least_pivot(work, Wo, h, c):
 @kernel
 def largest_free_rate(work):
     """Largest ``|W^T M^-1 h|`` of the last solution: what the contacts would do without forces."""
-    lanes, largest = work.lanes, 0.0
+    lanes, largest = work.packs, 0.0
     for g in range(work.groups.shape[0]):
         group = work.groups[g]
         d, right = group[JOINTS], group[JOINTS] + group[CONTACTS]

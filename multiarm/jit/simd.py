@@ -1,11 +1,10 @@
-"""Numbers of four arms side by side: a type of compiled code that the processor adds at once.
+"""SIMD packs: one quantity of four arms in one vector register.
 
-A variable of this type stands for one quantity of four arms, its *lanes*.  Sums and products of
-such variables are one instruction each where the processor has registers for four, and a product
-that is added at once is rounded once where it can.  In
-memory the four numbers follow each other: :func:`gather_lanes` brings them together, and
-:func:`deal_four` turns four such variables around, so that what belongs to one arm is together.
-Nothing in a lane depends on what the others hold.
+Sums and products of packs are one instruction each where the processor has registers for four
+numbers, and a product that is added at once is rounded once where it can.  In memory the four
+numbers follow each other: :func:`gather_pack` loads them from four places, and
+:func:`transpose_four` transposes four packs, so that what belongs to one arm is together.  Nothing
+in a lane depends on what the others hold.
 """
 
 from __future__ import annotations
@@ -28,20 +27,20 @@ _ALIGNMENT = 64  # [bytes] one line of the processor's cache
 _FLAGS = ("contract", "nsz")
 
 
-class LanesType(types.Type):
+class PackType(types.Type):
     """Numba's type of one quantity of four arms."""
 
     def __init__(self) -> None:
-        super().__init__(name="Lanes")
+        super().__init__(name="Pack")
 
 
-@register_model(LanesType)
-class _LanesModel(models.PrimitiveModel):
+@register_model(PackType)
+class _PackModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: types.Type) -> None:
         super().__init__(manager, kind, _VECTOR)
 
 
-_LANES = LanesType()
+_PACK = PackType()
 
 
 def aligned_zeros(size: int) -> np.ndarray:
@@ -56,9 +55,9 @@ def _define(operation: Any, arguments: int, instruction: str) -> None:
 
     @infer_global(operation)
     class _Typing(ConcreteTemplate):
-        cases = (signature(_LANES, *[_LANES] * arguments),)
+        cases = (signature(_PACK, *[_PACK] * arguments),)
 
-    @lower_builtin(operation, *[_LANES] * arguments)
+    @lower_builtin(operation, *[_PACK] * arguments)
     def _lower(_context, builder, _signature, values):
         return getattr(builder, instruction)(*values, flags=_FLAGS)
 
@@ -80,18 +79,18 @@ def _shuffled(builder, a, b, places):
 
 
 @intrinsic
-def lanes_at(typing_context, array, at):
+def load_pack(typing_context, array, at):
     """Lanes that begin at one place of a vector of float64."""
 
     def generate(context, builder, signature, arguments):
         pointer = _pointer(context, builder, signature.args[0], *arguments)
         return builder.load(pointer, align=8)
 
-    return _LANES(array, types.intp), generate
+    return _PACK(array, types.intp), generate
 
 
 @intrinsic
-def put_lanes(typing_context, array, at, value):
+def store_pack(typing_context, array, at, value):
     """Write lanes into a vector of float64, from one place on."""
 
     def generate(context, builder, signature, arguments):
@@ -99,11 +98,11 @@ def put_lanes(typing_context, array, at, value):
         builder.store(arguments[2], pointer, align=8)
         return context.get_dummy_value()
 
-    return types.void(array, types.intp, _LANES), generate
+    return types.void(array, types.intp, _PACK), generate
 
 
 @intrinsic
-def lanes_of(typing_context, number):
+def broadcast(typing_context, number):
     """The same number in all lanes."""
 
     def generate(context, builder, signature, arguments):
@@ -112,11 +111,11 @@ def lanes_of(typing_context, number):
             value = builder.insert_element(value, arguments[0], _PLACE(lane))
         return value
 
-    return _LANES(types.float64), generate
+    return _PACK(types.float64), generate
 
 
 @intrinsic
-def gather_lanes(typing_context, array, at0, at1, at2, at3):
+def gather_pack(typing_context, array, at0, at1, at2, at3):
     """Lanes from four places of an array of float64, counted as in a vector."""
 
     def generate(context, builder, signature, arguments):
@@ -127,35 +126,35 @@ def gather_lanes(typing_context, array, at0, at1, at2, at3):
             value = builder.insert_element(value, number, _PLACE(lane))
         return value
 
-    return _LANES(array, *[types.intp] * LANES), generate
+    return _PACK(array, *[types.intp] * LANES), generate
 
 
 @intrinsic
-def least_positive(typing_context, a, b):
-    """In every lane the lesser of ``a`` and ``b``, but 0 where ``b`` is not positive (or NaN)."""
+def min_positive(typing_context, a, b):
+    """In every lane the minimum of ``a`` and ``b``, but 0 where ``b`` is not positive (or NaN)."""
 
     def generate(context, builder, signature, arguments):
         a, b = arguments
-        lesser = builder.select(builder.fcmp_ordered("<", a, b), a, b)
+        minimum = builder.select(builder.fcmp_ordered("<", a, b), a, b)
         positive = builder.fcmp_ordered(">", b, ir.Constant(_VECTOR, [0.0] * LANES))
-        return builder.select(positive, lesser, ir.Constant(_VECTOR, [0.0] * LANES))
+        return builder.select(positive, minimum, ir.Constant(_VECTOR, [0.0] * LANES))
 
-    return _LANES(_LANES, _LANES), generate
+    return _PACK(_PACK, _PACK), generate
 
 
 @intrinsic
-def lesser(typing_context, a, b):
-    """In every lane the lesser of ``a`` and ``b``; ``b`` where one of them is NaN."""
+def minimum(typing_context, a, b):
+    """In every lane the minimum of ``a`` and ``b``; ``b`` where one of them is NaN."""
 
     def generate(context, builder, signature, arguments):
         a, b = arguments
         return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
-    return _LANES(_LANES, _LANES), generate
+    return _PACK(_PACK, _PACK), generate
 
 
 @intrinsic
-def sum_of_lanes(typing_context, value):
+def sum_pack(typing_context, value):
     """Sum of the four numbers."""
 
     def generate(context, builder, signature, arguments):
@@ -164,11 +163,11 @@ def sum_of_lanes(typing_context, value):
         total = builder.fadd(total, _shuffled(builder, total, total, [1, 0, 3, 2]))
         return builder.extract_element(total, _PLACE(0))
 
-    return types.float64(_LANES), generate
+    return types.float64(_PACK), generate
 
 
 @intrinsic
-def deal_four(typing_context, source, at, out, at0, at1, at2, at3):
+def transpose_four(typing_context, source, at, out, at0, at1, at2, at3):
     """Deal four lanes that follow each other at ``at``: each arm's to four places of ``out``."""
 
     def generate(context, builder, signature, arguments):

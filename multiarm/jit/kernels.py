@@ -1,12 +1,12 @@
-"""Kernels: functions that are compiled, cached, called by address, and that call back into Python.
+"""Kernels: functions that Numba compiles, caches and compiles into each other.
 
-Numba types plain integers, so that a table of addresses is ordinary data: kernels compiled once
-serve every scene, whatever arms it has.  Arrays behind addresses are :mod:`multiarm.books`.
+A kernel is compiled whole when Python calls it, or when its address is taken; where another kernel
+calls it, it becomes part of that one.  Its code is cached on disk and stays fresh until the source
+of any kernel, or a constant that one reads, changes.
 """
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import hashlib
 import re
@@ -15,13 +15,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
 
-from multiarm.translation import PART, WHOLE
+from multiarm.jit.linking import PART, WHOLE
 
-_KERNEL = re.compile(rb"^@(kernel|unlocked|inlined|fused|entry|allocating)\b", re.MULTILINE)
+_PACKAGE = Path(__file__).parents[1]
+_KERNEL = re.compile(rb"^@(kernel|unlocked|inlined|fused|cfunc|allocating)\b", re.MULTILINE)
 _IMPORTED = re.compile(rb"^from multiarm\.([\w.]+) import", re.MULTILINE)
 
 
@@ -31,14 +30,13 @@ def _source_stamp() -> str:
     Numba looks only at a kernel's own file to see whether its cached code is fresh; a kernel that
     was compiled into another one from another file would stay as it was.
     """
-    root = Path(__file__).parent
-    sources = {path: path.read_bytes() for path in sorted(root.rglob("*.py"))}
+    sources = {path: path.read_bytes() for path in sorted(_PACKAGE.rglob("*.py"))}
     # nothing is compiled from benchmarks into other kernels
     used = {Path(__file__)}
     for path, text in sources.items():
         if _KERNEL.search(text) and path.parent.name != "benchmarks":
             imported = (name.decode().replace(".", "/") for name in _IMPORTED.findall(text))
-            used |= {path, *(root / f"{name}.py" for name in imported)}
+            used |= {path, *(_PACKAGE / f"{name}.py" for name in imported)}
     digest = hashlib.sha256()
     for path in sorted(used & sources.keys()):
         digest.update(path.name.encode() + sources[path])
@@ -55,7 +53,7 @@ def _stamp_of(function: Callable) -> str:
     Of a kernel outside the package, the text of its own file as well.
     """
     file = Path(function.__code__.co_filename)
-    if Path(__file__).parent in file.parents or not file.is_file():
+    if _PACKAGE in file.parents or not file.is_file():
         return _STAMP
     return _STAMP + hashlib.sha256(file.read_bytes()).hexdigest()
 
@@ -111,10 +109,9 @@ fused = _decorator(_nrt=False, forceinline=True, fastmath={"contract"})
 unlocked = _decorator(_nrt=False, nogil=True)
 # For kernels that do make arrays; they must not return them to one of the other kind.
 allocating = _decorator(_nrt=True)
-# A large kernel that others call by its address (`address_of`, `call_entry`): it is compiled once,
-# and not once more into every function above it, which is most of what compiling would cost.  Its
-# arguments are those of ENTRY: address and size of an address book, two numbers; it returns an int.
-entry = _decorator(_nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=False)
+# A large kernel that others call by its address (:mod:`multiarm.jit.pointers`): compiled once, and
+# not once more into every function above it, which is most of what compiling would cost.
+cfunc = _decorator(_nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=False)
 
 
 def _cache_file(dispatcher: Any) -> Any:
@@ -158,81 +155,3 @@ def clear(out):
     """Write zeros into a vector (slice assignment takes long to compile)."""
     for i in range(out.size):
         out[i] = 0.0
-
-
-ENTRY = types.int64(types.int64, types.int64, types.float64, types.float64)
-
-
-# The same for Python: makes a function of an address, and an address of a function.
-ENTRY_PROTOTYPE = ctypes.CFUNCTYPE(
-    ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, ctypes.c_double
-)
-
-
-def address_of(function: Kernel) -> int:
-    """Address of a kernel decorated with `entry`, compiled if need be."""
-    whole = function.whole
-    if ENTRY.args not in whole.overloads:
-        whole.compile(ENTRY)
-    result = whole.overloads[ENTRY.args]
-    return result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
-
-
-@intrinsic
-def call_entry(typing_context, address, book, a, b):
-    """Call the entry at an integer address with an address book and two numbers."""
-
-    def generate(context, builder, signature, arguments):
-        array = context.make_array(signature.args[1])(context, builder, arguments[1])
-        integer, number = ir.IntType(64), ir.DoubleType()
-        kind = ir.FunctionType(integer, [integer, integer, number, number])
-        function = builder.inttoptr(arguments[0], kind.as_pointer())
-        data = builder.ptrtoint(array.data, integer)
-        return builder.call(function, [data, array.nitems, arguments[2], arguments[3]])
-
-    return types.int64(types.int64, book, types.float64, types.float64), generate
-
-
-@intrinsic
-def call_back(typing_context, address):
-    """Call the function without arguments or result at an integer address."""
-
-    def generate(context, builder, signature, arguments):
-        function = ir.FunctionType(ir.VoidType(), [])
-        builder.call(builder.inttoptr(arguments[0], function.as_pointer()), [])
-        return context.get_dummy_value()
-
-    return types.void(types.int64), generate
-
-
-class Trouble:
-    """Something that compiled code calls in Python, and the exception that it ran into.
-
-    An exception must not cross compiled code (it would be printed and lost).  It is kept here, the
-    flag array is raised, and the loop returns; :meth:`reraise` then raises it where Python can see
-    it.  ``KeyboardInterrupt`` goes the same way.
-    """
-
-    address: int
-    error: BaseException | None = None
-
-    def reraise(self) -> None:
-        """Raise what the function raised, if it did, once."""
-        error, self.error = self.error, None
-        if error is not None:
-            raise error
-
-
-class CallBack(Trouble):
-    """A Python function without arguments or result that compiled code can call."""
-
-    def __init__(self, function: Callable[[], None], flag) -> None:
-        def guarded() -> None:
-            try:
-                function()
-            except BaseException as error:
-                self.error = error
-                flag[0] = 1
-
-        self._keep_alive = ctypes.CFUNCTYPE(None)(guarded)
-        self.address: int = ctypes.cast(self._keep_alive, ctypes.c_void_p).value or 0

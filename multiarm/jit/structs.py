@@ -1,9 +1,9 @@
-"""Address books: one vector of integers that stands for many arrays.
+"""Structs: one vector of integers that stands for many arrays and numbers.
 
-Kernels hand a book to each other instead of fifty arrays.  A :func:`view` of it has the names of a
-``NamedTuple`` of arrays, and finds each array where it is used: passing a view costs one number,
-and what a kernel does not name costs nothing, neither at run time nor when it is compiled.  Views
-are not reference counted.
+Kernels hand a struct to each other instead of fifty arrays.  A :func:`view` of it has the names of
+a ``NamedTuple`` of arrays and numbers, and finds each field where it is used: passing a view costs
+one number, and what a kernel does not name costs nothing, neither at run time nor when it is
+compiled.  Views are not reference counted.
 
 .. code-block:: python
 
@@ -11,26 +11,40 @@ are not reference counted.
         angle: Floats1
         inertia: Floats2
 
-    open_pendulum = view(Pendulum)
-    book = address_book([*pendulum])  # in Python; in a kernel: open_pendulum(book).angle[0]
+    view_pendulum = view(Pendulum)
+    struct = make_struct([*pendulum])  # in Python; in a kernel: view_pendulum(struct).angle[0]
+
+The numbers of a ``NamedTuple`` never change, and kernels may read them ahead of a loop.  Numbers
+that kernels set are the fields of a :class:`Numbers`:
+
+.. code-block:: python
+
+    class Clock(Numbers):
+        time: Float
+        steps: Int
+
+    view_clock = view(Clock)
+    clock = Clock(time=0.5)  # in a kernel: view_clock(clock.struct).steps += 1; then clock.steps
 """
 
 from __future__ import annotations
 
 import functools
-import struct
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, get_type_hints
+from struct import Struct as Format
+from typing import Annotated, Any, ClassVar, get_type_hints
 
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core.errors import NumbaTypeError
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
     infer_getattr,
     intrinsic,
     lower_getattr_generic,
+    lower_setattr_generic,
     models,
     register_model,
     unbox,
@@ -52,13 +66,13 @@ Ints2 = Annotated[np.ndarray, (types.int64, 2)]
 WIDTH = 4
 _NO_SIZES = (1,) * (WIDTH - 1)
 _KINDS = (np.dtype(np.float64), np.dtype(np.int64))
-_NUMBER, _BITS = struct.Struct("d"), struct.Struct("q")
+_NUMBER, _BITS = Format("d"), Format("q")
 
 
-def address_book(entries: Sequence[np.ndarray | float]) -> np.ndarray:
+def make_struct(entries: Sequence[np.ndarray | float]) -> np.ndarray:
     """Addresses and shapes of C-contiguous float64 and int64 arrays, and numbers, shape (4 k,).
 
-    The arrays must stay alive as long as the book is used.
+    The arrays must stay alive as long as the struct is used.
     """
     numbers: list[int] = []  # a list is filled faster than an array
     for entry in entries:
@@ -74,8 +88,8 @@ def address_book(entries: Sequence[np.ndarray | float]) -> np.ndarray:
     return np.array(numbers, dtype=np.int64)
 
 
-def book_of(*holders: tuple) -> np.ndarray:
-    """Address book of ``NamedTuples``, one behind the other; numbers become what their fields are.
+def struct_of(*holders: tuple) -> np.ndarray:
+    """Struct of ``NamedTuples``, one behind the other; numbers become what their fields are.
 
     An ``int`` in a ``Float`` field is written as a float, a ``bool`` in an ``Int`` field as an int.
     """
@@ -83,7 +97,7 @@ def book_of(*holders: tuple) -> np.ndarray:
     for holder in holders:
         numbers = _numbers_of(type(holder))
         entries += [numbers[k](entry) if k in numbers else entry for k, entry in enumerate(holder)]
-    return address_book(entries)
+    return make_struct(entries)
 
 
 @functools.cache
@@ -94,6 +108,42 @@ def _numbers_of(holder: type) -> dict[int, Callable[[Any], float]]:
     return {k: made[kind] for k, kind in enumerate(kinds) if kind is not None}
 
 
+class Numbers:
+    """Numbers that Python and kernels both read and set, in a struct of their own.
+
+    Subclasses annotate their fields with ``Float``, ``Int`` or ``Flag``; all are 0 unless given.
+
+    Attributes
+    ----------
+    struct : ndarray of int64, shape (4 k,)
+        What kernels take; it is the memory of the fields.
+    """
+
+    _fields: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        cls._fields = tuple(name for name in cls.__annotations__)
+        for k, (name, (kind, _)) in enumerate(zip(cls._fields, _fields_of(cls), strict=True)):
+            setattr(cls, name, _number_property(WIDTH * k, kind is types.float64))
+
+    def __init__(self, **values: float) -> None:
+        self.struct = np.zeros(WIDTH * len(self._fields), dtype=np.int64)
+        for name, value in values.items():
+            setattr(self, name, value)
+
+
+def _number_property(place: int, real: bool) -> property:
+    """A field of :class:`Numbers` at one place of its struct."""
+
+    def read(numbers: Numbers) -> float:
+        return (numbers.struct.view(np.float64) if real else numbers.struct)[place].item()
+
+    def write(numbers: Numbers, value: float) -> None:
+        (numbers.struct.view(np.float64) if real else numbers.struct)[place] = value
+
+    return property(read, write)
+
+
 def _fields_of(holder: type) -> list[tuple[Any, int]]:
     """Number type and axes of every field of a ``NamedTuple``, from its annotations."""
     hints = get_type_hints(holder, include_extras=True)
@@ -101,7 +151,7 @@ def _fields_of(holder: type) -> list[tuple[Any, int]]:
 
 
 class View(types.Type):
-    """Numba's type of the arrays of a ``NamedTuple`` in a book, the first one at place ``at``."""
+    """Numba's type of the arrays of a ``NamedTuple`` in a struct, the first one at place ``at``."""
 
     def __init__(self, holder: type, at: int) -> None:
         names = holder._fields  # type: ignore[attr-defined]
@@ -109,12 +159,13 @@ class View(types.Type):
             name: (at + k, dtype, axes)
             for k, (name, (dtype, axes)) in enumerate(zip(names, _fields_of(holder), strict=True))
         }
+        self.settable = issubclass(holder, Numbers)
         super().__init__(name=f"View({holder.__module__}.{holder.__qualname__}, {at})")
 
 
 @register_model(View)
 class _ViewModel(models.PrimitiveModel):
-    """A view is the address of its book."""
+    """A view is the address of its struct."""
 
     def __init__(self, manager, view) -> None:
         super().__init__(manager, view, ir.IntType(64))
@@ -132,60 +183,76 @@ class _ViewFields(AttributeTemplate):
 
 
 @lower_getattr_generic(View)
-def _field_of_view(context, builder, view, book, name):
+def _field_of_view(context, builder, view, struct, name):
     place, dtype, axes = view.fields[name]
-    numbers = builder.inttoptr(book, ir.IntType(64).as_pointer())
+    numbers = builder.inttoptr(struct, ir.IntType(64).as_pointer())
     first = ir.IntType(64)(WIDTH * place)
     if axes:
-        return _array_in_book(context, builder, dtype, axes, numbers, first)
-    return builder.bitcast(_number(builder, numbers, first), context.get_value_type(dtype))
+        return _array_in_struct(context, builder, dtype, axes, numbers, first)
+    if view.settable:  # it may have been set since it was read last
+        number = builder.load(builder.gep(numbers, [first]))
+    else:
+        number = _number(builder, numbers, first)
+    return builder.bitcast(number, context.get_value_type(dtype))
+
+
+@lower_setattr_generic(View)
+def _set_field_of_view(context, builder, signature, arguments, name):
+    view, (struct, value) = signature.args[0], arguments
+    place, _, axes = view.fields[name]
+    if axes or not view.settable:
+        raise NumbaTypeError(f"field '{name}' of {view} cannot be set: it is not of a `Numbers`")
+    numbers = builder.inttoptr(struct, ir.IntType(64).as_pointer())
+    bits = builder.bitcast(value, ir.IntType(64))
+    builder.store(bits, builder.gep(numbers, [ir.IntType(64)(WIDTH * place)]))
 
 
 @unbox(View)
 def _no_view(view, given, c):
     """Python has no views: kernels take the ``NamedTuple`` itself from there."""
-    c.pyapi.err_set_string("PyExc_TypeError", "views of address books exist in kernels only")
+    c.pyapi.err_set_string("PyExc_TypeError", "views of structs exist in kernels only")
     return NativeValue(ir.IntType(64)(0), is_error=ir.IntType(1)(1))
 
 
 def view(holder: type, at: int = 0) -> Callable[[Any], Any]:
-    """Function of kernels: ``book -> view`` of the arrays of ``holder``, the first at place ``at``.
+    """Function of kernels ``struct -> view``: the fields of ``holder``, the first at place ``at``.
 
-    ``holder`` is a ``NamedTuple`` whose fields are annotated with ``Floats1`` ... ``Ints2``.
+    ``holder`` is a ``NamedTuple`` whose fields are annotated with ``Float`` ... ``Ints2``, or
+    :class:`Numbers`.
     """
     kind = View(holder, at)
 
     @intrinsic
-    def open_view(typing_context, book):
+    def open_view(typing_context, struct):
         def generate(context, builder, signature, arguments):
             array = context.make_array(signature.args[0])(context, builder, arguments[0])
             return builder.ptrtoint(array.data, ir.IntType(64))
 
-        return kind(book), generate
+        return kind(struct), generate
 
     return open_view
 
 
-def _entry_of_book(dtype, axes: int):
-    """Intrinsic ``(book, k) -> array``: the view at entry ``k`` of an address book."""
+def _entry_of_struct(dtype, axes: int):
+    """Intrinsic ``(struct, k) -> array``: the view at entry ``k`` of a struct."""
 
     @intrinsic
-    def entry(typing_context, book, k):
+    def entry(typing_context, struct, k):
         def generate(context, builder, signature, arguments):
             numbers = context.make_array(signature.args[0])(context, builder, arguments[0]).data
             first = builder.mul(arguments[1], context.get_constant(types.intp, WIDTH))
-            return _array_in_book(context, builder, dtype, axes, numbers, first)
+            return _array_in_struct(context, builder, dtype, axes, numbers, first)
 
-        return types.Array(dtype, axes, "C")(book, types.intp), generate
+        return types.Array(dtype, axes, "C")(struct, types.intp), generate
 
     return entry
 
 
-# Single arrays in an address book, by their places.
-floats1 = _entry_of_book(types.float64, 1)
-floats2 = _entry_of_book(types.float64, 2)
-ints1 = _entry_of_book(types.int64, 1)
-ints2 = _entry_of_book(types.int64, 2)
+# Single arrays in a struct, by their places.
+floats1 = _entry_of_struct(types.float64, 1)
+floats2 = _entry_of_struct(types.float64, 2)
+ints1 = _entry_of_struct(types.int64, 1)
+ints2 = _entry_of_struct(types.int64, 2)
 
 
 @intrinsic
@@ -199,8 +266,8 @@ def floats_at(typing_context, address, count):
 
 
 @intrinsic
-def book_at(typing_context, address, size):
-    """Address book of ``size`` integers at an integer address."""
+def struct_at(typing_context, address, size):
+    """Struct of ``size`` integers at an integer address."""
 
     def generate(context, builder, signature, arguments):
         return _array_at(context, builder, types.int64, arguments[0], [arguments[1]])
@@ -208,8 +275,8 @@ def book_at(typing_context, address, size):
     return types.Array(types.int64, 1, "C")(types.int64, types.int64), generate
 
 
-def _array_in_book(context, builder, dtype, axes, numbers, first):
-    """LLVM value of an array whose address is number ``first`` of a book, its sizes behind it."""
+def _array_in_struct(context, builder, dtype, axes, numbers, first):
+    """LLVM value of an array whose address is number ``first`` of a struct, its sizes behind it."""
     found = []
     for offset in range(1 + axes):
         at = builder.add(first, context.get_constant(types.intp, offset))
@@ -218,7 +285,7 @@ def _array_in_book(context, builder, dtype, axes, numbers, first):
 
 
 def _number(builder, numbers, at):
-    """Read one integer of a book, which never changes: LLVM may do so once, ahead of a loop."""
+    """Read one integer of a struct, which never changes: LLVM may do so once, ahead of a loop."""
     number = builder.load(builder.gep(numbers, [at]))
     number.set_metadata("invariant.load", builder.module.add_metadata([]))
     return number

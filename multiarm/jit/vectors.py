@@ -1,11 +1,11 @@
-r"""Small vectors and matrices in compiled code: tuples of numbers, or of lanes.
+r"""Small vectors and matrices in compiled code: tuples of numbers, or of SIMD packs.
 
 A vector is a tuple of three.  A rotation is the tuple of its columns, the axes that it makes of x,
 y, z; arrays hold it row by row.  A symmetric matrix is the tuple ``xx, xy, xz, yy, yz, zz``.
 
-The numbers are float64, or lanes (:mod:`multiarm.lanes`): what is not read from an array or written
-into one is the same for both.  Tuples live in registers: read all that is needed first, and write
-last, so that no number is read twice.  Functions ``add_...`` add to their first argument term after
+The numbers are float64, or packs (:mod:`multiarm.jit.simd`): what does not read or write an array
+is the same for both.  Tuples live in registers: read all that is needed first, and write last, so
+that no number is read twice.  Functions ``add_...`` add to their first argument term after
 term, so that every product is added in the instruction that forms it; ``cross`` rounds its products
 first, so that ``a x a`` is zero.
 """
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from multiarm.lowlevel import fused, inlined
+from multiarm.jit.kernels import fused, inlined
 
 ZERO = (0.0, 0.0, 0.0)
 

@@ -1,0 +1,13 @@
+"""Compiled code: the only package that knows Numba's internals.
+
+- :mod:`~multiarm.jit.kernels`: functions that are compiled, cached and inlined into each other;
+- :mod:`~multiarm.jit.linking`: how their parts become one unit of machine code;
+- :mod:`~multiarm.jit.pointers`: calls through addresses, and callbacks into Python;
+- :mod:`~multiarm.jit.lazy`: functions that are compiled at their first call;
+- :mod:`~multiarm.jit.structs`: many arrays and numbers behind one argument, read and set by name;
+- :mod:`~multiarm.jit.simd`: the numbers of four arms in one vector register;
+- :mod:`~multiarm.jit.vectors`: vectors, rotations and symmetric matrices as tuples.
+
+What these take from Numba without its promise to keep it is listed in
+``tests/test_numba_internals.py``, which says what is missing when a version of Numba drops it.
+"""

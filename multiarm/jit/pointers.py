@@ -1,0 +1,93 @@
+"""Calls through addresses: compiled functions by their pointers, and callbacks into Python.
+
+Numba types plain integers, so that a table of addresses is ordinary data: kernels compiled once
+serve every scene, whatever arms it has.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from multiarm.jit.kernels import Kernel
+
+# Signature of functions called by address, decorated with `cfunc`: address and size of a struct,
+# two numbers; they return an integer.
+CFUNC = types.int64(types.int64, types.int64, types.float64, types.float64)
+# The same for Python: makes a function of an address, and an address of a function.
+CFUNC_PROTOTYPE = ctypes.CFUNCTYPE(
+    ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_double, ctypes.c_double
+)
+
+
+def address_of(function: Kernel) -> int:
+    """Address of a kernel decorated with `cfunc`, compiled if need be."""
+    whole = function.whole
+    if CFUNC.args not in whole.overloads:
+        whole.compile(CFUNC)
+    result = whole.overloads[CFUNC.args]
+    return result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
+
+
+@intrinsic
+def call_cfunc(typing_context, address, struct, a, b):
+    """Call the function at an integer address with a struct and two numbers."""
+
+    def generate(context, builder, signature, arguments):
+        array = context.make_array(signature.args[1])(context, builder, arguments[1])
+        integer, number = ir.IntType(64), ir.DoubleType()
+        kind = ir.FunctionType(integer, [integer, integer, number, number])
+        function = builder.inttoptr(arguments[0], kind.as_pointer())
+        data = builder.ptrtoint(array.data, integer)
+        return builder.call(function, [data, array.nitems, arguments[2], arguments[3]])
+
+    return types.int64(types.int64, struct, types.float64, types.float64), generate
+
+
+@intrinsic
+def call_python(typing_context, address):
+    """Call the function without arguments or result at an integer address."""
+
+    def generate(context, builder, signature, arguments):
+        function = ir.FunctionType(ir.VoidType(), [])
+        builder.call(builder.inttoptr(arguments[0], function.as_pointer()), [])
+        return context.get_dummy_value()
+
+    return types.void(types.int64), generate
+
+
+class GuardedCall:
+    """A call of compiled code into Python, and the exception that it ran into.
+
+    An exception must not cross compiled code (it would be printed and lost).  It is kept here, the
+    flag array is raised, and the loop returns; :meth:`reraise` then raises it where Python can see
+    it.  ``KeyboardInterrupt`` goes the same way.
+    """
+
+    address: int
+    error: BaseException | None = None
+
+    def reraise(self) -> None:
+        """Raise what the function raised, if it did, once."""
+        error, self.error = self.error, None
+        if error is not None:
+            raise error
+
+
+class PythonCallback(GuardedCall):
+    """A Python function without arguments or result that compiled code can call."""
+
+    def __init__(self, function: Callable[[], None], flag) -> None:
+        def guarded() -> None:
+            try:
+                function()
+            except BaseException as error:
+                self.error = error
+                flag[0] = 1
+
+        self._keep_alive = ctypes.CFUNCTYPE(None)(guarded)
+        self.address: int = ctypes.cast(self._keep_alive, ctypes.c_void_p).value or 0
