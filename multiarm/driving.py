@@ -196,8 +196,10 @@ def _metadata(task: Task) -> dict[str, Any]:
     control = "python function" if "control" in system.calls else system.scene.control.kind
     start = "scene" if task.state is None else "given state"
 
+    scene, spec = system.scene, task.spec  # a result must not keep its system alive
+
     def scene_as_run() -> str:
-        return dump_scene(system.scene.model_copy(update={"run": task.spec}))
+        return dump_scene(scene.model_copy(update={"run": spec}))
 
     return {**provenance(scene_as_run), "control": control, "start": start}
 

@@ -145,7 +145,7 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, NodeSolu
         M=[read_inertia(compiled.plant.pointers[i], d) for i, d in enumerate(dofs)],
         h=np.split(b.h.copy(), work.dofs[1:-1]), c=np.split(b.c.copy(), rows[1:-1]),
         W_o=W_o, W=W, reaction_o=W_o, reaction=W, lever=size,
-        reach=[compiled.arms[name].levers() for name in names],
+        reach=[compiled.arms[n].levers(compiled.frames[n].on_tip[:3, 3]) for n in names],
     )  # fmt: skip
     return system, NodeSolution(
         found.object_acceleration, list(found.joint_accelerations.values()),

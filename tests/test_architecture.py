@@ -82,8 +82,6 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "h5py": ("storage",),
     "joblib": ("sweeps.engines",),
     "llvmlite": (
-        "jit.kernels",
-        "jit.lazy",
         "jit.linking",
         "jit.pointers",
         "jit.simd",
@@ -101,7 +99,6 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "mujoco": ("benchmarks.mujoco_peer",),
     "numba": (
         "jit.kernels",
-        "jit.lazy",
         "jit.linking",
         "jit.pointers",
         "jit.simd",

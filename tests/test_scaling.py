@@ -30,7 +30,7 @@ from multiarm.benchmarks.solver_forms import Coefficients
 from multiarm.cli import app
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.simd import LANES
-from multiarm.node import side_by_side
+from multiarm.node import batched
 from multiarm.node import tables as group_tables
 from multiarm.node.dense import solve_dense
 from multiarm.node.regular import ELIMINATED
@@ -172,6 +172,7 @@ ONE_LANE = {
     "broadcast": Counting,
     "gather_pack": lambda array, at, *_: np.ravel(array)[at],
     "min_positive": lambda a, b: (b if b < a else a) if b > 0.0 else 0.0,
+    "minimum": lambda a, b: a if a < b else b,
     "sum_pack": lambda x: x + 0.0 + 0.0 + 0.0,
 }
 
@@ -181,22 +182,23 @@ def one_arm_a_group(n, d, N):
     work, one = make_work([d] * n, [N] * n), make_work([d], [N])
     arms, start = np.arange(n), one.groups[0, START]
     groups = np.repeat(one.groups, n, axis=0)
-    groups[:, START] += arms * (one.lanes.size - start)
+    groups[:, START] += arms * (one.packs.size - start)
     groups[:, FIRST_ARM:] = arms[:, None]
-    size = start + n * (one.lanes.size - start)
+    size = start + n * (one.packs.size - start)
     shift = np.repeat([d, N], [LANES * d, LANES * N])
     return work._replace(
         groups=groups,
         places=one.places + arms[:, None] * shift,
         present=np.repeat(one.present, n, axis=0),
-        lanes=np.zeros(size),
+        stiffness=np.repeat(one.stiffness, n, axis=0),
+        packs=np.zeros(size),
     )
 
 
 @pytest.mark.parametrize(("n", "d", "N"), [(1, 6, 1), (2, 6, 1), (4, 6, 1), (3, 4, 3), (2, 7, 6)])
 def test_node_operations_are_those_that_the_time_loop_performs(monkeypatch, rng, n, d, N):
     """The very kernels, run as plain Python on numbers that count, in one lane."""
-    for module in (side_by_side, group_tables):
+    for module in (batched, group_tables):
         for name, thing in list(vars(module).items()):
             if isinstance(thing, Kernel):
                 monkeypatch.setattr(module, name, thing.py_func)
@@ -205,14 +207,14 @@ def test_node_operations_are_those_that_the_time_loop_performs(monkeypatch, rng,
     s = random_coefficients(rng, n, d, N)
     work = one_arm_a_group(n, d, N)
     work = work._replace(
-        **{name: counted(getattr(work, name)) for name in ("S", "lanes", "present")}
+        **{name: counted(getattr(work, name)) for name in ("S", "packs", "present", "stiffness")}
     )
     work = work._replace(L=counted(s.M), Y=counted(s.W))
     Wo = counted(s.W_o.transpose(0, 2, 1).reshape(n * N, 6))
     q_o, q, force = (counted(np.zeros(size)) for size in (6, n * d, n * N))
     right = [counted(part) for part in (s.h_o, s.h.ravel(), s.c.ravel())]
     monkeypatch.setattr(Counting, "count", 0)
-    status = side_by_side.solve_batched(work, Wo, counted(s.M_o), *right, q_o, q, force)
+    status = batched.solve_batched(work, Wo, counted(s.M_o), *right, q_o, q, force)
     assert status == ELIMINATED
     assert Counting.count == node_operations(n, d, N)
     np.testing.assert_allclose(np.concatenate([numbers(q_o), numbers(q)]), dense(s), rtol=1e-9)

@@ -23,9 +23,10 @@ from __future__ import annotations
 def node_operations(arms: int, joints: int = 6, rows: int = 1) -> int:
     """Operations of elimination and solution, as the time loop performs them."""
     d, right = joints, joints + rows
-    filling = 7 * rows
+    filling = 8 * rows
     # row i: factors and pivot, its inverse, what is right of it; the pivot's relative size
     elimination = sum(3 * i + 1 + 2 * i * (right - i) for i in range(right)) + rows
+    elimination += joints + rows + 2  # the diagonal relative to the mobility
     elimination += sum(12 * (i - d) for i in range(d, right))  # the object's columns
     share = 6 * 2 * rows + 2 * 27 * rows
     backward = right * right + 12 * rows
