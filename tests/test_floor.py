@@ -7,9 +7,14 @@ import math
 import numpy as np
 import pytest
 from loose_scenes import body_and_cart, happened
+from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.candidates.floor import hull_corners
+from multiarm.contact_checks import place_state
+from multiarm.hybrid.instant import Instant
+from multiarm.hybrid.modes import Modes
+from multiarm.problems import HARD_CASES
 
 GRAVITY = 9.81
 
@@ -156,3 +161,22 @@ def test_an_arm_may_not_be_called_floor(tmp_path):
     data["joints"][0]["arm"] = "floor"
     with pytest.raises(ma.MultiarmError, match="an arm is called 'floor' as well"):
         ma.Scene(**data)
+
+
+def test_contacts_that_others_hold_fast_have_no_response():
+    """Six fingers hold a box on a floor: what the floor's contacts give way by is rounding."""
+    scene = HARD_CASES["six_sliding_fingers"].scene()
+    pose, height = scene.object.pose.matrix(), scene.object.shape.box[2]
+    turn = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
+    below = (pose[:3, 3] - 0.5 * height * pose[:3, 2]).tolist()
+    floor = {"at": {"xyz": below, "quaternion_xyzw": turn}, "mu": 0.5}
+    system = ma.compile_system(scene.replace(effects={"floor": floor}))
+    place_state(system, 0.0, system.initial_state())
+    instant = Instant(Modes(system, 1e-9), 0.0)
+    instant._update()
+    rows = list(range(system.constraint_count))[system.layout.surroundings]
+    matrix = instant._matrix(rows)
+    assert len(rows) == 3 * 8 and np.all(instant._mobility(matrix) > 1e-3)
+    response, _ = instant._response(matrix, instant._bare)
+    assert not response.any()
+    assert ma.evaluate(system).message == ""
