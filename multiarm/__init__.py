@@ -15,21 +15,21 @@ from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
     from multiarm import grasp
-    from multiarm.compilation import compile_system
-    from multiarm.dynamics import Evaluation
+    from multiarm.assembly.compilation import compile_system
+    from multiarm.assembly.system import System
+    from multiarm.dynamics.evaluation import Evaluation
+    from multiarm.dynamics.inverse import inverse_dynamics
+    from multiarm.dynamics.state import State
     from multiarm.effects.effect import Effect, Loads
-    from multiarm.evaluation import evaluate
-    from multiarm.inverse import inverse_dynamics
-    from multiarm.many import simulate_many
-    from multiarm.reporting import report
+    from multiarm.events.evaluation import evaluate
+    from multiarm.reports.report import report
+    from multiarm.results.trajectory import Trajectory, load_trajectory
     from multiarm.scene import Scene, load_scene
     from multiarm.scene.own_effects import register_effect
-    from multiarm.simulation import simulate
-    from multiarm.state import State
+    from multiarm.simulation.simulate import simulate
+    from multiarm.sweeps.many import simulate_many
     from multiarm.sweeps.result import Sweep, load_sweep
     from multiarm.sweeps.sweep import sweep
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory, load_trajectory
     from multiarm.viewer import replay
 
 # Packages that are public as a whole.
@@ -37,24 +37,24 @@ _PACKAGES = ("grasp",)
 # Public name -> module that has it.  Imported when first used, so that `import multiarm` is light.
 _HOMES = {
     "Effect": "effects.effect",
-    "Evaluation": "dynamics",
+    "Evaluation": "dynamics.evaluation",
     "Loads": "effects.effect",
     "Scene": "scene",
-    "State": "state",
+    "State": "dynamics.state",
     "Sweep": "sweeps.result",
-    "System": "system",
-    "Trajectory": "trajectory",
-    "compile_system": "compilation",
-    "evaluate": "evaluation",
-    "inverse_dynamics": "inverse",
+    "System": "assembly.system",
+    "Trajectory": "results.trajectory",
+    "compile_system": "assembly.compilation",
+    "evaluate": "events.evaluation",
+    "inverse_dynamics": "dynamics.inverse",
     "load_scene": "scene",
     "load_sweep": "sweeps.result",
-    "load_trajectory": "trajectory",
+    "load_trajectory": "results.trajectory",
     "register_effect": "scene.own_effects",
     "replay": "viewer",
-    "report": "reporting",
-    "simulate": "simulation",
-    "simulate_many": "many",
+    "report": "reports.report",
+    "simulate": "simulation.simulate",
+    "simulate_many": "sweeps.many",
     "sweep": "sweeps.sweep",
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.complementarity import Bounded, Friction, Mode, Push, Sliding
+from multiarm.events.complementarity import Bounded, Friction, Mode, Push, Sliding
 
 
 def pushes(count):

@@ -415,3 +415,42 @@ def chain_urdf(kinds: str) -> str:
         f"{len(kinds)}'/><child link='tip'/><origin xyz='0.1 0 0.2' rpy='0.3 0 0.5'/></joint>"
     )
     return f"<robot name='chain'>{text}</robot>"
+
+
+def object_terms(
+    mass: float,
+    inertia: np.ndarray,
+    rotation: np.ndarray,
+    twist: np.ndarray,
+    gravity: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Inertia and bias of the object about its centre of mass (thesis, 3.2).
+
+    .. math:: I_o = \begin{bmatrix} m I & 0\\ 0 & R I_b R^T\end{bmatrix},\qquad
+       h_o = \begin{bmatrix} -m g \\ \omega\times R I_b R^T\omega\end{bmatrix},\qquad
+       I_o \dot v_o + h_o = f
+
+    Parameters
+    ----------
+    mass : float
+        [kg]
+    inertia : ndarray, shape (3, 3)
+        About the centre of mass, object axes [kg m^2].
+    rotation : ndarray, shape (3, 3)
+        Object to world.
+    twist : ndarray, shape (6,)
+        Velocity of the centre of mass and angular velocity, world axes.
+    gravity : ndarray, shape (3,)
+        [m/s^2], world axes.
+
+    Returns
+    -------
+    inertia, bias : ndarray, shapes (6, 6) and (6,)
+        With ``v_o'`` classical: there is no ``m omega x v`` term (the printed (3.2) has one).
+    """
+    world = rotation @ inertia @ rotation.T
+    full = np.zeros((6, 6))
+    full[:3, :3] = mass * np.eye(3)
+    full[3:, 3:] = world
+    omega = twist[3:]
+    return full, np.concatenate([-mass * gravity, np.cross(omega, world @ omega)])

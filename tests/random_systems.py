@@ -16,7 +16,8 @@ from scipy.linalg import block_diag
 
 @dataclass
 class System:
-    """Matrices of :func:`multiarm.node.dense.solve_dense`, and the units of its coordinates.
+    """Matrices of :func:`multiarm.dynamics.solver.dense.solve_dense`, and the units of its
+    coordinates.
 
     reaction_o, reaction : lists like W_o, W
         Where contact forces act: along the constraints without friction.

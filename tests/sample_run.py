@@ -14,9 +14,9 @@ import sys
 
 import numpy as np
 
-from multiarm.channels import trajectory_channels
 from multiarm.errors import TrajectoryError
-from multiarm.sinks import Hdf5Sink
+from multiarm.results.channels import trajectory_channels
+from multiarm.results.sinks import Hdf5Sink
 
 MASS, LENGTH, GRAVITY, DAMPING = 20.0, 0.9, 9.81, 0.25  # [kg], [m], [m/s^2], [1/s]
 JOINTS = {
@@ -121,8 +121,10 @@ def write_for_long(path, size):
 
 def write_until_the_disk_is_full(path, limit):
     """Write to a file that must not exceed `limit` bytes, and print how the run ended."""
-    importlib.import_module("multiarm.storage.writer")  # else its bytecode would be cut short too
-    importlib.import_module("multiarm.storage.reader")
+    importlib.import_module(
+        "multiarm.results.storage.writer"
+    )  # else its bytecode would be cut short too
+    importlib.import_module("multiarm.results.storage.reader")
     sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
     sink = Hdf5Sink(path)

@@ -37,16 +37,16 @@ from scipy.linalg import block_diag
 from test_singular import exactly
 from test_singular import solve_exactly as eliminate
 
-from multiarm.node.batched import solve_batched
-from multiarm.node.dense import solve_dense
-from multiarm.node.reaction_coupling import FREE
-from multiarm.node.reaction_coupling import RANK as REACTION_RANK
-from multiarm.node.reaction_coupling import ROWS as REACTION_ROWS
-from multiarm.node.reaction_elimination import eliminate_with_reactions
-from multiarm.node.reaction_solution import solve_for_reactions
-from multiarm.node.reactions import make_reaction_work
-from multiarm.node.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
-from multiarm.node.singular import (
+from multiarm.dynamics.solver.batched import solve_batched
+from multiarm.dynamics.solver.dense import NodeSolution, solve_dense
+from multiarm.dynamics.solver.reaction_coupling import FREE
+from multiarm.dynamics.solver.reaction_coupling import RANK as REACTION_RANK
+from multiarm.dynamics.solver.reaction_coupling import ROWS as REACTION_ROWS
+from multiarm.dynamics.solver.reaction_elimination import eliminate_with_reactions
+from multiarm.dynamics.solver.reaction_solution import solve_for_reactions
+from multiarm.dynamics.solver.reactions import make_reaction_work
+from multiarm.dynamics.solver.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
+from multiarm.dynamics.solver.singular import (
     IMMOVABLE_BY_OBJECT,
     PART_TOLERANCE,
     RANK,
@@ -57,8 +57,7 @@ from multiarm.node.singular import (
     make_coupled,
     solve_coupled,
 )
-from multiarm.node.work import make_work
-from multiarm.terms import NodeSolution
+from multiarm.dynamics.solver.work import make_work
 
 # Singular values of rows of unit pushes: between these there is more than one right answer, ...
 BAND = (1e-12, 1e-5)

@@ -12,14 +12,17 @@ from mechanics import SCENES
 from test_replay import browser  # noqa: F401 (fixture)
 from typer.testing import CliRunner
 
-from multiarm.benchmarks.work_precision import study as studies
-from multiarm.benchmarks.work_precision.choice import all_series, decades
-from multiarm.benchmarks.work_precision.page import render, write_page
-from multiarm.benchmarks.work_precision.peers import SOLVERS
-from multiarm.benchmarks.work_precision.plots import PALETTE
-from multiarm.benchmarks.work_precision.points import COMPLETED, FAILED, Point
-from multiarm.benchmarks.work_precision.reference import QUANTITIES, Motion, Reference
-from multiarm.benchmarks.work_precision.settings import (
+from multiarm.cli import accuracy as command
+from multiarm.cli import app
+from multiarm.problems import ring_of_arms
+from multiarm.studies.work_precision import study as studies
+from multiarm.studies.work_precision.choice import all_series, decades
+from multiarm.studies.work_precision.page import render, write_page
+from multiarm.studies.work_precision.peers import SOLVERS
+from multiarm.studies.work_precision.plots import PALETTE
+from multiarm.studies.work_precision.points import COMPLETED, FAILED, Point
+from multiarm.studies.work_precision.reference import QUANTITIES, Motion, Reference
+from multiarm.studies.work_precision.settings import (
     BY_ACCURACY,
     OURS,
     Ladder,
@@ -27,11 +30,8 @@ from multiarm.benchmarks.work_precision.settings import (
     our_ladders,
     short,
 )
-from multiarm.benchmarks.work_precision.store import Results, read_results
-from multiarm.benchmarks.work_precision.words import told
-from multiarm.cli import accuracy as command
-from multiarm.cli import app
-from multiarm.problems import ring_of_arms
+from multiarm.studies.work_precision.store import Results, read_results
+from multiarm.studies.work_precision.words import told
 
 MACHINE = {
     "processor": "a <fast> one", "platform": "here", "version": "1", "python": "3",

@@ -17,7 +17,7 @@ from mechanics import (
 )
 
 import multiarm as ma
-from multiarm.arm import Arm, ArmFiles
+from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.errors import ModelError
 from multiarm.scene import Pose, find_robot
 

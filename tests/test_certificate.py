@@ -19,18 +19,18 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm import attempts
-from multiarm.attempts import INTERRUPTED_WORDS
-from multiarm.benchmarks.honesty import run_trial
-from multiarm.certificate import SAFETY, compare, growth_rate, judge, rotation_apart
 from multiarm.cli import app
 from multiarm.cli.progress import RunProgress
 from multiarm.errors import SceneError, TrajectoryError
 from multiarm.problems import HARD_CASES, ring_of_arms
-from multiarm.reporting import render
+from multiarm.reports.report import render
+from multiarm.results.sinks import Hdf5Sink, MemorySink
+from multiarm.results.trajectory import amend_file
 from multiarm.scene import AccuracySpec, RunSpec, dump_scene, parse_scene
-from multiarm.sinks import Hdf5Sink, MemorySink
-from multiarm.trajectory import amend_file
+from multiarm.simulation import certified as attempts
+from multiarm.simulation.certificate import SAFETY, compare, growth_rate, judge, rotation_apart
+from multiarm.simulation.certified import INTERRUPTED_WORDS
+from multiarm.studies.honesty import run_trial
 
 ROOT = Path(__file__).parents[1]
 SHORT = {"duration": 0.2, "output_step": 0.02}
@@ -514,7 +514,7 @@ def test_an_interrupted_repetition_keeps_the_run_that_was_judged(
 
 
 def test_progress_tells_the_first_run_and_the_check_apart(ring, monkeypatch):
-    monkeypatch.setattr("multiarm.driving.BUDGET", 50)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
     watcher, plain = Watcher(), []
     ma.simulate(ring, accuracy=1e-6, progress=watcher, **SHORT)
     assert watcher.times == sorted(watcher.times) and watcher.times[-1] == 0.2
@@ -573,7 +573,7 @@ KILLED = """
 import os, signal, sys, types
 import multiarm as ma
 from multiarm.problems import ring_of_arms
-from multiarm.storage import amendment
+from multiarm.results.storage import amendment
 
 def kill(*_):
     os.kill(os.getpid(), signal.SIGKILL)

@@ -9,9 +9,10 @@ import pytest
 from test_certificate import SHORT, true_error
 
 import multiarm as ma
-from multiarm import preparation, switching
 from multiarm.errors import TrajectoryError
 from multiarm.problems import HARD_CASES, ring_of_arms
+from multiarm.simulation import setup as preparation
+from multiarm.simulation import switching
 
 
 @pytest.fixture(scope="module")

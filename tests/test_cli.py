@@ -24,8 +24,8 @@ from multiarm.cli import app, check, run
 from multiarm.cli.progress import RunProgress, kernels_are_cached
 from multiarm.cli.run import Integrator, Solver, Stabilization
 from multiarm.errors import ControlError
-from multiarm.interrupts import deferred_interrupt
 from multiarm.scene import RunSpec, StabilizationSpec, dump_scene
+from multiarm.simulation.interrupts import deferred_interrupt
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples" / "scenes"
@@ -495,7 +495,9 @@ def test_settings_that_do_not_fit_are_refused(options, fragments, tmp_path):
 @pytest.mark.parametrize("option", ["--out", "--json", "--replay-html", "--report-html"])
 def test_places_that_cannot_be_written_are_found_before_the_work(option, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("multiarm.compilation.compile_system", None)  # the work must not begin
+    monkeypatch.setattr(
+        "multiarm.assembly.compilation.compile_system", None
+    )  # the work must not begin
     scene = scene_file(tmp_path)
     before = scene.read_bytes()
     for place, fragment in [
@@ -532,7 +534,7 @@ def test_an_unexpected_exception_is_not_hidden(monkeypatch):
     def fail(*_):
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr("multiarm.checking.inspect_system", fail)
+    monkeypatch.setattr("multiarm.assembly.checking.inspect_system", fail)
     result = multiarm("check", TWO_UR5)
     assert isinstance(result.exception, RuntimeError)
 

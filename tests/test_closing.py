@@ -19,7 +19,7 @@ from mechanics import (
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.adoption import adopt_state
+from multiarm.assembly.adoption import adopt_state
 from multiarm.assembly.linkage import projection_tolerance
 from multiarm.errors import ModelError, SceneError
 

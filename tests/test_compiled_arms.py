@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from mechanics import PANDA_FINGERS, chain_urdf
 from scipy.spatial.transform import Rotation
 
-from multiarm.arm import Arm, ArmFiles
-from multiarm.compiled_arms import choice, verification
-from multiarm.compiled_arms.arrays import (
+from multiarm.arms.arm import Arm, ArmFiles
+from multiarm.arms.compiled import choice, verification
+from multiarm.arms.compiled.arrays import (
     ARMATURE,
     AXES,
     CENTRE,
@@ -29,13 +29,13 @@ from multiarm.compiled_arms.arrays import (
     SLIDES,
     TURNS,
 )
-from multiarm.compiled_arms.choice import compile_arms
-from multiarm.compiled_arms.group import CompiledArms
-from multiarm.compiled_arms.sines import FAR, write_sines
-from multiarm.compiled_arms.tables import make_tables
+from multiarm.arms.compiled.choice import compile_arms
+from multiarm.arms.compiled.group import CompiledArms
+from multiarm.arms.compiled.sines import FAR, write_sines
+from multiarm.arms.compiled.tables import make_tables
+from multiarm.arms.terms import ArmStructure, LinkTerms
 from multiarm.errors import ModelError
 from multiarm.scene import available_robots, find_robot, read_urdf
-from multiarm.terms import ArmStructure, LinkTerms
 
 GRAVITY = np.array([1.0, -2.0, -9.0])
 EPS = np.finfo(float).eps

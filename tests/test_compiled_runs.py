@@ -23,10 +23,8 @@ from mechanics import (
 from test_cli import figures, multiarm
 
 import multiarm as ma
-from multiarm.compiled_arms import choice
-from multiarm.errors import ModelError, SceneError
-from multiarm.jit.pointers import PythonCallback
-from multiarm.plant import (
+from multiarm.arms.compiled import choice
+from multiarm.dynamics.arrays import (
     CALL_ARMS,
     CALL_COUPLED,
     CALL_CROSSING,
@@ -34,6 +32,8 @@ from multiarm.plant import (
     CALL_ROW,
     CALL_TERMS,
 )
+from multiarm.errors import ModelError, SceneError
+from multiarm.jit.pointers import PythonCallback
 from multiarm.problems import ring_of_arms
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
@@ -414,7 +414,7 @@ def test_a_copy_that_is_not_the_arm_ends_the_compilation(monkeypatch):
 
 
 def test_a_wrong_coriolis_matrix_is_refused_when_it_is_needed(monkeypatch):
-    from multiarm.compiled_arms.group import CompiledArms
+    from multiarm.arms.compiled.group import CompiledArms
 
     system = ma.compile_system(pair(), arms="compiled")
     terms = CompiledArms.terms

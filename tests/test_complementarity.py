@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from laws import frictions, held_motion, pushes, random_rows, random_units, violation
 from scipy.optimize import linprog, lsq_linear, minimize, nnls
 
-from multiarm.complementarity import Bounded, Friction, Mode, Push, Sliding, Verdict, solve
+from multiarm.events.complementarity import Bounded, Friction, Mode, Push, Sliding, Verdict, solve
 
 seeds = st.integers(0, 2**32 - 1)
 ALL = [Push, Bounded, Friction, Sliding]

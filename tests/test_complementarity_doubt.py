@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from laws import box, frictions, pushes, random_rows, violation
 
-from multiarm.complementarity import Bounded, Friction, Mode, Sliding, Verdict, solve
-from multiarm.complementarity.enumeration import all_solutions
-from multiarm.complementarity.newton import newton
-from multiarm.complementarity.problem import build
-from multiarm.complementarity.uniqueness import Motion, judge
+from multiarm.events.complementarity import Bounded, Friction, Mode, Sliding, Verdict, solve
+from multiarm.events.complementarity.enumeration import all_solutions
+from multiarm.events.complementarity.newton import newton
+from multiarm.events.complementarity.problem import build
+from multiarm.events.complementarity.uniqueness import Motion, judge
 
 
 def rod(theta):

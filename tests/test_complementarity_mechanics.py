@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from laws import box, frictions, held_motion, pushes, violation
 
-from multiarm.complementarity import Bounded, Friction, Mode, Push, Sliding, Verdict, solve
+from multiarm.events.complementarity import Bounded, Friction, Mode, Push, Sliding, Verdict, solve
 
 G = 9.81  # [m/s^2]
 EXACT = 1e-12

@@ -19,7 +19,7 @@ from mechanics import (
 )
 
 import multiarm as ma
-from multiarm.control import pack_path, path_point, static_forces
+from multiarm.control.torques import pack_path, path_point, static_forces
 from multiarm.errors import ControlError
 
 WELDS = ({"kind": "weld"}, {"kind": "weld"})

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import multiarm as ma
-from multiarm.crossing import OFFSET, ZONE, evaluate_on_branch
-from multiarm.equations import OK, evaluate_buffers
+from multiarm.dynamics.equations import OK, evaluate_buffers
+from multiarm.integration.near_singular import OFFSET, ZONE, evaluate_on_branch
 from multiarm.problems import loops
 from multiarm.problems.postures import stretched_and_released_scene
 

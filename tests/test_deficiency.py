@@ -15,8 +15,14 @@ from scipy.spatial.transform import Rotation
 from test_dynamics import two_arm_block_twice
 
 import multiarm as ma
-from multiarm.deficiency import LITTLE, LONGEST, describe, lost_directions, lost_motions
-from multiarm.equations import OK, update_kinematics
+from multiarm.dynamics.equations import OK, update_kinematics
+from multiarm.dynamics.rank_diagnosis import (
+    LITTLE,
+    LONGEST,
+    describe,
+    lost_directions,
+    lost_motions,
+)
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
 STRETCHED = [0.2, -1.0, 0.0, -0.7, -1.3, 0.4]  # a UR5's elbow

@@ -13,9 +13,16 @@ from test_replay import browser  # noqa: F401 (fixture)
 from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.benchmarks.effect_costs import study
-from multiarm.benchmarks.effect_costs.changes import changes
-from multiarm.benchmarks.effect_costs.entries import (
+from multiarm.cli import app
+from multiarm.cli import check as check_command
+from multiarm.cli import effects as command
+from multiarm.effects.defaults import defaults
+from multiarm.scene import dump_scene
+from multiarm.scene import own_effects as registry
+from multiarm.simulation.certificate import rotation_apart
+from multiarm.studies.effect_costs import study
+from multiarm.studies.effect_costs.changes import changes
+from multiarm.studies.effect_costs.entries import (
     FORCE,
     JOINTS,
     PATH,
@@ -24,20 +31,13 @@ from multiarm.benchmarks.effect_costs.entries import (
     Entry,
     Ledger,
 )
-from multiarm.benchmarks.effect_costs.estimates import Estimate, paired_difference
-from multiarm.benchmarks.effect_costs.evaluations import effects_of_evaluation
-from multiarm.benchmarks.effect_costs.page import render, write_page
-from multiarm.benchmarks.effect_costs.plots import ledger_figure
-from multiarm.benchmarks.effect_costs.study import ledger
-from multiarm.benchmarks.effect_costs.variants import CANDIDATE, PRESENT, SETTING, without
-from multiarm.benchmarks.effect_costs.words import percent, sentence, summary
-from multiarm.certificate import rotation_apart
-from multiarm.cli import app
-from multiarm.cli import check as check_command
-from multiarm.cli import effects as command
-from multiarm.effects.defaults import defaults
-from multiarm.scene import dump_scene
-from multiarm.scene import own_effects as registry
+from multiarm.studies.effect_costs.estimates import Estimate, paired_difference
+from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
+from multiarm.studies.effect_costs.page import render, write_page
+from multiarm.studies.effect_costs.plots import ledger_figure
+from multiarm.studies.effect_costs.study import ledger
+from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING, without
+from multiarm.studies.effect_costs.words import percent, sentence, summary
 
 RING = ma.load_scene(SCENES / "ring_weld.yaml").replace(effects={"joint_damping": 0.5})
 SHORT = RING.replace(run={"duration": 0.3, "output_step": 0.01, "accuracy": 1e-6})

@@ -14,8 +14,8 @@ import pytest
 from mechanics import chain_urdf, random_state, scene_of, single_arm, ur5_pair
 
 import multiarm as ma
+from multiarm.dynamics.arrays import OWN_ARRAYS
 from multiarm.errors import SceneError
-from multiarm.plant import OWN_ARRAYS
 from multiarm.problems.random_scenes import random_scene
 
 MASS = 4.0  # [kg] sledge and object
@@ -180,13 +180,13 @@ def test_inverse_dynamics_turns_the_rotors_too():
 
 
 def test_rotors_of_arms_in_several_pinocchio_models_stay_with_their_arms(monkeypatch):
-    import multiarm.arm_groups
+    import multiarm.arms.pinocchio_groups
 
-    monkeypatch.setattr(multiarm.arm_groups, "ARMS_PER_GROUP", 1)
+    monkeypatch.setattr(multiarm.arms.pinocchio_groups, "ARMS_PER_GROUP", 1)
     scene = ur5_pair({"kind": "weld"}, {"kind": "ball"})
     system = ma.compile_system(scene.replace(effects={"rotor_inertia": {"right": 0.7}}))
     plain = ma.compile_system(scene)
-    from multiarm.dense_call import read_inertia
+    from multiarm.dynamics.dense_callback import read_inertia
 
     for s in (system, plain):
         ma.evaluate(s)

@@ -17,10 +17,14 @@ from sample_run import CHANNELS, CONTACTS, JOINTS, SCENE, STATISTICS, record, sa
 from test_report import Page
 
 from multiarm import plots
-from multiarm.channels import CONTACT_STATES, OPEN, SLIDING, STICKING, trajectory_channels
 from multiarm.cli.summary import SHOWN_KINDS, run_figures, summary_table
 from multiarm.errors import TrajectoryError
-from multiarm.event_words import (
+from multiarm.plots.contact_strip import MOST_ROWS, spans
+from multiarm.plots.event_marks import DISTINCT
+from multiarm.reports.events import SHOWN_EVENTS
+from multiarm.reports.report import render
+from multiarm.results.channels import CONTACT_STATES, OPEN, SLIDING, STICKING, trajectory_channels
+from multiarm.results.event_text import (
     FAMILIES,
     OTHER,
     change,
@@ -31,12 +35,8 @@ from multiarm.event_words import (
     what,
     who,
 )
-from multiarm.plots.contact_strip import MOST_ROWS, spans
-from multiarm.plots.event_marks import DISTINCT
-from multiarm.reporting import render
-from multiarm.reporting_events import SHOWN_EVENTS
-from multiarm.sinks import Hdf5Sink, MemorySink
-from multiarm.trajectory import load_trajectory
+from multiarm.results.sinks import Hdf5Sink, MemorySink
+from multiarm.results.trajectory import load_trajectory
 
 CORNERS = ("corner_1", "corner_2")
 EFFECTS = ("joint_damping", "drag")

@@ -8,7 +8,7 @@ from mechanics import ur5_pair
 from test_replay import SCENE, SEEK, browser, shown, view  # noqa: F401 (fixtures)
 
 import multiarm as ma
-from multiarm.channels import (
+from multiarm.results.channels import (
     OPEN,
     RESTING,
     SLIDING,
@@ -16,9 +16,9 @@ from multiarm.channels import (
     TOUCHING,
     Channel,
 )
-from multiarm.event_words import LOST, MADE, SLIP, family_of
+from multiarm.results.event_text import LOST, MADE, SLIP, family_of
+from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
-from multiarm.sinks import MemorySink
 from multiarm.viewer import replay
 from multiarm.viewer.drawing import draw
 from multiarm.viewer.film import Moment, rotations

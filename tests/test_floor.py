@@ -10,10 +10,10 @@ from loose_scenes import body_and_cart, happened
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.candidates.floor import hull_corners
-from multiarm.contact_checks import place_state
-from multiarm.hybrid.instant import Instant
-from multiarm.hybrid.modes import Modes
+from multiarm.assembly.contact_checks import place_state
+from multiarm.events.candidates.floor import hull_corners
+from multiarm.events.instant import Instant
+from multiarm.events.modes import Modes
 from multiarm.problems import HARD_CASES
 
 GRAVITY = 9.81

@@ -14,8 +14,8 @@ import multiarm as ma
 from multiarm.cli import app
 from multiarm.errors import GraspError
 from multiarm.grasp import Polyhedron
-from multiarm.grasp_scenes.judging import judge_grasp
-from multiarm.grasp_scenes.reading import read_grasp
+from multiarm.grasp.scenes.judging import judge_grasp
+from multiarm.grasp.scenes.reading import read_grasp
 from multiarm.scene import parse_scene
 from multiarm.viewer.filming import film_of
 from multiarm.viewer.regions import scene_grasp, sheet

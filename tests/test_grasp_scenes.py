@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.errors import GraspError
 from multiarm.grasp import Contacts, Grasp, Gripper, Polyhedron
-from multiarm.grasp_scenes import grasp_scene
-from multiarm.grasp_scenes.hands import approach
-from multiarm.grasp_scenes.postures import find_posture
-from multiarm.grasp_scenes.reading import read_grasp
-from multiarm.grasp_scenes.squeezing import motion_wrenches, needed_squeeze
+from multiarm.grasp.scenes import grasp_scene
+from multiarm.grasp.scenes.hands import approach
+from multiarm.grasp.scenes.postures import find_posture
+from multiarm.grasp.scenes.reading import read_grasp
+from multiarm.grasp.scenes.squeezing import motion_wrenches, needed_squeeze
 from multiarm.scene import Waypoint, dump_scene, parse_scene
 
 SIZE = np.array([1.2, 0.8, 0.6])
@@ -253,7 +253,7 @@ def test_another_number_of_arms_is_refused():
     ],
 )
 def test_bad_numbers_are_refused_before_the_search(options, message, monkeypatch):
-    monkeypatch.setattr("multiarm.grasp_scenes.stand_arms", None)  # it is not called
+    monkeypatch.setattr("multiarm.grasp.scenes.stand_arms", None)  # it is not called
     with pytest.raises(GraspError, match=message):
         grasp_scene(block_grasp(), **options)
 

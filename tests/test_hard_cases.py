@@ -9,7 +9,7 @@ from multiarm.problems import HARD_CASES
 
 @pytest.mark.parametrize("name", HARD_CASES)
 def test_hard_case_is_within_its_criteria(name):
-    from multiarm.benchmarks.hard_cases import run_case
+    from multiarm.studies.hard_cases import run_case
 
     case = run_case(HARD_CASES[name], peers=False)
     assert case.failures == ()

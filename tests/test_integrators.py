@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.integrators.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL
+from multiarm.integration.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL
 
 RUNGE_KUTTA = [m for m in METHODS.values() if m.kind == EXPLICIT]
 

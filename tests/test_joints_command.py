@@ -11,8 +11,7 @@ import yaml
 from typer.testing import CliRunner
 
 from multiarm.cli import app
-from multiarm.contacts.catalogue import CATALOGUE, FREE
-from multiarm.guide.cards import (
+from multiarm.cli.guide.cards import (
     common_parameters,
     contact_parameters,
     joint_cards,
@@ -20,8 +19,9 @@ from multiarm.guide.cards import (
     read_joint,
     surface_cards,
 )
-from multiarm.guide.motions import free_motions, seen_from
-from multiarm.guide.words import JOINTS, SURFACES
+from multiarm.cli.guide.motions import free_motions, seen_from
+from multiarm.cli.guide.words import JOINTS, SURFACES
+from multiarm.contacts.catalogue import CATALOGUE, FREE
 from multiarm.scene import ContactSpec, Geometry, parse_scene
 
 KINDS = sorted(JOINTS)

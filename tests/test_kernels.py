@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import multiarm as ma
+from multiarm.dynamics.arrays import CALL_COUPLED, CALL_ROW
 from multiarm.jit.kernels import cfunc, kernel
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import (
@@ -26,7 +27,6 @@ from multiarm.jit.structs import (
     struct_of,
     view,
 )
-from multiarm.plant import CALL_COUPLED, CALL_ROW
 from multiarm.problems import HARD_CASES, ring_of_arms
 
 ROOT = Path(__file__).parents[1]

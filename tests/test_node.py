@@ -10,11 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mechanics import EPS, WORKED
 
-from multiarm.node.batched import largest_free_rate, solve_batched
-from multiarm.node.dense import solve_dense
-from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, NO_INERTIA, eliminate_arms
-from multiarm.node.singular import couple, make_coupled, solve_coupled
-from multiarm.node.work import make_work
+from multiarm.dynamics.solver.batched import largest_free_rate, solve_batched
+from multiarm.dynamics.solver.dense import solve_dense
+from multiarm.dynamics.solver.regular import (
+    COUPLED_BELOW,
+    DEFICIENT,
+    ELIMINATED,
+    NO_INERTIA,
+    eliminate_arms,
+)
+from multiarm.dynamics.solver.singular import couple, make_coupled, solve_coupled
+from multiarm.dynamics.solver.work import make_work
 
 seeds = st.integers(0, 2**32 - 1)
 shapes = st.lists(
@@ -25,7 +31,7 @@ shapes = st.lists(
 
 
 def solve_by_node(system):
-    """The node algorithm on the same data as :func:`multiarm.node.dense.solve_dense`."""
+    """The node algorithm on the same data as :func:`multiarm.dynamics.solver.dense.solve_dense`."""
     dofs, rows = [m.shape[0] for m in system.M], [w.shape[1] for w in system.W]
     work = make_work(dofs, rows)
     for i, (M, W) in enumerate(zip(system.M, system.W, strict=True)):

@@ -14,8 +14,8 @@ import pytest
 from mechanics import SCENES
 
 import multiarm as ma
-from multiarm.benchmarks.evaluation_costs import slope_burst
-from multiarm.plant import OWN_ARRAYS
+from multiarm.dynamics.arrays import OWN_ARRAYS
+from multiarm.studies.evaluation_costs import slope_burst
 
 ROOT = Path(__file__).parents[1]
 RING = ma.load_scene(SCENES / "ring_weld.yaml")
@@ -44,7 +44,7 @@ class Counting:
 def pinocchio_calls(monkeypatch):
     """Function ``scene, count -> calls``: Pinocchio's functions in so many evaluations."""
     counting = Counting()
-    monkeypatch.setattr("multiarm.arm_groups.pin", counting)
+    monkeypatch.setattr("multiarm.arms.pinocchio_groups.pin", counting)
 
     def calls(scene: ma.Scene, count: int) -> Counter[str]:
         system = ma.compile_system(scene)

@@ -11,10 +11,10 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.dynamics import project_velocity
+from multiarm.control.force_distribution import solve_semidefinite
+from multiarm.control.object_control import add_arm_forces, write_spring_wrench
+from multiarm.dynamics.evaluation import project_velocity
 from multiarm.errors import ControlError, SceneError
-from multiarm.load_sharing import solve_semidefinite
-from multiarm.object_control import add_arm_forces, write_spring_wrench
 
 WELD, HINGE = {"kind": "weld"}, {"kind": "revolute"}
 PATH = [

@@ -8,10 +8,10 @@ from mechanics import panda_trio, ur5_pair
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.dynamics import project_velocity
+from multiarm.control.null_space import nearest_accelerations
+from multiarm.dynamics.evaluation import project_velocity
 from multiarm.errors import SceneError
-from multiarm.grasp_scenes.postures import find_posture
-from multiarm.place_keeping import nearest_accelerations
+from multiarm.grasp.scenes.postures import find_posture
 
 PLANAR = {"kind": "planar"}
 SPRING = {

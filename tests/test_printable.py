@@ -15,12 +15,12 @@ from rich.text import Text
 from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.benchmarks.work_precision import page as accuracy_page
 from multiarm.cli import app, terminal
-from multiarm.printable import printable, printable_texts
+from multiarm.results.files import save_page
+from multiarm.results.printable import printable, printable_texts
+from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
-from multiarm.sinks import MemorySink
-from multiarm.writing import save_page
+from multiarm.studies.work_precision import page as accuracy_page
 
 STEERING = "\x1b[31m\x07\r\x9b2J\x7f\u202e\u2066\u200f\u2028"
 MARKUP = "[red] [/] [/nothing] :smile: [link=x]"

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from mechanics import EPS, WORKED
 from test_node import random_system, solve_by_node, stacked, worked_system
 
-from multiarm.node.dense import solve_dense
-from multiarm.node.factors import decompose, factor_lu, solve_lu, solve_lu_transposed
-from multiarm.node.reaction_coupling import ROWS
-from multiarm.node.reaction_elimination import eliminate_with_reactions
-from multiarm.node.reactions import make_reaction_work, solve_with_reactions
+from multiarm.dynamics.solver.dense import solve_dense
+from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_lu, solve_lu_transposed
+from multiarm.dynamics.solver.reaction_coupling import ROWS
+from multiarm.dynamics.solver.reaction_elimination import eliminate_with_reactions
+from multiarm.dynamics.solver.reactions import make_reaction_work, solve_with_reactions
 
 SOLVERS = [solve_with_reactions, solve_dense]
 

@@ -11,8 +11,8 @@ from playwright.sync_api import sync_playwright
 
 import multiarm as ma
 from multiarm.errors import ReplayError
+from multiarm.results.sinks import MemorySink
 from multiarm.scene import find_robot, parse_scene
-from multiarm.sinks import MemorySink
 from multiarm.viewer import replay
 from multiarm.viewer.film import rotations
 from multiarm.viewer.filming import film_of

@@ -12,11 +12,11 @@ import pytest
 from sample_run import CHANNELS, JOINTS, SCENE, record, samples
 
 from multiarm import plots
-from multiarm.channels import Channel, trajectory_channels
-from multiarm.decimation import RotationSinceStart, decimate
 from multiarm.errors import TrajectoryError
-from multiarm.reporting import NOTHING, quantity, render, report
-from multiarm.sinks import Hdf5Sink, MemorySink, provenance
+from multiarm.reports.report import NOTHING, quantity, render, report
+from multiarm.results.channels import Channel, trajectory_channels
+from multiarm.results.decimation import RotationSinceStart, decimate
+from multiarm.results.sinks import Hdf5Sink, MemorySink, provenance
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
 
@@ -216,8 +216,8 @@ def test_runs_of_few_samples_are_drawn(count):
 
 def test_figures_leave_pyplot_alone():
     code = (
-        "import sys; from sample_run import record; from multiarm.sinks import MemorySink;"
-        "from multiarm.reporting import render; render(record(MemorySink()));"
+        "import sys; from sample_run import record; from multiarm.results.sinks import MemorySink;"
+        "from multiarm.reports.report import render; render(record(MemorySink()));"
         "print('matplotlib.pyplot' in sys.modules)"
     )
     done = subprocess.run(

@@ -13,29 +13,29 @@ from test_replay import FLAGS, View, chromium
 from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.benchmarks import bursts as bursts_module
-from multiarm.benchmarks import evaluation_costs, scaling, solver_forms, solver_study, time_shares
-from multiarm.benchmarks.bursts import fastest, fitted_slope, measure, median, upper_half
-from multiarm.benchmarks.operation_counts import (
+from multiarm.cli import app
+from multiarm.dynamics.solver import batched
+from multiarm.dynamics.solver import tables as group_tables
+from multiarm.dynamics.solver.dense import solve_dense
+from multiarm.dynamics.solver.regular import ELIMINATED
+from multiarm.dynamics.solver.work import FIRST_ARM, START, make_work
+from multiarm.jit.kernels import Kernel
+from multiarm.jit.simd import LANES
+from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+from multiarm.studies import bursts as bursts_module
+from multiarm.studies import evaluation_costs, scaling, solver_forms, solver_study, time_shares
+from multiarm.studies.bursts import fastest, fitted_slope, measure, median, upper_half
+from multiarm.studies.operation_counts import (
     direct_operations,
     node_operations,
     order,
     ratio_as_written,
 )
-from multiarm.benchmarks.scaling import Plan, run_scaling
-from multiarm.benchmarks.scaling_page import render, write_page
-from multiarm.benchmarks.scaling_plots import plot_scaling
-from multiarm.benchmarks.scaling_tables import Cell, disturbance, tables
-from multiarm.benchmarks.solver_forms import Coefficients
-from multiarm.cli import app
-from multiarm.jit.kernels import Kernel
-from multiarm.jit.simd import LANES
-from multiarm.node import batched
-from multiarm.node import tables as group_tables
-from multiarm.node.dense import solve_dense
-from multiarm.node.regular import ELIMINATED
-from multiarm.node.work import FIRST_ARM, START, make_work
-from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+from multiarm.studies.scaling import Plan, run_scaling
+from multiarm.studies.scaling_page import render, write_page
+from multiarm.studies.scaling_plots import plot_scaling
+from multiarm.studies.scaling_tables import Cell, disturbance, tables
+from multiarm.studies.solver_forms import Coefficients
 
 TINY = Plan(kinds=("weld",), arms=(2, 3), thesis_arms=(2, 3, 5), share_arms=(2,), rounds=1)
 
@@ -322,7 +322,7 @@ def test_the_script_builds_the_same_coefficients_as_the_kernels():
 
 
 def test_the_matrix_is_filled_alike_by_script_and_kernel(rng):
-    from multiarm.benchmarks.solver_loops import _assemble_often
+    from multiarm.studies.solver_loops import _assemble_often
 
     s = random_coefficients(rng, 3, 5, 2)
     matrix, right = solver_forms.assemble(s)

@@ -12,7 +12,7 @@ from mechanics import ur5_pair
 
 import multiarm as ma
 from multiarm.errors import ModelError, SceneError, SolverError, TrajectoryError
-from multiarm.many import describe, run_case
+from multiarm.sweeps.many import describe, run_case
 
 RUN = {"duration": 0.1, "accuracy": 1e-6}
 

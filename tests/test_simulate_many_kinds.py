@@ -12,10 +12,10 @@ from many_runs import assert_same_run, random_states
 from mechanics import ur5_pair
 
 import multiarm as ma
-from multiarm.compilation import twin
-from multiarm.plant import ARMS_STRUCT, CALL_DENSE, CALL_TERMS
+from multiarm.arms.terms import M_STRIDE
+from multiarm.assembly.compilation import twin
+from multiarm.dynamics.arrays import ARMS_STRUCT, CALL_DENSE, CALL_TERMS
 from multiarm.scene import changed
-from multiarm.terms import M_STRIDE
 
 WELD = {"kind": "weld"}
 
@@ -224,9 +224,9 @@ def test_a_system_like_another_is_the_one_that_is_compiled_anew(monkeypatch):
     def never(*_):
         raise AssertionError("an arm that did not change is not made anew")
 
-    monkeypatch.setattr("multiarm.compilation._make_arm", never)
-    monkeypatch.setattr("multiarm.compilation.resolve_arm", never)
-    monkeypatch.setattr("multiarm.connections._joint", never)
+    monkeypatch.setattr("multiarm.assembly.compilation._make_arm", never)
+    monkeypatch.setattr("multiarm.assembly.compilation.resolve_arm", never)
+    monkeypatch.setattr("multiarm.assembly.joints._joint", never)
     like = ma.compile_system(heavier, like=system)
     assert_same_run(ma.simulate(like, 0.1, accuracy=1e-6), alone)
     moved = scene.replace(object={**vars(scene.object), "pose": {"xyz": [0, 0, 0.51]}})
@@ -261,7 +261,8 @@ def test_what_differs_is_made_anew(change, arms):
 def test_threads_are_one_where_evaluations_call_python(welded_ur5_system, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "multiarm.many.runs.run_cases", lambda cases, system, threads, bar: asked.append(threads)
+        "multiarm.sweeps.many.runs.run_cases",
+        lambda cases, system, threads, bar: asked.append(threads),
     )
     monkeypatch.setattr("os.sched_getaffinity", lambda _: range(12), raising=False)
     ma.simulate_many(welded_ur5_system, parameters=[{}])
@@ -274,7 +275,7 @@ def test_threads_are_one_where_evaluations_call_python(welded_ur5_system, monkey
 
 def test_python_goes_on_while_a_run_is_in_its_loop(welded_ur5_system, monkeypatch):
     """One call of the loop makes the whole run: a thread that held the lock would stop others."""
-    monkeypatch.setattr("multiarm.driving.BUDGET", 10**9)
+    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 10**9)
     system = ma.compile_system(welded_ur5_system.scene, arms="compiled")
     run = {"integrator": "rk4", "step": 1e-4, "duration": 1.0, "output_step": 0.5}
     ma.simulate(system, **{**run, "duration": 0.01})  # what must be compiled is

@@ -32,9 +32,9 @@ from test_dynamics import UR5_WRIST_SINGULAR, two_arm_block_twice
 from test_node import random_system, seeds, stacked, worked_system
 
 import multiarm as ma
-from multiarm.node.batched import solve_batched
-from multiarm.node.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, eliminate_arms
-from multiarm.node.singular import (
+from multiarm.dynamics.solver.batched import solve_batched
+from multiarm.dynamics.solver.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, eliminate_arms
+from multiarm.dynamics.solver.singular import (
     ARMS,
     MOVABLE,
     RANK,
@@ -44,7 +44,7 @@ from multiarm.node.singular import (
     make_coupled,
     solve_coupled,
 )
-from multiarm.node.work import make_work
+from multiarm.dynamics.solver.work import make_work
 from multiarm.problems.postures import STRETCHED
 
 DIGITS = 60

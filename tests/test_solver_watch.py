@@ -16,18 +16,18 @@ from test_crossing import compiled, state_on
 from test_singular import system_matrices
 
 import multiarm as ma
-from multiarm.dynamics import project_velocity
-from multiarm.equations import OK, evaluate_buffers
-from multiarm.node.regular import COUPLED_BELOW
-from multiarm.problems import loops
-from multiarm.problems.postures import straight_elbow_scene, stretched_and_released_scene
-from multiarm.solver_watch import (
+from multiarm.dynamics.equations import OK, evaluate_buffers
+from multiarm.dynamics.evaluation import project_velocity
+from multiarm.dynamics.solver.regular import COUPLED_BELOW
+from multiarm.dynamics.solver_monitor import (
     LOST,
     MOST_ROUNDED_RESIDUAL,
     REGAINED,
     RESIDUAL_BOUND,
     constraint_residual,
 )
+from multiarm.problems import loops
+from multiarm.problems.postures import straight_elbow_scene, stretched_and_released_scene
 
 POSTURE = [0.3, -0.6, 1.1, 0.4, 0.7, -0.2]
 

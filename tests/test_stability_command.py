@@ -18,13 +18,13 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm import problems
-from multiarm.benchmarks import peer_trials
-from multiarm.benchmarks.hard_case_page import render, scientific
-from multiarm.benchmarks.hard_cases import CaseResult, run_case, run_suite
-from multiarm.benchmarks.peer_trials import OURS, Trial
 from multiarm.cli import app
 from multiarm.cli import stability as stability_command
 from multiarm.problems import Criterion, HardCase
+from multiarm.studies import peer_trials
+from multiarm.studies.hard_case_page import render, scientific
+from multiarm.studies.hard_cases import CaseResult, run_case, run_suite
+from multiarm.studies.peer_trials import OURS, Trial
 
 RUN = {"duration": 0.2, "accuracy": 1e-8}
 MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
@@ -426,7 +426,7 @@ def test_a_joint_that_peers_have_not_is_refused_in_words(suite):
 
 
 def test_without_mujoco_the_remedy_is_told(healthy_trial, monkeypatch):
-    monkeypatch.delitem(sys.modules, "multiarm.benchmarks.mujoco_peer", raising=False)
+    monkeypatch.delitem(sys.modules, "multiarm.studies.mujoco_peer", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco", None)
     answer = peer_trials.ask_everyone(healthy_trial)[-1]
     assert answer.refusal == "not installed: pip install multiarm[peers]"
@@ -523,7 +523,7 @@ def test_a_peer_is_spared_what_would_take_all_memory(healthy_trial, monkeypatch)
 
 
 def test_page_lives_in_one_file(suite, tmp_path: Path):
-    from multiarm.benchmarks.hard_case_page import write_page
+    from multiarm.studies.hard_case_page import write_page
 
     target = write_page(suite, tmp_path / "page.html")
     assert target.read_text(encoding="utf-8") == render(suite)

@@ -7,8 +7,8 @@ import pytest
 from mechanics import WORKED, plain_gaps, plain_system, random_state, ur5_pair
 
 import multiarm as ma
-from multiarm.dynamics import project_velocity
-from multiarm.stabilization import FEEDBACK_LIMITS, FEEDBACK_RATIO
+from multiarm.dynamics.evaluation import project_velocity
+from multiarm.integration.projection import FEEDBACK_LIMITS, FEEDBACK_RATIO
 
 # Semi-implicit and explicit Euler and RK4 on phi'' + 2 a phi' + a^2 phi = 0 with step 1.
 AMPLIFICATION = {

@@ -14,13 +14,13 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.event_log import EventLog
-from multiarm.integrators.stepper import step_struct
-from multiarm.integrators.tableaus import METHODS
+from multiarm.integration.stepper import step_struct
+from multiarm.integration.tableaus import METHODS
+from multiarm.integration.time_loop import FINISHED, advance
 from multiarm.jit.structs import struct_of
-from multiarm.preparation import prepare, run_spec
 from multiarm.problems import HARD_CASES, ring_of_arms
-from multiarm.time_loop import FINISHED, advance
+from multiarm.results.event_log import EventLog
+from multiarm.simulation.setup import prepare, run_spec
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
 AMPLITUDE = {

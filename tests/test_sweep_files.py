@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from sweep_stand_in import FAILING, NAMES, StandInPlan, row_of
 
 from multiarm.errors import MultiarmError, SweepError, TrajectoryError
-from multiarm.storage import row_file, writable_target
+from multiarm.results.storage import row_file, writable_target
 from multiarm.sweeps.order_statistics import kth_smallest, quantiles
 from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.sweeps.store import RunSet, SweepFile

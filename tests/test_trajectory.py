@@ -26,11 +26,11 @@ from sample_run import (
     samples,
 )
 
-from multiarm.channels import Channel
 from multiarm.errors import TrajectoryError
-from multiarm.sinks import Hdf5Sink, MemorySink, provenance
-from multiarm.storage.recovery import lookup3
-from multiarm.trajectory import load_trajectory
+from multiarm.results.channels import Channel
+from multiarm.results.sinks import Hdf5Sink, MemorySink, provenance
+from multiarm.results.storage.recovery import lookup3
+from multiarm.results.trajectory import load_trajectory
 
 EVENTS = [{"time": 1.5, "kind": "projection", "size": 1e-9}]
 CERTIFICATE = {"requested_accuracy": 1e-6, "estimated_error": 3.2e-8}
@@ -497,7 +497,7 @@ def test_a_file_cut_short_never_passes_for_a_whole_one(tmp_path, closed):
 
 def test_results_are_light_to_import():
     code = (
-        "import sys, multiarm.sinks, multiarm.trajectory;"
+        "import sys, multiarm.results.sinks, multiarm.results.trajectory;"
         "print([m for m in ('h5py', 'matplotlib', 'pinocchio', 'numba') if m in sys.modules])"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -505,6 +505,6 @@ def test_results_are_light_to_import():
 
 
 def test_public_names_exist():
-    for module in ("multiarm.storage",):
+    for module in ("multiarm.results.storage",):
         loaded = importlib.import_module(module)
         assert all(hasattr(loaded, name) for name in loaded.__all__)

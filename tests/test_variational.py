@@ -23,11 +23,11 @@ from scipy.spatial.transform import Rotation
 from test_rolling import BALL, CARRIER, RADIUS, rolling_scene
 
 import multiarm as ma
-from multiarm.equations import update_kinematics
-from multiarm.preparation import make_stepping
+from multiarm.dynamics.equations import update_kinematics
 from multiarm.problems import HARD_CASES
 from multiarm.problems.contacts import NORMALS, POINTS, held_box
 from multiarm.problems.spinning import TUMBLING_INERTIA, free_spin_scene
+from multiarm.simulation.setup import make_stepping
 
 
 def one_step(system, state, h, integrator="variational"):

@@ -14,21 +14,25 @@ from mechanics import SCENES, scene_of, single_arm, ur5_pair
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.benchmarks.courses import Course, Grid, OutOfTime
-from multiarm.benchmarks.peer_trials import NOT_INSTALLED
-from multiarm.benchmarks.probes import control_torque, joint_damping, sinusoid
-from multiarm.benchmarks.torque_tape import TorqueTape
-from multiarm.benchmarks.work_precision import reference as references
-from multiarm.benchmarks.work_precision import study as studies
-from multiarm.benchmarks.work_precision.choice import (
+from multiarm.errors import MultiarmError
+from multiarm.problems import ring_of_arms
+from multiarm.scene import find_robot
+from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+from multiarm.studies.courses import Course, Grid, OutOfTime
+from multiarm.studies.peer_trials import NOT_INSTALLED
+from multiarm.studies.probes import control_torque, joint_damping, sinusoid
+from multiarm.studies.torque_tape import TorqueTape
+from multiarm.studies.work_precision import reference as references
+from multiarm.studies.work_precision import study as studies
+from multiarm.studies.work_precision.choice import (
     LEVELS,
     NOISE,
     all_series,
     cheapest,
     decades,
 )
-from multiarm.benchmarks.work_precision.peers import SOLVERS, Peers
-from multiarm.benchmarks.work_precision.points import (
+from multiarm.studies.work_precision.peers import SOLVERS, Peers
+from multiarm.studies.work_precision.points import (
     COMPLETED,
     FAILED,
     TOO_SLOW,
@@ -36,8 +40,8 @@ from multiarm.benchmarks.work_precision.points import (
     measure_ours,
     too_slow,
 )
-from multiarm.benchmarks.work_precision.reference import Motion, Reference, limited, make_reference
-from multiarm.benchmarks.work_precision.settings import (
+from multiarm.studies.work_precision.reference import Motion, Reference, limited, make_reference
+from multiarm.studies.work_precision.settings import (
     BY_ACCURACY,
     COARSEST,
     OURS,
@@ -46,13 +50,9 @@ from multiarm.benchmarks.work_precision.settings import (
     our_ladders,
     short,
 )
-from multiarm.benchmarks.work_precision.store import Results, read_results, scene_digest
-from multiarm.benchmarks.work_precision.study import run_study
-from multiarm.benchmarks.work_precision.words import comparison, recommendation, told
-from multiarm.errors import MultiarmError
-from multiarm.problems import ring_of_arms
-from multiarm.scene import find_robot
-from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+from multiarm.studies.work_precision.store import Results, read_results, scene_digest
+from multiarm.studies.work_precision.study import run_study
+from multiarm.studies.work_precision.words import comparison, recommendation, told
 
 DRAKE_IS_HERE = importlib.util.find_spec("pydrake") is not None
 MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
@@ -619,7 +619,7 @@ def test_a_scene_that_peers_cannot_express_names_them_with_the_reason():
 
 def test_peers_that_are_not_installed_are_told_so(system, monkeypatch):
     for name in ("mujoco_peer", "drake_peer"):
-        monkeypatch.delitem(sys.modules, f"multiarm.benchmarks.{name}", raising=False)
+        monkeypatch.delitem(sys.modules, f"multiarm.studies.{name}", raising=False)
     for name in ("mujoco", "pydrake", "pydrake.multibody.plant"):
         monkeypatch.setitem(sys.modules, name, None)
     peers = Peers(system)
@@ -675,7 +675,7 @@ def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     if not MUJOCO_IS_HERE:
         assert NOT_INSTALLED in Peers(system).refusals.values()
         return
-    from multiarm.benchmarks.mujoco_peer import INTEGRATORS, MujocoModel
+    from multiarm.studies.mujoco_peer import INTEGRATORS, MujocoModel
 
     drive, grid = sinusoid(system), Grid.of(system.scene.run)
     for method in INTEGRATORS:

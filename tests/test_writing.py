@@ -14,9 +14,9 @@ from mechanics import UR5_POSTURE
 import multiarm as ma
 from multiarm.cli.files import check_targets
 from multiarm.errors import MultiarmError, SweepError
+from multiarm.results.files import complete, in_one_step, name_beside
+from multiarm.results.storage.locks import WriterLock
 from multiarm.scene import parse_scene
-from multiarm.storage.locks import WriterLock
-from multiarm.writing import complete, in_one_step, name_beside
 
 TEXT = "what was there"
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 import multiarm as ma
+from multiarm.dynamics.arrays import open_system
 from multiarm.effects.piece import APPLIED, POWER, Piece
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
-from multiarm.plant import open_system
 
 
 class Magnet(ma.Effect):

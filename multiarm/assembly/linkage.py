@@ -26,13 +26,13 @@ import numpy as np
 
 from multiarm.contacts.kernel import GAP
 from multiarm.contacts.records import KIND, TANGENT
-from multiarm.dense_call import read_inertia
-from multiarm.equations import OK, update_kinematics
+from multiarm.dynamics.dense_callback import read_inertia
+from multiarm.dynamics.equations import OK, update_kinematics
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.spatial import difference, retract
 
 if TYPE_CHECKING:
-    from multiarm.system import System
+    from multiarm.assembly.system import System
 
 # Relative singular value below which an arm is between its branches: it may take either.
 NO_BRANCH = 1e-4

@@ -10,14 +10,14 @@ import numpy as np
 from multiarm.assembly.closing import CLOSED, close_gaps
 from multiarm.assembly.linkage import Linkage, projection_tolerance
 from multiarm.contacts.kernel import GAP
-from multiarm.equations import OK, update_kinematics
+from multiarm.dynamics.equations import OK, update_kinematics
 from multiarm.errors import ControlError
+from multiarm.integration.projection import project_positions
 from multiarm.spatial import difference, matrix_to_quaternion, retract
-from multiarm.stabilization import project_positions
 
 if TYPE_CHECKING:
-    from multiarm.state import State
-    from multiarm.system import System
+    from multiarm.assembly.system import System
+    from multiarm.dynamics.state import State
 
 # Steps between two nodes of a path: an arm's free motions on the way depend little on them.
 _SUBSTEPS = 3

@@ -11,7 +11,7 @@ from multiarm.assembly.linkage import Linkage, projection_tolerance
 from multiarm.contacts.kernel import GAP
 
 if TYPE_CHECKING:
-    from multiarm.system import System
+    from multiarm.assembly.system import System
 
 # A joint this near to a limit is at it [rad, m].
 AT_LIMIT = 1e-9

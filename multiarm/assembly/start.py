@@ -30,13 +30,13 @@ from multiarm.assembly.refusals import (
 )
 from multiarm.assembly.velocities import close_rates
 from multiarm.contacts.kernel import GAP_RATE
-from multiarm.equations import OK, update_kinematics
+from multiarm.dynamics.equations import OK, update_kinematics
 from multiarm.errors import SceneError
 from multiarm.spatial import difference
 
 if TYPE_CHECKING:
-    from multiarm.state import State
-    from multiarm.system import System
+    from multiarm.assembly.system import System
+    from multiarm.dynamics.state import State
 
 # A start whose gaps are larger than this fraction of the scene's size is refused.
 CLOSE = 0.1
@@ -149,7 +149,7 @@ def assemble_placed(system: System, what: str) -> tuple[State, StartReport]:
     _update(system)
     lost = np.flatnonzero(~np.isfinite(system.buffers.contacts).all(axis=1))
     if lost.size:
-        from multiarm.dynamics import lost_contact
+        from multiarm.dynamics.evaluation import lost_contact
 
         raise SceneError(
             [f"{lost_contact(system, int(row))}; mend its placement at the start" for row in lost]

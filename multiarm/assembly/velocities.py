@@ -17,10 +17,10 @@ import numpy as np
 
 from multiarm.assembly.linkage import Linkage
 from multiarm.contacts.kernel import GAP_RATE
-from multiarm.equations import OK, update_kinematics
+from multiarm.dynamics.equations import OK, update_kinematics
 
 if TYPE_CHECKING:
-    from multiarm.system import System
+    from multiarm.assembly.system import System
 
 # Singular values of A below this fraction of the largest count as zero.
 RANK_TOLERANCE = 1e-10

@@ -21,8 +21,8 @@ from multiarm.cli.terminal import (
 from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
-    from multiarm.benchmarks.work_precision.store import Results
     from multiarm.scene import Scene
+    from multiarm.studies.work_precision.store import Results
 
 __all__ = ["accuracy"]
 
@@ -140,7 +140,7 @@ def accuracy(
     if (scene is None) == (source is None):
         raise MultiarmError("name a scene to measure, or '--from FILE.json' to look at a study")
     if source is not None:
-        from multiarm.benchmarks.work_precision.store import read_results
+        from multiarm.studies.work_precision.store import read_results
 
         check_targets({"--plot": plot, "--html": html, "--json": json}, source=source)
         found = read_results(source)
@@ -168,13 +168,13 @@ def _measure(
     scene: Scene, target: Path, changes: dict, peers: bool, quick: bool, redo: bool
 ) -> Results:
     """Study a scene behind a progress bar; what was measured stays in the file."""
-    from multiarm.preparation import run_spec
+    from multiarm.simulation.setup import run_spec
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
     with StudyProgress() as watched:
-        from multiarm.benchmarks.hard_cases import machine
-        from multiarm.benchmarks.work_precision.store import Results
-        from multiarm.benchmarks.work_precision.study import run_study
+        from multiarm.studies.hard_cases import machine
+        from multiarm.studies.work_precision.store import Results
+        from multiarm.studies.work_precision.study import run_study
 
         kept = _kept(target, Results.of(scene, machine(), target), redo)
         try:
@@ -190,7 +190,7 @@ def _measure(
 
 def _kept(target: Path, empty: Results, redo: bool) -> Results:
     """What the file has of this scene and machine; nothing, with a word, where it is of another."""
-    from multiarm.benchmarks.work_precision.store import read_results
+    from multiarm.studies.work_precision.store import read_results
 
     if redo or not target.exists():
         return empty
@@ -205,7 +205,7 @@ def _kept(target: Path, empty: Results, redo: bool) -> Results:
 
 
 def _print(results: Results, quantity: str, every: bool) -> None:
-    from multiarm.benchmarks.work_precision.words import comparison, recommendation, reference_text
+    from multiarm.studies.work_precision.words import comparison, recommendation, reference_text
 
     console = output()
     console.print(Text(results.about["scene"]["name"], "bold"))
@@ -224,15 +224,15 @@ def _print(results: Results, quantity: str, every: bool) -> None:
 def _write(
     results: Results, quantity: str, plot: Path | None, html: Path | None, json: Path | None
 ) -> None:
-    from multiarm.benchmarks.work_precision.words import figures
+    from multiarm.studies.work_precision.words import figures
 
     if plot is not None:
-        from multiarm.benchmarks.work_precision.plots import write_plot
+        from multiarm.studies.work_precision.plots import write_plot
 
         write_plot(results, plot, quantity)
         print_written("plot", plot)
     if html is not None:
-        from multiarm.benchmarks.work_precision.page import write_page
+        from multiarm.studies.work_precision.page import write_page
 
         write_page(results, html)
         print_written("page", html)

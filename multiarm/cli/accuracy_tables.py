@@ -12,18 +12,18 @@ from rich.text import Text
 from multiarm.cli.terminal import columns, number
 
 if TYPE_CHECKING:
-    from multiarm.benchmarks.work_precision.points import Point
-    from multiarm.benchmarks.work_precision.store import Results
+    from multiarm.studies.work_precision.points import Point
+    from multiarm.studies.work_precision.store import Results
 
 __all__ = ["decade_table", "method_table", "point_table"]
 
 
 def decade_table(results: Results, quantity: str) -> Table:
     """The cheapest setting for each power of ten, and the best peer's."""
-    from multiarm.benchmarks.work_precision.choice import decades
-    from multiarm.benchmarks.work_precision.reference import QUANTITIES
-    from multiarm.benchmarks.work_precision.settings import short
-    from multiarm.benchmarks.work_precision.words import told
+    from multiarm.studies.work_precision.choice import decades
+    from multiarm.studies.work_precision.reference import QUANTITIES
+    from multiarm.studies.work_precision.settings import short
+    from multiarm.studies.work_precision.words import told
 
     what, unit = QUANTITIES[quantity]
     found = decades(results, quantity)
@@ -44,13 +44,13 @@ def decade_table(results: Results, quantity: str) -> Table:
 
 def method_table(results: Results, quantity: str) -> Table:
     """One line a method."""
-    from multiarm.benchmarks.work_precision.choice import (
+    from multiarm.studies.work_precision.choice import (
         CLAIMED,
         all_series,
         cheapest,
         digits_of,
     )
-    from multiarm.benchmarks.work_precision.settings import short
+    from multiarm.studies.work_precision.settings import short
 
     digits = digits_of(results, quantity)
     levels = (1e-3, *CLAIMED)
@@ -76,7 +76,7 @@ def method_table(results: Results, quantity: str) -> Table:
 
 def point_table(results: Results) -> Table:
     """Every point, in the order of the methods."""
-    from multiarm.benchmarks.work_precision.choice import all_series
+    from multiarm.studies.work_precision.choice import all_series
 
     heads = ("setting", "ms", "evaluations", "position", "rotation", "joints", "force",
              "gap [m]", "energy [J]")  # fmt: skip

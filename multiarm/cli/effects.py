@@ -15,8 +15,8 @@ from multiarm.cli.progress import StudyProgress
 from multiarm.cli.terminal import columns, output, print_written
 
 if TYPE_CHECKING:
-    from multiarm.benchmarks.effect_costs.entries import Entry, Ledger
     from multiarm.scene import Scene
+    from multiarm.studies.effect_costs.entries import Entry, Ledger
 
 __all__ = ["effects"]
 
@@ -80,7 +80,7 @@ def effects(
     Times are those of runs in turn; what lies within their noise is marked.
 
     The JSON has the keys scene, asked, asked_by_scene, run, entries, machine, wall_time_s, summary;
-    their meaning and units are those of multiarm.benchmarks.effect_costs.entries. Numbers are
+    their meaning and units are those of multiarm.studies.effect_costs.entries. Numbers are
     finite, or null where there is none.
     """
     check_plot(plot)
@@ -92,17 +92,17 @@ def effects(
 
 
 def _measure(scene: Scene, changes: dict, candidates: bool, repeats: int) -> Ledger:
-    from multiarm.preparation import run_spec
+    from multiarm.simulation.setup import run_spec
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
     with StudyProgress() as watched:
-        from multiarm.benchmarks.effect_costs.study import ledger
+        from multiarm.studies.effect_costs.study import ledger
 
         return ledger(scene, candidates=candidates, repeats=repeats, progress=watched.tell)
 
 
 def _print(found: Ledger) -> None:
-    from multiarm.benchmarks.effect_costs.words import accuracy_text, summary
+    from multiarm.studies.effect_costs.words import accuracy_text, summary
 
     console = output()
     console.print(Text(found.scene["name"], "bold"))
@@ -131,9 +131,9 @@ def _table(found: Ledger) -> Table:
 
 
 def _row(found: Ledger, entry: Entry) -> list[Text]:
-    from multiarm.benchmarks.effect_costs.entries import FORCE, JOINTS, PATH, SLIDES, TURN
-    from multiarm.benchmarks.effect_costs.variants import CANDIDATE
-    from multiarm.benchmarks.effect_costs.words import percent, said
+    from multiarm.studies.effect_costs.entries import FORCE, JOINTS, PATH, SLIDES, TURN
+    from multiarm.studies.effect_costs.variants import CANDIDATE
+    from multiarm.studies.effect_costs.words import percent, said
 
     name = f"+ {entry.name}" if entry.kind == CANDIDATE else entry.name
     costs = [Text("-")] * 3
@@ -159,8 +159,8 @@ def _above(found: Ledger, entry: Entry, quantity: str) -> bool:
 
 def _remark(entry: Entry) -> tuple[str, str]:
     """What is to be said beside an entry's numbers, and its style."""
-    from multiarm.benchmarks.effect_costs.variants import PRESENT
-    from multiarm.benchmarks.effect_costs.words import trouble
+    from multiarm.studies.effect_costs.variants import PRESENT
+    from multiarm.studies.effect_costs.words import trouble
 
     if entry.trouble:
         return trouble(entry), "yellow"
@@ -170,15 +170,15 @@ def _remark(entry: Entry) -> tuple[str, str]:
 
 
 def _write(found: Ledger, plot: Path | None, html: Path | None, json: Path | None) -> None:
-    from multiarm.benchmarks.effect_costs.words import figures
+    from multiarm.studies.effect_costs.words import figures
 
     if plot is not None:
-        from multiarm.benchmarks.effect_costs.plots import write_plot
+        from multiarm.studies.effect_costs.plots import write_plot
 
         write_plot(found, plot)
         print_written("plot", plot)
     if html is not None:
-        from multiarm.benchmarks.effect_costs.page import write_page
+        from multiarm.studies.effect_costs.page import write_page
 
         write_page(found, html)
         print_written("page", html)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from multiarm.cli.terminal import print_loaded, print_warnings
 from multiarm.errors import MultiarmError, TrajectoryError
-from multiarm.writing import in_one_step, made_anew, name_beside
+from multiarm.results.files import in_one_step, made_anew, name_beside
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -64,7 +64,7 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     MultiarmError
         The file cannot be written.
     """
-    from multiarm.trajectory import plain
+    from multiarm.results.trajectory import plain
 
     text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False, indent=2)
     write_text(path, text + "\n", "--json")
@@ -153,7 +153,7 @@ def open_result(path: Path):
             f"'{path}' is a scene, not the result of a run; first simulate it: "
             f"multiarm run {path} --out {path.stem}.h5"
         )
-    from multiarm.trajectory import load_trajectory
+    from multiarm.results.trajectory import load_trajectory
 
     return load_trajectory(path.expanduser())
 

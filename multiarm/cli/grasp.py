@@ -27,8 +27,8 @@ from multiarm.cli.terminal import (
     print_written,
 )
 from multiarm.errors import GraspError, MultiarmError
-from multiarm.printable import printable
-from multiarm.writing import save_figure
+from multiarm.results.files import save_figure
+from multiarm.results.printable import printable
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
@@ -217,14 +217,14 @@ def check(
     take --code.
 
     The exit code is 0 whatever the verdict. The JSON has the fields of
-    multiarm.grasp_scenes.judging.GraspJudgement; numbers are finite, or null where there is none.
+    multiarm.grasp.scenes.judging.GraspJudgement; numbers are finite, or null where there is none.
     """
     check_plot(plot)
     check_targets({"--json": json, "--plot": plot}, source=scene)
     loaded = scene_to_look_at(scene, code)
-    from multiarm.compilation import compile_for_a_look
-    from multiarm.grasp_scenes.judging import judge_grasp
-    from multiarm.grasp_scenes.reading import read_grasp
+    from multiarm.assembly.compilation import compile_for_a_look
+    from multiarm.grasp.scenes.judging import judge_grasp
+    from multiarm.grasp.scenes.reading import read_grasp
 
     system, left = compile_for_a_look(loaded)
     unknown = [f"{one.what} ({one.place})" for one in left if one.arm]

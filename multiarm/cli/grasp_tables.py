@@ -11,7 +11,7 @@ from multiarm.cli.terminal import columns, facts, number, vector
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
-    from multiarm.grasp_scenes.judging import ContactFacts, GraspJudgement
+    from multiarm.grasp.scenes.judging import ContactFacts, GraspJudgement
 
 __all__ = ["design_facts", "judgement_tables"]
 

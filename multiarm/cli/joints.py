@@ -17,8 +17,8 @@ from multiarm.cli.terminal import columns, facts, output
 from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
-    from multiarm.guide.cards import JointCard, SurfaceCard
-    from multiarm.guide.schema import Parameter
+    from multiarm.cli.guide.cards import JointCard, SurfaceCard
+    from multiarm.cli.guide.schema import Parameter
 
 __all__ = ["joints"]
 
@@ -47,7 +47,7 @@ def joints(
     The JSON has the keys joints, surfaces: each a table by name, with what is shown here.
     """
     check_targets({"--json": json})
-    from multiarm.guide import cards
+    from multiarm.cli.guide import cards
 
     joint_cards, surface_cards = cards.joint_cards(), cards.surface_cards()
     known = [*joint_cards, SURFACES, *surface_cards]
@@ -75,7 +75,7 @@ def _parts(
     kind: str | None, joints: dict[str, JointCard], surfaces: dict[str, SurfaceCard]
 ) -> list[RenderableType]:
     """What is shown: everything, one joint, all surfaces, or one surface."""
-    from multiarm.guide.cards import common_parameters, contact_parameters
+    from multiarm.cli.guide.cards import common_parameters, contact_parameters
 
     common = _parameter_table("Parameters of every joint", common_parameters())
     options = [p for p in contact_parameters() if p.name not in ("arm", "object")]

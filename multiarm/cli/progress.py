@@ -35,8 +35,8 @@ COMPILING = "compiling kernels (only the first time on this machine)"
 
 def kernels_are_cached(integrator: str | None = None) -> bool:
     """Whether the compiled loop, and this method's step, are in Numba's cache and fresh."""
-    from multiarm.preparation import OWN_STEPS
-    from multiarm.time_loop import advance
+    from multiarm.integration.time_loop import advance
+    from multiarm.simulation.setup import OWN_STEPS
 
     return advance.is_cached() and (
         integrator not in OWN_STEPS or OWN_STEPS[integrator].is_cached()

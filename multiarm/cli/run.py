@@ -25,8 +25,8 @@ from multiarm.errors import SceneError
 
 if TYPE_CHECKING:
     from multiarm.assembly import StartReport
+    from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
-    from multiarm.trajectory import Trajectory
 
 __all__ = ["Integrator", "Solver", "Stabilization", "run"]
 
@@ -204,7 +204,7 @@ def run(
     arm, contact or joint, where in m, before and after as they apply), compiled_kernels, and files
     (result, replay, report). Numbers are finite, or null where there is none.
     """
-    from multiarm.storage import writable_target
+    from multiarm.results.storage import writable_target
 
     loaded = scene_to_run(scene, no_code)
     target = out if out is not None else Path(f"{scene.stem}.h5")
@@ -276,8 +276,8 @@ def _simulate(
     duration = options["duration"] if options["duration"] is not None else scene.run.duration
     integrator = options["integrator"] or scene.run.integrator
     with RunProgress(messages(), duration, quiet, integrator) as progress:
-        from multiarm.compilation import compile_system
-        from multiarm.simulation import simulate
+        from multiarm.assembly.compilation import compile_system
+        from multiarm.simulation.simulate import simulate
 
         if options["solver"] is not None:  # the start is assembled by it too
             changed = scene.run.model_copy(update={"solver": options["solver"]})

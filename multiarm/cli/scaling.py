@@ -19,7 +19,7 @@ from multiarm.cli.terminal import output, print_warnings, print_written
 from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
-    from multiarm.benchmarks.scaling_tables import Table
+    from multiarm.studies.scaling_tables import Table
 
 __all__ = ["scaling"]
 
@@ -98,12 +98,12 @@ def scaling(
     """Measure how cost grows with the number of arms, and where the time goes.
 
     Takes about two minutes, a few seconds with --quick. The JSON holds what
-    multiarm.benchmarks.scaling.run_scaling returns.
+    multiarm.studies.scaling.run_scaling returns.
     """
     counts = None if arms is None else _counts(arms)
     check_targets({"--plot": plot, "--html": html, "--json": json})
     check_plot(plot)
-    from multiarm.benchmarks import scaling as benchmark
+    from multiarm.studies import scaling as benchmark
 
     studies = benchmark.STUDIES if study is Study.all else (study.value,)
     kinds = benchmark.KINDS if kind is Kind.all else (kind.value,)
@@ -111,7 +111,7 @@ def scaling(
     plan = replace(plan, arms=counts or plan.arms, rounds=rounds or plan.rounds)
     with StudyProgress(plan.measurements, counted=True) as watched:
         result = benchmark.run_scaling(plan, progress=watched.tell)
-    from multiarm.benchmarks.scaling_tables import disturbance, tables
+    from multiarm.studies.scaling_tables import disturbance, tables
 
     console = output()
     for table in tables(result):
@@ -121,12 +121,12 @@ def scaling(
         write_json(json, result)
         print_written("figures", json)
     if plot is not None:
-        from multiarm.benchmarks.scaling_plots import plot_scaling
+        from multiarm.studies.scaling_plots import plot_scaling
 
         plot_scaling(result, plot)
         print_written("plot", plot)
     if html is not None:
-        from multiarm.benchmarks.scaling_page import write_page
+        from multiarm.studies.scaling_page import write_page
 
         write_page(result, html)
         print_written("page", html)

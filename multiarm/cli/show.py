@@ -18,7 +18,7 @@ from multiarm.cli.terminal import messages, print_loaded, print_warnings, print_
 from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
-    from multiarm.trajectory import Trajectory
+    from multiarm.results.trajectory import Trajectory
 
 __all__ = ["replay", "report", "serve_until_interrupt"]
 
@@ -153,7 +153,7 @@ def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
 
 
 def _is_sweep(result: Path) -> bool:
-    from multiarm.storage.row_file import SWEEP
+    from multiarm.results.storage.row_file import SWEEP
 
     path = result.expanduser()
     return path.is_file() and SWEEP.matches(path)

@@ -16,9 +16,9 @@ from multiarm.cli.progress import StudyProgress
 from multiarm.cli.terminal import columns, number, output, print_error, print_written
 
 if TYPE_CHECKING:
-    from multiarm.benchmarks.hard_cases import CaseResult, CriterionResult, SuiteResult
-    from multiarm.benchmarks.peer_trials import Answer
     from multiarm.problems import HardCase
+    from multiarm.studies.hard_cases import CaseResult, CriterionResult, SuiteResult
+    from multiarm.studies.peer_trials import Answer
 
 __all__ = ["stability"]
 
@@ -62,10 +62,10 @@ def stability(
     name that is no case. A case that cannot be run fails; the others are run all the same.
 
     The JSON has the keys passed, total, wall_time_s, machine, cases; a case's keys are those of
-    multiarm.benchmarks.hard_cases.CaseResult. Numbers are finite, or null where there is none.
+    multiarm.studies.hard_cases.CaseResult. Numbers are finite, or null where there is none.
     """
     check_targets({"--html": html, "--json": json})
-    from multiarm.benchmarks.hard_cases import choose_cases, run_suite
+    from multiarm.studies.hard_cases import choose_cases, run_suite
 
     chosen = choose_cases(names or ())
     if listing:
@@ -81,7 +81,7 @@ def stability(
         write_json(json, suite.as_dict())
         print_written("figures", json)
     if html is not None:
-        from multiarm.benchmarks.hard_case_page import write_page
+        from multiarm.studies.hard_case_page import write_page
 
         write_page(suite, html)
         print_written("page", html)
@@ -128,7 +128,7 @@ def _table(
 
 
 def _row(case: CaseResult) -> tuple[RenderableType, ...]:
-    from multiarm.benchmarks.hard_cases import path_text, rank_text
+    from multiarm.studies.hard_cases import path_text, rank_text
 
     lines = [_criterion(item) for item in case.criteria]
     if case.status != "completed":

@@ -9,10 +9,10 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.terminal import STATUS_STYLES, accuracy, facts, number, vector
-from multiarm.event_words import counts, who
+from multiarm.results.event_text import counts, who
 
 if TYPE_CHECKING:
-    from multiarm.trajectory import Trajectory
+    from multiarm.results.trajectory import Trajectory
 
 __all__ = ["run_figures", "summary_table"]
 

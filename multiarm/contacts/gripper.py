@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.terms import ContactTerms
+from multiarm.contacts.matrices import ContactTerms
 
 
 @dataclass(frozen=True)

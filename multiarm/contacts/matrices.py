@@ -33,6 +33,34 @@ from multiarm.contacts.records import (
 )
 
 
+class ContactTerms(NamedTuple):
+    r"""The contacts of one arm with the object at one state, one column (entry) a contact.
+
+    W_m, W_o : (6, N)
+        Wrenches on the gripper (about the tip frame's origin, its axes) and on the object (about
+        the centre of mass, object axes) for unit pushes; ``W_o = -X W_m`` (thesis, 3.11).
+    W_m_dot, W_o_dot : (6, N)
+        Their rates, component by component in the same axes.
+    c : (N,)
+        Right-hand side of the acceleration constraint ``W_o^T q_o + W^T q = c``, no feedback.
+    phi, phi_dot : (N,)
+        Gaps [m] (positive = apart) and their rates ``W_m^T v_m + W_o^T v_o`` [m/s].
+    points, normals : (N, 3)
+        Contact points (on the surface's side of the fingertip) [m] and unit normals pointing into
+        the object, world axes.
+    """
+
+    W_m: np.ndarray
+    W_o: np.ndarray
+    W_m_dot: np.ndarray
+    W_o_dot: np.ndarray
+    c: np.ndarray
+    phi: np.ndarray
+    phi_dot: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+
+
 class ContactMatrices(NamedTuple):
     """Columns of W and of its rate, one a row of the table, in the body's own axes.
 

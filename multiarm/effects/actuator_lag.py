@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from multiarm.dynamics.arrays import open_system
 from multiarm.effects.piece import ACTUATOR, STATE, Piece, Site
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
-from multiarm.plant import open_system
 
 if TYPE_CHECKING:
-    from multiarm.system import System
+    from multiarm.assembly.system import System
 
 
 @cfunc

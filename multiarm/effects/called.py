@@ -9,15 +9,15 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from multiarm.asking import Asked
+from multiarm.dynamics.arrays import Buffers, open_system
+from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.user_callback import Asked
 from multiarm.effects.effect import Loads
 from multiarm.effects.piece import APPLIED, POWER, Piece
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import call_python
 from multiarm.jit.structs import floats1, ints1, struct_at
-from multiarm.plant import Buffers, open_system
-from multiarm.state import Layout, State
 
 
 @cfunc

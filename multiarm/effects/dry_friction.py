@@ -2,18 +2,18 @@ r"""What contacts and joints that come and go do between their events.
 
 *Dry friction of a joint* that moves is a constant torque against its motion,
 :math:`\tau = -\tau_c \operatorname{sign}\dot q`; a joint at rest is held by a row of W, and nothing
-is added here.  The mode that a run is in says which (:mod:`multiarm.hybrid`).  Sliding friction of
+is added here.  The mode that a run is in says which (:mod:`multiarm.events`).  Sliding friction of
 contacts and impacts have their work noted under names of their own.
 """
 
 from __future__ import annotations
 
-from multiarm.candidates.plan import Plan
-from multiarm.candidates.units import DRY_JOINT
+from multiarm.dynamics.arrays import open_system
 from multiarm.effects.piece import APPLIED, PASSIVE, POWER, Piece
+from multiarm.events.candidates.plan import Plan
+from multiarm.events.candidates.units import DRY_JOINT
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
-from multiarm.plant import open_system
 
 
 @cfunc

@@ -35,8 +35,8 @@ from multiarm.scene.own_effects import OwnSpec
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from multiarm.dynamics.state import State
     from multiarm.effects.piece import Piece, Site
-    from multiarm.state import State
 
 __all__ = ["Effect", "Loads"]
 

@@ -24,8 +24,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from multiarm.asking import Asked
 from multiarm.contacts.kernel import SPIN, VELOCITY
+from multiarm.dynamics.arrays import Buffers, open_system
+from multiarm.dynamics.user_callback import Asked
 from multiarm.effects.piece import APPLIED, POWER, Piece, Site
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, kernel
@@ -43,7 +44,6 @@ from multiarm.jit.vectors import (
     rotation,
     vec,
 )
-from multiarm.plant import Buffers, open_system
 from multiarm.scene import read_wrench_table
 
 # Courses over time.

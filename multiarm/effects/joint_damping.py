@@ -2,10 +2,10 @@ r"""Viscous friction in the joints: :math:`\tau_j = -d_j \dot q_j` [N m s/rad, N
 
 from __future__ import annotations
 
+from multiarm.dynamics.arrays import open_system
 from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
-from multiarm.plant import open_system
 from multiarm.scene import damping_of
 
 

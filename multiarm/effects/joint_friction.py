@@ -12,10 +12,10 @@ import math
 
 import numpy as np
 
+from multiarm.dynamics.arrays import open_system
 from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
-from multiarm.plant import open_system
 from multiarm.scene import friction_of
 
 

@@ -20,19 +20,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from multiarm.arms.terms import J_AT
+from multiarm.dynamics.arrays import OWN_ARRAYS
 from multiarm.jit.pointers import address_of
-from multiarm.plant import OWN_ARRAYS
 from multiarm.scene import joint_vector
-from multiarm.terms import J_AT
 
 if TYPE_CHECKING:
-    from multiarm.arm import Arm
-    from multiarm.asking import Asked
-    from multiarm.plant import Buffers
+    from multiarm.arms.arm import Arm
+    from multiarm.arms.backends import ArmSupply
+    from multiarm.assembly.system import System
+    from multiarm.dynamics.arrays import Buffers
+    from multiarm.dynamics.state import Layout
+    from multiarm.dynamics.user_callback import Asked
     from multiarm.scene import JointOutline, Scene
-    from multiarm.state import Layout
-    from multiarm.supply import ArmSupply
-    from multiarm.system import System
 
 PASSIVE, ACTUATOR, APPLIED = range(3)
 

@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 
+from multiarm.dynamics.arrays import open_system
 from multiarm.effects.piece import ACTUATOR, Piece, Site
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, struct_at
-from multiarm.plant import open_system
 from multiarm.scene import effort_limit_of
 
 # A command that exceeds its limit by less than this fraction of it does so by rounding.

@@ -145,9 +145,9 @@ class Grasp:
         arms : sequence of str
             Robots by name, one for each gripper.
         **options
-            Those of :func:`multiarm.grasp_scenes.grasp_scene`: mass, path, duration, ...
+            Those of :func:`multiarm.grasp.scenes.grasp_scene`: mass, path, duration, ...
         """
-        from multiarm.grasp_scenes import grasp_scene
+        from multiarm.grasp.scenes import grasp_scene
 
         return grasp_scene(self, arms, **options)
 

@@ -27,7 +27,7 @@ from multiarm.plots.style import GRID, INK, STYLE, family
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from multiarm.trajectory import Trajectory
+    from multiarm.results.trajectory import Trajectory
 
 __all__ = [
     "GRID",

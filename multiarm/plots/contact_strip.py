@@ -15,16 +15,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from multiarm.channels import CONTACT_STATES
-from multiarm.decimation import POINTS, decimate
-from multiarm.event_words import STATE_COLOURS
 from multiarm.plots.event_marks import LEGEND_ROW, EventMarks
 from multiarm.plots.panels import sheet
 from multiarm.plots.style import GRID, STYLE
-from multiarm.sample_store import channels_of
+from multiarm.results.channels import CONTACT_STATES
+from multiarm.results.decimation import POINTS, decimate
+from multiarm.results.event_text import STATE_COLOURS
+from multiarm.results.sample_store import channels_of
 
 if TYPE_CHECKING:
-    from multiarm.trajectory import Trajectory
+    from multiarm.results.trajectory import Trajectory
 
 ROW = 0.24
 """Height of a row [in]."""

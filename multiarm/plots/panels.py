@@ -14,9 +14,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from multiarm.event_words import Event
 from multiarm.plots.event_marks import EventMarks
 from multiarm.plots.style import INK, STYLE
+from multiarm.results.event_text import Event
 
 LABEL_HEIGHT = 0.155
 """Of a label at the end of a line [in]."""

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from multiarm.channels import Channel
-from multiarm.decimation import POINTS, RotationSinceStart, decimate
-from multiarm.event_words import Event
 from multiarm.plots.panels import Panel, draw
 from multiarm.plots.style import AXIS_COLOURS, ROLES, family
-from multiarm.sample_store import channels_of
+from multiarm.results.channels import Channel
+from multiarm.results.decimation import POINTS, RotationSinceStart, decimate
+from multiarm.results.event_text import Event
+from multiarm.results.sample_store import channels_of
 
 if TYPE_CHECKING:
-    from multiarm.trajectory import Trajectory
+    from multiarm.results.trajectory import Trajectory
 
 DRIFT_DECADES = 6
 """Drift further below its peak is drawn at this depth: 0 has no place on a logarithmic axis."""

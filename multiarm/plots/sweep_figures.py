@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from multiarm.errors import SweepError
 from multiarm.plots.style import INK, STYLE
 from multiarm.plots.sweep_axes import Variable, bands, cells, is_wide, variable
+from multiarm.results.files import save_figure
 from multiarm.scene.words import unknown
-from multiarm.writing import save_figure
 
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep

@@ -40,7 +40,7 @@ def tip_pose(robot: str, tip: str, posture: tuple[float, ...]) -> np.ndarray:
 
 @cache
 def _tip_pose(robot: str, tip: str, posture: tuple[float, ...]) -> np.ndarray:
-    from multiarm.arm import Arm, ArmFiles
+    from multiarm.arms.arm import Arm, ArmFiles
 
     arm = Arm("arm", ArmFiles(find_robot(robot).urdf, (), np.eye(4), tip, {}))
     return arm.tip_pose(np.array(posture))

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from multiarm.assembly.system import System
+    from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
 
 CLOSED = 1e-12  # [m]
 CLOSED_RATE = 1e-10  # [m/s]

@@ -40,8 +40,8 @@ from multiarm.problems.references import reference_run
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
+    from multiarm.assembly.system import System
+    from multiarm.results.trajectory import Trajectory
 
 ACCURACY = 1e-9
 MASS, FINGER_MASS = 10.0, 1.0  # [kg]

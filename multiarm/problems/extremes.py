@@ -31,8 +31,8 @@ from multiarm.problems.references import reference_run
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
+    from multiarm.assembly.system import System
+    from multiarm.results.trajectory import Trajectory
 
 ACCURACY = 1e-6
 _UR5_MASS = 21.0  # [kg], of all links that move

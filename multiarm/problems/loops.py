@@ -25,8 +25,8 @@ from multiarm.problems.one_freedom import Body, OneFreedom
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
+    from multiarm.assembly.system import System
+    from multiarm.results.trajectory import Trajectory
 
 ACCURACY = 1e-6
 # The benchmark's own limit for Bricard's loop is 1e-9 of the energy; a tenth of that in accuracy.

@@ -32,8 +32,8 @@ from multiarm.problems.references import reference_run
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
+    from multiarm.assembly.system import System
+    from multiarm.results.trajectory import Trajectory
 
 ACCURACY = 1e-6
 # Elbow angle 0: upper arm, forearm and wrist in one line, leaning forward; the wrist is bent.

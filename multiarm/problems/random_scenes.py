@@ -121,7 +121,7 @@ def _stand(
     robot: _Robot, posture: np.ndarray, grip: np.ndarray, azimuth: float
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Pose of the tip in the world, at ``grip``, and the upright base that puts it there."""
-    from multiarm.arm import Arm, ArmFiles
+    from multiarm.arms.arm import Arm, ArmFiles
 
     X_BT = Arm(
         "arm", ArmFiles(find_robot(robot.name).urdf, (), np.eye(4), robot.tip, robot.lock)

@@ -7,8 +7,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
-    from multiarm.trajectory import Trajectory
 
 
 @cache
@@ -16,8 +16,8 @@ def reference_run(
     build: Callable[..., Scene], *arguments: Any, solver: str | None = None
 ) -> Trajectory:
     """The run of the scene ``build(*arguments)``, by another solver if one is named."""
-    from multiarm.compilation import compile_system
-    from multiarm.simulation import simulate
+    from multiarm.assembly.compilation import compile_system
+    from multiarm.simulation.simulate import simulate
 
     scene = build(*arguments)
     if solver is not None:

@@ -25,8 +25,8 @@ from multiarm.problems.ring import RING_POSTURE
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
+    from multiarm.assembly.system import System
+    from multiarm.results.trajectory import Trajectory
 
 ACCURACY = 1e-6
 _AXIAL = 1e-9  # [kg m^2]

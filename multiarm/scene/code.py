@@ -17,9 +17,9 @@ from multiarm.errors import ModelError, SceneError
 from multiarm.scene.functions import function_references, parts_of
 from multiarm.scene.own_effects import known_effect, offered_words
 from multiarm.scene.schema import Scene
+from multiarm.scene.user_code import FunctionReference, LoadedFunction, load_function
 from multiarm.scene.values import Parts
 from multiarm.scene.words import place
-from multiarm.user_code import FunctionReference, LoadedFunction, load_function
 
 __all__ = [
     "NamedCode",

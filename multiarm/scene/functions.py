@@ -6,7 +6,7 @@ function is *named* in a scene, and looked up only when a system is compiled:
 * ``bowls.py:paraboloid``, a file (a relative path starts at the scene's folder);
 * ``my_package.bowls:paraboloid``, a module that Python can import.
 
-Such a text is a :class:`multiarm.user_code.FunctionReference`.
+Such a text is a :class:`multiarm.scene.user_code.FunctionReference`.
 
 A callable given in Python is written as the second form, or as the first if it belongs to the
 script that runs.  One that has no name of its own, such as a lambda, is written with its name in
@@ -23,9 +23,9 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, PlainSerializer
 
+from multiarm.scene.user_code import FunctionReference, LoadedFunction
 from multiarm.scene.values import Parts, fault
 from multiarm.scene.words import shown
-from multiarm.user_code import FunctionReference, LoadedFunction
 
 __all__ = [
     "UserFunction",

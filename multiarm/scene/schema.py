@@ -23,9 +23,9 @@ from multiarm.scene.faults import explain
 from multiarm.scene.functions import function_references
 from multiarm.scene.joints import JointSpec
 from multiarm.scene.object_spec import ObjectSpec
+from multiarm.scene.user_code import reference_fault
 from multiarm.scene.values import ArmName, Vec3
 from multiarm.scene.words import place, shown
-from multiarm.user_code import reference_fault
 
 __all__ = ["Scene"]
 

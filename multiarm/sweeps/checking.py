@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 from multiarm.errors import MultiarmError, SceneError
 from multiarm.scene import NamedCode, Scene, changed, parse_path
 from multiarm.scene.own_effects import own_effect_names
+from multiarm.scene.user_code import FunctionReference, load_function, reference_fault
 from multiarm.scene.words import place, shown
 from multiarm.sweeps.axes import Axis
-from multiarm.user_code import FunctionReference, load_function, reference_fault
 
 if TYPE_CHECKING:
     from multiarm.sweeps.spec import SweepSpec

@@ -18,10 +18,10 @@ from pickle import PicklingError
 from typing import Any
 
 from multiarm.errors import SweepError
+from multiarm.integration.time_loop import advance
 from multiarm.sweeps.batches import Batches
 from multiarm.sweeps.row import Row
 from multiarm.sweeps.work import Job, Work, perform_all, warm
-from multiarm.time_loop import advance
 
 __all__ = ["DEATHS", "dead_row", "in_process", "on_processes", "processors"]
 

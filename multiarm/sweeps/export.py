@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from multiarm.errors import SweepError
+from multiarm.results.files import in_one_step
 from multiarm.sweeps.packing import VALUES
 from multiarm.sweeps.table import Column, SweepTable
-from multiarm.writing import in_one_step
 
 __all__ = ["kinds_of", "write_csv", "write_parquet"]
 

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import USER_FAULTS
-from multiarm.user_code import FunctionReference, load_function
+from multiarm.scene.user_code import FunctionReference, load_function
 
 if TYPE_CHECKING:
-    from multiarm.trajectory import Trajectory
+    from multiarm.results.trajectory import Trajectory
 
 __all__ = ["KNOWN", "MEASURED", "Quantity", "digest", "measure"]
 

@@ -23,9 +23,9 @@ from multiarm.sweeps.summary import SweepSummary, status_counts, summarise
 from multiarm.sweeps.table import Column, SweepTable, cell, collected
 
 if TYPE_CHECKING:
+    from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
     from multiarm.sweeps.plan import SweepPlan
-    from multiarm.trajectory import Trajectory
 
 __all__ = ["Sweep", "load_sweep"]
 

@@ -10,8 +10,8 @@ from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import SweepError
-from multiarm.interrupts import deferred_interrupt
 from multiarm.scene import Scene
+from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.sweeps.plan import SweepPlan, make_plan
 from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.sweeps.row import Row

@@ -17,17 +17,17 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from multiarm.certificate.words import INTERRUPTED, INTERRUPTED_WORDS
-from multiarm.compilation import compile_system
+from multiarm.assembly.compilation import compile_system
+from multiarm.assembly.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
+from multiarm.results.trajectory import Trajectory
 from multiarm.scene import Scene, changed, parse_path, parse_scene
 from multiarm.scene.own_effects import register_effect, registered_effects
-from multiarm.simulation import simulate
+from multiarm.simulation.certificate.words import INTERRUPTED, INTERRUPTED_WORDS
+from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import SweepPlan, program_version
 from multiarm.sweeps.quantities import Quantity, measure
 from multiarm.sweeps.row import Row
-from multiarm.system import System
-from multiarm.trajectory import Trajectory
 
 __all__ = ["Job", "Work", "perform", "perform_all", "simulate_run", "warm"]
 

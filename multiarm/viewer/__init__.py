@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import ReplayError
-from multiarm.printable import printable_texts
-from multiarm.writing import complete
+from multiarm.results.files import complete
+from multiarm.results.printable import printable_texts
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-    from multiarm.trajectory import Trajectory
+    from multiarm.results.trajectory import Trajectory
     from multiarm.viewer.film import Dial, Film, HingeTracks
 
 __all__ = ["replay"]
@@ -129,8 +129,8 @@ def _facts(film: Film, speed: float) -> dict[str, Any]:
 
 def _states(film: Film) -> list[list[str]]:
     """Return name, sign and colour of each state that a contact of the film has."""
-    from multiarm.channels import CONTACT_STATES
-    from multiarm.event_words import STATE_COLOURS, STATE_SIGNS
+    from multiarm.results.channels import CONTACT_STATES
+    from multiarm.results.event_text import STATE_COLOURS, STATE_SIGNS
 
     found = {int(code) for c in film.contacts if c.state is not None for code in set(c.state.flat)}
     return [[CONTACT_STATES[k], STATE_SIGNS[k], STATE_COLOURS[k]] for k in sorted(found)]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from multiarm.compilation import compile_for_a_look, compile_system
+from multiarm.assembly.compilation import compile_for_a_look, compile_system
 from multiarm.errors import ReplayError
 from multiarm.viewer.commands import rgb
 from multiarm.viewer.film import Body, Film, along, rotations
@@ -31,9 +31,9 @@ from multiarm.viewer.surfaces import object_size, surface_bodies
 from multiarm.viewer.touching import contacts_of
 
 if TYPE_CHECKING:
-    from multiarm.arm import Arm
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
+    from multiarm.arms.arm import Arm
+    from multiarm.assembly.system import System
+    from multiarm.results.trajectory import Trajectory
 
 PALETTE = ("#4a80c9", "#f08a45", "#4fa36a", "#9b6bc2", "#d9596a", "#2fa3a8", "#d3a62f", "#7a8797")
 OBJECT_COLOR, OBJECT_OPACITY = np.array([0.94, 0.78, 0.60]), 0.5

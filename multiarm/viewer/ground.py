@@ -11,7 +11,7 @@ from multiarm.viewer.film import Body, rotations
 from multiarm.viewer.mesh import box, cylinder
 
 if TYPE_CHECKING:
-    from multiarm.trajectory import Trajectory
+    from multiarm.results.trajectory import Trajectory
 
 COLOR = np.array([0.62, 0.65, 0.69])
 # Thickness of the slab over its shorter side, and its margin over the object's size.

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multiarm.event_words import FAMILIES, Event, Group, family_of, grouped, timed, who
+from multiarm.results.event_text import FAMILIES, Event, Group, family_of, grouped, timed, who
 from multiarm.viewer.film import ContactTracks, Moment
 
 if TYPE_CHECKING:
-    from multiarm.trajectory import Trajectory
+    from multiarm.results.trajectory import Trajectory
 
 MOST_TICKS = 160
 MOST_ROWS = 300

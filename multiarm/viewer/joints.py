@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from multiarm.guide.limits import axis_travel, limits_of
+from multiarm.cli.guide.limits import axis_travel, limits_of
 from multiarm.viewer.film import Dial, HingeTracks, rotations
 
 if TYPE_CHECKING:
+    from multiarm.assembly.system import System
     from multiarm.contacts.frames import JointFrame
+    from multiarm.results.trajectory import Trajectory
     from multiarm.scene import JointSpec
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
 
 # Kinds that are drawn as one thing on the object; a universal joint has two axles.
 SHAPES = {"revolute": "axle", "prismatic": "rail", "cylindrical": "sleeve", "ball": "ball"}

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.channels import CONTACT_STATES, OPEN, RESTING, SLIDING, STICKING, TOUCHING
-from multiarm.event_words import STATE_COLOURS
+from multiarm.results.channels import CONTACT_STATES, OPEN, RESTING, SLIDING, STICKING, TOUCHING
+from multiarm.results.event_text import STATE_COLOURS
 from multiarm.viewer import commands
 from multiarm.viewer.film import ContactTracks, Film, along
 from multiarm.viewer.mesh import Mesh, ShadedMesh, box, merge, revolve, shade, sphere

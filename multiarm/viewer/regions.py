@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp_scenes.reading import SceneGrasp, read_grasp
+from multiarm.grasp.scenes.reading import SceneGrasp, read_grasp
 from multiarm.viewer.film import Body
 from multiarm.viewer.mesh import Mesh
 
 if TYPE_CHECKING:
+    from multiarm.assembly.system import System
     from multiarm.grasp.seventh_contact import ContactRegion
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
+    from multiarm.results.trajectory import Trajectory
 
 OPACITY = 0.35
 # Height over the face in sizes of the object, so that both can be told apart; regions of several

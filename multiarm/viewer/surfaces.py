@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from multiarm.channels import OPEN
 from multiarm.contacts.records import (
     CONE,
     CYLINDER,
@@ -24,14 +23,15 @@ from multiarm.contacts.records import (
     Surface,
 )
 from multiarm.contacts.smooth import ParametricSurface
-from multiarm.dynamics import contact_places
+from multiarm.dynamics.evaluation import contact_places
+from multiarm.results.channels import OPEN
 from multiarm.viewer.film import Body
 from multiarm.viewer.mesh import Mesh
 from multiarm.viewer.touching import row_states, rows_of
 
 if TYPE_CHECKING:
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
+    from multiarm.assembly.system import System
+    from multiarm.results.trajectory import Trajectory
 
 # Joints whose surfaces are things that one could touch, rather than ways to write a hinge.
 SHOWN = ("contacts", "point_on_plane", "point_on_cylinder", "point_on_sphere")

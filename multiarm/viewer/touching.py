@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multiarm.channels import TOUCHING
 from multiarm.contacts.records import Contact
-from multiarm.dynamics import contact_places
-from multiarm.sample_store import channels_of
+from multiarm.dynamics.evaluation import contact_places
+from multiarm.results.channels import TOUCHING
+from multiarm.results.sample_store import channels_of
 from multiarm.viewer.film import ContactTracks
 
 if TYPE_CHECKING:
-    from multiarm.system import System
-    from multiarm.trajectory import Trajectory
+    from multiarm.assembly.system import System
+    from multiarm.results.trajectory import Trajectory
 
 FLOOR_COLOR = np.array([0.36, 0.40, 0.46])
 

@@ -1,0 +1,1 @@
+"""Arm dynamics: Pinocchio and compiled copies, (q, v) -> terms of the equations of motion."""

@@ -1,0 +1,376 @@
+r"""Robot arms through Pinocchio: from a URDF to inertia, bias, Jacobian and tip motion.
+
+Of the dynamics only this module and :mod:`multiarm.arms.pinocchio_groups` know Pinocchio.  An arm
+is one reduced model of it: its tool appended, locked joints folded in, its base placed in the
+world.  It obeys
+
+.. math:: M(q)\,\ddot q + b(q, \dot q) = \tau + J^T f_m
+
+with ``b`` the Coriolis, centrifugal and gravity forces.
+"""
+
+from __future__ import annotations
+
+import warnings
+from copy import copy
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms
+from multiarm.errors import ModelError
+
+# No joint moves the contacts by less than this part of what another one may.
+LEAST_LEVER = 0.1
+
+
+@dataclass(frozen=True)
+class ArmFiles:
+    """Where an arm comes from: URDFs, folders of their meshes, mounting and locked joints.
+
+    A tool that has no file is given by the text of its URDF.
+    """
+
+    urdf: Path
+    package_dirs: tuple[Path, ...]
+    base: np.ndarray
+    tip: str
+    locked: dict[str, float]
+    tool_urdf: Path | str | None = None
+    tool_package_dirs: tuple[Path, ...] = ()
+    mount: str | None = None
+    tool_placement: np.ndarray | None = None
+
+
+class Arm:
+    """One serial arm, base fixed in the world.
+
+    Attributes
+    ----------
+    name : str
+    model : pinocchio.Model
+        Tool appended, locked joints folded in, base placed; joints keep their URDF names.  Its
+        ``armature`` is the inertia of the drives as seen from the joints, part of M.
+    joint_names : tuple of str
+        Movable joints from base to tip; all joint vectors are in this order, one number a joint
+        (an angle in rad also for continuous joints, metres for prismatic ones).
+    joint_units : dict joint -> "rad" or "m"
+    tip_joint : int
+        Pinocchio's number of the joint that carries the tip.
+    tip_rotation, tip_translation : ndarray, shapes (3, 3) and (3,)
+        The tip frame in that joint's frame.
+    position_limits : ndarray, shape (n, 2)
+        From the URDF; infinite for continuous joints.
+    effort_limits, velocity_limits : ndarray, shape (n,)
+        From the URDF; infinite where it gives none.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        files: ArmFiles,
+        color: tuple[float, ...] | None = None,
+        rotor_inertia: np.ndarray | None = None,
+    ):
+        self.name = name
+        self.files = files
+        self.color = color
+        self.model = _build_model(name, files)
+        if rotor_inertia is not None:
+            self.model.armature = rotor_inertia  # `crba` adds it to the diagonal of M
+        self.dof = self.model.nv
+        self.joint_names = tuple(self.model.names[1:])
+        self.circular = np.array([j.nq == 2 for j in self.model.joints[1:]], dtype=bool)
+        if any(j.nv != 1 for j in self.model.joints[1:]):
+            raise ModelError(
+                f"arm '{name}': only revolute, continuous and prismatic joints are supported; "
+                f"lock the others (`lock: {{joint: value}}`)"
+            )
+        prismatic = [j.shortname().startswith("JointModelP") for j in self.model.joints[1:]]
+        self.joint_units = {
+            joint: "m" if slides else "rad"
+            for joint, slides in zip(self.joint_names, prismatic, strict=True)
+        }
+        tip = _frame_id(self.model, files.tip, name)
+        frame = self.model.frames[tip]
+        self.tip_frame_id = tip
+        self.tip_joint = frame.parentJoint
+        self.tip_rotation = frame.placement.rotation.copy()
+        self.tip_translation = frame.placement.translation.copy()
+        self._data = self.model.createData()
+        q_first = np.array([j.idx_q for j in self.model.joints[1:]], dtype=int)
+        lower = self.model.lowerPositionLimit[q_first]
+        upper = self.model.upperPositionLimit[q_first]
+        free = self.circular | (lower >= upper)
+        self.position_limits = np.column_stack(
+            [np.where(free, -np.inf, lower), np.where(free, np.inf, upper)]
+        )
+        self.effort_limits = _positive_or_infinite(self.model.effortLimit)
+        self.velocity_limits = _positive_or_infinite(self.model.velocityLimit)
+
+    def __repr__(self) -> str:
+        return f"Arm({self.name!r}, {self.dof} joints, tip {self.files.tip!r})"
+
+    def twin(self) -> Arm:
+        """The same arm for another thread: the model is shared, what is computed in is not."""
+        twin = copy(self)
+        twin._data = self.model.createData()
+        return twin
+
+    def configuration(self, angles: np.ndarray) -> np.ndarray:
+        """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(nv,)``."""
+        angles = np.asarray(angles, dtype=float)
+        parts = []
+        for angle, circular in zip(angles, self.circular, strict=True):
+            parts += [np.cos(angle), np.sin(angle)] if circular else [angle]
+        return np.array(parts)
+
+    def levers(self, place: np.ndarray) -> np.ndarray:
+        """How far a unit turn of each joint may move the contacts, at most, shape (n,) [m].
+
+        The length of the chain from the joint to ``place`` (3,), where the contacts are in the
+        tip's frame [m], or ``LEAST_LEVER`` of the longest; 1 for joints that slide.
+        """
+        ends = [X.translation for X in self.model.jointPlacements.tolist()[2:]]
+        ends.append(self.tip_translation + self.tip_rotation @ place)
+        chain = np.cumsum(np.linalg.norm(ends, axis=1)[::-1])[::-1]
+        chain = np.maximum(chain, LEAST_LEVER * chain[0]) if chain[0] > 0.0 else np.ones(self.dof)
+        slides = [self.joint_units[joint] == "m" for joint in self.joint_names]
+        return np.where(slides, 1.0, chain)
+
+    def link(self, name: str) -> tuple[int, np.ndarray, np.ndarray]:
+        """Number of the joint that carries a link; the link's frame in that joint's frame.
+
+        Rotation (3, 3) and origin (3,) [m].
+        """
+        frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.BODY)]
+        place = frame.placement
+        return frame.parentJoint, place.rotation.copy(), place.translation.copy()
+
+    def terms(self, angles: np.ndarray, velocity: np.ndarray) -> ArmTerms:
+        """Everything the dynamics need of this arm at one state, as copies.
+
+        Parameters
+        ----------
+        angles, velocity : array-like, shape (n,)
+            Joint positions [rad or m] and velocities.
+
+        Returns
+        -------
+        ArmTerms
+        """
+        q, v = self.configuration(angles), np.array(velocity, dtype=float)
+        model, data = self.model, self._data
+        inertia = pin.crba(model, data, q, pin.Convention.WORLD)
+        inertia = np.triu(inertia) + np.triu(inertia, 1).T
+        bias = pin.nonLinearEffects(model, data, q, v).copy()
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        pin.updateFramePlacements(model, data)
+        tip, axes = self.tip_frame_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        jacobian = pin.computeFrameJacobian(model, data, q, tip, axes)
+        return ArmTerms(
+            M=inertia,
+            bias=bias,
+            J=np.array(jacobian).reshape(6, model.nv),
+            tip_position=data.oMf[tip].translation.copy(),
+            tip_rotation=data.oMf[tip].rotation.copy(),
+            tip_twist=pin.getFrameVelocity(model, data, tip, axes).vector.copy(),
+            drift=pin.getFrameClassicalAcceleration(model, data, tip, axes).vector.copy(),
+        )
+
+    def tip_pose(self, angles: np.ndarray) -> np.ndarray:
+        """Homogeneous pose ``X_WT``, shape (4, 4), of the tip in the world."""
+        pin.framesForwardKinematics(self.model, self._data, self.configuration(angles))
+        return self._data.oMf[self.tip_frame_id].homogeneous.copy()
+
+    def skeleton(self, angles: np.ndarray) -> np.ndarray:
+        """Origins of all joints and of the tip in the world, shape (n + 1, 3) [m]."""
+        pin.framesForwardKinematics(self.model, self._data, self.configuration(angles))
+        joints = [self._data.oMi[k].translation for k in range(1, self.model.njoints)]
+        return np.array([*joints, self._data.oMf[self.tip_frame_id].translation])
+
+    def gravity_torque(self, angles: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+        """Joint torques that hold the unloaded arm still, shape (n,)."""
+        model = self.model.copy()
+        model.gravity.linear = np.asarray(gravity, dtype=float)
+        torque = pin.computeGeneralizedGravity(
+            model, model.createData(), self.configuration(angles)
+        )
+        return np.array(torque)
+
+    def structure(self) -> ArmStructure:
+        """Geometry and masses of the arm, as copies.
+
+        Raises
+        ------
+        ModelError
+            When it is not a chain of turning and sliding joints that ends at the tip.
+        """
+        model = self.model
+        links, moves = range(1, model.njoints), np.array([_motion(j) for j in model.joints[1:]])
+        turns, slides = (np.any(moves[:, part] != 0.0, axis=1) for part in (slice(3, 6), slice(3)))
+        if np.any(turns & slides):
+            names = ", ".join(np.array(self.joint_names)[turns & slides])
+            raise ModelError(f"{names} turns and slides at once")
+        if list(model.parents[1:]) != list(range(model.njoints - 1)):
+            raise ModelError("it has branches")
+        if self.tip_joint != model.njoints - 1:
+            raise ModelError("joints follow behind its tip")
+        return ArmStructure(
+            slides=slides,
+            axes=np.where(slides[:, None], moves[:, :3], moves[:, 3:]),
+            rotations=np.array([model.jointPlacements[k].rotation for k in links]),
+            translations=np.array([model.jointPlacements[k].translation for k in links]),
+            masses=np.array([model.inertias[k].mass for k in links]),
+            centres=np.array([model.inertias[k].lever for k in links]),
+            inertias=np.array([model.inertias[k].inertia for k in links]),
+            armature=np.array(model.armature),
+        )
+
+    def reference(
+        self, angles: np.ndarray, rates: np.ndarray, gravity: np.ndarray
+    ) -> list[LinkTerms]:
+        """What Pinocchio finds at some states, as copies.
+
+        Parameters
+        ----------
+        angles, rates : ndarray, shape (k, n)
+            Joint positions [rad or m] and velocities.
+        gravity : ndarray, shape (3,)
+        """
+        model, near = self.model.copy(), self.model.copy()
+        model.gravity.linear = np.array(gravity)
+        # Coriolis matrices are computed about the world's origin, where digits may be lost
+        near.jointPlacements[1].translation = np.zeros(3)
+        data = model.createData(), near.createData()
+        found = []
+        for angle, rate in zip(angles, rates, strict=True):
+            q = self.configuration(angle)
+            coriolis = pin.computeCoriolisMatrix(near, data[1], q, rate).copy()
+            found.append(_link_terms(model, data[0], q, rate, self.tip_joint, coriolis))
+        return found
+
+    def visual_model(self) -> pin.GeometryModel:
+        """The URDF's visual geometry, placed consistently with :attr:`model`."""
+        return _build_visuals(self.name, self.files)
+
+
+def _motion(joint: pin.JointModel) -> np.ndarray:
+    """Velocity of a joint's frame for a unit rate, linear and angular, in its own axes."""
+    data = joint.createData()
+    joint.calc(data, np.concatenate([np.zeros(joint.idx_q), [1.0, 0.0][: joint.nq]]))
+    return np.array(data.S).ravel()
+
+
+def _link_terms(
+    model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray, tip: int, coriolis: np.ndarray
+) -> LinkTerms:
+    inertia = np.triu(pin.crba(model, data, q, pin.Convention.LOCAL))
+    gravity_torque = pin.computeGeneralizedGravity(model, data, q).copy()
+    bias = pin.nonLinearEffects(model, data, q, v).copy()
+    energy = pin.computePotentialEnergy(model, data, q)
+    jacobian = pin.computeJointJacobians(model, data, q).reshape(6, model.nv).copy()
+    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    poses = [np.concatenate([X.rotation.T.ravel(), X.translation]) for X in data.oMi.tolist()[1:]]
+    R, twist = data.oMi[tip].rotation, data.v[tip]
+    axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    drift = pin.getClassicalAcceleration(model, data, tip, axes).vector
+    body = [R.ravel(), poses[tip - 1][9:], R @ twist.linear, R @ twist.angular, drift]
+    return LinkTerms(
+        inertia=inertia + np.triu(inertia, 1).T,
+        jacobian=jacobian,
+        bias=bias,
+        gravity_torque=gravity_torque,
+        poses=np.array(poses),
+        body=np.concatenate(body),
+        energy=np.array([energy]),
+        coriolis=coriolis,
+    )
+
+
+def _positive_or_infinite(values: np.ndarray) -> np.ndarray:
+    values = np.array(values, dtype=float)
+    return np.where((values > 0) & np.isfinite(values) & (values < 1e300), values, np.inf)
+
+
+def _frame_id(model: pin.Model, frame: str, arm: str) -> int:
+    if not model.existFrame(frame):
+        names = ", ".join(f.name for f in model.frames if f.type == pin.FrameType.BODY)
+        raise ModelError(f"arm '{arm}': no frame '{frame}'; links are {names}")
+    return model.getFrameId(frame)
+
+
+def _from_urdf(name: str, urdf: Path | str) -> pin.Model:
+    try:
+        if isinstance(urdf, str):
+            return pin.buildModelFromXML(urdf)
+        return pin.buildModelFromUrdf(str(urdf))
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(f"arm '{name}': Pinocchio cannot read {urdf}: {error}") from error
+
+
+def _build_model(name: str, files: ArmFiles) -> pin.Model:
+    try:
+        model, _ = _assemble(name, files, visuals=False)
+    except ValueError as error:  # such as a joint and a link of one name
+        raise ModelError(
+            f"arm '{name}': Pinocchio cannot put {files.urdf} together: {error}"
+        ) from error
+    return model
+
+
+def _build_visuals(name: str, files: ArmFiles) -> pin.GeometryModel:
+    _, geometry = _assemble(name, files, visuals=True)
+    return geometry
+
+
+def _assemble(name: str, files: ArmFiles, visuals: bool) -> tuple[pin.Model, pin.GeometryModel]:
+    """Robot, tool, locked joints, base: the model and (when asked for) its visual geometry."""
+    model = _from_urdf(name, files.urdf)
+    geometry = _geometry(model, files.urdf, files.package_dirs, visuals)
+    if files.tool_urdf is not None:
+        assert files.mount is not None, "a tool has a mount"
+        tool = _from_urdf(name, files.tool_urdf)
+        tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, visuals)
+        mount = _frame_id(model, files.mount, name)
+        placement = pin.SE3(files.tool_placement)
+        model, geometry = pin.appendModel(model, tool, geometry, tool_geometry, mount, placement)
+    if files.locked:
+        reference = pin.neutral(model)
+        ids = []
+        for joint, value in files.locked.items():
+            if not model.existJointName(joint):
+                raise ModelError(f"arm '{name}': no joint '{joint}' to lock")
+            ids.append(model.getJointId(joint))
+            at, size = model.joints[ids[-1]].idx_q, model.joints[ids[-1]].nq
+            reference[at : at + size] = [np.cos(value), np.sin(value)] if size == 2 else value
+        model, geometry = pin.buildReducedModel(model, geometry, ids, reference)
+    return pin.appendModel(
+        pin.Model(), model, pin.GeometryModel(), geometry, 0, pin.SE3(files.base)
+    )
+
+
+def _geometry(
+    model: pin.Model, urdf: Path | str, package_dirs: tuple[Path, ...], visuals: bool
+) -> pin.GeometryModel:
+    if not visuals:
+        return pin.GeometryModel()
+    build = pin.buildGeomFromUrdfString if isinstance(urdf, str) else pin.buildGeomFromUrdf
+    folders = [str(p) for p in package_dirs]
+    try:
+        return build(model, str(urdf), pin.GeometryType.VISUAL, None, folders)
+    except (ValueError, RuntimeError) as error:
+        warnings.warn(f"no visual geometry from {urdf}: {error}", stacklevel=2)
+        return pin.GeometryModel()
+
+
+def named_with_prefix(arm: Arm) -> pin.Model:
+    """A copy of the arm's model whose joints and frames are named ``arm/...``."""
+    model = arm.model.copy()
+    for i in range(1, model.njoints):
+        model.names[i] = f"{arm.name}/{model.names[i]}"
+    for i in range(1, model.nframes):
+        model.frames[i].name = f"{arm.name}/{model.frames[i].name}"
+    return model

@@ -1,0 +1,168 @@
+"""Arms whose terms compiled code computes: their tables, their arrays, where the terms are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from multiarm.arms.compiled.arrays import (
+    BIAS,
+    ENERGY,
+    GRAVITY_TORQUE,
+    JACOBIAN,
+    JOINTS,
+    POSES,
+    TERMS,
+    WIDTH,
+    WITH_GRAVITY_TORQUE,
+    WITH_POSES,
+    ArmTables,
+    make_arrays,
+    make_terms,
+)
+from multiarm.arms.compiled.coriolis import update_coriolis
+from multiarm.arms.compiled.sweep import update_arms
+from multiarm.arms.compiled.tables import lane_of
+from multiarm.arms.terms import (
+    BIAS_AT,
+    GRAVITY_AT,
+    J_AT,
+    M_AT,
+    M_STRIDE,
+    POINTER_WIDTH,
+    LinkTerms,
+)
+from multiarm.contacts.kernel import BODY_WIDTH
+from multiarm.dynamics.arrays import ARMS_SIZE, ARMS_STRUCT, CALL_ARMS
+from multiarm.jit.pointers import CFUNC_PROTOTYPE, address_of
+from multiarm.jit.structs import make_struct
+
+
+class CompiledArms:
+    """Arms of one system that compiled code takes four at a time.
+
+    Parameters
+    ----------
+    tables : ArmTables
+        Constants, which several systems may share.
+    places : sequence of int
+        The arms' numbers among all arms of the scene.
+
+    Attributes
+    ----------
+    tables : ArmTables
+    places : tuple of int
+    pointers : int64 ndarray, shape (arms, 8)
+        Where each arm's terms are, see :mod:`multiarm.arms.terms`; valid while this lives.  No
+        pose, twist and drift: the motion of the link that carries the tip is there when the sweep
+        ends.
+    coriolis : int64 ndarray, shape (arms, 2)
+        Addresses and strides of the matrices of Coriolis forces.
+    """
+
+    def __init__(self, tables: ArmTables, places: Sequence[int]) -> None:
+        self.tables, self.places = tables, tuple(places)
+        self._terms, self._coriolis = make_terms(tables), make_terms(tables)
+        self._world = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+        self._lanes = [
+            _Lane(*lane_of(tables, place), place, int(joints))
+            for place, joints in zip(self.places, tables.joints, strict=True)
+        ]
+        self.pointers = np.array([self._pointers(lane) for lane in self._lanes])
+        at = self._coriolis.ctypes.data
+        self.coriolis = np.array(
+            [[at + 8 * lane.square, lane.stride] for lane in self._lanes], dtype=np.int64
+        )
+
+    def twin(self) -> CompiledArms:
+        """The same arms for another thread: the tables are shared, the terms are not."""
+        wanted = self.tables.wanted.copy()  # another system may want more
+        return CompiledArms(self.tables._replace(wanted=wanted), self.places)
+
+    def connect(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
+        """Let the sweeps read a system's positions and velocities, and write its bodies."""
+        self._arrays = make_arrays(self.tables, self._terms, self._coriolis, angles, rates, bodies)
+        self._struct = make_struct(self._arrays)
+
+    def write_calls(self, calls: np.ndarray) -> None:
+        """Write entry, struct and its size into ``Plant.calls``."""
+        calls[CALL_ARMS] = address_of(update_arms)
+        calls[ARMS_STRUCT], calls[ARMS_SIZE] = self._struct.ctypes.data, self._struct.size
+
+    def want_gravity_torque(self) -> None:
+        """Write gravity torques from now on."""
+        self.tables.wanted[WITH_GRAVITY_TORQUE] = 1
+
+    def pose_address(self, arm: int, joint: int) -> int:
+        """Where the pose of a joint of arm number ``arm`` of these is written from now on.
+
+        Joint 0 is the world.
+        """
+        if joint == 0:
+            return self._world.ctypes.data
+        self.tables.wanted[WITH_POSES] = 1
+        return self._terms.ctypes.data + 8 * self._lanes[arm].pose(joint - 1)
+
+    def potential_energy(self) -> float:
+        """Potential energy of all links [J] at the last state, zero at the world's origin."""
+        return float(np.sum(self._terms[self.tables.energies]))
+
+    def coriolis_call(self) -> tuple[int, int, int]:
+        """Entry that updates the matrices of Coriolis forces, struct and its size."""
+        return address_of(update_coriolis), self._struct.ctypes.data, self._struct.size
+
+    def update(self, with_coriolis: bool = False) -> None:
+        """Compute all terms at the system's positions and velocities, from Python."""
+        for entry in (update_arms, update_coriolis) if with_coriolis else (update_arms,):
+            CFUNC_PROTOTYPE(address_of(entry))(
+                self._struct.ctypes.data, self._struct.size, 0.0, 0.0
+            )
+
+    def terms(self, arm: int) -> LinkTerms:
+        """The terms of arm number ``arm`` of these as they were computed last, as copies."""
+        lane, terms = self._lanes[arm], self._terms
+        n = lane.joints
+        lower = np.tril(_square(terms, lane.square, lane.stride, n))
+        jacobian = terms[lane.jacobian : lane.jacobian + 6 * n].reshape(n, 6)
+        return LinkTerms(
+            inertia=lower + np.tril(lower, -1).T,
+            jacobian=jacobian.T.copy(),
+            bias=terms[lane.bias : lane.bias + n].copy(),
+            gravity_torque=terms[lane.gravity_torque : lane.gravity_torque + n].copy(),
+            poses=terms[lane.pose(0) : lane.pose(n)].reshape(n, 12).copy(),
+            body=self._arrays.bodies.reshape(-1, BODY_WIDTH)[lane.place].copy(),
+            energy=terms[lane.energy : lane.energy + 1].copy(),
+            coriolis=_square(self._coriolis, lane.square, lane.stride, n).T.copy(),
+        )
+
+    def _pointers(self, lane: _Lane) -> np.ndarray:
+        places, at = np.zeros(POINTER_WIDTH, dtype=np.int64), self._terms.ctypes.data
+        places[M_AT], places[M_STRIDE] = at + 8 * lane.square, lane.stride
+        places[J_AT], places[BIAS_AT] = at + 8 * lane.jacobian, at + 8 * lane.bias
+        places[GRAVITY_AT] = at + 8 * lane.gravity_torque
+        return places
+
+
+class _Lane:
+    """Where the terms of one arm are among all: ``joints`` of its own, matrices of ``stride``."""
+
+    def __init__(self, block: np.ndarray, lane: int, place: int, joints: int) -> None:
+        self.place, self.joints, self.stride = place, joints, int(block[JOINTS])
+        before = self.stride - self.joints  # joints that stand in for missing ones
+        at = int(block[TERMS] + lane * block[WIDTH])
+        self.square = at + before * (self.stride + 1)
+        self.jacobian = at + int(block[JACOBIAN]) + 6 * before
+        self.bias = at + int(block[BIAS]) + before
+        self.gravity_torque = at + int(block[GRAVITY_TORQUE]) + before
+        self.energy = at + int(block[ENERGY])
+        self._poses = at + int(block[POSES]) + 12 * before
+
+    def pose(self, link: int) -> int:
+        """Place of the pose of one of the arm's links, counted from 0."""
+        return self._poses + 12 * link
+
+
+def _square(numbers: np.ndarray, at: int, stride: int, size: int) -> np.ndarray:
+    """View of the (size, size) matrix at one place, its rows so many numbers apart."""
+    return np.lib.stride_tricks.as_strided(numbers[at:], (size, size), (8 * stride, 8))

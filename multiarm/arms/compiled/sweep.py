@@ -1,0 +1,287 @@
+r"""One sweep out and one back along four arms at once: everything the dynamics need of them.
+
+Every joint turns about, or slides along, the z axis of its own frame.  All vectors are in world
+axes, and moments, velocities and columns are about the arm's base, so that nothing is lost far away
+from the world's origin.  With ``z`` and ``p`` axis and origin of a joint its column is
+
+.. math::
+    S_j = \begin{bmatrix} p\times z\\ z\end{bmatrix} \text{ (turning)}, \qquad
+    S_j = \begin{bmatrix} z\\ 0\end{bmatrix} \text{ (sliding)}.
+
+Outwards (recursive Newton-Euler; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, 5.3), the
+base being accelerated by minus gravity,
+
+.. math::
+    v_j = v_{j-1} + S_j \dot q_j, \qquad a_j = a_{j-1} + v_{j-1}\times S_j \dot q_j
+
+and each link asks, with ``c`` its centre, for the force
+
+.. math::
+    f = m\,(a + \alpha\times c + \omega\times(v + \omega\times c)), \qquad
+    n = I\alpha + \omega\times I\omega + c\times f .
+
+Inwards the forces of all links beyond a joint add up, and their inertias to that of one composite
+body (6.2), which gives
+
+.. math::
+    b_j = S_j\cdot f_j, \qquad M_{jk} = S_k\cdot I^c_j S_j \quad (k\le j).
+
+The potential energy follows from mass and first moment of the composite body at the base, and so
+do gravity torques where they are asked for.
+"""
+
+from __future__ import annotations
+
+import math
+
+from multiarm.arms.compiled.arrays import (
+    ARMATURE,
+    AXES,
+    BIAS,
+    CENTRE,
+    COLUMN,
+    ENERGY,
+    FIRST,
+    FORCE,
+    GRAVITY_TORQUE,
+    INERTIA,
+    JACOBIAN,
+    JOINT_WIDTH,
+    JOINTS,
+    LINK_INERTIA,
+    LINK_WIDTH,
+    MASS,
+    NAMED_AXES,
+    OFFSET,
+    PLACES,
+    POSES,
+    SLIDES,
+    TERMS,
+    TURNS,
+    WIDTH,
+    WITH_GRAVITY_TORQUE,
+    WITH_POSES,
+    open_arms,
+)
+from multiarm.arms.compiled.sines import FAR, write_sines
+from multiarm.arms.compiled.vectors import (
+    everywhere,
+    nothing,
+    power,
+    put_columns,
+    put_pair,
+    put_rows,
+    put_symmetric,
+    put_vector,
+    symmetric_at,
+    vector_at,
+)
+from multiarm.contacts.kernel import ACCELERATION, BODY_WIDTH, ORIGIN_AT, VELOCITY
+from multiarm.jit.kernels import cfunc, inlined, kernel
+from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack, transpose_four
+from multiarm.jit.structs import struct_at
+from multiarm.jit.vectors import (
+    add,
+    add_cross,
+    add_rotated,
+    add_scaled,
+    add_symmetric,
+    add_times,
+    cross,
+    dot,
+    rotate,
+    rotate_symmetric,
+    scale,
+    sub,
+    times,
+)
+
+
+@cfunc
+def update_arms(address, size, _a, _b):
+    """Write all terms of compiled arms and the motion of the links that carry their tips."""
+    arms = open_arms(struct_at(address, size))
+    load_joints(arms)
+    for b in range(arms.blocks.shape[0]):
+        outwards(arms, b)
+        inwards(arms, b)
+        deal_terms(arms, b)
+    return 0
+
+
+@kernel
+def load_joints(arms):
+    """Positions and velocities of every lane's joint, sine and cosine of its angle."""
+    for k in range(arms.sources.size):
+        joint = arms.sources[k]
+        arms.angle[k] = arms.angles[joint]
+        arms.rate[k] = arms.rates[joint]
+    if write_sines(arms.angle, arms.turns, arms.sine, arms.cosine) > 0:
+        for k in range(arms.sources.size):
+            angle = arms.angle[k] * arms.turns[k]
+            if not abs(angle) <= FAR:
+                arms.sine[k], arms.cosine[k] = math.sin(angle), math.cos(angle)
+
+
+@inlined
+def place_joint(arms, joint, at, axes, p):
+    """Axes and origin of a joint's frame from those of the last one's."""
+    constants = arms.constants
+    sine, cosine = load_pack(arms.sine, joint), load_pack(arms.cosine, joint)
+    p = add_rotated(p, axes, vector_at(constants, at + LANES * OFFSET))
+    x = rotate(axes, vector_at(constants, at + LANES * AXES))
+    y = rotate(axes, vector_at(constants, at + LANES * (AXES + 3)))
+    z = rotate(axes, vector_at(constants, at + LANES * (AXES + 6)))
+    p = add_scaled(p, load_pack(constants, at + LANES * SLIDES) * load_pack(arms.angle, joint), z)
+    backwards = broadcast(0.0) - sine
+    axes = add_scaled(scale(cosine, x), sine, y), add_scaled(scale(cosine, y), backwards, x), z
+    return axes, p
+
+
+@inlined
+def column(constants, at, z, p):
+    """Linear and angular part of a joint's column."""
+    angular = scale(load_pack(constants, at + LANES * TURNS), z)
+    linear = scale(load_pack(constants, at + LANES * SLIDES), z)
+    return add_cross(linear, p, angular), angular
+
+
+@inlined
+def link_inertia(constants, at, axes, p):
+    """Mass, centre and inertia about it of a link, world axes."""
+    centre = add_rotated(p, axes, vector_at(constants, at + LANES * CENTRE))
+    inertia = rotate_symmetric(axes, symmetric_at(constants, at + LANES * INERTIA))
+    return load_pack(constants, at + LANES * MASS), centre, inertia
+
+
+@inlined
+def put_link_inertia(links, at, body):
+    """Write mass, first moment and second moments ``I + m (c.c - c c^T)`` of a link."""
+    mass, c, inertia = body
+    moment = scale(mass, c)
+    xx, yy, zz = moment[0] * c[0], moment[1] * c[1], moment[2] * c[2]
+    xy, xz, yz = moment[0] * c[1], moment[0] * c[2], moment[1] * c[2]
+    zero = broadcast(0.0)
+    store_pack(links, at, mass)
+    put_vector(links, at + LANES, moment)
+    own = (yy + zz, zero - xy, zero - xz, xx + zz, zero - yz, xx + yy)
+    put_symmetric(links, at + 4 * LANES, add_symmetric(inertia, own))
+
+
+@inlined
+def put_force(links, at, body, v, w, a, alpha):
+    """Write the force that a link asks for, and its moment about the base."""
+    mass, c, inertia = body
+    u = add_cross(v, w, c)
+    force = scale(mass, add_cross(add_cross(a, alpha, c), w, u))
+    momentum = times(inertia, w)
+    moment = add_cross(cross(w, momentum), c, force)
+    put_pair(links, at, force, add_times(moment, inertia, alpha))
+
+
+@kernel
+def outwards(arms, b):
+    """Columns, inertias and forces of the links of one block; Jacobians, poses and bodies."""
+    constants, links, leaves, block = arms.constants, arms.links, arms.leaves, arms.blocks[b]
+    zero, gravity = nothing(), everywhere(arms.gravity)
+    one, none = broadcast(1.0), broadcast(0.0)
+    axes, origin = (
+        ((one, none, none), (none, one, none), (none, none, one)),
+        vector_at(arms.bases[b], 0),
+    )
+    p = v = w = alpha = zero
+    a = sub(zero, gravity)
+    joint, link = LANES * block[FIRST], 0
+    at, jacobian, pose = JOINT_WIDTH * joint, LANES * block[JACOBIAN], LANES * block[POSES]
+    for _ in range(block[JOINTS]):
+        rate = load_pack(arms.rate, joint)
+        axes, p = place_joint(arms, joint, at, axes, p)
+        linear, angular = column(constants, at, axes[2], p)
+        put_pair(links, link + LANES * COLUMN, linear, angular)
+        put_pair(leaves, jacobian, add_cross(linear, origin, angular), angular)
+        linear, angular = scale(rate, linear), scale(rate, angular)
+        a = add_cross(add_cross(a, w, linear), v, angular)
+        alpha = add_cross(alpha, w, angular)
+        v, w = add(v, linear), add(w, angular)
+        body = link_inertia(constants, at, axes, p)
+        put_force(links, link + LANES * FORCE, body, v, w, a, alpha)
+        put_link_inertia(links, link + LANES * LINK_INERTIA, body)
+        if arms.wanted[WITH_POSES] != 0:
+            put_columns(leaves, pose, named_axes(constants, at, axes))
+            put_vector(leaves, pose + LANES * ORIGIN_AT, add(p, origin))
+        at, link, joint = at + LANES * JOINT_WIDTH, link + LANES * LINK_WIDTH, joint + LANES
+        jacobian, pose = jacobian + 6 * LANES, pose + 12 * LANES
+    body = LANES * block[WIDTH]
+    put_rows(leaves, body, named_axes(constants, at - LANES * JOINT_WIDTH, axes))
+    put_vector(leaves, body + LANES * ORIGIN_AT, add(p, origin))
+    u = add_cross(v, w, p)
+    put_pair(leaves, body + LANES * VELOCITY, u, w)
+    a = add_cross(add_cross(a, alpha, p), w, u)
+    put_pair(leaves, body + LANES * ACCELERATION, add(a, gravity), alpha)
+
+
+@inlined
+def named_axes(constants, at, axes):
+    """Axes of a link as its model names them."""
+    at += LANES * NAMED_AXES
+    x, y = vector_at(constants, at), vector_at(constants, at + 3 * LANES)
+    z = vector_at(constants, at + 6 * LANES)
+    return rotate(axes, x), rotate(axes, y), rotate(axes, z)
+
+
+@inlined
+def times_inertia(mass, moment, second, linear, angular):
+    """Momentum of a body, linear and angular, at a velocity."""
+    couple = add_times(cross(moment, linear), second, angular)
+    return add_cross(scale(mass, linear), angular, moment), couple
+
+
+@kernel
+def inwards(arms, b):
+    """Bias, inertia and energy of the arms of one block; gravity torques where they are wanted."""
+    constants, links, leaves, block = arms.constants, arms.links, arms.leaves, arms.blocks[b]
+    n, zero, gravity = block[JOINTS], nothing(), everywhere(arms.gravity)
+    mass, moment, force, couple = broadcast(0.0), zero, zero, zero
+    second = zero + zero
+    for j in range(n - 1, -1, -1):
+        link = LANES * LINK_WIDTH * j
+        at = link + LANES * LINK_INERTIA
+        mass = mass + load_pack(links, at)
+        moment = add(moment, vector_at(links, at + LANES))
+        second = add_symmetric(second, symmetric_at(links, at + 4 * LANES))
+        at = link + LANES * FORCE
+        force = add(force, vector_at(links, at))
+        couple = add(couple, vector_at(links, at + 3 * LANES))
+        linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
+        store_pack(leaves, LANES * (block[BIAS] + j), power(linear, angular, force, couple))
+        # momentum of the composite body for a unit rate of the joint
+        f, c = times_inertia(mass, moment, second, linear, angular)
+        row = LANES * n * j
+        for k in range(j):
+            at = LANES * LINK_WIDTH * k
+            other = vector_at(links, at), vector_at(links, at + 3 * LANES)
+            store_pack(leaves, row + LANES * k, power(other[0], other[1], f, c))
+        drive = load_pack(constants, LANES * (JOINT_WIDTH * (block[FIRST] + j) + ARMATURE))
+        store_pack(leaves, row + LANES * j, power(linear, angular, f, c) + drive)
+        if arms.wanted[WITH_GRAVITY_TORQUE] != 0:
+            weight = scale(mass, gravity), cross(moment, gravity)
+            held = broadcast(0.0) - power(linear, angular, weight[0], weight[1])
+            store_pack(leaves, LANES * (block[GRAVITY_TORQUE] + j), held)
+    moment = add_scaled(moment, mass, vector_at(arms.bases[b], 0))
+    energy = broadcast(0.0) - dot(moment, gravity)
+    store_pack(leaves, LANES * block[ENERGY], energy)
+
+
+@inlined
+def deal_terms(arms, b):
+    """Copy what belongs to each arm of a block from the lanes to the arm's own place."""
+    block = arms.blocks[b]
+    width, at0 = block[WIDTH], block[TERMS]
+    at1, at2, at3 = at0 + width, at0 + 2 * width, at0 + 3 * width
+    for k in range(0, width if arms.wanted[WITH_POSES] != 0 else block[POSES], LANES):
+        transpose_four(arms.leaves, LANES * k, arms.terms, at0 + k, at1 + k, at2 + k, at3 + k)
+    at0, at1 = BODY_WIDTH * block[PLACES], BODY_WIDTH * block[PLACES + 1]
+    at2, at3 = BODY_WIDTH * block[PLACES + 2], BODY_WIDTH * block[PLACES + 3]
+    for k in range(0, BODY_WIDTH, LANES):
+        source = LANES * (width + k)
+        transpose_four(arms.leaves, source, arms.bodies, at0 + k, at1 + k, at2 + k, at3 + k)

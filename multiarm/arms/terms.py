@@ -1,0 +1,94 @@
+"""What arm dynamics hand to the rest: addresses for the kernels, named arrays for people."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+# Columns of the table that says where each arm's terms are: addresses of float64 data (inertia M
+# and its stride in numbers, Jacobian, bias, gravity torque; pose, twist and drift of the link that
+# carries the tip, as Pinocchio keeps them; 0 where compiled code has written its motion already).
+M_AT, M_STRIDE, J_AT, BIAS_AT, GRAVITY_AT, POSE_AT, TWIST_AT, DRIFT_AT, POINTER_WIDTH = range(9)
+
+
+class ArmTerms(NamedTuple):
+    r"""One arm at one state: ``M q'' + bias = tau + J^T f`` (thesis, 3.1, in joint space).
+
+    M : (n, n)
+        Joint-space inertia, symmetric.
+    bias : (n,)
+        Coriolis, centrifugal and gravity forces [N m or N].
+    J : (6, n)
+        Jacobian of the tip frame: world axes, at the tip's origin.
+    tip_position, tip_rotation : (3,), (3, 3)
+        Pose of the tip in the world.
+    tip_twist : (6,)
+        Velocity of the tip's origin and angular velocity, world axes.
+    drift : (6,)
+        Classical acceleration of the tip at ``q'' = 0``, i.e. ``dJ/dt q'``; without gravity.
+    """
+
+    M: np.ndarray
+    bias: np.ndarray
+    J: np.ndarray
+    tip_position: np.ndarray
+    tip_rotation: np.ndarray
+    tip_twist: np.ndarray
+    drift: np.ndarray
+
+
+class ArmStructure(NamedTuple):
+    """What an arm is made of: a chain of ``n`` joints, each with the link that it moves.
+
+    slides : bool (n,)
+        Whether the joint slides; the others turn.
+    axes : (n, 3)
+        Unit vector of the joint's motion, in its own frame.
+    rotations, translations : (n, 3, 3), (n, 3)
+        The joint's frame at zero in that of the joint before, of the first in the world [m].
+    masses, centres, inertias : (n,), (n, 3), (n, 3, 3)
+        Of the link [kg], its centre of mass [m] and inertia about it [kg m^2], in the joint's
+        frame.
+    armature : (n,)
+        Inertia of the drive as seen from the joint [kg m^2 or kg].
+    """
+
+    slides: np.ndarray
+    axes: np.ndarray
+    rotations: np.ndarray
+    translations: np.ndarray
+    masses: np.ndarray
+    centres: np.ndarray
+    inertias: np.ndarray
+    armature: np.ndarray
+
+
+class LinkTerms(NamedTuple):
+    r"""One arm at one state, as the time loop reads it.
+
+    inertia : (n, n)
+        Of the joints.
+    jacobian : (6, n)
+        Of the link that carries the tip: world axes, about the world's origin.
+    bias, gravity_torque : (n,)
+        Coriolis, centrifugal and gravity forces; the gravity forces alone.
+    poses : (n, 12)
+        Of the links of all joints in the world: rotation by columns, origin [m].
+    body : (24,)
+        Motion of the link that carries the tip, see :mod:`multiarm.contacts.kernel`.
+    energy : (1,)
+        Potential energy [J], zero at the world's origin.
+    coriolis : (n, n)
+        Matrix ``C`` for which the rate of the inertia is ``C + C^T``, and ``C q'`` the bias without
+        gravity.
+    """
+
+    inertia: np.ndarray
+    jacobian: np.ndarray
+    bias: np.ndarray
+    gravity_torque: np.ndarray
+    poses: np.ndarray
+    body: np.ndarray
+    energy: np.ndarray
+    coriolis: np.ndarray

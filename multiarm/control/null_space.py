@@ -1,0 +1,136 @@
+r"""Keeping an arm at its place on the object, in the motions that its joint leaves free.
+
+Frictionless fingertips slide, hinges turn: nothing but the arm itself holds them where they are.
+The joint frame on the arm shall follow the one on the object like a body on springs: with the shift
+:math:`x` and the rotation vector :math:`\theta` from the object's frame to the arm's
+(:mod:`multiarm.contacts.frames`), in axes of the object's joint frame,
+
+.. math:: \ddot x = -k x - \delta \dot x, \qquad \dot\omega = -k\,\theta - \delta\,\omega .
+
+With the object's acceleration this is the acceleration of the joint frame on the arm
+
+.. math::
+    a_M &= \dot v_o + \dot\omega_o \times j + \omega_o \times (\omega_o \times j)
+           + 2\,\omega_o \times R_J\dot x + R_J\ddot x, \\
+    \dot\omega_M &= \dot\omega_o + \omega_o \times R_J\omega + R_J\dot\omega
+
+(thesis, 3.6; ``j`` from the object's centre of mass to the frame), and of all joint accelerations
+that have it those are taken that are nearest to the preferred ones in the metric of the inertia.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.arms.terms import J_AT
+from multiarm.contacts.frames import ON_LINK, ON_OBJECT, write_relative
+from multiarm.contacts.kernel import ACCELERATION, ORIGIN_AT, SPIN, SPIN_RATE
+from multiarm.control.force_distribution import solve_semidefinite
+from multiarm.dynamics.solver.regular import factor_in_place
+from multiarm.jit.kernels import allocating
+from multiarm.jit.structs import floats_at
+from multiarm.jit.vectors import (
+    add,
+    add_cross,
+    add_scaled,
+    compose,
+    cross,
+    put,
+    rotate,
+    rotation,
+    scale,
+    sub,
+    vec,
+)
+
+
+@allocating
+def nearest_accelerations(inertia, W, preferred, target, result):
+    r"""Write the accelerations nearest to ``preferred`` among those with :math:`W^T\ddot q = r`.
+
+    Nearest in the metric of M: :math:`\ddot q = a + M^{-1}W (W^T M^{-1} W)^{-1}(r - W^T a)`.
+
+    Parameters
+    ----------
+    inertia, W : float64
+        M (lower triangle) and W (one column a condition) in their first rows and columns.
+    preferred, target : (n,), (m,)
+        ``a`` and ``r``.
+    result : (n,), written
+    """
+    n, m = preferred.size, target.size
+    L, Y = inertia[:n, :n].copy(), W[:n, :m].copy()
+    K, rest, kappa, scale = np.zeros((m, m)), target.copy(), np.zeros(m), np.ones(m)
+    for a in range(m):
+        for j in range(n):
+            rest[a] -= Y[j, a] * preferred[j]
+    factor_in_place(L, n)
+    for j in range(n):
+        for a in range(m):
+            for k in range(j):
+                Y[j, a] -= L[j, k] * Y[k, a]
+            Y[j, a] *= L[j, j]
+            for b in range(a + 1):
+                K[a, b] += Y[j, a] * Y[j, b]
+    for a in range(m):
+        if K[a, a] > 0.0:
+            scale[a] = 1.0 / np.sqrt(K[a, a])
+        rest[a] *= scale[a]
+    for a in range(m):
+        for b in range(a + 1):
+            K[a, b] *= scale[a] * scale[b]
+            K[b, a] = K[a, b]
+    solve_semidefinite(K, rest, kappa)
+    for j in range(n - 1, -1, -1):
+        change = 0.0
+        for a in range(m):
+            change += Y[j, a] * scale[a] * kappa[a]
+        for k in range(j + 1, n):
+            change -= L[k, j] * (result[k] - preferred[k])
+        result[j] = preferred[j] + L[j, j] * change
+
+
+@allocating
+def keep_place(i, stiffness, rate, along, plant, buffers, work, preferred):
+    """Change the preferred accelerations (n,) of arm ``i`` to those that keep its place.
+
+    Parameters
+    ----------
+    stiffness, rate : float
+        ``k`` [1/s^2] and ``delta`` [1/s].
+    along : bool
+        Whether the object has the acceleration in ``buffers.q_o`` and everything that moves is
+        accounted for; else the law lets velocities have their own effect, and asks for the
+        springs' part alone.
+    """
+    n = work.dofs[i + 1] - work.dofs[i]
+    frame, link, body = plant.frames[i], buffers.arms[i], buffers.body
+    rates, places, target = np.empty(6), np.empty(9), np.empty(6)
+    write_relative(frame, link, body, rates, places)
+    R_J = compose(rotation(body, 0), rotation(frame, ON_OBJECT))
+    shift_rate, turn_rate = rotate(R_J, vec(rates, 0)), rotate(R_J, vec(rates, 3))
+    shift, turn = rotate(R_J, vec(places, 0)), rotate(R_J, vec(places, 3))
+    a = add_scaled(scale(-stiffness, shift), -rate, shift_rate)
+    alpha = add_scaled(scale(-stiffness, turn), -rate, turn_rate)
+    m = rotate(rotation(link, 0), vec(frame, ON_LINK + 9))
+    p = add(vec(link, ORIGIN_AT), m)
+    if along:
+        j, omega = sub(p, vec(body, ORIGIN_AT)), vec(body, SPIN)
+        a_o, alpha_o = vec(buffers.q_o, 0), vec(buffers.q_o, 3)
+        inner = add_scaled(cross(omega, j), 2.0, shift_rate)
+        a = add_cross(add_cross(add(a, a_o), alpha_o, j), omega, inner)
+        alpha = add_cross(add(alpha, alpha_o), omega, turn_rate)
+        # less what the link does by itself, without joint accelerations
+        omega_m, alpha_m = vec(link, SPIN), vec(link, SPIN_RATE)
+        own = add_cross(vec(link, ACCELERATION), alpha_m, m)
+        a = sub(a, add_cross(own, omega_m, cross(omega_m, m)))
+        alpha = sub(alpha, alpha_m)
+    put(target, 0, a)
+    put(target, 3, alpha)
+    J, W, result = floats_at(plant.pointers[i, J_AT], 6 * n), np.empty((n, 6)), np.empty(n)
+    for column in range(n):  # Pinocchio's Jacobian is about the world's origin
+        v, w = vec(J, 6 * column), vec(J, 6 * column + 3)
+        put(W[column], 0, add_cross(v, w, p))
+        put(W[column], 3, w)
+    nearest_accelerations(work.L[i], W, preferred, target, result)
+    preferred[:] = result

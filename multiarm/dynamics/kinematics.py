@@ -1,0 +1,205 @@
+r"""From joint positions and the object's pose to motions, inertias and the rows of W.
+
+The terms of all arms come first, and with them the motion of the links that carry their tips; then
+the object's; then every arm's contacts.  What is written is in :mod:`multiarm.dynamics.arrays`; all
+of it is in world axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.arms.terms import DRIFT_AT, J_AT, M_AT, M_STRIDE, POSE_AT, TWIST_AT
+from multiarm.contacts.kernel import (
+    ACCELERATION,
+    AT,
+    COUPLE,
+    GAP,
+    GAP_RATE,
+    NORMAL,
+    ORIGIN_AT,
+    SPIN,
+    SPIN_RATE,
+    VELOCITY,
+)
+from multiarm.contacts.records import COMBINED, KIND, RADIUS, SIDE, WEIGHT
+from multiarm.contacts.rows import write_rows
+from multiarm.dynamics.arrays import ARMS_SIZE, ARMS_STRUCT, CALL_ARMS, CALL_ROW, CALL_TERMS
+from multiarm.jit.kernels import inlined
+from multiarm.jit.pointers import call_cfunc, call_python
+from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
+from multiarm.jit.structs import floats_at, struct_at
+from multiarm.jit.vectors import (
+    ZERO,
+    add,
+    add_cross,
+    cross,
+    dot,
+    put,
+    put_rotation,
+    rotate,
+    rotate_symmetric,
+    rotation,
+    scale,
+    sub,
+    times,
+    vec,
+)
+from multiarm.spatial import write_matrix
+
+
+@inlined
+def fill_configuration(plant, buffers):
+    """Write Pinocchio's configuration from the positions of its arms' joints."""
+    for j in range(buffers.angles.size):
+        slot = plant.q_slots[j]
+        if slot < 0:
+            continue
+        if plant.circular[j] != 0:
+            buffers.q[slot] = np.cos(buffers.angles[j])
+            buffers.q[slot + 1] = np.sin(buffers.angles[j])
+        else:
+            buffers.q[slot] = buffers.angles[j]
+
+
+@inlined
+def arm_terms(plant, buffers):
+    """All terms of the arms, and the motion of the links that carry their tips."""
+    calls = plant.calls
+    if calls[CALL_ARMS] != 0:
+        call_cfunc(calls[CALL_ARMS], struct_at(calls[ARMS_STRUCT], calls[ARMS_SIZE]), 0.0, 0.0)
+    if calls[CALL_TERMS] != 0:
+        fill_configuration(plant, buffers)
+        call_python(calls[CALL_TERMS])
+    for i in range(plant.pointers.shape[0]):
+        if plant.pointers[i, TWIST_AT] != 0:
+            link_motion(plant.pointers[i], plant.gravity, buffers.arms[i])
+
+
+@inlined
+def object_terms(plant, buffers):
+    """Pose, motion, inertia ``blkdiag(m I, R I R^T)`` and bias of the object (thesis, 3.2)."""
+    body, mass = buffers.body, plant.object_mass[0]
+    write_matrix(buffers.position[3:7], body)
+    R, omega = rotation(body, 0), vec(buffers.twist, 3)
+    A = plant.object_inertia
+    I = rotate_symmetric(  # noqa: E741
+        R, (A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2])
+    )
+    put(body, ORIGIN_AT, vec(buffers.position, 0))
+    put(body, VELOCITY, vec(buffers.twist, 0))
+    put(body, SPIN, omega)
+    for k in range(3):
+        buffers.inertia[k, k] = mass
+    put(buffers.inertia[3], 3, I[0:3])
+    put(buffers.inertia[4], 3, (I[1], I[3], I[4]))
+    put(buffers.inertia[5], 3, (I[2], I[4], I[5]))
+    put(buffers.h_o, 0, scale(mass, vec(plant.gravity, 0)))
+    put(buffers.h_o, 3, cross(times(I, omega), omega))
+
+
+@inlined
+def link_motion(pointers, gravity, row):
+    """Motion of the link that carries an arm's tip, in world axes, from Pinocchio's own arrays.
+
+    Pinocchio gives twist and spatial acceleration in link axes, the latter with gravity taken off;
+    the classical acceleration of the origin is ``a + omega x v``.
+    """
+    pose = floats_at(pointers[POSE_AT], 12)
+    twist = floats_at(pointers[TWIST_AT], 6)
+    drift = floats_at(pointers[DRIFT_AT], 6)
+    R, x = (vec(pose, 0), vec(pose, 3), vec(pose, 6)), vec(pose, 9)  # stored by columns
+    v, omega = vec(twist, 0), vec(twist, 3)
+    a, alpha = add_cross(vec(drift, 0), omega, v), vec(drift, 3)
+    a = add(rotate(R, a), vec(gravity, 0))
+    put_rotation(row, 0, R)
+    put(row, ORIGIN_AT, x)
+    put(row, VELOCITY, rotate(R, v))
+    put(row, SPIN, rotate(R, omega))
+    put(row, ACCELERATION, a)
+    put(row, SPIN_RATE, rotate(R, alpha))
+
+
+@inlined
+def arm_rows(i, struct, plant, buffers, work):
+    """Contact kinematics of arm ``i``, its rows of ``W_o`` and its ``W`` (into ``work.Y``).
+
+    ``plant, buffers, work`` are the views of ``struct``.
+    """
+    d = work.dofs[i + 1] - work.dofs[i]
+    first = work.rows[i]
+    m = work.rows[i + 1] - first
+    J = floats_at(plant.pointers[i, J_AT], 6 * d)  # column by column
+    x_o, Y, wrench = vec(buffers.body, ORIGIN_AT), work.Y[i], buffers.wrench
+    write_rows(
+        first, m, buffers.arms[i], buffers.body, buffers.relative, plant.codes, plant.geometry,
+        buffers.contacts, struct, i, plant.calls[CALL_ROW],
+    )  # fmt: skip
+    for k in range(m):
+        row, Wo = buffers.contacts[first + k], buffers.Wo[first + k]
+        e, p = vec(row, NORMAL), vec(row, AT)
+        couple = vec(row, COUPLE) if plant.codes[first + k, KIND] == COMBINED else ZERO
+        put(Wo, 0, e)
+        put(Wo, 3, add(cross(sub(p, x_o), e), couple))
+        # the arm takes the opposite wrench; its Jacobian is about the world's origin
+        force, moment = scale(-1.0, e), sub(cross(e, p), couple)
+        if m < LANES:
+            for j in range(d):
+                Y[j, k] = dot(vec(J, 6 * j), force) + dot(vec(J, 6 * j + 3), moment)
+        else:
+            wrench[0, k], wrench[1, k], wrench[2, k] = force
+            wrench[3, k], wrench[4, k], wrench[5, k] = moment
+    if m < LANES:
+        return
+    k = 0
+    while k < m:
+        k = min(k, m - LANES)  # the last four may be among those before
+        write_columns(i, k, d, J, wrench, work)
+        k += LANES
+
+
+@inlined
+def write_columns(i, k, d, J, wrench, work):
+    """Four columns of ``W``, contacts ``k`` to ``k + 3``, side by side."""
+    N, Y = wrench.shape[1], work.Y
+    w0, w1, w2 = load_pack(wrench, k), load_pack(wrench, N + k), load_pack(wrench, 2 * N + k)
+    w3, w4, w5 = (
+        load_pack(wrench, 3 * N + k),
+        load_pack(wrench, 4 * N + k),
+        load_pack(wrench, 5 * N + k),
+    )
+    at = i * Y.shape[1] * Y.shape[2] + k
+    for j in range(d):
+        a = broadcast(J[6 * j]) * w0 + broadcast(J[6 * j + 1]) * w1 + broadcast(J[6 * j + 2]) * w2
+        b = (
+            broadcast(J[6 * j + 3]) * w3
+            + broadcast(J[6 * j + 4]) * w4
+            + broadcast(J[6 * j + 5]) * w5
+        )
+        store_pack(Y, at, a + b)
+        at += Y.shape[2]
+
+
+@inlined
+def write_joint_rows(plant, buffers, work):
+    """Rows that belong to joints: their gaps, and their columns of ``W``."""
+    for k in range(plant.joint_rows.shape[0]):
+        i, row, joint = plant.joint_rows[k, 0], plant.joint_rows[k, 1], plant.joint_rows[k, 2]
+        side, geometry = plant.geometry[row, SIDE], plant.geometry[row]
+        buffers.contacts[row, GAP] = (
+            geometry[WEIGHT] * side * (buffers.angles[joint] - geometry[RADIUS])
+        )
+        buffers.contacts[row, GAP_RATE] = side * buffers.v[joint]
+        work.Y[i, joint - work.dofs[i], row - work.rows[i]] = side
+
+
+@inlined
+def load_inertia(i, plant, work):
+    """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.L``."""
+    d = work.dofs[i + 1] - work.dofs[i]
+    stride = plant.pointers[i, M_STRIDE]
+    M = floats_at(plant.pointers[i, M_AT], d * stride)
+    L = work.L[i]
+    for a in range(d):
+        for b in range(a + 1):
+            L[a, b] = M[a * stride + b]

@@ -1,0 +1,329 @@
+r"""What an arm cannot do for its joint, in words.
+
+A contact force ``x_a`` on every contact of a joint adds up to a wrench ``w`` on the arm.  The arm
+can move along it when its joints feel it, :math:`W_i x = J^T w \ne 0`.  Combinations that they do
+not feel are lost motions, and there are three reasons for them:
+
+- the contacts depend on each other: they add up to no wrench at all;
+- the arm has fewer joints than the joint has independent constraints;
+- the posture is singular.
+
+A wrench has an axis.  If it is a force along a line, the arm has no motion along that line; if it
+is a couple, no turn about its axis; otherwise a screw, a motion along an axis together with a turn
+about it, is lost.  Moments are compared with forces over the arm's length (the largest distance of
+a joint's axis from the place where the arm holds the object), and so are the joints' torques.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.assembly.contact_checks import joint_wrenches
+from multiarm.assembly.system import System
+from multiarm.contacts.records import Contact
+from multiarm.dynamics.solver.dense import null_space
+
+# An arm hardly moves along a direction in which it does less than this part of its best one, ...
+LITTLE = 5e-3
+# ... and not at all below this.
+NONE = 1e-6
+# A wrench is called by the name of an axis when it differs from it by less than this part: about
+# six degrees, or a tenth of the arm's length beside the axis or as pitch.
+ALIKE = 0.1
+# Longest description, in characters.
+LONGEST = 60
+REACH = "motion along its own reach"
+
+
+@dataclass(frozen=True)
+class LostMotion:
+    """A direction along which an arm cannot move.
+
+    Attributes
+    ----------
+    words : str
+        At most ``LONGEST`` characters.
+    force, moment : ndarray, shape (3,)
+        Wrench that the arm's joints do not feel: force, and moment about ``place`` [m], world axes.
+    place : ndarray, shape (3,)
+        Where the arm holds the object [m].
+    share : float
+        How much the arm still moves along it, relative to its best direction.
+    """
+
+    words: str
+    force: np.ndarray
+    moment: np.ndarray
+    place: np.ndarray
+    share: float
+
+
+def lost_motions(system: System, arms: Iterable[str] | None = None) -> dict[str, tuple[str, ...]]:
+    """What each arm cannot do, in words of at most 60 characters; empty for a regular arm.
+
+    At the kinematics in the buffers, before they are eliminated.
+
+    Parameters
+    ----------
+    system : System
+    arms : names, optional
+        All when left out.
+    """
+    return {arm: _of_arm(system, arm) for arm in (system.arm_names if arms is None else arms)}
+
+
+def lost_directions(system: System, arm: str) -> tuple[LostMotion, ...]:
+    """The directions that an arm loses by its posture, or for want of joints, one by one."""
+    hold = _hold(system, arm)
+    if hold is None:
+        return ()
+    _, sizes, turned = np.linalg.svd(hold.felt)
+    kept = int(np.sum(sizes > LITTLE * sizes[0])) if sizes[0] > 0.0 else 0
+    return _named(hold, hold.basis @ turned[kept:].T, float(sizes[0]))
+
+
+def describe(system: System, arm: str, directions: np.ndarray) -> tuple[str, ...]:
+    """Words for combinations of an arm's contacts, one for each.
+
+    Parameters
+    ----------
+    system : System
+    arm : str
+    directions : ndarray, shape (N_i, k)
+        Each column a combination that the arm cannot follow, or hardly.  They are taken together:
+        the words are for a basis of what they span.
+    """
+    hold = _hold(system, arm)
+    directions = np.asarray(directions, dtype=float)
+    if hold is None or not np.all(np.isfinite(directions)):
+        return ("a direction that has no name here",) * directions.shape[1]
+    wrenches = hold.wrenches @ directions
+    size = np.linalg.norm(hold.wrenches, 2)
+    space, sizes, _ = np.linalg.svd(wrenches, full_matrices=False)
+    kept = int(np.sum(sizes > NONE * size * np.linalg.norm(directions)))
+    named = _named(hold, space[:, :kept], float(np.linalg.norm(hold.felt, 2)))
+    words = tuple(lost.words for lost in named)
+    if kept < directions.shape[1]:
+        words += ("contacts that say the same twice",)
+    return words
+
+
+# --- the arm and its joint -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Hold:
+    """How an arm holds the object: wrenches ``[f; m / length]`` about ``place``, world axes.
+
+    ``wrenches`` (6, N) of the contacts; ``basis`` (6, r) orthonormal of what they span; ``felt``
+    (n, r) the joint torques over ``length`` (forces) for these.
+    """
+
+    length: float
+    place: np.ndarray
+    wrenches: np.ndarray
+    basis: np.ndarray
+    felt: np.ndarray
+    names: tuple[tuple[str, np.ndarray], ...]
+
+    def share(self, wrench: np.ndarray, best: float) -> float:
+        """How much the arm moves along a wrench of unit length, relative to its best direction."""
+        return float(np.linalg.norm(self.felt @ (self.basis.T @ wrench))) / best if best else 0.0
+
+
+class _Axis(NamedTuple):
+    """Axis of a joint: whether it turns or slides, its direction, its point next to the tip."""
+
+    turns: bool
+    direction: np.ndarray
+    point: np.ndarray
+
+
+def _of_arm(system: System, arm: str) -> tuple[str, ...]:
+    hold = _hold(system, arm)
+    if hold is None:
+        return ()
+    words = _redundant(system, arm)
+    joints, independent = hold.felt.shape
+    lost = lost_directions(system, arm)
+    if joints >= independent:
+        return words + tuple(motion.words for motion in lost)
+    leave = f"its {joints} joint{' leaves' if joints == 1 else 's leave'}"
+    words += (f"{leave} {len(lost)} of {independent} directions without motion",)
+    if len(lost) > independent - joints:  # a posture that takes more than the number of joints does
+        words += tuple(motion.words for motion in lost if motion.words.endswith(REACH))
+    return words
+
+
+def _redundant(system: System, arm: str) -> tuple[str, ...]:
+    """Contacts that depend on each other."""
+    space = null_space(joint_wrenches(system, arm).T)
+    own_contacts = [row for row in system.contacts[arm] if isinstance(row, Contact)]
+    names = [contact.name for contact in own_contacts]
+    many = len(names) - space.rank
+    if not many:
+        return ()
+    text = f"{many} of {len(names)} contacts too many"
+    among = [n for n, own in zip(names, space.untouched, strict=True) if not own]
+    if len(among) == len(names):
+        return (text,)
+    for count in range(len(among), 0, -1):
+        rest = f" and {len(among) - count} more" if count < len(among) else ""
+        full = f"{text} among " + ", ".join(f"'{name}'" for name in among[:count]) + rest
+        if len(full) <= LONGEST:
+            return (full,)
+    return (f"{text} among {len(among)} of them",)
+
+
+def _hold(system: System, arm: str) -> _Hold | None:
+    """Wrenches and what the joints feel of them; None when a contact has no normal."""
+    i = system.arm_names.index(arm)
+    buffers, layout, tip = system.buffers, system.layout, system.arms[arm]
+    d = slice(layout.dofs[i], layout.dofs[i + 1])
+    r = slice(layout.rows[i], layout.rows[i + 1])
+    rows, W = buffers.Wo[r], system.work.Y[i, : d.stop - d.start, : r.stop - r.start]
+    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(W)) and np.any(rows)):
+        return None
+    link, at = buffers.arms[i], system.frames[arm].on_tip[:3, 3]
+    place = link[9:12] + link[:9].reshape(3, 3) @ (tip.tip_rotation @ at + tip.tip_translation)
+    axes = _axes(system, arm, buffers.angles[d])
+    length = _length(axes, place)
+    moments = rows[:, 3:] - np.cross(place - buffers.body[9:12], rows[:, :3])
+    wrenches = np.hstack([rows[:, :3], moments / length]).T
+    rank = null_space(joint_wrenches(system, arm).T).rank
+    basis, sizes, turned = np.linalg.svd(wrenches, full_matrices=False)
+    combinations = turned[:rank].T / sizes[:rank]
+    units = np.array([length if axis.turns else 1.0 for axis in axes])
+    return _Hold(
+        length=length,
+        place=place,
+        wrenches=wrenches,
+        basis=basis[:, :rank],
+        felt=(W / units[:, None]) @ combinations,
+        names=tuple(_axis_names(axes, place, length)),
+    )
+
+
+def _axes(system: System, arm: str, angles: np.ndarray) -> list[_Axis]:
+    """Axes of an arm's joints, from the Jacobian of its tip.
+
+    A turn about ``a`` through ``o`` moves the tip by ``a x (tip - o)``.
+    """
+    terms = system.arms[arm].terms(angles, np.zeros(len(angles)))
+    axes = []
+    for velocity, spin in zip(terms.J[:3].T, terms.J[3:].T, strict=True):
+        turns = bool(np.any(spin))
+        point = terms.tip_position - _cross(velocity, spin)
+        axes.append(_Axis(turns, spin if turns else velocity, point))
+    return axes
+
+
+def _length(axes: list[_Axis], place: np.ndarray) -> float:
+    """Largest distance of a turning joint's axis from a place; 1 m when there is none."""
+    turning = [axis for axis in axes if axis.turns]
+    away = [np.linalg.norm(_cross(a.direction, place - a.point)) for a in turning]
+    longest = float(max(away, default=0.0))
+    return longest if longest > 1e-6 else 1.0
+
+
+# --- words ---------------------------------------------------------------------------------------
+
+
+def _axis_names(
+    axes: list[_Axis], place: np.ndarray, length: float
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Named lines and axes as unit wrenches about ``place``, the most telling ones first."""
+    shoulder, ends = _reach(axes, place)
+    for end in ends:
+        along = end - shoulder
+        if np.linalg.norm(along) > ALIKE * length:
+            along = along / np.linalg.norm(along)
+            yield REACH, _line(along, shoulder - place, length)
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        yield f"motion along world {name}", _line(axis, np.zeros(3), length)
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        yield f"turn about world {name}", np.concatenate([np.zeros(3), axis])
+
+
+def _reach(axes: list[_Axis], place: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Shoulder, and the points that the arm reaches out to: wrist (either pair of axes), grip.
+
+    The shoulder is where the first two axes come closest, the wrist where the last ones do: a
+    stretched elbow is on the line between them, wherever the wrist has turned the grip.
+    """
+    turning = [axis for axis in axes if axis.turns]
+    if not turning:
+        return place, []
+    shoulder = _closest(turning[0], turning[1]) if len(turning) > 1 else turning[0].point
+    pairs = [(-2, -1), (-3, -2)] if len(turning) > 3 else []
+    wrists = [_closest(turning[j], turning[k]) for j, k in pairs]
+    return shoulder, [*wrists, place]
+
+
+def _closest(one: _Axis, other: _Axis) -> np.ndarray:
+    """Point of an axis that is closest to another one; if they are parallel, to the tip."""
+    across = _cross(one.direction, other.direction)
+    if np.linalg.norm(across) < ALIKE:
+        return one.point
+    way = _cross(other.point - one.point, other.direction) @ across / (across @ across)
+    return one.point + way * one.direction
+
+
+def _line(axis: np.ndarray, offset: np.ndarray, length: float) -> np.ndarray:
+    """Unit wrench ``[f; m / length]`` of a force along a line through ``offset``."""
+    wrench = np.concatenate([axis, _cross(offset, axis) / length])
+    return wrench / np.linalg.norm(wrench)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Product of two vectors; that of NumPy, for stacks of them, takes twenty times as long."""
+    (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
+    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+
+
+def _named(hold: _Hold, space: np.ndarray, best: float) -> tuple[LostMotion, ...]:
+    """A basis of lost wrenches (6, k): named ones as far as they are among them, then others."""
+    found = []
+    for name, wrench in hold.names:
+        part = space.T @ wrench
+        size = np.linalg.norm(part)
+        if size * size > 1.0 - ALIKE * ALIKE:
+            found.append(_motion(hold, name, space @ part / size, best))
+            space = space @ np.linalg.svd(part[None, :])[2][1:].T
+    others = [_motion(hold, _screw(hold, wrench), wrench, best) for wrench in space.T]
+    return tuple(found + others)
+
+
+def _motion(hold: _Hold, name: str, wrench: np.ndarray, best: float) -> LostMotion:
+    share = hold.share(wrench, best)
+    words = f"{'no' if share < NONE else 'little'} {name}"
+    return LostMotion(words, wrench[:3], hold.length * wrench[3:], hold.place, share)
+
+
+def _screw(hold: _Hold, wrench: np.ndarray) -> str:
+    """A wrench in words by its axis."""
+    force, moment = wrench[:3], hold.length * wrench[3:]
+    size = float(np.linalg.norm(force))
+    if size < ALIKE:
+        return f"turn about {_vector(moment)}"
+    pitch = float(force @ moment) / size**2
+    if abs(pitch) > ALIKE * hold.length:
+        return f"screw along {_vector(force)}, {_metres(pitch)} a radian"
+    beside = float(np.linalg.norm(_cross(force, moment))) / size**2
+    where = f" {_metres(beside)} off the tip" if beside > ALIKE * hold.length else ""
+    return f"motion along {_vector(force)}{where}"
+
+
+def _vector(v: np.ndarray) -> str:
+    """Direction with two decimals, the first number of them positive."""
+    v = np.round(v / np.linalg.norm(v), 2)
+    v = v * np.sign(v[np.flatnonzero(v)[0]]) + 0.0
+    return f"({v[0]:.2f}, {v[1]:.2f}, {v[2]:.2f})"
+
+
+def _metres(length: float) -> str:
+    return f"{length:.2f} m" if abs(length) >= 0.1 else f"{1e3 * length:.2g} mm"

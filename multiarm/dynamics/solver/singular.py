@@ -1,0 +1,447 @@
+r"""The node algorithm for arms that cannot move along all of their constraint directions.
+
+An arm with a stretched elbow, with too few joints, or with more contacts than it takes, has a
+singular :math:`K_i = W_i^T M_i^{-1} W_i` (thesis, 4.2; S. McMillan, Ohio State University, 1994).
+Such an arm is not handed over as a whole.  The singular value decomposition of its
+
+.. math:: Y_i = L_i^{-1} W_i, \qquad Y_i v_a = \sigma_a u_a
+
+turns its constraints into orthogonal *directions* ``v``.  Those with a healthy ``sigma`` are
+eliminated like any regular arm, with :math:`K = \sigma^2`.  Healthy is meant relative to
+
+.. math:: \sigma_{best} = \max_a \sigma_a \; \max\big(1, (\gamma / g)^2\big), \qquad
+    g = \max_{a, j} |W_{ja}| / r_j ,
+
+with the levers :math:`r_j` of the joints, so that ``g`` is 1 where a joint moves a contact as much
+as it can.  The second factor is there for arms that slide along all of their contacts: they have
+nothing but roundings for ``sigma``, which are large relative to each other.
+
+The other directions, along which the arm can hardly move or not at all, stay as unknown forces of
+one *coupled system* with the object; with :math:`C = W_o v` and the node matrix
+:math:`S = L_S L_S^T` of everything that was eliminated,
+
+.. math::
+    \big(C^T S^{-1} C + \mathrm{diag}(\sigma^2)\big)\,\lambda = B^T B\,\lambda = d, \qquad
+    B = \begin{bmatrix} L_S^{-1} C \\ \mathrm{diag}(\sigma) \end{bmatrix}.
+
+Directions with :math:`\sigma = 0` bind the object alone: they add a column to ``B`` and no row, so
+that the cost stays linear in the number of arms.  Nothing is regularised: a small ``sigma`` is
+taken for what it is, and the result goes over smoothly into that of the regular path.
+
+*Rank.*  Some combinations of these forces may move neither the object nor an arm (contacts that say
+the same twice, loops that are closed more often than needed).  That is a question of geometry, not
+of masses, and is asked of ``B`` with the object measured in unit directions and lever arms and each
+arm by its own ``sigma_best``: combinations that move less than ``RANK_TOLERANCE`` of that are
+given no force.  Since the directions are orthonormal combinations of the contacts, the contact
+forces have the least norm in newtons; if the constraints contradict each other, they are met in the
+sense of least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.dynamics.solver.factors import norm, orthogonalize
+from multiarm.dynamics.solver.regular import (
+    COUPLED_BELOW,
+    add_arm,
+    factor_in_place,
+    free_arm,
+    move_arm,
+    node_backward,
+    node_forward,
+    push_arm,
+    reduce_arm,
+)
+from multiarm.dynamics.solver.work import NodeWork
+from multiarm.jit.kernels import copy, inlined, kernel
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1
+
+# Directions of an arm with a sigma below this fraction of the best are not eliminated.
+SPLIT = 1e-2
+# Below this fraction the arm does not move at all.
+IMMOVABLE = 1e-11
+# The same two, in terms of how far the object alone would give way to the same push.
+SPLIT_BY_OBJECT, IMMOVABLE_BY_OBJECT = 1e-3, 1e-9
+# ``gamma``: an arm whose joints do less than this part of what they can along all of its contacts
+# hardly moves along any.  With RANK_TOLERANCE it does not move at all below the same part.
+HARDLY_ALIGNED = 1e-3
+# Forces that move object and arms by less than this fraction of their own scale do not exist.
+RANK_TOLERANCE = 1e-6
+# Forces with a smaller part in every combination that moves nothing are determined.
+PART_TOLERANCE = 1e-7
+# Singular values below this are roundings, of gaps as well as of sums.
+ROUNDING = 1e-10
+
+# Entries of CoupledWork.counts.
+ARMS, UNKNOWNS, MOVABLE, RANK, COUNTS = range(5)
+
+
+class CoupledWork(NamedTuple):
+    """Arrays of the coupled system.  ``n`` arms, ``N`` contacts, at most ``d`` and ``m`` an arm.
+
+    V : (n, m, m), A : (n, m, d), sigma : (N,)
+        Directions ``v`` of the deficient arms (one a row), ``Y v``, and its length.
+    deficient : int64 (n,)
+        1 for the arms that are not eliminated as a whole.
+    scale, split : (n,)
+        Of each deficient arm: ``sigma_best``, and the smallest ``sigma`` that is eliminated.
+    inertia : (6, 6)
+        Cholesky factor of the object's own inertia.
+    arm, row : int64 (N,)
+        Arm and number of the direction that every unknown belongs to.
+    C, B : (N, 6)
+        Wrench of every unknown on the object, and ``L_S^-1`` times it.
+    basis : (6 + N, N), images : (6 + N, 6 + N)
+        Orthonormal combinations of unknowns that move something, and what they move.
+    right, unknown : (N,)
+        Right-hand side and forces of the coupled system.
+    counts : int64 (4,)
+        Deficient arms, unknowns, those with a ``sigma``, rank of the coupled system; all 0 when no
+        arm is deficient.
+    margin : (2,)
+        Smallest singular value in the decision on the rank that is no rounding: how far the system
+        is from losing one (of the order of 1 when it is far).  Now, and least since it was reset.
+    """
+
+    V: Floats3
+    A: Floats3
+    sigma: Floats1
+    deficient: Ints1
+    scale: Floats1
+    split: Floats1
+    inertia: Floats2
+    arm: Ints1
+    row: Ints1
+    C: Floats2
+    B: Floats2
+    basis: Floats2
+    images: Floats2
+    right: Floats1
+    unknown: Floats1
+    counts: Ints1
+    margin: Floats1
+
+
+def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
+    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
+    n, d, m, N = len(dofs), max(dofs), max(rows), sum(rows)
+    return CoupledWork(
+        V=np.zeros((n, m, m)),
+        A=np.zeros((n, m, d)),
+        sigma=np.zeros(N),
+        deficient=np.zeros(n, dtype=np.int64),
+        scale=np.zeros(n),
+        split=np.zeros(n),
+        inertia=np.zeros((6, 6)),
+        arm=np.zeros(N, dtype=np.int64),
+        row=np.zeros(N, dtype=np.int64),
+        C=np.zeros((N, 6)),
+        B=np.zeros((N, 6)),
+        basis=np.zeros((6 + N, N)),
+        images=np.zeros((6 + N, 6 + N)),
+        right=np.zeros(N),
+        unknown=np.zeros(N),
+        counts=np.zeros(COUNTS, dtype=np.int64),
+        margin=np.full(2, np.inf),
+    )
+
+
+def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
+    """Part of every contact in the forces that move nothing, shape (N,).
+
+    Between 0 (the contact's force is determined) and 1.
+    """
+    p, rank = coupled.counts[UNKNOWNS], coupled.counts[RANK]
+    rows = np.zeros((p, work.rows[-1]))
+    for u, (i, a) in enumerate(zip(coupled.arm[:p], coupled.row[:p], strict=True)):
+        own = slice(work.rows[i], work.rows[i + 1])
+        rows[u, own] = coupled.V[i, a, : own.stop - own.start]
+    basis = coupled.basis[:rank, :p]
+    return np.linalg.norm(rows - basis.T @ (basis @ rows), axis=0)
+
+
+@kernel
+def object_mobility(row, coupled):
+    """``sqrt(w^T M_o^-1 w)``: how the object alone gives way to a push, comparable to ``sigma``."""
+    wrench = coupled.B[0]  # scratch until the unknowns are known
+    copy(row, wrench)
+    node_forward(coupled.inertia, wrench)
+    return norm(wrench, 6)
+
+
+@kernel
+def aligned_share(L, Y, n, m, levers):
+    """Largest ``|W_ja| / r_j`` of an arm with ``n`` joints and ``m`` contacts; ``W = L Y``."""
+    largest = 0.0
+    for j in range(n):
+        for a in range(m):
+            w = Y[j, a] / L[j, j]  # the factor's diagonal is inverted
+            for k in range(j):
+                w += L[j, k] * Y[k, a]
+            largest = max(largest, abs(w) / levers[j])
+    return largest
+
+
+@kernel
+def split_arm(i, work, coupled, Wo):
+    """Decompose ``Y`` of a deficient arm: healthy directions into ``S``, others to the unknowns.
+
+    Returns whether all numbers are finite.
+    """
+    d = work.dofs[i + 1] - work.dofs[i]
+    first = work.rows[i]
+    m = work.rows[i + 1] - first
+    Y, V, A, S = work.Y[i], coupled.V[i], coupled.A[i], work.S
+    for a in range(m):
+        for j in range(d):
+            A[a, j] = Y[j, a]
+        for b in range(m):
+            V[a, b] = 1.0 if a == b else 0.0
+    orthogonalize(A, m, d, V, m)
+    scale = by_object = total = 0.0
+    aligned = aligned_share(work.L[i], Y, d, m, work.levers[i])
+    for a in range(m):
+        coupled.sigma[first + a] = norm(A[a], d)
+        scale = max(scale, coupled.sigma[first + a])
+        by_object = max(by_object, object_mobility(Wo[first + a], coupled))
+        total += coupled.sigma[first + a]
+    if not math.isfinite(total):
+        return False
+    if aligned < HARDLY_ALIGNED:
+        scale *= (HARDLY_ALIGNED / aligned) ** 2 if aligned > 0.0 else 1.0
+    coupled.scale[i] = scale
+    coupled.split[i] = max(SPLIT * scale, SPLIT_BY_OBJECT * by_object)
+    least = max(IMMOVABLE * scale, IMMOVABLE_BY_OBJECT * by_object)
+    for a in range(m):
+        wrench, sigma = work.Z[i, a], coupled.sigma[first + a]
+        for k in range(6):
+            wrench[k] = 0.0
+            for b in range(m):
+                wrench[k] += V[a, b] * Wo[first + b, k]
+        if sigma > coupled.split[i]:
+            for k in range(6):
+                wrench[k] /= sigma
+                for l in range(k + 1):  # noqa: E741
+                    S[k, l] += wrench[k] * wrench[l]
+            continue
+        if not sigma > least:
+            coupled.sigma[first + a] = 0.0
+        p = coupled.counts[UNKNOWNS]
+        coupled.arm[p], coupled.row[p] = i, a
+        copy(wrench, coupled.C[p])
+        coupled.counts[UNKNOWNS] = p + 1
+    return True
+
+
+@inlined
+def sigma_of(u, work, coupled):
+    """How much the arm of an unknown moves along it."""
+    return coupled.sigma[work.rows[coupled.arm[u]] + coupled.row[u]]
+
+
+@kernel
+def lever_length(Wo):
+    """Largest moment of a unit push on the object [m]; 1 when there is none."""
+    longest = 0.0
+    for k in range(Wo.shape[0]):
+        longest = max(longest, norm(Wo[k, 3:6], 3))
+    return longest if longest > 0.0 else 1.0
+
+
+@kernel
+def find_rank(work, coupled, lever):
+    """Orthonormal combinations of the unknowns that move something, into ``coupled.basis``."""
+    basis, counts = coupled.basis, coupled.counts
+    p, rows = counts[UNKNOWNS], 6
+    for u in range(p):
+        for k in range(6):
+            basis[k, u] = coupled.C[u, k] / (1.0 if k < 3 else lever)
+        sigma = sigma_of(u, work, coupled)
+        if sigma > 0.0:
+            for w in range(p):
+                basis[rows, w] = 0.0
+            basis[rows, u] = sigma / coupled.scale[coupled.arm[u]]
+            rows += 1
+    counts[MOVABLE] = rows - 6
+    orthogonalize(basis, rows, p, basis, 0)
+    rank = 0
+    coupled.margin[0] = math.inf
+    for r in range(rows):
+        size = norm(basis[r], p)
+        if size > ROUNDING:
+            coupled.margin[0] = min(coupled.margin[0], size)
+        if size > RANK_TOLERANCE:
+            for u in range(p):
+                basis[rank, u] = basis[r, u] / size
+            rank += 1
+    counts[RANK] = rank
+    coupled.margin[1] = min(coupled.margin[1], coupled.margin[0])
+
+
+@kernel
+def image_basis(work, coupled):
+    """What the combinations in ``coupled.basis`` move, made orthogonal, into ``coupled.images``."""
+    basis, images, counts = coupled.basis, coupled.images, coupled.counts
+    p = counts[UNKNOWNS]
+    for u in range(p):
+        copy(coupled.C[u], coupled.B[u])
+        node_forward(work.S, coupled.B[u])
+    for r in range(counts[RANK]):
+        for k in range(6):
+            images[r, k] = 0.0
+            for u in range(p):
+                images[r, k] += basis[r, u] * coupled.B[u, k]
+        column = 6
+        for u in range(p):
+            sigma = sigma_of(u, work, coupled)
+            if sigma > 0.0:
+                images[r, column] = basis[r, u] * sigma
+                column += 1
+    orthogonalize(images, counts[RANK], 6 + counts[MOVABLE], basis, p)
+
+
+@inlined
+def couple(work, coupled, Wo, object_inertia, decompose_all=False):
+    """Factor a system with deficient arms, after
+    :func:`multiarm.dynamics.solver.regular.eliminate_arms`.
+
+    With ``decompose_all`` no arm is eliminated as a whole, whatever its pivots are.  Returns the
+    smallest relative pivot of the object's inertia or of the node matrix; the system is of no use
+    unless that is positive (and not NaN).
+    """
+    for k in range(6):
+        for l in range(k + 1):  # noqa: E741
+            coupled.inertia[k, l] = object_inertia[k, l]
+    pivot = factor_in_place(coupled.inertia, 6)
+    if not pivot > 0.0:
+        return pivot
+    arms = work.dofs.size - 1
+    for every in range(1 if decompose_all else 0, 2):
+        pivot = build_node(work, coupled, Wo, object_inertia, every == 1)
+        if pivot > COUPLED_BELOW or coupled.counts[ARMS] == arms:
+            break
+    if pivot > 0.0:
+        find_rank(work, coupled, lever_length(Wo))
+        image_basis(work, coupled)
+    return pivot
+
+
+@kernel
+def build_node(work, coupled, Wo, object_inertia, every):
+    """Factor the node matrix of all that can be eliminated; returns its smallest relative pivot.
+
+    Deficient arms are decomposed, or, when that leaves too few digits, every arm is.
+    """
+    counts, S = coupled.counts, work.S
+    counts[ARMS] = counts[UNKNOWNS] = 0
+    for k in range(6):
+        for l in range(k + 1):  # noqa: E741
+            S[k, l] = object_inertia[k, l]
+    for i in range(work.dofs.size - 1):
+        coupled.deficient[i] = 1 if every or not work.pivot[i] > COUPLED_BELOW else 0
+        if coupled.deficient[i] != 0:
+            counts[ARMS] += 1
+            if not split_arm(i, work, coupled, Wo):
+                return math.nan
+        else:
+            add_arm(i, work)
+    return factor_in_place(S, 6)
+
+
+@kernel
+def reduce_deficient_arm(i, work, coupled, c, q_o):
+    """``V (c - Y^T y)`` into ``work.z``, and the eliminated directions' share of ``q_o``."""
+    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    V, A, Z, y, z = coupled.V[i], coupled.A[i], work.Z[i], work.y, work.z
+    for a in range(m):
+        s = 0.0
+        for b in range(m):
+            s += V[a, b] * c[r0 + b]
+        for j in range(d):
+            s -= A[a, j] * y[d0 + j]
+        if coupled.sigma[r0 + a] > coupled.split[i]:
+            s /= coupled.sigma[r0 + a]
+            for k in range(6):
+                q_o[k] += Z[a, k] * s
+        z[r0 + a] = s
+
+
+@kernel
+def solve_coupled_forces(work, coupled, q_o):
+    """Forces of the coupled system, and their push added to ``q_o``, both as ``L_S^-1 q_o``."""
+    counts = coupled.counts
+    p, width = counts[UNKNOWNS], 6 + counts[MOVABLE]
+    for u in range(p):
+        s = work.z[work.rows[coupled.arm[u]] + coupled.row[u]]
+        for k in range(6):
+            s -= coupled.B[u, k] * q_o[k]
+        coupled.right[u], coupled.unknown[u] = s, 0.0
+    for r in range(counts[RANK]):
+        size = norm(coupled.images[r], width)
+        s = 0.0
+        for u in range(p):
+            s += coupled.basis[r, u] * coupled.right[u]
+        s /= size * size
+        for u in range(p):
+            coupled.unknown[u] += s * coupled.basis[r, u]
+    for u in range(p):
+        for k in range(6):
+            q_o[k] += coupled.B[u, k] * coupled.unknown[u]
+
+
+@kernel
+def push_deficient_arm(i, work, coupled, q_o, force):
+    """Contact forces of a deficient arm along its eliminated directions."""
+    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    V, Z, z = coupled.V[i], work.Z[i], work.z
+    for b in range(m):
+        force[r0 + b] = 0.0
+    for a in range(m):
+        sigma = coupled.sigma[r0 + a]
+        if sigma > coupled.split[i]:
+            s = z[r0 + a]
+            for k in range(6):
+                s -= Z[a, k] * q_o[k]
+            for b in range(m):
+                force[r0 + b] += V[a, b] * (s / sigma)
+
+
+@inlined
+def solve_coupled(work, coupled, h_o, h, c, q_o, q, force):
+    """Solve the factored system for one right-hand side.
+
+    Parameters
+    ----------
+    h_o : (6,), h : (sum of joints,), c : (sum of rows,)
+        Right-hand sides, arms stacked.
+    q_o : (6,), q : (sum of joints,), force : (sum of rows,), written
+        Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
+    """
+    n = work.dofs.size - 1
+    copy(h_o, q_o)
+    for i in range(n):
+        free_arm(i, work, h)
+        if coupled.deficient[i] == 0:
+            reduce_arm(i, work, c, q_o)
+        else:
+            reduce_deficient_arm(i, work, coupled, c, q_o)
+    node_forward(work.S, q_o)
+    solve_coupled_forces(work, coupled, q_o)
+    node_backward(work.S, q_o)
+    for i in range(n):
+        if coupled.deficient[i] == 0:
+            push_arm(i, work, q_o, force)
+        else:
+            push_deficient_arm(i, work, coupled, q_o, force)
+    for u in range(coupled.counts[UNKNOWNS]):
+        i = coupled.arm[u]
+        r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+        for b in range(m):
+            force[r0 + b] += coupled.unknown[u] * coupled.V[i, coupled.row[u], b]
+    for i in range(n):
+        move_arm(i, work, force, q)

@@ -1,0 +1,291 @@
+"""How the equations were solved at the end of every step, and what changed since the step before.
+
+Three numbers are written down: the rank of the constraints, how many arms went through the coupled
+system (:mod:`multiarm.dynamics.solver.singular`), and the largest constraint residual relative to
+the largest term of its equations.  Where that is above ``RESIDUAL_BOUND``, the equations are solved
+once more with every arm decomposed; if that does not help, the step is refused.  The object's
+equation was treated likewise when it was solved (:func:`multiarm.dynamics.equations.imbalance`).
+
+An arm that is not eliminated as a whole *loses a direction* when it can move along it, for the same
+force, by less than ``LOST`` of what it moves along its best one; it has it again some way after it
+is eliminated as a whole.  A step may also jump over a singular posture; then
+the determinant of the arm's square ``W`` has changed its sign.
+"""
+
+from __future__ import annotations
+
+import math
+
+from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.dynamics.arrays import (
+    CALL_CLOSE,
+    CALL_SOLVE,
+    COUPLED_ARMS,
+    IMBALANCE,
+    RANK_OF_ALL,
+    RESIDUAL,
+    open_coupled,
+    open_system,
+)
+from multiarm.dynamics.equations import (
+    AT_REST,
+    OK,
+    evaluate_buffers,
+    largest,
+    renew_kinematics,
+    solve_again,
+)
+from multiarm.dynamics.solver.batched import largest_free_rate
+from multiarm.dynamics.solver.regular import COUPLED_BELOW
+from multiarm.dynamics.solver.singular import ARMS, RANK, UNKNOWNS
+from multiarm.jit.kernels import inlined, kernel
+
+# Constraint residual, relative to the largest term of its equation, that is still a solution.
+RESIDUAL_BOUND = 1e-5
+# What roundings of gaps make of it: so much over the square of the distance from a loss of rank,
+# and at most.
+ROUNDED_RESIDUAL, MOST_ROUNDED_RESIDUAL = 1e-13, 1e-3
+# A direction with a sigma below this fraction of the arm's largest is lost; it is there again at
+# REGAINED times as much.
+LOST, REGAINED = 1e-3, 2.0
+
+
+@kernel
+def evaluate_and_check(struct, found):
+    """Evaluate the state in the buffers, and put the result back into the equations.
+
+    Writes into ``found`` (6,) what is left over of the arms' equations, of the object's and of the
+    constraints (largest magnitudes, see :class:`multiarm.dynamics.evaluation.Residuals`), the
+    largest gap [m] and gap rate [m/s], and whether the result counts as a solution.  The matrices
+    in ``work`` are not factored afterwards.  Returns a status, as
+    :func:`multiarm.dynamics.equations.evaluate_buffers`.
+    """
+    status = evaluate_buffers(struct, 0.0, 0.0)
+    if status != OK:
+        return status
+    note_solution(struct)
+    _, buffers, work = open_system(struct)
+    found[5] = 1.0 if believable(struct, buffers.solved[RESIDUAL]) else 0.0
+    if work.factored[0] != 0:
+        status = renew_kinematics(struct)
+    found[0], found[2] = arm_residuals(buffers, work)
+    found[1] = object_residual(buffers)
+    found[3], found[4] = largest(buffers.contacts, GAP), largest(buffers.contacts, GAP_RATE)
+    return status
+
+
+@kernel
+def arm_residuals(buffers, work):
+    """``M q'' - h - W force`` of all arms and ``W_o^T q_o + W^T q'' - c``, largest magnitudes."""
+    of_arms = of_constraints = 0.0
+    for i in range(work.dofs.size - 1):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        r0, r = work.rows[i], work.rows[i + 1] - work.rows[i]
+        M, W = work.L[i], work.Y[i]
+        for j in range(d):
+            left = -buffers.h[d0 + j]
+            for k in range(d):
+                left += M[max(j, k), min(j, k)] * buffers.qdd[d0 + k]
+            for a in range(r):
+                left -= W[j, a] * buffers.force[r0 + a]
+            of_arms = larger(of_arms, left)
+        for a in range(r):
+            left = -buffers.c[r0 + a]
+            for k in range(6):
+                left += buffers.Wo[r0 + a, k] * buffers.q_o[k]
+            for j in range(d):
+                left += W[j, a] * buffers.qdd[d0 + j]
+            of_constraints = larger(of_constraints, left)
+    return of_arms, of_constraints
+
+
+@kernel
+def object_residual(buffers):
+    """``M_o q_o - h_o - W_o force``, largest magnitude."""
+    worst = 0.0
+    for k in range(6):
+        left = -buffers.h_o[k]
+        for j in range(6):
+            left += buffers.inertia[k, j] * buffers.q_o[j]
+        for a in range(buffers.force.size):
+            left -= buffers.Wo[a, k] * buffers.force[a]
+        worst = larger(worst, left)
+    return worst
+
+
+@inlined
+def larger(worst, left):
+    """The larger magnitude; NaN if either is."""
+    return abs(left) if abs(left) > worst or left != left else worst
+
+
+@kernel
+def note_solution(struct):
+    """Write rank, coupled arms and residual of the last solution into ``buffers.solved``.
+
+    A solution that is not believable is replaced by the one with every arm decomposed.
+    """
+    plant, buffers, work = open_system(struct)
+    coupled = open_coupled(struct)
+    solved, counts, arms = buffers.solved, coupled.counts, plant.pointers.shape[0]
+    solved[RESIDUAL] = residual_of_all(plant, buffers, work)
+    if not believable(struct, solved[RESIDUAL]) and can_be_repeated(plant) and counts[ARMS] < arms:
+        if solve_again(struct) != OK:
+            solved[IMBALANCE] = math.nan
+        solved[RESIDUAL] = residual_of_all(plant, buffers, work)
+    if plant.dense[0] == 0:
+        solved[COUPLED_ARMS] = counts[ARMS]
+        solved[RANK_OF_ALL] = buffers.force.size
+        if counts[ARMS] > 0:
+            solved[RANK_OF_ALL] += counts[RANK] - counts[UNKNOWNS]
+
+
+@inlined
+def can_be_repeated(plant):
+    """Whether the node algorithm alone made the solution, without friction or forces of a mode."""
+    return plant.dense[0] == 0 and plant.calls[CALL_SOLVE] == plant.calls[CALL_CLOSE]
+
+
+@inlined
+def residual_of_all(plant, buffers, work):
+    """The constraints' residual or the object's, whichever is larger; NaN if either is."""
+    residual, other = constraint_residual(plant, buffers, work), buffers.solved[IMBALANCE]
+    return residual if other <= residual or residual != residual else other
+
+
+@kernel
+def constraint_residual(plant, buffers, work):
+    """Largest ``|W_o^T q_o + W^T q - c|`` relative to the largest term in any of these rows.
+
+    Terms are those that cancel there: ``c``, the accelerations, and those without contact forces.
+    After an elimination arm by arm ``work.Y`` holds ``L^-1 W`` and ``work.L`` the factor, so that
+    ``W^T q = Y^T (L^T q)``; else ``W`` is still in ``work.Y``.
+    """
+    factored = work.factored[0] != 0
+    worst, scale, u = 0.0, max(AT_REST, free_acceleration(buffers)), buffers.residual
+    if not factored and plant.dense[0] == 0:
+        scale = max(scale, largest_free_rate(work))
+    for i in range(work.dofs.size - 1):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        L, Y = work.L[i], work.Y[i]
+        for j in range(d):
+            u[j] = buffers.qdd[d0 + j]
+            if factored:
+                u[j] /= L[j, j]
+                for k in range(j + 1, d):
+                    u[j] += L[k, j] * buffers.qdd[d0 + k]
+        for a in range(work.rows[i], work.rows[i + 1]):
+            of_object = of_arm = free = 0.0
+            for k in range(6):
+                of_object += buffers.Wo[a, k] * buffers.q_o[k]
+            for j in range(d):
+                of_arm += Y[j, a - work.rows[i]] * u[j]
+                if factored:
+                    free += Y[j, a - work.rows[i]] * work.y[d0 + j]
+            c = buffers.c[a]
+            scale = max(scale, abs(of_object), abs(of_arm), abs(free), abs(c))
+            left = abs(of_object + of_arm - c)
+            if left != left:
+                return left
+            worst = max(worst, left)
+    return worst / scale
+
+
+@kernel
+def believable(struct, residual):
+    """Whether a relative residual is that of a solution.
+
+    Near a loss of rank the roundings of a gap, magnified twice, are part of it: there the state is
+    only so near to the motion that it is on.
+    """
+    coupled = open_coupled(struct)
+    if coupled.counts[ARMS] == 0:
+        return residual <= RESIDUAL_BOUND
+    margin = coupled.margin[0]
+    rounded = min(MOST_ROUNDED_RESIDUAL, ROUNDED_RESIDUAL / (margin * margin))
+    return residual <= max(RESIDUAL_BOUND, rounded)
+
+
+@kernel
+def free_acceleration(buffers):
+    """Acceleration of the object's centre of mass without contact forces [m/s^2]."""
+    force = 0.0
+    for k in range(3):
+        force = max(force, abs(buffers.h_o[k]))
+    return force / buffers.inertia[0, 0]
+
+
+@kernel
+def watch_solver(struct):
+    """Compare with the step before; returns the number of changes, for Python to put into words."""
+    plant, buffers, work = open_system(struct)
+    changes = 0
+    rank = int(buffers.solved[RANK_OF_ALL])
+    last = buffers.lost.size - 1
+    if buffers.lost[last] != rank:
+        buffers.lost[last] = rank
+        changes += 1
+    if plant.dense[0] != 0:
+        return changes
+    coupled = open_coupled(struct)
+    for i in range(last):
+        buffers.passed[i] = 0
+        lost = 0
+        if not work.pivot[i] > COUPLED_BELOW:
+            lost = lost_directions(i, buffers.lost[i], work, coupled)
+        elif work.pivot[i] < REGAINED * REGAINED * COUPLED_BELOW:
+            lost = buffers.lost[i]
+        elif work.dofs[i + 1] - work.dofs[i] == work.rows[i + 1] - work.rows[i]:
+            sign = determinant_sign(i, work, coupled)
+            if sign * buffers.signs[i] < 0.0:
+                buffers.passed[i] = 1
+                changes += 1
+            buffers.signs[i] = sign
+        if lost != buffers.lost[i]:
+            buffers.lost[i] = lost
+            changes += 1
+    return changes
+
+
+@kernel
+def lost_directions(i, before, work, coupled):
+    """How many directions a deficient arm has lost, with some play to either side."""
+    fewest = most = 0
+    for a in range(work.rows[i], work.rows[i + 1]):
+        share = coupled.sigma[a] / coupled.scale[i] if coupled.scale[i] > 0.0 else 0.0
+        fewest += 1 if share < LOST else 0
+        most += 1 if share < REGAINED * LOST else 0
+    if fewest > before:
+        return fewest
+    return most if most < before else before
+
+
+@kernel
+def determinant_sign(i, work, coupled):
+    """Sign of ``det(W)`` of an arm with as many contacts as joints (elimination by rows).
+
+    That of ``L^-1 W`` is the same.
+    """
+    n = work.dofs[i + 1] - work.dofs[i]
+    A, Y, sign = coupled.A[i], work.Y[i], 1.0
+    for r in range(n):
+        for k in range(n):
+            A[r, k] = Y[r, k]
+    for k in range(n):
+        best = k
+        for r in range(k + 1, n):
+            if abs(A[r, k]) > abs(A[best, k]):
+                best = r
+        if best != k:
+            sign = -sign
+            for j in range(k, n):
+                A[k, j], A[best, j] = A[best, j], A[k, j]
+        if A[k, k] == 0.0:
+            return 0.0
+        if A[k, k] < 0.0:
+            sign = -sign
+        for r in range(k + 1, n):
+            factor = A[r, k] / A[k, k]
+            for j in range(k + 1, n):
+                A[r, j] -= factor * A[k, j]
+    return sign

@@ -1,0 +1,456 @@
+r"""The compiled parts of a mode: control on the whole model, sliding friction, guards.
+
+*Sliding.*  A contact that slides pushes along its normal and drags along its slip: with the slip
+velocity :math:`s = |s|\,d` in its two tangents, the force on them is :math:`-\mu\lambda_n d`, so
+that its columns of the reaction matrices are
+
+.. math:: \tilde W = W_n - \mu\,(d_1 W_{t1} + d_2 W_{t2}),
+
+of object and arm alike, while its constraint stays along the normal (thesis, footnote to 4.9).  Its
+power is :math:`-\mu\lambda_n |s|`.
+
+*Redundant contacts.*  Forces that the motion leaves open are of least norm, which may pull or leave
+the cones of friction, where others that make the same motion do not.  Then the mode begins with
+forces :math:`\lambda_0` that obey the laws, and :math:`\lambda = \lambda_0 + \delta` with
+:math:`\delta` of least norm.
+
+Where slip comes to rest the direction of :math:`s` turns round.  Within a step the force must be
+smooth nevertheless, so that the step ends beyond that point as if nothing were there, and the time
+can be found: the direction taken is the one of :math:`\pm s` that is nearer to the last step's,
+:math:`d_0`.  And where slip begins, velocities across it die out at the rate :math:`\mu a_n / |s|`,
+which no method could follow.  With :math:`s = a d_0 + p`, p across :math:`d_0`, and a speed
+:math:`s_0` that belongs to the accuracy of the run, the direction is therefore that of
+
+.. math:: \sqrt{a^2 + s_0^2}\; d_0 + \frac{a}{\sqrt{a^2 + s_0^2}}\; p ,
+
+which is :math:`\pm s` but for speeds near :math:`s_0`.  The force has its full size at any speed.
+"""
+
+from __future__ import annotations
+
+import math
+
+from multiarm.contacts.kernel import AT, GAP, GAP_RATE
+from multiarm.control.torques import control_torques
+from multiarm.dynamics.arrays import CALL_CLOSE, CALL_DENSE, IMBALANCE, open_coupled, open_system
+from multiarm.dynamics.equations import (
+    CALLBACK_FAILED,
+    OK,
+    add_torques,
+    applied_forces,
+    drift_terms,
+    imbalance,
+    load_gravity_torque,
+    passive_forces,
+    renew_kinematics,
+    update_rows,
+)
+from multiarm.dynamics.kinematics import arm_rows, load_inertia
+from multiarm.dynamics.solver.reaction_coupling import RANK as REACTION_RANK
+from multiarm.dynamics.solver.reaction_coupling import ROWS as REACTION_ROWS
+from multiarm.dynamics.solver.reaction_elimination import eliminate_with_reactions
+from multiarm.dynamics.solver.reaction_solution import solve_for_reactions
+from multiarm.dynamics.solver.regular import IMBALANCE_BOUND
+from multiarm.dynamics.solver.singular import ARMS, RANK, UNKNOWNS
+from multiarm.dynamics.solver_monitor import note_solution, watch_solver
+from multiarm.events.arrays import (
+    ARM,
+    ASIDE,
+    CONE_GUARD,
+    DIPPED,
+    FIRED,
+    FULL,
+    GAP_GUARD,
+    GUARD_KIND,
+    HELD,
+    HOLD_GUARD,
+    LIFT_GUARD,
+    MODEL,
+    ONSET_GUARD,
+    OWN,
+    PARAMETER,
+    PATCH_GUARD,
+    PUSH_GUARD,
+    QUIET,
+    RATE_GUARD,
+    REST_GUARD,
+    SLIP_GUARD,
+    SPRING_GUARD,
+    TANGENT_AT,
+    TANGENT_OF_ALL,
+    THRESHOLD,
+    A,
+    B,
+    C,
+    open_mode,
+    open_reactions,
+)
+from multiarm.jit.kernels import cfunc, inlined, kernel
+from multiarm.jit.pointers import call_cfunc, call_python
+from multiarm.jit.structs import struct_at
+
+
+@cfunc
+def forces_by_model(address, size, alpha, beta):
+    """Right-hand sides of a mode; its control reckons with all contacts of the model."""
+    plant, buffers, work = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    buffers.power[mode.slots[0]] = 0.0
+    passive_forces(address, size, plant, buffers, work)
+    power = 0.0
+    if plant.control.shape[0] > 0:
+        at_model, size_of_model = plant.links[MODEL], plant.links[MODEL + 1]
+        model = struct_at(at_model, size_of_model)
+        of_model, own, theirs = open_system(model)
+        for i in range(of_model.pointers.shape[0]):
+            arm_rows(i, model, of_model, own, theirs)
+            load_inertia(i, of_model, theirs)
+        load_gravity_torque(of_model, own, theirs)
+        control_torques(at_model, size_of_model, buffers.time[0], plant, own)
+        power = add_torques(address, size, plant, buffers)
+    applied_forces(address, size, plant, buffers, power)
+    drift_terms(buffers, alpha, beta)
+    return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
+
+
+@cfunc
+def solve_held(address, size, _a, _b):
+    """Solve a mode in which nothing slides, and note how near its guards come to zero."""
+    struct = struct_at(address, size)
+    plant, buffers, work = open_system(struct)
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    if mode.stressed[0] != 0:
+        add_prestress(mode, buffers.Wo, work.Y, buffers, work)
+    status = call_cfunc(plant.calls[CALL_CLOSE], struct, 0.0, 0.0)
+    if mode.stressed[0] != 0:
+        add_forces(mode, buffers)
+    note_least(plant, buffers)
+    return status
+
+
+@kernel
+def add_prestress(mode, on_object, on_arms, buffers, work):
+    """Add what the forces of ``mode.prestress`` do to the right-hand sides."""
+    for i in range(work.dofs.size - 1):
+        d0, first = work.dofs[i], work.rows[i]
+        for k in range(first, work.rows[i + 1]):
+            force = mode.prestress[k]
+            for l in range(6):  # noqa: E741
+                buffers.h_o[l] += on_object[k, l] * force
+            for j in range(work.dofs[i + 1] - d0):
+                buffers.h[d0 + j] += on_arms[i, j, k - first] * force
+
+
+@kernel
+def add_forces(mode, buffers):
+    """Add the forces of ``mode.prestress`` to those that were solved for."""
+    for k in range(buffers.force.size):
+        buffers.force[k] += mode.prestress[k]
+
+
+@cfunc
+def solve_sliding(address, size, _a, _b):
+    """Solve a mode in which contacts slide."""
+    struct = struct_at(address, size)
+    plant, buffers, work = open_system(struct)
+    own = struct_at(plant.links[OWN], plant.links[OWN + 1])
+    mode, reactions = open_mode(own), open_reactions(own)
+    write_reactions(plant, buffers, work, mode, reactions)
+    if mode.stressed[0] != 0:
+        add_prestress(mode, mode.Wr, reactions.Yr, buffers, work)
+    buffers.solved[IMBALANCE] = 0.0
+    coupled = open_coupled(struct)
+    coupled.counts[ARMS] = 0
+    if plant.dense[0] != 0:
+        call_python(plant.calls[CALL_DENSE])
+        if buffers.flag[0] != 0:
+            return CALLBACK_FAILED
+    else:
+        status = solve_reactions(buffers, work, mode, reactions, False)
+        if status == OK and not buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
+            status = renew_kinematics(struct)
+            if status == OK:
+                write_reactions(plant, buffers, work, mode, reactions)
+                status = solve_reactions(buffers, work, mode, reactions, True)
+        if status != OK:
+            return status
+        lacking = reactions.counts[REACTION_ROWS] - reactions.counts[REACTION_RANK]
+        if lacking > 0:
+            coupled.counts[ARMS] = 1
+            coupled.counts[UNKNOWNS] = reactions.counts[REACTION_ROWS]
+            coupled.counts[RANK] = reactions.counts[REACTION_RANK]
+            coupled.margin[0] = math.inf
+    if mode.stressed[0] != 0:
+        add_forces(mode, buffers)
+    power = 0.0
+    for s in range(mode.slides.shape[0]):
+        power -= mode.slide_mu[s] * buffers.force[mode.slides[s, HELD]] * mode.speed[s]
+    buffers.power[mode.slots[0]] = power
+    buffers.power[buffers.power.size - 1] += power
+    note_least(plant, buffers)
+    return OK
+
+
+@kernel
+def solve_reactions(buffers, work, mode, reactions, couple_all):
+    """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
+    work.factored[0] = 1
+    failed = eliminate_with_reactions(reactions, buffers.Wo, mode.Wr, buffers.inertia, couple_all)
+    if failed >= 0:
+        return failed
+    solve_for_reactions(
+        reactions, buffers.Wo, mode.Wr, buffers.h_o, buffers.h, buffers.c, buffers.q_o,
+        buffers.qdd, buffers.force,
+    )  # fmt: skip
+    buffers.solved[IMBALANCE] = imbalance(buffers, work, mode.Wr)
+    return OK
+
+
+@kernel
+def write_reactions(plant, buffers, work, mode, reactions):
+    """Reaction matrices at the kinematics in the buffers, into ``mode.Wr`` and ``reactions.Yr``."""
+    update_rows(struct_at(plant.links[ASIDE], plant.links[ASIDE + 1]))
+    _, aside, tangents = open_system(struct_at(plant.links[ASIDE], plant.links[ASIDE + 1]))
+    for k in range(buffers.Wo.shape[0]):
+        for l in range(6):  # noqa: E741
+            mode.Wr[k, l] = buffers.Wo[k, l]
+    for i in range(work.dofs.size - 1):
+        for j in range(work.dofs[i + 1] - work.dofs[i]):
+            for a in range(work.rows[i + 1] - work.rows[i]):
+                reactions.Yr[i, j, a] = work.Y[i, j, a]
+    for s in range(mode.slides.shape[0]):
+        row, i, t = mode.slides[s, HELD], mode.slides[s, ARM], mode.slides[s, TANGENT_AT]
+        write_direction(s, mode, aside.contacts[t, GAP_RATE], aside.contacts[t + 1, GAP_RATE])
+        first, second = mode.slide_mu[s] * mode.turning[s, 0], mode.slide_mu[s] * mode.turning[s, 1]
+        for k in range(6):
+            mode.Wr[row, k] -= first * aside.Wo[t, k] + second * aside.Wo[t + 1, k]
+        own, other = row - work.rows[i], t - tangents.rows[i]
+        for j in range(work.dofs[i + 1] - work.dofs[i]):
+            pull = first * tangents.Y[i, j, other] + second * tangents.Y[i, j, other + 1]
+            reactions.Yr[i, j, own] -= pull
+
+
+@kernel
+def write_direction(s, mode, first, second):
+    """Direction of slip now, of the two that are possible the one nearer to the last step's."""
+    d0, d1, slow = mode.direction[s, 0], mode.direction[s, 1], mode.slow[0]
+    along = first * d0 + second * d1
+    p0, p1 = first - along * d0, second - along * d1
+    root = math.sqrt(along * along + slow * slow)
+    e0, e1 = root * d0 + along / root * p0, root * d1 + along / root * p1
+    size = math.sqrt(e0 * e0 + e1 * e1)
+    d0, d1 = e0 / size, e1 / size
+    mode.turning[s, 0], mode.turning[s, 1] = d0, d1
+    mode.speed[s] = first * d0 + second * d1
+
+
+@cfunc
+def show_forces(address, size, _t, _b):
+    """Write the forces of all rows, and what every contact does, into ``buffers.shown``."""
+    plant, buffers, _ = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    shown = buffers.shown
+    shown[:] = 0.0
+    for k in range(mode.held.size):
+        shown[mode.held[k]] = buffers.force[k]
+    for s in range(mode.slides.shape[0]):
+        drag = -mode.slide_mu[s] * buffers.force[mode.slides[s, HELD]]
+        t = mode.slides[s, TANGENT_OF_ALL]
+        shown[t], shown[t + 1] = drag * mode.turning[s, 0], drag * mode.turning[s, 1]
+    for k in range(mode.springs.size):
+        shown[mode.springs[k]] = mode.spring_force[k]
+    first = shown.size - mode.states.size
+    for k in range(mode.states.size):
+        shown[first + k] = mode.states[k]
+    return OK
+
+
+@kernel
+def force_guard(g, mode, buffers):
+    """Value of a guard that is about forces."""
+    kind, a = mode.guards[g, GUARD_KIND], mode.guards[g, A]
+    parameter, force = mode.levels[g, PARAMETER], buffers.force
+    if kind == PUSH_GUARD:
+        return force[a]
+    if kind == HOLD_GUARD:
+        return parameter - abs(force[a])
+    square = 0.0
+    for column in (B, C):
+        if mode.guards[g, column] >= 0:
+            square += force[mode.guards[g, column]] ** 2
+    return parameter * force[a] - math.sqrt(square)
+
+
+@kernel
+def is_about_forces(kind):
+    """Whether a guard is about forces."""
+    return kind in (PUSH_GUARD, HOLD_GUARD, CONE_GUARD)
+
+
+@kernel
+def is_about_a_gap(g, mode):
+    """Whether a guard is about an open contact."""
+    kind = mode.guards[g, GUARD_KIND]
+    return kind == GAP_GUARD or (kind == SPRING_GUARD and mode.guards[g, C] > 0)
+
+
+@kernel
+def note_least(plant, buffers):
+    """Note the least values of guards about forces in the stages of a step."""
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    for g in range(mode.guards.shape[0]):
+        if is_about_forces(mode.guards[g, GUARD_KIND]):
+            mode.least[g] = min(mode.least[g], force_guard(g, mode, buffers))
+
+
+@kernel
+def patch_guard(g, mode, plant, buffers, contact):
+    """How far inside its patch a contact of the surroundings is [m]."""
+    patch, inside = mode.patches[g], math.inf
+    for j in range(3):
+        x = 0.0
+        for k in range(3):
+            x += patch[3 * k + j] * (contact[AT + k] - patch[9 + k])
+        inside = min(inside, x - patch[12 + j], patch[15 + j] - x)
+    return inside
+
+
+@inlined
+def spring_length(gap, rate, lag):
+    """Length beyond rest of a spring and damper that only push; they do where it is negative [m].
+
+    They push while they are pressed in and their force ``-k (gap + lag rate)`` is positive, with
+    ``lag`` the damping over the stiffness ``k`` [s].
+    """
+    return max(gap, gap + lag * rate)
+
+
+@kernel
+def guard_value(g, mode, plant, buffers, everything):
+    """Value of a guard at the state evaluated last; ``everything`` are the buffers of all rows."""
+    kind, a, parameter = mode.guards[g, GUARD_KIND], mode.guards[g, A], mode.levels[g, PARAMETER]
+    if kind == GAP_GUARD:
+        return everything.contacts[a, GAP]
+    if kind == REST_GUARD:
+        return parameter + everything.contacts[a, GAP]
+    if kind == LIFT_GUARD:
+        return parameter - everything.contacts[a, GAP]
+    if kind == SLIP_GUARD:
+        t = mode.slides[a, TANGENT_OF_ALL]
+        first, second = everything.contacts[t, GAP_RATE], everything.contacts[t + 1, GAP_RATE]
+        return first * mode.direction[a, 0] + second * mode.direction[a, 1]
+    if kind == ONSET_GUARD:
+        t = mode.slides[a, TANGENT_OF_ALL]
+        first, second = everything.contacts[t, GAP_RATE], everything.contacts[t + 1, GAP_RATE]
+        return parameter - math.sqrt(first * first + second * second)
+    if kind == RATE_GUARD:
+        return parameter * buffers.v[a]
+    if kind == SPRING_GUARD:
+        row = everything.contacts[a]
+        return mode.guards[g, C] * spring_length(row[GAP], row[GAP_RATE], parameter)
+    if kind == PATCH_GUARD:
+        return mode.guards[g, C] * patch_guard(g, mode, plant, buffers, everything.contacts[a])
+    return force_guard(g, mode, buffers)
+
+
+@cfunc
+def write_guards(address, size, _a, _b):
+    """:func:`value_guards` for callers that know its address."""
+    return value_guards(address, size)
+
+
+@kernel
+def value_guards(address, size):
+    """Write the values of all guards at the state evaluated last."""
+    plant, buffers, _ = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    update_rows(struct_at(plant.links[FULL], plant.links[FULL + 1]))
+    _, everything, _ = open_system(struct_at(plant.links[FULL], plant.links[FULL + 1]))
+    for g in range(mode.guards.shape[0]):
+        mode.values[g] = guard_value(g, mode, plant, buffers, everything)
+    return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
+
+
+@cfunc
+def check_guards(address, size, begin, end):
+    """Look at all guards at the end of a step; not ``OK`` when one has something to tell."""
+    plant, _, _ = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    if value_guards(address, size) != OK:
+        return OK  # the flag is up: the loop will notice
+    _, everything, _ = open_system(struct_at(plant.links[FULL], plant.links[FULL + 1]))
+    mode.span[0], mode.span[1] = begin, end
+    events = 0
+    for g in range(mode.guards.shape[0]):
+        mode.found[g] = judge_guard(g, mode, everything, end - begin)
+        events += 1 if mode.found[g] != QUIET else 0
+    if events > 0 and mode.muted[0] == 0:
+        return FIRED
+    mode.muted[0] = 0
+    accept_guards(mode, everything)
+    return OK
+
+
+@kernel
+def judge_guard(g, mode, everything, h):
+    """Whether a guard changed its sign in a step of length ``h``, once or perhaps twice."""
+    now, least, kind = mode.values[g], mode.levels[g, THRESHOLD], mode.guards[g, GUARD_KIND]
+    if now < (0.0 if mode.armed[g] != 0 else -least):
+        return FIRED
+    if is_about_forces(kind):
+        return DIPPED if mode.least[g] < -least else QUIET
+    if is_about_a_gap(g, mode) and mode.armed[g] != 0:
+        # a cubic through both ends and their rates has a minimum below zero
+        end = everything.contacts[mode.guards[g, A]]
+        before, gap, rate = mode.before[g], end[GAP], end[GAP_RATE]
+        if mode.rates[g] < 0.0 < rate and dips(before, mode.rates[g], gap, rate, h):
+            return DIPPED
+    return QUIET
+
+
+@kernel
+def dips(p, m, q, n, h):
+    """Whether the cubic from ``p`` with slope ``m`` to ``q`` with slope ``n`` goes near zero."""
+    # its derivative is m + 2 b x + 3 a x^2 with x from 0 to 1
+    m, n = m * h, n * h
+    a, b = 2.0 * (p - q) + m + n, 3.0 * (q - p) - 2.0 * m - n
+    square = b * b - 3.0 * a * m
+    if square <= 0.0:
+        return False
+    x = -m / (b + math.sqrt(square))
+    if not 0.0 < x < 1.0:
+        return False
+    lowest = p + x * (m + x * (b + x * a))
+    return lowest < 0.05 * min(p, q)
+
+
+@kernel
+def accept_guards(mode, everything):
+    """Make the end of a step the beginning of the next one."""
+    for g in range(mode.guards.shape[0]):
+        mode.before[g] = mode.values[g]
+        mode.least[g] = math.inf
+        if is_about_a_gap(g, mode):
+            mode.rates[g] = everything.contacts[mode.guards[g, A], GAP_RATE]
+        if mode.values[g] > mode.levels[g, THRESHOLD]:
+            mode.armed[g] = 1
+    for s in range(mode.slides.shape[0]):
+        t = mode.slides[s, TANGENT_OF_ALL]
+        first, second = everything.contacts[t, GAP_RATE], everything.contacts[t + 1, GAP_RATE]
+        write_direction(s, mode, first, second)
+        mode.direction[s, 0], mode.direction[s, 1] = mode.turning[s, 0], mode.turning[s, 1]
+
+
+@kernel
+def start_guards(struct):
+    """Take the state evaluated last as the end of a step: its guards, and how it was solved."""
+    note_solution(struct)
+    watch_solver(struct)
+    plant, _, _ = open_system(struct)
+    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    update_rows(struct_at(plant.links[FULL], plant.links[FULL + 1]))
+    _, everything, _ = open_system(struct_at(plant.links[FULL], plant.links[FULL + 1]))
+    _, buffers, _ = open_system(struct)
+    for g in range(mode.guards.shape[0]):
+        mode.values[g] = guard_value(g, mode, plant, buffers, everything)
+    accept_guards(mode, everything)

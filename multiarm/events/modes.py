@@ -1,0 +1,349 @@
+"""A mode: the system with the rows that are held now, its sliding contacts and its guards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from multiarm.assembly.system import System
+from multiarm.dynamics.arrays import CALL_DENSE, CALL_FORCES, CALL_GUARDS, CALL_SHOW, CALL_SOLVE
+from multiarm.dynamics.dense_callback import dense_call
+from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
+from multiarm.events.arrays import (
+    ASIDE,
+    CONE_GUARD,
+    FULL,
+    GAP_GUARD,
+    GUARD_WIDTH,
+    HOLD_GUARD,
+    LEVEL_WIDTH,
+    LIFT_GUARD,
+    LINKS,
+    MODEL,
+    ONSET_GUARD,
+    OWN,
+    PATCH_GUARD,
+    PUSH_GUARD,
+    RATE_GUARD,
+    REST_GUARD,
+    SLIDE_WIDTH,
+    SLIP_GUARD,
+    SPRING_GUARD,
+    ModeArrays,
+    mode_struct,
+)
+from multiarm.events.candidates.plan import Plan
+from multiarm.events.candidates.units import CONTACT, DRY_JOINT, Unit
+from multiarm.events.kernels import (
+    check_guards,
+    forces_by_model,
+    show_forces,
+    solve_held,
+    solve_sliding,
+)
+from multiarm.events.patches import patch_of
+from multiarm.events.selection import select
+from multiarm.jit.pointers import PythonCallback, address_of
+from multiarm.results.channels import OPEN, RESTING, SLIDING, STICKING, TOUCHING
+
+# Beside the states that are recorded (:mod:`multiarm.results.channels`): joints that move against
+# dry friction; contacts whose friction is at its bound although they do not slip, because others
+# keep them from it.
+FORWARD, BACKWARD, AT_BOUND = 5, 6, 7
+STATE_NAMES = {
+    OPEN: "open", TOUCHING: "touching", SLIDING: "sliding", STICKING: "sticking",
+    RESTING: "resting", FORWARD: "moving", BACKWARD: "moving", AT_BOUND: "sticking",
+}  # fmt: skip
+
+# A guard that is at zero when a mode begins counts as positive above so much: gaps [m], speeds
+# [m/s, rad/s], and forces as a part of the largest one.
+GAP_THRESHOLD, SPEED_THRESHOLD, FORCE_THRESHOLD = 1e-10, 2e-8, 1e-9
+# A slip is at rest below this part of what is slow; a contact at the bound of friction that is
+# faster has begun to slip.
+STILL = 0.01
+# Contacts that touch without force may sink in or lift by so much before they are looked at [m].
+REST = 1e-9
+
+
+# Kind, (a, b, c), parameter and threshold of a guard.
+Guard = tuple[int, tuple[int, int, int], float, float]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which units do what.
+
+    Attributes
+    ----------
+    states : tuple of int
+        By unit, ``OPEN`` to ``BACKWARD``.
+    rows : tuple of int
+        Rows of units that are held, increasing.
+    beside, below : frozenset of int
+        Open units that are beside their patch, or below it, see :mod:`multiarm.events.edges`.
+    """
+
+    states: tuple[int, ...]
+    rows: tuple[int, ...]
+    beside: frozenset[int] = frozenset()
+    below: frozenset[int] = frozenset()
+
+    def sliding(self, units: tuple[Unit, ...]) -> list[int]:
+        """Numbers of the units that slide with their normal row held."""
+        return [
+            u
+            for u, unit in enumerate(units)
+            if self.states[u] in (SLIDING, AT_BOUND) and unit.row in self.rows and unit.tangents
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One mode of a system.
+
+    Attributes
+    ----------
+    choice : Choice
+    system : System
+        With the rows held now; its forces, guards and sliding are those of the mode.
+    arrays : ModeArrays
+    """
+
+    choice: Choice
+    system: System
+    arrays: ModeArrays
+    _kept: tuple[object, ...]  # arrays and systems that the kernels reach by their addresses
+
+    def set_prestress(self, forces: dict[int, float]) -> None:
+        """Let the forces of the mode be those nearest to these, given by their rows among all."""
+        self.arrays.prestress[:] = [forces.get(int(row), 0.0) for row in self.arrays.held]
+        self.arrays.stressed[0] = 1
+
+    def set_directions(self, directions: dict[int, np.ndarray], units: tuple[Unit, ...]) -> None:
+        """Set the directions of slip, by number of the unit."""
+        for s, u in enumerate(self.choice.sliding(units)):
+            self.arrays.direction[s] = directions[u]
+
+
+class Modes:
+    """All modes of a system that a run has come to.
+
+    Attributes
+    ----------
+    full : System
+        With all rows.
+    slow : float
+        Slip slower than this has hardly a direction of its own [m/s].
+    model, bare : System
+        See :class:`multiarm.events.candidates.plan.Plan`; in ``bare`` every unit is open.
+    """
+
+    def __init__(self, full: System, slow: float):
+        assert full.plan is not None, "a system whose contacts come and go"
+        self.full, self.plan, self.slow = full, full.plan, slow
+        self.model = select(full, self.plan.model)
+        self._nothing = select(full, [])
+        self._made: dict[Choice, Mode] = {}
+        everything_open = tuple(
+            FORWARD if unit.kind == DRY_JOINT else OPEN for unit in self.plan.units
+        )
+        self._open = Choice(everything_open, ())
+        self.bare = self.mode(self._open).system
+
+    @property
+    def loose(self) -> System:
+        """The bodies without any contact."""
+        return self._loose.system
+
+    @cached_property
+    def _loose(self) -> Mode:  # kept whole: kernels reach its arrays by their addresses
+        return self._make(self._open, ())
+
+    def mode(self, choice: Choice) -> Mode:
+        """The mode of a choice, made when it is first asked for."""
+        if choice not in self._made:
+            self._made[choice] = self._make(choice, self.plan.bare)
+        return self._made[choice]
+
+    def enter(self, choice: Choice, directions: dict[int, np.ndarray]) -> Mode:
+        """The mode of a choice, ready to be simulated in."""
+        mode = self.mode(choice)
+        mode.set_directions(directions, self.plan.units)
+        arrays = mode.arrays
+        arrays.armed[:] = arrays.muted[:] = arrays.stressed[:] = 0
+        arrays.least[:] = np.inf
+        set_unit_forces(self.plan, choice)
+        return mode
+
+    def _make(self, choice: Choice, bare: tuple[int, ...]) -> Mode:
+        full, units = self.full, self.plan.units
+        rows = np.array(sorted([*bare, *choice.rows]), dtype=np.int64)
+        sliding = choice.sliding(units)
+        held = select(full, rows)
+        tangents = [t for u in sliding for t in units[u].tangents]
+        aside = select(full, tangents) if sliding else self._nothing
+        arrays = self._arrays(choice, rows, sliding)
+        reactions = _reactions(held) if sliding else None
+        struct = mode_struct(arrays, reactions)
+        links, plant = np.zeros(LINKS, dtype=np.int64), held.plant
+        others = {
+            MODEL: self.model.struct(),
+            FULL: full.struct(),
+            ASIDE: aside.struct(),
+            OWN: struct,
+        }
+        for at, other in others.items():
+            links[at : at + 2] = other.ctypes.data, other.size
+        plant.calls[CALL_FORCES] = address_of(forces_by_model)
+        plant.calls[CALL_SOLVE] = address_of(solve_sliding if sliding else solve_held)
+        plant.calls[CALL_SHOW] = address_of(show_forces)
+        plant.calls[CALL_GUARDS] = address_of(check_guards)
+        buffers = held.buffers._replace(shown=self.plan.shown)
+        calls = held.calls
+        if reactions is not None:
+            solve = dense_call(plant.pointers, buffers, held.work, (arrays.Wr, reactions.Yr))
+            calls = {**calls, "dense": PythonCallback(solve, buffers.flag)}
+            plant.calls[CALL_DENSE] = calls["dense"].address
+        system = replace(
+            held, plant=plant._replace(links=links), buffers=buffers, calls=calls, plan=None
+        )
+        return Mode(
+            choice, system, arrays, (held, aside, struct, reactions, others, self.model, full)
+        )
+
+    def _arrays(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> ModeArrays:
+        units, full, springs = self.plan.units, self.full, self.plan.springs
+        place = {int(row): k for k, row in enumerate(rows)}
+        slides = np.zeros((len(sliding), SLIDE_WIDTH), dtype=np.int64)
+        for s, u in enumerate(sliding):
+            arm = int(np.searchsorted(full.layout.rows, units[u].row, side="right")) - 1
+            slides[s] = place[units[u].row], arm, 2 * s, units[u].tangents[0]
+        guards, levels, patches = [], [], []
+        for u, unit in enumerate(units):
+            patch = patch_of(full, unit)
+            found = _guards(u, unit, choice, place, sliding, self.slow)
+            if unit.soft:
+                found = [_spring_guard(self.plan, unit, choice.states[u])]
+            elif patch is not None:
+                found = _at_a_patch(u, unit, choice, found)
+            for kind, abc, parameter, threshold in found:
+                guards.append([kind, *abc, u])
+                levels.append([parameter, threshold])
+                patches.append(patch if kind == PATCH_GUARD else np.zeros(18))
+        g = len(guards)
+        states = [
+            STICKING if state == AT_BOUND else state
+            for state, unit in zip(choice.states, units, strict=True)
+            if unit.kind == CONTACT
+        ]
+        return ModeArrays(
+            held=rows,
+            slides=slides,
+            slide_mu=np.array([units[u].mu for u in sliding]),
+            direction=np.zeros((len(sliding), 2)),
+            turning=np.zeros((len(sliding), 2)),
+            speed=np.zeros(len(sliding)),
+            slow=np.array([self.slow]),
+            slots=np.array([_friction_slot(full)], dtype=np.int64),
+            states=np.array(states, dtype=float),
+            guards=np.array(guards, dtype=np.int64).reshape(-1, GUARD_WIDTH),
+            levels=np.array(levels).reshape(-1, LEVEL_WIDTH),
+            values=np.zeros(g),
+            before=np.zeros(g),
+            rates=np.zeros(g),
+            least=np.full(g, np.inf),
+            armed=np.zeros(g, dtype=np.int64),
+            found=np.zeros(g, dtype=np.int64),
+            muted=np.zeros(1, dtype=np.int64),
+            span=np.zeros(2),
+            patches=np.array(patches).reshape(-1, 18),
+            Wr=np.zeros((len(rows), 6)),
+            prestress=np.zeros(len(rows)),
+            stressed=np.zeros(1, dtype=np.int64),
+            springs=np.zeros(0, dtype=np.int64) if springs is None else springs.rows,
+            spring_force=np.zeros(0) if springs is None else springs.force,
+        )
+
+
+def _friction_slot(full: System) -> int:
+    """Place of the power of sliding friction; without it one where nothing is ever noted."""
+    has_it = "contact_friction" in full.pieces.works
+    return full.pieces.slot("contact_friction" if has_it else "impacts")
+
+
+def set_unit_forces(plan: Plan, choice: Choice) -> None:
+    """Torques of dry friction of the joints that move, zero of those that are held; which springs
+    push.
+    """
+    plan.dry[:] = 0.0
+    for unit, state in zip(plan.units, choice.states, strict=True):
+        if unit.soft:
+            assert plan.springs is not None, "a compliant contact is a spring"
+            plan.springs.active[plan.springs.number(unit.row)] = state != OPEN
+        if unit.kind == DRY_JOINT and state in (FORWARD, BACKWARD):
+            plan.dry[unit.joint] = -unit.bound if state == FORWARD else unit.bound
+
+
+def _reactions(held: System) -> ReactionWork:
+    """Arrays of the node algorithm with friction that share what others read with the system's."""
+    layout, work = held.layout, held.work
+    sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
+    return make_reaction_work(*sizes)._replace(
+        dofs=work.dofs, rows=work.rows, levers=work.levers, L=work.L, Y=work.Y, y=work.y
+    )
+
+
+def _guards(
+    u: int, unit: Unit, choice: Choice, place: dict[int, int], sliding: list[int], slow: float
+) -> list[Guard]:
+    """Kind, (a, b, c), parameter and threshold of the guards of one unit."""
+    state = choice.states[u]
+    row = place.get(unit.row, -1)
+    if unit.kind == DRY_JOINT:
+        if state in (FORWARD, BACKWARD):
+            sign = 1.0 if state == FORWARD else -1.0
+            return [(RATE_GUARD, (unit.joint, -1, -1), sign, _still(slow))]
+        limit = FORCE_THRESHOLD * unit.bound
+        return [(HOLD_GUARD, (row, -1, -1), unit.bound, limit)] if row >= 0 else []
+    if state == OPEN:
+        return [(GAP_GUARD, (unit.row, -1, -1), 0.0, GAP_THRESHOLD)]
+    if row < 0:
+        place_of_all = (unit.row, -1, -1)
+        return [(REST_GUARD, place_of_all, REST, 0.0), (LIFT_GUARD, place_of_all, REST, 0.0)]
+    guards = [(PUSH_GUARD, (row, -1, -1), 0.0, FORCE_THRESHOLD)]
+    if state == STICKING:
+        tangents = [place.get(t, -1) for t in unit.tangents]
+        if max(tangents) >= 0:
+            guards.append((CONE_GUARD, (row, tangents[0], tangents[1]), unit.mu, FORCE_THRESHOLD))
+    if u in sliding:
+        place_of_slide = (sliding.index(u), -1, -1)
+        if state == AT_BOUND:
+            guards.append((ONSET_GUARD, place_of_slide, _still(slow), 0.0))
+        else:
+            guards.append((SLIP_GUARD, place_of_slide, 0.0, _still(slow)))
+    return guards
+
+
+def _still(slow: float) -> float:
+    """Speed that a slip which has just come to rest may have left."""
+    return max(SPEED_THRESHOLD, STILL * slow)
+
+
+def _spring_guard(plan: Plan, unit: Unit, state: int) -> Guard:
+    """The guard of a compliant contact that only pushes."""
+    assert plan.springs is not None, "a compliant contact is a spring"
+    lag = float(plan.springs.lags[plan.springs.number(unit.row)])
+    return SPRING_GUARD, (unit.row, -1, 1 if state == OPEN else -1), lag, GAP_THRESHOLD
+
+
+def _at_a_patch(u: int, unit: Unit, choice: Choice, guards: list[Guard]) -> list[Guard]:
+    """The guards of a contact that is on its patch, over it, beside it or below it."""
+    sign = -1 if u in choice.beside else 1
+    edge = PATCH_GUARD, (unit.row, -1, sign), 0.0, GAP_THRESHOLD
+    if u in choice.beside:
+        return [edge]
+    if u in choice.below:  # a spring without damping: its length is the gap
+        return [edge, (SPRING_GUARD, (unit.row, -1, -1), 0.0, GAP_THRESHOLD)]
+    return [*guards, edge]

@@ -1,0 +1,96 @@
+"""Events in words: what changed for whom, where, and how it was before and after."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from multiarm.assembly.contact_checks import points_and_normals
+from multiarm.contacts.records import (
+    JointRow,
+)
+from multiarm.events.candidates.units import CONTACT, DRY_JOINT, LIMIT, Unit
+from multiarm.events.modes import (
+    AT_BOUND,
+    BACKWARD,
+    FORWARD,
+    OPEN,
+    SLIDING,
+    STATE_NAMES,
+    STICKING,
+    Choice,
+    Modes,
+)
+from multiarm.events.transition import Decision, Hit
+
+
+def decision_events(
+    modes: Modes, t: float, decision: Decision, before: Choice
+) -> list[dict[str, Any]]:
+    """Events of one decision; nothing is told of what a run begins with but impacts.
+
+    ``before`` has no states at the beginning of a run.
+    """
+    hits, events = {hit.unit: hit for hit in decision.hits}, []
+    for u, unit in enumerate(modes.plan.units):
+        now = decision.choice.states[u]
+        was = before.states[u] if before.states else now
+        kind = _kind(unit, was, now, hits.get(u), u in decision.rested)
+        if kind:
+            events.append(_event(modes, t, unit, kind, was, now, hits.get(u)))
+    return events
+
+
+def _kind(unit: Unit, was: int, now: int, hit: Hit | None, rested: bool) -> str:
+    """What happened to a unit; empty: nothing."""
+    if unit.kind == DRY_JOINT:
+        moved, moves = was in (FORWARD, BACKWARD), now in (FORWARD, BACKWARD)
+        return "" if moved == moves else "joint slips" if moves else "joint sticks"
+    if hit is not None and now == OPEN:
+        return "bounces"
+    if rested:
+        return "comes to rest"
+    if (was == OPEN) != (now == OPEN):
+        if unit.kind == LIMIT:
+            return "leaves its limit" if now == OPEN else "reaches its limit"
+        return "lets go" if now == OPEN else "touches"
+    if hit is not None:
+        return "touches"
+    was, now = (STICKING if state == AT_BOUND else state for state in (was, now))
+    if was in (SLIDING, STICKING) and now in (SLIDING, STICKING) and was != now:
+        return "slides" if now == SLIDING else "sticks"
+    return ""
+
+
+def _event(
+    modes: Modes, t: float, unit: Unit, kind: str, was: int, now: int, hit: Hit | None
+) -> dict[str, Any]:
+    what = unit.name if unit.kind == CONTACT else modes.full.joint_name(unit.joint)
+    event: dict[str, Any] = {
+        "time": float(t),
+        "kind": kind,
+        "arm": unit.arm,
+        "contact" if unit.kind == CONTACT else "joint": what,
+        "before": {"state": STATE_NAMES[was]},
+        "after": {"state": STATE_NAMES[now]},
+        "text": f"{unit.arm}: {what} {_words(modes, unit, kind)}",
+    }
+    if unit.kind == CONTACT:
+        points, _ = points_and_normals(modes.full, slice(unit.row, unit.row + 1))
+        event["where"] = points[0].tolist()
+    if hit is not None:
+        turns = unit.kind != CONTACT and modes.full.joint_unit(unit.joint) == "rad"
+        unit_of_rate = "rad_s" if turns else "m_s"
+        event["before"][f"gap_rate_{unit_of_rate}"] = hit.before
+        event["after"][f"gap_rate_{unit_of_rate}"] = hit.after
+        event["after"]["impulse"] = hit.impulse
+    return event
+
+
+def _words(modes: Modes, unit: Unit, kind: str) -> str:
+    """What happened, of a joint at its limit with the end at which it did."""
+    if unit.kind != LIMIT:
+        return kind.removeprefix("joint ")
+    record = modes.full.records[unit.row]
+    assert isinstance(record, JointRow), "a limit is a joint's"
+    end = "its lower limit" if record.side > 0.0 else "its upper limit"
+    return f"bounces off {end}" if kind == "bounces" else kind.replace("its limit", end)

@@ -1,0 +1,255 @@
+"""From a grasp to a scene that runs: hands on real arms, postures, a path, control that squeezes.
+
+:mod:`.hands` makes a hand of each gripper, :mod:`.standing` looks for places of the arms with
+:mod:`.postures`, :mod:`.squeezing` finds out how hard the fingertips must press.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.grasp.scenes.hands import contacts, fingers, pose_table, require_room
+from multiarm.grasp.scenes.squeezing import motion_wrenches, needed_squeeze
+from multiarm.grasp.scenes.standing import Progress, Stand, lifted, stand_arms
+from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robot, resolve_arm
+
+__all__ = ["grasp_scene"]
+
+GRAVITY = (0.0, 0.0, -9.81)
+# The usual path, as parts of a 10 s run: lift and shift, turn, and back to the start.
+USUAL_PATH = (
+    (0.3, (0.0, 0.06, 0.08), (0.0, 0.0, 0.15)),
+    (0.65, (0.05, -0.04, 0.04), (0.1, -0.08, -0.1)),
+    (0.95, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+)
+# Stiffness [1/s^2] and damping [1/s] of the control, critically damped.
+STIFFNESS, DAMPING = 100.0, 20.0
+# The weakest contact shall press with so much of the object's weight, shared by the contacts.
+LEAST_SHARE = 0.25
+SIDES = ("left", "right")
+
+
+def grasp_scene(
+    grasp: Grasp,
+    arms: Sequence[str] = ("panda", "panda"),
+    *,
+    mass: float = 5.0,
+    tip_radius: float = 0.01,
+    hand_mass: float = 0.4,
+    height: float | None = None,
+    path: Sequence[Waypoint] | None = None,
+    duration: float = 10.0,
+    accuracy: float = 1e-6,
+    squeeze: float | None = None,
+    name: str | None = None,
+    mesh: str | Path | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Scene:
+    """A scene in which arms hold a grasp's body and move it.
+
+    Parameters
+    ----------
+    grasp : Grasp
+        In form closure.
+    arms : sequence of str
+        Robots by name, one for each gripper.
+    mass, hand_mass : float
+        Of the object, evenly spread, and of each hand [kg].
+    tip_radius : float
+        Of the spherical fingertips [m].
+    height : float, optional
+        Of the object's centre at the start [m]; left out: where the arms reach best.
+    path : sequence of Waypoint, optional
+        Poses of the object relative to the start, by their times.  Left out: it is lifted, shifted,
+        turned and brought back.
+    duration, accuracy : float
+        Of the run [s], and what is asked of it.
+    squeeze : float, optional
+        Mean internal force [N]; left out: such that the weakest contact presses with a quarter of
+        its share of the weight throughout the path.
+    name : str, optional
+        Title of the scene.
+    mesh : path, optional
+        STL file that is written for a body that is not convex, and that the scene names.
+    seed : int
+        Of the search for postures.
+    progress : callable, optional
+        Told the part that is done, 0 to 1, and what is being done.
+
+    Raises
+    ------
+    GraspError
+        A grasp without closure, another number of arms, hands or postures that cannot be.
+    SceneError
+        Robots that do not exist.
+    """
+    _require_hold(grasp, arms)
+    _require_numbers(
+        {"mass": mass, "hand_mass": hand_mass, "tip_radius": tip_radius, "duration": duration},
+        {"height": height, "squeeze": squeeze},
+    )
+    grasp = _centred(grasp)
+    require_room(grasp, tip_radius)
+    body = _object(grasp.body, mass, mesh)
+    specs = [ArmSpec(robot=robot, tip=find_robot(robot).tip) for robot in arms]
+    way = path_of(path, duration)
+    course = [waypoint.matrix() for waypoint in way]
+    rng = np.random.default_rng(seed)
+    z, stands = stand_arms(grasp, specs, course, tip_radius, height, rng, progress)
+    properties = grasp.body.mass_properties(mass)
+    if squeeze is None:
+        wrenches = motion_wrenches(way, mass, properties.inertia, np.array(GRAVITY))
+        least = LEAST_SHARE * mass * abs(GRAVITY[2]) / len(grasp.contacts)
+        squeeze = needed_squeeze(grasp.contacts, wrenches, least)
+    names = _arm_names(grasp)
+    start = lifted(z)
+    return Scene(
+        name=name
+        or f"{len(arms)} arms hold a body of {len(grasp.body.faces)} faces by its corners",
+        gravity=GRAVITY,
+        object={**body, "pose": pose_table(start)},
+        arms={
+            arm: _arm(grasp, k, specs[k], stands[k], tip_radius, hand_mass)
+            for k, arm in enumerate(names)
+        },
+        joints=[
+            {
+                "arm": arm,
+                "kind": "contacts",
+                "at": pose_table(gripper.frame),
+                "contacts": contacts(grasp, gripper, tip_radius),
+            }
+            for arm, gripper in zip(names, grasp.grippers, strict=True)
+        ],
+        control={
+            "kind": "computed_torque",
+            "stiffness": STIFFNESS,
+            "damping": DAMPING,
+            "relative_damping": DAMPING,
+            "relative_stiffness": STIFFNESS,
+            "squeeze": _upwards(squeeze),
+            "path": [
+                {"time": waypoint.time, **pose_table(start @ waypoint.matrix())}
+                for waypoint in way[1:]
+            ],
+        },
+        effects={"unilateral_contacts": {}},
+        run={"duration": duration, "accuracy": accuracy, "arms": "compiled"},
+    )
+
+
+def _require_hold(grasp: Grasp, arms: Sequence[str]) -> None:
+    if not grasp.closure:
+        raise GraspError(f"the grasp does not hold the body: {grasp.closure.message}")
+    if len(arms) != len(grasp.grippers):
+        raise GraspError(
+            f"the grasp has {len(grasp.grippers)} grippers, which need as many arms, not "
+            f"{len(arms)}; robots are {', '.join(available_robots())}"
+        )
+
+
+def _require_numbers(positive: dict[str, Any], chosen: dict[str, Any]) -> None:
+    """Refuse what is no number before the long search; ``chosen`` ones may be left out."""
+    given = {**positive, **{name: value for name, value in chosen.items() if value is not None}}
+    for name, value in given.items():
+        if not isinstance(value, Real) or not math.isfinite(value):
+            raise GraspError(f"{name} is a finite number, not {value!r}")
+        if name in positive and not float(value) > 0.0:
+            raise GraspError(f"{name} is greater than 0, not {value!r}")
+        if name == "squeeze" and float(value) < 0.0:
+            raise GraspError(f"squeeze is at least 0, not {value!r}")
+
+
+def _arm_names(grasp: Grasp) -> list[str]:
+    """The grippers' names, as a scene may name arms."""
+    return [re.sub(r"\W+", "_", gripper.name) for gripper in grasp.grippers]
+
+
+def _centred(grasp: Grasp) -> Grasp:
+    """The grasp with the origin of its frame at the centre of mass, as that of an object."""
+    shift = np.eye(4)
+    shift[:3, 3] = -grasp.body.centre
+    return grasp.placed(shift)
+
+
+def path_of(path: Sequence[Waypoint] | None, duration: float) -> list[Waypoint]:
+    """Poses relative to the start, the start first; the usual path where none is given.
+
+    Raises
+    ------
+    GraspError
+        A path of no poses, or one whose times do not increase.
+    """
+    if path is None:
+        usual = [
+            Waypoint(time=round(part * duration, 6), xyz=xyz, rpy=rpy)
+            for part, xyz, rpy in USUAL_PATH
+        ]
+        return [Waypoint(time=0.0), *usual]
+    way = [Waypoint(time=0.0), *(waypoint for waypoint in path if waypoint.time != 0.0)]
+    if len(way) < 2:
+        raise GraspError("the path has no pose after the start; leave it out for the usual one")
+    for before, after in pairwise(way):
+        if not after.time > before.time:
+            raise GraspError(
+                f"the times of the path must increase, but {after.time:g} s comes after "
+                f"{before.time:g} s"
+            )
+    return way
+
+
+def _arm(
+    grasp: Grasp, k: int, spec: ArmSpec, stand: Stand, tip_radius: float, hand_mass: float
+) -> dict[str, Any]:
+    hand = fingers(grasp, grasp.grippers[k], stand.mount, tip_radius, hand_mass)
+    yaw = math.atan2(stand.base[1, 0], stand.base[0, 0])
+    return {
+        "robot": spec.robot,
+        "base": {"xyz": stand.base[:3, 3].round(6).tolist(), "rpy": [0.0, 0.0, yaw]},
+        "tool": {"mount": spec.tip, "fingers": hand},
+        "tip": "corner",
+        "posture": stand.reach.postures[0].tolist(),
+        "lock": resolve_arm(spec).locked,
+    }
+
+
+def _object(body: Polyhedron, mass: float, mesh: str | Path | None) -> dict[str, Any]:
+    """A block along the axes as such, other convex bodies by their corners, the rest by a file."""
+    edges = np.ptp(body.vertices, axis=0)
+    if len(body.vertices) == 8 and np.allclose(
+        np.abs(body.vertices), 0.5 * edges, rtol=0.0, atol=1e-12 * body.size
+    ):
+        return {"shape": {"box": edges.tolist()}, "mass": mass}
+    if body.convex:
+        return {"shape": {"hull": body.vertices.tolist()}, "mass": mass}
+    if mesh is None:
+        raise GraspError(
+            "the body is not convex, and a scene takes such an object from a mesh file: say with "
+            "`mesh` which STL file is to be written"
+        )
+    body.save(mesh)
+    return {
+        "shape": {"mesh": {"file": str(Path(mesh).expanduser().resolve())}},
+        "mass": mass,
+        "inertia": body.mass_properties(mass).inertia.tolist(),
+    }
+
+
+def _upwards(number: float) -> float:
+    """Rounded up to two digits that count."""
+    if number <= 0.0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(number)) - 1)
+    return float(f"{math.ceil(number / unit) * unit:.3g}")

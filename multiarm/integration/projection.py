@@ -1,0 +1,179 @@
+r"""Keeping the state on the constraints: feedback on the gaps, and projection.
+
+*Feedback* adds :math:`-2\alpha\dot\varphi - \beta^2\varphi` to the constraint accelerations
+(thesis, 4.3; J. Baumgarte, Comput. Methods Appl. Mech. Eng. 1, 1972).  The gains belong to the
+step: with :math:`\alpha = \beta` the linear stability limits of :math:`\alpha h` are
+``FEEDBACK_LIMITS``, and ``FEEDBACK_RATIO / h`` stays well inside all of them.
+
+*Projection* moves the state onto the constraints after a step, in the metric of the inertia:
+
+.. math::
+    \min_\delta \tfrac12 \delta^T M \delta \ \text{ with }\ W^T\delta = -\varphi
+    \qquad\text{and}\qquad
+    \min_{\delta v} \tfrac12 \delta v^T M\, \delta v \ \text{ with }\ W^T (v + \delta v) = 0 .
+
+Both are the node system with other right-hand sides (``h = 0``, ``c = -\varphi`` or
+``-\dot\varphi``), so that projection costs as much as an evaluation and stays linear in the arms.
+Where the constraints lose rank it follows: gaps that no motion closes to first order (a flat
+parallelogram, contacts that say the same twice) are left, as long as they are small.
+"""
+
+from __future__ import annotations
+
+import math
+
+from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.dynamics.arrays import COUPLED_COUNTS, KICK, SHIFT, open_coupled, open_system
+from multiarm.dynamics.equations import OK, largest, solve_constrained, update_kinematics
+from multiarm.dynamics.solver.singular import ARMS, RANK, UNKNOWNS
+from multiarm.jit.kernels import clear, inlined, kernel
+from multiarm.jit.structs import ints1
+from multiarm.spatial import retract_into
+
+# alpha = beta = FEEDBACK_RATIO / step
+FEEDBACK_RATIO = 0.1
+# Largest alpha * step, alpha = beta, for which phi'' + 2 alpha phi' + beta^2 phi = 0 stays bounded.
+FEEDBACK_LIMITS = {
+    "semi_implicit_euler": 2.0 * (math.sqrt(2.0) - 1.0),
+    "explicit_euler": 2.0,
+    "rk4": 2.785293563405282,
+}
+
+PROJECTION_FAILED = -3
+MAX_ITERATIONS = 12
+# Constraints that are nearer than this to losing rank magnify what is left of gaps; iterations that
+# are spent there to reduce these to roundings.
+NEAR_LOSS, FURTHER_ITERATIONS = 0.3, 3
+# Gaps that no motion closes may be this many times the tolerance.
+UNREACHED = 1e4
+
+
+@inlined
+def clear_forces(buffers):
+    """Set the right-hand sides ``h_o`` and ``h`` to zero."""
+    clear(buffers.h_o)
+    clear(buffers.h)
+
+
+@kernel
+def project_positions(struct, tolerance, hold_object, longest, iterations):
+    """Newton's method for ``phi = 0`` in the inertia metric; moves ``position`` and ``angles``.
+
+    Parameters
+    ----------
+    tolerance : float
+        Largest gap that is accepted [m].
+    hold_object : bool
+        Move the arms only.
+    longest : float
+        Longest change of one joint in one iteration [rad, m]; longer steps are shortened.
+    iterations : int
+        Give up after so many.
+
+    Returns
+    -------
+    int
+        ``OK`` with the kinematics of the projected state in ``buffers``; ``PROJECTION_FAILED``; or
+        what :func:`multiarm.dynamics.equations.solve_constrained` returned.  The largest change of
+        a coordinate is in ``buffers.solved[SHIFT]``.
+    """
+    _, buffers, _ = open_system(struct)
+    buffers.solved[SHIFT] = 0.0
+    before, further = math.inf, FURTHER_ITERATIONS
+    for _ in range(iterations):
+        status = update_kinematics(struct)
+        if status != OK:
+            return status
+        worst = largest(buffers.contacts, GAP)
+        if worst <= tolerance:
+            if further == 0 or worst > 0.5 * before or not near_loss(struct):
+                return OK
+            further -= 1
+        if not math.isfinite(worst):
+            return PROJECTION_FAILED
+        if worst > 0.5 * before and worst <= UNREACHED * tolerance and lacks_rank(struct):
+            return OK
+        before = worst
+        clear_forces(buffers)
+        for k in range(buffers.c.size):
+            buffers.c[k] = -buffers.contacts[k, GAP]
+        status = solve_constrained(struct)
+        if status != OK:
+            return status
+        reach = greatest(buffers.qdd)
+        scale = 1.0 if reach <= longest else longest / reach
+        if not hold_object:
+            reach = max(reach, greatest(buffers.q_o))
+        buffers.solved[SHIFT] += scale * reach
+        for j in range(buffers.qdd.size):
+            buffers.angles[j] += scale * buffers.qdd[j]
+        if not hold_object:
+            move_object(buffers, scale)
+    return PROJECTION_FAILED
+
+
+@kernel
+def near_loss(struct):
+    """Whether the constraints were near a loss of rank when they were solved last."""
+    coupled = open_coupled(struct)
+    return coupled.counts[ARMS] > 0 and coupled.margin[0] < NEAR_LOSS
+
+
+@kernel
+def lacks_rank(struct):
+    """Whether some constraints of the last solution depended on others."""
+    counts = ints1(struct, COUPLED_COUNTS)
+    return counts[ARMS] > 0 and counts[RANK] < counts[UNKNOWNS]
+
+
+@kernel
+def greatest(vector):
+    """Largest magnitude of a vector's entries."""
+    size = 0.0
+    for k in range(vector.size):
+        size = max(size, abs(vector[k]))
+    return size
+
+
+@inlined
+def move_object(buffers, scale):
+    """Apply ``scale * q_o`` as a displacement and a rotation vector to the object's pose."""
+    q_o, position = buffers.q_o, buffers.position
+    for k in range(6):
+        q_o[k] *= scale
+    for k in range(3):
+        position[k] += q_o[k]
+    retract_into(position[3:7], q_o[3:6], position[3:7])
+
+
+@kernel
+def project_velocities(struct):
+    """Project ``twist`` and ``v`` on ``W^T v = 0``; needs the state's kinematics in the buffers.
+
+    The largest change is in ``buffers.solved[KICK]``.
+    """
+    _, buffers, _ = open_system(struct)
+    clear_forces(buffers)
+    for k in range(buffers.c.size):
+        buffers.c[k] = -buffers.contacts[k, GAP_RATE]
+    status = solve_constrained(struct)
+    if status != OK:
+        return status
+    buffers.solved[KICK] = max(greatest(buffers.q_o), greatest(buffers.qdd))
+    for k in range(6):
+        buffers.twist[k] += buffers.q_o[k]
+    for j in range(buffers.v.size):
+        buffers.v[j] += buffers.qdd[j]
+    return OK
+
+
+@kernel
+def project(struct, tolerance):
+    """Project the state in the buffers of the system with this struct; returns a status.
+
+    The kinematics left in the buffers are those of before the velocities' correction.
+    """
+    status = project_positions(struct, tolerance, False, 0.5, MAX_ITERATIONS)
+    if status != OK:
+        return status
+    return project_velocities(struct)

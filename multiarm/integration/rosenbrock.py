@@ -1,0 +1,278 @@
+r"""One step of a Rosenbrock method: linearly implicit, for scenes with fast damped motions.
+
+With ``u' = f(t, u)``, ``J`` its Jacobian and ``f_t`` its time derivative at the beginning of the
+step, the stages of Rodas5P solve linear systems with one and the same matrix,
+
+.. math::
+    \Big(\frac{1}{\gamma} - hJ\Big) k_i = f\Big(t + c_i h,\ u + h\sum_{j<i} a_{ij} k_j\Big)
+        + \sum_{j<i} C_{ij} k_j + h\, d_i f_t, \qquad u_1 = u + h \sum_i b_i k_i ,
+
+and the last of them is the error estimate (G. Steinebach, BIT Numer. Math. 63:27, 2023; E. Hairer,
+G. Wanner, Solving Ordinary Differential Equations II, IV.7).  The method is of order 5 and
+L-stable: motions that damping, stiff springs or stiff gains make fast do not limit the step once
+they have died out.
+
+*The matrix.*  The state is ``[positions, velocities, inner states, works]``; inner states are those
+of effects, and are treated like velocities that move no position.  Only accelerations, inner rates
+and powers need differences; the positions' rates are known.  At the beginning of a step, where the
+chart's rotation vector is zero, they are ``B p + v`` with ``B = blkdiag(0, S(omega)/2, 0)``, and so
+with ``R = (1/gamma - hB)^{-1}``, which is written down,
+
+.. math::
+    k_p = R\,(r_p + h k_v), \qquad
+    \Big(\frac1\gamma - h J_v - h^2 J_p R\Big) k_v = r_v + h J_p R\, r_p, \qquad
+    k_w = \gamma\,\big(r_w + h (J_{wp} k_p + J_{wv} k_v)\big):
+
+one matrix as large as there are velocities, half as large as the state, without inner states.
+
+*The differences* are central in the positions, on which everything depends in the most curved way,
+and forward in the velocities, of which accelerations are quadratic functions: 3 (6 + n) evaluations
+for n joints, two more when something depends on time.  The cost of a step grows with the square of
+the number of arms, that of the matrix with its cube; for few arms both are small.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.equations import NOT_FINITE, OK
+from multiarm.dynamics.solver.factors import factor_lu, solve_lu
+from multiarm.integration.stepper import (
+    OWN_EVALUATIONS,
+    Method,
+    Step,
+    combine,
+    evaluate_slope,
+)
+from multiarm.integration.tableaus import Tableau
+from multiarm.jit.kernels import cfunc, clear, copy, kernel
+from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at, view
+
+# Changes of a position [m, rad], of a velocity (times the fastest one, if that is above 1) and of
+# the time (times the step, if that is below 1) from which derivatives are taken.
+POSITION_CHANGE, VELOCITY_CHANGE, TIME_CHANGE = 2e-6, 1e-6, 1e-5
+
+
+class RosenbrockWork(NamedTuple):
+    """A step's arrays for ``D = N + M + w`` entries of the state: ``N = 6 + joints`` positions,
+    ``M = N + e`` velocities and inner states, ``w`` works.
+
+    system : int64
+        Struct of the system.
+    A, b, c, C, d, gamma
+        Of the tableau; ``gamma`` (1,).
+    z, z_new, z_stage, base, k, gains, own
+        Of :class:`multiarm.integration.stepper.Step`; ``k[0]`` holds the first slope on entry.
+    slope, other, time_slope : (D,)
+        First slope, scratch, derivative with respect to time.
+    by_position : (M + w, N), by_velocity : (M + w, M)
+        Derivatives of the accelerations, inner rates and, last, of the powers.
+    turned : (M, N)
+        ``J_p R``.
+    matrix : (M, M), pivots : int64 (M,)
+        Factors of the linear system.
+    """
+
+    system: Ints1
+    A: Floats2
+    b: Floats1
+    c: Floats1
+    C: Floats2
+    d: Floats1
+    gamma: Floats1
+    z: Floats1
+    z_new: Floats1
+    z_stage: Floats1
+    base: Floats1
+    k: Floats2
+    gains: Floats1
+    own: Ints1
+    slope: Floats1
+    other: Floats1
+    time_slope: Floats1
+    by_position: Floats2
+    by_velocity: Floats2
+    turned: Floats2
+    matrix: Floats2
+    pivots: Ints1
+
+
+def make_rosenbrock(
+    tableau: Tableau, method: Method, step: Step, joints: int, system_struct: np.ndarray
+) -> RosenbrockWork:
+    """Allocate the arrays of a Rosenbrock method's steps."""
+    size, n = step.z.size, 6 + joints
+    m = step.tolerance.size - n
+    return RosenbrockWork(
+        system=system_struct,
+        A=method.A,
+        b=method.b,
+        c=method.c,
+        C=np.ascontiguousarray(tableau.C),
+        d=np.ascontiguousarray(tableau.d),
+        gamma=np.array([tableau.gamma]),
+        z=step.z,
+        z_new=step.z_new,
+        z_stage=step.z_stage,
+        base=step.base,
+        k=step.k,
+        gains=step.gains,
+        own=step.own,
+        slope=np.zeros(size),
+        other=np.zeros(size),
+        time_slope=np.zeros(size),
+        by_position=np.zeros((size - n, n)),
+        by_velocity=np.zeros((size - n, m)),
+        turned=np.zeros((m, n)),
+        matrix=np.zeros((m, m)),
+        pivots=np.zeros(m, dtype=np.int64),
+    )
+
+
+_open = view(RosenbrockWork)
+
+
+@cfunc
+def rosenbrock_step(address, size, t, h):
+    """All stages of a step of length ``h`` from time ``t``, then ``z_new``; returns a status."""
+    work = _open(struct_at(address, size))
+    copy(work.k[0], work.slope)
+    work.own[OWN_EVALUATIONS] = 0
+    status = differentiate(work, t, h)
+    if status != OK:
+        return status
+    if not factor(work, h):
+        return NOT_FINITE
+    for i in range(work.b.size):
+        copy(work.slope, work.other)
+        if i > 0:
+            combine(work, work.A[i], i, h, work.z_stage)
+            status = slope_at(work, t + work.c[i] * h, work.z_stage, work.other)
+            if status != OK:
+                return status
+        for j in range(i):
+            factor_of = work.C[i, j]
+            for l in range(work.other.size):  # noqa: E741
+                work.other[l] += factor_of * work.k[j, l]
+        for l in range(work.other.size):  # noqa: E741
+            work.other[l] += h * work.d[i] * work.time_slope[l]
+        solve_stage(work, h, work.other, work.k[i])
+    combine(work, work.b, work.b.size, h, work.z_new)
+    return OK
+
+
+@kernel
+def slope_at(work, t, z, slope):
+    """Evaluate, and count it."""
+    work.own[OWN_EVALUATIONS] += 1
+    return evaluate_slope(work.system, t, z, work.base, work.gains[0], work.gains[1], slope)
+
+
+@kernel
+def differentiate(work, t, h):
+    """Derivatives at the beginning of the step; returns a status."""
+    z, n, other, before = work.z_stage, work.by_position.shape[1], work.other, work.time_slope
+    m, rows = work.matrix.shape[0], work.by_position.shape[0]
+    fastest = 1.0
+    for i in range(m):
+        fastest = max(fastest, abs(work.z[n + i]))
+    change = VELOCITY_CHANGE * fastest
+    copy(work.z, z)
+    for j in range(n):
+        z[j] = work.z[j] - POSITION_CHANGE
+        status = slope_at(work, t, z, before)
+        if status != OK:
+            return status
+        z[j] = work.z[j] + POSITION_CHANGE
+        status = slope_at(work, t, z, other)
+        if status != OK:
+            return status
+        z[j] = work.z[j]
+        for i in range(rows):
+            work.by_position[i, j] = (other[n + i] - before[n + i]) / (2.0 * POSITION_CHANGE)
+    for j in range(m):
+        z[n + j] = work.z[n + j] + change
+        status = slope_at(work, t, z, other)
+        if status != OK:
+            return status
+        z[n + j] = work.z[n + j]
+        for i in range(rows):
+            work.by_velocity[i, j] = (other[n + i] - work.slope[n + i]) / change
+    return differentiate_by_time(work, t, h)
+
+
+@kernel
+def differentiate_by_time(work, t, h):
+    """``f_t`` from two later times, inside the step: its beginning may be a kink."""
+    plant, _, _ = open_system(work.system)
+    rate, other = work.time_slope, work.other
+    clear(rate)
+    if plant.control.shape[0] == 0 and plant.effects.shape[0] == 0:
+        return OK
+    change = TIME_CHANGE * min(h, 1.0)
+    status = slope_at(work, t + 2.0 * change, work.z, other)
+    if status != OK:
+        return status
+    copy(other, rate)
+    status = slope_at(work, t + change, work.z, other)
+    if status != OK:
+        return status
+    for i in range(rate.size):
+        rate[i] = (4.0 * other[i] - rate[i] - 3.0 * work.slope[i]) / (2.0 * change)
+    return OK
+
+
+@kernel
+def factor(work, h):
+    """Factors of the linear system; returns whether they can be used."""
+    n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / work.gamma[0]
+    for i in range(m):
+        row = work.turned[i]
+        for j in range(n):
+            row[j] = work.by_position[i, j] / a
+        turn(a, -0.5 * h, work.z[n + 3 : n + 6], work.by_position[i, 3:6], row[3:6])
+        for j in range(m):
+            work.matrix[i, j] = -h * work.by_velocity[i, j]
+        for j in range(n):
+            work.matrix[i, j] -= h * h * row[j]
+        work.matrix[i, i] += a
+    return factor_lu(work.matrix, m, work.pivots) > 0.0
+
+
+@kernel
+def turn(a, half, omega, vector, out):
+    """``out = (a - S(w))^-1 vector``, ``w = half * omega``: for row vectors with ``-half``."""
+    w0, w1, w2 = half * omega[0], half * omega[1], half * omega[2]
+    v0, v1, v2 = vector[0], vector[1], vector[2]
+    along = w0 * v0 + w1 * v1 + w2 * v2
+    scale = 1.0 / (a * (a * a + w0 * w0 + w1 * w1 + w2 * w2))
+    out[0] = scale * (a * a * v0 + a * (w1 * v2 - w2 * v1) + along * w0)
+    out[1] = scale * (a * a * v1 + a * (w2 * v0 - w0 * v2) + along * w1)
+    out[2] = scale * (a * a * v2 + a * (w0 * v1 - w1 * v0) + along * w2)
+
+
+@kernel
+def solve_stage(work, h, right, out):
+    """Solve the stage's system for the right-hand side ``right``, which is spent."""
+    n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / work.gamma[0]
+    velocity = out[n : n + m]
+    for i in range(m):
+        s = right[n + i]
+        for j in range(n):
+            s += h * work.turned[i, j] * right[j]
+        velocity[i] = s
+    solve_lu(work.matrix, m, work.pivots, velocity)
+    for i in range(n):
+        right[i] += h * velocity[i]
+        out[i] = right[i] / a
+    turn(a, 0.5 * h, work.z[n + 3 : n + 6], right[3:6], out[3:6])
+    for i in range(m, work.by_position.shape[0]):
+        s = right[n + i]
+        for j in range(n):
+            s += h * work.by_position[i, j] * out[j]
+        for j in range(m):
+            s += h * work.by_velocity[i, j] * velocity[j]
+        out[n + i] = s / a

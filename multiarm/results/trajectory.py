@@ -1,0 +1,420 @@
+"""The result of a run: what was measured, how it ended, and where it came from.
+
+A `Trajectory` is a read-only view, of arrays in memory or of a file. A channel is read from the
+file when it is first asked for, so that a long run costs memory only for what is looked at.
+
+From the recorded channels follow the two numbers that judge a run, both 0 when it is exact:
+
+    energy balance   E(t) - E(0) - W(t),   E = kinetic + potential, W = work since the start
+    drift            max |phi| and max |W^T v|, how far the contacts are from closing
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multiarm.errors import TrajectoryError
+from multiarm.results.channels import Channel
+from multiarm.results.files import name_beside
+from multiarm.results.outcome import Outcome, plain
+from multiarm.results.sample_store import ByArm, ByContacts, Store, arm_names, channels_of
+
+if TYPE_CHECKING:
+    from multiarm.scene import Scene
+
+BLOCK_SAMPLES = 8192
+
+
+class Trajectory:
+    """A run: its samples, how it ended, and where it came from. Read-only.
+
+    Arrays have the K samples as leading axis. Per-arm channels are mappings from the arm's name;
+    an arm has nv joints, base to tip, and N contacts.
+    """
+
+    __slots__ = ("_cache", "_outcome", "_scene", "_simulated", "_store")
+
+    def __init__(self, store: Store, outcome: Outcome):
+        self._store, self._outcome = store, outcome
+        self._cache: dict[str, np.ndarray] = {}
+        self._scene: Scene | None = None
+        self._simulated: Scene | None = None
+
+    def __len__(self) -> int:
+        return self._store.samples
+
+    def __repr__(self) -> str:
+        span = f", t = {self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self) else ""
+        return f"Trajectory({len(self)} samples{span}, {self.status})"
+
+    @property
+    def channels(self) -> Mapping[str, Channel]:
+        """What was recorded: name -> Channel (shape, unit, frame, description, labels)."""
+        return dict(self._store.channels)
+
+    @property
+    def arm_names(self) -> tuple[str, ...]:
+        """Names of the arms, in the order of the scene."""
+        return arm_names(self._store)
+
+    def channel(self, name: str) -> np.ndarray:
+        """All samples of a channel: read once, then kept; not writeable."""
+        if name not in self._cache:
+            values = self.read(name)
+            values.flags.writeable = False
+            self._cache[name] = values
+        return self._cache[name]
+
+    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Samples start..stop of a channel, without keeping them."""
+        if name not in self._store.channels:
+            known = ", ".join(self._store.channels)
+            raise TrajectoryError(f"unknown channel {name!r}; channels are {known}")
+        return self._store.read(name, start, stop)
+
+    def blocks(self, *names: str, samples: int = BLOCK_SAMPLES) -> Iterator[list[np.ndarray]]:
+        """The named channels side by side, a bounded number of samples at a time."""
+        for start in range(0, len(self), samples):
+            yield [self.read(name, start, start + samples) for name in names]
+
+    @property
+    def time(self) -> np.ndarray:
+        """Times of the samples, shape (K,) [s]."""
+        return self.channel("time")
+
+    @property
+    def object_position(self) -> np.ndarray:
+        """Centre of mass of the object in world axes, shape (K, 3) [m]."""
+        return self.channel("object/position")
+
+    @property
+    def object_quaternion_xyzw(self) -> np.ndarray:
+        """Orientation of the object, scalar last, shape (K, 4)."""
+        return self.channel("object/quaternion_xyzw")
+
+    @property
+    def object_twist(self) -> np.ndarray:
+        """Velocity of the centre of mass [m/s], angular velocity [rad/s], world, (K, 6)."""
+        return self.channel("object/twist")
+
+    @property
+    def joint_positions(self) -> Mapping[str, np.ndarray]:
+        """Arm -> joint coordinates, shape (K, nv) [rad], sliding joints [m]."""
+        return ByArm(self._store, "joint_position", self.channel)
+
+    @property
+    def joint_velocities(self) -> Mapping[str, np.ndarray]:
+        """Arm -> joint velocities, shape (K, nv) [rad/s], sliding joints [m/s]."""
+        return ByArm(self._store, "joint_velocity", self.channel)
+
+    @property
+    def joint_torques(self) -> Mapping[str, np.ndarray]:
+        """Arm -> torques of the controller, shape (K, nv) [N m], sliding joints [N]."""
+        return ByArm(self._store, "joint_torque", self.channel)
+
+    @property
+    def contact_forces(self) -> Mapping[str, np.ndarray]:
+        """Arm -> forces along the contact normals, shape (K, N) [N]; positive pushes.
+
+        ``"floor"`` has those of the object's contacts with the floor, in scenes that have one.
+        """
+        return ByContacts(self._store, "contact_force", self.channel)
+
+    @property
+    def contact_states(self) -> Mapping[str, np.ndarray]:
+        """Arm, or "floor" -> what each contact does, codes of `channels.CONTACT_STATES`, (K, N).
+
+        0 open, 1 touching, 2 sliding, 3 sticking, 4 resting: touching, carried by other contacts.
+        An arm whose contacts hold in every way has shape (K, 0).
+        """
+        return ByContacts(self._store, "contact_state", self.channel, optional=True)
+
+    @property
+    def relative_motion(self) -> Mapping[str, np.ndarray]:
+        """Arm -> rates alpha of what its joint leaves free, (K, m) [m/s, rad/s]; see the labels.
+
+        An arm whose joint leaves nothing free has shape (K, 0).
+        """
+        return ByArm(self._store, "relative_rate", self.channel, optional=True)
+
+    @property
+    def relative_position(self) -> Mapping[str, np.ndarray]:
+        """Arm -> coordinates of what its joint leaves free, (K, m) [m, rad]; angles go on past pi.
+
+        A single free turn is told by its angle, several by the rotation vector.
+        """
+        return ByArm(self._store, "relative_position", self.channel, optional=True)
+
+    @property
+    def relative_motion_labels(self) -> dict[str, tuple[str, ...]]:
+        """Arm -> names of its joint's free motions, such as ("slide z", "turn z")."""
+        channels = self._store.channels
+        return {
+            arm: channels[f"arms/{arm}/relative_rate"].labels
+            if f"arms/{arm}/relative_rate" in channels
+            else ()
+            for arm in self.arm_names
+        }
+
+    @property
+    def kinetic_energy(self) -> np.ndarray:
+        """Of the arms and the object, shape (K,) [J]."""
+        return self.channel("energy/kinetic")
+
+    @property
+    def potential_energy(self) -> np.ndarray:
+        """In the field of gravity, shape (K,) [J]."""
+        return self.channel("energy/potential")
+
+    @property
+    def work(self) -> np.ndarray:
+        """Done by control and effects since the start, shape (K,) [J]."""
+        return self.channel("energy/work")
+
+    @property
+    def effect_works(self) -> dict[str, np.ndarray]:
+        """Effect -> work that it did since the start, shape (K,) [J]; those that do work."""
+        names = (name.split("/") for name in self._store.channels)
+        effects = [parts[1] for parts in names if parts[0] == "effects" and parts[-1] == "work"]
+        return {effect: self.channel(f"effects/{effect}/work") for effect in effects}
+
+    @property
+    def energy(self) -> np.ndarray:
+        """Kinetic plus potential energy, shape (K,) [J]."""
+        return self.kinetic_energy + self.potential_energy
+
+    @property
+    def energy_balance(self) -> np.ndarray:
+        """Energy gained since the start less the work done, shape (K,) [J]; 0 if exact."""
+        return self.energy - self.energy[:1] - self.work
+
+    @property
+    def position_drift(self) -> np.ndarray:
+        """Largest gap of a contact, max |phi|, shape (K,) [m]."""
+        return self.channel("drift/position")
+
+    @property
+    def velocity_drift(self) -> np.ndarray:
+        """Largest rate of a gap, max |W^T v|, shape (K,) [m/s]."""
+        return self.channel("drift/velocity")
+
+    @property
+    def rank(self) -> np.ndarray:
+        """Independent constraints, shape (K,)."""
+        return self.channel("solver/rank")
+
+    @property
+    def coupled_arms(self) -> np.ndarray:
+        """Arms that could not be eliminated as a whole, shape (K,); 0: the linear path alone."""
+        return self.channel("solver/coupled_arms")
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Largest residual of the constraints or of the object's motion, relative, shape (K,)."""
+        return self.channel("solver/residual")
+
+    @property
+    def status(self) -> str:
+        """One of "completed", "interrupted", "failed"."""
+        return self._outcome.status
+
+    @property
+    def message(self) -> str:
+        """What happened and, unless all went well, the remedy."""
+        return self._outcome.message
+
+    @property
+    def statistics(self) -> dict[str, Any]:
+        """Steps, evaluations, wall time and the like: see `Outcome`."""
+        return dict(self._outcome.statistics)
+
+    @property
+    def events(self) -> list[dict[str, Any]]:
+        """What happened on the way, in order of time."""
+        return list(self._outcome.events)
+
+    @property
+    def certificate(self) -> dict[str, Any] | None:
+        """Whether the accuracy asked was reached, and the evidence; None where nothing was checked.
+
+        ``met``, ``text`` (one sentence), ``reason``; ``asked`` and ``estimated_error`` by
+        ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name -> error, unit, time);
+        ``over_time`` (time and the three errors); ``checks`` (energy, residual, drift: value,
+        bound, unit, passed); ``growth_rate_per_s``; ``attempts`` (each run: tolerance, integrator,
+        evaluations, wall_time_s, errors, returned). The errors are estimates, from a rerun with
+        smaller tolerances.
+        """
+        return self._outcome.certificate
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Versions, platform, time of the run, and the scene's text under `scene`."""
+        return dict(self._store.metadata)
+
+    @property
+    def scene_text(self) -> str:
+        """The scene as YAML."""
+        return self._store.metadata.get("scene", "")
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, parsed from its stored text when first asked for."""
+        if self._scene is None:
+            from multiarm.scene import parse_scene
+
+            self._scene = parse_scene(self.scene_text, folder=None, stored=True)
+        return self._scene
+
+    @property
+    def simulated_scene(self) -> Scene:
+        """The scene that was simulated, with its functions, of a run made by this process.
+
+        Of a run that was read from a file, and in general, :attr:`scene`.
+        """
+        return self._simulated or self.scene
+
+    def of(self, scene: Scene) -> Trajectory:
+        """The same, which knows the scene that was simulated."""
+        self._simulated = scene
+        return self
+
+    def summary(self) -> dict[str, Any]:
+        """The run in a few numbers.
+
+        Returns
+        -------
+        dict
+            status, message, samples, duration_s; steps, rejected_steps, evaluations,
+            wall_time_s, realtime_factor, error_estimate as far as the run counted them;
+            position_drift_max_m, velocity_drift_max_m_per_s, energy_balance_max_J (largest
+            magnitudes); final_object_position [m] and final_object_quaternion_xyzw (lists);
+            contact_force_max_N, the largest magnitude per arm, and of the floor; rank_lowest,
+            rank_highest and coupled_steps. Numbers are finite; what is not known is None.
+        """
+        counted = (
+            "steps", "rejected_steps", "evaluations", "wall_time_s", "realtime_factor",
+            "error_estimate",
+        )  # fmt: skip
+        forces = channels_of(self._store.channels, "contact_force")
+        return {
+            "status": self.status,
+            "message": self.message,
+            "samples": len(self),
+            "duration_s": self._duration(),
+            **{key: plain(self._outcome.statistics.get(key)) for key in counted},
+            "position_drift_max_m": self._largest("drift/position"),
+            "velocity_drift_max_m_per_s": self._largest("drift/velocity"),
+            "energy_balance_max_J": self._largest_imbalance(),
+            "final_object_position": self._last("object/position"),
+            "final_object_quaternion_xyzw": self._last("object/quaternion_xyzw"),
+            "contact_force_max_N": {arm: self._largest(name) for arm, name in forces.items()},
+            "rank_lowest": plain(self._outcome.statistics.get("lowest_rank")),
+            "rank_highest": plain(self._outcome.statistics.get("highest_rank")),
+            "coupled_steps": plain(self._outcome.statistics.get("coupled_steps")),
+        }
+
+    def save(self, path: str | os.PathLike) -> Path:
+        """Write the trajectory to a file that `load_trajectory` reads; may be its own file.
+
+        The file appears at its place when it is complete. Memory does not grow with the length
+        of the run.
+
+        Raises
+        ------
+        TrajectoryError
+            The place cannot be written, or holds something that multiarm did not write.
+        """
+        from multiarm.results.storage import Hdf5Writer, writable_target
+
+        target = writable_target(path)
+        partial = name_beside(target)
+        names = tuple(self._store.channels)
+        try:
+            writer = Hdf5Writer(partial, tuple(self._store.channels.values()), self.provenance)
+            for values in self.blocks(*names):
+                writer.append(dict(zip(names, values, strict=True)))
+            writer.finish(asdict(self._outcome))
+            os.replace(partial, target)
+        finally:
+            partial.unlink(missing_ok=True)
+        return Path(path)
+
+    def with_outcome(self, **changes: Any) -> Trajectory:
+        """The same samples with other words about how the run ended: entries of `Outcome`."""
+        return Trajectory(self._store, replace(self._outcome, **plain(changes)))
+
+    def rest(self) -> Trajectory:
+        """The same, its file closed between two looks at its samples: systems limit open files."""
+        self._store.rest()
+        return self
+
+    def close(self) -> None:
+        """Let go of the file or the arrays of samples; channels that were asked for before stay."""
+        self._store.close()
+
+    def _duration(self) -> float | None:
+        if not len(self):
+            return None
+        return float(self.read("time", len(self) - 1)[0] - self.read("time", 0, 1)[0])
+
+    def _last(self, name: str) -> list[float] | None:
+        return self.read(name, len(self) - 1)[0].tolist() if len(self) else None
+
+    def _largest(self, name: str) -> float | None:
+        peaks = [np.abs(values).max() for (values,) in self.blocks(name) if values.size]
+        return float(max(peaks)) if peaks else None
+
+    def _largest_imbalance(self) -> float | None:
+        if not len(self):
+            return None
+        names = ("energy/kinetic", "energy/potential", "energy/work")
+        start = self.read(names[0], 0, 1) + self.read(names[1], 0, 1)
+        return float(max(np.abs(k + p - start - w).max() for k, p, w in self.blocks(*names)))
+
+
+def load_trajectory(path: str | os.PathLike) -> Trajectory:
+    """Open a stored run; channels are read when they are asked for.
+
+    A run that was killed loads up to its last checkpoint, with status "interrupted".
+
+    Parameters
+    ----------
+    path : path-like
+        A file written by a run or by `Trajectory.save`.
+
+    Raises
+    ------
+    TrajectoryError
+        The file is missing, damaged, not a trajectory, or of a newer format.
+    """
+    from multiarm.results.storage import Hdf5Store
+
+    store = Hdf5Store(path)
+    if store.outcome is not None:
+        return Trajectory(store, Outcome(**store.outcome))
+    last = store.read("time", store.samples - 1)[0] if store.samples else None
+    where = "before its first checkpoint" if last is None else f"at t = {last:.9g} s"
+    return Trajectory(
+        store, Outcome("interrupted", f"the run was cut {where}: it was killed or is still running")
+    )
+
+
+def amend_file(path: str | os.PathLike, changes: dict[str, Any]) -> None:
+    """Change what a stored run says of itself: entries of `Outcome`. Its samples stay.
+
+    A kill at any moment leaves the file as it was or as it shall be.
+
+    Raises
+    ------
+    TrajectoryError
+        The file is none of a complete run, or the disk takes no more.
+    """
+    from multiarm.results.storage import amend
+
+    amend(Path(path), plain(changes))

@@ -1,0 +1,1 @@
+"""A run: setup, driver, certificate."""

@@ -1,0 +1,116 @@
+"""Simulate: what a run is asked for becomes a task, which is carried out and checked."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from multiarm.assembly.system import System
+from multiarm.control.laws import ControlFunction
+from multiarm.dynamics.state import State
+from multiarm.results.trajectory import Trajectory
+from multiarm.scene import AccuracySpec
+from multiarm.simulation.certified import Attempts
+from multiarm.simulation.driver import Progress, Task
+from multiarm.simulation.setup import run_spec
+
+
+def simulate(
+    system: System,
+    duration: float | None = None,
+    *,
+    accuracy: float | Mapping[str, float] | AccuracySpec | None = None,
+    integrator: str | None = None,
+    step: float | None = None,
+    tolerance: float | None = None,
+    stabilization: str | dict | None = None,
+    output_step: float | None = None,
+    max_step: float | None = None,
+    solver: str | None = None,
+    state: State | None = None,
+    control: ControlFunction | None = None,
+    out: str | os.PathLike | None = None,
+    progress: Progress | None = None,
+    certificate: bool = True,
+) -> Trajectory:
+    """Simulate a system.
+
+    Whatever is left out is taken from the scene's ``run``; naming one of ``accuracy``,
+    ``integrator``, ``step`` and ``tolerance`` replaces the scene's choice of all four.
+
+    Parameters
+    ----------
+    system : System
+    duration : float, optional
+        [s]
+    accuracy : float or dict, optional
+        Largest error of the run at the worst output time [m, rad], or a table of what is asked:
+        ``{"position": [m], "rotation": [rad], "force": [N]}``. Chooses method, tolerances and step
+        sizes; the run is then checked, see ``certificate``.
+    integrator : str, optional
+        "semi_implicit_euler", "variational" and "rk4" need ``step``; "dopri5", "dop853" and, for
+        stiff scenes, "rodas5p" take ``tolerance`` or ``accuracy``.
+    step : float, optional
+        Fixed step [s].
+    tolerance : float, optional
+        Error of one step of an adaptive method [m, rad; m/s, rad/s].
+    stabilization : {"projection", "feedback", "none"} or dict, optional
+        ``{"kind": "feedback", "alpha": ..., "beta": ...}`` sets the gains [1/s].
+    output_step : float, optional
+        Time between samples [s].
+    max_step : float, optional
+        Longest step of an adaptive method [s].  With a Python controller, or a function that gives
+        a wrench, it is the time between samples when left out, so that no sudden change of its
+        answers is stepped over.
+    solver : {"node", "dense"}, optional
+    state : State, optional
+        Where to begin; the scene's start when left out.  Drives that lag begin as at any start.
+    control : callable, optional
+        ``f(t, state) -> {arm: torques}`` in place of the scene's control.
+    out : path-like, optional
+        HDF5 file that the samples are streamed to; memory then does not grow with the run.
+    progress : callable, optional
+        Called with the simulated time now and then; may raise ``KeyboardInterrupt`` to end the run.
+        While a run is checked, its method ``checking(time, number)`` is called with the simulated
+        time and the number of the rerun, if it has one; else it is called with the end of the run.
+    certificate : bool
+        Check a run of some ``accuracy`` against a rerun with smaller tolerances, and repeat it if
+        it is not accurate enough; ``trajectory.certificate`` tells the estimated errors. False:
+        one run, unchecked. The reruns call functions in Python again from t = 0 on: one that
+        remembers earlier calls may act otherwise then, and should be run unchecked. Runs by
+        ``step`` or ``tolerance`` are never checked.
+
+    Returns
+    -------
+    Trajectory
+        Also when the run fails on the way: ``status``, ``message`` and all samples up to there.
+
+    Raises
+    ------
+    SceneError
+        When the settings contradict each other.
+    SolverError, ControlError
+        When the very first evaluation is impossible.
+    TrajectoryError
+        When ``out`` cannot be written.
+    """
+    spec = run_spec(
+        system.scene.run,
+        {"duration": duration, "stabilization": stabilization, "output_step": output_step},
+        {"accuracy": accuracy, "integrator": integrator, "step": step, "tolerance": tolerance},
+        solver,
+    )
+    system = system.with_solver(spec.solver)
+    if control is not None:
+        system = system.with_control(control)
+    if max_step is None:
+        max_step = spec.output_step if system.asked else np.inf
+    task = Task(system, spec, state, max_step)
+    attempts = Attempts(task, None if out is None else Path(out), progress)
+    trajectory = attempts.first()
+    if certificate and spec.accuracy is not None and trajectory.status == "completed":
+        trajectory = attempts.certify()
+    return trajectory.of(system.scene)

@@ -1,0 +1,96 @@
+"""What the solver met on the way, in words: directions that arms lose, and changes of rank."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from multiarm.assembly.system import System
+from multiarm.dynamics.dense_callback import read_inertia
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.rank_diagnosis import describe, lost_motions
+from multiarm.dynamics.state import State
+from multiarm.results.event_log import EventLog
+
+# So many events are described; finding the words takes as long as many steps.
+DESCRIBED = 100
+
+
+class SolverLog:
+    """Adds what the solver met to a run's log; the times are those of the steps' ends."""
+
+    def __init__(self, system: System, log: EventLog) -> None:
+        self._log, self._added = log, 0
+        self._lost = np.zeros(len(system.arm_names), dtype=np.int64)
+        self._rank = int(system.buffers.lost[-1])
+
+    def collect(self, system: System, t: float, state: State) -> None:
+        """Take over what changed in the step that ended at ``t``, in this state."""
+        buffers = system.buffers
+        count, rank = len(system.arm_names), int(buffers.lost[-1])
+        lost, passed = buffers.lost[:count].copy(), buffers.passed[:count].copy()
+        events = self._of_rank(rank)
+        changed = np.flatnonzero((lost != self._lost) | (passed != 0))
+        if changed.size:
+            in_words = self._added < DESCRIBED
+            if in_words:
+                _load(system, state)
+            other = changed[lost[changed] != self._lost[changed]] if in_words else []
+            words = lost_motions(system, [system.arm_names[i] for i in other])
+            for i in map(int, changed):
+                arm = system.arm_names[i]
+                if lost[i] != self._lost[i]:
+                    what = words.get(arm, ())
+                    events.append(_of_arm(arm, int(lost[i]), int(self._lost[i]), what))
+                else:
+                    where = f", {_nearest(system, i)}" if in_words else ""
+                    text = f"{arm}: passed a singular posture{where}"
+                    events.append({"kind": "passes a singular posture", "arm": arm, "text": text})
+        self._lost, self._rank = lost, rank
+        self._added += len(events)
+        self._log.add([{"time": float(t), **event} for event in events])
+
+    def settle(self, system: System) -> None:
+        """Take the solution that was noted last as the one to compare with, and log nothing."""
+        self._lost = system.buffers.lost[: len(system.arm_names)].copy()
+        self._rank = int(system.buffers.lost[-1])
+
+    def _of_rank(self, rank: int) -> list[dict[str, Any]]:
+        if rank == self._rank:
+            return []
+        kind = "rank falls" if rank < self._rank else "rank rises"
+        text = f"{kind} from {self._rank} to {rank} independent constraints"
+        if rank < self._rank:
+            text += ": more than one way to move on"
+        return [{"kind": kind, "text": text}]
+
+
+def _of_arm(arm: str, now: int, before: int, words: tuple[str, ...]) -> dict[str, Any]:
+    if now > before:
+        what = "; ".join(words) or f"directions of its joint lost: {now}"
+        return {"kind": "loses a direction", "arm": arm, "text": f"{arm}: {what}"}
+    left = f", {now} still lost" if now else ""
+    return {
+        "kind": "has it again",
+        "arm": arm,
+        "text": f"{arm}: can move along its joint's directions again{left}",
+    }
+
+
+def _nearest(system: System, i: int) -> str:
+    """The direction along which an arm moves least, in words."""
+    work, d = system.work, system.layout.dofs[i + 1] - system.layout.dofs[i]
+    m = system.layout.rows[i + 1] - system.layout.rows[i]
+    inertia = read_inertia(system.plant.pointers[i], d)
+    Y = np.linalg.solve(np.linalg.cholesky(inertia), work.Y[i, :d, :m])
+    _, _, directions = np.linalg.svd(Y)
+    return "; ".join(describe(system, system.arm_names[i], directions[-1:].T))
+
+
+def _load(system: System, state: State) -> None:
+    """Kinematics of a state into the buffers, which may hold those of another one."""
+    b = system.buffers
+    b.position[:], b.angles[:] = state.position[:7], state.position[7:]
+    b.twist[:], b.v[:] = state.velocity[:6], state.velocity[6:]
+    update_kinematics(system.struct())

@@ -1,0 +1,262 @@
+"""The same system in Drake: a discrete ``MultibodyPlant``, its solver SAP.
+
+The plant is built from the arms' own models, body by body, the object a free body; a weld of a
+scene becomes Drake's weld constraint, a ball its ball constraint, a hinge two balls on its axis.
+The constraints are those of the discrete solver, compliant to a degree that follows from the time
+step; the method is of order 1.  (Drake's continuous plants have no such constraints.)
+
+Torques that depend on time alone are made by Drake's own ``Sine``: no Python is in its loop.  Drake
+need not be there: it is imported when a plant is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from multiarm.assembly.system import System
+from multiarm.dynamics.state import State
+from multiarm.errors import ModelError
+from multiarm.studies.courses import Course, Grid
+from multiarm.studies.probes import Sinusoid
+
+EXPRESSIBLE = ("weld", "ball", "revolute")
+"""Kinds of joint that can be written with Drake's constraints."""
+METHODS = {"discrete": "step"}
+"""Integrators, and what sets their accuracy."""
+
+
+class DrakeModel:
+    """A system as a Drake plant of one time step.
+
+    Parameters
+    ----------
+    system : System
+        Welds, balls and hinges only; links with mass.
+    damping : ndarray, shape (n,)
+        Of the joints [N m s/rad, N s/m]; Drake integrates it implicitly.
+    step : float
+        [s]
+    drive : Sinusoid or callable
+        Torques, of time alone or of time and state.
+
+    Attributes
+    ----------
+    velocity_places : ndarray of int, shape (n,)
+        Where Drake has the joints' velocities, and the torques.
+
+    Raises
+    ------
+    ModelError
+        For a joint without a constraint, and what Drake refuses.
+    ImportError
+        Where Drake is not installed.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        damping: np.ndarray,
+        step: float,
+        drive: Sinusoid | Callable[[float, State], np.ndarray],
+    ):
+        from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
+        from pydrake.systems.framework import DiagramBuilder
+
+        self.system = system
+        self._joints: list[Any] = []
+        builder = DiagramBuilder()
+        plant: Any = builder.AddSystem(MultibodyPlant(step))
+        plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+        plant.mutable_gravity_field().set_gravity_vector(system.plant.gravity)
+        try:
+            self._object = plant.AddRigidBody(
+                "object",
+                _inertia(
+                    float(system.plant.object_mass[0]), np.zeros(3), system.plant.object_inertia
+                ),
+            )
+            for joint in system.scene.joints:
+                name = joint.arm
+                first = system.layout.dofs[system.layout.names.index(name)]
+                tip = self._add_arm(plant, name, damping[first:])
+                _constrain(plant, self._object, system.frames[name].on_object, *tip, joint)
+            plant.Finalize()
+        except (RuntimeError, ValueError) as error:
+            raise ModelError(f"Drake refuses the model: {str(error).splitlines()[0]}") from error
+        self.plant = plant
+        # a free body: quaternion wxyz and place, angular and linear velocity
+        body = self._object
+        self._free = body.floating_positions_start(), body.floating_velocities_start_in_v()
+        self.velocity_places = np.array([joint.velocity_start() for joint in self._joints])
+        self._drive(builder, drive)
+        self._diagram = builder.Build()
+        self._context = self._diagram.CreateDefaultContext()
+        self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
+
+    def _add_arm(self, plant: Any, name: str, damping: np.ndarray) -> tuple[Any, np.ndarray]:
+        """Links and joints of an arm; returns its last body and the joint's frame on it."""
+        from pydrake.multibody.tree import FixedOffsetFrame, PrismaticJoint, RevoluteJoint
+
+        arm = self.system.arms[name]
+        model, bodies = arm.model, [plant.world_body()]
+        q = arm.configuration(np.zeros(arm.dof))
+        for i in range(1, model.njoints):
+            inertia, place = model.inertias[i], model.jointPlacements[i]
+            body = plant.AddRigidBody(
+                f"{name}/{i}", _inertia(inertia.mass, inertia.lever, inertia.inertia)
+            )
+            base = plant.AddFrame(
+                FixedOffsetFrame(
+                    f"{name}/base{i}",
+                    bodies[model.parents[i]].body_frame(),
+                    _pose(place.homogeneous),
+                )
+            )
+            data = model.joints[i].createData()
+            model.joints[i].calc(data, q)
+            slide, turn = np.array(data.S).reshape(6)[:3], np.array(data.S).reshape(6)[3:]
+            kind, axis = (RevoluteJoint, turn) if np.any(turn) else (PrismaticJoint, slide)
+            self._joints.append(
+                plant.AddJoint(
+                    kind(f"{name}/j{i}", base, body.body_frame(), axis, damping=damping[i - 1])
+                )
+            )
+            bodies.append(body)
+        tip = np.eye(4)
+        tip[:3, :3], tip[:3, 3] = arm.tip_rotation, arm.tip_translation
+        return bodies[arm.tip_joint], tip @ self.system.frames[name].on_tip
+
+    def _drive(self, builder: Any, drive: Sinusoid | Callable[[float, State], np.ndarray]) -> None:
+        """Connect the torques: Drake's own sines, or a function that is called back."""
+        from pydrake.systems.primitives import Adder, ConstantVectorSource, Sine
+
+        plant, size = self.plant, self.plant.num_velocities()
+        target = plant.get_applied_generalized_force_input_port()
+        if not isinstance(drive, Sinusoid):
+            source = builder.AddSystem(_controller(self, drive))
+            builder.Connect(plant.get_state_output_port(), source.get_input_port())
+            builder.Connect(source.get_output_port(), target)
+            return
+        spread = np.zeros((3, size))
+        spread[:, self.velocity_places] = drive.constant, drive.sine, drive.cosine
+        constant = builder.AddSystem(ConstantVectorSource(spread[0]))
+        if drive.is_constant:
+            builder.Connect(constant.get_output_port(), target)
+            return
+        amplitude, phase = np.hypot(spread[1], spread[2]), np.arctan2(spread[2], spread[1])
+        sine = builder.AddSystem(Sine(amplitude, np.full(size, drive.rate), phase, True))
+        adder = builder.AddSystem(Adder(2, size))
+        builder.Connect(constant.get_output_port(), adder.get_input_port(0))
+        builder.Connect(sine.get_output_port(0), adder.get_input_port(1))
+        builder.Connect(adder.get_output_port(), target)
+
+    def place(self, state: State) -> None:
+        """Write a state."""
+        plant, context = self.plant, self._plant_context
+        q, v = np.zeros(plant.num_positions()), np.zeros(plant.num_velocities())
+        for joint, angle, rate in zip(
+            self._joints, state.position[7:], state.velocity[6:], strict=True
+        ):
+            q[joint.position_start()], v[joint.velocity_start()] = angle, rate
+        at, rate_at = self._free
+        q[at : at + 4] = np.roll(state.object_quaternion_xyzw, 1)
+        q[at + 4 : at + 7] = state.object_position
+        v[rate_at : rate_at + 6] = np.roll(state.object_twist, 3)
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+
+    def state(self, context: Any = None) -> State:
+        """The state as it is now."""
+        plant, context = self.plant, context or self._plant_context
+        q, v = plant.GetPositions(context), plant.GetVelocities(context)
+        at, rate_at = self._free
+        quaternion = np.roll(q[at : at + 4], -1)
+        angles = q[[joint.position_start() for joint in self._joints]]
+        return State(
+            np.concatenate([q[at + 4 : at + 7], quaternion / np.linalg.norm(quaternion), angles]),
+            np.concatenate([np.roll(v[rate_at : rate_at + 6], 3), v[self.velocity_places]]),
+            self.system.layout,
+        )
+
+    def follow(self, course: Course, grid: Grid, start: State) -> None:
+        """Step from output to output and record the motion, with the steps alone on the clock.
+
+        It ends early when the state is no longer finite.
+        """
+        from pydrake.systems.analysis import Simulator
+
+        count = grid.steps(self.plant.time_step())
+        self.place(start)
+        course.positions.append(start.position.copy())
+        simulator = Simulator(self._diagram, self._context)
+        simulator.Initialize()
+        for time in grid.times[1:]:
+            course.start()
+            simulator.AdvanceTo(time)
+            course.stop()
+            course.steps += count
+            course.evaluations += count
+            position = self.state().position
+            if not np.all(np.isfinite(position)):
+                return
+            course.positions.append(position)
+
+
+def _controller(model: DrakeModel, torque: Callable[[float, State], np.ndarray]) -> Any:
+    """A Drake system whose output are torques of time and state, by a Python function."""
+    from pydrake.systems.framework import LeafSystem
+
+    plant = model.plant
+    context, size = plant.CreateDefaultContext(), plant.num_velocities()
+
+    class Controller(LeafSystem):
+        def __init__(self) -> None:
+            super().__init__()
+            self.DeclareVectorInputPort("state", plant.num_multibody_states())
+            self.DeclareVectorOutputPort("torque", size, self.write)
+
+        def write(self, own: Any, output: Any) -> None:
+            plant.SetPositionsAndVelocities(context, self.get_input_port().Eval(own))
+            force = np.zeros(size)
+            force[model.velocity_places] = torque(own.get_time(), model.state(context))
+            output.SetFromVector(force)
+
+    return Controller()
+
+
+def _constrain(
+    plant: Any, body: Any, on_object: np.ndarray, tip: Any, on_tip: np.ndarray, joint: Any
+) -> None:
+    """Close an arm's joint to the object."""
+    if joint.kind not in EXPRESSIBLE:
+        kinds = ", ".join(EXPRESSIBLE)
+        raise ModelError(f"Drake has no constraint for {joint.kind}; only {kinds}")
+    if joint.kind == "weld":
+        plant.AddWeldConstraint(body, _pose(on_object), tip, _pose(on_tip))
+        return
+    reach = joint.size / 2.0 if joint.kind == "revolute" else 0.0
+    for shift in (-reach, reach) if reach else (0.0,):
+        plant.AddBallConstraint(
+            body,
+            on_object[:3, 3] + shift * on_object[:3, 2],
+            tip,
+            on_tip[:3, 3] + shift * on_tip[:3, 2],
+        )
+
+
+def _inertia(mass: float, centre: np.ndarray, about_centre: np.ndarray) -> Any:
+    from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInertia
+
+    xx, xy, xz, yy, yz, zz = about_centre[np.triu_indices(3)]
+    own = RotationalInertia(xx, yy, zz, xy, xz, yz)
+    unit = UnitInertia().SetFromRotationalInertia(own, mass)
+    return SpatialInertia(mass, centre, unit.ShiftFromCenterOfMass(-np.asarray(centre)))
+
+
+def _pose(matrix: np.ndarray) -> Any:
+    from pydrake.math import RigidTransform, RotationMatrix
+
+    return RigidTransform(RotationMatrix.ProjectToRotationMatrix(matrix[:3, :3]), matrix[:3, 3])

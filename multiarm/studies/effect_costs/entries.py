@@ -1,0 +1,137 @@
+"""The ledger's entries: what one thing costs, beside what it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from multiarm.results.outcome import plain
+from multiarm.studies.effect_costs.estimates import Estimate
+from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT
+
+PATH, TURN, JOINTS, SLIDES, FORCE = "path", "turn", "joints", "slides", "force"
+QUANTITIES = {
+    PATH: ("object's path", "m"),
+    TURN: ("object's orientation", "rad"),
+    JOINTS: ("turning joints", "rad"),
+    SLIDES: ("sliding joints", "m"),
+    FORCE: ("contact forces", "N"),
+}
+"""Quantity -> what it is, and its unit; a change is the largest one at an output time."""
+OF_MOTION = (PATH, TURN, JOINTS, SLIDES)
+
+
+@dataclass(frozen=True)
+class Change:
+    """The largest difference of two runs in one quantity.
+
+    Attributes
+    ----------
+    value : float
+        [m, rad, N]
+    time : float
+        When it is that large [s].
+    arm : str
+        Whose joint or contact it is; empty for the object.
+    """
+
+    value: float
+    time: float
+    arm: str = ""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One thing: an effect of the scene, one that might be added, or a setting.
+
+    Attributes
+    ----------
+    name : str
+    kind : {"present", "candidate", "setting"}
+    about : str
+        What was done: "left out", "added as ...".
+    trouble : str
+        Why there are no numbers, or what happened to the run; empty where all went well.
+    milliseconds : Estimate or None
+        Of wall time a simulated second that it costs; negative where it saves time.
+    share : Estimate or None
+        The same as a fraction of the time of the scene's own run.
+    evaluations : int or None
+        That it costs, in the whole run.
+    changes : mapping
+        Quantity -> Change.
+    certified : bool
+        Its run is known to be as accurate as was asked, or the scene asks for no accuracy.
+    """
+
+    name: str
+    kind: str
+    about: str
+    trouble: str = ""
+    milliseconds: Estimate | None = None
+    share: Estimate | None = None
+    evaluations: int | None = None
+    changes: Mapping[str, Change] = field(default_factory=dict)
+    certified: bool = True
+
+    def value(self, quantity: str) -> float | None:
+        """The change of a quantity; None where there is none."""
+        found = self.changes.get(quantity)
+        return None if found is None else found.value
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """What every effect of a scene costs and changes.
+
+    Attributes
+    ----------
+    scene : dict
+        name, duration_s, output_step_s, text.
+    asked : dict
+        Quantity -> accuracy that is asked for; changes below it cannot be told from errors.
+    asked_by_scene : bool
+        The scene itself asks for that accuracy.
+    run : dict
+        The scene's own run: status, integrator, stabilization, evaluations, milliseconds (of wall
+        time a simulated second), certificate (its sentence), repeats.
+    entries : tuple of Entry
+    machine : dict
+    wall_time_s : float
+        That all this took.
+    """
+
+    scene: Mapping[str, Any]
+    asked: Mapping[str, float]
+    asked_by_scene: bool
+    run: Mapping[str, Any]
+    entries: tuple[Entry, ...]
+    machine: Mapping[str, Any]
+    wall_time_s: float
+
+    def of_kind(self, kind: str) -> list[Entry]:
+        """Entries of a kind, in the order of the scene."""
+        return [entry for entry in self.entries if entry.kind == kind]
+
+    def moves(self, entry: Entry) -> str | None:
+        """The quantity that an entry changes most, in units of what is asked for.
+
+        None where every change of the motion, and of the forces, is below that.
+        """
+        above = {
+            quantity: change.value / self.asked[quantity]
+            for quantity, change in entry.changes.items()
+            if change.value > self.asked[quantity]
+        }
+        return next((quantity for quantity in QUANTITIES if quantity in above), None)
+
+    def can_go(self, entry: Entry) -> bool:
+        """Whether an effect's changes are known to be below the accuracy that is asked for."""
+        known = entry.kind in (PRESENT, CANDIDATE) and not entry.trouble and entry.certified
+        return known and bool(entry.changes) and self.moves(entry) is None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The ledger in what JSON knows."""
+        entries = [{**asdict(entry), "can_go": self.can_go(entry)} for entry in self.entries]
+        return plain({**asdict(self), "entries": entries})

@@ -1,0 +1,112 @@
+"""What each effect adds to one evaluation: time, numbers, constraints, calls into Python.
+
+The scene is compiled once more without each of its effects, and evaluations of all these systems at
+the start are timed in interleaved bursts.  What one of them has more than another is what the
+effect added, wherever it put it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from multiarm.assembly.compilation import compile_system
+from multiarm.assembly.inspection import EffectFacts
+from multiarm.assembly.system import System
+from multiarm.dynamics.evaluation import evaluate
+from multiarm.events.mode_evaluation import standing_mode
+from multiarm.events.modes import Mode
+from multiarm.studies.bursts import Burst, measure, one_thread
+from multiarm.studies.effect_costs.estimates import paired_difference
+from multiarm.studies.effect_costs.variants import left_out, told
+from multiarm.studies.evaluation_costs import slope_burst
+
+TURNS = 40
+"""Bursts of about a millisecond, of every system."""
+BESIDE = {"potential", "coriolis"}
+"""Functions in Python that samples or one method call, evaluations never."""
+ITEM = 8
+"""Bytes of a number."""
+
+
+def effects_of_evaluation(system: System, turns: int = TURNS) -> dict[str, EffectFacts]:
+    """Measure what each effect of a system adds to an evaluation at its start.
+
+    Parameters
+    ----------
+    system : System
+    turns : int
+        Bursts of each, at most.
+
+    Returns
+    -------
+    dict of str to EffectFacts
+        By effect, gravity among them; empty for a scene that has none.
+    """
+    others: dict[str, System] = {}
+    found: dict[str, EffectFacts] = {}
+    bursts: dict[str, Burst] = {}
+    variants = left_out(system.scene)
+    for variant in variants:
+        try:
+            other = compile_system(variant.scene())
+            bursts[variant.name] = _burst_at_start(other)
+            others[variant.name] = other
+        except Exception as error:  # one that fails must not hide the others
+            found[variant.name] = EffectFacts(trouble=f"not without it: {told(error)}")
+    if not others:
+        return found
+    bursts[""] = _burst_at_start(system)
+    with one_thread():
+        times = measure(bursts, turns)
+    own = _Size.of(system)
+    for name, other in others.items():
+        turns_of_both = min(len(times[""]), len(times[name]))
+        cost = paired_difference(times[""][:turns_of_both], times[name][:turns_of_both])
+        less = _Size.of(other)
+        found[name] = EffectFacts(
+            microseconds=1e6 * cost.value,
+            uncertainty_microseconds=1e6 * cost.uncertainty,
+            bytes=own.bytes - less.bytes,
+            states=own.states - less.states,
+            rows=own.rows - less.rows,
+            callbacks=own.callbacks - less.callbacks,
+        )
+    return {variant.name: found[variant.name] for variant in variants}
+
+
+def _burst_at_start(system: System) -> Burst:
+    """Evaluations at the start; where contacts come and go, those of the mode there."""
+    if system.plan is None:
+        evaluate(system)
+        return slope_burst(system)
+    mode = standing_mode(system, 0.0, system.initial_state())
+    return partial(_in_mode, mode, slope_burst(mode.system))
+
+
+def _in_mode(_mode: Mode, burst: Burst, count: int) -> None:
+    """Call a burst; the mode is here to stay alive, since kernels reach it by its address."""
+    burst(count)
+
+
+@dataclass(frozen=True)
+class _Size:
+    """What a system has."""
+
+    bytes: int
+    states: int
+    rows: int
+    callbacks: int
+
+    @classmethod
+    def of(cls, system: System) -> _Size:
+        # some arrays stand in the struct under two names
+        shapes = np.unique(system.struct().reshape(-1, 4), axis=0)[:, 1:]
+        return cls(
+            bytes=ITEM * int(shapes.prod(axis=1).sum()),
+            states=system.pieces.states,
+            rows=system.constraint_count,
+            callbacks=len(system.calls.keys() - BESIDE),
+        )

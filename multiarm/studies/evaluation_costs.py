@@ -1,0 +1,215 @@
+"""The cost of one acceleration evaluation against the number of arms, beside Pinocchio's own.
+
+Measured on one scene (:func:`multiarm.problems.ring_of_arms`) at one random state that moves with
+the constraints.  *multiarm* is the evaluation as the time loop performs it: Pinocchio's two calls,
+contact kinematics, control, node algorithm, slope of the state; *compiled arms* is the same with
+copies of the arms in place of Pinocchio.  *arm terms* are Pinocchio's two calls alone,
+*constraintDynamics* and *lcaba* Pinocchio's own closed-loop algorithms, called from Python (which
+adds about a microsecond): with the object as a body of its own, and (*tree*) hung on the last arm,
+which is one loop less.  *dense KKT* is the reference of :mod:`multiarm.dynamics.solver.dense` in
+place of the node algorithm.  The fastest burst of each counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from multiarm.assembly.compilation import compile_system
+from multiarm.assembly.system import System
+from multiarm.dynamics.arrays import CALL_TERMS
+from multiarm.dynamics.equations import OK
+from multiarm.dynamics.evaluation import evaluate, project_velocity
+from multiarm.dynamics.state import State
+from multiarm.errors import SolverError
+from multiarm.integration.stepper import evaluate_slope, make_step, store
+from multiarm.integration.tableaus import RK4
+from multiarm.jit.kernels import kernel
+from multiarm.jit.pointers import call_python
+from multiarm.problems import ring_of_arms
+from multiarm.studies.bursts import (
+    Burst,
+    fastest,
+    fitted_slope,
+    measure,
+    one_thread,
+    python_burst,
+    upper_half,
+)
+from multiarm.studies.peer_trials import BYTES_PER_CUBE
+from multiarm.studies.peers import PinocchioForest
+from multiarm.studies.pinocchio_motion import PinocchioMotion
+
+BURSTS_PER_ROUND = 40
+SHARE_OF_MEMORY = 0.5
+"""Of the free memory, which Pinocchio's Data may take."""
+OURS, COMPILED, TERMS, DENSE = "multiarm", "compiled", "terms", "dense"
+PEERS = ("constraintDynamics", "tree", "lcaba")
+METHODS = (OURS, COMPILED, TERMS, *PEERS, DENSE)
+
+
+def evaluation_costs(
+    arms: Sequence[int],
+    kinds: Sequence[str],
+    rounds: int,
+    progress: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Measure all methods on rings of UR5 arms.
+
+    Returns
+    -------
+    dict
+        ``rows``: a list with, for every kind and number of arms, ``kind``, ``arms``,
+        ``microseconds`` (method -> an evaluation; None where it was not asked), ``relative_error``
+        (method -> largest relative deviation from the dense solution), ``ratio_to_best_peer``
+        (for ``multiarm`` and ``compiled``) and ``remarks`` (method -> why it was not asked).
+        ``exponents``, ``upper_exponents``: kind -> method -> slope of log cost over log number of
+        arms, over all numbers and over the larger half of them.
+        ``growth``: kind -> cost at the most arms over cost at the fewest.
+    """
+    rows = []
+    with one_thread():
+        for kind in kinds:
+            for count in arms:
+                if progress is not None:
+                    progress(f"one evaluation: {kind}, {count} arms")
+                rows.append(_measure(kind, count, rounds))
+    found: dict[str, Any] = {"rows": rows, "exponents": {}, "upper_exponents": {}, "growth": {}}
+    for kind in kinds:
+        own = [row for row in rows if row["kind"] == kind]
+        found["exponents"][kind] = _slopes(own)
+        found["upper_exponents"][kind] = _slopes(own[upper_half(own)])
+        first, last = own[0]["microseconds"][OURS], own[-1]["microseconds"][OURS]
+        found["growth"][kind] = last / first if len(own) > 1 else None
+    return found
+
+
+def moving_state(system: System, seed: int) -> State:
+    """The start with a random velocity of some tenths [rad/s, m/s] that the joints allow."""
+    state = system.initial_state()
+    state.velocity[:] = 0.3 * np.random.default_rng(seed).normal(size=state.velocity.size)
+    return project_velocity(system, state)
+
+
+def slope_burst(system: System) -> Burst:
+    """Evaluations as the time loop performs them, at the state in the buffers."""
+    joints, pieces, struct = system.layout.joints, system.pieces, system.struct()
+    step = make_step(RK4, joints, pieces.states, 1 + len(pieces.works))
+    store(system.buffers, step.base, step.z)
+    step.z[12 + 2 * joints :][: pieces.states] = pieces.start(system)
+
+    def burst(count: int) -> None:
+        if _evaluate_often(struct, step.z, step.base, step.slope, count) != OK:
+            system.reraise()
+            raise SolverError("an evaluation of the benchmark failed")
+
+    return burst
+
+
+def terms_burst(system: System) -> Burst:
+    """Pinocchio's two calls alone."""
+    address = int(system.plant.calls[CALL_TERMS])
+    return lambda count: _terms_often(address, count)
+
+
+def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
+    """All methods on one ring."""
+    scene = ring_of_arms(count, kind)
+    system, compiled = compile_system(scene), compile_system(scene, arms="compiled")
+    state = moving_state(system, seed=count)
+    own = evaluate(system, 0.0, state)
+    torque = np.concatenate(list(own.joint_torques.values()))
+    dense_system = system.with_solver("dense")
+    exact = np.concatenate(list(evaluate(dense_system, 0.0, state).joint_accelerations.values()))
+    found = {
+        name: np.concatenate(list(evaluate(each, 0.0, state).joint_accelerations.values()))
+        for name, each in ((OURS, system), (COMPILED, compiled))
+    }
+    remark = too_large_for_pinocchio(system.layout.joints)
+    peers: dict[str, Callable[[], np.ndarray]] = {}
+    if not remark:
+        forest = PinocchioForest(system)
+        peers["constraintDynamics"] = forest.constraint_dynamics_call(state, torque)
+        peers["lcaba"] = forest.lcaba_call(state, torque)
+        tree = PinocchioMotion(system, np.zeros(torque.size))
+        peers["tree"] = tree.acceleration_call(state, torque)
+        found.update({name: call()[: torque.size].copy() for name, call in peers.items()})
+    system.set_state(0.0, state)
+    compiled.set_state(0.0, state)
+    bursts = {
+        OURS: slope_burst(system),
+        COMPILED: slope_burst(compiled),
+        TERMS: terms_burst(system),
+        **{name: python_burst(call) for name, call in peers.items()},
+        DENSE: slope_burst(dense_system),
+    }
+    cost: dict[str, float | None] = dict.fromkeys(METHODS)
+    cost.update(fastest(measure(bursts, rounds * BURSTS_PER_ROUND, (DENSE,), BURSTS_PER_ROUND)))
+    scale = np.max(np.abs(exact))
+    return {
+        "kind": kind,
+        "arms": count,
+        "microseconds": cost,
+        "relative_error": {
+            name: float(np.max(np.abs(a - exact)) / scale) for name, a in found.items()
+        },
+        "ratio_to_best_peer": {name: ratio_to_best_peer(cost, name) for name in (OURS, COMPILED)},
+        "remarks": dict.fromkeys(PEERS, remark) if remark else {},
+    }
+
+
+def ratio_to_best_peer(cost: dict[str, float | None], method: str = OURS) -> float | None:
+    """Cost of the cheapest peer over that of one of ours; None when no peer was asked."""
+    ours, peers = cost[method], [cost[name] for name in PEERS]
+    known = [peer for peer in peers if peer is not None]
+    return min(known) / ours if known and ours is not None else None
+
+
+def too_large_for_pinocchio(joints: int, free: float | None = None) -> str:
+    """Why a system of so many joints is not handed to Pinocchio; empty when it fits.
+
+    ``free`` is the free memory [bytes], by default this machine's.
+    """
+    free = free_memory() if free is None else free
+    need = BYTES_PER_CUBE * (6 + joints) ** 3  # both algorithms' Data together
+    if need <= SHARE_OF_MEMORY * free:
+        return ""
+    return f"not asked: Pinocchio's Data would take {need / 1e9:.1f} of {free / 1e9:.1f} GB free"
+
+
+def free_memory() -> float:
+    """Memory [bytes] that this machine can give; infinite where it does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return math.inf
+    found = next((line for line in lines if line.startswith("MemAvailable:")), "")
+    return 1024.0 * float(found.split()[1]) if found else math.inf
+
+
+def _slopes(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+    arms = [row["arms"] for row in rows]
+    return {
+        method: fitted_slope(arms, [row["microseconds"][method] for row in rows])
+        for method in METHODS
+    }
+
+
+@kernel
+def _evaluate_often(struct, z, base, slope, count):
+    status = OK
+    for i in range(count):
+        status = evaluate_slope(struct, 1e-4 * i, z, base, 0.0, 0.0, slope)
+        if status != OK:
+            return status
+    return status
+
+
+@kernel
+def _terms_often(address, count):
+    for _ in range(count):
+        call_python(address)

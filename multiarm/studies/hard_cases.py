@@ -1,0 +1,372 @@
+"""Run the hard cases and judge them by their own criteria.
+
+:func:`run_case` turns one :class:`multiarm.problems.HardCase` into a :class:`CaseResult`: what each
+criterion measured against its bound, what happened to the rank, what the run cost, and what other
+programs make of the same case.  It passes when the run is completed and every criterion is within
+its bound; there is no other judgement anywhere.  A case that cannot even be run is a result too.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multiarm.assembly.compilation import compile_system
+from multiarm.errors import MultiarmError
+from multiarm.results.decimation import decimate
+from multiarm.results.outcome import plain
+from multiarm.results.sinks import provenance
+from multiarm.results.trajectory import Trajectory
+from multiarm.scene import dump_scene
+from multiarm.simulation.simulate import simulate
+from multiarm.studies.peer_trials import Answer, Trial, ask_everyone
+
+if TYPE_CHECKING:
+    from multiarm.assembly.system import System
+    from multiarm.problems import Criterion, HardCase
+
+HISTORY_POINTS = 400
+HISTORY = {
+    "gap": "drift/position",
+    "gap_rate": "drift/velocity",
+    "residual": "solver/residual",
+    "rank": "solver/rank",
+    "coupled_arms": "solver/coupled_arms",
+}
+ENERGIES = ("energy/kinetic", "energy/potential", "energy/work")
+NOT_RUN = "not run"
+SOLVER_EVENTS = frozenset(
+    {
+        "loses a direction",
+        "has it again",
+        "passes a singular posture",
+        "rank falls",
+        "rank rises",
+    }
+)
+"""Kinds of event that tell of the rank and of lost directions."""
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and which part of the case is done, 0 to 1."""
+SuiteProgress = Callable[[str, float], None]
+"""Called with case and what is being done, and how many cases are done, with parts."""
+
+
+@dataclass(frozen=True)
+class CriterionResult:
+    """One criterion, measured.
+
+    Attributes
+    ----------
+    quantity, unit : str
+    bound : float
+    measured : float or None
+        None when it is not a finite number, or could not be measured.
+    passed : bool
+        ``measured <= bound``.
+    message : str
+        Why there is no number.
+    """
+
+    quantity: str
+    bound: float
+    unit: str
+    measured: float | None
+    passed: bool
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """One hard case, run and judged.
+
+    Attributes
+    ----------
+    name, title, difficulty : str
+        As in :class:`multiarm.problems.HardCase`.
+    passed : bool
+        Completed, and every criterion within its bound.
+    status : str
+        "completed", "failed", or "not run" when it could not even begin.
+    message : str
+        What the run said, or why it could not begin.
+    criteria : tuple of CriterionResult
+    events : tuple of dict
+        What happened on the way: time, kind, arm, text.
+    statistics : dict
+        Of the run: steps, evaluations, coupled_steps, lowest_rank, highest_rank, ...
+    wall_time_s : float
+        Of the run, without compilation; 0 when not run.
+    hardest_s : float
+        The moment at which the solvers were asked.
+    window_s : float
+        Length of their short run.
+    answers : tuple of Answer
+        Ours and the peers'; empty when they were not asked.
+    history : dict of str to list
+        time [s], gap [m], gap_rate [m/s], energy_balance [J], residual [1], rank, coupled_arms.
+    scene : str
+        The scene as YAML, as far as it could be made.
+    """
+
+    name: str
+    title: str
+    difficulty: str
+    passed: bool
+    status: str
+    message: str
+    criteria: tuple[CriterionResult, ...] = ()
+    events: tuple[dict[str, Any], ...] = ()
+    statistics: Mapping[str, Any] = field(default_factory=dict)
+    wall_time_s: float = 0.0
+    hardest_s: float = 0.0
+    window_s: float = 0.0
+    answers: tuple[Answer, ...] = ()
+    history: Mapping[str, list[float | None]] = field(default_factory=dict)
+    scene: str = ""
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What is not as it should be, a line each; empty when the case passed."""
+        lines = [] if self.status == "completed" else [f"{self.status}: {self.message}"]
+        for item in self.criteria:
+            if not item.passed:
+                found = item.message or f"{item.measured:.3g}"
+                lines.append(f"{item.quantity}: {found}, bound {item.bound:.3g} {item.unit}")
+        return tuple(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result in what JSON knows; what is no finite number is None."""
+        return plain(asdict(self))
+
+
+@dataclass(frozen=True)
+class SuiteResult:
+    """Several hard cases.
+
+    Attributes
+    ----------
+    cases : tuple of CaseResult
+    machine : dict
+        Processor, platform, versions, time of the run.
+    wall_time_s : float
+        Of everything, compilation and peers too.
+    """
+
+    cases: tuple[CaseResult, ...]
+    machine: Mapping[str, Any]
+    wall_time_s: float
+
+    @property
+    def passed(self) -> int:
+        """How many cases passed."""
+        return sum(case.passed for case in self.cases)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result in what JSON knows; what is no finite number is None."""
+        return {
+            "passed": self.passed,
+            "total": len(self.cases),
+            "wall_time_s": self.wall_time_s,
+            "machine": plain(self.machine),
+            "cases": [case.as_dict() for case in self.cases],
+        }
+
+
+def run_suite(
+    names: Sequence[str] = (),
+    *,
+    cases: Mapping[str, HardCase] | None = None,
+    peers: bool = True,
+    progress: SuiteProgress | None = None,
+) -> SuiteResult:
+    """Run hard cases one after the other; none of them ends the suite.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Which; all when empty.
+    cases : mapping of str to HardCase, optional
+        Where the names are looked up; ``multiarm.problems.HARD_CASES`` when left out.
+    peers : bool
+        Ask other programs too.
+    progress : callable, optional
+        ``progress(text, cases done)``, now and then.
+
+    Raises
+    ------
+    MultiarmError
+        For a name that is not among the cases.
+    KeyboardInterrupt
+        Ctrl-C ends the suite.
+    """
+    chosen = choose_cases(names, cases)
+    begin = time.perf_counter()
+    results = []
+    for number, case in enumerate(chosen):
+
+        def tell(what: str, part: float, number: int = number, name: str = case.name) -> None:
+            if progress is not None:
+                progress(f"{name}: {what}", number + part)
+
+        results.append(run_case(case, peers=peers, progress=tell))
+    if progress is not None:
+        progress("done", float(len(results)))
+    return SuiteResult(tuple(results), machine(), time.perf_counter() - begin)
+
+
+def choose_cases(
+    names: Sequence[str], cases: Mapping[str, HardCase] | None = None
+) -> list[HardCase]:
+    """The named cases in the order of the suite, each once; all when no name is given.
+
+    Raises
+    ------
+    MultiarmError
+        For unknown names, with the alternatives.
+    """
+    from multiarm import problems
+    from multiarm.scene.words import unknown
+
+    known = problems.HARD_CASES if cases is None else cases
+    wrong = [unknown("hard case", name, known) for name in names if name not in known]
+    if wrong:
+        raise MultiarmError(f"{'; '.join(wrong)}; 'multiarm stability --list' shows them all")
+    return [case for name, case in known.items() if not names or name in names]
+
+
+def run_case(case: HardCase, *, peers: bool = True, progress: Progress | None = None) -> CaseResult:
+    """Run one hard case and judge it.
+
+    Whatever is raised on the way, except Ctrl-C, becomes a result that did not pass.
+    """
+    tell = progress or (lambda _what, _part: None)
+    about = (case.name, case.title, case.difficulty)
+    text = ""
+    tell("compiling", 0.0)
+    try:
+        scene = case.scene()
+        text = dump_scene(scene)
+        system = compile_system(scene)
+        span = 0.8 if peers else 1.0
+        duration = scene.run.duration
+        trajectory = simulate(
+            system,
+            progress=lambda t: tell("simulating", span * min(1.0, t / duration)),
+            certificate=False,
+        )
+    except Exception as error:
+        return CaseResult(*about, False, NOT_RUN, _told(error), scene=text)
+    if trajectory.status == "interrupted":
+        raise KeyboardInterrupt
+    criteria = tuple(_measured(item, trajectory, system) for item in case.criteria)
+    if case.events:
+        criteria += (_expected_events(trajectory),)
+    answers: tuple[Answer, ...] = ()
+    hardest = window = 0.0
+    if len(trajectory):
+        trial = Trial(system, trajectory, case.hardest)
+        hardest, window = trial.time, trial.window
+        if peers:
+            tell("asking peers", 0.8)
+            answers = ask_everyone(trial)
+    return CaseResult(
+        *about,
+        passed=trajectory.status == "completed" and all(item.passed for item in criteria),
+        status=trajectory.status,
+        message=trajectory.message,
+        criteria=criteria,
+        events=tuple(trajectory.events),
+        statistics=trajectory.statistics,
+        wall_time_s=trajectory.statistics["wall_time_s"],
+        hardest_s=hardest,
+        window_s=window,
+        answers=answers,
+        history=_history(trajectory),
+        scene=text,
+    )
+
+
+def rank_text(case: CaseResult) -> str:
+    """The rank, or its range, and how many events there were."""
+    low, high = (case.statistics.get(key) for key in ("lowest_rank", "highest_rank"))
+    text = "-" if low is None else f"{low}" if low == high else f"{low} to {high}"
+    count = len(case.events)
+    return text if not count else f"{text}, {count} event{'s' if count > 1 else ''}"
+
+
+def path_text(case: CaseResult) -> str:
+    """Which path of the solver the steps took."""
+    steps, coupled = (case.statistics.get(key) for key in ("steps", "coupled_steps"))
+    if steps is None or coupled is None:
+        return "-"
+    if not coupled:
+        return "linear"
+    return "coupled" if coupled >= steps else f"coupled in {coupled:,} of {steps:,} steps"
+
+
+def machine() -> dict[str, Any]:
+    """Processor, platform and versions, as far as they are known."""
+    about = {key: value for key, value in provenance("").items() if key != "scene"}
+    for name in ("scipy", "mujoco", "drake"):
+        with suppress(importlib.metadata.PackageNotFoundError):
+            about["dependencies"][name] = importlib.metadata.version(name)
+    return {"processor": _processor(), **about}
+
+
+def _measured(criterion: Criterion, trajectory: Trajectory, system: System) -> CriterionResult:
+    about = (criterion.quantity, float(criterion.bound), criterion.unit)
+    try:
+        value = float(criterion.measure(trajectory, system))
+    except Exception as error:  # a run that broke off may lack what is measured
+        return CriterionResult(*about, None, False, _told(error))
+    if not math.isfinite(value):
+        return CriterionResult(*about, None, False, f"measured {value}")
+    return CriterionResult(*about, value, value <= criterion.bound)
+
+
+def _expected_events(trajectory: Trajectory) -> CriterionResult:
+    """The case is made to lose rank or a direction: a run that does not notice has not met it."""
+    kinds = {event.get("kind") for event in trajectory.events}
+    missing = 0.0 if kinds & SOLVER_EVENTS else 1.0
+    return CriterionResult("expected events missing", 0.0, "1", missing, not missing)
+
+
+def _history(trajectory: Trajectory) -> dict[str, list[float | None]]:
+    """The course of what judges a run, in a few points that keep every peak."""
+    recorded = {key: name for key, name in HISTORY.items() if name in trajectory.channels}
+    if not len(trajectory):
+        return {}
+    start = sum(trajectory.read(name, 0, 1)[0] for name in ENERGIES[:2])
+
+    def combine(kinetic, potential, work, *others) -> np.ndarray:
+        return np.column_stack([kinetic + potential - start - work, *others])
+
+    time_, values = decimate(
+        trajectory, [*ENERGIES, *recorded.values()], combine, points=HISTORY_POINTS
+    )
+    series = zip(("energy_balance", *recorded), values.T, strict=True)
+    return {"time": plain(time_), **{key: plain(column) for key, column in series}}
+
+
+def _processor() -> str:
+    """The processor's name where the system tells it."""
+    with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as lines:
+        for line in lines:
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _told(error: Exception) -> str:
+    """What was raised: our own errors are sentences, others need their names."""
+    text = str(error).strip()
+    return text if isinstance(error, MultiarmError) else f"{type(error).__name__}: {text}"

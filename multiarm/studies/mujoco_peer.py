@@ -1,0 +1,279 @@
+"""The same system in MuJoCo: as shipped, and at its best.
+
+The model is built from the arms' own models, link by link, the object on a free joint; a weld of a
+scene becomes MuJoCo's ``weld``, a ball its ``connect``, a hinge two of them on its axis.
+
+MuJoCo's constraints are springs and dampers, soft as shipped.  What sets their softness is the
+largest impedance, at most 0.9999, and ``body_invweight0``: scaled by ``HARDNESS`` it makes a weld's
+accelerations right to 1e-9, at no other cost.  With this, its Runge-Kutta method and a quarter of
+the shipped step, MuJoCo is at its best here.  (Version 4, that is: 3.3 leaves out ``dJ/dt v`` and
+is off by a percent in motion, however hard its constraints.)
+
+MuJoCo asks for torques by a callback, at every stage of a step.  Torques that depend on time alone
+are played to it from a tape by compiled code, and a whole interval between two outputs is one call:
+no Python is in its loop (which saves it a tenth of its time).
+
+Two traps of ``MjSpec``: a body with its own inertia has no place for its centre of mass until
+``ipos`` is set, and a run that diverges starts again at time zero unless that is switched off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from multiarm.assembly.system import System
+from multiarm.dynamics.state import State
+from multiarm.errors import ModelError
+from multiarm.studies.courses import Course, Grid
+from multiarm.studies.probes import Sinusoid
+from multiarm.studies.torque_tape import TorqueTape
+
+HARDNESS = 1e-6
+_HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+EXPRESSIBLE = ("weld", "ball", "revolute")
+"""Kinds of joint that can be written with MuJoCo's equality constraints."""
+_INTEGRATORS = {
+    "Euler": (mujoco.mjtIntegrator.mjINT_EULER, (0.0,)),
+    "implicitfast": (mujoco.mjtIntegrator.mjINT_IMPLICITFAST, (0.0,)),
+    "RK4": (mujoco.mjtIntegrator.mjINT_RK4, (0.0, 0.5, 0.5, 1.0)),
+}
+# and the stages of a step at which the torques are asked for
+INTEGRATORS = tuple(_INTEGRATORS)
+
+
+class MujocoModel:
+    """A system as a MuJoCo model.
+
+    Parameters
+    ----------
+    system : System
+        Welds, balls and hinges only; links with mass.
+    damping : ndarray, shape (n,)
+        Of the joints [N m s/rad, N s/m]; MuJoCo integrates it implicitly where it can.
+    as_shipped : bool
+        With MuJoCo's own settings; else at its best.
+
+    Raises
+    ------
+    ModelError
+        For a joint without an equality constraint, and what MuJoCo's compiler refuses.
+    """
+
+    def __init__(self, system: System, damping: np.ndarray, as_shipped: bool = False):
+        self.system = system
+        spec = mujoco.MjSpec()
+        spec.compiler.degree = False
+        spec.option.gravity = system.plant.gravity
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        if not as_shipped:
+            spec.option.integrator, spec.option.timestep = mujoco.mjtIntegrator.mjINT_RK4, 5e-4
+            spec.option.iterations, spec.option.tolerance = 100, 1e-15
+        self.step = float(spec.option.timestep)
+        for name in system.arm_names:
+            _add_arm(spec, system, name)
+        _add_object(spec, system)
+        for joint in system.scene.joints:
+            _add_joint(spec, joint, {} if as_shipped else {"solimp": _HARD})
+        try:
+            self.model = spec.compile()
+        except ValueError as error:
+            reason = str(error).splitlines()[0]
+            raise ModelError(f"MuJoCo refuses the model: {reason}") from error
+        if not as_shipped:
+            self.model.body_invweight0[:] *= HARDNESS
+        self.model.dof_damping[: system.layout.joints] = damping
+        self.data = mujoco.MjData(self.model)
+
+    def place(self, state: State) -> None:
+        """Write a state; the object's angular velocity goes to its own axes."""
+        d, n = self.data, self.system.layout.joints
+        mujoco.mj_resetData(self.model, d)
+        d.qpos[:n] = state.position[7:]
+        d.qpos[n : n + 3] = state.object_position
+        d.qpos[n + 3 :] = np.roll(state.object_quaternion_xyzw, 1)
+        d.qvel[:n] = state.velocity[6:]
+        d.qvel[n : n + 3] = state.object_twist[:3]
+        d.qvel[n + 3 :] = self._rotation().T @ state.object_twist[3:]
+
+    def state(self) -> State:
+        """The state as it is now."""
+        d, n = self.data, self.system.layout.joints
+        position = [d.qpos[n : n + 3], np.roll(d.qpos[n + 3 :], -1), d.qpos[:n]]
+        velocity = [d.qvel[n : n + 3], self._rotation() @ d.qvel[n + 3 :], d.qvel[:n]]
+        return State(np.concatenate(position), np.concatenate(velocity), self.system.layout)
+
+    def accelerations(self, state: State, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Object's classical acceleration in world axes (6,) and the joints' (n,)."""
+        d, n = self.data, self.system.layout.joints
+        self.place(state)
+        d.qfrc_applied[:n] = torque
+        with _quiet():
+            mujoco.mj_forward(self.model, d)
+        # the free joint's: linear in world axes, angular in the object's own
+        angular = self._rotation() @ d.qacc[n + 3 :]
+        return np.concatenate([d.qacc[n : n + 3], angular]), d.qacc[:n].copy()
+
+    def steps(
+        self, state: State, torque: Callable[[float, State], np.ndarray] | None
+    ) -> Iterator[tuple[float, State]]:
+        """Step on and on from a state; yields time since the start [s] and state.
+
+        ``torque(time since the start, state)`` is asked at every stage of a step.  It ends when the
+        state is no longer finite.
+        """
+        d = self.data
+        self.place(state)
+        control = None if torque is None else self._control(torque)
+        d.qfrc_applied[:] = 0.0
+        while np.all(np.isfinite(d.qpos)) and np.all(np.isfinite(d.qvel)):
+            with _quiet(control):
+                mujoco.mj_step(self.model, d)
+            yield float(d.time), self.state()
+
+    def follow(
+        self,
+        course: Course,
+        grid: Grid,
+        start: State,
+        integrator: str,
+        step: float,
+        drive: Sinusoid | Callable[[float, State], np.ndarray],
+    ) -> None:
+        """Step from output to output and record the motion, with the steps alone on the clock.
+
+        ``drive`` are the torques, of time alone or of time and state.  It ends early when the state
+        is no longer finite.
+        """
+        kind, stages = _INTEGRATORS[integrator]
+        d, n, count = self.data, self.system.layout.joints, grid.steps(step)
+        self.model.opt.integrator, self.model.opt.timestep = kind, step
+        self.place(start)
+        course.positions.append(start.position.copy())
+        played: tuple[TorqueTape, Sinusoid] | None = None
+        control: Any = None
+        if not isinstance(drive, Sinusoid):
+            control = self._control(drive)
+        elif drive.is_constant:
+            d.qfrc_applied[:n] = drive.constant
+        else:
+            played = TorqueTape(d.qfrc_applied[:n]), drive
+            control = played[0].play
+        offsets = (np.arange(count)[:, None] + np.array(stages)).ravel()
+        with _quiet(control):
+            for k in range(grid.intervals):
+                if played is not None:
+                    tape, torques = played
+                    tape.load(torques.at(k * grid.interval + step * offsets))
+                course.start()
+                mujoco.mj_step(self.model, d, nstep=count)
+                course.stop()
+                course.steps += count
+                course.evaluations += count * len(stages)
+                if not (np.all(np.isfinite(d.qpos)) and np.all(np.isfinite(d.qvel))):
+                    return
+                course.positions.append(self.state().position)
+
+    def _control(self, torque: Callable[[float, State], np.ndarray]) -> Callable[[Any, Any], None]:
+        """MuJoCo's callback for torques of time and state."""
+        n = self.system.layout.joints
+
+        def control(_model: Any, data: Any) -> None:
+            data.qfrc_applied[:n] = torque(data.time, self.state())
+
+        return control
+
+    def _rotation(self) -> np.ndarray:
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, self.data.qpos[-4:])
+        return rotation.reshape(3, 3)
+
+
+@contextmanager
+def _quiet(control: Callable | None = None) -> Iterator[None]:
+    """MuJoCo without its log file, and with a control function; both are global to it."""
+    mujoco.set_mju_user_warning(lambda _text: None)
+    mujoco.set_mjcb_control(control)
+    try:
+        yield
+    finally:
+        mujoco.set_mjcb_control(None)
+        mujoco.set_mju_user_warning(None)
+
+
+def _add_arm(spec: Any, system: System, name: str) -> None:
+    """Links and joints of an arm, and the sites of its joint to the object."""
+    arm = system.arms[name]
+    model, bodies = arm.model, [spec.worldbody]
+    q = arm.configuration(np.zeros(arm.dof))
+    for i in range(1, model.njoints):
+        placement, inertia = model.jointPlacements[i], model.inertias[i]
+        body = bodies[model.parents[i]].add_body(
+            pos=placement.translation, quat=_quaternion(placement.rotation)
+        )
+        _set_inertia(body, inertia.mass, inertia.lever, inertia.inertia)
+        data = model.joints[i].createData()
+        model.joints[i].calc(data, q)
+        slide, turn = np.array(data.S).reshape(6)[:3], np.array(data.S).reshape(6)[3:]
+        hinge = bool(np.any(turn))
+        kind = mujoco.mjtJoint.mjJNT_HINGE if hinge else mujoco.mjtJoint.mjJNT_SLIDE
+        body.add_joint(type=kind, axis=turn if hinge else slide)
+        bodies.append(body)
+    tip = np.eye(4)
+    tip[:3, :3], tip[:3, 3] = arm.tip_rotation, arm.tip_translation
+    joint = next(joint for joint in system.scene.joints if joint.arm == name)
+    _add_sites(bodies[arm.tip_joint], "arm", joint, tip @ system.frames[name].on_tip)
+
+
+def _add_object(spec: Any, system: System) -> None:
+    start = system.initial_state()
+    body = spec.worldbody.add_body(
+        pos=start.object_position, quat=np.roll(start.object_quaternion_xyzw, 1)
+    )
+    plant = system.plant
+    _set_inertia(body, float(plant.object_mass[0]), np.zeros(3), plant.object_inertia)
+    body.add_freejoint()
+    for joint in system.scene.joints:
+        _add_sites(body, "object", joint, system.frames[joint.arm].on_object)
+
+
+def _set_inertia(body: Any, mass: float, centre: np.ndarray, inertia: np.ndarray) -> None:
+    body.explicitinertial, body.mass, body.ipos = True, mass, centre
+    xx, xy, xz, yy, yz, zz = inertia[np.triu_indices(3)]
+    body.fullinertia = [xx, yy, zz, xy, xz, yz]
+
+
+def _add_sites(body: Any, side: str, joint: Any, pose: np.ndarray) -> None:
+    """Mark a joint's frame on a body; a hinge's by the two ends of its axis, z."""
+    for end, shift in enumerate(_shifts(joint)):
+        at = pose[:3, 3] + shift * pose[:3, 2]
+        body.add_site(name=f"{joint.arm}/{side}{end}", pos=at, quat=_quaternion(pose[:3, :3]))
+
+
+def _add_joint(spec: Any, joint: Any, options: dict[str, Any]) -> None:
+    kind = mujoco.mjtEq.mjEQ_WELD if joint.kind == "weld" else mujoco.mjtEq.mjEQ_CONNECT
+    for end in range(len(_shifts(joint))):
+        spec.add_equality(
+            type=kind,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            name1=f"{joint.arm}/object{end}",
+            name2=f"{joint.arm}/arm{end}",
+            **options,
+        )
+
+
+def _shifts(joint: Any) -> tuple[float, ...]:
+    if joint.kind not in EXPRESSIBLE:
+        kinds = ", ".join(EXPRESSIBLE)
+        raise ModelError(f"MuJoCo has no equality constraint for {joint.kind}; only {kinds}")
+    return (-joint.size / 2.0, joint.size / 2.0) if joint.kind == "revolute" else (0.0,)
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
+    return quaternion

@@ -1,0 +1,194 @@
+"""Where the time goes: the parts of one evaluation, of one step, and what a step costs beside them.
+
+Every part is a compiled loop over the very function that the time loop calls, timed in interleaved
+bursts on the ring of welded UR5 arms (:func:`multiarm.problems.ring_of_arms`); a step is that of a
+real run.  What the measured parts leave of the measured whole is shown, not distributed: it is
+calls, checks and decisions in between, and the error of measurement.
+
+*Arm terms* are Pinocchio's two calls, *contacts* the contact kinematics with the object's terms,
+*forces* control and effects, *node* elimination and solution, *state* the way of the state into
+the evaluation and of the slope out of it.  Of a step furthermore: *stabilisation*, the projection
+of a state whose joints are open; *recording*, writing samples; *arithmetic*, the sums
+over stages and the error estimate.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from multiarm.assembly.compilation import compile_system
+from multiarm.assembly.system import System
+from multiarm.errors import SolverError
+from multiarm.problems import ring_of_arms
+from multiarm.results.trajectory import Trajectory
+from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+from multiarm.studies.bursts import calls_a_burst, fastest, measure, one_thread
+from multiarm.studies.clocked_run import clocked_run
+from multiarm.studies.evaluation_costs import moving_state, slope_burst
+from multiarm.studies.part_loops import part_bursts
+
+ARMS = (2, 8, 32)
+KIND = "weld"
+INTEGRATOR = "dop853"
+"""Whose steps are taken apart."""
+TOLERANCE, STEP = 1e-8, 1e-3
+"""Of the runs: tolerance of an adaptive step [m, rad; m/s, rad/s], fixed step [s]."""
+DURATION, FIXED_STEPS = 1.0, 1000
+"""Simulated time of an adaptive run [s], steps of the others."""
+LEAST_RUNS, PATIENCE, BURSTS_A_RUN = 3, 0.05, 5
+"""Runs of each integrator, at least; seconds spent on them in a round; evaluations in between."""
+BURSTS_PER_ROUND = 15
+EVALUATION_PARTS = ("arm terms", "contacts", "forces", "node", "state", "between")
+STEP_PARTS = (*EVALUATION_PARTS, "stabilisation", "recording", "arithmetic", "rest")
+TARGET = 0.25
+"""The overhead of a step over its evaluations should be below this."""
+
+
+class StepCost(NamedTuple):
+    """Cost of one step of a real run.
+
+    integrator : str
+    arms, steps : int
+    evaluations : float
+        A step, rejected ones and samples included; a projection counts as two.
+    projections, samples : float
+        A step.
+    microseconds, evaluation_microseconds : float
+        A step, its share of recording included, and one evaluation by itself.
+    overhead : float
+        ``microseconds / (evaluations * evaluation_microseconds) - 1``.
+    """
+
+    integrator: str
+    arms: int
+    steps: int
+    evaluations: float
+    projections: float
+    samples: float
+    microseconds: float
+    evaluation_microseconds: float
+    overhead: float
+
+
+def time_shares(
+    arms: Sequence[int] = ARMS,
+    rounds: int = 7,
+    progress: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Take evaluations and steps apart.
+
+    Returns
+    -------
+    dict
+        ``rows``: a list with, for every number of arms, ``arms``; ``evaluation`` (part ->
+        microseconds) and ``evaluation_microseconds``; ``step`` (part -> microseconds), and the
+        fields of :class:`StepCost` under ``step_cost``.
+        ``overheads``: the fields of :class:`StepCost` of every integrator, at the fewest arms.
+        ``kind``, ``duration_s``, ``tolerance``, ``fixed_steps``, ``fixed_step_s``: of the runs.
+    """
+    tell = progress or (lambda text: None)
+    rows, overheads = [], []
+    with one_thread():
+        for count in arms:
+            tell(f"where time goes: {count} arms")
+            rows.append(_measure(count, rounds))
+        system = compile_system(ring_of_arms(arms[0], KIND))
+        for name in integrators():
+            tell(f"a step of {name}")
+            overheads.append(step_cost(system, name, rounds)._asdict())
+    return {
+        "rows": rows,
+        "overheads": overheads,
+        "kind": KIND,
+        "duration_s": DURATION,
+        "fixed_steps": FIXED_STEPS,
+        "tolerance": TOLERANCE,
+        "fixed_step_s": STEP,
+    }
+
+
+def integrators() -> tuple[str, ...]:
+    """All integrators, fixed-step ones first."""
+    return (*FIXED_STEP_INTEGRATORS, *ADAPTIVE_INTEGRATORS)
+
+
+def step_cost(system: System, integrator: str, rounds: int) -> StepCost:
+    """The cheapest of some runs, and the cheapest evaluations measured between them."""
+    system.set_state(0.0, moving_state(system, seed=len(system.arm_names)))
+    evaluations = slope_burst(system)
+    calls, cost, best, runs, spent = calls_a_burst(evaluations), math.inf, math.inf, 0, 0.0
+    while runs < LEAST_RUNS or spent < PATIENCE * rounds:
+        run, took = _run(system, integrator)
+        best, runs, spent = min(best, took), runs + 1, spent + took
+        for _ in range(BURSTS_A_RUN):
+            begin = time.thread_time()
+            evaluations(calls)
+            cost = min(cost, (time.thread_time() - begin) / calls)
+    found, steps = run.statistics, run.statistics["steps"]
+    wall, each = best / steps, found["evaluations"] / steps
+    return StepCost(
+        integrator=integrator,
+        arms=len(system.arm_names),
+        steps=steps,
+        evaluations=each,
+        projections=found["projections"] / steps,
+        samples=len(run) / steps,
+        microseconds=1e6 * wall,
+        evaluation_microseconds=1e6 * cost,
+        overhead=wall / (each * cost) - 1.0,
+    )
+
+
+def evaluation_parts(cost: dict[str, float], whole: float) -> dict[str, float]:
+    """Microseconds of the parts of an evaluation from those of the measured loops."""
+    parts = {
+        "arm terms": cost["terms"],
+        "contacts": cost["kinematics"] - cost["terms"],
+        "forces": cost["forces"],
+        "node": cost["reload and solve"] - cost["reload"],
+        "state": cost["state"],
+    }
+    return {**parts, "between": whole - sum(parts.values())}
+
+
+def step_parts(
+    evaluation: dict[str, float], cost: dict[str, float], step: StepCost
+) -> dict[str, float]:
+    """Microseconds of the parts of a step: of its evaluations, and of what is beside them."""
+    pure = step.evaluations - 2.0 * step.projections
+    parts = {name: pure * value for name, value in evaluation.items()}
+    parts["stabilisation"] = step.projections * cost["projection"]
+    parts["recording"] = step.samples * cost["sample"]
+    parts["arithmetic"] = cost["arithmetic"]
+    return {**parts, "rest": step.microseconds - sum(parts.values())}
+
+
+def _measure(count: int, rounds: int) -> dict[str, Any]:
+    system = compile_system(ring_of_arms(count, KIND))
+    system.set_state(0.0, moving_state(system, seed=count))
+    turns = rounds * BURSTS_PER_ROUND
+    cost = fastest(measure(part_bursts(system, INTEGRATOR), turns))
+    evaluation = evaluation_parts(cost, cost["evaluation"])
+    step = step_cost(system, INTEGRATOR, rounds)
+    return {
+        "arms": count,
+        "evaluation": evaluation,
+        "evaluation_microseconds": cost["evaluation"],
+        "step": step_parts(evaluation, cost, step),
+        "step_cost": step._asdict(),
+    }
+
+
+def _run(system: System, integrator: str) -> tuple[Trajectory, float]:
+    """A run, and the time that the processor spent on it [s]."""
+    if integrator in FIXED_STEP_INTEGRATORS:
+        options = {"duration": FIXED_STEPS * STEP, "step": STEP}
+    else:
+        options = {"duration": DURATION, "tolerance": TOLERANCE}
+    run, seconds = clocked_run(system, integrator=integrator, **options)
+    if run.status != "completed":
+        raise SolverError(f"the run of {integrator} for the benchmark {run.status}: {run.message}")
+    return run, seconds

@@ -1,0 +1,136 @@
+"""Points of a work-precision diagram: one run by one setting, what it cost and how wrong it was."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from multiarm.assembly.system import System
+from multiarm.dynamics.state import State
+from multiarm.errors import MultiarmError
+from multiarm.results.outcome import plain
+from multiarm.studies.courses import Course, Grid, OutOfTime
+from multiarm.studies.probes import largest_gap
+from multiarm.studies.work_precision.reference import Motion, Reference, limited, motion_error
+from multiarm.studies.work_precision.settings import Setting
+
+COMPLETED, FAILED, TOO_SLOW = "completed", "failed", "too slow"
+
+
+@dataclass(frozen=True)
+class Point:
+    """One setting, measured; None where there is no number.
+
+    Attributes
+    ----------
+    setting : Setting
+    status : {"completed", "failed", "too slow"}
+    message : str
+        Why there is no result.
+    wall_time_s : float or None
+        Of the fastest of ``repeats`` runs, from the first step to the last output.
+    repeats : int
+    steps, evaluations : int or None
+    errors : mapping
+        position [m], rotation [rad], joints [rad, m], force [N]: the worst at an output time.
+    gap_m : float or None
+        Largest gap of a contact at an output time (position drift).
+    gap_rate_m_per_s : float or None
+        Its rate (velocity drift).
+    energy_J : float or None
+        Largest error of the energy balance.
+    used : str
+        The integrator, where the program chose it.
+    """
+
+    setting: Setting
+    status: str
+    message: str = ""
+    wall_time_s: float | None = None
+    repeats: int = 1
+    steps: int | None = None
+    evaluations: int | None = None
+    errors: Mapping[str, float | None] = field(default_factory=dict)
+    gap_m: float | None = None
+    gap_rate_m_per_s: float | None = None
+    energy_J: float | None = None
+    used: str = ""
+
+    @property
+    def completed(self) -> bool:
+        """Whether there is a result."""
+        return self.status == COMPLETED
+
+    def error(self, quantity: str) -> float | None:
+        """The error of a quantity (``reference.QUANTITIES``)."""
+        return motion_error(self.errors) if quantity == "motion" else self.errors.get(quantity)
+
+    def again(self, wall_time_s: float | None) -> Point:
+        """The point after one more run; the fastest one counts."""
+        if wall_time_s is None or self.wall_time_s is None:
+            return replace(self, repeats=self.repeats + 1)
+        fastest = min(self.wall_time_s, wall_time_s)
+        return replace(self, repeats=self.repeats + 1, wall_time_s=fastest)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The point in what JSON knows."""
+        return plain(asdict(self))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Point:
+        """The point that :meth:`as_dict` wrote."""
+        return cls(**{**data, "setting": Setting(**data["setting"])})
+
+
+def measure_ours(system: System, setting: Setting, reference: Reference, limit_s: float) -> Point:
+    """Run one of our settings and compare it."""
+    try:
+        run = limited(system, limit_s, **setting.options)
+    except OutOfTime:
+        return too_slow(setting, limit_s)
+    except MultiarmError as error:
+        return Point(setting, FAILED, str(error))
+    if run.status != "completed":
+        return Point(setting, FAILED, run.message)
+    counted = run.statistics
+    return Point(
+        setting,
+        COMPLETED,
+        wall_time_s=counted["wall_time_s"],
+        steps=counted["steps"],
+        evaluations=counted["evaluations"],
+        errors=Motion.of(run).errors(reference.motion),
+        gap_m=float(np.max(run.position_drift)),
+        gap_rate_m_per_s=float(np.max(run.velocity_drift)),
+        energy_J=float(np.max(np.abs(run.energy_balance))),
+        used=counted["integrator"],
+    )
+
+
+def point_of_course(
+    system: System, setting: Setting, reference: Reference, grid: Grid, course: Course
+) -> Point:
+    """A peer's point from its course."""
+    found = np.array(course.positions)
+    if len(found) <= grid.intervals:
+        reached = (len(found) - 1) * grid.interval
+        return Point(setting, FAILED, f"the state is no longer finite after {reached:.3g} s")
+    still = np.zeros(6 + system.layout.joints)
+    gaps = [largest_gap(system, State(position, still, system.layout)) for position in found]
+    return Point(
+        setting,
+        COMPLETED,
+        wall_time_s=course.wall_time_s,
+        steps=course.steps,
+        evaluations=course.evaluations,
+        errors=Motion(found).errors(reference.motion),
+        gap_m=max(gaps),
+    )
+
+
+def too_slow(setting: Setting, limit_s: float) -> Point:
+    """The point of a run that was ended by its time limit."""
+    return Point(setting, TOO_SLOW, f"not done after {limit_s:.2g} s")

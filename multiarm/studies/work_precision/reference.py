@@ -1,0 +1,269 @@
+"""The reference: a tight run, and another path through the program that says how far it is right.
+
+The run is that of the node algorithm with a method of high order.  The path that checks it shares
+nothing with it but the model: the dense solution of all equations at once
+(:mod:`multiarm.dynamics.solver.dense`), and another method.  What the two differ by are the digits
+of the reference: errors below them say nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from multiarm.assembly.system import System
+from multiarm.errors import MultiarmError
+from multiarm.results.trajectory import Trajectory
+from multiarm.scene.control import ADAPTIVE_INTEGRATORS
+from multiarm.simulation.certificate import rotation_apart
+from multiarm.simulation.simulate import simulate
+from multiarm.studies.courses import OutOfTime
+
+QUANTITIES = {
+    "motion": ("worst of pose and joints", "m, rad"),
+    "position": ("object's position", "m"),
+    "rotation": ("object's rotation", "rad"),
+    "joints": ("joint angles", "rad, m"),
+    "force": ("contact forces", "N"),
+}
+"""Quantity -> what it is, and its unit; an error is the worst one at an output time."""
+OF_MOTION = ("position", "rotation", "joints")
+TOLERANCES = (1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9)
+"""Tolerances of the reference; the first with which the run comes to its end is taken."""
+METHODS = ("dop853", "rodas5p")
+CHECKS = ("dopri5", "rodas5p")
+"""Methods of the reference and of its check: what the second of each is for are stiff scenes."""
+CHECK_TOLERANCES = (1e-9, 1e-11, 1e-13)
+PATIENCE = 20.0
+"""Wall time for the reference, and for its check [s]."""
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What runs are compared by.
+
+    Attributes
+    ----------
+    positions : ndarray, shape (K, 7 + n)
+        Object's position, quaternion xyzw, joint positions.
+    forces : ndarray, shape (K, N), optional
+        Contact forces.
+    """
+
+    positions: np.ndarray
+    forces: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, run: Trajectory) -> Motion:
+        """The motion of a run."""
+        arms = run.arm_names
+        return cls(
+            np.column_stack(
+                [
+                    run.object_position,
+                    run.object_quaternion_xyzw,
+                    *(run.joint_positions[arm] for arm in arms),
+                ]
+            ),
+            np.column_stack([run.contact_forces[arm] for arm in arms]),
+        )
+
+    def errors(self, exact: Motion) -> dict[str, float | None]:
+        """Largest differences from another motion at the times that both have.
+
+        Returns
+        -------
+        dict
+            position [m], rotation [rad], joints [rad or m], force [N] or None.
+        """
+        count = min(len(self.positions), len(exact.positions))
+        own, other = self.positions[:count], exact.positions[:count]
+        off = np.abs(own - other)
+        force = None
+        if self.forces is not None and exact.forces is not None:
+            force = float(np.max(np.abs(self.forces[:count] - exact.forces[:count]), initial=0.0))
+        return {
+            "position": float(np.max(np.linalg.norm(off[:, :3], axis=1))),
+            "rotation": float(np.max(rotation_apart(own[:, 3:7], other[:, 3:7]))),
+            "joints": float(np.max(off[:, 7:], initial=0.0)),
+            "force": force,
+        }
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A motion with known digits.
+
+    Attributes
+    ----------
+    motion : Motion
+    digits : mapping
+        Quantity -> what the check differs by.
+    average_step_s : float
+    wall_time_s : float
+    about : dict
+        How it was made and checked: method, tolerance, evaluations, check.
+    """
+
+    motion: Motion
+    digits: Mapping[str, float]
+    average_step_s: float
+    wall_time_s: float
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+
+def motion_error(errors: Mapping[str, float | None]) -> float | None:
+    """The worst of position, rotation and joints."""
+    found = [errors.get(name) for name in OF_MOTION]
+    known = [error for error in found if error is not None]
+    return max(known) if len(known) == len(found) else None
+
+
+def limited(system: System, limit_s: float, **options: Any) -> Trajectory:
+    """Simulate, for so much wall time at most; compilation does not count.
+
+    Raises
+    ------
+    OutOfTime
+    KeyboardInterrupt
+        Ctrl-C, which ``simulate`` makes an end in good order, ends the whole study.
+    MultiarmError
+        What ``simulate`` raises.
+    """
+    late, deadline = False, math.inf
+
+    def look(_t: float) -> None:
+        nonlocal late, deadline
+        now = time.perf_counter()
+        deadline = min(deadline, now + limit_s)  # the first look is when everything is compiled
+        if now >= deadline:
+            late = True
+            raise KeyboardInterrupt  # the way to end a run
+
+    options = {"solver": "node", **options}
+    run = simulate(system, progress=look, certificate=False, **options)
+    if run.status == "interrupted":
+        raise OutOfTime if late else KeyboardInterrupt
+    return run
+
+
+def make_reference(
+    system: System, tell: Tell | None = None, known: Mapping[str, Any] | None = None
+) -> Reference:
+    """Compute the reference of a system's scene, and check it.
+
+    Parameters
+    ----------
+    system : System
+    tell : callable, optional
+        Told what is being done.
+    known : mapping, optional
+        ``digits`` and ``about`` of an earlier check of the same scene, which then is not repeated.
+
+    Raises
+    ------
+    MultiarmError
+        Where no tight run comes to its end, or none of the independent ones does.
+    """
+    tell = tell or (lambda _text: None)
+    tell("reference")
+    run, method, tolerance = _tight_run(system)
+    motion, counted = Motion.of(run), run.statistics
+    made = {
+        "integrator": method,
+        "tolerance": tolerance,
+        "stabilization": counted["stabilization"],
+        "evaluations": counted["evaluations"],
+    }
+    if known is not None and {**known["about"], **made} == known["about"]:
+        digits, about = known["digits"], known["about"]
+    else:
+        methods = CHECKS if method == METHODS[0] else CHECKS[::-1]
+        digits, check = _checked(system, motion, methods, tell)
+        about = {**made, "check": check}
+    return Reference(
+        motion,
+        digits,
+        counted["simulated_s"] / max(1, counted["steps"]),
+        counted["wall_time_s"],
+        about,
+    )
+
+
+def _tight_run(system: System) -> tuple[Trajectory, str, float]:
+    trouble = ""
+    for method in METHODS:
+        for tolerance in TOLERANCES if method in ADAPTIVE_INTEGRATORS else ():
+            try:
+                run = limited(
+                    system,
+                    PATIENCE,
+                    integrator=method,
+                    tolerance=tolerance,
+                    stabilization="projection",
+                )
+            except OutOfTime:
+                trouble = trouble or f"{method} takes longer than {PATIENCE:g} s"
+                break
+            if run.status == "completed":
+                return run, method, tolerance
+            trouble = run.message
+    raise MultiarmError(f"the scene has no reference to compare with: {trouble}")
+
+
+def _checked(
+    system: System, motion: Motion, methods: Sequence[str], tell: Tell
+) -> tuple[dict[str, float], dict[str, Any]]:
+    """Digits of the motion, and how they were found."""
+    for solver in ("dense", "node"):
+        for method in methods:
+            if method in ADAPTIVE_INTEGRATORS:
+                found = _check(system, motion, solver, method, tell)
+                if found is not None:
+                    return found
+    raise MultiarmError(
+        f"the reference cannot be checked: no independent run ends within {PATIENCE:g} s; "
+        "take a shorter duration"
+    )
+
+
+def _check(
+    system: System, motion: Motion, solver: str, method: str, tell: Tell
+) -> tuple[dict[str, float], dict[str, Any]] | None:
+    """The check by one solver and method, tighter and tighter as long as time and gain allow."""
+    best: tuple[dict[str, float], dict[str, Any]] | None = None
+    left = PATIENCE
+    for tolerance in CHECK_TOLERANCES:
+        tell(f"checking the reference: {solver} solver, {method}, tolerance {tolerance:g}")
+        begin = time.perf_counter()
+        try:
+            run = limited(
+                system, left, integrator=method, tolerance=tolerance, solver=solver,
+                stabilization="projection",
+            )  # fmt: skip
+        except (OutOfTime, MultiarmError, np.linalg.LinAlgError):
+            return best
+        took = time.perf_counter() - begin
+        left -= took
+        if run.status != "completed":
+            return best
+        errors = {k: e for k, e in Motion.of(run).errors(motion).items() if e is not None}
+        digits = {"motion": motion_error(errors) or 0.0, **errors}
+        if best is None or digits["motion"] < best[0]["motion"]:
+            about = {
+                "solver": solver,
+                "integrator": method,
+                "tolerance": tolerance,
+                "evaluations": run.statistics["evaluations"],
+            }
+            best = digits, about
+        if left < 3.0 * took:  # what the next one would take
+            break
+    return best

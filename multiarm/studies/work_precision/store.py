@@ -1,0 +1,182 @@
+"""The file of a study: everything that was measured, written as it comes in.
+
+An interrupted study goes on where it was, and pages and plots are drawn from the file alone.  It
+belongs to a scene, to versions and to a machine: times of another machine are no yardstick.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from multiarm.errors import MultiarmError
+from multiarm.results.files import in_one_step
+from multiarm.results.outcome import plain
+from multiarm.scene import RunSpec, Scene, dump_scene, resolve_arm
+from multiarm.scene.control import DEFAULT_ACCURACY
+from multiarm.studies.work_precision.points import Point
+from multiarm.studies.work_precision.reference import Reference
+
+FORMAT = "multiarm accuracy, 1"
+WRITE_INTERVAL = 1.0
+"""The file is written at most so often [s]."""
+DEFAULT_FORCE_ACCURACY = 1e-3
+"""Error of contact forces that is aimed at where the scene asks for none [N]."""
+# How the scene itself is to be run has no influence on the study.
+_NO_INFLUENCE = ("accuracy", "integrator", "step", "tolerance", "stabilization", "solver")
+_OF_MACHINE = ("processor", "version", "python", "dependencies")
+
+
+class Results:
+    """What a study has found so far.
+
+    Attributes
+    ----------
+    about : dict
+        Scene (name, digest, duration_s, output_step_s, text, and accuracy: the error that is aimed
+        at, for each quantity) and machine.
+    reference : dict or None
+        digits, about, wall_time_s, average_step_s.
+    points : dict of str to Point
+        By the setting's key, in the order in which they were measured.
+    refusals : dict of str to str
+        Peer -> why it has no points.
+    wall_time_s : float
+        That the study took.
+    """
+
+    def __init__(self, about: dict[str, Any], path: Path | None = None):
+        self.about = about
+        self.reference: dict[str, Any] | None = None
+        self.points: dict[str, Point] = {}
+        self.refusals: dict[str, str] = {}
+        self.wall_time_s = 0.0
+        self._path, self._written = path, 0.0
+
+    @classmethod
+    def of(cls, scene: Scene, machine: Mapping[str, Any], path: Path | None = None) -> Results:
+        """Empty results of a scene on this machine."""
+        run = scene.run
+        about = {
+            "scene": {
+                "name": scene.name,
+                "digest": scene_digest(scene),
+                "duration_s": run.duration,
+                "output_step_s": run.output_step,
+                "accuracy": _targets(run),
+                "text": dump_scene(scene),
+            },
+            "machine": plain(machine),
+        }
+        return cls(about, path)
+
+    def stale(self, other: Results) -> str:
+        """Why these results are not those of ``other``'s scene and machine; empty if they are."""
+        if self.about["scene"]["digest"] != other.about["scene"]["digest"]:
+            return "the scene has changed"
+        for key in _OF_MACHINE:
+            if self.about["machine"].get(key) != other.about["machine"].get(key):
+                return "it is of another machine" if key == "processor" else "versions have changed"
+        return ""
+
+    def found_reference(self, reference: Reference) -> None:
+        """Keep what is to be known about the reference."""
+        self.reference = plain(
+            {
+                "digits": reference.digits,
+                "about": reference.about,
+                "wall_time_s": reference.wall_time_s,
+                "average_step_s": reference.average_step_s,
+            }
+        )
+        self.write()
+
+    def add(self, point: Point) -> None:
+        """Keep a point; the file is written now and then."""
+        self.points[point.setting.key] = point
+        if time.monotonic() - self._written > WRITE_INTERVAL:
+            self.write()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The results in what JSON knows."""
+        return {
+            "format": FORMAT,
+            **self.about,
+            "reference": self.reference,
+            "refusals": self.refusals,
+            "wall_time_s": self.wall_time_s,
+            "points": [point.as_dict() for point in self.points.values()],
+        }
+
+    def write(self) -> None:
+        """Write the file, complete or not at all.
+
+        Raises
+        ------
+        MultiarmError
+            It cannot be written.
+        """
+        self._written = time.monotonic()
+        if self._path is None:
+            return
+        text = json.dumps(plain(self.as_dict()), allow_nan=False, ensure_ascii=False, indent=1)
+        with in_one_step(self._path, "--results") as partial:
+            partial.write_text(text + "\n", encoding="utf-8")
+
+
+def read_results(path: Path) -> Results:
+    """Read the file of a study.
+
+    Raises
+    ------
+    MultiarmError
+        There is none, or it is something else.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MultiarmError(f"cannot read '{path}': {error.strerror}") from None
+    except ValueError:
+        data = None
+    strange = f"'{path}' is not the file of an accuracy study; name another one"
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise MultiarmError(strange)
+    try:
+        results = Results({key: data[key] for key in ("scene", "machine")}, path)
+        results.reference, results.refusals = data["reference"], data["refusals"]
+        results.wall_time_s = data["wall_time_s"]
+        found = [Point.from_dict(item) for item in data["points"]]
+    except (KeyError, TypeError):
+        raise MultiarmError(strange) from None
+    results.points = {point.setting.key: point for point in found}
+    return results
+
+
+def _targets(run: RunSpec) -> dict[str, float]:
+    """The error that the scene aims at, for each quantity."""
+    asked = run.accuracy
+    motion = DEFAULT_ACCURACY if asked is None else asked.smallest
+    return {
+        "motion": motion,
+        "position": (asked and asked.position) or motion,
+        "rotation": (asked and asked.rotation) or motion,
+        "joints": motion,
+        "force": (asked and asked.force) or DEFAULT_FORCE_ACCURACY,
+    }
+
+
+def scene_digest(scene: Scene) -> str:
+    """A digest of all that the motion and the output times depend on, robots' files included."""
+    data = scene.model_dump(mode="json")
+    data["run"] = {k: v for k, v in data["run"].items() if k not in _NO_INFLUENCE}
+    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode())
+    for arm in scene.arms.values():
+        resolved = resolve_arm(arm, scene.folder)
+        for urdf in (resolved.urdf, resolved.tool_urdf):
+            if urdf is not None:
+                digest.update(urdf.encode() if isinstance(urdf, str) else urdf.read_bytes())
+    return digest.hexdigest()[:16]
