@@ -9,7 +9,7 @@ from mechanics import SCENES, ur5_pair
 from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.assembly.checking import inspect_system
+from multiarm.simulation.checking import inspect_system
 from multiarm.cli import app
 
 GRAVITY = 9.81

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import multiarm as ma
-from multiarm.dynamics.equations import OK, evaluate_buffers
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import evaluate_state
 from multiarm.integration.near_singular import OFFSET, ZONE, evaluate_on_branch
 from multiarm.problems import loops
 from multiarm.problems.postures import stretched_and_released_scene
@@ -219,7 +220,7 @@ def test_interpolation_leaves_the_state_as_it_was():
 def test_far_from_the_flat_position_nothing_is_interpolated():
     found, system = accelerations("four_bar", math.pi + 0.5, 6.0, 1e-13)
     assert system.coupled.margin[0] > ZONE
-    assert evaluate_buffers(system.struct(), 0.0, 0.0) == OK
+    assert evaluate_state(system.struct(), 0.0, 0.0) == OK
     np.testing.assert_array_equal(found, system.buffers.q_o)
 
 

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from test_dynamics import two_arm_block_twice
 
 import multiarm as ma
-from multiarm.dynamics.equations import OK, update_kinematics
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.rank_diagnosis import (
     LITTLE,
     LONGEST,

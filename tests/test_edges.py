@@ -9,7 +9,8 @@ import pytest
 from mechanics import ur5_pair
 
 import multiarm as ma
-from multiarm.assembly import projection_tolerance, scene_size
+from multiarm.assembly.linkage import projection_tolerance
+from multiarm.assembly.linkage import scene_size
 from multiarm.control.torques import static_forces
 from multiarm.dynamics.equations import largest
 from multiarm.errors import ControlError, ModelError

@@ -18,7 +18,7 @@ from test_crossing import compiled, state_on
 
 import multiarm as ma
 import multiarm.arms.pinocchio_groups
-from multiarm.dynamics.equations import OK
+from multiarm.dynamics.arrays import OK
 from multiarm.errors import ControlError, ModelError
 from multiarm.integration.near_singular import evaluate_on_branch
 

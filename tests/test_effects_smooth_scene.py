@@ -7,7 +7,7 @@ import pytest
 from mechanics import SCENES, UR5_POSTURE, chain_urdf, scene_of, ur5_pair
 
 import multiarm as ma
-from multiarm.assembly.checking import active_effects
+from multiarm.simulation.checking import active_effects
 from multiarm.errors import SceneError
 from multiarm.scene import EffectsSpec, ExternalWrench, dump_scene, parse_scene
 

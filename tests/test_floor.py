@@ -10,7 +10,7 @@ from loose_scenes import body_and_cart, happened
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.contact_checks import place_state
+from multiarm.dynamics.contact_geometry import place_state
 from multiarm.events.candidates.floor import hull_corners
 from multiarm.events.instant import Instant
 from multiarm.events.modes import Modes

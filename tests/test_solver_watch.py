@@ -16,7 +16,8 @@ from test_crossing import compiled, state_on
 from test_singular import system_matrices
 
 import multiarm as ma
-from multiarm.dynamics.equations import OK, evaluate_buffers
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.evaluation import project_velocity
 from multiarm.dynamics.solver.regular import COUPLED_BELOW
 from multiarm.dynamics.solver_monitor import (
@@ -284,7 +285,7 @@ def test_the_largest_term_may_be_what_contact_forces_hold_back(welded_ur5_system
     system = welded_ur5_system
     evaluation = ma.evaluate(system, 0.0, system.initial_state())
     M, h, W, c = system_matrices(system, evaluation)
-    assert evaluate_buffers(system.struct(), 0.0, 0.0) == OK
+    assert evaluate_state(system.struct(), 0.0, 0.0) == OK
     buffers = system.buffers
     x = np.concatenate([buffers.q_o, buffers.qdd])
     x[6] = buffers.qdd[0] = x[6] + 1e-3

@@ -11,18 +11,30 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from copy import copy
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
 from multiarm.arms.pinocchio_groups import ArmGroup, group_arms
 from multiarm.arms.terms import POINTER_WIDTH
-from multiarm.dynamics.arrays import CALL_POTENTIAL, CALL_TERMS, Buffers
 from multiarm.jit.pointers import PythonCallback
 
 if TYPE_CHECKING:
     from multiarm.arms.compiled.group import CompiledArms
+
+
+class ArmFunctions(NamedTuple):
+    """What updates the terms of all arms.
+
+    addresses : dict of str to int
+        Fields of :class:`multiarm.dynamics.arrays.Functions`.
+    callbacks : dict of str to PythonCallback
+        Those that enter Python; empty where all arms are compiled.
+    """
+
+    addresses: dict[str, int]
+    callbacks: dict[str, PythonCallback]
 
 
 class Coriolis(NamedTuple):
@@ -89,14 +101,14 @@ class ArmSupply:
             self.compiled.want_gravity_torque()
         self.pointers = self._all_pointers()
 
-    def twin(self) -> ArmSupply:
-        """The same arms for another thread: models and tables are shared, their terms are not."""
-        twin = copy(self)
-        twin._groups = [own._replace(group=own.group.twin()) for own in self._groups]
+    def copy(self) -> ArmSupply:
+        """The same arms with terms of their own: models and tables are shared."""
+        other = copy(self)
+        other._groups = [own._replace(group=own.group.copy()) for own in self._groups]
         if self.compiled is not None:
-            twin.compiled = self.compiled.twin()
-        twin.pointers = twin._all_pointers()
-        return twin
+            other.compiled = self.compiled.copy()
+        other.pointers, other._coriolis = other._all_pointers(), None
+        return other
 
     def _add(self, group: ArmGroup, place: int) -> None:
         """Take a group whose first arm is this one."""
@@ -120,33 +132,46 @@ class ArmSupply:
         own = next(g for g in reversed(self._groups) if g.place <= arm)
         return own.group.pose_address(arm - own.place, joint)
 
-    def connect(self, buffers: Buffers, calls: np.ndarray) -> dict[str, PythonCallback]:
-        """Let all arms read and write a system's buffers; writes addresses into ``Plant.calls``.
+    def connect(
+        self,
+        angles: np.ndarray,
+        rates: np.ndarray,
+        q: np.ndarray,
+        bodies: np.ndarray,
+        status: Any,
+    ) -> ArmFunctions:
+        """Let all arms read positions and velocities, and write the motion of their last links.
 
-        Returns
-        -------
-        dict of str to PythonCallback
-            What enters Python; empty where all arms are compiled.
+        Parameters
+        ----------
+        angles, rates : ndarray, shape (joints,)
+        q : ndarray
+            Pinocchio's configuration of its arms.
+        bodies : ndarray, shape (arms, 24)
+        status : Numbers
+            ``failed`` is set when Pinocchio raises, ``potential_energy`` where that is wanted.
         """
+        self._q, self._rates = q, rates
+        addresses: dict[str, int] = {}
+        callbacks: dict[str, PythonCallback] = {}
         if self.compiled is not None:
-            self.compiled.connect(buffers.angles, buffers.v, buffers.arms)
-            self.compiled.write_calls(calls)
-        if not self._groups:
-            return {}
-        updates = [g.group.bind(buffers.q[g.numbers], buffers.v[g.joints]) for g in self._groups]
-        made = {"terms": PythonCallback(_all_of(updates), buffers.flag)}
-        calls[CALL_TERMS] = made["terms"].address
-        if any(np.any(own.group.model.gravity.linear) for own in self._groups):
-            made["potential"] = PythonCallback(self._potential_call(buffers), buffers.flag)
-            calls[CALL_POTENTIAL] = made["potential"].address
-        return made
+            self.compiled.connect(angles, rates, bodies)
+            addresses |= self.compiled.addresses()
+        if self._groups:
+            updates = [g.group.bind(q[g.numbers], rates[g.joints]) for g in self._groups]
+            callbacks["pinocchio"] = PythonCallback(_all_of(updates), status)
+            if any(np.any(own.group.model.gravity.linear) for own in self._groups):
+                energy = PythonCallback(self._energy_update(status), status)
+                callbacks["pinocchio_energy"] = energy
+        addresses |= {name: call.address for name, call in callbacks.items()}
+        return ArmFunctions(addresses, callbacks)
 
-    def potential_energy(self, buffers: Buffers) -> float:
+    def potential_energy(self) -> float:
         """Potential energy of all arms [J] at the state evaluated last, zero at the origin."""
         energy = 0.0 if self.compiled is None else self.compiled.potential_energy()
-        return energy + self._of_pinocchio(buffers)
+        return energy + self._pinocchio_energy()
 
-    def coriolis(self, buffers: Buffers) -> tuple[Coriolis, PythonCallback | None]:
+    def coriolis(self, status: Any) -> tuple[Coriolis, PythonCallback | None]:
         """What updates the matrices of Coriolis forces, and where they are; the callback in it.
 
         Raises
@@ -155,19 +180,19 @@ class ArmSupply:
             When a compiled matrix is not Pinocchio's.
         """
         if self._coriolis is None:
-            self._coriolis = self._make_coriolis(buffers)
+            self._coriolis = self._make_coriolis(status)
         return self._coriolis
 
-    def _make_coriolis(self, buffers: Buffers) -> tuple[Coriolis, PythonCallback | None]:
+    def _make_coriolis(self, status: Any) -> tuple[Coriolis, PythonCallback | None]:
         places = np.zeros((len(self.pointers), 2), dtype=np.int64)
         calls = np.zeros(4, dtype=np.int64)
         updates, call = [], None
         for own in self._groups:
-            update, at = own.group.bind_coriolis(buffers.q[own.numbers], buffers.v[own.joints])
+            update, at = own.group.bind_coriolis(self._q[own.numbers], self._rates[own.joints])
             updates.append(update)
             places[own.place : own.place + len(at)] = at
         if updates:
-            call = PythonCallback(_all_of(updates), buffers.flag)
+            call = PythonCallback(_all_of(updates), status)
             calls[0] = call.address
         if self.compiled is not None:
             from multiarm.arms.compiled.verification import CORIOLIS, verify
@@ -177,12 +202,12 @@ class ArmSupply:
             calls[1:] = self.compiled.coriolis_call()
         return Coriolis(calls, places), call
 
-    def _of_pinocchio(self, buffers: Buffers) -> float:
-        return sum(own.group.potential_energy(buffers.q[own.numbers]) for own in self._groups)
+    def _pinocchio_energy(self) -> float:
+        return sum(own.group.potential_energy(self._q[own.numbers]) for own in self._groups)
 
-    def _potential_call(self, buffers: Buffers) -> Callable[[], None]:
+    def _energy_update(self, status: Any) -> Callable[[], None]:
         def update() -> None:
-            buffers.energy[0] = self._of_pinocchio(buffers)
+            status.potential_energy = self._pinocchio_energy()
 
         return update
 

@@ -49,12 +49,12 @@ class ArmGroup:
         self._fill_pointers(first_dof[:-1], self._tips)
         self._with_gravity_torque = with_gravity_torque
 
-    def twin(self) -> ArmGroup:
-        """The same arms for another thread: the model is shared, their terms are not."""
-        twin = copy(self)
-        twin.data, twin.pointers = self.model.createData(), np.zeros_like(self.pointers)
-        twin._fill_pointers(self._first_dof[:-1], self._tips)
-        return twin
+    def copy(self) -> ArmGroup:
+        """The same arms with terms of their own: the model is shared."""
+        other = copy(self)
+        other.data, other.pointers = self.model.createData(), np.zeros_like(self.pointers)
+        other._fill_pointers(self._first_dof[:-1], self._tips)
+        return other
 
     def bind(self, q: np.ndarray, v: np.ndarray) -> Callable[[], None]:
         """Function without arguments that updates all terms from the arrays ``q`` and ``v``."""

@@ -10,20 +10,20 @@ from __future__ import annotations
 from collections.abc import Set
 
 from multiarm.contacts.kernel import GAP
+from multiarm.dynamics.contact_geometry import patch_margin
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Modes
-from multiarm.events.patches import patch_margin
 
 # Gaps that are below the patch and not closed [m].
 BELOW = 1e-8
 
 
 def beside_units(modes: Modes, before: Choice, crossed: Set[int]) -> frozenset[int]:
-    """Units whose contacts are beside their patches from now on, at the state in the buffers.
+    """Units whose contacts are beside their patches from now on, at the state in the data.
 
     One that has just ``crossed`` an edge is on it: from now on it is on the other side.
     """
     found = set()
-    for u, unit in enumerate(modes.plan.units):
+    for u, unit in enumerate(modes.unilateral.units):
         margin = patch_margin(modes.full, unit)
         beside = margin < 0.0
         if u in crossed or abs(margin) <= GAP_THRESHOLD:
@@ -35,10 +35,10 @@ def beside_units(modes: Modes, before: Choice, crossed: Set[int]) -> frozenset[i
 
 def below_units(modes: Modes, others: Set[int]) -> frozenset[int]:
     """Units whose contacts are below their patches; ``others`` are known not to be."""
-    gaps = modes.full.buffers.contacts[:, GAP]
+    gaps = modes.full.arrays.contacts[:, GAP]
     return frozenset(
         u
-        for u, unit in enumerate(modes.plan.units)
+        for u, unit in enumerate(modes.unilateral.units)
         if u not in others
         and gaps[unit.row] < -BELOW
         and patch_margin(modes.full, unit) != float("inf")

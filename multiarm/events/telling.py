@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from multiarm.assembly.contact_checks import points_and_normals
 from multiarm.contacts.records import (
     JointRow,
 )
+from multiarm.dynamics.contact_geometry import points_and_normals
 from multiarm.events.candidates.units import CONTACT, DRY_JOINT, LIMIT, Unit
 from multiarm.events.modes import (
     AT_BOUND,
@@ -31,7 +31,7 @@ def decision_events(
     ``before`` has no states at the beginning of a run.
     """
     hits, events = {hit.unit: hit for hit in decision.hits}, []
-    for u, unit in enumerate(modes.plan.units):
+    for u, unit in enumerate(modes.unilateral.units):
         now = decision.choice.states[u]
         was = before.states[u] if before.states else now
         kind = _kind(unit, was, now, hits.get(u), u in decision.rested)
@@ -64,7 +64,7 @@ def _kind(unit: Unit, was: int, now: int, hit: Hit | None, rested: bool) -> str:
 def _event(
     modes: Modes, t: float, unit: Unit, kind: str, was: int, now: int, hit: Hit | None
 ) -> dict[str, Any]:
-    what = unit.name if unit.kind == CONTACT else modes.full.joint_name(unit.joint)
+    what = unit.name if unit.kind == CONTACT else modes.full.model.joint_name(unit.joint)
     event: dict[str, Any] = {
         "time": float(t),
         "kind": kind,
@@ -78,7 +78,7 @@ def _event(
         points, _ = points_and_normals(modes.full, slice(unit.row, unit.row + 1))
         event["where"] = points[0].tolist()
     if hit is not None:
-        turns = unit.kind != CONTACT and modes.full.joint_unit(unit.joint) == "rad"
+        turns = unit.kind != CONTACT and modes.full.model.joint_units[unit.joint] == "rad"
         unit_of_rate = "rad_s" if turns else "m_s"
         event["before"][f"gap_rate_{unit_of_rate}"] = hit.before
         event["after"][f"gap_rate_{unit_of_rate}"] = hit.after
@@ -90,7 +90,7 @@ def _words(modes: Modes, unit: Unit, kind: str) -> str:
     """What happened, of a joint at its limit with the end at which it did."""
     if unit.kind != LIMIT:
         return kind.removeprefix("joint ")
-    record = modes.full.records[unit.row]
+    record = modes.full.model.records[unit.row]
     assert isinstance(record, JointRow), "a limit is a joint's"
     end = "its lower limit" if record.side > 0.0 else "its upper limit"
     return f"bounces off {end}" if kind == "bounces" else kind.replace("its limit", end)

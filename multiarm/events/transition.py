@@ -86,7 +86,7 @@ class Decision:
 
 
 class Transition(Impact):
-    """Decides at one instant; the state is in the buffers, and its velocities may be changed.
+    """Decides at one instant; the state is in the data, and its velocities may be changed.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class Transition(Impact):
         beside: Set[int] = frozenset(),
         ahead: float = 0.0,
     ):
-        pushing = {u for u in touching if modes.plan.units[u].soft}
+        pushing = {u for u in touching if modes.unilateral.units[u].soft}
         super().__init__(modes, sorted(touching - pushing - beside), rest_height, ahead)
         self._pressed, self._at_rest = pushing, at_rest or {}
         self._unloaded, self._beside = unloaded, frozenset(beside)
@@ -158,7 +158,7 @@ class Transition(Impact):
                 if unit.tangents and speed > still:
                     slips[u] = slip / speed
         moving = tuple(OPEN if u in involved else state for u, state in enumerate(states))
-        set_unit_forces(self._modes.plan, Choice(moving, ()))
+        set_unit_forces(self._modes.full, Choice(moving, ()))
         if not involved:
             return self._chosen(states, ()), {}, {}, ""
         rows = [row for u in involved for row in (units[u].row, *units[u].tangents)]
@@ -178,7 +178,7 @@ class Transition(Impact):
         dropped = self._drop_unloaded(involved, rows, states, solution, response)
         held = tuple(sorted(rows[k] for k in solution.rows if k < len(rows) and k not in dropped))
         normal = [at[units[u].row] for u in involved]
-        every = [*rows, *self._modes.plan.bare]
+        every = [*rows, *self._modes.unilateral.bare]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
         return self._chosen(states, held), directions, forces, _trouble(solution, normal)
 
@@ -230,7 +230,7 @@ class Transition(Impact):
         matrix = self._matrix(rows)
         free = self._free_accelerations(rows, self._bare)
         response, _ = self._response(matrix, self._bare)
-        bare = self._modes.plan.bare
+        bare = self._modes.unilateral.bare
         if bare and leans_on_others(response, matrix):
             # which forces are smallest depends on the rows that are always held too
             every = [*rows, *bare]
@@ -261,10 +261,10 @@ def _trouble(solution: Solution, normal: list[int]) -> str:
 
 
 def closed_units(modes: Modes, tolerance: float) -> set[int]:
-    """Contacts and limits whose gaps are closed at the state in the buffers."""
-    gaps = modes.full.buffers.contacts[:, GAP]
+    """Contacts and limits whose gaps are closed at the state in the data."""
+    gaps = modes.full.arrays.contacts[:, GAP]
     return {
         u
-        for u, unit in enumerate(modes.plan.units)
+        for u, unit in enumerate(modes.unilateral.units)
         if unit.kind != DRY_JOINT and not unit.soft and abs(gaps[unit.row]) <= tolerance
     }

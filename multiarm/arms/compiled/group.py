@@ -34,7 +34,6 @@ from multiarm.arms.terms import (
     LinkTerms,
 )
 from multiarm.contacts.kernel import BODY_WIDTH
-from multiarm.dynamics.arrays import ARMS_SIZE, ARMS_STRUCT, CALL_ARMS
 from multiarm.jit.pointers import CFUNC_PROTOTYPE, address_of
 from multiarm.jit.structs import make_struct
 
@@ -75,8 +74,8 @@ class CompiledArms:
             [[at + 8 * lane.square, lane.stride] for lane in self._lanes], dtype=np.int64
         )
 
-    def twin(self) -> CompiledArms:
-        """The same arms for another thread: the tables are shared, the terms are not."""
+    def copy(self) -> CompiledArms:
+        """The same arms with terms of their own: the tables are shared."""
         wanted = self.tables.wanted.copy()  # another system may want more
         return CompiledArms(self.tables._replace(wanted=wanted), self.places)
 
@@ -85,10 +84,14 @@ class CompiledArms:
         self._arrays = make_arrays(self.tables, self._terms, self._coriolis, angles, rates, bodies)
         self._struct = make_struct(self._arrays)
 
-    def write_calls(self, calls: np.ndarray) -> None:
-        """Write entry, struct and its size into ``Plant.calls``."""
-        calls[CALL_ARMS] = address_of(update_arms)
-        calls[ARMS_STRUCT], calls[ARMS_SIZE] = self._struct.ctypes.data, self._struct.size
+    def addresses(self) -> dict[str, int]:
+        """Address of the compiled function that updates all terms, of its struct, and its size."""
+        struct = self._struct
+        return {
+            "arms": address_of(update_arms),
+            "arms_struct": struct.ctypes.data,
+            "arms_size": struct.size,
+        }
 
     def want_gravity_torque(self) -> None:
         """Write gravity torques from now on."""

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from multiarm.contacts.records import Contact
 from multiarm.dynamics.state import Layout
 from multiarm.events.candidates.springs import Springs, make_springs
@@ -37,10 +35,6 @@ class Plan:
         Rows on which the start is assembled: those of the model that begin closed.
     bare : tuple of int
         Rows that are held at all times.
-    dry : ndarray, shape (n,)
-        Torques of dry friction in the joints that move now [N m, N]: a mode's, read by a kernel.
-    shown : ndarray
-        Forces of all rows and states of all contacts, as they are recorded.
     springs : Springs or None
         Contacts that give way.
     """
@@ -49,8 +43,6 @@ class Plan:
     model: tuple[int, ...]
     assembled: tuple[int, ...]
     bare: tuple[int, ...]
-    dry: np.ndarray
-    shown: np.ndarray
     springs: Springs | None = None
 
     @property
@@ -71,13 +63,10 @@ def make_plan(
     model, bare = model_rows(found, contacts, layout), bare_rows(found, layout)
     apart = scene.effects.unilateral_contacts
     as_written = apart is not None and apart.start == "as_written"
-    states = sum(unit.kind == CONTACT for unit in units)
     return Plan(
         units=units,
         model=tuple(model),
         assembled=tuple(bare if as_written else model),
         bare=tuple(bare),
-        dry=np.zeros(layout.joints),
-        shown=np.zeros(layout.contacts + states),
         springs=make_springs(found, layout),
     )

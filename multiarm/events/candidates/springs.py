@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,24 +22,15 @@ class Springs:
         Numbers of their arms.
     stiffness, damping : ndarray, shape (s,)
         [N/m, N s/m]
-    active : int64 (s,)
-        1 where the spring acts now; one that only pushes acts in some modes.
-    force : ndarray, shape (s,)
-        Contact forces at the state evaluated last [N].
-    links : int64 (2,)
-        Address and size of the struct of a system with these rows.
-    kept : list
-        What is reached by these addresses.
+    always : int64 (s,)
+        1 for those that also pull; one that only pushes acts while it is pressed in.
     """
 
     rows: np.ndarray
     owners: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
-    active: np.ndarray
-    force: np.ndarray
-    links: np.ndarray = field(default_factory=lambda: np.zeros(2, dtype=np.int64))
-    kept: list[object] = field(default_factory=list)
+    always: np.ndarray
 
     def number(self, row: int) -> int:
         """Number of the spring in a row."""
@@ -68,6 +59,5 @@ def make_springs(found: Candidates, layout: Layout) -> Springs | None:
         owners=np.array(owners, dtype=np.int64),
         stiffness=np.array([law.stiffness for law in laws]),
         damping=np.array([law.damping for law in laws]),
-        active=np.array(always, dtype=np.int64),
-        force=np.zeros(len(rows)),
+        always=np.array(always, dtype=np.int64),
     )
