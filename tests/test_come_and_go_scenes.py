@@ -9,8 +9,8 @@ from mechanics import SCENES, ur5_pair
 from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.simulation.checking import inspect_system
 from multiarm.cli import app
+from multiarm.simulation.checking import inspect_system
 
 GRAVITY = 9.81
 

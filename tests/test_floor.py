@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from loose_scenes import body_and_cart, happened
+from mechanics import data_of
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
@@ -171,10 +172,11 @@ def test_contacts_that_others_hold_fast_have_no_response():
     below = (pose[:3, 3] - 0.5 * height * pose[:3, 2]).tolist()
     floor = {"at": {"xyz": below, "quaternion_xyzw": turn}, "mu": 0.5}
     system = ma.compile_system(scene.replace(effects={"floor": floor}))
-    place_state(system, 0.0, system.initial_state())
-    instant = Instant(Modes(system, 1e-9), 0.0)
+    data = data_of(system)
+    place_state(data, 0.0, system.initial_state())
+    instant = Instant(Modes(data, 1e-9), 0.0)
     instant._update()
-    rows = list(range(system.constraint_count))[system.layout.surroundings]
+    rows = list(range(system.model.layout.contacts))[system.model.layout.surroundings]
     matrix = instant._matrix(rows)
     assert len(rows) == 3 * 8 and np.all(instant._mobility(matrix) > 1e-3)
     response, _ = instant._response(matrix, instant._bare)
