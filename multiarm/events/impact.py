@@ -14,8 +14,7 @@ import numpy as np
 
 from multiarm.errors import SolverError
 from multiarm.events.candidates.units import DRY_JOINT
-from multiarm.events.complementarity import Bounded, Solution, Verdict, solve
-from multiarm.events.complementarity import Unit as Law
+from multiarm.events.complementarity import Bounded, ContactLaw, Solution, Verdict, solve
 from multiarm.events.instant import Instant, law_of
 from multiarm.events.modes import Modes
 
@@ -90,7 +89,7 @@ class Impact(Instant):
             Hit(u, float(rates[units[u].row]), float(after[k]), float(solution.forces[k]))
             for u, k in ((u, rows.index(units[u].row)) for u in hit)
         ]
-        return hits, _added(solution.forces, before, after), sorted(rested & hit)
+        return hits, energy_added(solution.forces, before, after), sorted(rested & hit)
 
     def _collide(
         self,
@@ -106,7 +105,7 @@ class Impact(Instant):
         Units that are ``resting`` are not thrown up by others.
         """
         at: dict[int, int] = {row: k for k, row in enumerate(rows)}
-        laws: list[Law] = []
+        laws: list[ContactLaw] = []
         for u in involved:
             unit = self._units[u]
             if u in resting:
@@ -123,12 +122,12 @@ class Impact(Instant):
             solution = solve(response, shifted, laws)
             after = before + response @ solution.forces
             reached = 0.5 * abs(before) @ abs(solution.forces)
-            if _added(solution.forces, before, after) <= ADDED * reached:
+            if energy_added(solution.forces, before, after) <= ADDED * reached:
                 break
             share *= 0.5
         self._residual = max(self._residual, solution.residual)
         if solution.verdict is Verdict.NONE and not solution.residual < NEARLY:
-            raise SolverError(f"no velocities follow the impact: {solution.words}")
+            raise SolverError(f"no velocities follow the impact: {solution.message}")
         return solution, after
 
     def _too_low(
@@ -149,6 +148,6 @@ class Impact(Instant):
         return low
 
 
-def _added(impulse: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
+def energy_added(impulse: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
     """Kinetic energy that impulses add [J]: their mean rates times them."""
     return 0.5 * float(impulse @ (before + after))

@@ -20,8 +20,7 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.errors import SolverError
 from multiarm.events.candidates.units import DRY_JOINT, Unit
-from multiarm.events.complementarity import Bounded, Friction, Push, Sliding
-from multiarm.events.complementarity import Unit as Law
+from multiarm.events.complementarity import Bounded, ContactLaw, Friction, Push, Sliding
 from multiarm.events.modes import Modes
 from multiarm.spatial import retract
 
@@ -120,7 +119,7 @@ class Instant:
         return free
 
 
-def law_of(unit: Unit, at: dict[int, int], slip: np.ndarray | None) -> Law:
+def law_of(unit: Unit, at: dict[int, int], slip: np.ndarray | None) -> ContactLaw:
     """The law of a unit in the rows of a problem; ``at`` says where its rows are there."""
     if unit.kind == DRY_JOINT:
         return Bounded(at[unit.row], -unit.bound, unit.bound)

@@ -20,8 +20,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import GAP
 from multiarm.events.candidates.units import DRY_JOINT
-from multiarm.events.complementarity import Bounded, Solution, Verdict, solve
-from multiarm.events.complementarity import Mode as Does
+from multiarm.events.complementarity import Bounded, ContactMode, Solution, Verdict, solve
 from multiarm.events.edges import below_units
 from multiarm.events.impact import Hit, Impact
 from multiarm.events.instant import can_slip, is_free, law_of, leans_on_others
@@ -47,10 +46,16 @@ NO_FORCE = 1e-7
 SAME = 1e-6
 
 _STATES = {
-    Does.OPEN: OPEN, Does.RESTING: RESTING, Does.CLOSED: TOUCHING, Does.STICKING: STICKING,
-    Does.SLIDING: SLIDING, Does.LIMIT: AT_BOUND, Does.HOLDING: STICKING,
-    Does.AT_LOWER: FORWARD, Does.AT_UPPER: BACKWARD,
-}  # fmt: skip
+    ContactMode.OPEN: OPEN,
+    ContactMode.RESTING: RESTING,
+    ContactMode.CLOSED: TOUCHING,
+    ContactMode.STICKING: STICKING,
+    ContactMode.SLIDING: SLIDING,
+    ContactMode.LIMIT: AT_BOUND,
+    ContactMode.HOLDING: STICKING,
+    ContactMode.AT_LOWER: FORWARD,
+    ContactMode.AT_UPPER: BACKWARD,
+}
 
 
 @dataclass(frozen=True)
@@ -170,13 +175,13 @@ class Transition(Impact):
             states[u] = _STATES[solution.modes[k]]
             if states[u] in (SLIDING, AT_BOUND) and u not in directions:
                 directions[u] = solution.directions[k]
+        active = list(solution.active_rows)
         for u in involved:
-            if states[u] == AT_BOUND and can_slip(
-                response, [at[t] for t in units[u].tangents], directions[u], list(solution.rows)
-            ):
+            tangents = [at[t] for t in units[u].tangents]
+            if states[u] == AT_BOUND and can_slip(response, tangents, directions[u], active):
                 states[u] = SLIDING
         dropped = self._drop_unloaded(involved, rows, states, solution, response)
-        held = tuple(sorted(rows[k] for k in solution.rows if k < len(rows) and k not in dropped))
+        held = tuple(sorted(rows[k] for k in active if k < len(rows) and k not in dropped))
         normal = [at[units[u].row] for u in involved]
         every = [*rows, *self._modes.plan.bare]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
@@ -214,7 +219,7 @@ class Transition(Impact):
             unit = self._units[u]
             dropped |= {at[row] for row in (unit.row, *unit.tangents)}
         for u in gone:
-            rest = [k for k in solution.rows if k not in dropped]
+            rest = [k for k in solution.active_rows if k not in dropped]
             states[u] = OPEN if is_free(response, at[self._units[u].row], rest) else RESTING
         return dropped
 
@@ -249,14 +254,14 @@ def _trouble(solution: Solution, normal: list[int]) -> str:
     in one of them and pushes in the other.
     """
     if solution.verdict is Verdict.NONE:
-        return solution.words
+        return solution.message
     if solution.verdict is not Verdict.SEVERAL:
         return ""
     rates = solution.rates[normal]
     size = SAME * max(np.max(np.abs(solution.rates)), NO_ACCELERATION)
     for other in solution.alternatives:
         if np.max(np.abs(other.rates[normal] - rates), initial=0.0) > size:
-            return solution.words
+            return solution.message
     return ""
 
 
