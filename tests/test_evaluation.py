@@ -45,10 +45,10 @@ def singular_state(system):
 
 
 def other_state(system):
-    """A moving state near the start; where contacts come and go, positions stay."""
+    """A moving state near the start; with unilateral contacts, positions stay."""
     state = system.initial_state()
     rng = np.random.default_rng(3)
-    if system.plan is None:
+    if system.unilateral is None:
         state.position[:] += 0.1 * rng.standard_normal(state.position.size)
         state.position[3:7] /= np.linalg.norm(state.position[3:7])
     state.velocity[6:] += 0.01 * rng.standard_normal(state.velocity.size - 6)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.assembly.contact_checks import place_state
-from multiarm.events.candidates.floor import hull_corners
+from multiarm.contacts.floor import hull_corners
 from multiarm.events.instant import Instant
 from multiarm.events.modes import Modes
 from multiarm.problems import HARD_CASES
@@ -89,7 +89,7 @@ def test_a_mesh_falls_on_its_corners(tmp_path):
     assert trajectory.status == "completed", trajectory.message
     first = happened(trajectory)[0]
     assert first["time"] == pytest.approx(math.sqrt(2 * 0.2 / GRAVITY), abs=1e-9)
-    assert len(ma.compile_system(trajectory.scene).plan.contacts_of("floor")) == 4
+    assert len(ma.compile_system(trajectory.scene).unilateral.contacts_of("floor")) == 4
 
 
 def test_a_box_slides_off_a_table_and_falls(tmp_path):

@@ -175,10 +175,10 @@ def written_arrays(system) -> dict[str, np.ndarray]:
         "coupled": system.coupled._asdict(),
         "pieces": dict(enumerate(system.pieces.arrays)),
     }
-    if system.plan is not None:
-        parts["plan"] = {"dry": system.plan.dry, "shown": system.plan.shown}
-        if system.plan.springs is not None:
-            springs = system.plan.springs
+    if system.unilateral is not None:
+        unilateral, springs = system.unilateral, system.unilateral.compliant
+        parts["unilateral"] = {"dry": unilateral.dry, "shown": unilateral.shown}
+        if springs is not None:
             parts["springs"] = {"active": springs.active, "force": springs.force}
     return {f"{p}.{name}": a for p, own in parts.items() for name, a in own.items() if a.size}
 

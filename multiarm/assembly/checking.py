@@ -32,6 +32,7 @@ from multiarm.assembly.inspection import (
 from multiarm.assembly.system import System
 from multiarm.cli.guide.limits import axis_travel, limits_of
 from multiarm.cli.guide.motions import free_motions, seen_from
+from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.control.laws import needs_gravity_torque
 from multiarm.dynamics.equations import OK, update_kinematics
 from multiarm.dynamics.evaluation import (
@@ -44,7 +45,6 @@ from multiarm.dynamics.evaluation import (
 from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
 from multiarm.dynamics.state import State
 from multiarm.errors import SolverError
-from multiarm.events.candidates.units import CONTACT, DRY_JOINT, LIMIT, Unit
 from multiarm.events.evaluation import evaluate
 from multiarm.events.selection import held_model
 from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
@@ -167,20 +167,20 @@ def carrying_capacity(system: System) -> Carrying:
 
 def coming_and_going(system: System) -> list[str]:
     """What comes and goes in a system, counted by what it belongs to."""
-    if system.plan is None:
+    if system.unilateral is None:
         return []
-    counts = Counter((unit.arm, _unit_words(unit)) for unit in system.plan.units)
+    counts = Counter((one.arm, _constraint_words(one)) for one in system.unilateral.constraints)
     lines = [f"{arm}: {words} ({count})" for (arm, words), count in counts.items()]
-    springs = system.plan.springs
-    soft = 0 if springs is None else len(springs.rows)
-    return lines + ([f"springs in place of contacts ({soft})"] if soft else [])
+    compliant = system.unilateral.compliant
+    springs = 0 if compliant is None else len(compliant.rows)
+    return lines + ([f"springs in place of contacts ({springs})"] if springs else [])
 
 
-def _unit_words(unit: Unit) -> str:
+def _constraint_words(one: Constraint) -> str:
     words = {LIMIT: "ends of joints' ranges", DRY_JOINT: "joints with dry friction"}
-    if unit.kind != CONTACT:
-        return words[unit.kind]
-    return "contacts" + (" with friction" if unit.tangents else " that give way" * unit.soft)
+    if one.kind != CONTACT:
+        return words[one.kind]
+    return "contacts" + (" with friction" if one.tangents else " that give way" * one.compliant)
 
 
 def active_effects(scene: Scene) -> list[str]:

@@ -26,6 +26,11 @@ from multiarm.contacts.frames import FRAME_WIDTH
 from multiarm.contacts.kernel import RELATIVE_WIDTH
 from multiarm.contacts.records import ContactTable, pack
 from multiarm.contacts.surfaces import answering
+from multiarm.contacts.unilateral import (
+    SURROUNDINGS,
+    UnilateralConstraints,
+    unilateral_constraints,
+)
 from multiarm.control.laws import (
     NO_PROGRAM,
     ControlFunction,
@@ -50,9 +55,6 @@ from multiarm.effects.building import build_pieces
 from multiarm.effects.piece import Piece, Pieces, Site, joint_numbers
 from multiarm.errors import ModelError
 from multiarm.events.beginning import check_beginning
-from multiarm.events.candidates.building import scene_candidates
-from multiarm.events.candidates.plan import Plan, make_plan
-from multiarm.events.candidates.units import SURROUNDINGS, Candidates
 from multiarm.events.selection import joint_rows, link_springs, select
 from multiarm.integration.monitors import WATCH_WIDTH, make_watches
 from multiarm.integration.near_singular import connect_crossing
@@ -118,8 +120,8 @@ def compile_system(
     }
     joints = make_joints(scene, made, resolved, same_joints(scene, known, like))
     system = _unassembled(scene, Parts(resolved, joints), made, same_supply(scene, known, like))
-    if system.plan is not None:
-        return _come_and_go(system, control)
+    if system.unilateral is not None:
+        return _with_unilateral(system, control)
     return _controlled(_with_free_motions(_at_start(system)), control)
 
 
@@ -176,12 +178,13 @@ def _with_arms(scene: Scene, arms: str | None) -> Scene:
     return scene.model_copy(update={"run": scene.run.model_copy(update={"arms": arms})})
 
 
-def _come_and_go(full: System, control: ControlFunction | None) -> System:
-    """A system whose contacts come and go: what holds of its model, its start and its control."""
-    assert full.plan is not None, "something comes and goes"
-    start = _at_start(replace(select(full, full.plan.assembled), plan=None))
+def _with_unilateral(full: System, control: ControlFunction | None) -> System:
+    """A system with unilateral constraints: what holds of its model, its start and its control."""
+    unilateral = full.unilateral
+    assert unilateral is not None, "a system with unilateral constraints"
+    start = _at_start(replace(select(full, unilateral.assembled), unilateral=None))
     check_beginning(full, start.initial_state())
-    model = replace(select(full, full.plan.model), plan=None, _start=start._start)
+    model = replace(select(full, unilateral.model), unilateral=None, _start=start._start)
     model = _controlled(_with_free_motions(model), control)
     plant = _with_control_of(full.plant, model.plant)
     plant.calls[CALL_CONTROL] = model.plant.calls[CALL_CONTROL]
@@ -232,8 +235,8 @@ def _unassembled(
     joints = parts.joints
     outlines = {name: own.joints for name, own in parts.arms.items()}
     contacts = {name: joint.contacts for name, joint in joints.items()}
-    found = _candidates(scene, arms, contacts, outlines)
-    records: Mapping[str, list] = contacts if found is None else found.records
+    unilateral = _unilateral(scene, arms, contacts, outlines)
+    records: Mapping[str, list] = contacts if unilateral is None else unilateral.records
     around = records.get(SURROUNDINGS, [])
     owners = [*arms, *([SURROUNDINGS] if around else [])]
     layout = Layout(
@@ -250,10 +253,9 @@ def _unassembled(
     )
     every_row = [record for own in on_links.values() for record in own]
     table = pack(every_row)
-    plan = None if found is None else make_plan(scene, found, contacts, layout)
     site = Site(scene, arms, layout, outlines, supply)
-    pieces = build_pieces(site, _plan_pieces(plan))
-    watched = on_links if found is None else {name: [] for name in arms}
+    pieces = build_pieces(site, _unilateral_pieces(unilateral))
+    watched = on_links if unilateral is None else {name: [] for name in arms}
     limits = {name: joint.limits for name, joint in joints.items()}
     watches = make_watches(watched, limits, layout, pieces.watched)
     plant = _plant(scene, arms, table, supply, gravity, pieces)._replace(watches=watches)
@@ -294,7 +296,7 @@ def _unassembled(
         start_report=StartReport(),
         surfaces=tuple(table.functions),
         records=tuple(every_row),
-        plan=plan,
+        unilateral=unilateral,
         parts=parts,
         _start=_written_start(scene, parts.arms, layout),
         _supply=supply,
@@ -302,25 +304,25 @@ def _unassembled(
         _places=np.zeros_like(buffers.places),
         calls=calls,
     )
-    if plan is not None and plan.springs is not None:
-        link_springs(system, plan.springs)
+    if unilateral is not None and unilateral.compliant is not None:
+        link_springs(system, unilateral.compliant)
     return system
 
 
-def _plan_pieces(plan: Plan | None) -> list[Piece]:
-    """What comes and goes adds to an evaluation; its kernels are not even imported elsewhere."""
-    if plan is None:
+def _unilateral_pieces(unilateral: UnilateralConstraints | None) -> list[Piece]:
+    """What unilateral constraints add to an evaluation; only they import its kernels."""
+    if unilateral is None:
         return []
-    from multiarm.effects.dry_friction import plan_pieces
+    from multiarm.effects.dry_friction import friction_pieces
     from multiarm.events.compliance import compliance_pieces
 
-    return [*plan_pieces(plan), *compliance_pieces(plan.springs)]
+    return [*friction_pieces(unilateral), *compliance_pieces(unilateral.compliant)]
 
 
-def _candidates(
+def _unilateral(
     scene: Scene, arms: dict[str, Arm], contacts: Mapping[str, list], outlines: Mapping
-) -> Candidates | None:
-    """What comes and goes in the scene; None: nothing."""
+) -> UnilateralConstraints | None:
+    """The unilateral constraints of a scene; None: it has none."""
     effects = scene.effects
     if not effects.with_events:
         return None
@@ -331,7 +333,7 @@ def _candidates(
     dry = None
     if "joint_friction" in effects.with_events and effects.joint_friction is not None:
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
-    return scene_candidates(scene, contacts, limits, dry)
+    return unilateral_constraints(scene, contacts, limits, dry)
 
 
 def arm_files(spec: ArmSpec, resolved: ResolvedArm) -> ArmFiles:

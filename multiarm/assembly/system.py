@@ -20,6 +20,7 @@ from multiarm.assembly import StartReport
 from multiarm.assembly.joints import Parts
 from multiarm.contacts.frames import COMPONENTS, UNITS, JointFrame
 from multiarm.contacts.records import Contact, JointRow, SmoothShape
+from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints
 from multiarm.control.laws import (
     ControlFunction,
     control_call,
@@ -41,8 +42,6 @@ from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.user_callback import Asked
 from multiarm.effects.piece import Pieces
 from multiarm.errors import ControlError, ModelError
-from multiarm.events.candidates.plan import Plan
-from multiarm.events.candidates.units import SURROUNDINGS
 from multiarm.jit.pointers import GuardedCall, address_of
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.scene import Scene
@@ -70,9 +69,9 @@ class System:
         What the kernels read and write.
     records : tuple of Contact or JointRow
         All rows of W, the arms' geometry in the frame of the link that carries the tip.
-    plan : Plan or None
-        Of a scene whose contacts come and go: which rows are held when.  The system itself then has
-        all rows that may be held at some time, and is simulated a mode at a time.
+    unilateral : UnilateralConstraints or None
+        Which rows are active at some times only.  The system itself then has all rows that may be
+        active at some time, and is simulated a mode at a time.
     pieces : Pieces
         What the scene's effects add to an evaluation.
     surfaces : tuple of SmoothShape
@@ -104,7 +103,7 @@ class System:
     _ground: Ground | None = field(repr=False)
     _places: np.ndarray = field(repr=False)
     calls: dict[str, GuardedCall] = field(repr=False)
-    plan: Plan | None = field(repr=False, default=None)
+    unilateral: UnilateralConstraints | None = field(repr=False, default=None)
 
     @property
     def arm_terms(self) -> dict[str, str]:
@@ -155,10 +154,11 @@ class System:
 
     @property
     def contacts_with_states(self) -> dict[str, tuple[str, ...]] | None:
-        """Names of the contacts that come and go, by their owners; None where none does."""
-        if self.plan is None:
+        """Names of the unilateral contacts, by their owners; None where all are bilateral."""
+        if self.unilateral is None:
             return None
-        return {owner: self.plan.contacts_of(owner) for owner in [*self.arm_names, SURROUNDINGS]}
+        owners = [*self.arm_names, SURROUNDINGS]
+        return {owner: self.unilateral.contacts_of(owner) for owner in owners}
 
     @property
     def calls_python(self) -> bool:

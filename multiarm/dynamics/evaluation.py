@@ -20,6 +20,7 @@ from multiarm.contacts.kernel import BODY_WIDTH, GAP, GAP_BIAS, GAP_RATE
 from multiarm.contacts.matrices import ContactTerms, contact_matrices
 from multiarm.contacts.motion_space import MotionSpace
 from multiarm.contacts.records import Contact
+from multiarm.contacts.unilateral import SURROUNDINGS
 from multiarm.dynamics.arrays import COUPLED_ARMS, IMBALANCE, RANK_OF_ALL, RESIDUAL
 from multiarm.dynamics.contact_analysis import (
     ForceDecomposition,
@@ -42,7 +43,6 @@ from multiarm.dynamics.solver.singular import ARMS, PART_TOLERANCE, loose_rows
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import SolverError
-from multiarm.events.candidates.units import SURROUNDINGS
 from multiarm.integration.projection import PROJECTION_FAILED, project_velocities
 
 Rows = TypeVar("Rows", np.ndarray, tuple)

@@ -1,4 +1,4 @@
-r"""What contacts and joints that come and go do between their events.
+r"""What unilateral constraints do between their events.
 
 *Dry friction of a joint* that moves is a constant torque against its motion,
 :math:`\tau = -\tau_c \operatorname{sign}\dot q`; a joint at rest is held by a row of W, and nothing
@@ -8,10 +8,9 @@ contacts and impacts have their work noted under names of their own.
 
 from __future__ import annotations
 
+from multiarm.contacts.unilateral import DRY_JOINT, UnilateralConstraints
 from multiarm.dynamics.arrays import open_system
 from multiarm.effects.piece import APPLIED, PASSIVE, POWER, Piece
-from multiarm.events.candidates.plan import Plan
-from multiarm.events.candidates.units import DRY_JOINT
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 
@@ -30,11 +29,11 @@ def add_dry_friction(address, size, at, _t):
     return 0
 
 
-def plan_pieces(plan: Plan) -> list[Piece]:
-    """The pieces of a scene whose contacts come and go."""
+def friction_pieces(unilateral: UnilateralConstraints) -> list[Piece]:
+    """The pieces of a scene with unilateral constraints."""
     pieces = [Piece("impacts", None, APPLIED)]
-    if any(unit.tangents for unit in plan.units):
+    if any(one.tangents for one in unilateral.constraints):
         pieces.append(Piece("contact_friction", None, APPLIED))
-    if any(unit.kind == DRY_JOINT for unit in plan.units):
-        pieces.append(Piece("joint_friction", add_dry_friction, PASSIVE, (plan.dry,)))
+    if any(one.kind == DRY_JOINT for one in unilateral.constraints):
+        pieces.append(Piece("joint_friction", add_dry_friction, PASSIVE, (unilateral.dry,)))
     return pieces

@@ -14,17 +14,17 @@ K.L. Johnson, Contact Mechanics, Cambridge 1985, linearised about a load.
 from __future__ import annotations
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.contacts.unilateral import CompliantContacts
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import update_rows
 from multiarm.effects.piece import APPLIED, POWER, Piece
-from multiarm.events.candidates.springs import Springs
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 
 
 @cfunc
 def add_contact_compliance(address, size, at, _t):
-    """Own arrays: those of :class:`multiarm.events.candidates.springs.Springs`."""
+    """Own arrays: those of :class:`multiarm.contacts.unilateral.CompliantContacts`."""
     struct, first = struct_at(address, size), int(at)
     _, buffers, _ = open_system(struct)
     slots, links, owners = ints1(struct, first), ints1(struct, first + 1), ints1(struct, first + 2)
@@ -48,7 +48,7 @@ def add_contact_compliance(address, size, at, _t):
     return 0
 
 
-def compliance_pieces(springs: Springs | None) -> list[Piece]:
+def compliance_pieces(springs: CompliantContacts | None) -> list[Piece]:
     """The piece of a scene whose contacts give way."""
     if springs is None:
         return []

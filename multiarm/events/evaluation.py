@@ -1,4 +1,4 @@
-"""Evaluations of any scene, also of those whose contacts come and go."""
+"""Evaluations of any scene, also of those with unilateral constraints."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from multiarm.dynamics.state import State
 def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Evaluation:
     """Accelerations and contact forces of a system at one state.
 
-    Where contacts come and go, the result is that of the contacts which the state asks for:
+    With unilateral contacts, the result is that of the contact mode that follows from the state:
     ``contact_states`` says what each does, and ``contact_forces`` has all rows, in the order of
     ``system.contacts``, those of contacts that are open with zeros; ``contact_terms``, motion
     spaces and internal forces are those of all contacts of the joints.
@@ -32,7 +32,7 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     ControlError
         When a Python controller returns something unusable.
     """
-    if system.plan is None:
+    if system.unilateral is None:
         return dynamics.evaluate(system, t, state)
     from multiarm.events.mode_evaluation import evaluate_mode
 

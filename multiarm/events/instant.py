@@ -10,6 +10,7 @@ import numpy as np
 
 from multiarm.assembly.system import System
 from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
+from multiarm.contacts.unilateral import DRY_JOINT, Constraint
 from multiarm.dynamics.dense_callback import read_inertia
 from multiarm.dynamics.equations import (
     OK,
@@ -19,7 +20,6 @@ from multiarm.dynamics.equations import (
     update_rows,
 )
 from multiarm.errors import SolverError
-from multiarm.events.candidates.units import DRY_JOINT, Unit
 from multiarm.events.complementarity import Bounded, ContactLaw, Friction, Push, Sliding
 from multiarm.events.modes import Modes
 from multiarm.spatial import retract
@@ -36,7 +36,7 @@ DEPENDENT = 1e-7
 
 
 class Instant:
-    """A system whose contacts come and go at the state in its buffers.
+    """A system with unilateral constraints at the state in its buffers.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Instant:
     """
 
     def __init__(self, modes: Modes, ahead: float):
-        self._modes, self._units, self._ahead = modes, modes.plan.units, ahead
+        self._modes, self._constraints, self._ahead = modes, modes.unilateral.constraints, ahead
         self._bare, self._full = modes.bare, modes.full
         self._residual = 0.0
 
@@ -119,16 +119,17 @@ class Instant:
         return free
 
 
-def law_of(unit: Unit, at: dict[int, int], slip: np.ndarray | None) -> ContactLaw:
-    """The law of a unit in the rows of a problem; ``at`` says where its rows are there."""
-    if unit.kind == DRY_JOINT:
-        return Bounded(at[unit.row], -unit.bound, unit.bound)
-    if not unit.tangents:
-        return Push(at[unit.row])
-    first, second = (at[t] for t in unit.tangents)
+def law_of(constraint: Constraint, at: dict[int, int], slip: np.ndarray | None) -> ContactLaw:
+    """The law of a constraint in the rows of a problem; ``at`` says where its rows are there."""
+    if constraint.kind == DRY_JOINT:
+        return Bounded(at[constraint.row], -constraint.bound, constraint.bound)
+    if not constraint.tangents:
+        return Push(at[constraint.row])
+    first, second = (at[t] for t in constraint.tangents)
     if slip is None:
-        return Friction(at[unit.row], (first, second), unit.mu)
-    return Sliding(at[unit.row], (first, second), unit.mu, (float(slip[0]), float(slip[1])))
+        return Friction(at[constraint.row], (first, second), constraint.mu)
+    direction = float(slip[0]), float(slip[1])
+    return Sliding(at[constraint.row], (first, second), constraint.mu, direction)
 
 
 def is_free(response: np.ndarray, row: int, held: list[int]) -> bool:

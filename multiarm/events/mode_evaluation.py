@@ -1,9 +1,9 @@
-"""An evaluation where contacts come and go: in the mode that the state asks for.
+"""An evaluation with unilateral constraints: in the mode that follows from the state.
 
 Such a system has all rows that may be held at some time
-(:attr:`multiarm.assembly.system.System.plan`), and is never solved as it is: which contacts push,
-slide, stick or let go at a state follows from the state, as it does at the beginning of a run, but
-without impacts.  The equations of that mode are solved by
+(:attr:`multiarm.assembly.system.System.unilateral`), and is never solved as it is: which contacts
+push, slide, stick or open at a state follows from the state, as it does at the beginning of a run,
+but without impacts.  The equations of that mode are solved by
 :func:`multiarm.dynamics.evaluation.evaluate`; here its results are spread to all rows, and put into
 the equations with the friction forces.
 """
@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from multiarm.assembly.system import System
+from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation as dynamics
 from multiarm.dynamics.dense_callback import read_inertia
 from multiarm.dynamics.equations import OK, evaluate_buffers, update_kinematics, update_rows
@@ -30,8 +31,7 @@ from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.errors import SolverError
 from multiarm.events.arrays import HELD, TANGENT_OF_ALL, THRESHOLD
-from multiarm.events.beginning import touching_units
-from multiarm.events.candidates.units import CONTACT
+from multiarm.events.beginning import touching_constraints
 from multiarm.events.kernels import start_guards
 from multiarm.events.modes import STATE_NAMES, Mode, Modes
 from multiarm.events.selection import held_model
@@ -42,7 +42,7 @@ SLOW = 1e-9
 
 
 def evaluate_mode(system: System, t: float, state: State) -> Evaluation:
-    """Accelerations and forces of a system whose contacts come and go, at one state.
+    """Accelerations and forces of a system with unilateral constraints, at one state.
 
     See :func:`multiarm.events.evaluation.evaluate`.
     """
@@ -59,7 +59,7 @@ def standing_mode(system: System, t: float, state: State) -> Mode:
 
 
 def _standing(modes: Modes, t: float, state: State) -> Mode:
-    touching, beside, _ = touching_units(modes, t, state)
+    touching, beside, _ = touching_constraints(modes, t, state)
     decision = Transition(modes, touching, 0.0, beside=beside).stay()
     if decision.trouble:
         raise SolverError(decision.trouble)
@@ -80,11 +80,11 @@ def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
     residuals = _residuals(full, mode, forces, own.residuals.constraint)
     contact_places(full, state)
     update_rows(model.struct())
-    plan = modes.plan
+    unilateral = modes.unilateral
     doing: dict[str, list[str]] = {}
-    for unit, does in zip(plan.units, mode.choice.states, strict=True):
-        if unit.kind == CONTACT:
-            doing.setdefault(unit.arm, []).append(STATE_NAMES[does])
+    for constraint, does in zip(unilateral.constraints, mode.choice.states, strict=True):
+        if constraint.kind == CONTACT:
+            doing.setdefault(constraint.arm, []).append(STATE_NAMES[does])
     return replace(
         own,
         state=state,
@@ -94,7 +94,7 @@ def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
         _held=Snapshot(model),
         _all=Snapshot(full),
         _unique=lambda: unique,
-        _joint_forces=model.layout.split_contacts(forces[list(plan.model)]),
+        _joint_forces=model.layout.split_contacts(forces[list(unilateral.model)]),
     )
 
 

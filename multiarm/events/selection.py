@@ -25,12 +25,12 @@ from multiarm.contacts.records import (
     pack,
 )
 from multiarm.contacts.surfaces import answering
+from multiarm.contacts.unilateral import CompliantContacts
 from multiarm.dynamics.arrays import CALL_DENSE, CALL_SURFACE
 from multiarm.dynamics.dense_callback import dense_call
 from multiarm.dynamics.solver.singular import make_coupled
 from multiarm.dynamics.solver.work import make_work
 from multiarm.dynamics.state import Layout
-from multiarm.events.candidates.springs import Springs
 from multiarm.jit.pointers import PythonCallback
 
 
@@ -83,22 +83,22 @@ def select(full: System, chosen: Sequence[int] | np.ndarray) -> System:
 
 
 def held_model(system: System) -> System:
-    """The system with all contacts of its joints held, as if nothing came or went.
+    """The system with all contacts of its joints active, as if they were bilateral.
 
     Friction of contacts, ends of joints' ranges and the surroundings are not in it; joints with dry
-    friction move freely.  A system in which nothing comes or goes is its own model.
+    friction move freely.  A system without unilateral constraints is its own model.
     """
-    if system.plan is None:
+    if system.unilateral is None:
         return system
     gone = system.scene.effects.with_events
     every = [replace(p, kernel=None) if p.name in gone else p for p in system.pieces.every]
     effects, phases = replace(system.pieces, every=tuple(every)).program()
-    model = select(system, system.plan.model)
+    model = select(system, system.unilateral.model)
     plant = model.plant._replace(effects=effects, phases=phases)
-    return replace(model, plant=plant, plan=None)
+    return replace(model, plant=plant, unilateral=None)
 
 
-def link_springs(full: System, springs: Springs) -> None:
+def link_springs(full: System, springs: CompliantContacts) -> None:
     """Give the springs of a system their rows, with which all its modes reckon."""
     rows = select(full, springs.rows)
     struct = rows.struct()

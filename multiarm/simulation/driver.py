@@ -152,7 +152,7 @@ def carry_out(
     """
     system, spec = task.system, task.spec
     log, comings = EventLog(), None
-    if system.plan is not None:
+    if system.unilateral is not None:
         comings = EventDriving(system, method_and_tolerance(spec, tighten)[1], spec.step, log)
         task = replace(task, **comings.begin(task.state))
     run = prepare(task.system, spec, task.state, sink, task.longest_step, log, tighten)

@@ -79,7 +79,7 @@ def effects_of_evaluation(system: System, turns: int = TURNS) -> dict[str, Effec
 
 def _burst_at_start(system: System) -> Burst:
     """Evaluations at the start; where contacts come and go, those of the mode there."""
-    if system.plan is None:
+    if system.unilateral is None:
         evaluate(system)
         return slope_burst(system)
     mode = standing_mode(system, 0.0, system.initial_state())
