@@ -1,4 +1,4 @@
-"""Scenes whose contacts come and go: plain arms made of slides and hinges, balls, boxes, plates."""
+"""Scenes with unilateral contacts: plain arms made of slides and hinges, balls, boxes, plates."""
 
 from __future__ import annotations
 

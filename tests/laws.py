@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.events.complementarity import Bounded, Friction, Mode, Push, Sliding
+from multiarm.events.complementarity import Bounded, ContactMode, Friction, Push, Sliding
 
 
 def pushes(count):
@@ -99,18 +99,18 @@ def held_motion(D, b, units, solution):
     """
     x, columns, held = np.zeros(b.size), [], []
     for unit, mode, direction in zip(units, solution.modes, solution.directions, strict=True):
-        if mode in (Mode.AT_LOWER, Mode.AT_UPPER):
-            x[unit.row] = unit.lower if mode is Mode.AT_LOWER else unit.upper
+        if mode in (ContactMode.AT_LOWER, ContactMode.AT_UPPER):
+            x[unit.row] = unit.lower if mode is ContactMode.AT_LOWER else unit.upper
         for row in (unit.row, *getattr(unit, "tangents", ())):
-            if row not in solution.rows:
+            if row not in solution.active_rows:
                 continue
             column = np.eye(b.size)[row]
-            if mode in (Mode.SLIDING, Mode.LIMIT):
+            if mode in (ContactMode.SLIDING, ContactMode.LIMIT):
                 assert row == unit.row
                 column[list(unit.tangents)] = -unit.mu * direction
             columns.append(column)
             held.append(row)
-    assert sorted(held) == list(solution.rows)
+    assert sorted(held) == list(solution.active_rows)
     if not held:
         return x
     B, s = np.array(columns).T, 1.0 / np.sqrt(D.diagonal()[held])

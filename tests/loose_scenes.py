@@ -1,4 +1,4 @@
-"""Small scenes in which something comes and goes: sliders, falling bodies, their closed forms."""
+"""Small scenes with unilateral constraints: sliders, falling bodies, their closed forms."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ def slider(folder: Path, mass=2.0, axis="1 0 0", lower=-5.0, upper=5.0, friction
 
 
 def happened(trajectory) -> list[dict]:
-    """Events of what comes and goes; a cart cannot follow its joint in all directions, as told."""
+    """Events of unilateral constraints.
+
+    Without the notice that a cart cannot follow its joint in all directions.
+    """
     return [event for event in trajectory.events if "before" in event]
 
 

@@ -33,7 +33,7 @@ ROOMS = (
 UPWARD = {
     ("arms", "dynamics"), ("dynamics", "control"), ("dynamics", "integration"),
     ("dynamics", "assembly"), ("dynamics", "events"), ("control", "assembly"),
-    ("effects", "assembly"), ("effects", "events"), ("integration", "assembly"),
+    ("effects", "assembly"), ("integration", "assembly"),
     ("assembly", "events"), ("assembly", "simulation"), ("assembly", "cli"),
     ("events", "simulation"), ("scene", "grasp"), ("plots", "grasp"), ("viewer", "cli"),
     ("sweeps", "cli"),
@@ -41,7 +41,7 @@ UPWARD = {
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
-    "coal": ("events.candidates.floor", "viewer.shapes"),
+    "coal": ("contacts.floor", "viewer.shapes"),
     "dask": ("sweeps.cluster",),
     "distributed": ("sweeps.cluster", "sweeps.sweep"),
     "h5py": ("results.storage",),
@@ -83,7 +83,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pydrake": ("studies.drake_peer",),
     "rich": ("cli",),
     "scipy": (
-        "events.candidates.floor",
+        "contacts.floor",
         "grasp",
         "events.locating",
         "dynamics.solver.dense",

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from laws import frictions, held_motion, pushes, random_rows, random_units, violation
 from scipy.optimize import linprog, lsq_linear, minimize, nnls
 
-from multiarm.events.complementarity import Bounded, Friction, Mode, Push, Sliding, Verdict, solve
+from multiarm.events.complementarity import (
+    Bounded,
+    ContactMode,
+    Friction,
+    Push,
+    Sliding,
+    Verdict,
+    solve,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 ALL = [Push, Bounded, Friction, Sliding]
@@ -21,6 +29,7 @@ TOLERANCE = 1e-11
 SNAPPED = 1e-8
 # Motions of two algorithms, each of which solves with singular values down to a thousandth.
 AGREE = 1e-8
+PUSHING = {ContactMode.CLOSED, ContactMode.STICKING, ContactMode.SLIDING, ContactMode.LIMIT}
 
 
 def problem(rng, kinds, most=6):
@@ -37,9 +46,10 @@ def test_every_solution_obeys_the_laws(kinds, seed):
     D, b = A @ A.T, A @ a
     solution = solve(D, b, units)
     if solution.verdict is Verdict.NONE:
-        assert solution.words and solution.residual > 1e-9 and solution.rows == ()
+        assert solution.message and solution.residual > 1e-9 and solution.active_rows == ()
         return
-    tolerance = SNAPPED if {Mode.LIMIT, Mode.RESTING} & set(solution.modes) else TOLERANCE
+    snapped = {ContactMode.LIMIT, ContactMode.RESTING} & set(solution.modes)
+    tolerance = SNAPPED if snapped else TOLERANCE
     assert violation(D, b, units, solution.forces) < tolerance
     assert solution.residual < tolerance
     np.testing.assert_allclose(solution.rates, D @ solution.forces + b)
@@ -55,36 +65,36 @@ def test_holding_the_rows_gives_the_same_forces_with_a_margin(kinds, seed):
     A, a, units = problem(np.random.default_rng(seed), kinds)
     D, b = A @ A.T, A @ a
     solution = solve(D, b, units)
-    if solution.verdict is Verdict.NONE or "undetermined" in solution.words:
+    if solution.verdict is Verdict.NONE or "undetermined" in solution.message:
         return
-    if "no rows can be held" in solution.words:
+    if "no rows can be held" in solution.message:
         assert any(isinstance(unit, (Friction, Sliding)) for unit in units)
         return
     size = np.max(np.abs(solution.forces)) + np.max(np.abs(b)) / np.max(D)
     # a contact at its limit that bears almost nothing hardly knows its direction
-    agree = 1e-6 if Mode.LIMIT in solution.modes else AGREE
+    agree = 1e-6 if ContactMode.LIMIT in solution.modes else AGREE
     held = held_motion(D, b, units, solution)
     np.testing.assert_allclose(held, solution.forces, rtol=0, atol=agree * size)
     for unit, mode in zip(units, solution.modes, strict=True):
         force = solution.forces[unit.row]
-        if mode in (Mode.CLOSED, Mode.STICKING, Mode.SLIDING, Mode.LIMIT):
-            assert force > 0.0 and unit.row in solution.rows
-        if mode is Mode.HOLDING:
-            assert unit.lower < force < unit.upper and unit.row in solution.rows
-        if mode in (Mode.OPEN, Mode.RESTING):
+        if mode in PUSHING:
+            assert force > 0.0 and unit.row in solution.active_rows
+        if mode is ContactMode.HOLDING:
+            assert unit.lower < force < unit.upper and unit.row in solution.active_rows
+        if mode in (ContactMode.OPEN, ContactMode.RESTING):
             assert abs(force) <= 1e-12 * size
-        if mode is Mode.STICKING:
+        if mode is ContactMode.STICKING:
             tangents = solution.forces[list(unit.tangents)]
             assert np.hypot(*tangents) < unit.mu * force
-            assert set(unit.tangents) <= set(solution.rows)
+            assert set(unit.tangents) <= set(solution.active_rows)
 
 
-def test_rows_to_hold_are_found_for_all_but_one_in_a_hundred_random_contacts_with_friction():
+def test_active_rows_are_found_for_all_but_one_in_a_hundred_random_contacts_with_friction():
     """Few freedoms, much friction, forces that only together are inside of all cones."""
     failed = 0
     for seed in range(300):
         A, a, units = problem(np.random.default_rng(seed), [Friction])
-        failed += "no rows can be held" in solve(A @ A.T, A @ a, units).words
+        failed += "no rows can be held" in solve(A @ A.T, A @ a, units).message
     assert failed <= 3
 
 
@@ -152,7 +162,7 @@ def test_there_is_no_solution_exactly_when_no_forces_part_the_rows(seed):
     if abs(widest) < 1e-9:
         return
     assert (solution.verdict is Verdict.NONE) == (widest < 0.0)
-    assert solution.words.startswith("no solution: the rows contradict") == (widest < 0.0)
+    assert solution.message.startswith("no solution: the rows contradict") == (widest < 0.0)
 
 
 def linear_solutions(G, g):
@@ -188,7 +198,7 @@ def test_sliding_contacts_have_as_many_solutions_as_there_are(seed, count):
         apart = [min(np.max(np.abs(w - y[::3])) for y in motions) for w in expected]
         assert max(apart) < AGREE * max(1.0, np.max(np.abs(expected)))
     if solution.verdict is not Verdict.UNIQUE:
-        assert "Painleve" in solution.words
+        assert "Painleve" in solution.message
 
 
 def planar_motions(D, b, mu):
@@ -297,4 +307,4 @@ def test_friction_of_coefficient_zero_is_a_push(kind, seed):
     smooth = solve(D[::3, ::3], b[::3], pushes(3))
     np.testing.assert_allclose(solution.forces[::3], smooth.forces, atol=1e-10)
     np.testing.assert_array_equal(np.delete(solution.forces, [0, 3, 6]), 0.0)
-    assert [row // 3 for row in solution.rows] == list(smooth.rows)
+    assert [row // 3 for row in solution.active_rows] == list(smooth.active_rows)

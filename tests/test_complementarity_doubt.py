@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from laws import box, frictions, pushes, random_rows, violation
 
-from multiarm.events.complementarity import Bounded, Friction, Mode, Sliding, Verdict, solve
-from multiarm.events.complementarity.enumeration import all_solutions
-from multiarm.events.complementarity.newton import newton
+from multiarm.events.complementarity import Bounded, ContactMode, Friction, Sliding, Verdict, solve
 from multiarm.events.complementarity.problem import build
-from multiarm.events.complementarity.uniqueness import Motion, judge
+from multiarm.events.complementarity.solvers import newton
+from multiarm.events.complementarity.uniqueness import Motion, all_solutions, judge
 
 
 def rod(theta):
@@ -33,16 +32,16 @@ def test_the_sliding_rod_has_none_or_two_solutions_where_friction_pulls_it_in(mu
     if grip > 0.0:
         assert pressed.verdict is lifted.verdict is Verdict.UNIQUE
         np.testing.assert_allclose(pressed.forces, np.array([1.0, -mu, 0.0]) / grip, rtol=1e-10)
-        assert pressed.modes == (Mode.SLIDING,) and lifted.modes == (Mode.OPEN,)
+        assert pressed.modes == (ContactMode.SLIDING,) and lifted.modes == (ContactMode.OPEN,)
         return
     assert pressed.verdict is Verdict.NONE
-    assert "no solution (Painleve)" in pressed.words and pressed.rows == ()
+    assert "no solution (Painleve)" in pressed.message and pressed.active_rows == ()
     assert lifted.verdict is Verdict.SEVERAL
-    assert "several solutions (Painleve)" in lifted.words
-    # the one without force is taken, the other is told
-    assert lifted.modes == (Mode.OPEN,)
+    assert "several solutions (Painleve)" in lifted.message
+    # the one without force is taken, the other is an alternative
+    assert lifted.modes == (ContactMode.OPEN,)
     (other,) = lifted.alternatives
-    assert other.modes == (Mode.SLIDING,)
+    assert other.modes == (ContactMode.SLIDING,)
     np.testing.assert_allclose(other.forces, np.array([-1.0, mu, 0.0]) / grip, rtol=1e-10)
 
 
@@ -64,22 +63,22 @@ def test_two_rods_in_doubt_have_four_motions():
 def test_a_rod_at_rest_in_doubt_stays_or_leaves():
     """No slip yet: with b > 0 it may leave, or jam itself tight."""
     solution = solve(rod(np.radians(60.0)), [0.1, 1.0, 0.0], [Friction(0, (1, 2), 2.0)])
-    assert solution.verdict is Verdict.SEVERAL and solution.modes == (Mode.OPEN,)
-    assert {other.modes[0] for other in solution.alternatives} >= {Mode.STICKING}
+    assert solution.verdict is Verdict.SEVERAL and solution.modes == (ContactMode.OPEN,)
+    assert {other.modes[0] for other in solution.alternatives} >= {ContactMode.STICKING}
 
 
-def test_a_wedge_that_friction_squeezes_is_told():
+def test_a_wedge_that_friction_squeezes_is_reported():
     """A slider between two walls: forces that squeeze it move no wall, but brake it."""
     rows = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])  # wall, along, nothing, rail
     units = [Friction(0, (1, 2), 0.5), Bounded(3, -10.0, 10.0)]
     solution = solve(rows @ rows.T, rows @ [1.0, -1.0], units)
-    assert "leave the motion undetermined" in solution.words
+    assert "leave the motion undetermined" in solution.message
 
 
 def test_walls_that_close_in_have_no_solution():
     solution = solve([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -2.0], pushes(2))
-    assert solution.verdict is Verdict.NONE and "contradict" in solution.words
-    assert solution.rows == () and solution.residual > 0.1
+    assert solution.verdict is Verdict.NONE and "contradict" in solution.message
+    assert solution.active_rows == () and solution.residual > 0.1
 
 
 @pytest.mark.parametrize("free", [0.0, 1e-14])
@@ -105,7 +104,7 @@ def test_corners_that_share_a_sliding_load_leave_the_motion_unique():
     assert judge(problem) is Motion.UNIQUE
     solution = solve(D, b, units)
     assert solution.verdict is Verdict.UNIQUE and not solution.forces_unique
-    assert Mode.RESTING in solution.modes
+    assert ContactMode.RESTING in solution.modes
     assert violation(D, b, units, solution.forces) < 1e-12
 
 
@@ -123,7 +122,7 @@ def test_one_contact_with_mild_friction_is_proven_unique_and_four_corners_are_no
     assert one.verdict is Verdict.UNIQUE
     J, mobility = box(tangents=True)
     four = solve(J @ mobility @ J.T, J @ mobility @ [0, 0, -9.0, 0, 0, 0], frictions(4, 0.5))
-    assert four.verdict is Verdict.FOUND and four.words == ""
+    assert four.verdict is Verdict.FOUND and four.message == ""
 
 
 def test_gauss_seidel_helps_where_newton_runs_in_circles():

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from event_scenes import ball, on_floor
 from mechanics import SCENES
+from multiarm.events.driver import EventDriving
 
 import multiarm as ma
 from multiarm.errors import SceneError
-from multiarm.events.driver import EventDriving
 from multiarm.results.event_log import MOST_LISTED, EventLog
 from multiarm.scene import RunSpec
 from multiarm.simulation.driver import BUDGET, EVENT_STEPS, JUDGED_STEPS, MESSAGE_LENGTH, Pace

@@ -21,6 +21,7 @@ from multiarm.assembly.start import assemble, check_patches, check_unilateral
 from multiarm.contacts.catalogue import FREE
 from multiarm.contacts.frames import FRAME_WIDTH, JointFrame
 from multiarm.contacts.records import ContactTable, pack
+from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
 from multiarm.control.laws import ControlProgram, JointPath, control_program, needs_gravity_torque
 from multiarm.dynamics.arrays import Constants
 from multiarm.dynamics.contact_geometry import free_components, locate_pairs
@@ -38,9 +39,6 @@ from multiarm.dynamics.user_callback import NO_CONTROL, ControlFunction
 from multiarm.effects.building import effect_program
 from multiarm.effects.context import BuildContext, joint_numbers
 from multiarm.errors import ModelError
-from multiarm.events.candidates.building import scene_candidates
-from multiarm.events.candidates.plan import Plan, make_plan
-from multiarm.events.candidates.units import SURROUNDINGS, Candidates
 from multiarm.integration.monitors import WATCH_WIDTH, make_watches
 from multiarm.integration.near_singular import evaluate_near_singular
 from multiarm.scene import (
@@ -252,14 +250,14 @@ class Rows:
     on_links : dict
         The same, the arm's geometry in the frame of the link that carries the tip.
     table : ContactTable
-    unilateral : Plan or None
+    unilateral : UnilateralConstraints or None
     """
 
     layout: Layout
     records: Mapping[str, list]
     on_links: dict[str, list]
     table: ContactTable
-    unilateral: Plan | None
+    unilateral: UnilateralConstraints | None
 
 
 def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> dict[str, Joint]:
@@ -280,8 +278,8 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
     """All rows that can ever be closed, and which of them are unilateral."""
     arms = robots.arms
     contacts = {name: joint.contacts for name, joint in joints.items()}
-    found = _unilateral(scene, robots, contacts)
-    records: Mapping[str, list] = contacts if found is None else found.records
+    unilateral = _unilateral(scene, robots, contacts)
+    records: Mapping[str, list] = contacts if unilateral is None else unilateral.records
     around = records.get(SURROUNDINGS, [])
     owners = [*arms, *([SURROUNDINGS] if around else [])]
     layout = Layout(
@@ -293,11 +291,12 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
     if around:
         on_links[SURROUNDINGS] = around
     table = pack([record for own in on_links.values() for record in own])
-    plan = None if found is None else make_plan(scene, found, contacts, layout)
-    return Rows(layout, records, on_links, table, plan)
+    return Rows(layout, records, on_links, table, unilateral)
 
 
-def _unilateral(scene: Scene, robots: Robots, contacts: Mapping[str, list]) -> Candidates | None:
+def _unilateral(
+    scene: Scene, robots: Robots, contacts: Mapping[str, list]
+) -> UnilateralConstraints | None:
     effects = scene.effects
     if not effects.with_events:
         return None
@@ -309,7 +308,7 @@ def _unilateral(scene: Scene, robots: Robots, contacts: Mapping[str, list]) -> C
     if "joint_friction" in effects.with_events and effects.joint_friction is not None:
         outlines = {name: own.joints for name, own in robots.resolved.items()}
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
-    return scene_candidates(scene, contacts, limits, dry)
+    return unilateral_constraints(scene, contacts, limits, dry)
 
 
 # --- model ----------------------------------------------------------------------------------------
@@ -323,11 +322,11 @@ def draft_model(
     backends: ArmSupply,
 ) -> Model:
     """Bodies, rows and effects; what depends on the assembled start is still missing."""
-    arms, layout, plan = robots.arms, rows.layout, rows.unilateral
+    arms, layout, unilateral = robots.arms, rows.layout, rows.unilateral
     outlines = {name: own.joints for name, own in robots.resolved.items()}
     context = BuildContext(scene, arms, layout, outlines)
-    effects = effect_program(context, _unilateral_kernels(plan, layout.joints))
-    monitored = rows.on_links if plan is None else {name: [] for name in arms}
+    effects = effect_program(context, _unilateral_kernels(unilateral, layout.joints))
+    monitored = rows.on_links if unilateral is None else {name: [] for name in arms}
     limits = {name: joint.limits for name, joint in joints.items()}
     levers = [arms[name].levers(joints[name].frame.on_tip[:3, 3]) for name in arms]
     levers += [np.zeros(0)] * (len(layout.dofs) - 1 - len(arms))
@@ -372,18 +371,18 @@ def draft_model(
         lazy_functions=LAZY_FUNCTIONS,
         breakpoints=effects.breakpoints,
         pair_places=np.zeros((len(rows.table.shapes), 3)),
-        unilateral=plan,
+        unilateral=unilateral,
     )
 
 
-def _unilateral_kernels(plan: Plan | None, joints: int) -> list:
+def _unilateral_kernels(unilateral: UnilateralConstraints | None, joints: int) -> list:
     """What unilateral contacts add to an evaluation; not even imported elsewhere."""
-    if plan is None:
+    if unilateral is None:
         return []
     from multiarm.effects.contact_compliance import compliance_kernels
     from multiarm.effects.dry_friction import unilateral_kernels
 
-    return [*unilateral_kernels(plan, joints), *compliance_kernels(plan.springs)]
+    return [*unilateral_kernels(unilateral, joints), *compliance_kernels(unilateral.compliant)]
 
 
 def finished_model(
@@ -434,12 +433,13 @@ def assembled_start(scene: Scene, data: Data, written: State) -> tuple[State, St
 
     Also finds where contacts of two surfaces are, which the model of ``data`` then knows.
     """
-    plan = data.model.unilateral
-    closed = data if plan is None else data.view(data.model.select(plan.assembled))
+    unilateral, closed = data.model.unilateral, data
+    if unilateral is not None:
+        closed = data.view(data.model.select(unilateral.assembled))
     closed.model = replace(closed.model, unilateral=None, pair_places=locate_pairs(closed, written))
     start, report = assemble(closed, scene, written)
     check_patches(closed, start)
-    if plan is not None:
+    if unilateral is not None:
         check_unilateral(data, start)
     return start, report
 

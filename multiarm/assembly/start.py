@@ -28,6 +28,7 @@ from multiarm.assembly.refusals import (
 from multiarm.assembly.velocities import close_rates
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.records import JointRow
+from multiarm.contacts.unilateral import LIMIT, SURROUNDINGS, Constraint
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
 from multiarm.dynamics.equations import update_kinematics
@@ -36,7 +37,6 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport
 from multiarm.errors import ModelError, SceneError
-from multiarm.events.candidates.units import LIMIT, SURROUNDINGS, Unit
 from multiarm.integration.monitors import DRIVE, FORCE, WATCH_BODY, WATCH_ROW, margin_at
 from multiarm.integration.monitors import LIMIT as JOINT_LIMIT
 from multiarm.scene import Scene
@@ -238,15 +238,15 @@ def check_unilateral(data: Data, start: State) -> None:
     allowed, gaps = TOUCHING * scene_size(data), data.arrays.contacts[:, GAP]
     inside = [
         unit
-        for unit in data.model.unilateral.units
-        if gaps[unit.row] < -allowed and not unit.soft and patch_margin(data, unit) >= 0.0
+        for unit in data.model.unilateral.constraints
+        if gaps[unit.row] < -allowed and not unit.compliant and patch_margin(data, unit) >= 0.0
     ]
     faults = [_inside(data, unit, -float(gaps[unit.row])) for unit in inside]
     if faults:
         raise SceneError(faults)
 
 
-def _inside(data: Data, unit: Unit, depth: float) -> str:
+def _inside(data: Data, unit: Constraint, depth: float) -> str:
     if unit.kind != LIMIT:
         where, remedy = f"'{unit.arm}/{unit.name}' is inside the arm's surface", "the posture"
         if unit.arm == SURROUNDINGS:

@@ -27,13 +27,13 @@ from multiarm.contacts.records import (
 from multiarm.contacts.rows import LINE_CONTACT, locate_pair
 from multiarm.contacts.screws import first_largest
 from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
+from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data, Evaluated, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.errors import SceneError
-from multiarm.events.candidates.units import Unit
 
 # Directions in which a contact of two surfaces is looked for.
 _GUESSES = 60
@@ -217,7 +217,7 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
     return contacts[:, AT : AT + 3] + (way * radius)[:, None] * normals, normals
 
 
-def patch_of(model: Model, unit: Unit) -> np.ndarray | None:
+def patch_of(model: Model, unit: Constraint) -> np.ndarray | None:
     """Frame and corners of the patch of the surroundings that a contact must be on, (18,)."""
     record = model.records[unit.row]
     if unit.arm in model.arms or not isinstance(record, Contact):
@@ -229,7 +229,7 @@ def patch_of(model: Model, unit: Unit) -> np.ndarray | None:
     return np.concatenate([patch.pose[:3, :3].ravel(), patch.pose[:3, 3], lower, upper])
 
 
-def patch_margin(data: Data, unit: Unit) -> float:
+def patch_margin(data: Data, unit: Constraint) -> float:
     """How far inside its patch a contact is at the kinematics in the data [m].
 
     Infinite where there is no patch.

@@ -18,6 +18,7 @@ from multiarm.contacts.kernel import BODY_WIDTH, GAP, GAP_BIAS, GAP_RATE
 from multiarm.contacts.matrices import ContactTerms, contact_matrices
 from multiarm.contacts.motion_space import MotionSpace
 from multiarm.contacts.records import Contact
+from multiarm.contacts.unilateral import SURROUNDINGS
 from multiarm.dynamics.arrays import CONTRADICTION, NOT_FINITE, OK, PROJECTION_FAILED, Variables
 from multiarm.dynamics.contact_analysis import (
     ForceDecomposition,
@@ -37,7 +38,6 @@ from multiarm.dynamics.solver.work import NodeWork
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import SolverError
-from multiarm.events.candidates.units import SURROUNDINGS
 
 Rows = TypeVar("Rows", np.ndarray, tuple)
 Arrays = TypeVar("Arrays", Variables, NodeWork, CoupledWork)
@@ -174,7 +174,7 @@ class Evaluation:
 
     @cached_property
     def contact_normals(self) -> Mapping[str, np.ndarray]:
-        """Unit normals into the object, world axes, arm -> ndarray, shape (N_i, 3).
+        """Constraint normals into the object, world axes, arm -> ndarray, shape (N_i, 3).
 
         Of rows of friction, the tangents.
         """

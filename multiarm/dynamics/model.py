@@ -39,6 +39,7 @@ from multiarm.contacts.records import (
     pack,
 )
 from multiarm.contacts.surfaces import answering
+from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints
 from multiarm.dynamics.arrays import (
     CALLBACK_FAILED,
     FUNCTIONS,
@@ -58,8 +59,6 @@ from multiarm.dynamics.solver.work import NodeWork, make_work
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.user_callback import PythonControl, UserCallback
 from multiarm.errors import ModelError
-from multiarm.events.candidates.plan import Plan
-from multiarm.events.candidates.units import SURROUNDINGS
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
@@ -106,7 +105,7 @@ class Model:
         Where the contacts of two surfaces are at the start, see ``Variables.places``.
     python_control : PythonControl or None
         A controller in Python, which has taken the place of the scene's control.
-    unilateral : Plan or None
+    unilateral : UnilateralConstraints or None
         Which rows can open, slide and stick.  Such a model has all rows that can ever be closed,
         and is never solved as it is.
     """
@@ -129,7 +128,7 @@ class Model:
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
     pair_places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     python_control: PythonControl | None = None
-    unilateral: Plan | None = None
+    unilateral: UnilateralConstraints | None = None
 
     def data(self) -> Data:
         """What evaluations of this model read and write; one for every thread."""
@@ -180,7 +179,7 @@ class Model:
 
     @property
     def joint_units(self) -> list[str]:
-        """Unit of every joint's coordinate, ``"rad"`` or ``"m"``."""
+        """Constraint of every joint's coordinate, ``"rad"`` or ``"m"``."""
         return [unit for arm in self.arms.values() for unit in arm.joint_units.values()]
 
     # --- models of the same bodies --------------------------------------------------------------
@@ -308,6 +307,7 @@ class Data:
 
     def __init__(self, model: Model) -> None:
         self.model, self._backends = model, model.backends.copy()
+        self._base: Data | None = None
         self.effects = model.effects.make_arrays()
         self._surfaces = {id(surface): copy(surface) for surface in model.surfaces}
         self._ground = Ground(model.constants.gravity)

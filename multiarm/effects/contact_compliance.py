@@ -16,11 +16,11 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.contacts.unilateral import CompliantContacts
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.model import Data
-from multiarm.events.candidates.springs import Springs
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 
@@ -53,7 +53,7 @@ def add_contact_compliance(address, size, at, _t):
     return 0
 
 
-def compliance_kernels(springs: Springs | None) -> list[EffectKernel]:
+def compliance_kernels(springs: CompliantContacts | None) -> list[EffectKernel]:
     """The kernel of a scene with compliant contacts."""
     if springs is None:
         return []

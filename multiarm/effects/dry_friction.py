@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.contacts.unilateral import DRY_JOINT, UnilateralConstraints
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.effect_kernels import APPLIED, PASSIVE, POWER, EffectKernel
-from multiarm.events.candidates.plan import Plan
-from multiarm.events.candidates.units import DRY_JOINT
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 
@@ -32,12 +31,12 @@ def add_dry_friction(address, size, at, _t):
     return 0
 
 
-def unilateral_kernels(plan: Plan, joints: int) -> list[EffectKernel]:
+def unilateral_kernels(unilateral: UnilateralConstraints, joints: int) -> list[EffectKernel]:
     """The kernels of a scene with unilateral contacts and ``joints`` joints."""
     kernels = [EffectKernel("impacts", None, APPLIED)]
-    if any(unit.tangents for unit in plan.units):
+    if any(unit.tangents for unit in unilateral.constraints):
         kernels.append(EffectKernel("contact_friction", None, APPLIED))
-    if any(unit.kind == DRY_JOINT for unit in plan.units):
+    if any(unit.kind == DRY_JOINT for unit in unilateral.constraints):
         torques = np.zeros(joints)
         kernels.append(
             EffectKernel("joint_friction", add_dry_friction, PASSIVE, (torques,), unilateral=True)

@@ -25,7 +25,7 @@ LIFT_GUARD = 8  # what still counts as closed, less the gap of row a of all rows
 ONSET_GUARD = 9  # what still counts as rest, less the speed along slide a [m/s]
 SPRING_GUARD = 10  # c times the length of the spring in row a beyond rest, see spring_length [m]
 # Columns of ModeArrays.guards and .levels.
-GUARD_KIND, A, B, C, UNIT, GUARD_WIDTH = range(6)
+GUARD_KIND, A, B, C, CONSTRAINT, GUARD_WIDTH = range(6)
 PARAMETER, THRESHOLD, LEVEL_WIDTH = range(3)
 # What a guard found in a step: nothing, that it changed its sign, that it may have done so twice.
 QUIET, FIRED, DIPPED = range(3)
@@ -46,8 +46,8 @@ class ModeArrays(NamedTuple):
     states : (u,)
         What every contact does, as it is recorded.
     guards : int64 (g, 5), levels : (g, 2)
-        What is guarded: kind, a, b, c, unit; parameter, and the value above which a guard that was
-        at zero when the mode began counts as positive.
+        What is guarded: kind, a, b, c, constraint; parameter, and the value above which a guard
+        that was at zero when the mode began counts as positive.
     values, before, rates, least : (g,)
         Values at the state evaluated last and at the end of the last step, rate of a gap then,
         least value in the stages since.

@@ -17,14 +17,14 @@ from multiarm.events.modes import GAP_THRESHOLD, Choice, Modes
 BELOW = 1e-8
 
 
-def beside_units(modes: Modes, before: Choice, crossed: Set[int]) -> frozenset[int]:
+def beside_constraints(modes: Modes, before: Choice, crossed: Set[int]) -> frozenset[int]:
     """Units whose contacts are beside their patches from now on, at the state in the data.
 
     One that has just ``crossed`` an edge is on it: from now on it is on the other side.
     """
     found = set()
-    for u, unit in enumerate(modes.unilateral.units):
-        margin = patch_margin(modes.full, unit)
+    for u, constraint in enumerate(modes.unilateral.constraints):
+        margin = patch_margin(modes.full, constraint)
         beside = margin < 0.0
         if u in crossed or abs(margin) <= GAP_THRESHOLD:
             beside = (u in before.beside) != (u in crossed)
@@ -33,13 +33,13 @@ def beside_units(modes: Modes, before: Choice, crossed: Set[int]) -> frozenset[i
     return frozenset(found)
 
 
-def below_units(modes: Modes, others: Set[int]) -> frozenset[int]:
+def below_constraints(modes: Modes, others: Set[int]) -> frozenset[int]:
     """Units whose contacts are below their patches; ``others`` are known not to be."""
     gaps = modes.full.arrays.contacts[:, GAP]
     return frozenset(
         u
-        for u, unit in enumerate(modes.unilateral.units)
+        for u, constraint in enumerate(modes.unilateral.constraints)
         if u not in others
-        and gaps[unit.row] < -BELOW
-        and patch_margin(modes.full, unit) != float("inf")
+        and gaps[constraint.row] < -BELOW
+        and patch_margin(modes.full, constraint) != float("inf")
     )

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.dense_callback import read_inertia
@@ -31,8 +32,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.events.arrays import HELD, TANGENT_OF_ALL, THRESHOLD
-from multiarm.events.beginning import touching_units
-from multiarm.events.candidates.units import CONTACT
+from multiarm.events.beginning import touching_constraints
 from multiarm.events.kernels import start_guards
 from multiarm.events.modes import STATE_NAMES, Mode, Modes
 from multiarm.events.transition import Transition
@@ -81,7 +81,7 @@ def evaluate_data(data: Data, t: float, state: State) -> Evaluation:
 def mode_at(data: Data, t: float, state: State) -> Mode:
     """The mode of a state, evaluated there; valid until the next one is wanted."""
     modes = modes_of(data, SLOW)
-    touching, beside, _ = touching_units(modes, t, state)
+    touching, beside, _ = touching_constraints(modes, t, state)
     decision = Transition(modes, touching, 0.0, beside=beside).stay()
     if decision.trouble:
         raise SolverError(decision.trouble)
@@ -111,9 +111,9 @@ def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
     update_rows(closed.struct)
     unilateral, layout = modes.unilateral, full.model.layout
     doing: dict[str, list[str]] = {}
-    for unit, does in zip(unilateral.units, mode.choice.states, strict=True):
-        if unit.kind == CONTACT:
-            doing.setdefault(unit.arm, []).append(STATE_NAMES[does])
+    for constraint, does in zip(unilateral.constraints, mode.choice.states, strict=True):
+        if constraint.kind == CONTACT:
+            doing.setdefault(constraint.arm, []).append(STATE_NAMES[does])
     of_joints = forces[list(unilateral.model)]
     return replace(
         own,
@@ -152,7 +152,7 @@ def _all_forces(full: Data, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
 def _columns(full: Data) -> np.ndarray:
     """``[W_o; W]`` of all rows, shape (6 + n, N), as for a rank.
 
-    Coordinates are scaled by the square root of their inertia, rows to unit length.
+    Coordinates are scaled by the square root of their inertia, rows to constraint length.
     """
     update_kinematics(full.struct)
     return constraint_matrix(full)

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.errors import SolverError
-from multiarm.events.candidates.units import DRY_JOINT
-from multiarm.events.complementarity import Bounded, Solution, Verdict, solve
-from multiarm.events.complementarity import Unit as Law
+from multiarm.events.complementarity import Bounded, ContactLaw, Solution, Verdict, solve
 from multiarm.events.instant import Instant, law_of
 from multiarm.events.modes import Modes
 
@@ -29,18 +28,18 @@ HALVINGS = 40
 
 @dataclass(frozen=True)
 class Hit:
-    """A unit that hit something.
+    """A constraint that hit something.
 
     Attributes
     ----------
-    unit : int
+    constraint : int
     before, after : float
         Rates of its gap [m/s, rad/s].
     impulse : float
         [N s, N m s]
     """
 
-    unit: int
+    constraint: int
     before: float
     after: float
     impulse: float
@@ -65,17 +64,17 @@ class Impact(Instant):
         self._touching, self._rest_height = touching, rest_height
 
     def _impact(self) -> tuple[list[Hit], float, list[int]]:
-        """Change the velocities where something hits; hits, energy added, units put to rest."""
-        units, rates, rest = self._units, self._rates().copy(), self._rest_rate()
-        involved = [u for u in self._touching if units[u].kind != DRY_JOINT]
-        if not any(rates[units[u].row] < -rest for u in involved):
+        """Change the velocities where something hits; hits, energy added, contacts put to rest."""
+        constraints, rates, rest = self._constraints, self._rates().copy(), self._rest_rate()
+        involved = [u for u in self._touching if constraints[u].kind != DRY_JOINT]
+        if not any(rates[constraints[u].row] < -rest for u in involved):
             return [], 0.0, []
-        rows = [row for u in involved for row in (units[u].row, *units[u].tangents)]
+        rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
         matrix = self._matrix(rows)
         response, moved = self._response(matrix, self._bare)
         before = rates[rows]
-        hit = {u for u in involved if rates[units[u].row] < -rest}
-        elastic = {u: units[u].restitution for u in hit}
+        hit = {u for u in involved if rates[constraints[u].row] < -rest}
+        elastic = {u: constraints[u].restitution for u in hit}
         solution, after = self._collide(involved, rows, response, before, elastic, set())
         rested: set[int] = set()
         while low := self._too_low(involved, rows, before, after) - rested:
@@ -87,10 +86,10 @@ class Impact(Instant):
         arrays.twist[:] += change[:6]
         arrays.v[:] += change[6:]
         hits = [
-            Hit(u, float(rates[units[u].row]), float(after[k]), float(solution.forces[k]))
-            for u, k in ((u, rows.index(units[u].row)) for u in hit)
+            Hit(u, float(rates[constraints[u].row]), float(after[k]), float(solution.forces[k]))
+            for u, k in ((u, rows.index(constraints[u].row)) for u in hit)
         ]
-        return hits, _added(solution.forces, before, after), sorted(rested & hit)
+        return hits, energy_added(solution.forces, before, after), sorted(rested & hit)
 
     def _collide(
         self,
@@ -106,29 +105,29 @@ class Impact(Instant):
         Units that are ``resting`` are not thrown up by others.
         """
         at: dict[int, int] = {row: k for k, row in enumerate(rows)}
-        laws: list[Law] = []
+        laws: list[ContactLaw] = []
         for u in involved:
-            unit = self._units[u]
+            constraint = self._constraints[u]
             if u in resting:
-                laws.append(Bounded(at[unit.row], -np.inf, np.inf))
-                laws += [Bounded(at[t], 0.0, 0.0) for t in unit.tangents]
+                laws.append(Bounded(at[constraint.row], -np.inf, np.inf))
+                laws += [Bounded(at[t], 0.0, 0.0) for t in constraint.tangents]
             else:
-                laws.append(law_of(unit, at, None))
+                laws.append(law_of(constraint, at, None))
         share = 1.0
         for _ in range(HALVINGS):
             shifted = before.copy()
             for u, e in elastic.items():
-                k = at[self._units[u].row]
+                k = at[self._constraints[u].row]
                 shifted[k] += share * e * before[k]
             solution = solve(response, shifted, laws)
             after = before + response @ solution.forces
             reached = 0.5 * abs(before) @ abs(solution.forces)
-            if _added(solution.forces, before, after) <= ADDED * reached:
+            if energy_added(solution.forces, before, after) <= ADDED * reached:
                 break
             share *= 0.5
         self._residual = max(self._residual, solution.residual)
         if solution.verdict is Verdict.NONE and not solution.residual < NEARLY:
-            raise SolverError(f"no velocities follow the impact: {solution.words}")
+            raise SolverError(f"no velocities follow the impact: {solution.message}")
         return solution, after
 
     def _too_low(
@@ -136,11 +135,11 @@ class Impact(Instant):
     ) -> set[int]:
         """Units that would bounce too low to be followed, and those thrown up so by others."""
         rest = self._rest_rate()
-        places = {u: rows.index(self._units[u].row) for u in involved}
+        places = {u: rows.index(self._constraints[u].row) for u in involved}
         bouncing = [u for u, k in places.items() if before[k] <= rest < after[k]]
         if not bouncing:
             return set()
-        rows_of_them = [self._units[u].row for u in bouncing]
+        rows_of_them = [self._constraints[u].row for u in bouncing]
         acceleration = self._free_accelerations(rows_of_them, self._bare)
         low = set()
         for u, back in zip(bouncing, acceleration, strict=True):
@@ -149,6 +148,6 @@ class Impact(Instant):
         return low
 
 
-def _added(impulse: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
+def energy_added(impulse: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
     """Kinetic energy that impulses add [J]: their mean rates times them."""
     return 0.5 * float(impulse @ (before + after))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
+from multiarm.contacts.unilateral import DRY_JOINT, Constraint
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.dense_callback import read_inertia
 from multiarm.dynamics.equations import (
@@ -19,9 +20,7 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.dynamics.model import Data
 from multiarm.errors import SolverError
-from multiarm.events.candidates.units import DRY_JOINT, Unit
-from multiarm.events.complementarity import Bounded, Friction, Push, Sliding
-from multiarm.events.complementarity import Unit as Law
+from multiarm.events.complementarity import Bounded, ContactLaw, Friction, Push, Sliding
 from multiarm.events.modes import Modes
 from multiarm.spatial import retract
 
@@ -47,7 +46,7 @@ class Instant:
     """
 
     def __init__(self, modes: Modes, ahead: float):
-        self._modes, self._units, self._ahead = modes, modes.unilateral.units, ahead
+        self._modes, self._constraints, self._ahead = modes, modes.unilateral.constraints, ahead
         self._bare, self._full = modes.bare, modes.full
         self._residual = 0.0
 
@@ -120,16 +119,18 @@ class Instant:
         return free
 
 
-def law_of(unit: Unit, at: dict[int, int], slip: np.ndarray | None) -> Law:
-    """The law of a unit in the rows of a problem; ``at`` says where its rows are there."""
-    if unit.kind == DRY_JOINT:
-        return Bounded(at[unit.row], -unit.bound, unit.bound)
-    if not unit.tangents:
-        return Push(at[unit.row])
-    first, second = (at[t] for t in unit.tangents)
+def law_of(constraint: Constraint, at: dict[int, int], slip: np.ndarray | None) -> ContactLaw:
+    """The law of a constraint in the rows of a problem; ``at`` says where its rows are there."""
+    if constraint.kind == DRY_JOINT:
+        return Bounded(at[constraint.row], -constraint.bound, constraint.bound)
+    if not constraint.tangents:
+        return Push(at[constraint.row])
+    first, second = (at[t] for t in constraint.tangents)
     if slip is None:
-        return Friction(at[unit.row], (first, second), unit.mu)
-    return Sliding(at[unit.row], (first, second), unit.mu, (float(slip[0]), float(slip[1])))
+        return Friction(at[constraint.row], (first, second), constraint.mu)
+    return Sliding(
+        at[constraint.row], (first, second), constraint.mu, (float(slip[0]), float(slip[1]))
+    )
 
 
 def is_free(response: np.ndarray, row: int, held: list[int]) -> bool:

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint, UnilateralConstraints
 from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.contact_geometry import patch_of
 from multiarm.dynamics.model import Data
@@ -31,8 +32,6 @@ from multiarm.events.arrays import (
     ModeArrays,
     mode_struct,
 )
-from multiarm.events.candidates.plan import Plan
-from multiarm.events.candidates.units import CONTACT, DRY_JOINT, Unit
 from multiarm.events.kernels import (
     check_guards,
     forces_by_model,
@@ -71,16 +70,16 @@ Guard = tuple[int, tuple[int, int, int], float, float]
 
 @dataclass(frozen=True)
 class Choice:
-    """Which units do what.
+    """Which constraints do what.
 
     Attributes
     ----------
     states : tuple of int
-        By unit, ``OPEN`` to ``BACKWARD``.
+        By constraint, ``OPEN`` to ``BACKWARD``.
     rows : tuple of int
-        Rows of units that are held, increasing.
+        Rows of constraints that are held, increasing.
     beside, below : frozenset of int
-        Open units that are beside their patch, or below it, see :mod:`multiarm.events.edges`.
+        Open constraints that are beside their patch, or below it, see :mod:`multiarm.events.edges`.
     """
 
     states: tuple[int, ...]
@@ -88,12 +87,14 @@ class Choice:
     beside: frozenset[int] = frozenset()
     below: frozenset[int] = frozenset()
 
-    def sliding(self, units: tuple[Unit, ...]) -> list[int]:
-        """Numbers of the units that slide with their normal row held."""
+    def sliding(self, constraints: tuple[Constraint, ...]) -> list[int]:
+        """Numbers of the constraints that slide with their normal row held."""
         return [
             u
-            for u, unit in enumerate(units)
-            if self.states[u] in (SLIDING, AT_BOUND) and unit.row in self.rows and unit.tangents
+            for u, constraint in enumerate(constraints)
+            if self.states[u] in (SLIDING, AT_BOUND)
+            and constraint.row in self.rows
+            and constraint.tangents
         ]
 
 
@@ -119,9 +120,11 @@ class Mode:
         self.arrays.prestress[:] = [forces.get(int(row), 0.0) for row in self.arrays.held]
         self.arrays.stressed[0] = 1
 
-    def set_directions(self, directions: dict[int, np.ndarray], units: tuple[Unit, ...]) -> None:
-        """Set the directions of slip, by number of the unit."""
-        for s, u in enumerate(self.choice.sliding(units)):
+    def set_directions(
+        self, directions: dict[int, np.ndarray], constraints: tuple[Constraint, ...]
+    ) -> None:
+        """Set the directions of slip, by number of the constraint."""
+        for s, u in enumerate(self.choice.sliding(constraints)):
             self.arrays.direction[s] = directions[u]
 
 
@@ -145,7 +148,8 @@ class Modes:
         self._nothing = _select(full, [])
         self._made: dict[Choice, Mode] = {}
         everything_open = tuple(
-            FORWARD if unit.kind == DRY_JOINT else OPEN for unit in self.unilateral.units
+            FORWARD if constraint.kind == DRY_JOINT else OPEN
+            for constraint in self.unilateral.constraints
         )
         self._open = Choice(everything_open, ())
         self.bare = self.mode(self._open).data
@@ -162,25 +166,25 @@ class Modes:
     def mode(self, choice: Choice) -> Mode:
         """The mode of a choice, made when it is first asked for."""
         if choice not in self._made:
-            self._made[choice] = self._make(choice, self.unilateral.bare)
+            self._made[choice] = self._make(choice, self.unilateral.bilateral)
         return self._made[choice]
 
     def enter(self, choice: Choice, directions: dict[int, np.ndarray]) -> Mode:
         """The mode of a choice, ready to be simulated in."""
         mode = self.mode(choice)
-        mode.set_directions(directions, self.unilateral.units)
+        mode.set_directions(directions, self.unilateral.constraints)
         arrays = mode.arrays
         arrays.armed[:] = arrays.muted[:] = arrays.stressed[:] = 0
         arrays.least[:] = np.inf
-        set_unit_forces(self.full, choice)
+        set_constraint_forces(self.full, choice)
         return mode
 
     def _make(self, choice: Choice, bare: tuple[int, ...]) -> Mode:
-        full, units = self.full, self.unilateral.units
+        full, constraints = self.full, self.unilateral.constraints
         rows = np.array(sorted([*bare, *choice.rows]), dtype=np.int64)
-        sliding = choice.sliding(units)
+        sliding = choice.sliding(constraints)
         held = _select(full, rows)
-        tangents = [t for u in sliding for t in units[u].tangents]
+        tangents = [t for u in sliding for t in constraints[u].tangents]
         aside = _select(full, tangents) if sliding else self._nothing
         arrays = self._arrays(choice, rows, sliding)
         reactions = _reactions(held) if sliding else None
@@ -202,20 +206,24 @@ class Modes:
         return Mode(choice, held, arrays, (aside, struct, reactions, self.closed, full))
 
     def _arrays(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> ModeArrays:
-        units, full, springs = self.unilateral.units, self.full, self.unilateral.springs
+        constraints, full, springs = (
+            self.unilateral.constraints,
+            self.full,
+            self.unilateral.compliant,
+        )
         place = {int(row): k for k, row in enumerate(rows)}
         slides = np.zeros((len(sliding), SLIDE_WIDTH), dtype=np.int64)
         for s, u in enumerate(sliding):
-            arm = int(np.searchsorted(full.model.layout.rows, units[u].row, side="right")) - 1
-            slides[s] = place[units[u].row], arm, 2 * s, units[u].tangents[0]
+            arm = int(np.searchsorted(full.model.layout.rows, constraints[u].row, side="right")) - 1
+            slides[s] = place[constraints[u].row], arm, 2 * s, constraints[u].tangents[0]
         guards, levels, patches = [], [], []
-        for u, unit in enumerate(units):
-            patch = patch_of(full.model, unit)
-            found = _guards(u, unit, choice, place, sliding, self.slow)
-            if unit.soft:
-                found = [_spring_guard(self.unilateral, unit, choice.states[u])]
+        for u, constraint in enumerate(constraints):
+            patch = patch_of(full.model, constraint)
+            found = _guards(u, constraint, choice, place, sliding, self.slow)
+            if constraint.compliant:
+                found = [_spring_guard(self.unilateral, constraint, choice.states[u])]
             elif patch is not None:
-                found = _at_a_patch(u, unit, choice, found)
+                found = _at_a_patch(u, constraint, choice, found)
             for kind, abc, parameter, threshold in found:
                 guards.append([kind, *abc, u])
                 levels.append([parameter, threshold])
@@ -223,13 +231,13 @@ class Modes:
         g = len(guards)
         states = [
             STICKING if state == AT_BOUND else state
-            for state, unit in zip(choice.states, units, strict=True)
-            if unit.kind == CONTACT
+            for state, constraint in zip(choice.states, constraints, strict=True)
+            if constraint.kind == CONTACT
         ]
         return ModeArrays(
             held=rows,
             slides=slides,
-            slide_mu=np.array([units[u].mu for u in sliding]),
+            slide_mu=np.array([constraints[u].mu for u in sliding]),
             direction=np.zeros((len(sliding), 2)),
             turning=np.zeros((len(sliding), 2)),
             speed=np.zeros(len(sliding)),
@@ -272,23 +280,23 @@ def _friction_slot(full: Data) -> int:
     return effects.slot("contact_friction" if has_it else "impacts")
 
 
-def set_unit_forces(full: Data, choice: Choice) -> None:
+def set_constraint_forces(full: Data, choice: Choice) -> None:
     """Torques of dry friction of the joints that move, zero of those that are held; which springs
     push.
     """
     unilateral = full.model.unilateral
     assert unilateral is not None
-    dry = [unit for unit in unilateral.units if unit.kind == DRY_JOINT]
+    dry = [constraint for constraint in unilateral.constraints if constraint.kind == DRY_JOINT]
     if dry:
         full.effect(DRY_FRICTION)[0][:] = 0.0
-    for unit, state in zip(unilateral.units, choice.states, strict=True):
-        if unit.soft:
-            assert unilateral.springs is not None, "a compliant contact is a spring"
+    for constraint, state in zip(unilateral.constraints, choice.states, strict=True):
+        if constraint.compliant:
+            assert unilateral.compliant is not None, "a compliant contact is a spring"
             active = full.effect(COMPLIANCE)[ACTIVE]
-            active[unilateral.springs.number(unit.row)] = state != OPEN
-        if unit.kind == DRY_JOINT and state in (FORWARD, BACKWARD):
-            torque = -unit.bound if state == FORWARD else unit.bound
-            full.effect(DRY_FRICTION)[0][unit.joint] = torque
+            active[unilateral.compliant.number(constraint.row)] = state != OPEN
+        if constraint.kind == DRY_JOINT and state in (FORWARD, BACKWARD):
+            torque = -constraint.bound if state == FORWARD else constraint.bound
+            full.effect(DRY_FRICTION)[0][constraint.joint] = torque
 
 
 def _reactions(held: Data) -> ReactionWork:
@@ -301,27 +309,34 @@ def _reactions(held: Data) -> ReactionWork:
 
 
 def _guards(
-    u: int, unit: Unit, choice: Choice, place: dict[int, int], sliding: list[int], slow: float
+    u: int,
+    constraint: Constraint,
+    choice: Choice,
+    place: dict[int, int],
+    sliding: list[int],
+    slow: float,
 ) -> list[Guard]:
-    """Kind, (a, b, c), parameter and threshold of the guards of one unit."""
+    """Kind, (a, b, c), parameter and threshold of the guards of one constraint."""
     state = choice.states[u]
-    row = place.get(unit.row, -1)
-    if unit.kind == DRY_JOINT:
+    row = place.get(constraint.row, -1)
+    if constraint.kind == DRY_JOINT:
         if state in (FORWARD, BACKWARD):
             sign = 1.0 if state == FORWARD else -1.0
-            return [(RATE_GUARD, (unit.joint, -1, -1), sign, _still(slow))]
-        limit = FORCE_THRESHOLD * unit.bound
-        return [(HOLD_GUARD, (row, -1, -1), unit.bound, limit)] if row >= 0 else []
+            return [(RATE_GUARD, (constraint.joint, -1, -1), sign, _still(slow))]
+        limit = FORCE_THRESHOLD * constraint.bound
+        return [(HOLD_GUARD, (row, -1, -1), constraint.bound, limit)] if row >= 0 else []
     if state == OPEN:
-        return [(GAP_GUARD, (unit.row, -1, -1), 0.0, GAP_THRESHOLD)]
+        return [(GAP_GUARD, (constraint.row, -1, -1), 0.0, GAP_THRESHOLD)]
     if row < 0:
-        place_of_all = (unit.row, -1, -1)
+        place_of_all = (constraint.row, -1, -1)
         return [(REST_GUARD, place_of_all, REST, 0.0), (LIFT_GUARD, place_of_all, REST, 0.0)]
     guards = [(PUSH_GUARD, (row, -1, -1), 0.0, FORCE_THRESHOLD)]
     if state == STICKING:
-        tangents = [place.get(t, -1) for t in unit.tangents]
+        tangents = [place.get(t, -1) for t in constraint.tangents]
         if max(tangents) >= 0:
-            guards.append((CONE_GUARD, (row, tangents[0], tangents[1]), unit.mu, FORCE_THRESHOLD))
+            guards.append(
+                (CONE_GUARD, (row, tangents[0], tangents[1]), constraint.mu, FORCE_THRESHOLD)
+            )
     if u in sliding:
         place_of_slide = (sliding.index(u), -1, -1)
         if state == AT_BOUND:
@@ -336,19 +351,19 @@ def _still(slow: float) -> float:
     return max(SPEED_THRESHOLD, STILL * slow)
 
 
-def _spring_guard(plan: Plan, unit: Unit, state: int) -> Guard:
+def _spring_guard(unilateral: UnilateralConstraints, constraint: Constraint, state: int) -> Guard:
     """The guard of a compliant contact that only pushes."""
-    assert plan.springs is not None, "a compliant contact is a spring"
-    lag = float(plan.springs.lags[plan.springs.number(unit.row)])
-    return SPRING_GUARD, (unit.row, -1, 1 if state == OPEN else -1), lag, GAP_THRESHOLD
+    assert unilateral.compliant is not None, "a compliant contact is a spring"
+    lag = float(unilateral.compliant.lags[unilateral.compliant.number(constraint.row)])
+    return SPRING_GUARD, (constraint.row, -1, 1 if state == OPEN else -1), lag, GAP_THRESHOLD
 
 
-def _at_a_patch(u: int, unit: Unit, choice: Choice, guards: list[Guard]) -> list[Guard]:
+def _at_a_patch(u: int, constraint: Constraint, choice: Choice, guards: list[Guard]) -> list[Guard]:
     """The guards of a contact that is on its patch, over it, beside it or below it."""
     sign = -1 if u in choice.beside else 1
-    edge = PATCH_GUARD, (unit.row, -1, sign), 0.0, GAP_THRESHOLD
+    edge = PATCH_GUARD, (constraint.row, -1, sign), 0.0, GAP_THRESHOLD
     if u in choice.beside:
         return [edge]
     if u in choice.below:  # a spring without damping: its length is the gap
-        return [edge, (SPRING_GUARD, (unit.row, -1, -1), 0.0, GAP_THRESHOLD)]
+        return [edge, (SPRING_GUARD, (constraint.row, -1, -1), 0.0, GAP_THRESHOLD)]
     return [*guards, edge]

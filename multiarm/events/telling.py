@@ -7,8 +7,8 @@ from typing import Any
 from multiarm.contacts.records import (
     JointRow,
 )
+from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import points_and_normals
-from multiarm.events.candidates.units import CONTACT, DRY_JOINT, LIMIT, Unit
 from multiarm.events.modes import (
     AT_BOUND,
     BACKWARD,
@@ -30,19 +30,19 @@ def decision_events(
 
     ``before`` has no states at the beginning of a run.
     """
-    hits, events = {hit.unit: hit for hit in decision.hits}, []
-    for u, unit in enumerate(modes.unilateral.units):
+    hits, events = {hit.constraint: hit for hit in decision.hits}, []
+    for u, constraint in enumerate(modes.unilateral.constraints):
         now = decision.choice.states[u]
         was = before.states[u] if before.states else now
-        kind = _kind(unit, was, now, hits.get(u), u in decision.rested)
+        kind = _kind(constraint, was, now, hits.get(u), u in decision.rested)
         if kind:
-            events.append(_event(modes, t, unit, kind, was, now, hits.get(u)))
+            events.append(_event(modes, t, constraint, kind, was, now, hits.get(u)))
     return events
 
 
-def _kind(unit: Unit, was: int, now: int, hit: Hit | None, rested: bool) -> str:
-    """What happened to a unit; empty: nothing."""
-    if unit.kind == DRY_JOINT:
+def _kind(constraint: Constraint, was: int, now: int, hit: Hit | None, rested: bool) -> str:
+    """What happened to a constraint; empty: nothing."""
+    if constraint.kind == DRY_JOINT:
         moved, moves = was in (FORWARD, BACKWARD), now in (FORWARD, BACKWARD)
         return "" if moved == moves else "joint slips" if moves else "joint sticks"
     if hit is not None and now == OPEN:
@@ -50,7 +50,7 @@ def _kind(unit: Unit, was: int, now: int, hit: Hit | None, rested: bool) -> str:
     if rested:
         return "comes to rest"
     if (was == OPEN) != (now == OPEN):
-        if unit.kind == LIMIT:
+        if constraint.kind == LIMIT:
             return "leaves its limit" if now == OPEN else "reaches its limit"
         return "lets go" if now == OPEN else "touches"
     if hit is not None:
@@ -62,23 +62,29 @@ def _kind(unit: Unit, was: int, now: int, hit: Hit | None, rested: bool) -> str:
 
 
 def _event(
-    modes: Modes, t: float, unit: Unit, kind: str, was: int, now: int, hit: Hit | None
+    modes: Modes, t: float, constraint: Constraint, kind: str, was: int, now: int, hit: Hit | None
 ) -> dict[str, Any]:
-    what = unit.name if unit.kind == CONTACT else modes.full.model.joint_name(unit.joint)
+    what = (
+        constraint.name
+        if constraint.kind == CONTACT
+        else modes.full.model.joint_name(constraint.joint)
+    )
     event: dict[str, Any] = {
         "time": float(t),
         "kind": kind,
-        "arm": unit.arm,
-        "contact" if unit.kind == CONTACT else "joint": what,
+        "arm": constraint.arm,
+        "contact" if constraint.kind == CONTACT else "joint": what,
         "before": {"state": STATE_NAMES[was]},
         "after": {"state": STATE_NAMES[now]},
-        "text": f"{unit.arm}: {what} {_words(modes, unit, kind)}",
+        "text": f"{constraint.arm}: {what} {_words(modes, constraint, kind)}",
     }
-    if unit.kind == CONTACT:
-        points, _ = points_and_normals(modes.full, slice(unit.row, unit.row + 1))
+    if constraint.kind == CONTACT:
+        points, _ = points_and_normals(modes.full, slice(constraint.row, constraint.row + 1))
         event["where"] = points[0].tolist()
     if hit is not None:
-        turns = unit.kind != CONTACT and modes.full.model.joint_units[unit.joint] == "rad"
+        turns = (
+            constraint.kind != CONTACT and modes.full.model.joint_units[constraint.joint] == "rad"
+        )
         unit_of_rate = "rad_s" if turns else "m_s"
         event["before"][f"gap_rate_{unit_of_rate}"] = hit.before
         event["after"][f"gap_rate_{unit_of_rate}"] = hit.after
@@ -86,11 +92,11 @@ def _event(
     return event
 
 
-def _words(modes: Modes, unit: Unit, kind: str) -> str:
+def _words(modes: Modes, constraint: Constraint, kind: str) -> str:
     """What happened, of a joint at its limit with the end at which it did."""
-    if unit.kind != LIMIT:
+    if constraint.kind != LIMIT:
         return kind.removeprefix("joint ")
-    record = modes.full.model.records[unit.row]
+    record = modes.full.model.records[constraint.row]
     assert isinstance(record, JointRow), "a limit is a joint's"
     end = "its lower limit" if record.side > 0.0 else "its upper limit"
     return f"bounces off {end}" if kind == "bounces" else kind.replace("its limit", end)

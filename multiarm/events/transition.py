@@ -1,7 +1,7 @@
-r"""What comes after an event: impacts, and then what each unit does from now on.
+r"""What comes after an event: impacts, and then what each constraint does from now on.
 
-Both are complementarity problems (:mod:`multiarm.events.complementarity`) in the rows of the units
-that touch.  With the rows that are always held kept, and no force on the others, a unit force on
+Both are complementarity problems (:mod:`multiarm.events.complementarity`) in the rows of the
+constraints that touch.  With the bilateral rows held, and no force on the others, a unit force on
 row k gives row j the rate :math:`D_{jk}`, which the node algorithm supplies a column at a time.
 Then
 
@@ -19,10 +19,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from multiarm.contacts.kernel import GAP
-from multiarm.events.candidates.units import DRY_JOINT
-from multiarm.events.complementarity import Bounded, Solution, Verdict, solve
-from multiarm.events.complementarity import Mode as Does
-from multiarm.events.edges import below_units
+from multiarm.contacts.unilateral import DRY_JOINT
+from multiarm.events.complementarity import Bounded, ContactMode, Solution, Verdict, solve
+from multiarm.events.edges import below_constraints
 from multiarm.events.impact import Hit, Impact
 from multiarm.events.instant import can_slip, is_free, law_of, leans_on_others
 from multiarm.events.modes import (
@@ -36,7 +35,7 @@ from multiarm.events.modes import (
     TOUCHING,
     Choice,
     Modes,
-    set_unit_forces,
+    set_constraint_forces,
 )
 
 # Accelerations below this are roundings [m/s^2, rad/s^2].
@@ -47,10 +46,16 @@ NO_FORCE = 1e-7
 SAME = 1e-6
 
 _STATES = {
-    Does.OPEN: OPEN, Does.RESTING: RESTING, Does.CLOSED: TOUCHING, Does.STICKING: STICKING,
-    Does.SLIDING: SLIDING, Does.LIMIT: AT_BOUND, Does.HOLDING: STICKING,
-    Does.AT_LOWER: FORWARD, Does.AT_UPPER: BACKWARD,
-}  # fmt: skip
+    ContactMode.OPEN: OPEN,
+    ContactMode.RESTING: RESTING,
+    ContactMode.CLOSED: TOUCHING,
+    ContactMode.STICKING: STICKING,
+    ContactMode.SLIDING: SLIDING,
+    ContactMode.LIMIT: AT_BOUND,
+    ContactMode.HOLDING: STICKING,
+    ContactMode.AT_LOWER: FORWARD,
+    ContactMode.AT_UPPER: BACKWARD,
+}
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,7 @@ class Decision:
     ----------
     choice : Choice
     directions : dict
-        Unit vectors of the slip of the units that slide, by their numbers.
+        Unit vectors of the slip of the constraints that slide, by their numbers.
     forces : dict
         Forces that obey the laws, by row [N, N m].
     residual : float
@@ -96,7 +101,7 @@ class Transition(Impact):
     rest_height : float
         Bounces lower than this are no longer followed [m, rad].
     at_rest : mapping, optional
-        Speeds up to which units whose slip has just come to rest count as such [m/s, rad/s].
+        Speeds up to which constraints whose slip has just come to rest count as such [m/s, rad/s].
     unloaded : set of int
         Units whose force has just fallen to zero: free to go, they go.
     beside : set of int
@@ -116,7 +121,7 @@ class Transition(Impact):
         beside: Set[int] = frozenset(),
         ahead: float = 0.0,
     ):
-        pushing = {u for u in touching if modes.unilateral.units[u].soft}
+        pushing = {u for u in touching if modes.unilateral.constraints[u].compliant}
         super().__init__(modes, sorted(touching - pushing - beside), rest_height, ahead)
         self._pressed, self._at_rest = pushing, at_rest or {}
         self._unloaded, self._beside = unloaded, frozenset(beside)
@@ -139,29 +144,29 @@ class Transition(Impact):
         return Decision(choice, directions, forces, self._residual, trouble)
 
     def _choose(self) -> tuple[Choice, dict[int, np.ndarray], dict[int, float], str]:
-        """What each unit does from now on, directions of slip, forces, and what is the matter."""
-        units, rates, rest = self._units, self._rates().copy(), self._rest_rate()
-        states = [OPEN] * len(units)
+        """The mode of each constraint from now on, directions of slip, forces, and any trouble."""
+        constraints, rates, rest = self._constraints, self._rates().copy(), self._rest_rate()
+        states = [OPEN] * len(constraints)
         involved, slips = [], {}
-        for u, unit in enumerate(units):
+        for u, constraint in enumerate(constraints):
             still = max(rest, self._at_rest.get(u, 0.0))
-            if unit.kind == DRY_JOINT:
-                if abs(rates[unit.row]) <= still:
+            if constraint.kind == DRY_JOINT:
+                if abs(rates[constraint.row]) <= still:
                     involved.append(u)
-                states[u] = FORWARD if rates[unit.row] > 0.0 else BACKWARD
-            elif unit.soft:
+                states[u] = FORWARD if rates[constraint.row] > 0.0 else BACKWARD
+            elif constraint.compliant:
                 states[u] = TOUCHING if u in self._pressed else OPEN
-            elif u in self._touching and rates[unit.row] <= rest:
+            elif u in self._touching and rates[constraint.row] <= rest:
                 involved.append(u)
-                slip = rates[list(unit.tangents)]
+                slip = rates[list(constraint.tangents)]
                 speed = float(np.linalg.norm(slip))
-                if unit.tangents and speed > still:
+                if constraint.tangents and speed > still:
                     slips[u] = slip / speed
         moving = tuple(OPEN if u in involved else state for u, state in enumerate(states))
-        set_unit_forces(self._modes.full, Choice(moving, ()))
+        set_constraint_forces(self._modes.full, Choice(moving, ()))
         if not involved:
             return self._chosen(states, ()), {}, {}, ""
-        rows = [row for u in involved for row in (units[u].row, *units[u].tangents)]
+        rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
         solution, response = self._share(involved, rows, slips)
         at = {row: k for k, row in enumerate(rows)}
         self._residual = max(self._residual, solution.residual)
@@ -172,18 +177,22 @@ class Transition(Impact):
                 directions[u] = solution.directions[k]
         for u in involved:
             if states[u] == AT_BOUND and can_slip(
-                response, [at[t] for t in units[u].tangents], directions[u], list(solution.rows)
+                response,
+                [at[t] for t in constraints[u].tangents],
+                directions[u],
+                list(solution.active_rows),
             ):
                 states[u] = SLIDING
         dropped = self._drop_unloaded(involved, rows, states, solution, response)
-        held = tuple(sorted(rows[k] for k in solution.rows if k < len(rows) and k not in dropped))
-        normal = [at[units[u].row] for u in involved]
-        every = [*rows, *self._modes.unilateral.bare]
+        active = [k for k in solution.active_rows if k < len(rows) and k not in dropped]
+        held = tuple(sorted(rows[k] for k in active))
+        normal = [at[constraints[u].row] for u in involved]
+        every = [*rows, *self._modes.unilateral.bilateral]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
         return self._chosen(states, held), directions, forces, _trouble(solution, normal)
 
     def _chosen(self, states: list[int], held: tuple[int, ...]) -> Choice:
-        below = below_units(self._modes, self._beside.union(self._touching))
+        below = below_constraints(self._modes, self._beside.union(self._touching))
         return Choice(tuple(states), held, self._beside, below)
 
     def _drop_unloaded(
@@ -204,33 +213,33 @@ class Transition(Impact):
         gone = [
             u
             for u in involved
-            if self._units[u].kind != DRY_JOINT
+            if self._constraints[u].kind != DRY_JOINT
             and states[u] != OPEN
-            and solution.forces[at[self._units[u].row]] <= none
+            and solution.forces[at[self._constraints[u].row]] <= none
         ]
         if not self._unloaded & set(gone):
             return dropped
         for u in gone:
-            unit = self._units[u]
-            dropped |= {at[row] for row in (unit.row, *unit.tangents)}
+            constraint = self._constraints[u]
+            dropped |= {at[row] for row in (constraint.row, *constraint.tangents)}
         for u in gone:
-            rest = [k for k in solution.rows if k not in dropped]
-            states[u] = OPEN if is_free(response, at[self._units[u].row], rest) else RESTING
+            rest = [k for k in solution.active_rows if k not in dropped]
+            states[u] = OPEN if is_free(response, at[self._constraints[u].row], rest) else RESTING
         return dropped
 
     def _share(
         self, involved: list[int], rows: list[int], slips: dict[int, np.ndarray]
     ) -> tuple[Solution, np.ndarray]:
-        """Forces and modes of the units, and the response to all rows of the problem.
+        """Forces and modes of the constraints, and the response to all rows of the problem.
 
-        Rows that are always held may follow those of the units.
+        Rows that are always held may follow those of the constraints.
         """
-        units, at = self._units, {row: k for k, row in enumerate(rows)}
-        laws = [law_of(units[u], at, slips.get(u)) for u in involved]
+        constraints, at = self._constraints, {row: k for k, row in enumerate(rows)}
+        laws = [law_of(constraints[u], at, slips.get(u)) for u in involved]
         matrix = self._matrix(rows)
         free = self._free_accelerations(rows, self._bare)
         response, _ = self._response(matrix, self._bare)
-        bare = self._modes.unilateral.bare
+        bare = self._modes.unilateral.bilateral
         if bare and leans_on_others(response, matrix):
             # which forces are smallest depends on the rows that are always held too
             every = [*rows, *bare]
@@ -249,22 +258,24 @@ def _trouble(solution: Solution, normal: list[int]) -> str:
     in one of them and pushes in the other.
     """
     if solution.verdict is Verdict.NONE:
-        return solution.words
+        return solution.message
     if solution.verdict is not Verdict.SEVERAL:
         return ""
     rates = solution.rates[normal]
     size = SAME * max(np.max(np.abs(solution.rates)), NO_ACCELERATION)
     for other in solution.alternatives:
         if np.max(np.abs(other.rates[normal] - rates), initial=0.0) > size:
-            return solution.words
+            return solution.message
     return ""
 
 
-def closed_units(modes: Modes, tolerance: float) -> set[int]:
+def closed_constraints(modes: Modes, tolerance: float) -> set[int]:
     """Contacts and limits whose gaps are closed at the state in the data."""
     gaps = modes.full.arrays.contacts[:, GAP]
     return {
         u
-        for u, unit in enumerate(modes.unilateral.units)
-        if unit.kind != DRY_JOINT and not unit.soft and abs(gaps[unit.row]) <= tolerance
+        for u, constraint in enumerate(modes.unilateral.constraints)
+        if constraint.kind != DRY_JOINT
+        and not constraint.compliant
+        and abs(gaps[constraint.row]) <= tolerance
     }

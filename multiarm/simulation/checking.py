@@ -21,6 +21,7 @@ import numpy as np
 
 from multiarm.cli.guide.limits import axis_travel, limits_of
 from multiarm.cli.guide.motions import free_motions, seen_from
+from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.control.laws import needs_gravity_torque
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import update_kinematics
@@ -36,7 +37,6 @@ from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
-from multiarm.events.candidates.units import CONTACT, DRY_JOINT, LIMIT, Unit
 from multiarm.events.evaluation import evaluate
 from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
 from multiarm.simulation.inspection import (
@@ -172,18 +172,18 @@ def coming_and_going(system: System) -> list[str]:
     """What comes and goes in a system, counted by what it belongs to."""
     if system.model.unilateral is None:
         return []
-    counts = Counter((unit.arm, _unit_words(unit)) for unit in system.model.unilateral.units)
+    counts = Counter((unit.arm, _unit_words(unit)) for unit in system.model.unilateral.constraints)
     lines = [f"{arm}: {words} ({count})" for (arm, words), count in counts.items()]
-    springs = system.model.unilateral.springs
+    springs = system.model.unilateral.compliant
     soft = 0 if springs is None else len(springs.rows)
     return lines + ([f"springs in place of contacts ({soft})"] if soft else [])
 
 
-def _unit_words(unit: Unit) -> str:
+def _unit_words(unit: Constraint) -> str:
     words = {LIMIT: "ends of joints' ranges", DRY_JOINT: "joints with dry friction"}
     if unit.kind != CONTACT:
         return words[unit.kind]
-    return "contacts" + (" with friction" if unit.tangents else " that give way" * unit.soft)
+    return "contacts" + (" with friction" if unit.tangents else " that give way" * unit.compliant)
 
 
 def active_effects(scene: Scene) -> list[str]:

@@ -15,30 +15,30 @@ import numpy as np
 
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.arrays import (
+    CONSTRAINT,
     GUARD_KIND,
     PATCH_GUARD,
     PUSH_GUARD,
     RATE_GUARD,
     SLIP_GUARD,
     THRESHOLD,
-    UNIT,
 )
-from multiarm.events.beginning import touching_units
-from multiarm.events.candidates.units import DRY_JOINT
-from multiarm.events.edges import beside_units
+from multiarm.events.beginning import touching_constraints
+from multiarm.events.edges import beside_constraints
 from multiarm.events.kernels import start_guards
 from multiarm.events.locating import first_event
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
 from multiarm.events.probing import Probe
-from multiarm.events.springs import pressed_units
+from multiarm.events.springs import pressed_constraints
 from multiarm.events.telling import decision_events
-from multiarm.events.transition import Decision, Transition, closed_units
+from multiarm.events.transition import Decision, Transition, closed_constraints
 from multiarm.integration.projection import project
 from multiarm.integration.stepper import begin_chart, evaluate_slope, step_struct
 from multiarm.integration.time_loop import gains
@@ -119,7 +119,7 @@ class EventHandler:
 
         ``given``: the start is not the scene's.  None: the scene's start as it is.
         """
-        touching, beside, self._size = touching_units(self.modes, 0.0, start)
+        touching, beside, self._size = touching_constraints(self.modes, 0.0, start)
         of_step = None if self._tolerance is None else self._tolerance.smallest
         height = REST_SIZE * self._size if of_step is None else REST_SHARE * of_step
         self._rest_height = max(height, LOWEST_HOP)
@@ -179,9 +179,11 @@ class EventHandler:
         news = _News(
             self._touching(pending),
             self._at_rest(pending),
-            {int(g[UNIT]) for g in guards if g[GUARD_KIND] == PUSH_GUARD},
-            beside_units(
-                self.modes, before, {int(g[UNIT]) for g in guards if g[GUARD_KIND] == PATCH_GUARD}
+            {int(g[CONSTRAINT]) for g in guards if g[GUARD_KIND] == PUSH_GUARD},
+            beside_constraints(
+                self.modes,
+                before,
+                {int(g[CONSTRAINT]) for g in guards if g[GUARD_KIND] == PATCH_GUARD},
             ),
         )
         decision = self._settle(t, news)
@@ -193,16 +195,16 @@ class EventHandler:
         return ""
 
     def _at_rest(self, pending: Pending) -> dict[int, float]:
-        """Speeds of units whose slip has just come to rest: as small as the step's errors."""
-        units, guards = self.modes.unilateral.units, self.mode.arrays.guards
+        """Speeds of constraints whose slip has just come to rest: as small as the step's errors."""
+        constraints, guards = self.modes.unilateral.constraints, self.mode.arrays.guards
         rates, found = self.modes.full.arrays.contacts[:, GAP_RATE], {}
         of_step = SLOWEST if self._tolerance is None else self._tolerance.smallest
         for g in pending.guards:
             if guards[g, GUARD_KIND] in (SLIP_GUARD, RATE_GUARD):
-                unit = units[guards[g, UNIT]]
-                speed = float(np.linalg.norm(rates[list(unit.tangents or (unit.row,))]))
+                constraint = constraints[guards[g, CONSTRAINT]]
+                speed = float(np.linalg.norm(rates[list(constraint.tangents or (constraint.row,))]))
                 if speed <= STILL_SHARE * max(of_step, SLOWEST) or self._tolerance is None:
-                    found[int(guards[g, UNIT])] = HIT_SHARE * speed
+                    found[int(guards[g, CONSTRAINT])] = HIT_SHARE * speed
         return found
 
     def _settle(self, t: float, news: _News) -> Decision:
@@ -254,19 +256,21 @@ class EventHandler:
 
     def _touching(self, pending: Pending) -> set[int]:
         """Units that touch at an event: those that were held, and those that came."""
-        units, choice = self.modes.unilateral.units, self.mode.choice
+        constraints, choice = self.modes.unilateral.constraints, self.mode.choice
         guards = self.mode.arrays.guards[pending.guards]
-        came = {int(g[UNIT]) for g in guards if g[GUARD_KIND] != PATCH_GUARD}
+        came = {int(g[CONSTRAINT]) for g in guards if g[GUARD_KIND] != PATCH_GUARD}
         held = {
             u
-            for u, unit in enumerate(units)
-            if choice.states[u] != 0 and unit.kind != DRY_JOINT and not unit.soft
+            for u, constraint in enumerate(constraints)
+            if choice.states[u] != 0 and constraint.kind != DRY_JOINT and not constraint.compliant
         }
-        pressed = pressed_units(self.modes, choice, came)
-        came = {u for u in came if units[u].kind != DRY_JOINT and not units[u].soft}
+        pressed = pressed_constraints(self.modes, choice, came)
+        came = {
+            u for u in came if constraints[u].kind != DRY_JOINT and not constraints[u].compliant
+        }
         gaps = self.modes.full.arrays.contacts[:, GAP]
-        sunk = max((abs(float(gaps[units[u].row])) for u in came - held), default=0.0)
-        near = closed_units(self.modes, max(TOUCHING * self._size, HIT_SHARE * sunk))
+        sunk = max((abs(float(gaps[constraints[u].row])) for u in came - held), default=0.0)
+        near = closed_constraints(self.modes, max(TOUCHING * self._size, HIT_SHARE * sunk))
         return near | came | held | pressed
 
     def _decide(self, t: float, news: _News, ahead: float = 0.0) -> Decision:

@@ -1,4 +1,4 @@
-"""The floor: the points of the object that may touch it, as contacts."""
+"""The floor: the points of the object that can touch it, as contacts."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from multiarm.contacts.records import Contact, Patch, plane, sphere
 from multiarm.errors import SceneError
-from multiarm.events.candidates.units import Law
-from multiarm.scene import Mesh, Scene
+from multiarm.scene import Mesh, Shape
+from multiarm.scene.contact_effects import FloorSpec
 
 MOST_CORNERS = 64
 """A hull with more corners is no polyhedron but a rounded body; every corner is a contact."""
@@ -18,33 +18,29 @@ SHARP = 1e-6
 """Corners whose faces are as flat as this are none."""
 
 
-def floor_contacts(scene: Scene) -> list[tuple[Contact, Law]]:
-    """Contacts of the object with the floor, and their law.
+def floor_contacts(spec: FloorSpec, shape: Shape) -> list[Contact]:
+    """Contacts of an object of this shape with the floor.
 
     Raises
     ------
     SceneError
-        When it is not known where the object may touch.
+        When it is not known where the object can touch.
     """
-    spec = scene.effects.floor
-    assert spec is not None, "a scene with a floor"
-    pose, law = spec.at.matrix(), Law(spec.mu, spec.restitution)
+    pose = spec.at.matrix()
     ground = plane(pose[:3, 3], pose[:3, 2])
     if spec.size is not None:
         half = 0.5 * np.array([*spec.size, np.inf])
         ground = replace(ground, patch=Patch(-half, half, pose))
     return [
-        (Contact(name, ground, sphere(point, radius), pushes_only=True), law)
-        for name, point, radius in _touching_points(scene)
+        Contact(name, ground, sphere(point, radius), pushes_only=True)
+        for name, point, radius in _touching_points(spec, shape)
     ]
 
 
-def _touching_points(scene: Scene) -> list[tuple[str, np.ndarray, float]]:
+def _touching_points(spec: FloorSpec, shape: Shape) -> list[tuple[str, np.ndarray, float]]:
     """Name, place in the object frame and radius of what can touch the floor."""
-    assert scene.effects.floor is not None
-    given, shape = scene.effects.floor.points, scene.object.shape
-    if given is not None:
-        return [(f"point {k + 1}", np.array(point), 0.0) for k, point in enumerate(given)]
+    if spec.points is not None:
+        return [(f"point {k + 1}", np.array(point), 0.0) for k, point in enumerate(spec.points)]
     if shape.sphere is not None:
         return [("ball", np.zeros(3), float(shape.sphere))]
     if shape.box is not None:
@@ -55,10 +51,7 @@ def _touching_points(scene: Scene) -> list[tuple[str, np.ndarray, float]]:
         return _named_corners(list(hull_corners(np.array(shape.hull))))
     if shape.mesh is not None:
         return _named_corners(list(_mesh_corners(shape.mesh)))
-    raise _unknown_points(
-        "a cylinder has no corners",
-        "such as eight or more around each rim",
-    )
+    raise _unknown_points("a cylinder has no corners", "such as eight or more around each rim")
 
 
 def _named_corners(corners: list[np.ndarray]) -> list[tuple[str, np.ndarray, float]]:
@@ -70,12 +63,14 @@ def _mesh_corners(mesh: Mesh) -> np.ndarray:
     import coal
 
     if not mesh.file.is_file():
-        raise _unknown_points(f"there is no mesh at {mesh.file}", "or mend the path")
+        raise _unknown_points(f"there is no mesh at {mesh.file}", "or correct the path")
     try:
         loaded = coal.MeshLoader().load(str(mesh.file), np.asarray(mesh.scale, float))
         vertices = np.array(loaded.vertices(), dtype=float).reshape(-1, 3)
     except (ValueError, RuntimeError) as error:
-        raise _unknown_points(f"{mesh.file} cannot be read ({error})", "or mend the file") from None
+        raise _unknown_points(
+            f"{mesh.file} cannot be read ({error})", "or repair the file"
+        ) from None
     corners = hull_corners(vertices)
     if len(corners) > MOST_CORNERS:
         raise _unknown_points(

@@ -1,0 +1,377 @@
+"""Unilateral constraints of a scene: contacts that can open, joint stops, dry friction at rest.
+
+A *constraint* here is active at some times only: a contact that can only push (with its two
+tangents, if it has friction), a joint at an end of its range, a joint that dry friction holds at
+rest.  Compliant contacts are springs and dampers: their rows are measured, never active.  All other
+rows are *bilateral*.  This module says from the scene's effects which constraints there are and
+which rows of W they have; which of them are active at a time is the business of
+:mod:`multiarm.events`.
+
+Rows are in the order of the stacked vectors: arm by arm its contacts, each followed by its
+tangents, then its joints; last the contacts of the object with the floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from multiarm.contacts.floor import floor_contacts
+from multiarm.contacts.records import Contact, JointRow
+from multiarm.errors import SceneError
+from multiarm.scene import Scene
+from multiarm.scene.contact_effects import SomeContacts
+from multiarm.scene.words import place, unknown
+
+CONTACT, LIMIT, DRY_JOINT = "contact", "limit", "joint friction"
+SURROUNDINGS = "floor"
+"""Owner of the contacts of the object with its surroundings."""
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """One constraint that is active at some times only.
+
+    Attributes
+    ----------
+    kind : str
+        ``CONTACT``, ``LIMIT`` or ``DRY_JOINT``.
+    arm, name : str
+    row : int
+        Its (normal) row.
+    tangents : tuple of int
+        Rows of the two tangents; empty without friction.
+    mu, restitution : float
+        Coefficients of friction and of Newton's restitution.
+    bound : float
+        Largest torque of dry friction [N m] or force [N].
+    joint : int
+        Of limits and dry joints: place in the stacked vectors; else -1.
+    compliant : bool
+        The contact is a spring that only pushes, and its row is never active.
+    """
+
+    kind: str
+    arm: str
+    name: str
+    row: int
+    tangents: tuple[int, ...] = ()
+    mu: float = 0.0
+    restitution: float = 0.0
+    bound: float = 0.0
+    joint: int = -1
+    compliant: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class CompliantContacts:
+    """Contacts that are springs and dampers: what their kernel reads and writes.
+
+    Attributes
+    ----------
+    rows : int64 (s,)
+        Their rows.
+    owners : int64 (s,)
+        Numbers of their arms.
+    stiffness, damping : ndarray, shape (s,)
+        [N/m, N s/m]
+    always : int64 (s,)
+        1 for those that also pull; one that only pushes acts while it is pressed in.
+    """
+
+    rows: np.ndarray
+    owners: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    always: np.ndarray
+
+    def number(self, row: int) -> int:
+        """Number of the contact in a row."""
+        return int(np.searchsorted(self.rows, row))
+
+    @property
+    def lags(self) -> np.ndarray:
+        """Damping over stiffness [s], shape (s,)."""
+        return self.damping / self.stiffness
+
+
+@dataclass(frozen=True, eq=False)
+class UnilateralConstraints:
+    """The rows of a scene, and which of them are active at some times only.
+
+    Attributes
+    ----------
+    records : mapping owner -> list
+        Contacts and joint rows of every arm, and of the surroundings: all rows.
+    constraints : tuple of Constraint
+        In the order of their rows.
+    model : tuple of int
+        Rows of the scene without effects, with which controllers reckon.
+    assembled : tuple of int
+        Rows on which the start is assembled: those of the model that begin closed.
+    bilateral : tuple of int
+        Rows that are active at all times.
+    compliant : CompliantContacts or None
+    """
+
+    records: dict[str, list[Contact | JointRow]]
+    constraints: tuple[Constraint, ...]
+    model: tuple[int, ...]
+    assembled: tuple[int, ...]
+    bilateral: tuple[int, ...]
+    compliant: CompliantContacts | None
+
+    @property
+    def contacts(self) -> tuple[Constraint, ...]:
+        """The contacts among the constraints."""
+        return tuple(one for one in self.constraints if one.kind == CONTACT)
+
+    def contacts_of(self, owner: str) -> tuple[str, ...]:
+        """Names of the unilateral contacts of an arm, or of the surroundings."""
+        return tuple(contact.name for contact in self.contacts if contact.arm == owner)
+
+
+def unilateral_constraints(
+    scene: Scene,
+    contacts: Mapping[str, list[Contact]],
+    limits: Mapping[str, Mapping[str, tuple[float, float]]],
+    dry: Mapping[str, np.ndarray] | None,
+) -> UnilateralConstraints | None:
+    """The unilateral constraints of a scene, and all its rows; None where all are bilateral.
+
+    Parameters
+    ----------
+    scene : Scene
+    contacts : mapping arm -> list of Contact
+        Of the arms' joints with the object.
+    limits : mapping arm -> joint -> (lower, upper)
+        Of the robots, in chain order [rad, m].
+    dry : mapping arm -> (n,), optional
+        Dry friction of the joints [N m, N].
+
+    Raises
+    ------
+    SceneError
+        Naming contacts that do not exist, or that cannot do what the effect is about.
+    """
+    parameters = _contact_parameters(scene, contacts)
+    rows, first = _Rows(), 0
+    for arm, own in contacts.items():
+        rows.start(arm)
+        for k, contact in enumerate(own):
+            rows.add_contact(contact, parameters[arm].get(k))
+        for number, (name, limit) in enumerate(limits[arm].items()):
+            record, joint = JointRow(name, number), first + number
+            rows.add_stops(record, joint, *_range(scene, arm, name, limit))
+            if dry is not None and dry[arm][number] > 0.0:
+                rows.add_dry_friction(record, joint, float(dry[arm][number]))
+        first += len(limits[arm])
+    rows.start(SURROUNDINGS)
+    if (floor := scene.effects.floor) is not None:
+        for contact in floor_contacts(floor, scene.object.shape):
+            rows.add_contact(contact, _Parameters(floor.mu, floor.restitution))
+    if not (rows.constraints or rows.compliant):
+        return None
+    spec = scene.effects.unilateral_contacts
+    as_written = spec is not None and spec.start == "as_written"
+    return UnilateralConstraints(
+        records=rows.records,
+        constraints=tuple(rows.constraints),
+        model=tuple(rows.model),
+        assembled=tuple(rows.bilateral if as_written else rows.model),
+        bilateral=tuple(rows.bilateral),
+        compliant=_compliant_contacts(rows),
+    )
+
+
+@dataclass(frozen=True)
+class _Parameters:
+    """How a contact behaves that is not bilateral.
+
+    Attributes
+    ----------
+    mu : float or None
+        Coefficient of friction; None: it has no tangents.
+    restitution : float
+        Newton's, between 0 and 1.
+    stiffness, damping : float
+        Of a compliant contact [N/m, N s/m]; stiffness 0: it is rigid.
+    """
+
+    mu: float | None = None
+    restitution: float = 0.0
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+
+class _Rows:
+    """The rows of a scene, added in order, owner by owner."""
+
+    def __init__(self) -> None:
+        self.owner = ""
+        self.records: dict[str, list[Contact | JointRow]] = {}
+        self.constraints: list[Constraint] = []
+        self.model: list[int] = []
+        self.bilateral: list[int] = []
+        self.compliant: list[tuple[int, int, _Parameters, bool]] = []
+        self.count = 0
+
+    def start(self, owner: str) -> None:
+        """All rows that follow are those of this arm, or of the surroundings."""
+        self.owner = owner
+        self.records[owner] = []
+
+    def _add(self, record: Contact | JointRow) -> int:
+        self.records[self.owner].append(record)
+        self.count += 1
+        return self.count - 1
+
+    def _constrain(self, kind: str, record: Contact | JointRow, row: int, **more: Any) -> None:
+        self.constraints.append(Constraint(kind, self.owner, record.name, row, **more))
+
+    def add_contact(self, contact: Contact, own: _Parameters | None) -> None:
+        """A contact, bilateral without parameters of its own."""
+        row = self._add(contact)
+        if self.owner != SURROUNDINGS:
+            self.model.append(row)
+        if own is None:
+            self.bilateral.append(row)
+        elif own.stiffness > 0.0:
+            self.compliant.append((row, len(self.records) - 1, own, not contact.pushes_only))
+            if contact.pushes_only:  # a spring that also pulls acts at all times
+                self._constrain(CONTACT, contact, row, compliant=True)
+        elif own.mu is None:
+            self._constrain(CONTACT, contact, row, restitution=own.restitution)
+        else:
+            for tangent in (1, 2):
+                name = f"{contact.name}, friction {tangent}"
+                self._add(replace(contact, name=name, tangent=tangent, pushes_only=False))
+            tangents, restitution = (row + 1, row + 2), own.restitution
+            self._constrain(
+                CONTACT, contact, row, tangents=tangents, mu=own.mu, restitution=restitution
+            )
+
+    def add_stops(
+        self, record: JointRow, joint: int, ends: tuple[float, float], restitution: float
+    ) -> None:
+        """The ends of a joint's range that are finite."""
+        for which, side, end in (("lower", 1.0, ends[0]), ("upper", -1.0, ends[1])):
+            if np.isfinite(end):
+                name = f"{record.name} at its {which} limit"
+                stop = replace(record, name=name, side=side, bound=float(end))
+                row = self._add(stop)
+                self._constrain(LIMIT, stop, row, joint=joint, restitution=restitution)
+
+    def add_dry_friction(self, record: JointRow, joint: int, bound: float) -> None:
+        """A joint that dry friction can hold."""
+        held = replace(record, name=f"{record.name}, dry friction")
+        self._constrain(DRY_JOINT, held, self._add(held), joint=joint, bound=bound)
+
+
+def _compliant_contacts(rows: _Rows) -> CompliantContacts | None:
+    if not rows.compliant:
+        return None
+    places, owners, parameters, always = zip(*rows.compliant, strict=True)
+    return CompliantContacts(
+        rows=np.array(places, dtype=np.int64),
+        owners=np.array(owners, dtype=np.int64),
+        stiffness=np.array([own.stiffness for own in parameters]),
+        damping=np.array([own.damping for own in parameters]),
+        always=np.array(always, dtype=np.int64),
+    )
+
+
+def _range(
+    scene: Scene, arm: str, joint: str, limit: tuple[float, float]
+) -> tuple[tuple[float, float], float]:
+    """The ends of a joint's range at which it stops, infinite for none, and its restitution."""
+    spec, none = scene.effects.joint_limits, (-np.inf, np.inf)
+    if spec is None:
+        return none, 0.0
+    ends = limit if spec.range == "urdf" else spec.range.get(arm, {}).get(joint, none)
+    return ends, spec.restitution
+
+
+def _contact_parameters(
+    scene: Scene, contacts: Mapping[str, list[Contact]]
+) -> dict[str, dict[int, _Parameters]]:
+    """Parameters of the contacts that effects name: arm -> number of the contact -> parameters."""
+    effects = scene.effects
+    faults: list[str] = []
+    unilateral, friction = effects.unilateral_contacts, effects.contact_friction
+    compliance = effects.contact_compliance
+    for name, spec, pushing in (
+        ("unilateral_contacts", unilateral, True),
+        ("contact_friction", friction, True),
+        ("contact_compliance", compliance, False),
+    ):
+        if spec is not None:
+            faults += _name_faults(name, spec, contacts, pushing)
+    found: dict[str, dict[int, _Parameters]] = {arm: {} for arm in contacts}
+    for arm, own in contacts.items():
+        for k, contact in enumerate(own):
+            one = None
+            if unilateral is not None and contact.pushes_only and _named(unilateral, arm, contact):
+                one = _Parameters(restitution=unilateral.restitution)
+            if friction is not None and contact.pushes_only and _named(friction, arm, contact):
+                one = replace(one or _Parameters(), mu=friction.mu)
+            if compliance is not None and not contact.tangent and _named(compliance, arm, contact):
+                if one is not None and one.mu is not None:
+                    faults.append(_compliant_with_friction(arm, contact))
+                one = _Parameters(stiffness=compliance.stiffness, damping=compliance.damping)
+            if one is None:
+                continue
+            found[arm][k] = one
+            if k + 1 < len(own) and own[k + 1].tangent:
+                faults.append(_rolls(arm, contact))
+    if faults:
+        raise SceneError(list(dict.fromkeys(faults)))
+    return found
+
+
+def _named(spec: SomeContacts, arm: str, contact: Contact) -> bool:
+    names = spec.contacts
+    return names is None or arm in names or f"{arm}/{contact.name}" in names
+
+
+def _name_faults(
+    effect: str, spec: SomeContacts, contacts: Mapping[str, list[Contact]], pushing: bool
+) -> Iterator[str]:
+    """Names of ``contacts`` that no contact has which can only push, where that is required."""
+    known = {
+        f"{arm}/{contact.name}": contact.pushes_only or not pushing
+        for arm, own in contacts.items()
+        for contact in own
+        if contact.tangent == 0
+    }
+    usable = [name for name, fits in known.items() if fits]
+    for k, name in enumerate(spec.contacts or ()):
+        where = place(("effects", effect, "contacts", k))
+        if name in contacts:
+            if not any(other.startswith(f"{name}/") for other in usable):
+                yield f"{where}: arm {name!r} has no contact that only pushes; name others"
+        elif name not in known:
+            yield f"{where}: {unknown('contact', name, usable)}"
+        elif not known[name]:
+            yield (
+                f"{where}: contact {name!r} also pulls, and cannot let go or slide; contacts that "
+                f"only push are {', '.join(map(repr, usable)) or '(none)'}"
+            )
+
+
+def _rolls(arm: str, contact: Contact) -> str:
+    return (
+        f"$.effects: contact '{arm}/{contact.name}' rolls ('rolling: true'): it cannot let go, "
+        f"slide or give way; leave it out of 'contacts' of the effect, or give it friction and "
+        f"no 'rolling'"
+    )
+
+
+def _compliant_with_friction(arm: str, contact: Contact) -> str:
+    return (
+        f"$.effects.contact_compliance: contact '{arm}/{contact.name}' is one of contact_friction, "
+        f"which needs a rigid contact; name the contacts of each with 'contacts'"
+    )

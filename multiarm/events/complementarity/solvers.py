@@ -1,0 +1,240 @@
+r"""Forces that obey the contact laws: pivoting without friction, Newton's method with it.
+
+**Pivoting.** With D symmetric and positive semidefinite the laws
+
+.. math:: l \le x \le u, \qquad y = D x + b, \qquad
+          y_i = 0 \;(l_i < x_i < u_i), \quad y_i \ge 0 \;(x_i = l_i), \quad y_i \le 0 \;(x_i = u_i)
+
+are the conditions of a minimum of :math:`x^T D x/2 + b^T x` between the bounds. The method of
+Dantzig and Cottle keeps a set of forces inside their bounds whose rates are zero, and brings in one
+more row at a time: its force grows, the others follow so that their rates stay zero, until its own
+rate is zero, or a force reaches a bound and leaves the set. Every step lowers the function, so that
+no set comes twice. A row enters only when it is independent of the set: the matrices of the linear
+equations are regular however singular D is. A force that grows without end, at a rate that stays
+wrong, proves that there is no solution. (Cottle, Pang, Stone, chapter 4; for contacts Baraff, "Fast
+contact force computation for nonpenetrating rigid bodies", 1994.)
+
+**Newton.** The laws hold where the natural map is zero,
+
+.. math:: \Phi(z) = z - P(z - w(z)), \qquad w = G z + g,
+
+P the projection on bounds and on the disk :math:`|z_t| \le \mu p_n` of each contact. At a given z
+the argument :math:`p = z - w` gives the mode of every law, and the equation of that mode is linear
+(open: z = bound; closed, sticking: w = 0) or, for a contact that begins to slip in a direction not
+yet known, smooth:
+
+.. math:: z_t = \mu p_n d, \qquad d = p_t / |p_t|, \qquad
+          \delta d = \frac{1 - d d^T}{|p_t|} \, \delta p_t .
+
+A step solves the equations of the present modes. Once the modes are right it is exact, or converges
+quadratically (Alart and Curnier, CMAME 92, 1991). It may also cycle: then sweeps of projected
+Gauss-Seidel, slow but steady, give another start. The residual alone decides what is a solution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from multiarm.events.complementarity.problem import CONSISTENT, RANK, ROUNDING, Cone, Problem
+
+# Pivots allowed for each row: a handful is usual, more means that rounding makes it cycle.
+PIVOTS = 20
+# Newton steps from one start.
+STEPS = 25
+# Gauss-Seidel sweeps before each attempt of Newton's method, after the first from no force at all.
+SWEEPS = (0, 10, 100, 1000)
+# Forces of this many times the scale grow without bound.
+DIVERGED = 1e12
+
+
+def solve_box(
+    D: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> tuple[np.ndarray | None, bool]:
+    """Forces between bounds, by pivoting.
+
+    Parameters
+    ----------
+    D : ndarray, shape (m, m)
+        Symmetric, positive semidefinite; diagonal about one, or zero.
+    b : ndarray, shape (m,)
+        Free rates.
+    lower, upper : ndarray, shape (m,)
+        Bounds; may be infinite.
+
+    Returns
+    -------
+    forces : ndarray, shape (m,), or None
+        A solution; those inside their bounds have independent rows.
+    contradiction : bool
+        Whether it is proven that there is none.
+    """
+    x = np.clip(np.zeros(b.size), lower, upper)
+    state = _Pivoting(D, b, lower, upper, x, D @ x + b, [], [], PIVOTS * (b.size + 2))
+    while (row := state.worst_row()) is not None:
+        state.bring_in(row)
+        if state.contradiction or state.pivots <= 0:
+            return None, state.contradiction
+    return state.x, False
+
+
+@dataclass
+class _Pivoting:
+    """Forces, rates, rows at rate zero, rows given up, and the pivots left."""
+
+    D: np.ndarray
+    b: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    inside: list[int]
+    skipped: list[int]
+    pivots: int
+    contradiction: bool = False
+
+    def size(self) -> float:
+        return float(np.max(np.abs(self.b) + np.abs(self.D) @ np.abs(self.x), initial=0.0))
+
+    def worst_row(self) -> int | None:
+        """The row whose rate violates its law most, if one does."""
+        x, y = self.x, self.y
+        wrong = np.maximum(np.where(x < self.upper, -y, 0.0), np.where(x > self.lower, y, 0.0))
+        wrong[self.inside + self.skipped] = 0.0
+        row = int(np.argmax(wrong)) if wrong.size else 0
+        return row if wrong.size and wrong[row] > ROUNDING * self.size() else None
+
+    def bring_in(self, row: int) -> None:
+        """Let the force of one row grow until its rate is zero or a bound is met."""
+        D, x, inside = self.D, self.x, self.inside
+        sign = -np.sign(self.y[row])
+        while self.pivots > 0:
+            self.pivots -= 1
+            d = np.zeros(x.size)
+            d[row] = sign
+            if inside:
+                d[inside] = np.linalg.solve(D[np.ix_(inside, inside)], -sign * D[inside, row])
+            curvature = sign * (D[row] @ d)
+            regular = curvature > RANK * D[row, row]
+            to_zero = abs(self.y[row]) / curvature if regular else np.inf
+            to_bound, blocking = self._step_to_bound(d, [*inside, row])
+            if min(to_zero, to_bound) == np.inf:
+                # a contradiction, unless the rate is zero but for rounding
+                self.contradiction |= bool(abs(self.y[row]) > CONSISTENT * self.size())
+                self.skipped.append(row)
+                return
+            x += min(to_zero, to_bound) * d
+            if to_zero <= to_bound:
+                inside.append(row)
+                self._refine()
+                return
+            x[blocking] = self.upper[blocking] if d[blocking] > 0.0 else self.lower[blocking]
+            self.y = D @ x + self.b
+            if blocking == row:
+                return
+            inside.remove(blocking)
+            if sign * self.y[row] >= 0.0:
+                return
+
+    def _step_to_bound(self, d: np.ndarray, rows: list[int]) -> tuple[float, int]:
+        """How far the forces can go along d, and which row ends it."""
+        nearest, blocking = np.inf, rows[0]
+        for row in rows:
+            if abs(d[row]) <= ROUNDING:
+                continue
+            bound = self.upper[row] if d[row] > 0.0 else self.lower[row]
+            step = max((bound - self.x[row]) / d[row], 0.0)
+            if step < nearest:
+                nearest, blocking = step, row
+        return nearest, blocking
+
+    def _refine(self) -> None:
+        """Forces of the inner rows from their rates, free of the rounding of former steps."""
+        inside = self.inside
+        self.y = self.D @ self.x + self.b
+        self.x[inside] -= np.linalg.solve(self.D[np.ix_(inside, inside)], self.y[inside])
+        self.y = self.D @ self.x + self.b
+
+
+def iterate(problem: Problem) -> np.ndarray:
+    """Independent forces of a solution, or the best found; the residual says which."""
+    z = best = problem.without_force()
+    for sweeps in SWEEPS:
+        z = gauss_seidel(problem, z, sweeps)
+        found = newton(problem, z)
+        if problem.residual(found) < problem.residual(best):
+            best = found
+        if problem.residual(best) <= ROUNDING:
+            break
+    return best
+
+
+def newton(problem: Problem, z: np.ndarray) -> np.ndarray:
+    """Steps from a start until the residual is zero but for rounding; the best point met."""
+    best, least = z, problem.residual(z)
+    for _ in range(STEPS):
+        A, r = _linearise(problem, z)
+        z = z - np.linalg.lstsq(A, r, rcond=RANK)[0]
+        residual = problem.residual(z)
+        if not np.isfinite(residual):
+            break
+        settled = residual <= ROUNDING and residual >= 0.1 * least
+        if residual < least:
+            best, least = z, residual
+        if settled or least == 0.0:
+            break
+    return best
+
+
+def _linearise(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix and value of the equations of the present modes."""
+    G = problem.G
+    w = G @ z + problem.g
+    p = z - w
+    bounded = np.clip(p, problem.lower, problem.upper)
+    at_bound = bounded != p
+    identity = np.eye(z.size)
+    A = np.where(at_bound[:, None], identity, G)
+    r = np.where(at_bound, z - bounded, w)
+    for cone in problem.cones.values():
+        tangents = cone.tangents
+        radius, length = cone.mu * max(p[cone.normal], 0.0), np.hypot(*p[tangents])
+        if radius == 0.0:
+            A[tangents], r[tangents] = identity[tangents], z[tangents]
+        elif length > radius:
+            A[tangents], r[tangents] = _slip(cone, G, z, p)
+    return A, r
+
+
+def _slip(cone: Cone, G: np.ndarray, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of a contact that begins to slip, its direction among the unknowns."""
+    tangents, length = cone.tangents, np.hypot(*p[cone.tangents])
+    d, radius = p[tangents] / length, cone.mu * p[cone.normal]
+    dp = np.eye(z.size) - G
+    turn = (radius / length) * (np.eye(2) - np.outer(d, d))
+    rows = np.eye(z.size)[tangents] - cone.mu * np.outer(d, dp[cone.normal]) - turn @ dp[tangents]
+    return rows, z[tangents] - radius * d
+
+
+def gauss_seidel(problem: Problem, z: np.ndarray, sweeps: int) -> np.ndarray:
+    """One force after the other set to what its law demands, the others as they are."""
+    G, g, lower, upper = problem.G, problem.g, problem.lower, problem.upper
+    z = z.copy()
+    cones = problem.cones.values()
+    in_cones = {cone.normal + k for cone in cones for k in (1, 2)}
+    single = [k for k in range(z.size) if k not in in_cones and G[k, k] > RANK]
+    # the largest eigenvalue of the response of two tangents; one where nothing responds
+    blocks = [G[cone.tangents, cone.tangents] for cone in cones]
+    stiffest = [float(np.linalg.eigvalsh(block)[-1]) or 1.0 for block in blocks]
+    ceiling = DIVERGED * problem.size(z)
+    for _ in range(sweeps):
+        if not np.max(np.abs(z), initial=0.0) <= ceiling:
+            break  # friction feeds itself: Gauss-Seidel diverges
+        for k in single:
+            z[k] = min(max(z[k] - (G[k] @ z + g[k]) / G[k, k], lower[k]), upper[k])
+        for cone, eigenvalue in zip(cones, stiffest, strict=True):
+            tangents, radius = cone.tangents, cone.mu * z[cone.normal]
+            p = z[tangents] - (G[tangents] @ z + g[tangents]) / eigenvalue
+            z[tangents] = p * min(1.0, radius / max(np.hypot(*p), np.finfo(float).tiny))
+    return z
