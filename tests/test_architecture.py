@@ -24,20 +24,13 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top.  A room is a module or a package directly below `multiarm`; it imports
 # rooms above it in this list only, wherever the import stands.  "multiarm" is the public surface.
 ROOMS = (
-    "errors", "jit", "spatial", "scene", "contacts", "arms", "dynamics", "control", "effects",
-    "results", "integration", "assembly", "events", "simulation", "grasp", "sweeps", "plots",
+    "errors", "jit", "spatial", "scene", "results", "contacts", "arms", "dynamics", "control",
+    "effects", "integration", "assembly", "events", "simulation", "grasp", "sweeps", "plots",
     "viewer", "reports", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
 # Imports that still point up.
-UPWARD = {
-    ("arms", "dynamics"), ("dynamics", "control"), ("dynamics", "integration"),
-    ("dynamics", "assembly"), ("dynamics", "events"), ("control", "assembly"),
-    ("effects", "assembly"), ("integration", "assembly"),
-    ("assembly", "events"), ("assembly", "simulation"), ("assembly", "cli"),
-    ("events", "simulation"), ("scene", "grasp"), ("plots", "grasp"), ("viewer", "cli"),
-    ("sweeps", "cli"),
-}  # fmt: skip
+UPWARD = {("simulation", "cli"), ("scene", "grasp"), ("viewer", "cli"), ("sweeps", "cli")}
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {

@@ -151,7 +151,7 @@ def test_a_tip_outside_its_patch_is_refused(compiled):
 
 def test_a_tip_inside_its_patch_is_welcome(compiled):
     tile = {"plane": {"normal": [0, 0, 1], "patch": {"min": [-0.02, None, None]}}}
-    assert compiled(contact("on the tile", point(0, 0, 0), tile)).constraint_count == 1
+    assert compiled(contact("on the tile", point(0, 0, 0), tile)).model.layout.contacts == 1
 
 
 def test_the_patch_of_the_arms_own_surface_counts_too(compiled):

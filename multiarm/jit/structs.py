@@ -34,7 +34,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from struct import Struct as Format
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_type_hints
+from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
 
 import numpy as np
 from llvmlite import ir
@@ -53,9 +53,6 @@ from numba.extending import (
 )
 from numba.np.arrayobj import populate_array
 
-if TYPE_CHECKING:
-    from typing_extensions import Self
-
 # What a field of a NamedTuple may be: C-contiguous arrays of float64 or int64, and their axes, or
 # numbers.
 Float = Annotated[float, (types.float64, 0)]
@@ -66,6 +63,8 @@ Floats2 = Annotated[np.ndarray, (types.float64, 2)]
 Floats3 = Annotated[np.ndarray, (types.float64, 3)]
 Ints1 = Annotated[np.ndarray, (types.int64, 1)]
 Ints2 = Annotated[np.ndarray, (types.int64, 2)]
+
+N = TypeVar("N", bound="Numbers")
 
 # Integers an entry: an address and up to three sizes, or a number itself.
 WIDTH = 4
@@ -138,7 +137,7 @@ class Numbers:
         for name, value in values.items():
             setattr(self, name, value)
 
-    def copy(self) -> Self:
+    def copy(self: N) -> N:
         """The same numbers in a struct of their own."""
         other = type(self)()
         other.struct[:] = self.struct
