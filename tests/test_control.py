@@ -146,7 +146,7 @@ def test_reference_of_a_path_closes_the_chains_all_the_way(springs, t):
     state = springs.state(
         object_position=[0, 0, height],
         object_quaternion_xyzw=[0, 0, math.sin(yaw / 2), math.cos(yaw / 2)],
-        joint_positions=springs.layout.split_joints(reference(springs, t)),
+        joint_positions=springs.model.layout.split_joints(reference(springs, t)),
     )
     np.testing.assert_allclose(plain_gaps(springs, state), 0.0, atol=1e-7)
 
@@ -164,12 +164,13 @@ def test_a_path_rests_outside_its_times(dampers):
 
 
 def test_a_path_breaks_the_steps_at_its_waypoints(springs):
-    assert springs.breakpoints.tolist() == [0.0, 2.5, 5.0]
+    assert springs.model.breakpoints.tolist() == [0.0, 2.5, 5.0]
 
 
 def test_adaptive_steps_end_at_every_breakpoint(free_block_system):
     """No step reaches over one: they are as many and as short as the breakpoints ask."""
-    dense = dataclasses.replace(free_block_system, breakpoints=np.linspace(0.0, 0.1, 101))
+    model = dataclasses.replace(free_block_system.model, breakpoints=np.linspace(0.0, 0.1, 101))
+    dense = dataclasses.replace(free_block_system, model=model)
     run = {"duration": 0.1, "integrator": "dop853", "tolerance": 1e-4}
     free = ma.simulate(free_block_system, **run).statistics
     broken = ma.simulate(dense, **run).statistics

@@ -483,7 +483,7 @@ def test_check_tells_what_each_effect_adds_to_an_evaluation(scene_file, tmp_path
     assert result.exit_code == 0, result.output
     found = finite_json(target.read_text(encoding="utf-8"))["effects"]
     assert list(found) == ["gravity", "joint_damping"]
-    joints = ma.compile_system(SHORT).layout.joints
+    joints = ma.compile_system(SHORT).model.layout.joints
     added = found["joint_damping"]
     # its coefficients, where its power and its states are, its power, and its row of the program
     assert added["bytes"] == 8 * (joints + 2 + 1 + 2)

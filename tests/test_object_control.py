@@ -100,7 +100,7 @@ def test_object_follows_its_path_to_the_accuracy_of_the_run():
         np.testing.assert_allclose(x, position, atol=1e-7)
         assert (rotation * Rotation.from_quat(q).inv()).magnitude() < 1e-7
     assert np.max(np.abs(run.energy_balance)) < 1e-5
-    assert system.breakpoints.tolist() == [0.0, 0.5, 1.0]
+    assert system.model.breakpoints.tolist() == [0.0, 0.5, 1.0]
 
 
 BUILDS = {

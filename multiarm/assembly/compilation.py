@@ -7,7 +7,6 @@ be shared.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -115,7 +114,8 @@ def compile_system(
     frames = joint_frames(scene, data, start)  # with the motions that each joint leaves free
     law = control_law(scene, data, start) if control is None else None
     model = finished_model(draft, data, frames, law)
-    system = System(scene, model, report, start, deque([data.view(model)]))
+    system = System(scene, model, report, start)
+    system.keep(data.view(model))
     return system if control is None else system.with_control(control)
 
 

@@ -118,7 +118,7 @@ class System:
     model: Model = field(repr=False)
     start_report: StartReport = field(repr=False)
     _start: State = field(repr=False)
-    _free_data: deque[Data] = field(default_factory=deque, repr=False)
+    _free_data: deque[Data] = field(default_factory=deque, init=False, repr=False)
 
     @contextmanager
     def borrow(self) -> Iterator[Data]:
@@ -130,7 +130,11 @@ class System:
         try:
             yield data
         finally:
-            self._free_data.append(data)
+            self.keep(data)
+
+    def keep(self, data: Data) -> None:
+        """Take a Data of the model that nobody uses, to be borrowed."""
+        self._free_data.append(data)
 
     @property
     def arms(self) -> dict[str, Arm]:
@@ -225,7 +229,7 @@ class System:
             python_control=python,
             breakpoints=self.model.effects.breakpoints,
         )
-        return replace(self, model=model, _free_data=deque())
+        return replace(self, model=model)
 
     def with_solver(self, solver: str) -> System:
         """The same system solved by ``"node"`` or by the dense reference ``"dense"``."""
@@ -239,7 +243,6 @@ class System:
             self,
             scene=self.scene.model_copy(update={"run": run}),
             model=self.model.with_constants(dense=dense),
-            _free_data=deque(),
         )
 
 

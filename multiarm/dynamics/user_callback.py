@@ -11,6 +11,7 @@ calls are kept with their answers, the 1st, 2nd, 4th, 8th ..., and can be repeat
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,9 @@ ControlFunction = Callable[[float, State], Mapping[str, np.ndarray]]
 
 # No control law: see ``Constants.control``.
 NO_CONTROL = np.zeros((0, 2), dtype=np.int64)
+
+# User functions under way in this thread.
+_running: ContextVar[tuple[Callable, ...]] = ContextVar("running", default=())
 
 # Answers that differ by less than this, relative to the largest of those kept, are the same.
 SAME = 1e-9
@@ -102,6 +106,13 @@ class UserCallback(PythonCallback):
         self._out[:] = answer
 
     def _answer(self, t: float, state: State) -> np.ndarray:
+        running = _running.get()
+        if self.function in running:
+            raise ControlError(
+                f"{self.name} evaluates a system that it is part of, and would be called for ever; "
+                f"let it evaluate one without it, such as `multiarm.compile_system(scene)`"
+            )
+        token = _running.set((*running, self.function))
         try:
             answer = self.function(t, state)
         except MultiarmError:
@@ -110,6 +121,8 @@ class UserCallback(PythonCallback):
             raise ControlError(
                 f"{self.name} raised {type(error).__name__}: {error} (at t = {t:.6g} s)"
             ) from error
+        finally:
+            _running.reset(token)
         return self._read(answer, t)
 
 

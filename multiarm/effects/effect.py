@@ -66,7 +66,7 @@ class Effect:
     spec : Spec
         The validated parameters.
 
-    Every system makes an instance for itself, so that runs in several threads share none.
+    Every thread has an instance for itself.
 
     Attributes
     ----------
@@ -94,7 +94,13 @@ class Effect:
         """
         from multiarm.effects.called import called_kernel
 
-        return [called_kernel(self.name, lambda: type(self)(self.spec).forces, context.layout)]
+        return [called_kernel(self.name, lambda: self._again().forces, context.layout)]
+
+    def _again(self) -> Effect:
+        """Another instance, with what ``build`` has added to this one."""
+        other = type(self)(self.spec)
+        other.__dict__ |= {k: v for k, v in vars(self).items() if k not in vars(other)}
+        return other
 
     @classmethod
     def lacks(cls) -> str:

@@ -249,7 +249,7 @@ def show_forces(address, size, _t, _b):
         drag = -mode.slide_mu[s] * data.force[mode.slides[s, HELD]]
         t = mode.slides[s, TANGENT_OF_ALL]
         shown[t], shown[t + 1] = drag * mode.turning[s, 0], drag * mode.turning[s, 1]
-    for k in range(mode.compliant.size):
+    for k in range(mode.springs.size):
         shown[mode.springs[k]] = mode.spring_force[k]
     first = shown.size - mode.states.size
     for k in range(mode.states.size):

@@ -24,7 +24,7 @@ from multiarm.studies.evaluation_costs import slope_burst
 
 TURNS = 40
 """Bursts of about a millisecond, of every system."""
-BESIDE = {"potential", "coriolis"}
+BESIDE = {"pinocchio_energy", "coriolis"}
 """Functions in Python that samples or one method call, evaluations never."""
 ITEM = 8
 """Bytes of a number."""
