@@ -153,7 +153,7 @@ def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
 
 
 def _is_sweep(result: Path) -> bool:
-    from multiarm.results.storage.row_file import SWEEP
+    from multiarm.results.row_file import SWEEP
 
     path = result.expanduser()
     return path.is_file() and SWEEP.matches(path)

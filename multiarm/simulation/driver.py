@@ -23,7 +23,7 @@ from multiarm.dynamics.state import State
 from multiarm.errors import USER_FAULTS, MultiarmError, SolverError, TrajectoryError
 from multiarm.events.driver import EventDriving
 from multiarm.integration.monitors import collect_events
-from multiarm.integration.samples import named_samples
+from multiarm.integration.samples import sample_columns
 from multiarm.integration.stepper import step_struct
 from multiarm.integration.time_loop import (
     BLOCK_FULL,
@@ -159,7 +159,7 @@ def carry_out(
     if comings is not None:
         comings.arm(run)
     run.comings, run.home = comings, system
-    run.sink.open(system.channels, _metadata(task))
+    run.sink.open(system.channels, _metadata(task), sample_columns)
     interrupt = Interrupt()
     try:
         pace = Pace(run, spec)
@@ -186,22 +186,21 @@ def leave_undone(task: Task, sink: Sink, status: str, message: str) -> Trajector
     TrajectoryError
         When the sink cannot be opened.
     """
-    sink.open(task.system.channels, _metadata(task))
+    sink.open(task.system.channels, _metadata(task), sample_columns)
     return sink.finish(status, message, {"simulated_s": 0.0, "wall_time_s": 0.0})
 
 
-def _metadata(task: Task) -> dict[str, Any]:
-    """Where the result comes from."""
-    system = task.system
-    control = "python function" if "control" in system.calls else system.scene.control.kind
-    start = "scene" if task.state is None else "given state"
+def _metadata(task: Task) -> Callable[[], dict[str, Any]]:
+    """Where the result comes from; writing the scene takes longer than many a run."""
+    scene, spec = task.system.scene, task.spec  # a result must not keep its system alive
+    control = "python function" if "control" in task.system.calls else scene.control.kind
+    start, created = "scene" if task.state is None else "given state", time.time()
 
-    scene, spec = system.scene, task.spec  # a result must not keep its system alive
+    def metadata() -> dict[str, Any]:
+        text = dump_scene(scene.model_copy(update={"run": spec}))
+        return {**provenance(text, created), "control": control, "start": start}
 
-    def scene_as_run() -> str:
-        return dump_scene(scene.model_copy(update={"run": spec}))
-
-    return {**provenance(scene_as_run), "control": control, "start": start}
+    return metadata
 
 
 def _drive(
@@ -351,15 +350,7 @@ def _flush(run: Run) -> None:
     if rows == 0:
         return
     clock.block_first = clock.sample
-    run.sink.append(
-        named_samples(
-            run.home.layout,
-            run.system.plant.free_bounds,
-            run.system.pieces.works,
-            run.block[:rows],
-            run.home.contacts_with_states,
-        )
-    )
+    run.sink.append(run.block[:rows])
 
 
 def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:

@@ -109,7 +109,7 @@ def run_case(case: Case, system: System, progress: Callable[[float], None] | Non
             system = compile_system(case.scene, system.python_control, like=system)
         return simulate(
             system, state=case.state, out=case.out, progress=progress, **case.options
-        ).rest()
+        ).close_between_reads()
     except MultiarmError as error:
         return undone(case, system, "failed", f"the run could not begin: {error}")
 
@@ -119,7 +119,7 @@ def undone(case: Case, system: System, status: str, message: str, keep: bool = T
     task = Task(replace(system, scene=case.scene), case.scene.run, case.state, math.inf)
     if case.out is not None and keep:
         try:
-            return leave_undone(task, Hdf5Sink(case.out), status, message).rest()
+            return leave_undone(task, Hdf5Sink(case.out), status, message).close_between_reads()
         except TrajectoryError:
             pass  # which may be why it could not begin
     return leave_undone(task, MemorySink(), status, message)
