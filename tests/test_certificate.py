@@ -589,7 +589,8 @@ if sys.argv[2] == "amendment":
         def flush(self):
             super().flush()
             kill()
-    trajectory_file.h5py = types.SimpleNamespace(File=File)
+    h5py = trajectory_file.h5py
+    trajectory_file.h5py = types.SimpleNamespace(File=File, string_dtype=h5py.string_dtype)
 
 system = ma.compile_system(ring_of_arms(2))
 ma.simulate(system, 0.2, accuracy=1e-6, output_step=0.02, out=sys.argv[1], progress=Killer())

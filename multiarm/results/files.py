@@ -19,7 +19,7 @@ import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from multiarm.errors import MultiarmError
 
@@ -104,15 +104,8 @@ def save_page(page: str, path: Path, option: str = "--html") -> None:
         partial.write_text(printable(page), encoding="utf-8")
 
 
-class Picture(Protocol):
-    """What can be written to an image file, such as a figure of matplotlib."""
-
-    def savefig(self, fname: Any, **options: Any) -> None:
-        """Write it."""
-
-
-def save_figure(figure: Picture, path: Path) -> None:
-    """Write a figure to the file that ``--plot`` names; its suffix is the format.
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a figure of matplotlib to the file that ``--plot`` names; its suffix is the format.
 
     Raises
     ------

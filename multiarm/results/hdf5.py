@@ -27,7 +27,6 @@ import struct
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -52,105 +51,32 @@ _UNCLOSABLE: list[GrowingFile] = []
 """Files with a failed write, kept until the program ends: HDF5 crashes on closing one."""
 
 
-@dataclass(frozen=True)
-class FileKind:
-    """A file format of this program, and the words for it in messages.
+class StoredFile:
+    """A file that is open for reading: complete, still being written, or left by a kill.
+
+    Subclasses name their format and read what they need in :meth:`load`.
+
+    Raises
+    ------
+    MultiarmError
+        Missing, unreadable, cut short, of another format, or of a newer version.
 
     Attributes
     ----------
-    format : str
-        Value of the attribute `format`.
-    version : int
-        The newest that this program reads.
+    format, version : str, int
+        Attribute `format` of the file, and the newest `format_version` that this program reads.
     noun, origin, remedy : str
         What it is, where such files come from, what to do about a damaged one.
     error : type
         Of the errors that are raised.
     """
 
-    format: str
-    version: int
-    noun: str
-    origin: str
-    remedy: str
-    error: type[MultiarmError]
-
-    def open(self, path: Path) -> tuple[h5py.File, bool]:
-        """The file, open for reading, and whether its writer closed it."""
-        if not path.is_file():
-            what = "it is a folder" if path.is_dir() else "there is no such file"
-            raise self.error(f"cannot read '{path}': {what}")
-        with self.reading(path):
-            if not h5py.is_hdf5(path):
-                raise self.error(f"'{path}' is not an HDF5 file; {self.origin}")
-            if _is_unclosed(path):
-                return h5py.File(_Unclosed(path), "r"), False
-            return h5py.File(path, "r", locking="best-effort"), True
-
-    def check(self, path: Path, file: h5py.File) -> None:
-        """Refuse another format, or a newer version."""
-        if file.attrs.get("format") != self.format:
-            raise self.error(f"'{path}' is an HDF5 file, but not {self.noun} of multiarm")
-        version = int(file.attrs["format_version"])
-        if version > self.version:
-            raise self.error(
-                f"'{path}' has format version {version}; this program reads up to {self.version}: "
-                "update multiarm"
-            )
-
-    def matches(self, path: Path) -> bool:
-        """Whether a file has this format, in any version and state."""
-        try:
-            with self.open(path)[0] as file:
-                return file.attrs.get("format") == self.format
-        except (self.error, *HDF5_ERRORS):
-            return False
-
-    @contextmanager
-    def reading(self, path: Path) -> Iterator[None]:
-        """Turn what HDF5 raises while reading into a message."""
-        try:
-            yield
-        except HDF5_ERRORS as error:
-            raise self.error(
-                f"'{path}' is damaged or was cut short ({reason(error)}); {self.remedy}"
-            ) from error
-
-    def writable_target(self, path: str | os.PathLike) -> Path:
-        """The resolved place of a new file, if it is free or holds a file of this format.
-
-        Raises
-        ------
-        MultiarmError
-            The folder is missing, or the place holds a folder, a device or another kind of file.
-        """
-        target = Path(path).expanduser().resolve()
-        if not target.parent.is_dir():
-            raise self.error(
-                f"cannot write '{path}': there is no folder '{target.parent}'; create it first"
-            )
-        if target.is_dir():
-            raise self.error(f"cannot write '{path}': it is a folder; name a file in it")
-        if target.exists() and not (self.matches(target) and os.access(target, os.W_OK)):
-            raise self.error(
-                f"'{path}' exists and is not {self.noun} that may be replaced: it is something "
-                "else, damaged or write-protected; move it away or choose another name"
-            )
-        return target
-
-
-class StoredFile:
-    """A file that is open for reading: complete, still being written, or left by a kill.
-
-    Subclasses read what they need in :meth:`load`.
-
-    Raises
-    ------
-    MultiarmError
-        Missing, unreadable, cut short, of another format, or of a newer version.
-    """
-
-    kind: ClassVar[FileKind]
+    format: ClassVar[str]
+    version: ClassVar[int]
+    noun: ClassVar[str]
+    origin: ClassVar[str]
+    remedy: ClassVar[str]
+    error: ClassVar[type[MultiarmError]]
     file: h5py.File
 
     def __init__(self, path: Path):
@@ -160,7 +86,7 @@ class StoredFile:
             try:
                 self._open()
                 return
-            except self.kind.error:  # a file that is being written changes while it is read
+            except self.error:  # a file that is being written changes while it is read
                 if attempt == ATTEMPTS or not (path.is_file() and _is_unclosed(path)):
                     raise
                 time.sleep(PAUSE)
@@ -177,14 +103,77 @@ class StoredFile:
         if self._size is not None and not _stored_within(self.file[name], rows, self._size):
             raise OSError("data behind the end of the file")
 
+    @classmethod
+    @contextmanager
+    def reading(cls, path: Path) -> Iterator[None]:
+        """Turn what HDF5 raises while reading into a message."""
+        try:
+            yield
+        except HDF5_ERRORS as error:
+            raise cls.error(
+                f"'{path}' is damaged or was cut short ({reason(error)}); {cls.remedy}"
+            ) from error
+
     def close(self) -> None:
         """Close the file; nothing more can be read."""
         self.file.close()
 
+    @classmethod
+    def opened(cls, path: Path) -> tuple[h5py.File, bool]:
+        """A file of any format, open for reading, and whether its writer closed it."""
+        if not path.is_file():
+            what = "it is a folder" if path.is_dir() else "there is no such file"
+            raise cls.error(f"cannot read '{path}': {what}")
+        with cls.reading(path):
+            if not h5py.is_hdf5(path):
+                raise cls.error(f"'{path}' is not an HDF5 file; {cls.origin}")
+            if _is_unclosed(path):
+                return h5py.File(_Unclosed(path), "r"), False
+            return h5py.File(path, "r", locking="best-effort"), True
+
+    @classmethod
+    def matches(cls, path: Path) -> bool:
+        """Whether a file has this format, in any version and state."""
+        try:
+            with cls.opened(path)[0] as file:
+                return file.attrs.get("format") == cls.format
+        except (cls.error, *HDF5_ERRORS):
+            return False
+
+    @classmethod
+    def writable_target(cls, path: str | os.PathLike) -> Path:
+        """The resolved place of a new file, if it is free or holds a file of this format.
+
+        Raises
+        ------
+        MultiarmError
+            The folder is missing, or the place holds a folder, a device or another kind of file.
+        """
+        target = Path(path).expanduser().resolve()
+        if not target.parent.is_dir():
+            raise cls.error(
+                f"cannot write '{path}': there is no folder '{target.parent}'; create it first"
+            )
+        if target.is_dir():
+            raise cls.error(f"cannot write '{path}': it is a folder; name a file in it")
+        if target.exists() and not (cls.matches(target) and os.access(target, os.W_OK)):
+            raise cls.error(
+                f"'{path}' exists and is not {cls.noun} that may be replaced: it is something "
+                "else, damaged or write-protected; move it away or choose another name"
+            )
+        return target
+
     def _open(self) -> None:
-        self.file, closed = self.kind.open(self.path)
-        with self.kind.reading(self.path):
-            self.kind.check(self.path, self.file)
+        self.file, closed = self.opened(self.path)
+        with self.reading(self.path):
+            if self.file.attrs.get("format") != self.format:
+                raise self.error(f"'{self.path}' is an HDF5 file, but not {self.noun} of multiarm")
+            version = int(self.file.attrs["format_version"])
+            if version > self.version:
+                raise self.error(
+                    f"'{self.path}' has format version {version}; this program reads up to "
+                    f"{self.version}: update multiarm"
+                )
             self._size = None if closed else self.path.stat().st_size
             self.load()
 
@@ -195,7 +184,7 @@ class GrowingFile:
     Parameters
     ----------
     path : Path
-        See :meth:`FileKind.writable_target`.
+        See :meth:`StoredFile.writable_target`.
     first_bytes, spare_bytes : int
         Disk space to reserve at first, and always beyond the data: descriptions and index.
 
@@ -205,7 +194,7 @@ class GrowingFile:
         The folder cannot be written, or has no room.
     """
 
-    kind: ClassVar[FileKind]
+    reader: ClassVar[type[StoredFile]]
 
     def __init__(self, path: Path, first_bytes: int, spare_bytes: int):
         self.path, self._spare_bytes, self._fault = path, spare_bytes, ""
@@ -225,13 +214,13 @@ class GrowingFile:
                 )
                 self.reserve(first_bytes)
                 with self.writing("write"):
-                    self.file.attrs["format"] = self.kind.format
-                    self.file.attrs["format_version"] = self.kind.version
+                    self.file.attrs["format"] = self.reader.format
+                    self.file.attrs["format_version"] = self.reader.version
                     self.create()
                     self.file.swmr_mode = True
                     self.file.flush()
         except OSError as error:
-            raise self.kind.error(
+            raise self.reader.error(
                 f"cannot write to '{path.parent}': {reason(error)}; "
                 "choose a folder that you may write to and that has room"
             ) from error
@@ -272,7 +261,7 @@ class GrowingFile:
     def writing(self, action: str) -> Iterator[None]:
         """Turn an error of HDF5 while writing into a message; it ends all writing."""
         if self._fault:
-            raise self.kind.error(self._fault)
+            raise self.reader.error(self._fault)
         try:
             yield
         except (OSError, RuntimeError) as error:
@@ -290,7 +279,7 @@ class GrowingFile:
             self.file.close()
 
     def _disk_error(self, action: str, error: Exception) -> MultiarmError:
-        return self.kind.error(
+        return self.reader.error(
             f"cannot {action} '{self.path}': {reason(error)}; "
             "free some space on the disk or choose another folder"
         )

@@ -28,21 +28,12 @@ from multiarm.errors import SweepError
 from multiarm.results.hdf5 import (
     PIECE,
     PIECE_BYTES,
-    FileKind,
     GrowingFile,
     StoredFile,
     in_pieces,
     joined,
 )
 
-SWEEP = FileKind(
-    "multiarm sweep",
-    1,
-    noun="a sweep",
-    origin="a sweep is written by multiarm sweep or ma.sweep()",
-    remedy="copy it again or repeat the sweep",
-    error=SweepError,
-)
 TEXT = "text"
 """Field of a row: its first piece of text, and the end of its pieces."""
 CHUNK_BYTES, CHUNK_PIECES = 32768, 256
@@ -57,13 +48,84 @@ Block = tuple[np.ndarray, list[str]]
 """Rows, and the text of each."""
 
 
+class RowReader(StoredFile):
+    """Read access to a file of rows.
+
+    Raises
+    ------
+    SweepError
+        Missing, unreadable, cut short, no sweep, or written by a newer format.
+
+    Attributes
+    ----------
+    count : int
+        Rows that were safely written when the file was opened.
+    """
+
+    format, version = "multiarm sweep", 1
+    noun = "a sweep"
+    origin = "a sweep is written by multiarm sweep or ma.sweep()"
+    remedy = "copy it again or repeat the sweep"
+    error = SweepError
+
+    def load(self) -> None:
+        """Count the rows."""
+        self.count = int(self.file["progress"][0])
+        self.require("progress")
+        self.require("rows", self.count)
+        rows = self.file["rows"]
+        self.require("texts", int(rows[self.count - 1][TEXT][1]) if self.count else 0)
+
+    def text(self, name: str) -> str:
+        """One of the texts that describe the rows."""
+        with self.reading(self.path):
+            return self.file[name].asstr()[()]
+
+    def field(self, name: str, start: int, stop: int) -> np.ndarray:
+        """One field of rows start..stop."""
+        with self.reading(self.path):
+            return self.file["rows"].fields(name)[start : min(stop, self.count)]
+
+    def block(self, start: int, stop: int) -> Block:
+        """Rows start..stop, and their texts."""
+        with self.reading(self.path):
+            rows = self.file["rows"][start : min(stop, self.count)]
+            return rows, self._texts_of(rows)
+
+    def picked(self, places: np.ndarray) -> Block:
+        """The rows at some places, in that order, and their texts."""
+        order = np.argsort(places)
+        spans = np.split(places[order], np.flatnonzero(np.diff(places[order]) > GAP) + 1)
+        parts = [self._within(span) for span in spans if len(span)] or [self.block(0, 0)]
+        rows = np.concatenate([rows for rows, _ in parts])
+        texts = [text for _, own in parts for text in own]
+        back = np.argsort(order)
+        return rows[back], [texts[k] for k in back]
+
+    def _within(self, span: np.ndarray) -> Block:
+        """The rows at some places that lie close together, in order."""
+        low = int(span[0])
+        rows, texts = self.block(low, int(span[-1]) + 1)
+        return rows[span - low], [texts[k] for k in span - low]
+
+    def _texts_of(self, rows: np.ndarray) -> list[str]:
+        if not len(rows):
+            return []
+        begins, ends = rows[TEXT].T
+        low = int(begins.min())
+        pieces = self.file["texts"][low : int(ends.max())]
+        return [
+            joined(pieces[begin - low : end - low]) for begin, end in zip(begins, ends, strict=True)
+        ]
+
+
 class RowWriter(GrowingFile):
     """A new file that grows by rows.
 
     Parameters
     ----------
     path : Path
-        See :meth:`FileKind.writable_target`.
+        See :meth:`StoredFile.writable_target`.
     fields : dtype
         Of a row: a compound with the field ``TEXT`` of two integers.
     texts : mapping
@@ -77,7 +139,7 @@ class RowWriter(GrowingFile):
         The file cannot be written.
     """
 
-    kind = SWEEP
+    reader = RowReader
 
     def __init__(
         self, path: Path, fields: np.dtype, texts: Mapping[str, str], earlier: Iterable[Block] = ()
@@ -130,70 +192,3 @@ class RowWriter(GrowingFile):
         self._rows.resize(self.count + len(rows), axis=0)
         self._rows[self.count :] = rows
         self.count, self._pieces = self.count + len(rows), int(ends[-1])
-
-
-class RowReader(StoredFile):
-    """Read access to a file of rows.
-
-    Raises
-    ------
-    SweepError
-        Missing, unreadable, cut short, no sweep, or written by a newer format.
-
-    Attributes
-    ----------
-    count : int
-        Rows that were safely written when the file was opened.
-    """
-
-    kind = SWEEP
-
-    def load(self) -> None:
-        """Count the rows."""
-        self.count = int(self.file["progress"][0])
-        self.require("progress")
-        self.require("rows", self.count)
-        rows = self.file["rows"]
-        self.require("texts", int(rows[self.count - 1][TEXT][1]) if self.count else 0)
-
-    def text(self, name: str) -> str:
-        """One of the texts that describe the rows."""
-        with SWEEP.reading(self.path):
-            return self.file[name].asstr()[()]
-
-    def field(self, name: str, start: int, stop: int) -> np.ndarray:
-        """One field of rows start..stop."""
-        with SWEEP.reading(self.path):
-            return self.file["rows"].fields(name)[start : min(stop, self.count)]
-
-    def block(self, start: int, stop: int) -> Block:
-        """Rows start..stop, and their texts."""
-        with SWEEP.reading(self.path):
-            rows = self.file["rows"][start : min(stop, self.count)]
-            return rows, self._texts_of(rows)
-
-    def picked(self, places: np.ndarray) -> Block:
-        """The rows at some places, in that order, and their texts."""
-        order = np.argsort(places)
-        spans = np.split(places[order], np.flatnonzero(np.diff(places[order]) > GAP) + 1)
-        parts = [self._within(span) for span in spans if len(span)] or [self.block(0, 0)]
-        rows = np.concatenate([rows for rows, _ in parts])
-        texts = [text for _, own in parts for text in own]
-        back = np.argsort(order)
-        return rows[back], [texts[k] for k in back]
-
-    def _within(self, span: np.ndarray) -> Block:
-        """The rows at some places that lie close together, in order."""
-        low = int(span[0])
-        rows, texts = self.block(low, int(span[-1]) + 1)
-        return rows[span - low], [texts[k] for k in span - low]
-
-    def _texts_of(self, rows: np.ndarray) -> list[str]:
-        if not len(rows):
-            return []
-        begins, ends = rows[TEXT].T
-        low = int(begins.min())
-        pieces = self.file["texts"][low : int(ends.max())]
-        return [
-            joined(pieces[begin - low : end - low]) for begin, end in zip(begins, ends, strict=True)
-        ]

@@ -198,10 +198,10 @@ class Hdf5Sink(Sink):
         self._writer.checkpoint()
 
     def _begin(self) -> None:
-        from multiarm.results.trajectory_file import TRAJECTORY, TrajectoryWriter
+        from multiarm.results.trajectory_file import TrajectoryReader, TrajectoryWriter
 
         self._columns = self._columns_of(self._channels)
-        target = TRAJECTORY.writable_target(self.path)
+        target = TrajectoryReader.writable_target(self.path)
         self._writer = TrajectoryWriter(target, self._channels, _found(self._metadata))
 
     def _keep(self, rows: np.ndarray) -> None:
@@ -216,7 +216,7 @@ class Hdf5Sink(Sink):
 
         A full disk fails the run: the trajectory says so, and holds what is in the file.
         """
-        from multiarm.results.trajectory_file import FileStore
+        from multiarm.results.trajectory_file import TrajectoryReader
 
         try:
             self._writer.finish(asdict(outcome))
@@ -225,7 +225,7 @@ class Hdf5Sink(Sink):
             if outcome.status != "completed":  # what ended the run comes first, and stands once
                 fault = first if fault in first else f"{first}; {fault}"
             outcome = replace(outcome, status="failed", message=fault)
-        return Trajectory(FileStore(self._writer.path), outcome)
+        return Trajectory(TrajectoryReader(self._writer.path), outcome)
 
 
 def provenance(scene_text: str, created: float | None = None) -> dict[str, Any]:

@@ -406,9 +406,9 @@ class Trajectory:
         TrajectoryError
             The place cannot be written, or holds something that multiarm did not write.
         """
-        from multiarm.results.trajectory_file import TRAJECTORY, TrajectoryWriter
+        from multiarm.results.trajectory_file import TrajectoryReader, TrajectoryWriter
 
-        target = TRAJECTORY.writable_target(path)
+        target = TrajectoryReader.writable_target(path)
         partial, names = temporary_name(target), tuple(self._store.channels)
         try:
             channels = tuple(self._store.channels.values())
@@ -476,9 +476,9 @@ def load_trajectory(path: str | os.PathLike) -> Trajectory:
     TrajectoryError
         The file is missing, damaged, not a trajectory, or of a newer format.
     """
-    from multiarm.results.trajectory_file import FileStore
+    from multiarm.results.trajectory_file import TrajectoryReader
 
-    store = FileStore(path)
+    store = TrajectoryReader(path)
     if store.outcome is not None:
         return Trajectory(store, Outcome(**store.outcome))
     last = store.read("time", store.samples - 1)[0] if store.samples else None

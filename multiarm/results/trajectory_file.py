@@ -33,7 +33,6 @@ from multiarm.results.channels import Channel
 from multiarm.results.hdf5 import (
     HDF5_ERRORS,
     PIECE,
-    FileKind,
     GrowingFile,
     StoredFile,
     allocate,
@@ -43,14 +42,6 @@ from multiarm.results.hdf5 import (
 )
 from multiarm.results.trajectory import CLOSED
 
-TRAJECTORY = FileKind(
-    "multiarm trajectory",
-    1,
-    noun="a trajectory",
-    origin="a trajectory is written by a run or by save()",
-    remedy="copy it again or repeat the run",
-    error=TrajectoryError,
-)
 CHUNK_SAMPLES = 512
 """A scalar channel fills a page of the file with a chunk."""
 CHUNK_PIECES = 64
@@ -59,13 +50,88 @@ SPARE_BYTES = 16384
 AMENDMENT_SPARE_BYTES = 65536
 
 
+class TrajectoryReader(StoredFile):
+    """Samples in a file; a channel is read on access.
+
+    The file stays open, so that a new one at the same place does not change what is read here.
+    :meth:`close_between_reads` gives that up where very many files are read.
+
+    Raises
+    ------
+    TrajectoryError
+        Missing, unreadable, cut short, not a trajectory, or written by a newer format.
+
+    Attributes
+    ----------
+    outcome : dict or None
+        None: the writer was killed, or is still at work.
+    amendment : dict or None
+        None: the file was written by an earlier program, and cannot be amended.
+    """
+
+    format, version = "multiarm trajectory", 1
+    noun = "a trajectory"
+    origin = "a trajectory is written by a run or by save()"
+    remedy = "copy it again or repeat the run"
+    error = TrajectoryError
+
+    def __init__(self, path: str | os.PathLike):
+        self._identity: tuple[int, ...] | None = None
+        super().__init__(Path(path).absolute())
+
+    def load(self) -> None:
+        """Read everything but the samples."""
+        file = self.file
+        self.samples, pieces = (int(n) for n in file["progress"][:])
+        self.channels = {name: _channel(name, file[name]) for name in file.attrs["channels"]}
+        self.metadata = json.loads(file.attrs["provenance"])
+        self.metadata["scene"] = file["scene"].asstr()[()]
+        self.require("progress")
+        for name in self.channels:
+            self.require(name, self.samples)
+        self.require("outcome", pieces)
+        self.amendment = None
+        if "amended" in file:
+            begin, end = (int(n) for n in file["amended"][:])
+            self.require("amendment", end)
+            self.amendment = json.loads(joined(file["amendment"][begin:end]) or "{}")
+        outcome = json.loads(joined(file["outcome"][:pieces]) or "null")
+        self.outcome = outcome and outcome | (self.amendment or {})
+
+    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Samples start..stop of a channel."""
+        stop = self.samples if stop is None else min(stop, self.samples)
+        if self._identity is None:
+            if not self.file:  # h5py's word for closed
+                raise TrajectoryError(CLOSED)
+            with self.reading(self.path):
+                return self.file[name][start:stop]
+        if _identity(self.path) != self._identity:
+            raise TrajectoryError(
+                f"'{self.path}' is not the file any more that this result was read from; load it "
+                "again, or write other runs elsewhere"
+            )
+        with self.opened(self.path)[0] as file, self.reading(self.path):
+            return file[name][start:stop]
+
+    def close_between_reads(self) -> None:
+        """Open the file for each read only."""
+        self.file.close()
+        self._identity = _identity(self.path)
+
+    def close(self) -> None:
+        """Close the file; nothing more can be read."""
+        self._identity = None
+        super().close()
+
+
 class TrajectoryWriter(GrowingFile):
     """A new file that grows by blocks of samples.
 
     Parameters
     ----------
     path : Path
-        See :meth:`FileKind.writable_target`.
+        See :meth:`StoredFile.writable_target`.
     channels : sequence of Channel
     metadata : dict
         Provenance; its entry `scene` is the YAML text of the scene.
@@ -76,7 +142,7 @@ class TrajectoryWriter(GrowingFile):
         The file cannot be written.
     """
 
-    kind = TRAJECTORY
+    reader = TrajectoryReader
 
     def __init__(self, path: Path, channels: Sequence[Channel], metadata: dict[str, Any]):
         self.samples, self._checkpointed = 0, 0
@@ -138,77 +204,6 @@ class TrajectoryWriter(GrowingFile):
             self.close()
 
 
-class FileStore(StoredFile):
-    """Samples in a file; a channel is read on access.
-
-    The file stays open, so that a new one at the same place does not change what is read here.
-    :meth:`close_between_reads` gives that up where very many files are read.
-
-    Raises
-    ------
-    TrajectoryError
-        Missing, unreadable, cut short, not a trajectory, or written by a newer format.
-
-    Attributes
-    ----------
-    outcome : dict or None
-        None: the writer was killed, or is still at work.
-    amendment : dict or None
-        None: the file was written by an earlier program, and cannot be amended.
-    """
-
-    kind = TRAJECTORY
-
-    def __init__(self, path: str | os.PathLike):
-        self._identity: tuple[int, ...] | None = None
-        super().__init__(Path(path).absolute())
-
-    def load(self) -> None:
-        """Read everything but the samples."""
-        file = self.file
-        self.samples, pieces = (int(n) for n in file["progress"][:])
-        self.channels = {name: _channel(name, file[name]) for name in file.attrs["channels"]}
-        self.metadata = json.loads(file.attrs["provenance"])
-        self.metadata["scene"] = file["scene"].asstr()[()]
-        self.require("progress")
-        for name in self.channels:
-            self.require(name, self.samples)
-        self.require("outcome", pieces)
-        self.amendment = None
-        if "amended" in file:
-            begin, end = (int(n) for n in file["amended"][:])
-            self.require("amendment", end)
-            self.amendment = json.loads(joined(file["amendment"][begin:end]) or "{}")
-        outcome = json.loads(joined(file["outcome"][:pieces]) or "null")
-        self.outcome = outcome and outcome | (self.amendment or {})
-
-    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Samples start..stop of a channel."""
-        stop = self.samples if stop is None else min(stop, self.samples)
-        if self._identity is None:
-            if not self.file:  # h5py's word for closed
-                raise TrajectoryError(CLOSED)
-            with self.kind.reading(self.path):
-                return self.file[name][start:stop]
-        if _identity(self.path) != self._identity:
-            raise TrajectoryError(
-                f"'{self.path}' is no longer the file that this result was read from; load it "
-                "again, or write other runs elsewhere"
-            )
-        with self.kind.open(self.path)[0] as file, self.kind.reading(self.path):
-            return file[name][start:stop]
-
-    def close_between_reads(self) -> None:
-        """Open the file for each read only."""
-        self.file.close()
-        self._identity = _identity(self.path)
-
-    def close(self) -> None:
-        """Close the file; nothing more can be read."""
-        self._identity = None
-        super().close()
-
-
 def amend(path: Path, changes: dict[str, Any]) -> None:
     """Change entries of the outcome that a complete file holds.
 
@@ -224,7 +219,7 @@ def amend(path: Path, changes: dict[str, Any]) -> None:
     TrajectoryError
         No complete run of this program version, or the disk is full.
     """
-    store = FileStore(path)
+    store = TrajectoryReader(path)
     store.close()
     if store.outcome is None or store.amendment is None:
         raise TrajectoryError(f"'{path}' holds no complete run that could be amended; run it again")

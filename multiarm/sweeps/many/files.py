@@ -29,11 +29,11 @@ def run_files(out: str | os.PathLike | None, count: int) -> list[Path | None]:
     """
     if out is None:
         return [None] * count
-    from multiarm.results.trajectory_file import TRAJECTORY
+    from multiarm.results.trajectory_file import TrajectoryReader
 
     paths = _by_pattern(str(out), count) if "{" in str(out) else _in_folder(Path(out), count)
     for path in paths:
-        TRAJECTORY.writable_target(path)
+        TrajectoryReader.writable_target(path)
     return [*paths]
 
 
