@@ -72,11 +72,17 @@ def samples(duration=6.0, step=0.01):
     return block
 
 
+def rows_of(channels, block):
+    """A block of samples as rows, in which the channels follow each other."""
+    columns = [np.asarray(block[channel.name], dtype=float) for channel in channels]
+    return np.column_stack([v.reshape(len(columns[0]), -1) if v.size else v for v in columns])
+
+
 def record(sink, blocks=None, status="completed", message="", metadata=None, **results):
     """Pour blocks of samples into a sink, with a checkpoint after each."""
     sink.open(CHANNELS, {"scene": SCENE} if metadata is None else metadata)
     for block in [samples()] if blocks is None else blocks:
-        sink.append(block)
+        sink.append(rows_of(CHANNELS, block))
         sink.checkpoint()
     return sink.finish(status, message, results.pop("statistics", STATISTICS), **results)
 
@@ -114,17 +120,15 @@ def write_for_long(path, size):
     sink = Hdf5Sink(path)
     sink.open(CHANNELS, {"scene": SCENE})
     for start in range(0, 20_000 * size, size):
-        sink.append(numbered_block(start, start + size))
+        sink.append(rows_of(CHANNELS, numbered_block(start, start + size)))
         sink.checkpoint()
         print(start + size, flush=True)
 
 
 def write_until_the_disk_is_full(path, limit):
     """Write to a file that must not exceed `limit` bytes, and print how the run ended."""
-    importlib.import_module(
-        "multiarm.results.storage.writer"
-    )  # else its bytecode would be cut short too
-    importlib.import_module("multiarm.results.storage.reader")
+    # else its bytecode would be cut short too
+    importlib.import_module("multiarm.results.trajectory_file")
     sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
     sink = Hdf5Sink(path)
@@ -132,7 +136,7 @@ def write_until_the_disk_is_full(path, limit):
     status, message = "completed", ""
     try:
         for start in range(0, 100_000, 100):
-            sink.append(numbered_block(start, start + 100))
+            sink.append(rows_of(CHANNELS, numbered_block(start, start + 100)))
             sink.checkpoint()
     except TrajectoryError as error:
         status, message = "failed", str(error)

@@ -37,7 +37,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "coal": ("contacts.floor", "viewer.shapes"),
     "dask": ("sweeps.cluster",),
     "distributed": ("sweeps.cluster", "sweeps.sweep"),
-    "h5py": ("results.storage",),
+    "h5py": ("results.hdf5", "results.row_file", "results.trajectory_file"),
     "joblib": ("sweeps.engines",),
     "llvmlite": (
         "jit.linking",

@@ -13,11 +13,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from mechanics import (
-    data_of,
-    ur5_pair,
-)
-from sample_run import record, samples
+from mechanics import data_of, ur5_pair
+from sample_run import record, rows_of, samples
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -334,12 +331,12 @@ def test_forces_that_are_not_unique_do_not_spoil_a_verdict():
 
 def tampered(run, **channels):
     """The run with functions of time added to some channels."""
-    sink = MemorySink()
-    sink.open(tuple(run.channels.values()), run.provenance)
+    sink, recorded = MemorySink(), tuple(run.channels.values())
+    sink.open(recorded, run.provenance)
     block = {name: run.read(name) for name in run.channels}
     for name, change in channels.items():
         block[name] = block[name] + change(block["time"])
-    sink.append(block)
+    sink.append(rows_of(recorded, block))
     return sink.finish(run.status, run.message, run.statistics)
 
 
@@ -578,7 +575,7 @@ KILLED = """
 import os, signal, sys, types
 import multiarm as ma
 from multiarm.problems import ring_of_arms
-from multiarm.results.storage import amendment
+from multiarm.results import trajectory_file
 
 def kill(*_):
     os.kill(os.getpid(), signal.SIGKILL)
@@ -590,11 +587,12 @@ class Killer:
         checking = kill
 
 if sys.argv[2] == "amendment":
-    class File(amendment.h5py.File):
+    class File(trajectory_file.h5py.File):
         def flush(self):
             super().flush()
             kill()
-    amendment.h5py = types.SimpleNamespace(File=File)
+    h5py = trajectory_file.h5py
+    trajectory_file.h5py = types.SimpleNamespace(File=File, string_dtype=h5py.string_dtype)
 
 system = ma.compile_system(ring_of_arms(2))
 ma.simulate(system, 0.2, accuracy=1e-6, output_step=0.02, out=sys.argv[1], progress=Killer())

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.patches import PathPatch
 from rich.console import Console
-from sample_run import CHANNELS, CONTACTS, JOINTS, SCENE, STATISTICS, record, samples
+from sample_run import CHANNELS, CONTACTS, JOINTS, SCENE, STATISTICS, record, rows_of, samples
 from test_report import Page
 
 from multiarm import plots
@@ -24,7 +24,7 @@ from multiarm.plots.event_marks import DISTINCT
 from multiarm.reports.events import SHOWN_EVENTS
 from multiarm.reports.report import render
 from multiarm.results.channels import CONTACT_STATES, OPEN, SLIDING, STICKING, trajectory_channels
-from multiarm.results.event_text import (
+from multiarm.results.event_log import (
     FAMILIES,
     OTHER,
     change,
@@ -80,9 +80,8 @@ def eventful(events=(), channels=FULL, sink=None, step=0.01, **outcome):
         "effects/joint_damping/work": -2.0 * block["time"],
         "effects/drag/work": -0.1 * block["time"] ** 2,
     }
-    wanted = {channel.name for channel in channels}
     sink.open(channels, {"scene": SCENE})
-    sink.append({name: values for name, values in {**block, **added}.items() if name in wanted})
+    sink.append(rows_of(channels, {**block, **added}))
     return sink.finish(outcome.pop("status", "completed"), "", STATISTICS, list(events), **outcome)
 
 
@@ -140,7 +139,7 @@ def test_an_arm_that_is_called_floor_keeps_its_own_forces():
     )
     sink = MemorySink()
     sink.open(channels, {"scene": ""})
-    sink.append({c.name: np.full((2, *c.shape), 7.0) for c in channels})
+    sink.append(np.full((2, sum(channel.width for channel in channels)), 7.0))
     run = sink.finish("completed", "", {})
     assert list(run.contact_forces) == ["floor"]
     assert run.contact_forces["floor"].tolist() == [[7.0], [7.0]]
@@ -346,7 +345,7 @@ def test_strip_of_very_many_contacts_says_how_many_are_left_out():
     for name in ("contact_state", "contact_force"):
         block[f"environment/{name}"] = np.full((len(block["time"]), len(corners)), STICKING)
     sink.open(channels, {"scene": SCENE})
-    sink.append(block)
+    sink.append(rows_of(channels, block))
     axes = plots.contact_states(sink.finish("completed", "", {})).axes[0]
     assert len(axes.texts) == MOST_ROWS
     assert "9 more contacts are not shown" in axes.get_xlabel()
@@ -364,7 +363,7 @@ def test_a_state_of_one_sample_in_a_long_run_is_seen():
     sink = MemorySink()
     sink.open(FULL, {"scene": SCENE})
     block = {name: run.read(name) for name in run.channels}
-    sink.append({**block, "environment/contact_state": codes})
+    sink.append(rows_of(FULL, {**block, "environment/contact_state": codes}))
     axes = plots.contact_states(sink.finish("completed", "", {})).axes[0]
     bars = [path for c in axes.collections for path in c.get_paths()]
     assert any(
@@ -477,7 +476,7 @@ def test_runs_of_few_samples_with_events_are_drawn(count):
     run = eventful()
     sink = MemorySink()
     sink.open(FULL, {"scene": SCENE})
-    sink.append({name: run.read(name, 0, count) for name in run.channels})
+    sink.append(rows_of(FULL, {name: run.read(name, 0, count) for name in run.channels}))
     cut = sink.finish("failed", "it stopped", {}, [event(0.0, "touches")])
     assert "it stopped" in Page(render(cut)).text
 
@@ -486,9 +485,9 @@ def test_report_says_whose_the_largest_contact_force_is():
     assert "largest contact force 135 n arm left" in Page(render(eventful())).text.lower()
     block = samples(step=0.5)
     block["environment/contact_force"] = np.full((len(block["time"]), 2), 1e3)
-    sink = MemorySink()
-    sink.open(trajectory_channels(JOINTS, CONTACTS, environment=CORNERS), {"scene": SCENE})
-    sink.append(block)
+    sink, channels = MemorySink(), trajectory_channels(JOINTS, CONTACTS, environment=CORNERS)
+    sink.open(channels, {"scene": SCENE})
+    sink.append(rows_of(channels, block))
     text = Page(render(sink.finish("completed", "", {}))).text.lower()
     assert "largest contact force 1000 n floor" in text
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mechanics import ur5_pair
+from sample_run import rows_of
 from test_replay import SCENE, SEEK, browser, shown, view  # noqa: F401 (fixtures)
 
 import multiarm as ma
@@ -16,7 +17,7 @@ from multiarm.results.channels import (
     TOUCHING,
     Channel,
 )
-from multiarm.results.event_text import LOST, MADE, SLIP, family_of
+from multiarm.results.event_log import LOST, MADE, SLIP, family_of
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
 from multiarm.viewer import replay
@@ -74,10 +75,11 @@ def with_states(plain, events):
         Channel(f"arms/{arm}/contact_state", (len(labels[arm]),), labels=labels[arm])
         for arm in states
     ]
-    sink = MemorySink()
-    sink.open([*plain.channels.values(), *added], plain.provenance)
+    sink, channels = MemorySink(), [*plain.channels.values(), *added]
+    sink.open(channels, plain.provenance)
     block = {name: plain.read(name) for name in plain.channels}
-    sink.append({**block, **{f"arms/{arm}/contact_state": states[arm] for arm in states}})
+    block |= {f"arms/{arm}/contact_state": states[arm] for arm in states}
+    sink.append(rows_of(channels, block))
     return sink.finish("completed", "", {}, events)
 
 
@@ -177,9 +179,9 @@ def test_rows_of_friction_have_the_state_of_their_contact(above_a_floor):
     system = ma.compile_system(above_a_floor.scene)
     block = {name: above_a_floor.read(name) for name in above_a_floor.channels}
     states = np.tile(np.arange(8.0) % 5, (len(above_a_floor), 1))
-    sink = MemorySink()
-    sink.open([*above_a_floor.channels.values()], above_a_floor.provenance)
-    sink.append({**block, "environment/contact_state": states})
+    sink, channels = MemorySink(), [*above_a_floor.channels.values()]
+    sink.open(channels, above_a_floor.provenance)
+    sink.append(rows_of(channels, {**block, "environment/contact_state": states}))
     run = sink.finish("completed", "", {})
     colors = {arm: np.zeros(3) for arm in run.arm_names}
     floor = contacts_of(system, run, np.array([0]), colors)[-1]

@@ -12,12 +12,12 @@ import pytest
 import yaml
 from rich.table import Table
 from rich.text import Text
+from sample_run import rows_of
 from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app, terminal
-from multiarm.results.files import save_page
-from multiarm.results.printable import printable, printable_texts
+from multiarm.results.files import printable, printable_texts, save_page
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
 from multiarm.studies.work_precision import page as accuracy_page
@@ -75,9 +75,9 @@ def folder(tmp_path_factory):
 def foreign(folder):
     """A result whose message and events another program wrote."""
     run = ma.simulate(ma.compile_system(parse_scene(SCENE)))
-    sink = MemorySink()
-    sink.open(list(run.channels.values()), run.provenance)
-    sink.append({name: run.read(name) for name in run.channels})
+    sink, channels = MemorySink(), list(run.channels.values())
+    sink.open(channels, run.provenance)
+    sink.append(rows_of(channels, {name: run.read(name) for name in run.channels}))
     event = {"time": 0.01, "kind": HOSTILE, "text": HOSTILE, "arm": HOSTILE, "contact": HOSTILE}
     made = sink.finish("failed", HOSTILE, {HOSTILE: HOSTILE}, [event])
     return made.save(folder / "foreign.h5")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from playwright.sync_api import sync_playwright
+from sample_run import rows_of
 
 import multiarm as ma
 from multiarm.errors import ReplayError
@@ -120,11 +121,11 @@ def exported(trajectory, tmp_path_factory):
 
 def shortened(trajectory, samples, status, message, **changes):
     """The first samples of a run, as if it had ended there; `changes` are channels."""
-    sink = MemorySink()
-    sink.open(list(trajectory.channels.values()), trajectory.provenance)
+    sink, channels = MemorySink(), list(trajectory.channels.values())
+    sink.open(channels, trajectory.provenance)
     if samples:
         block = {name: trajectory.read(name, 0, samples) for name in trajectory.channels}
-        sink.append({**block, **changes})
+        sink.append(rows_of(channels, {**block, **changes}))
     return sink.finish(status, message, {})
 
 

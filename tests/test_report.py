@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sample_run import CHANNELS, JOINTS, SCENE, record, samples
+from sample_run import CHANNELS, JOINTS, SCENE, record, rows_of, samples
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
@@ -58,7 +58,7 @@ def scalar_run(values, sink=None):
     sink.open([Channel("time", unit="s"), Channel("signal")], {"scene": ""})
     for start in range(0, len(values), 4096):
         part = values[start : start + 4096]
-        sink.append({"time": start + np.arange(len(part)), "signal": part})
+        sink.append(np.column_stack([start + np.arange(len(part)), part]))
     return sink.finish("completed", "", {})
 
 
@@ -68,7 +68,7 @@ def spinning_run(angle, axis):
     sink.open([Channel("time"), Channel("object/quaternion_xyzw", (4,))], {})
     start = np.array([0.5, -0.5, 0.5, 0.5])
     turn = np.column_stack([np.outer(np.sin(angle / 2), axis), np.cos(angle / 2)])
-    sink.append({"time": time, "object/quaternion_xyzw": _product(turn, start)})
+    sink.append(np.column_stack([time, _product(turn, start)]))
     return sink.finish("completed", "", {})
 
 
@@ -267,7 +267,7 @@ def test_hostile_names_are_shown_and_not_run():
     sink, block = MemorySink(), samples()
     sink.open(channels, {"scene": f"name: {attack}", "note": attack})
     many = {c.name: block.get(c.name, np.ones((len(block["time"]), *c.shape))) for c in channels}
-    sink.append(many)
+    sink.append(rows_of(channels, many))
     run = sink.finish("failed", attack, {attack: attack}, [{attack: attack}], {attack: attack})
     page = Page(render(run))
     assert "script" not in page.tags

@@ -22,7 +22,8 @@ from hypothesis import strategies as st
 from sweep_stand_in import FAILING, NAMES, StandInPlan, row_of
 
 from multiarm.errors import MultiarmError, SweepError, TrajectoryError
-from multiarm.results.storage import row_file, writable_target
+from multiarm.results import row_file
+from multiarm.results.trajectory_file import TrajectoryReader
 from multiarm.sweeps.order_statistics import kth_smallest, quantiles
 from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.sweeps.store import RunSet, SweepFile
@@ -309,7 +310,7 @@ def test_what_is_no_sweep_is_neither_read_nor_replaced(tmp_path):
             SweepFile.open(path, StandInPlan(3), fresh=True)
     sweep = written(tmp_path / "s.h5", 3)
     with pytest.raises(TrajectoryError, match="it is something else, damaged or write"):
-        writable_target(sweep)
+        TrajectoryReader.writable_target(sweep)
     with h5py.File(sweep, "r+") as file:
         file.attrs["format_version"] = 2
     with pytest.raises(SweepError, match="has format version 2; this program reads up to 1"):

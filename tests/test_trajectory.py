@@ -1,8 +1,8 @@
 """Trajectories and their files: nothing is lost, nothing is altered, every trouble is named."""
 
-import importlib
 import itertools
 import json
+import pickle
 import random
 import subprocess
 import sys
@@ -23,13 +23,14 @@ from sample_run import (
     STATISTICS,
     numbered_block,
     record,
+    rows_of,
     samples,
 )
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel
+from multiarm.results.channels import Channel, in_sequence
+from multiarm.results.hdf5 import lookup3
 from multiarm.results.sinks import Hdf5Sink, MemorySink, provenance
-from multiarm.results.storage.recovery import lookup3
 from multiarm.results.trajectory import load_trajectory
 
 EVENTS = [{"time": 1.5, "kind": "projection", "size": 1e-9}]
@@ -129,12 +130,12 @@ def test_a_trajectory_cannot_be_altered(tmp_path, sink_in):
 
 def test_samples_do_not_change_when_the_caller_reuses_its_arrays():
     block, sink = samples(), MemorySink()
+    rows = rows_of(CHANNELS, block)
     sink.open(CHANNELS, {})
-    sink.append(block)
-    expected = block["object/twist"].copy()
-    block["object/twist"][:] = 0.0
+    sink.append(rows)
+    rows[:] = 0.0
     run = sink.finish("completed", "", {})
-    assert np.array_equal(run.object_twist, expected)
+    assert np.array_equal(run.object_twist, block["object/twist"])
 
 
 def test_scene_is_parsed_once_from_the_stored_text(monkeypatch):
@@ -226,7 +227,7 @@ def test_names_in_any_script_survive(tmp_path):
     channels = [Channel("time", unit="s"), Channel("arms/左/joint_torque", (1,), "N m")]
     sink = file_sink(tmp_path)
     sink.open(channels, {"scene": "name: 二本の腕\n"})
-    sink.append({"time": [0.0], "arms/左/joint_torque": [[1.0]]})
+    sink.append(np.array([[0.0, 1.0]]))
     run = sink.finish("failed", "zu groß: μ → ∞", {})
     assert (run.arm_names, run.scene_text, run.message) == (
         ("左",), "name: 二本の腕\n", "zu groß: μ → ∞",
@@ -277,7 +278,7 @@ def test_a_number_that_is_not_finite_is_refused_by_name_and_time(tmp_path, sink_
     block["energy/work"][9] = np.nan
     expected = rf"'arms/left/joint_torque' \(elbow_joint\) is {bad} at t = 0.07 s"
     with pytest.raises(TrajectoryError, match=expected):
-        sink.append(block)
+        sink.append(rows_of(CHANNELS, block))
     run = sink.finish("failed", "not finite", {})
     assert np.array_equal(run.time, block["time"][:7])
     assert np.array_equal(run.joint_torques["left"], block["arms/left/joint_torque"][:7])
@@ -289,21 +290,48 @@ def test_a_time_that_is_not_finite_is_refused():
     sink.open(CHANNELS, {})
     block["time"][3] = np.nan
     with pytest.raises(TrajectoryError, match="'time' is nan at sample 3"):
-        sink.append(block)
+        sink.append(rows_of(CHANNELS, block))
 
 
 @both_sinks
 def test_a_block_of_the_wrong_shape_is_refused(tmp_path, sink_in):
-    sink = sink_in(tmp_path)
+    sink, rows = sink_in(tmp_path), rows_of(CHANNELS, samples())
     sink.open(CHANNELS, {})
-    block = samples()
-    with pytest.raises(TrajectoryError, match=r"lacks the channels \['energy/work'\]"):
-        sink.append({name: v for name, v in block.items() if name != "energy/work"})
-    with pytest.raises(TrajectoryError, match=r"unknown channels \['speed'\]"):
-        sink.append(block | {"speed": block["time"]})
-    with pytest.raises(TrajectoryError, match=r"'object/twist' has a block of shape \(600, 6\)"):
-        sink.append(block | {"object/twist": block["object/twist"][1:]})
+    for wrong in (rows[:, 1:], np.hstack([rows, rows[:, :1]]), rows[0]):
+        with pytest.raises(TrajectoryError, match=rf"expected \(k, {rows.shape[1]}\)"):
+            sink.append(wrong)
     assert len(sink.finish("failed", "", {})) == 0
+
+
+@both_sinks
+def test_channels_are_where_the_columns_say(tmp_path, sink_in):
+    def reversed_columns(channels):
+        return in_sequence(channels[::-1])
+
+    sink = sink_in(tmp_path)
+    sink.open(CHANNELS, {"scene": SCENE}, reversed_columns)
+    sink.append(rows_of(CHANNELS[::-1], samples()))
+    assert_same(sink.finish("completed", "", STATISTICS), record(MemorySink()))
+
+
+def test_what_a_run_in_memory_does_not_show_is_not_made():
+    calls, sink = [], MemorySink()
+
+    def columns_of(channels):
+        calls.append("columns")
+        return in_sequence(channels)
+
+    sink.open(CHANNELS, lambda: calls.append("metadata") or {"scene": SCENE}, columns_of)
+    sink.append(rows_of(CHANNELS, samples()))
+    run = sink.finish("completed", "", {})
+    assert (len(run), run.status, calls) == (601, "completed", [])
+    assert (run.time[-1], run.scene_text, run.scene_text) == (6.0, SCENE, SCENE)
+    assert calls == ["columns", "metadata"]
+
+
+def test_a_run_in_memory_is_pickled_with_its_origin():
+    run = record(MemorySink(), metadata=lambda: provenance(SCENE))
+    assert_same(pickle.loads(pickle.dumps(run)), run)
 
 
 def test_an_unknown_status_is_refused():
@@ -427,9 +455,9 @@ def test_a_running_file_shows_what_is_safe_so_far(tmp_path):
     sink.open(CHANNELS, {"scene": SCENE})
     empty = load_trajectory(tmp_path / "run.h5")
     assert (len(empty), "before its first checkpoint" in empty.message) == (0, True)
-    sink.append(numbered_block(0, 10))
+    sink.append(rows_of(CHANNELS, numbered_block(0, 10)))
     sink.checkpoint()
-    sink.append(numbered_block(10, 20))
+    sink.append(rows_of(CHANNELS, numbered_block(10, 20)))
     assert len(load_trajectory(tmp_path / "run.h5")) == 10
     assert len(sink.finish("completed", "", {})) == 20
 
@@ -476,7 +504,7 @@ def test_a_newer_format_asks_for_an_update(tmp_path):
 def test_a_file_cut_short_never_passes_for_a_whole_one(tmp_path, closed):
     sink, whole, cut = file_sink(tmp_path), tmp_path / "run.h5", tmp_path / "cut.h5"
     sink.open(CHANNELS, {"scene": SCENE})
-    sink.append(numbered_block(0, 2000))
+    sink.append(rows_of(CHANNELS, numbered_block(0, 2000)))
     sink.checkpoint()
     if closed:
         sink.finish("completed", "", {})
@@ -502,9 +530,3 @@ def test_results_are_light_to_import():
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
-
-
-def test_public_names_exist():
-    for module in ("multiarm.results.storage",):
-        loaded = importlib.import_module(module)
-        assert all(hasattr(loaded, name) for name in loaded.__all__)

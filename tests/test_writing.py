@@ -14,8 +14,7 @@ from mechanics import UR5_POSTURE
 import multiarm as ma
 from multiarm.cli.files import check_targets
 from multiarm.errors import MultiarmError, SweepError
-from multiarm.results.files import complete, in_one_step, name_beside
-from multiarm.results.storage.locks import WriterLock
+from multiarm.results.files import WriterLock, atomic_file, atomic_output, temporary_name
 from multiarm.scene import parse_scene
 
 TEXT = "what was there"
@@ -61,7 +60,7 @@ WRITERS = {
 
 
 def _write_text(path):
-    with in_one_step(path, "--json") as partial:
+    with atomic_output(path, "--json") as partial:
         partial.write_text("new")
 
 
@@ -89,7 +88,7 @@ def test_a_link_that_comes_in_between_is_not_followed(
     if not there:
         os.unlink(victim)
     target = shared / "result"
-    name_beside(target).symlink_to(victim)
+    temporary_name(target).symlink_to(victim)
     with pytest.raises(MultiarmError, match="cannot write"):
         WRITERS[writer](trajectory, target)
     assert not target.exists()
@@ -98,19 +97,19 @@ def test_a_link_that_comes_in_between_is_not_followed(
 
 
 def test_two_temporary_names_differ(tmp_path):
-    assert name_beside(tmp_path / "a") != name_beside(tmp_path / "a")
+    assert temporary_name(tmp_path / "a") != temporary_name(tmp_path / "a")
 
 
 def test_a_file_appears_when_it_is_complete_with_the_modes_that_the_user_wants(tmp_path):
     target, before = tmp_path / "a", os.umask(0o027)
     try:
-        with complete(target) as partial:
+        with atomic_file(target) as partial:
             partial.write_text("new")
             assert not target.exists()
     finally:
         os.umask(before)
     assert stat.S_IMODE(target.stat().st_mode) == 0o640
-    with pytest.raises(KeyError), complete(target) as partial:
+    with pytest.raises(KeyError), atomic_file(target) as partial:
         raise KeyError
     assert list(tmp_path.iterdir()) == [target]
     assert target.read_text() == "new"

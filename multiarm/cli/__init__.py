@@ -27,7 +27,7 @@ from multiarm.cli.stability import stability
 from multiarm.cli.sweep import sweep
 from multiarm.cli.terminal import print_error, print_warnings
 from multiarm.errors import MultiarmError
-from multiarm.results.printable import printable
+from multiarm.results.files import printable
 
 __all__ = ["app", "main"]
 

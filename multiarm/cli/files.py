@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from multiarm.cli.terminal import print_loaded, print_warnings
 from multiarm.errors import MultiarmError, TrajectoryError
-from multiarm.results.files import in_one_step, made_anew, name_beside
+from multiarm.results.files import atomic_output, create_empty, temporary_name
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -78,7 +78,7 @@ def write_text(path: Path, text: str, option: str) -> None:
     MultiarmError
         The file cannot be written; names the ``option`` that asked for it.
     """
-    with in_one_step(path, option) as partial:
+    with atomic_output(path, option) as partial:
         partial.write_text(text, encoding="utf-8")
 
 
@@ -169,7 +169,7 @@ def _fault(target: Path) -> str | None:
     if target.exists() and not os.access(target, os.W_OK):
         return "the file is write-protected; choose another name"
     try:
-        made_anew(name_beside(target)).unlink()
+        create_empty(temporary_name(target)).unlink()
     except OSError as error:
         return f"{error.strerror}; choose a folder that you may write to"
     return None

@@ -27,8 +27,7 @@ from multiarm.cli.terminal import (
     print_written,
 )
 from multiarm.errors import GraspError, MultiarmError
-from multiarm.results.files import save_figure
-from multiarm.results.printable import printable
+from multiarm.results.files import printable, save_figure
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp

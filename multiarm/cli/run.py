@@ -204,7 +204,7 @@ def run(
     arm, contact or joint, where in m, before and after as they apply), compiled_kernels, and files
     (result, replay, report). Numbers are finite, or null where there is none.
     """
-    from multiarm.results.storage import writable_target
+    from multiarm.results.trajectory_file import TrajectoryReader
 
     loaded = scene_to_run(scene, no_code)
     target = out if out is not None else Path(f"{scene.stem}.h5")
@@ -218,7 +218,7 @@ def run(
         },
         source=scene,
     )
-    writable_target(target)
+    TrajectoryReader.writable_target(target)
     options = {
         "duration": duration,
         "accuracy": accuracy,

@@ -153,10 +153,10 @@ def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
 
 
 def _is_sweep(result: Path) -> bool:
-    from multiarm.results.storage.row_file import SWEEP
+    from multiarm.results.row_file import RowReader
 
     path = result.expanduser()
-    return path.is_file() and SWEEP.matches(path)
+    return path.is_file() and RowReader.matches(path)
 
 
 def _only_run(result: Path, run: int | None) -> Trajectory:

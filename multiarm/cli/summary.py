@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.terminal import STATUS_STYLES, accuracy, facts, number, vector
-from multiarm.results.event_text import counts, who
+from multiarm.results.event_log import counts, who
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory

@@ -16,7 +16,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.results.printable import printable
+from multiarm.results.files import printable
 
 if TYPE_CHECKING:
     from multiarm.scene import NamedCode

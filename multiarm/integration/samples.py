@@ -9,18 +9,15 @@ rate; rank of the constraints, arms in the coupled system, relative residual.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from itertools import accumulate
-
-import numpy as np
+from collections.abc import Sequence
 
 from multiarm.contacts.frames import SINGLE_TURN, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import kinetic_energy, largest, potential_energy
-from multiarm.dynamics.state import Layout
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
+from multiarm.results.channels import Channel, Columns, in_sequence
 
 
 def sample_width(joints: int, contacts: int, free: int, works: int) -> int:
@@ -99,56 +96,21 @@ def going_on(model, data, i, k, places):
     return x
 
 
-def named_samples(
-    layout: Layout,
-    free_bounds: np.ndarray,
-    works: Sequence[str],
-    rows: np.ndarray,
-    states: Mapping[str, Sequence[str]] | None = None,
-) -> dict[str, np.ndarray]:
-    """The rows of a block of :func:`write_sample` as named channels.
+def sample_columns(channels: Sequence[Channel]) -> Columns:
+    """Where the channels of a run are in a row of :func:`write_sample`."""
+    return in_sequence(sorted(channels, key=_place))
 
-    ``works`` are the names of the effects whose work is recorded; ``states`` those of the contacts
-    of every owner that come and go.
-    """
-    n, m, f, w = layout.joints, layout.contacts, int(free_bounds[-1]), len(works)
-    contacts = {owner: len(names) for owner, names in (states or {}).items()}
-    sizes = [1, 3, 4, n, 6, n, n, m, sum(contacts.values()), f, f, 1, 1, w, 1, 1, 1, 1, 1, 1]
-    ends = list(accumulate(sizes))
-    columns = [rows[:, end - size : end] for size, end in zip(sizes, ends, strict=True)]
-    t, x, quaternion, q, twist, v, torque, force, does, rates, places, *scalars = columns
-    kinetic, potential, own, work, gap, rate, rank, coupled, residual = scalars
-    block = {
-        "time": t[:, 0],
-        "object/position": x,
-        "object/quaternion_xyzw": quaternion,
-        "object/twist": twist,
-        "energy/kinetic": kinetic[:, 0],
-        "energy/potential": potential[:, 0],
-        "energy/work": work[:, 0],
-        "drift/position": gap[:, 0],
-        "drift/velocity": rate[:, 0],
-        "solver/rank": rank[:, 0],
-        "solver/coupled_arms": coupled[:, 0],
-        "solver/residual": residual[:, 0],
-    }
-    joints = {"joint_position": q, "joint_velocity": v, "joint_torque": torque}
-    for name, values in joints.items():
-        for arm, part in layout.split_joints(values).items():
-            block[f"arms/{arm}/{name}"] = part
-    for arm, part in layout.split_contacts(force).items():
-        block[f"arms/{arm}/contact_force"] = part
-    if layout.surroundings.start < layout.surroundings.stop:
-        block["environment/contact_force"] = force[:, layout.surroundings]
-    bounds = np.cumsum([0, *contacts.values()])
-    for owner, first, last in zip(contacts, bounds[:-1], bounds[1:], strict=True):
-        if first < last:
-            place = f"arms/{owner}" if owner in layout.names else "environment"
-            block[f"{place}/contact_state"] = does[:, first:last]
-    for k, name in enumerate(works):
-        block[f"effects/{name}/work"] = own[:, k]
-    for arm, first, last in zip(layout.names, free_bounds[:-1], free_bounds[1:], strict=True):
-        if first < last:
-            block[f"arms/{arm}/relative_rate"] = rates[:, first:last]
-            block[f"arms/{arm}/relative_position"] = places[:, first:last]
-    return block
+
+# Channels in the order of a row, or the last part of their names: those of all arms, of the floor
+# and of all effects stand together, in the order of the channels.
+_ORDER = (
+    "time", "object/position", "object/quaternion_xyzw", "joint_position", "object/twist",
+    "joint_velocity", "joint_torque", "contact_force", "contact_state", "relative_rate",
+    "relative_position", "energy/kinetic", "energy/potential", "work", "energy/work",
+    "drift/position", "drift/velocity", "solver/rank", "solver/coupled_arms", "solver/residual",
+)  # fmt: skip
+
+
+def _place(channel: Channel) -> int:
+    name = channel.name
+    return _ORDER.index(name if name in _ORDER else name.rpartition("/")[2])

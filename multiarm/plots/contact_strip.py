@@ -18,10 +18,9 @@ from matplotlib.patches import Patch
 from multiarm.plots.event_marks import LEGEND_ROW, EventMarks
 from multiarm.plots.panels import sheet
 from multiarm.plots.style import GRID, STYLE
-from multiarm.results.channels import CONTACT_STATES
+from multiarm.results.channels import CONTACT_STATES, channels_of
 from multiarm.results.decimation import POINTS, decimate
-from multiarm.results.event_text import STATE_COLOURS
-from multiarm.results.sample_store import channels_of
+from multiarm.results.event_log import STATE_COLOURS
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
-from multiarm.results.event_text import (
+from multiarm.results.event_log import (
     ACTUATOR,
     FAMILIES,
     LIMIT,

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from multiarm.plots.event_marks import EventMarks
 from multiarm.plots.style import INK, STYLE
-from multiarm.results.event_text import Event
+from multiarm.results.event_log import Event
 
 LABEL_HEIGHT = 0.155
 """Of a label at the end of a line [in]."""

@@ -10,10 +10,9 @@ from matplotlib.figure import Figure
 
 from multiarm.plots.panels import Panel, draw
 from multiarm.plots.style import AXIS_COLOURS, ROLES, family
-from multiarm.results.channels import Channel
+from multiarm.results.channels import Channel, channels_of
 from multiarm.results.decimation import POINTS, RotationSinceStart, decimate
-from multiarm.results.event_text import Event
-from multiarm.results.sample_store import channels_of
+from multiarm.results.event_log import Event
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory

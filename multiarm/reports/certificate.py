@@ -8,7 +8,7 @@ from typing import Any
 
 from multiarm import plots
 from multiarm.reports.parts import NOTHING, grid, inline_svg, number, quantity, words
-from multiarm.results.event_text import Event
+from multiarm.results.event_log import Event
 
 KINDS = {
     "position_m": ("Position", "m"),

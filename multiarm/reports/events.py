@@ -7,7 +7,7 @@ from html import escape
 from typing import Any
 
 from multiarm.reports.parts import grid, number
-from multiarm.results.event_text import Event, Group, counts, grouped, who
+from multiarm.results.event_log import Event, Group, counts, grouped, who
 
 SHOWN_EVENTS = 200
 HEADS = ("Time", "What", "Where", "Before \N{RIGHTWARDS ARROW} after")

@@ -21,8 +21,7 @@ from multiarm.reports.certificate import certificate_section
 from multiarm.reports.events import events_section
 from multiarm.reports.parts import NOTHING, grid, inline_svg, number, quantity, words
 from multiarm.reports.style import CSS
-from multiarm.results.files import complete
-from multiarm.results.printable import printable
+from multiarm.results.files import atomic_file, printable
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
@@ -73,7 +72,7 @@ def report(trajectory: Trajectory, path: str | os.PathLike = "report.html") -> P
     target = Path(path).expanduser()
     page = render(trajectory)
     try:
-        with complete(target) as partial:
+        with atomic_file(target) as partial:
             partial.write_text(printable(page), encoding="utf-8")
     except OSError as error:
         raise TrajectoryError(

@@ -3,29 +3,29 @@
 A channel is one physical quantity sampled K times: `object/position` is (K, 3) metres in
 world axes, `arms/left/joint_torque` is (K, nv). A `Channel` says what its numbers mean (unit,
 frame, description, a label per column), so that a file can be read without this program.
-Every block of samples passes `finite_rows` on its way to a sink: a number that is not finite
-never gets any further, and the error names the channel, the column and the time.
+
+A run produces its samples as rows of numbers, shape (K, width). Columns tell which numbers of a row
+are which channel, so that rows are split into channels only where somebody looks at them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from multiarm.errors import TrajectoryError
 
-Block = dict[str, np.ndarray]
-"""Samples of all channels: name -> array whose leading axis counts the samples."""
+Columns = dict[str, slice]
+"""Channel -> its numbers in a row."""
 FLOOR = "floor"
-"""What stands in an arm's place where contacts are the object's own, with its surroundings."""
+"""Stands for the arm where contacts are the object's own, with its surroundings."""
 CONTACT_STATES = ("open", "touching", "sliding", "sticking", "resting")
-"""What a contact does, by its code in a channel; resting: it touches, and other contacts carry."""
+"""Of a contact, by its code in a channel; resting: it touches, and other contacts carry."""
 OPEN, TOUCHING, SLIDING, STICKING, RESTING = range(len(CONTACT_STATES))
-CLOSED = "this trajectory was closed; load it from its file, or simulate again"
-"""What is wrong when samples are asked for that were let go of."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,56 @@ class Channel:
                 "name the arm with letters, digits, '_' or '-'"
             )
 
+    @cached_property
+    def width(self) -> int:
+        """Numbers per sample."""
+        return math.prod(self.shape)
+
     @property
     def column_units(self) -> tuple[str, ...]:
         """Unit of each column."""
-        width = int(np.prod(self.shape, dtype=int))
         units = tuple(self.unit.split(", "))
-        return units if len(units) == width else (self.unit,) * width
+        return units if len(units) == self.width else (self.unit,) * self.width
+
+
+def in_sequence(channels: Iterable[Channel]) -> Columns:
+    """Columns of rows in which the channels follow each other."""
+    columns, end = {}, 0
+    for channel in channels:
+        columns[channel.name] = slice(end, end + channel.width)
+        end += channel.width
+    return columns
+
+
+def first_fault(channels: Sequence[Channel], columns: Columns, rows: np.ndarray) -> tuple[int, str]:
+    """The first sample with a number that is not finite, and the sentence that reports it."""
+    sample = int(np.argmin(np.isfinite(rows).all(axis=1)))
+    row, time = rows[sample], rows[sample, columns["time"]].item()
+    channel = next(c for c in channels if not np.isfinite(row[columns[c.name]]).all())
+    numbers = row[columns[channel.name]]
+    k = int(np.argmin(np.isfinite(numbers)))
+    where = f" ({channel.labels[k]})" if channel.labels else ""
+    when = f"t = {time:.9g} s" if math.isfinite(time) else f"sample {sample} of a block"
+    return sample, (
+        f"channel '{channel.name}'{where} is {numbers[k]} at {when}: "
+        "the sample and all after it were not recorded"
+    )
+
+
+def arm_names(channels: Iterable[str]) -> tuple[str, ...]:
+    """Names of the arms that have channels, in the order of the scene."""
+    arms = (name for name in channels if name.startswith("arms/"))
+    return tuple(dict.fromkeys(name.removeprefix("arms/").rpartition("/")[0] for name in arms))
+
+
+def channels_of(channels: Iterable[str], quantity: str) -> dict[str, str]:
+    """Arm, or "floor" -> name of its channel of a quantity, of the channels of a run."""
+    known = dict.fromkeys(channels)
+    names = {arm: f"arms/{arm}/{quantity}" for arm in arm_names(known)}
+    found = {arm: name for arm, name in names.items() if name in known}
+    if f"environment/{quantity}" in known:
+        found.setdefault(FLOOR, f"environment/{quantity}")  # an arm may have this name
+    return found
 
 
 def trajectory_channels(
@@ -100,87 +144,23 @@ def trajectory_channels(
     tuple of Channel
         Time first, then the object, the arms, the floor, effects, energy and drift.
     """
-    channels = [Channel("time", (), "s", "", "time of the sample")]
-    channels += _object_channels()
+    free, states = free or {}, states or {}
+    channels = [Channel("time", (), "s", "", "time of the sample"), *_object_channels()]
     for arm, units in joints.items():
-        channels += _arm_channels(arm, units, contacts[arm])
-        channels += _state_channels(f"arms/{arm}", (states or {}).get(arm, ()))
-        channels += _free_channels(arm, (free or {}).get(arm, {}))
-    channels += _floor_channels(environment)
-    channels += _state_channels("environment", (states or {}).get(FLOOR, ()))
+        channels += _arm_channels(arm, units)
+        channels += _contact_channels(
+            f"arms/{arm}", contacts[arm], states.get(arm, ()), "force at each contact"
+        )
+        channels += _free_channels(arm, free.get(arm, {}))
+    around = _contact_channels(
+        "environment", environment, states.get(FLOOR, ()), "force of the floor at each contact"
+    )
+    channels += [channel for channel in around if channel.labels]
     channels += [
         Channel(f"effects/{name}/work", (), "J", "", f"work done by {name} since the start")
         for name in works
     ]
     return (*channels, *_scalar_channels())
-
-
-def finite_rows(channels: Sequence[Channel], block: Block) -> tuple[Block, str]:
-    """The leading samples of a block in which every number is finite.
-
-    Parameters
-    ----------
-    channels : sequence of Channel
-    block : dict of array-like
-        All channels, with the same number of samples each.
-
-    Returns
-    -------
-    rows : dict of ndarray
-        Copies in double precision, cut before the first sample that is not finite.
-    fault : str
-        Empty, or the sentence that names channel, column and time of the first bad number.
-
-    Raises
-    ------
-    TrajectoryError
-        A channel is missing, unknown, or has the wrong shape.
-    """
-    arrays = _shaped(channels, block)
-    with np.errstate(over="ignore", invalid="ignore"):
-        # a number that is not finite stays so in the sum, which is the quicker test
-        if math.isfinite(np.concatenate([v.ravel() for v in arrays.values()]).sum()):
-            return arrays, ""
-    first, culprit = len(arrays["time"]), None
-    for channel in channels:
-        values = arrays[channel.name]
-        bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-        row = int(np.argmax(bad)) if bad.any() else first
-        if row < first:
-            first, culprit = row, channel
-    rows = {name: values[:first] for name, values in arrays.items()}
-    return rows, "" if culprit is None else _fault(culprit, arrays, first)
-
-
-def _fault(channel: Channel, arrays: Block, row: int) -> str:
-    sample = np.atleast_1d(arrays[channel.name][row]).ravel()
-    column = int(np.argmin(np.isfinite(sample)))
-    where = f" ({channel.labels[column]})" if channel.labels else ""
-    time = arrays["time"]
-    when = f"t = {time[row]:.9g} s" if np.isfinite(time[row]) else f"sample {row} of a block"
-    return (
-        f"channel '{channel.name}'{where} is {sample[column]} at {when}: "
-        "the sample and all after it were not recorded"
-    )
-
-
-def _shaped(channels: Sequence[Channel], block: Block) -> Block:
-    names = {channel.name for channel in channels}
-    if names != set(block):
-        lacking, extra = sorted(names - set(block)), sorted(set(block) - names)
-        raise TrajectoryError(
-            f"a block of samples lacks the channels {lacking} and has the unknown channels {extra}"
-        )
-    arrays = {c.name: np.array(block[c.name], dtype=np.float64, order="C") for c in channels}
-    samples = arrays["time"].shape[0] if arrays["time"].ndim == 1 else -1
-    for channel in channels:
-        shape = arrays[channel.name].shape
-        if shape != (samples, *channel.shape):
-            raise TrajectoryError(
-                f"channel '{channel.name}' has a block of shape {shape}; "
-                f"expected {('K', *channel.shape)} with K = {samples} samples as in 'time'"
-            )
-    return arrays
 
 
 def _object_channels() -> list[Channel]:
@@ -200,7 +180,7 @@ def _object_channels() -> list[Channel]:
     ]  # fmt: skip
 
 
-def _arm_channels(arm: str, units: Mapping[str, str], contacts: Sequence[str]) -> list[Channel]:
+def _arm_channels(arm: str, units: Mapping[str, str]) -> list[Channel]:
     joints, n = tuple(units), (len(units),)
     positions = ", ".join(units.values())
     velocities = ", ".join(f"{unit}/s" for unit in units.values())
@@ -214,30 +194,23 @@ def _arm_channels(arm: str, units: Mapping[str, str], contacts: Sequence[str]) -
             "torque (force, if the joint slides) of the drive: the controller's, within limits and "
             "lag of the drive if there are any", joints,
         ),
-        Channel(
-            f"{path}/contact_force", (len(contacts),), "N", "contact normals",
-            "force at each contact along its normal; positive pushes the object", tuple(contacts),
-        ),
     ]  # fmt: skip
 
 
-def _state_channels(path: str, contacts: Sequence[str]) -> list[Channel]:
-    if not contacts:
-        return []
-    codes = ", ".join(f"{code} {state}" for code, state in enumerate(CONTACT_STATES))
-    labels = tuple(contacts)
-    return [Channel(f"{path}/contact_state", (len(labels),), "1", "", codes, labels)]
-
-
-def _floor_channels(contacts: Sequence[str]) -> list[Channel]:
-    if not contacts:
-        return []
-    force = Channel(
-        "environment/contact_force", (len(contacts),), "N", "contact normals",
-        "force of the floor at each contact along its normal; positive pushes the object",
-        tuple(contacts),
-    )  # fmt: skip
-    return [force]
+def _contact_channels(
+    path: str, contacts: Sequence[str], with_states: Sequence[str], force: str
+) -> list[Channel]:
+    channels = [
+        Channel(
+            f"{path}/contact_force", (len(contacts),), "N", "contact normals",
+            f"{force} along its normal; positive pushes the object", tuple(contacts),
+        )
+    ]  # fmt: skip
+    if with_states:
+        codes = ", ".join(f"{code} {state}" for code, state in enumerate(CONTACT_STATES))
+        shape, labels = (len(with_states),), tuple(with_states)
+        channels.append(Channel(f"{path}/contact_state", shape, "1", "", codes, labels))
+    return channels
 
 
 def _free_channels(arm: str, free: Mapping[str, str]) -> list[Channel]:

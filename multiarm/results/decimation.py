@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from multiarm.results.trajectory import Trajectory
+from multiarm.results.trajectory import Trajectory
 
 POINTS = 1600
 BLOCK_SAMPLES = 8192

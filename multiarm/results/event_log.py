@@ -1,22 +1,35 @@
-"""What happened in a run, in words: kept up to a number, counted beyond it.
+"""What happened in a run: events, listed up to a number and counted beyond it, and their text.
 
-A run that chatters makes events without end. A result lists the first of them, and says of the rest
-how many there were of which kind, so that neither its events nor its message grow with them.
+An event of `Trajectory.events` is a dict with ``time`` [s], ``kind`` and ``text``, and, where they
+apply, ``arm`` ("floor" for the object's own contacts), ``contact`` or ``joint``, ``where`` (world
+[m]), ``before`` and ``after``: named numbers whose unit ends the name, as in ``gap_rate_m_s``, or
+words.
+
+A run that chatters makes events without end: `EventLog` lists the first of them and counts the
+rest by kind, so that neither a result nor its message grows with them. Readers see kinds of one
+family alike in figures and replays, and a contact that bounces a hundred times as one group: events
+of the same contact or joint whose kinds repeat.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from textwrap import shorten
 from typing import Any
 
-# Events listed in a result; more are counted.
+Event = dict[str, Any]
+START = "start"
+"""Kind of the remarks on how a run was prepared; nothing happens then."""
 MOST_LISTED = 1000
-# Contacts, arms or kinds named in one part of a message.
+"""Events listed in a result; more are counted."""
 NAMED = 3
-# A message has at least so much room for what happened [characters].
+"""Contacts, arms or kinds named in one part of a message."""
 LEAST_ROOM = 60
+"""Characters that a message has for what happened, at least."""
+GROUPED = 4
+"""From so many on, events that repeat are one group."""
 # What kinds of events mean for the run as a whole.
 _MEANINGS = {
     "pulls": "contacts that can only push were pulled, where real ones would come apart",
@@ -27,6 +40,65 @@ _MEANINGS = {
     "passes a singular posture": "singular postures were passed",
     "rank falls": "the chains lost constraints on the way",
 }
+# The unit of a number, by the end of its name; longer ends first.
+_UNITS = {
+    "m_s2": "m/s²", "rad_s2": "rad/s²", "N_m_s": "N m s", "m_s": "m/s", "rad_s": "rad/s",
+    "N_s": "N s", "N_m": "N m", "1_s": "1/s", "m": "m", "rad": "rad", "N": "N", "J": "J", "W": "W",
+    "kg": "kg", "s": "s",
+}  # fmt: skip
+STATE_SIGNS = (
+    "\N{DOTTED CIRCLE}",
+    "\N{BLACK CIRCLE}",
+    "\N{BULLSEYE}",
+    "\N{BLACK SQUARE}",
+    "\N{WHITE CIRCLE}",
+)
+"""Of contacts, by the codes of `channels.CONTACT_STATES`."""
+STATE_COLOURS = ("#8a94a0", "#3b7dd8", "#d07c1e", "#8a5fc4", "#2f9e67")
+"""Of contacts, by the codes of `channels.CONTACT_STATES`."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Kinds of events that mean the same to a reader.
+
+    Attributes
+    ----------
+    name : str
+    sign : str
+        One character, so that colour is not the only difference.
+    colour : str
+        ``#rrggbb``, readable on light and on dark ground.
+    kinds : tuple of str
+    """
+
+    name: str
+    sign: str
+    colour: str
+    kinds: tuple[str, ...] = ()
+
+
+MADE, LOST, SLIP, STICK, LIMIT, ACTUATOR, OTHER = FAMILIES = (
+    Family(
+        "contact made", "\N{BLACK DOWN-POINTING TRIANGLE}", "#1f9d57",
+        ("touches", "bounces", "comes to rest", "pushes again", "is back on its patch"),
+    ),
+    Family(
+        "contact lost", "\N{WHITE UP-POINTING TRIANGLE}", "#d1495b",
+        ("lets go", "pulls", "leaves its patch"),
+    ),
+    Family("slip", "\N{WHITE DIAMOND}", "#d07c1e", ("slides", "joint slips")),
+    Family("stick", "\N{BLACK DIAMOND}", "#8a5fc4", ("sticks", "joint sticks")),
+    Family(
+        "limit", "\N{BLACK SQUARE}", "#3b7dd8",
+        ("reaches its limit", "leaves its limit", "passes its limit", "is back within its limit"),
+    ),
+    Family(
+        "saturation", "\N{WHITE SQUARE}", "#14939c", ("saturates", "is no longer saturated"),
+    ),
+    Family("other", "+", "#7a8797"),
+)  # fmt: skip
+_FAMILY_OF = {kind: family for family in FAMILIES for kind in family.kinds}
 
 
 class EventLog:
@@ -35,19 +107,18 @@ class EventLog:
     Attributes
     ----------
     listed : list of dict
-        ``time`` [s], ``kind``, ``text`` and more, see :mod:`multiarm.results.event_text`; the first
-        ``MOST_LISTED``.
+        The first ``MOST_LISTED``.
     dropped : Counter
         How many more there were, by kind and arm ("" for events of no arm).
     """
 
     def __init__(self) -> None:
-        self.listed: list[dict[str, Any]] = []
+        self.listed: list[Event] = []
         self.dropped: Counter[tuple[str, str]] = Counter()
         self._span = (0.0, 0.0)
 
-    def add(self, events: Sequence[dict[str, Any]]) -> None:
-        """Take over events, in order of time."""
+    def add(self, events: Sequence[Event]) -> None:
+        """Append events, in order of time."""
         room = MOST_LISTED - len(self.listed)
         self.listed += events[:room]
         for event in events[room:]:
@@ -58,7 +129,7 @@ class EventLog:
         self._span = (self._span[0] if self.dropped else time, time)
         self.dropped[kind, arm] += count
 
-    def all(self) -> list[dict[str, Any]]:
+    def all(self) -> list[Event]:
         """Events in order of time, then one that says how many are not listed."""
         events = sorted(self.listed, key=lambda event: event["time"])
         if self.dropped:
@@ -93,6 +164,152 @@ class EventLog:
         )
 
 
+def family_of(kind: str) -> Family:
+    """The family of a kind of event; "other" for an unknown one."""
+    return _FAMILY_OF.get(kind, OTHER)
+
+
+def timed(events: Iterable[Event]) -> list[Event]:
+    """Those of a run's events that happened at a time and are more than remarks on its start."""
+    return [event for event in events if _is_complete(event) and event["kind"] != START]
+
+
+def who(event: Event) -> str:
+    """Whose event it is: ``left: fingertip_2``, ``floor: corner_1``, an arm, or nothing."""
+    part = event.get("contact", event.get("joint"))
+    return ": ".join(str(name) for name in (event.get("arm"), part) if name is not None)
+
+
+def what(event: Event) -> str:
+    """What happened: the event's text without the part that `who` gives."""
+    text, whose = str(event["text"]), who(event)
+    for opening in (f"{whose} ", f"{event.get('arm')}: "):
+        if whose and text.startswith(opening) and len(text) > len(opening):
+            return text[len(opening) :]
+    return text
+
+
+def change(event: Event) -> str:
+    """Before and after in words: ``gap rate -0.31 → 0.22 m/s, impulse 1.2 N s``."""
+    before, after = (_named(event.get(key)) for key in ("before", "after"))
+    parts = []
+    for key in dict.fromkeys([*before, *after]):
+        name, unit = _name_and_unit(key)
+        sides = [_value(side[key]) for side in (before, after) if key in side]
+        if name == "state" and len(sides) == 2 and sides[0] == sides[1]:
+            continue
+        value = " \N{RIGHTWARDS ARROW} ".join(sides) + f" {unit}".rstrip()
+        was = "was " if key not in after and after else ""
+        parts.append(value if name == "state" else f"{name} {was}{value}")
+    return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class Count:
+    """How often a kind of event happened in a run, and the first of them."""
+
+    kind: str
+    count: int
+    first: Event
+
+
+def counts(events: Iterable[Event]) -> list[Count]:
+    """The kinds of a run's events, in order of their first time."""
+    by_kind: dict[str, list[Event]] = {}
+    for event in timed(events):
+        by_kind.setdefault(event["kind"], []).append(event)
+    return [Count(kind, len(found), found[0]) for kind, found in by_kind.items()]
+
+
+@dataclass(frozen=True)
+class Group:
+    """One event, or a stretch of events of the same contact or joint whose kinds repeat."""
+
+    events: tuple[Event, ...]
+
+    @property
+    def first(self) -> Event:
+        """The first event of the group."""
+        return self.events[0]
+
+    @property
+    def last(self) -> Event:
+        """The last event of the group."""
+        return self.events[-1]
+
+    def what(self) -> str:
+        """What happened: ``bounces, 57 times``; ``sticks and slides in turn, 30 events``."""
+        if len(self.events) == 1:
+            return what(self.first)
+        first, second = (event["kind"] for event in self.events[:2])
+        if first == second:
+            return f"{first}, {len(self.events)} times"
+        return f"{first} and {second} in turn, {len(self.events)} events"
+
+    def change(self) -> str:
+        """Before and after, of the first and the last event."""
+        ends = [change(self.first), change(self.last)]
+        if len(self.events) == 1 or ends[0] == ends[1]:
+            return ends[0]
+        named = zip(("first", "last"), ends, strict=True)
+        return "; ".join(f"{name}: {words}" for name, words in named if words)
+
+
+def grouped(events: Iterable[Event]) -> list[Group]:
+    """Events with a time as groups, in order of the first time of each."""
+    known = [event for event in events if _is_complete(event)]
+    places_of: dict[str, list[int]] = {}
+    for place, event in enumerate(known):
+        # events of no contact, joint or arm each stand alone
+        places_of.setdefault(who(event) or f"\0{place}", []).append(place)
+    stretches = [part for places in places_of.values() for part in _repeating(known, places)]
+    return [Group(tuple(known[i] for i in places)) for places in sorted(stretches)]
+
+
+def _repeating(events: Sequence[Event], places: Sequence[int]) -> list[list[int]]:
+    """Places of events, cut into stretches of one kind, or of two that alternate.
+
+    Events of a stretch that is too short stand alone.
+    """
+    kinds = [events[i]["kind"] for i in places]
+    parts, begin = [], 0
+    while begin < len(places):
+        end = begin + 2
+        while end < len(places) and kinds[end] == kinds[end - 2]:
+            end += 1
+        if min(end, len(places)) - begin < GROUPED:
+            end = begin + 1
+        parts.append(list(places[begin:end]))
+        begin = end
+    return parts
+
+
 def _some(names: Sequence[str]) -> str:
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return f"{', '.join(names[:NAMED])}{more}"
+
+
+def _is_complete(event: Event) -> bool:
+    """Whether an event can be shown; files may have been written by other programs."""
+    return {"time", "kind", "text"} <= event.keys() and isinstance(event["time"], int | float)
+
+
+def _named(values: Any) -> Mapping[str, Any]:
+    return values if isinstance(values, Mapping) else {} if values is None else {"state": values}
+
+
+def _name_and_unit(key: str) -> tuple[str, str]:
+    for end, unit in _UNITS.items():
+        if key.endswith(f"_{end}"):
+            return key.removesuffix(f"_{end}").replace("_", " "), unit
+    return key.replace("_", " "), ""
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float | int):
+        return f"{value:.3g}"
+    if isinstance(value, list | tuple):
+        return "(" + ", ".join(_value(item) for item in value) + ")"
+    return str(value)

@@ -1,7 +1,10 @@
-"""Sinks: where a run pours its samples, block by block, until it ends as a `Trajectory`.
+"""Sinks: where a run puts its samples, block by block, until it ends as a `Trajectory`.
 
-`MemorySink` keeps the samples, `Hdf5Sink` writes them to a file that survives a kill. Both
-refuse a number that is not finite and keep everything before it; both end the same way.
+`MemorySink` keeps the samples, `Hdf5Sink` writes them to a file that survives a kill. Both refuse a
+number that is not finite and keep everything before it, so that none gets into a result.
+
+A run of milliseconds must not spend its time on what nobody may look at. In memory, samples stay
+the rows that the run produced, and channels, provenance and the scene's text are made on access.
 """
 
 from __future__ import annotations
@@ -9,41 +12,77 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import platform
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Block, Channel, finite_rows
-from multiarm.results.outcome import Outcome, plain
-from multiarm.results.sample_store import ArrayStore
-from multiarm.results.trajectory import Trajectory
+from multiarm.results.channels import Channel, Columns, first_fault, in_sequence
+from multiarm.results.trajectory import CLOSED, Outcome, Trajectory, plain
+
+Metadata = dict[str, Any] | Callable[[], dict[str, Any]]
+"""Where samples come from, see :func:`provenance`, or a function that finds out on access."""
+ColumnsOf = Callable[[Sequence[Channel]], Columns]
 
 _DEPENDENCIES = ("pin", "numpy", "numba", "h5py", "pydantic")
 
 
-class Sink(Protocol):
+class Sink:
     """Where the samples of a run go. The calls come in this order: one `open`, any number of
     `append` and `checkpoint`, one `finish`.
     """
 
-    def open(self, channels: Sequence[Channel], metadata: dict[str, Any]) -> None:
-        """Get ready for blocks of these channels; `metadata` comes from `provenance`."""
+    def open(
+        self,
+        channels: Sequence[Channel],
+        metadata: Metadata,
+        columns_of: ColumnsOf = in_sequence,
+    ) -> None:
+        """Prepare for samples of these channels.
 
-    def append(self, block: Block) -> None:
-        """Take samples (leading axis) of all channels.
+        Parameters
+        ----------
+        channels : sequence of Channel
+        metadata : dict, or callable that returns it
+        columns_of : callable
+            Channels -> where each is in a row; may be called later.
 
-        Raises TrajectoryError at the first number that is not finite; the samples before it
-        are kept.
+        Raises
+        ------
+        TrajectoryError
+            Of a file: the folder is missing, the place cannot be written, or holds another file.
         """
+        self._channels, self._metadata, self._columns_of = tuple(channels), metadata, columns_of
+        self._width = sum(channel.width for channel in self._channels)
+        self._begin()
+
+    def append(self, rows: np.ndarray) -> None:
+        """Take samples, shape (k, width).
+
+        Raises
+        ------
+        TrajectoryError
+            At the first number that is not finite; the samples before it are kept.
+        """
+        if rows.ndim != 2 or rows.shape[1] != self._width:
+            raise TrajectoryError(
+                f"a block of samples has shape {rows.shape}; expected (k, {self._width})"
+            )
+        if np.isfinite(rows).all():
+            self._keep(rows)
+            return
+        end, fault = first_fault(self._channels, self._columns_of(self._channels), rows)
+        self._keep(rows[:end])
+        raise TrajectoryError(fault)
 
     def checkpoint(self) -> None:
-        """Make all samples so far safe against a kill of the process."""
+        """Make all samples so far safe against a kill of the process, as far as possible."""
 
     def finish(
         self,
@@ -53,52 +92,97 @@ class Sink(Protocol):
         events: Iterable[dict[str, Any]] = (),
         certificate: dict[str, Any] | None = None,
     ) -> Trajectory:
-        """Store how the run ended."""
+        """Store how the run ended, see `Outcome`."""
+        parts = plain([statistics, events, certificate])
+        return self._trajectory(Outcome(status, message, *parts))
+
+    def _begin(self) -> None:
+        raise NotImplementedError
+
+    def _keep(self, rows: np.ndarray) -> None:
+        raise NotImplementedError
+
+    def _trajectory(self, outcome: Outcome) -> Trajectory:
+        raise NotImplementedError
 
 
-class MemorySink:
-    """Keeps the samples in memory. See `Sink`."""
+class MemorySink(Sink):
+    """Keeps the samples in memory."""
 
-    def open(self, channels: Sequence[Channel], metadata: dict[str, Any]) -> None:
-        """Get ready for blocks of these channels."""
-        self._channels, self._metadata = tuple(channels), metadata
-        self._blocks: list[Block] = []
+    def _begin(self) -> None:
+        self._blocks: list[np.ndarray] = []
 
-    def append(self, block: Block) -> None:
-        """Keep copies of the samples before the first number that is not finite."""
-        rows, fault = finite_rows(self._channels, block)
-        self._blocks.append(rows)
-        if fault:
-            raise TrajectoryError(fault)
+    def _keep(self, rows: np.ndarray) -> None:
+        self._blocks.append(rows.copy())
 
-    def checkpoint(self) -> None:
-        """Nothing to do: memory does not outlive the process."""
+    def _trajectory(self, outcome: Outcome) -> Trajectory:
+        blocks = self._blocks
+        if len(blocks) == 1:
+            rows = blocks[0]
+        else:
+            rows, end = np.empty((sum(map(len, blocks)), self._width)), 0
+            while blocks:  # each is released once it is copied: there is one copy at a time
+                block = blocks.pop(0)
+                rows[end : end + len(block)] = block
+                end += len(block)
+        store = MemoryStore(self._channels, rows, self._columns_of, self._metadata)
+        return Trajectory(store, outcome)
 
-    def finish(
+
+class MemoryStore:
+    """Samples in memory, read-only.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+    rows : ndarray, shape (K, width)
+    columns_of, metadata
+        See :meth:`Sink.open`.
+    """
+
+    def __init__(
         self,
-        status: str,
-        message: str,
-        statistics: dict[str, Any],
-        events: Iterable[dict[str, Any]] = (),
-        certificate: dict[str, Any] | None = None,
-    ) -> Trajectory:
-        """Join the blocks to a trajectory."""
-        outcome = _outcome(status, message, statistics, events, certificate)
-        metadata, blocks = self._metadata, self._blocks
-        if not blocks:
-            blocks = [{channel.name: np.empty((0, *channel.shape)) for channel in self._channels}]
-        arrays = blocks[0]
-        if len(blocks) > 1:
-            arrays = {
-                channel.name: np.concatenate([block.pop(channel.name) for block in blocks])
-                for channel in self._channels
-            }
-        return Trajectory(ArrayStore(self._channels, arrays, lambda: _told(metadata)), outcome)
+        channels: Sequence[Channel],
+        rows: np.ndarray,
+        columns_of: ColumnsOf,
+        metadata: Metadata,
+    ):
+        self.channels = {channel.name: channel for channel in channels}
+        self.samples = len(rows)
+        self._rows: np.ndarray | None = rows
+        self._columns_of, self._metadata = columns_of, metadata
+        rows.flags.writeable = False
+
+    @cached_property
+    def metadata(self) -> dict[str, Any]:
+        """Provenance, and the scene's text under `scene`."""
+        return _found(self._metadata)
+
+    @cached_property
+    def _columns(self) -> Columns:
+        return self._columns_of(tuple(self.channels.values()))
+
+    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Samples start..stop of a channel, a view."""
+        if self._rows is None:
+            raise TrajectoryError(CLOSED)
+        values = self._rows[start:stop, self._columns[name]]
+        return values.reshape(len(values), *self.channels[name].shape)
+
+    def close_between_reads(self) -> None:
+        """Nothing to do: nothing is open."""
+
+    def close(self) -> None:
+        """Release the samples; nothing more can be read."""
+        self._rows = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "metadata": self.metadata, "_metadata": {}}
 
 
-class Hdf5Sink:
+class Hdf5Sink(Sink):
     """Writes the samples to a file that can be loaded up to the last checkpoint, even if the
-    process is killed. See `Sink`.
+    process is killed.
 
     Parameters
     ----------
@@ -109,90 +193,66 @@ class Hdf5Sink:
     def __init__(self, path: str | os.PathLike):
         self.path = Path(path)
 
-    def open(self, channels: Sequence[Channel], metadata: dict[str, Any]) -> None:
-        """Make the file.
-
-        Raises
-        ------
-        TrajectoryError
-            The folder is missing, the place cannot be written, or holds somebody else's file.
-        """
-        from multiarm.results.storage import Hdf5Writer
-
-        self._channels = tuple(channels)
-        self._writer = Hdf5Writer(self.path, self._channels, _told(metadata))
-
-    def append(self, block: Block) -> None:
-        """Write the samples before the first number that is not finite."""
-        rows, fault = finite_rows(self._channels, block)
-        self._writer.append(rows)
-        if fault:
-            raise TrajectoryError(fault)
-
     def checkpoint(self) -> None:
         """Make all samples so far safe against a kill of the process."""
         self._writer.checkpoint()
 
-    def finish(
-        self,
-        status: str,
-        message: str,
-        statistics: dict[str, Any],
-        events: Iterable[dict[str, Any]] = (),
-        certificate: dict[str, Any] | None = None,
-    ) -> Trajectory:
-        """Store how the run ended, close the file and open it for reading.
+    def _begin(self) -> None:
+        from multiarm.results.trajectory_file import TrajectoryReader, TrajectoryWriter
 
-        A disk that takes no more fails the run: the trajectory returned says so, and holds what
-        is in the file.
+        self._columns = self._columns_of(self._channels)
+        target = TrajectoryReader.writable_target(self.path)
+        self._writer = TrajectoryWriter(target, self._channels, _found(self._metadata))
+
+    def _keep(self, rows: np.ndarray) -> None:
+        block = {
+            channel.name: rows[:, self._columns[channel.name]].reshape(len(rows), *channel.shape)
+            for channel in self._channels
+        }
+        self._writer.append(block)
+
+    def _trajectory(self, outcome: Outcome) -> Trajectory:
+        """Close the file and open it for reading.
+
+        A full disk fails the run: the trajectory says so, and holds what is in the file.
         """
-        from multiarm.results.storage import Hdf5Store
+        from multiarm.results.trajectory_file import TrajectoryReader
 
-        outcome = _outcome(status, message, statistics, events, certificate)
         try:
             self._writer.finish(asdict(outcome))
         except TrajectoryError as error:
-            fault = str(error)
-            if status != "completed":  # what ended the run comes first, and is said once
-                fault = message if fault in message else f"{message}; {fault}"
+            fault, first = str(error), outcome.message
+            if outcome.status != "completed":  # what ended the run comes first, and stands once
+                fault = first if fault in first else f"{first}; {fault}"
             outcome = replace(outcome, status="failed", message=fault)
-        return Trajectory(Hdf5Store(self._writer.path), outcome)
+        return Trajectory(TrajectoryReader(self._writer.path), outcome)
 
 
-def provenance(scene_text: str | Callable[[], str]) -> dict[str, Any]:
-    """Where a result comes from: the scene's text, versions, platform and the time now.
+def provenance(scene_text: str, created: float | None = None) -> dict[str, Any]:
+    """Where a result comes from: the scene's text, versions, platform and time.
 
     Parameters
     ----------
-    scene_text : str, or callable that returns it
-        YAML that `multiarm.scene.parse_scene` reads back, with absolute paths. A callable is asked
-        when somebody wants to know: writing a scene takes longer than many a run.
+    scene_text : str
+        YAML that `multiarm.scene.parse_scene` reads back, with absolute paths.
+    created : float, optional
+        `time.time()` of the run's start; now, when left out.
     """
+    when = datetime.fromtimestamp(time.time() if created is None else created, timezone.utc)
     return {
         "program": "multiarm",
         "version": _version("multiarm"),
         "dependencies": {name: _version(name) for name in _DEPENDENCIES},
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "created_utc": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "created_utc": when.isoformat(timespec="seconds"),
         "scene": scene_text,
     }
 
 
-def _told(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Metadata in what JSON knows, the scene written out."""
-    return plain({key: value() if callable(value) else value for key, value in metadata.items()})
-
-
-def _outcome(
-    status: str,
-    message: str,
-    statistics: dict[str, Any],
-    events: Iterable[dict[str, Any]],
-    certificate: dict[str, Any] | None,
-) -> Outcome:
-    parts = plain([dict(statistics), list(events), certificate])
-    return Outcome(status, message, *parts)
+def _found(metadata: Metadata) -> dict[str, Any]:
+    """Metadata in JSON's types."""
+    return plain(metadata() if callable(metadata) else metadata)
 
 
 @cache

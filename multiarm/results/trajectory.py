@@ -1,7 +1,7 @@
 """The result of a run: what was measured, how it ended, and where it came from.
 
 A `Trajectory` is a read-only view, of arrays in memory or of a file. A channel is read from the
-file when it is first asked for, so that a long run costs memory only for what is looked at.
+file on first use, so that a long run costs memory only for what is looked at.
 
 From the recorded channels follow the two numbers that judge a run, both 0 when it is exact:
 
@@ -11,24 +11,107 @@ From the recorded channels follow the two numbers that judge a run, both 0 when 
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel
-from multiarm.results.files import name_beside
-from multiarm.results.outcome import Outcome, plain
-from multiarm.results.sample_store import ByArm, ByContacts, Store, arm_names, channels_of
+from multiarm.results.channels import Channel, arm_names, channels_of
+from multiarm.results.files import temporary_name
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
 
 BLOCK_SAMPLES = 8192
+STATUSES = ("completed", "interrupted", "failed")
+CLOSED = "this trajectory was closed; load it from its file, or simulate again"
+"""Message of a store whose samples were released."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Parameters
+    ----------
+    status : {"completed", "interrupted", "failed"}
+    message : str
+        What happened and, unless all went well, the remedy.
+    statistics : dict
+        steps, rejected_steps, evaluations, wall_time_s, realtime_factor, error_estimate, ...
+    events : list of dict
+        What happened during the run, in order of time.
+    certificate : dict or None
+        The evidence that the requested accuracy was reached.
+    """
+
+    status: str
+    message: str
+    statistics: dict[str, Any] = field(default_factory=dict)
+    events: list[dict[str, Any]] = field(default_factory=list)
+    certificate: dict[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        if self.status not in STATUSES:
+            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {STATUSES}")
+
+
+class Store(Protocol):
+    """Where the samples of a trajectory are."""
+
+    samples: int
+    channels: dict[str, Channel]
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """Provenance, and the scene's text under `scene`."""
+
+    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Samples start..stop of a channel."""
+
+    def close_between_reads(self) -> None:
+        """Keep nothing open except while samples are read."""
+
+    def close(self) -> None:
+        """Release the samples; further reads are an error."""
+
+
+class _UnknownArmError(TrajectoryError, KeyError):
+    """A KeyError whose text is a sentence."""
+
+    __str__ = Exception.__str__
+
+
+class ByArm(Mapping[str, np.ndarray]):
+    """One quantity of every arm, and of the floor where it has contacts; read on access.
+
+    Parameters
+    ----------
+    names : dict of str to str
+        Arm, or "floor" -> name of its channel.
+    read : callable
+        ``name -> samples``.
+    """
+
+    def __init__(self, names: dict[str, str], read: Callable[[str], np.ndarray]):
+        self._names, self._read = names, read
+
+    def __getitem__(self, arm: str) -> np.ndarray:
+        if arm not in self._names:
+            known = ", ".join(map(repr, self._names))
+            raise _UnknownArmError(f"unknown arm {arm!r}; arms are {known}")
+        return self._read(self._names[arm])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 class Trajectory:
@@ -61,12 +144,12 @@ class Trajectory:
     @property
     def arm_names(self) -> tuple[str, ...]:
         """Names of the arms, in the order of the scene."""
-        return arm_names(self._store)
+        return arm_names(self._store.channels)
 
     def channel(self, name: str) -> np.ndarray:
-        """All samples of a channel: read once, then kept; not writeable."""
+        """All samples of a channel: read once, then kept; contiguous, not writeable."""
         if name not in self._cache:
-            values = self.read(name)
+            values = np.ascontiguousarray(self.read(name))
             values.flags.writeable = False
             self._cache[name] = values
         return self._cache[name]
@@ -79,7 +162,7 @@ class Trajectory:
         return self._store.read(name, start, stop)
 
     def blocks(self, *names: str, samples: int = BLOCK_SAMPLES) -> Iterator[list[np.ndarray]]:
-        """The named channels side by side, a bounded number of samples at a time."""
+        """The same samples of the named channels, a bounded number at a time."""
         for start in range(0, len(self), samples):
             yield [self.read(name, start, start + samples) for name in names]
 
@@ -106,17 +189,17 @@ class Trajectory:
     @property
     def joint_positions(self) -> Mapping[str, np.ndarray]:
         """Arm -> joint coordinates, shape (K, nv) [rad], sliding joints [m]."""
-        return ByArm(self._store, "joint_position", self.channel)
+        return self._by_arm("joint_position")
 
     @property
     def joint_velocities(self) -> Mapping[str, np.ndarray]:
         """Arm -> joint velocities, shape (K, nv) [rad/s], sliding joints [m/s]."""
-        return ByArm(self._store, "joint_velocity", self.channel)
+        return self._by_arm("joint_velocity")
 
     @property
     def joint_torques(self) -> Mapping[str, np.ndarray]:
         """Arm -> torques of the controller, shape (K, nv) [N m], sliding joints [N]."""
-        return ByArm(self._store, "joint_torque", self.channel)
+        return self._by_arm("joint_torque")
 
     @property
     def contact_forces(self) -> Mapping[str, np.ndarray]:
@@ -124,7 +207,7 @@ class Trajectory:
 
         ``"floor"`` has those of the object's contacts with the floor, in scenes that have one.
         """
-        return ByContacts(self._store, "contact_force", self.channel)
+        return self._by_arm("contact_force")
 
     @property
     def contact_states(self) -> Mapping[str, np.ndarray]:
@@ -133,7 +216,7 @@ class Trajectory:
         0 open, 1 touching, 2 sliding, 3 sticking, 4 resting: touching, carried by other contacts.
         An arm whose contacts hold in every way has shape (K, 0).
         """
-        return ByContacts(self._store, "contact_state", self.channel, optional=True)
+        return self._by_arm("contact_state", optional=True)
 
     @property
     def relative_motion(self) -> Mapping[str, np.ndarray]:
@@ -141,26 +224,22 @@ class Trajectory:
 
         An arm whose joint leaves nothing free has shape (K, 0).
         """
-        return ByArm(self._store, "relative_rate", self.channel, optional=True)
+        return self._by_arm("relative_rate", optional=True)
 
     @property
     def relative_position(self) -> Mapping[str, np.ndarray]:
         """Arm -> coordinates of what its joint leaves free, (K, m) [m, rad]; angles go on past pi.
 
-        A single free turn is told by its angle, several by the rotation vector.
+        A single free rotation is given by its angle, several by the rotation vector.
         """
-        return ByArm(self._store, "relative_position", self.channel, optional=True)
+        return self._by_arm("relative_position", optional=True)
 
     @property
     def relative_motion_labels(self) -> dict[str, tuple[str, ...]]:
         """Arm -> names of its joint's free motions, such as ("slide z", "turn z")."""
         channels = self._store.channels
-        return {
-            arm: channels[f"arms/{arm}/relative_rate"].labels
-            if f"arms/{arm}/relative_rate" in channels
-            else ()
-            for arm in self.arm_names
-        }
+        names = channels_of(channels, "relative_rate")
+        return {arm: channels[names[arm]].labels if arm in names else () for arm in self.arm_names}
 
     @property
     def kinetic_energy(self) -> np.ndarray:
@@ -211,7 +290,7 @@ class Trajectory:
 
     @property
     def coupled_arms(self) -> np.ndarray:
-        """Arms that could not be eliminated as a whole, shape (K,); 0: the linear path alone."""
+        """Arms that could not be eliminated as a whole, shape (K,); 0: linear cost in the arms."""
         return self.channel("solver/coupled_arms")
 
     @property
@@ -241,7 +320,7 @@ class Trajectory:
 
     @property
     def certificate(self) -> dict[str, Any] | None:
-        """Whether the accuracy asked was reached, and the evidence; None where nothing was checked.
+        """Whether the requested accuracy was reached, and the evidence; None for an unchecked run.
 
         ``met``, ``text`` (one sentence), ``reason``; ``asked`` and ``estimated_error`` by
         ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name -> error, unit, time);
@@ -264,7 +343,7 @@ class Trajectory:
 
     @property
     def scene(self) -> Scene:
-        """The scene, parsed from its stored text when first asked for."""
+        """The scene, parsed from its stored text on first use."""
         if self._scene is None:
             from multiarm.scene import parse_scene
 
@@ -273,14 +352,11 @@ class Trajectory:
 
     @property
     def simulated_scene(self) -> Scene:
-        """The scene that was simulated, with its functions, of a run made by this process.
-
-        Of a run that was read from a file, and in general, :attr:`scene`.
-        """
+        """The scene of a run made by this process, with its functions; else :attr:`scene`."""
         return self._simulated or self.scene
 
     def of(self, scene: Scene) -> Trajectory:
-        """The same, which knows the scene that was simulated."""
+        """Set :attr:`simulated_scene`; returns this trajectory."""
         self._simulated = scene
         return self
 
@@ -330,13 +406,13 @@ class Trajectory:
         TrajectoryError
             The place cannot be written, or holds something that multiarm did not write.
         """
-        from multiarm.results.storage import Hdf5Writer, writable_target
+        from multiarm.results.trajectory_file import TrajectoryReader, TrajectoryWriter
 
-        target = writable_target(path)
-        partial = name_beside(target)
-        names = tuple(self._store.channels)
+        target = TrajectoryReader.writable_target(path)
+        partial, names = temporary_name(target), tuple(self._store.channels)
         try:
-            writer = Hdf5Writer(partial, tuple(self._store.channels.values()), self.provenance)
+            channels = tuple(self._store.channels.values())
+            writer = TrajectoryWriter(partial, channels, self.provenance)
             for values in self.blocks(*names):
                 writer.append(dict(zip(names, values, strict=True)))
             writer.finish(asdict(self._outcome))
@@ -346,17 +422,24 @@ class Trajectory:
         return Path(path)
 
     def with_outcome(self, **changes: Any) -> Trajectory:
-        """The same samples with other words about how the run ended: entries of `Outcome`."""
+        """The same samples, with some entries of `Outcome` changed."""
         return Trajectory(self._store, replace(self._outcome, **plain(changes)))
 
-    def rest(self) -> Trajectory:
-        """The same, its file closed between two looks at its samples: systems limit open files."""
-        self._store.rest()
+    def close_between_reads(self) -> Trajectory:
+        """Open the file for each read only, as systems limit open files; returns the trajectory."""
+        self._store.close_between_reads()
         return self
 
     def close(self) -> None:
-        """Let go of the file or the arrays of samples; channels that were asked for before stay."""
+        """Release the file or the arrays of samples; channels that were read before stay."""
         self._store.close()
+
+    def _by_arm(self, quantity: str, optional: bool = False) -> ByArm:
+        """A quantity's channels; ``optional``: an arm without one has no columns of it."""
+        names = channels_of(self._store.channels, quantity)
+        if optional:
+            names = dict.fromkeys(self.arm_names, "") | names
+        return ByArm(names, lambda name: self.channel(name) if name else np.empty((len(self), 0)))
 
     def _duration(self) -> float | None:
         if not len(self):
@@ -379,7 +462,7 @@ class Trajectory:
 
 
 def load_trajectory(path: str | os.PathLike) -> Trajectory:
-    """Open a stored run; channels are read when they are asked for.
+    """Open a stored run; channels are read on first use.
 
     A run that was killed loads up to its last checkpoint, with status "interrupted".
 
@@ -393,9 +476,9 @@ def load_trajectory(path: str | os.PathLike) -> Trajectory:
     TrajectoryError
         The file is missing, damaged, not a trajectory, or of a newer format.
     """
-    from multiarm.results.storage import Hdf5Store
+    from multiarm.results.trajectory_file import TrajectoryReader
 
-    store = Hdf5Store(path)
+    store = TrajectoryReader(path)
     if store.outcome is not None:
         return Trajectory(store, Outcome(**store.outcome))
     last = store.read("time", store.samples - 1)[0] if store.samples else None
@@ -406,15 +489,30 @@ def load_trajectory(path: str | os.PathLike) -> Trajectory:
 
 
 def amend_file(path: str | os.PathLike, changes: dict[str, Any]) -> None:
-    """Change what a stored run says of itself: entries of `Outcome`. Its samples stay.
+    """Change entries of `Outcome` in the file of a complete run. Its samples stay.
 
-    A kill at any moment leaves the file as it was or as it shall be.
+    A kill at any moment leaves the file as it was, or completely amended.
 
     Raises
     ------
     TrajectoryError
-        The file is none of a complete run, or the disk takes no more.
+        The file does not hold a complete run, or the disk is full.
     """
-    from multiarm.results.storage import amend
+    from multiarm.results.trajectory_file import amend
 
     amend(Path(path), plain(changes))
+
+
+def plain(value: Any) -> Any:
+    """The value in JSON's types; a number that is not finite becomes None."""
+    if value is None or isinstance(value, (str, int)):  # bool is an int
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, (dict, Mapping)):  # dict first: checks for abstract classes are slow
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, (list, Iterable)):
+        return [plain(item) for item in value]
+    return str(value)

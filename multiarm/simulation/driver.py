@@ -22,7 +22,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SolverError, TrajectoryError
 from multiarm.integration.monitors import collect_events
-from multiarm.integration.samples import named_samples
+from multiarm.integration.samples import sample_columns
 from multiarm.integration.stepper import step_struct
 from multiarm.integration.time_loop import (
     BLOCK_FULL,
@@ -154,16 +154,16 @@ def carry_out(
         When the sink cannot be opened.
     """
     system, full, spec, state = task.system, task.data, task.spec, task.state
-    log, data, events = EventLog(), full, None
+    log, data, events, given = EventLog(), full, None, state is not None
     if full.model.unilateral is not None:
         events = EventHandler(full, method_and_tolerance(spec, tighten)[1], spec.step, log)
         start = system.initial_state() if state is None else state
-        data, state = events.begin(start, given=state is not None)
+        data, state = events.begin(start, given)
     run = prepare(system, data, spec, state, sink, task.longest_step, log, tighten)
     if events is not None:
         events.arm(run)
     run.events, run.full = events, full
-    run.sink.open(system.channels, _metadata(system, spec, state is not None))
+    run.sink.open(system.channels, _metadata(system, spec, given), sample_columns)
     interrupt = Interrupt()
     try:
         pace = Pace(run, spec)
@@ -190,21 +190,25 @@ def leave_undone(system: System, given: bool, sink: Sink, status: str, message: 
     TrajectoryError
         When the sink cannot be opened.
     """
-    sink.open(system.channels, _metadata(system, system.scene.run, given))
+    sink.open(system.channels, _metadata(system, system.scene.run, given), sample_columns)
     return sink.finish(status, message, {"simulated_s": 0.0, "wall_time_s": 0.0})
 
 
-def _metadata(system: System, spec: RunSpec, given: bool) -> dict[str, Any]:
-    """Where the result comes from; ``given``: the start is not the scene's."""
-    python = system.model.python_control is not None
-    control = "python function" if python else system.scene.control.kind
-    start = "given state" if given else "scene"
+def _metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dict[str, Any]]:
+    """Where the result comes from; writing the scene takes longer than many a run.
+
+    ``given``: the start is not the scene's.
+    """
     scene = system.scene  # a result must not keep its system alive
+    python = system.model.python_control is not None
+    control = "python function" if python else scene.control.kind
+    start, created = "given state" if given else "scene", time.time()
 
-    def scene_as_run() -> str:
-        return dump_scene(scene.model_copy(update={"run": spec}))
+    def metadata() -> dict[str, Any]:
+        text = dump_scene(scene.model_copy(update={"run": spec}))
+        return {**provenance(text, created), "control": control, "start": start}
 
-    return {**provenance(scene_as_run), "control": control, "start": start}
+    return metadata
 
 
 def _drive(
@@ -351,15 +355,7 @@ def _flush(run: Run) -> None:
     if rows == 0:
         return
     clock.block_first = clock.sample
-    run.sink.append(
-        named_samples(
-            run.full.model.layout,
-            run.full.model.constants.free_bounds,
-            run.full.model.effects.works,
-            run.block[:rows],
-            run.full.model.contacts_with_states,
-        )
-    )
+    run.sink.append(run.block[:rows])
 
 
 def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:

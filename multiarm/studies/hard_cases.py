@@ -22,9 +22,8 @@ import numpy as np
 from multiarm.assembly.compilation import compile_system
 from multiarm.errors import MultiarmError
 from multiarm.results.decimation import decimate
-from multiarm.results.outcome import plain
 from multiarm.results.sinks import provenance
-from multiarm.results.trajectory import Trajectory
+from multiarm.results.trajectory import Trajectory, plain
 from multiarm.scene import dump_scene
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.peer_trials import Answer, Trial, ask_everyone

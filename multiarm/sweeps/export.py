@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from multiarm.errors import SweepError
-from multiarm.results.files import in_one_step
+from multiarm.results.files import atomic_output
 from multiarm.sweeps.packing import VALUES
 from multiarm.sweeps.table import Column, SweepTable
 
@@ -42,7 +42,7 @@ def write_csv(table: SweepTable, path: str | os.PathLike) -> Path:
     """
     kinds = kinds_of(table)
     with (
-        in_one_step(Path(path), "CSV") as partial,
+        atomic_output(Path(path), "CSV") as partial,
         partial.open("w", newline="", encoding="utf-8", errors="backslashreplace") as f,
     ):
         writer = csv.writer(f)
@@ -85,7 +85,7 @@ def write_parquet(table: SweepTable, path: str | os.PathLike) -> Path:
     schema = arrow.schema([_field(arrow, column, kinds[column.name]) for column in table.columns])
     schema = schema.with_metadata({name: table.text(name) for name in ("scene", "sweep")})
     with (
-        in_one_step(Path(path), "Parquet") as partial,
+        atomic_output(Path(path), "Parquet") as partial,
         parquet.ParquetWriter(partial, schema) as writer,
     ):
         for block in table.blocks(table.columns, GROUP_ROWS):

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.results.storage.row_file import TEXT, Block
+from multiarm.results.row_file import TEXT, Block
 from multiarm.sweeps.row import Row
 
 __all__ = ["fields_of", "pack", "unpack"]

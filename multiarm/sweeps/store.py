@@ -19,9 +19,9 @@ import numpy as np
 from typing_extensions import Self
 
 from multiarm.errors import SweepError
+from multiarm.results.files import WriterLock
+from multiarm.results.row_file import Block, RowReader, RowWriter
 from multiarm.results.sinks import provenance
-from multiarm.results.storage.locks import WriterLock
-from multiarm.results.storage.row_file import SWEEP, Block, RowReader, RowWriter
 from multiarm.sweeps.packing import fields_of, pack
 from multiarm.sweeps.row import Row
 
@@ -100,7 +100,7 @@ class SweepFile:
             The file is that of another sweep, with what differs; is being written by another
             process; or cannot be written.
         """
-        target = SWEEP.writable_target(path)
+        target = RowReader.writable_target(path)
         fields = fields_of(plan.paths, [quantity.name for quantity in plan.quantities])
         done, lock = RunSet(plan.count), WriterLock(target, SweepError)
         try:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import SweepError
-from multiarm.results.storage.row_file import RowReader
+from multiarm.results.row_file import RowReader
 from multiarm.scene.words import unknown
 from multiarm.sweeps.packing import QUANTITIES, VALUES, unpack
 from multiarm.sweeps.row import Row

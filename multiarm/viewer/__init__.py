@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import ReplayError
-from multiarm.results.files import complete
-from multiarm.results.printable import printable_texts
+from multiarm.results.files import atomic_file, printable_texts
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -130,7 +129,7 @@ def _facts(film: Film, speed: float) -> dict[str, Any]:
 def _states(film: Film) -> list[list[str]]:
     """Return name, sign and colour of each state that a contact of the film has."""
     from multiarm.results.channels import CONTACT_STATES
-    from multiarm.results.event_text import STATE_COLOURS, STATE_SIGNS
+    from multiarm.results.event_log import STATE_COLOURS, STATE_SIGNS
 
     found = {int(code) for c in film.contacts if c.state is not None for code in set(c.state.flat)}
     return [[CONTACT_STATES[k], STATE_SIGNS[k], STATE_COLOURS[k]] for k in sorted(found)]
@@ -161,7 +160,7 @@ def _target(path: str | os.PathLike) -> Path:
 
 def _write(target: Path, page: str) -> None:
     try:
-        with complete(target) as partial:
+        with atomic_file(target) as partial:
             partial.write_text(page, encoding="utf-8")
     except OSError as error:
         raise ReplayError(

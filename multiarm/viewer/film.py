@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from multiarm.results.channels import OPEN
-from multiarm.results.event_text import Event, Family
+from multiarm.results.event_log import Event, Family
 from multiarm.viewer.mesh import Mesh
 
 SPIKE = 3.0  # times the usual force

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from multiarm.results.event_text import FAMILIES, LOST, MADE, Family
+from multiarm.results.event_log import FAMILIES, LOST, MADE, Family
 from multiarm.viewer import commands
 from multiarm.viewer.film import Moment
 from multiarm.viewer.marks import HAIR, ring

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multiarm.results.event_text import FAMILIES, Event, Group, family_of, grouped, timed, who
+from multiarm.results.event_log import FAMILIES, Event, Group, family_of, grouped, timed, who
 from multiarm.viewer.film import ContactTracks, Moment
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.results.channels import CONTACT_STATES, OPEN, RESTING, SLIDING, STICKING, TOUCHING
-from multiarm.results.event_text import STATE_COLOURS
+from multiarm.results.event_log import STATE_COLOURS
 from multiarm.viewer import commands
 from multiarm.viewer.film import ContactTracks, Film, along
 from multiarm.viewer.mesh import Mesh, ShadedMesh, box, merge, revolve, shade, sphere

@@ -13,8 +13,7 @@ import numpy as np
 
 from multiarm.contacts.records import Contact
 from multiarm.dynamics.evaluation import contact_places
-from multiarm.results.channels import TOUCHING
-from multiarm.results.sample_store import channels_of
+from multiarm.results.channels import TOUCHING, channels_of
 from multiarm.viewer.film import ContactTracks
 
 if TYPE_CHECKING:

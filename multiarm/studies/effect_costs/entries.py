@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from multiarm.results.outcome import plain
+from multiarm.results.trajectory import plain
 from multiarm.studies.effect_costs.estimates import Estimate
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT
 

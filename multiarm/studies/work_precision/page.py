@@ -16,9 +16,8 @@ from typing import Any
 
 from multiarm.reports.parts import NOTHING, quantity
 from multiarm.reports.style import CSS
-from multiarm.results.files import save_page
-from multiarm.results.outcome import plain
-from multiarm.results.printable import printable_texts
+from multiarm.results.files import printable_texts, save_page
+from multiarm.results.trajectory import plain
 from multiarm.studies.hard_case_page import scientific
 from multiarm.studies.work_precision.choice import (
     Decade,

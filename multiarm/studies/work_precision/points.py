@@ -11,7 +11,7 @@ import numpy as np
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
-from multiarm.results.outcome import plain
+from multiarm.results.trajectory import plain
 from multiarm.studies.courses import Course, Grid, OutOfTime
 from multiarm.studies.probes import largest_gap
 from multiarm.studies.work_precision.reference import Motion, Reference, limited, motion_error

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from multiarm.errors import MultiarmError
-from multiarm.results.files import in_one_step
-from multiarm.results.outcome import plain
+from multiarm.results.files import atomic_output
+from multiarm.results.trajectory import plain
 from multiarm.scene import RunSpec, Scene, dump_scene, resolve_arm
 from multiarm.scene.control import DEFAULT_ACCURACY
 from multiarm.studies.work_precision.points import Point
@@ -124,7 +124,7 @@ class Results:
         if self._path is None:
             return
         text = json.dumps(plain(self.as_dict()), allow_nan=False, ensure_ascii=False, indent=1)
-        with in_one_step(self._path, "--results") as partial:
+        with atomic_output(self._path, "--results") as partial:
             partial.write_text(text + "\n", encoding="utf-8")
 
 

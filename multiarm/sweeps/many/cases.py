@@ -109,7 +109,7 @@ def run_case(case: Case, system: System, progress: Callable[[float], None] | Non
             system = compile_system(case.scene, _control_of(system), like=system)
         return simulate(
             system, state=case.state, out=case.out, progress=progress, **case.options
-        ).rest()
+        ).close_between_reads()
     except MultiarmError as error:
         return undone(case, system, "failed", f"the run could not begin: {error}")
 
@@ -124,7 +124,8 @@ def undone(case: Case, system: System, status: str, message: str, keep: bool = T
     own, given = replace(system, scene=case.scene), case.state is not None
     if case.out is not None and keep:
         try:
-            return leave_undone(own, given, Hdf5Sink(case.out), status, message).rest()
+            sink = Hdf5Sink(case.out)
+            return leave_undone(own, given, sink, status, message).close_between_reads()
         except TrajectoryError:
             pass  # which may be why it could not begin
     return leave_undone(own, given, MemorySink(), status, message)

@@ -29,11 +29,11 @@ def run_files(out: str | os.PathLike | None, count: int) -> list[Path | None]:
     """
     if out is None:
         return [None] * count
-    from multiarm.results.storage import writable_target
+    from multiarm.results.trajectory_file import TrajectoryReader
 
     paths = _by_pattern(str(out), count) if "{" in str(out) else _in_folder(Path(out), count)
     for path in paths:
-        writable_target(path)
+        TrajectoryReader.writable_target(path)
     return [*paths]
 
 
