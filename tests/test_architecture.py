@@ -35,7 +35,7 @@ UPWARD = {
     ("dynamics", "assembly"), ("dynamics", "events"), ("control", "assembly"),
     ("effects", "assembly"), ("effects", "events"), ("integration", "assembly"),
     ("assembly", "events"), ("assembly", "simulation"), ("assembly", "cli"),
-    ("events", "simulation"), ("scene", "grasp"), ("plots", "grasp"), ("viewer", "cli"),
+    ("events", "simulation"), ("plots", "grasp"), ("viewer", "cli"),
     ("sweeps", "cli"),
 }  # fmt: skip
 
@@ -91,6 +91,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "contacts.internal_forces",
         "effects.external_wrenches",
         "problems",
+        "scene.object",
         "sweeps.draws",
         "studies.bursts",
         "studies.solver_forms",

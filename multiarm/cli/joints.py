@@ -52,7 +52,7 @@ def joints(
     joint_cards, surface_cards = cards.joint_cards(), cards.surface_cards()
     known = [*joint_cards, SURFACES, *surface_cards]
     if kind is not None and kind not in known:
-        from multiarm.scene.words import unknown
+        from multiarm.scene.faults import unknown
 
         text = unknown("joint kind", kind, known, "kinds")
         raise MultiarmError(f"{text}; 'multiarm joints' shows them all")

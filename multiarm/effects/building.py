@@ -8,15 +8,15 @@ from typing import Any
 
 from multiarm.effects.piece import Piece, Pieces, Site
 from multiarm.errors import ModelError
-from multiarm.scene.effects import COME_AND_GO
-from multiarm.scene.own_effects import find_effect
+from multiarm.scene.effects import WITH_EVENTS
+from multiarm.scene.registry import find_effect
 
 
 def build_pieces(site: Site, further: Sequence[Piece] = ()) -> Pieces:
     """The pieces of the effects that the scene names, and further ones; no other is imported."""
     pieces = [*further]
     for name, spec in site.scene.effects.named.items():
-        if name in COME_AND_GO:
+        if name in WITH_EVENTS:
             continue
         if name in type(site.scene.effects).model_fields:
             pieces += import_module(f"multiarm.effects.{name}").build(spec, site)

@@ -4,8 +4,8 @@ A path is written as messages write it, with or without the ``$.`` that stands f
 
     object.mass    arms.left.base.xyz    joints[1].at.xyz[2]    arms['my arm'].posture
 
-A changed scene is validated as a whole, as one that is written so.  Of several sets of changes all
-faults are told together.
+A changed scene is validated as a whole, like one that is written so.  One error names the faults of
+several sets of changes.
 """
 
 from __future__ import annotations
@@ -18,13 +18,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from multiarm.errors import SceneError
-from multiarm.scene.control import STEPS_CHOSEN_BY
+from multiarm.scene.faults import Parts, listed, place, shown, unknown
+from multiarm.scene.run import STEPS_CHOSEN_BY
 from multiarm.scene.schema import Scene
-from multiarm.scene.words import listed, place, shown, unknown
-
-__all__ = ["changed", "changed_scenes", "parse_path", "value_at"]
-
-Parts = tuple[str | int, ...]
 
 # A key, a key in quotes, a number in a list.
 _PART = re.compile(r"""\.?([^\s.\[\]'"]+)|\['([^']*)'\]|\["([^"]*)"\]|\[(\d+)\]""")
@@ -77,15 +73,15 @@ def value_at(scene: Scene, path: str) -> Any:
 
 
 def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
-    """The scene with other values at some paths, validated anew.
+    """The scene with other values at some paths, validated as a whole.
 
     Parameters
     ----------
     scene : Scene
         Stays as it is.
     changes : mapping
-        Path -> value.  What is optional and not there is made: ``joints[0].at.xyz`` gives a joint
-        without a place of its own one.  Naming one of ``run.accuracy``, ``run.integrator``,
+        Path -> value.  What is optional and not there is made: ``joints[0].at.xyz`` gives a pose to
+        a joint that has none.  Naming one of ``run.accuracy``, ``run.integrator``,
         ``run.step`` and ``run.tolerance`` replaces the scene's choice of all four.
 
     Raises
@@ -103,7 +99,7 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
             made[key] = _applied(below, branch, (key,), faults)
         except _Fault as fault:
             faults.append(str(fault))
-    if isinstance(made.get("run"), dict):
+    if isinstance(tree.get("run"), dict) and isinstance(made.get("run"), dict):
         made["run"] = _one_choice(made["run"], tree["run"])
     try:
         found = Scene.from_mapping(
@@ -122,7 +118,7 @@ def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[S
     Raises
     ------
     SceneError
-        Naming every fault of all, with the number of the run that it is for.
+        Naming every fault of all, with the number of its run.
     """
     scenes, faults = [], []
     for number, own in enumerate(changes, start=1):
@@ -195,8 +191,9 @@ def _applied(value: Any, tree: Any, here: Parts, faults: list[str]) -> Any:
 def _given(value: Any) -> dict[str, Any]:
     """The entries of a table, of a part of a scene those that are written, and its kind."""
     if isinstance(value, BaseModel):
-        names = value.model_fields_set | {"kind"}.intersection(type(value).model_fields)
-        return {name: getattr(value, name) for name in names}
+        written = value.model_fields_set | {"kind"}
+        names = [*type(value).model_fields, *(value.model_extra or {})]
+        return {name: getattr(value, name) for name in names if name in written}
     return dict(value) if isinstance(value, Mapping) else {}
 
 

@@ -12,8 +12,8 @@ from multiarm.errors import SceneError
 from multiarm.events.candidates.floor import floor_contacts
 from multiarm.events.candidates.units import Candidates, JointLaw, Law, candidates
 from multiarm.scene import Scene
-from multiarm.scene.contact_effects import SomeContacts
-from multiarm.scene.words import place, unknown
+from multiarm.scene.effects import SomeContacts
+from multiarm.scene.faults import place, unknown
 
 
 def scene_candidates(
