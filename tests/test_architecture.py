@@ -34,9 +34,8 @@ UPWARD = {
     ("arms", "dynamics"), ("dynamics", "control"), ("dynamics", "integration"),
     ("dynamics", "assembly"), ("dynamics", "events"), ("control", "assembly"),
     ("effects", "assembly"), ("effects", "events"), ("integration", "assembly"),
-    ("assembly", "events"), ("assembly", "simulation"), ("assembly", "cli"),
-    ("events", "simulation"), ("plots", "grasp"), ("viewer", "cli"),
-    ("sweeps", "cli"),
+    ("assembly", "events"), ("assembly", "simulation"), ("events", "simulation"),
+    ("plots", "grasp"), ("sweeps", "cli"),
 }  # fmt: skip
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
@@ -105,7 +104,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "typer": ("cli",),
     "typing_extensions": ("cli", "scene", "sweeps"),
     "umsgpack": ("viewer",),
-    "yaml": ("reports.report", "scene", "cli.guide.cards", "sweeps.spec"),
+    "yaml": ("reports.report", "scene", "cli.joint_cards", "sweeps.spec"),
 }
 
 HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydantic"}

@@ -30,8 +30,7 @@ from multiarm.assembly.inspection import (
     RunFacts,
 )
 from multiarm.assembly.system import System
-from multiarm.cli.guide.limits import axis_travel, limits_of
-from multiarm.cli.guide.motions import free_motions, seen_from
+from multiarm.contacts.joint_motions import axis_travel, free_motions, limits_of, seen_from
 from multiarm.control.laws import needs_gravity_torque
 from multiarm.dynamics.equations import OK, update_kinematics
 from multiarm.dynamics.evaluation import (
