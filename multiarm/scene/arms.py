@@ -184,19 +184,9 @@ class Examination(KnownArm):
 
 
 def resolve_arm(spec: ArmSpec, folder: Path | str | None = None) -> ResolvedArm:
-    """Files, chain and start of an arm.
+    """Files, chain and start of an arm; raises a SceneError that names every fault.
 
-    Parameters
-    ----------
-    spec : ArmSpec
-        The arm as written.
-    folder : path, optional
-        Where relative paths start; the current folder by default.
-
-    Raises
-    ------
-    SceneError
-        Naming every fault.
+    Relative paths start at ``folder``, the current one by default.
     """
     found = examine_arm(located(spec, Path(folder or ".").resolve()))
     if found.faults or found.arm is None:
@@ -229,13 +219,14 @@ def examine_arm(spec: ArmSpec) -> Examination:
         found.moving += tool.links if moved else tool.carried_by(names)
     locked = _locked(spec, joints, free, found)
     posture, velocity = _start(spec, free, found)
-    _note_missing_meshes(spec, robot, tool, found)
+    package_dirs = _package_dirs(spec, robot, found)
+    tool_package_dirs = () if tool is None else _package_dirs(spec.tool, tool, found)
     if not found.faults:
         found.arm = ResolvedArm(
             urdf=robot.path,
-            package_dirs=resolve_package_dirs(robot.path, spec.package_dirs),
+            package_dirs=package_dirs,
             tool_urdf=None if tool is None else tool.text or tool.path,
-            tool_package_dirs=_tool_package_dirs(spec, tool),
+            tool_package_dirs=tool_package_dirs,
             joints=free,
             posture=posture,
             velocity=velocity,
@@ -370,24 +361,18 @@ def _start(
     return vectors[0], vectors[1]
 
 
-def _tool_package_dirs(spec: ArmSpec, tool: UrdfOutline | None) -> tuple[Path, ...]:
-    if tool is None or spec.tool is None or tool.text is not None:
+def _package_dirs(
+    spec: ArmSpec | ToolSpec | None, outline: UrdfOutline, found: Examination
+) -> tuple[Path, ...]:
+    """Where the meshes of a model are looked for; a warning if some are not there."""
+    if spec is None or outline.text is not None:
         return ()
-    return resolve_package_dirs(tool.path, spec.tool.package_dirs)
-
-
-def _note_missing_meshes(
-    spec: ArmSpec, robot: UrdfOutline, tool: UrdfOutline | None, found: Examination
-) -> None:
-    given = [(robot, spec.package_dirs)]
-    if tool is not None and spec.tool is not None:
-        given.append((tool, spec.tool.package_dirs))
-    for outline, explicit in given:
-        folders = resolve_package_dirs(outline.path, explicit)
-        missing = [m for m in outline.meshes if resolve_mesh(m, outline.path, folders) is None]
-        if missing:
-            found.warnings.append(
-                f"{len(missing)} of {len(outline.meshes)} meshes of {outline.path.name} are "
-                f"missing (first: {missing[0]}); the motion is not affected, the replay shows "
-                "stand-ins; 'package_dirs' says where to look"
-            )
+    folders = resolve_package_dirs(outline.path, spec.package_dirs)
+    missing = [m for m in outline.meshes if resolve_mesh(m, outline.path, folders) is None]
+    if missing:
+        found.warnings.append(
+            f"{len(missing)} of {len(outline.meshes)} meshes of {outline.path.name} are missing "
+            f"(first: {missing[0]}); the motion is not affected, the replay shows stand-ins; "
+            "'package_dirs' says where to look"
+        )
+    return folders

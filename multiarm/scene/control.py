@@ -14,13 +14,13 @@ from multiarm.scene.values import (
     ArmName,
     Gain,
     NonNegative,
+    Number,
     PerArm,
     Pose,
     Positive,
     Spec,
     WorldAxes,
-    as_list,
-    number_list,
+    list_of,
 )
 
 
@@ -155,14 +155,9 @@ def _in_two_units(value: Any) -> Any:
     )
 
 
-def _forces(value: Any) -> tuple[float, ...]:
-    value = as_list(value)
-    if not isinstance(value, (list, tuple)) or not value:
-        raise fault(f"must be a list of forces [N], one for each contact, got {shown(value)}")
-    return number_list(value)
-
-
-ContactForces = Annotated[tuple[float, ...], BeforeValidator(_forces)]
+ContactForces = Annotated[
+    tuple[Number, ...], list_of("must be a list of forces [N], one for each contact", least=1)
+]
 
 
 class _ObjectControl(Spec):

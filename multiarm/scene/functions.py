@@ -8,7 +8,7 @@ function is *named* in a scene, and looked up only when a system is compiled or 
 
 A callable given in Python is written as the second form, or as the first if it belongs to the
 script that runs.  One without a name, such as a lambda, is written with its name in angle brackets:
-the text tells what it was, but it cannot be looked up again.
+the text says what it was, but it cannot be looked up again.
 
 A function is loaded only
 
@@ -182,7 +182,7 @@ def reference_fault(reference: FunctionReference, folder: Path | None = None) ->
         if _is_standard(reference.home):
             return (
                 f"{cannot}{reference.home!r} belongs to Python's standard library; name a function "
-                "in a .py file beside the scene or in an installed package"
+                "in a .py file next to the scene or in an installed package"
             )
         return ""
     if folder is not None and not reference.file.resolve().is_relative_to(folder.resolve()):
@@ -209,15 +209,15 @@ def load_function(given: Callable | FunctionReference) -> Callable:
     home, name, file = given.home, given.name, given.file
     if file is not None and not file.is_file():
         raise ModelError(
-            f"cannot load the function '{given}': there is no file {file}; mend the path, which "
-            "starts at the scene's folder"
+            f"cannot load the function '{given}': there is no file {file}; correct the path, "
+            "which starts at the scene's folder"
         )
     try:
         module = importlib.import_module(home) if file is None else _file_module(file)
     except USER_FAULTS as error:
         raise ModelError(
-            f"cannot load the function '{given}': {type(error).__name__}: {error}; mend the module "
-            "(functions are named 'file.py:name' or 'package.module:name')"
+            f"cannot load the function '{given}': {type(error).__name__}: {error}; correct the "
+            "module (functions are named 'file.py:name' or 'package.module:name')"
         ) from error
     if not hasattr(module, name):
         raise ModelError(f"there is no {name!r} in {home}; {_functions_in(module)}")

@@ -17,21 +17,23 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from multiarm.errors import SceneError
-from multiarm.scene.faults import fault, listed, shown
+from multiarm.scene.faults import fault, listed
 from multiarm.scene.functions import UserFunction
 from multiarm.scene.values import (
     Direction,
     Number,
+    OneOf,
     Pose,
     Positive,
     Range,
     Spec,
     Vec3,
     Vec4,
+    list_of,
 )
 
 _Z = (0.0, 0.0, 1.0)
@@ -39,13 +41,10 @@ _Z = (0.0, 0.0, 1.0)
 _NEARLY_FLAT = 1e-300
 
 
-def _three(value: Any) -> Any:
-    if not isinstance(value, (list, tuple)) or len(value) != 3:
-        raise fault(f"must be a list of 3 numbers (null: no bound), got {shown(value)}")
-    return value
-
-
-Bounds = Annotated[tuple[Number | None, Number | None, Number | None], BeforeValidator(_three)]
+Bounds = Annotated[
+    tuple[Number | None, Number | None, Number | None],
+    list_of("must be a list of 3 numbers (null: no bound)", 3),
+]
 
 
 class PatchSpec(Spec):
@@ -291,7 +290,7 @@ class SurfaceGeometry(_Turned):
         return self
 
 
-class Geometry(Spec):
+class Geometry(OneOf):
     """One body's side of a contact: exactly one of the attributes.
 
     Attributes
@@ -312,14 +311,6 @@ class Geometry(Spec):
     torus: TorusGeometry | None = None
     ellipsoid: EllipsoidGeometry | None = None
     surface: SurfaceGeometry | None = None
-
-    @model_validator(mode="after")
-    def _exactly_one(self) -> Self:
-        names = list(type(self).model_fields)
-        given = [name for name in names if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise fault(f"needs exactly one of {listed(names)}, got {given or 0}")
-        return self
 
     @property
     def shape(self) -> str:

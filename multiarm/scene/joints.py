@@ -306,7 +306,7 @@ class CornerGripperJoint(JointBase):
             if abs(point["xyz".index(face)]) > 1e-9:
                 raise fault(
                     f"point {number}, {list(point)}, is not on face {face!r}, where {face} = 0; "
-                    "mend the point or name its face"
+                    "correct the point or name its face"
                 )
         return self
 

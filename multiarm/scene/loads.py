@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, listed, shown, unknown
@@ -22,8 +22,7 @@ from multiarm.scene.values import (
     Positive,
     Spec,
     Vec3,
-    as_list,
-    number_list,
+    list_of,
 )
 
 _OBJECT = "object"  # what a wrench acts on that does not act on a link
@@ -113,17 +112,8 @@ class Pulse(Spec):
         return self
 
 
-def _numbers(value: Any) -> Any:
-    if value is None:
-        return None
-    value = as_list(value)
-    if not isinstance(value, (list, tuple)):
-        raise fault(f"must be a list of numbers, got {shown(value)}")
-    return number_list(value)
-
-
-def _increasing(times: tuple[float, ...] | None) -> tuple[float, ...] | None:
-    message = "" if times is None else _time_fault(times)
+def _increasing(times: tuple[float, ...]) -> tuple[float, ...]:
+    message = _time_fault(times)
     if message:
         raise fault(message)
     return times
@@ -139,7 +129,7 @@ def _time_fault(times: tuple[float, ...]) -> str:
     return ""
 
 
-Numbers = Annotated[tuple[float, ...] | None, BeforeValidator(_numbers)]
+Numbers = Annotated[tuple[Number, ...], list_of("must be a list of numbers")]
 
 
 class WrenchTable(Spec):
@@ -156,8 +146,8 @@ class WrenchTable(Spec):
         which is the wrench itself.
     """
 
-    times: Annotated[Numbers, AfterValidator(_increasing)] = None
-    values: Numbers = None
+    times: Annotated[Numbers, AfterValidator(_increasing)] | None = None
+    values: Numbers | None = None
     file: Path | None = None
 
     @model_validator(mode="after")

@@ -27,7 +27,17 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
-from multiarm.scene.values import Color, Pose, Positive, Spec, Vec3, Vec6, as_list, number_list
+from multiarm.scene.values import (
+    Color,
+    OneOf,
+    Pose,
+    Positive,
+    Spec,
+    Vec3,
+    Vec6,
+    as_list,
+    number_list,
+)
 
 # The centre of mass of a hull may be off the origin by so much of its size.
 _CENTRED = 1e-6
@@ -226,7 +236,7 @@ class Mesh(Spec):
     scale: Annotated[tuple[float, float, float], BeforeValidator(_scale)] = (1.0, 1.0, 1.0)
 
 
-class Shape(Spec):
+class Shape(OneOf):
     """The shape of the object: exactly one of these.
 
     Attributes
@@ -250,14 +260,6 @@ class Shape(Spec):
         None
     )
     mesh: Mesh | None = None
-
-    @model_validator(mode="after")
-    def _exactly_one(self) -> Self:
-        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
-        if len(given) != 1:
-            names = ", ".join(f"'{name}'" for name in type(self).model_fields)
-            raise fault(f"needs exactly one of {names}, got {given}")
-        return self
 
     def uniform_inertia(self, mass: float) -> np.ndarray:
         """Inertia about the centre of mass at uniform density, shape (3, 3) [kg m^2]."""

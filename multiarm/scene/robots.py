@@ -31,83 +31,42 @@ _KNOWN_JOINTS = (*CHAIN_JOINTS, "fixed", "planar", "floating")
 _DISTRIBUTION = "example-robot-data"
 _SHARE = "cmeel.prefix/share"
 
-# name -> (file below example-robot-data/robots, usual tip, what it is)
+# name -> (file below example-robot-data/robots, usual tip)
 _EXAMPLE_ARMS = {
-    "ur3": ("ur_description/urdf/ur3_robot.urdf", "tool0", "Universal Robots UR3"),
-    "ur3_gripper": ("ur_description/urdf/ur3_gripper.urdf", "tool0", "UR3 with gripper"),
-    "ur3_limited": (
-        "ur_description/urdf/ur3_joint_limited_robot.urdf",
-        "tool0",
-        "UR3, joints limited to half turns",
-    ),
-    "ur5": ("ur_description/urdf/ur5_robot.urdf", "tool0", "Universal Robots UR5"),
-    "ur5_gripper": ("ur_description/urdf/ur5_gripper.urdf", "tool0", "UR5 with gripper"),
-    "ur5_limited": (
-        "ur_description/urdf/ur5_joint_limited_robot.urdf",
-        "tool0",
-        "UR5, joints limited to half turns",
-    ),
-    "ur10": ("ur_description/urdf/ur10_robot.urdf", "tool0", "Universal Robots UR10"),
-    "ur10_limited": (
-        "ur_description/urdf/ur10_joint_limited_robot.urdf",
-        "tool0",
-        "UR10, joints limited to half turns",
-    ),
-    "panda": ("panda_description/urdf/panda.urdf", "panda_hand_tcp", "Franka Emika Panda"),
-    "xarm7": ("xarm_description/urdf/xarm7.urdf", "link_eef", "UFACTORY xArm 7"),
-    "kinova": (
-        "kinova_description/robots/kinova.urdf",
-        "j2s6s200_end_effector",
-        "Kinova Jaco 2, six joints",
-    ),
-    "z1": ("z1_description/urdf/z1.urdf", "gripperStator", "Unitree Z1"),
-    "so100": ("so_arm_description/urdf/so100.urdf", "gripper", "SO-ARM 100"),
-    "so101": ("so_arm_description/urdf/so101.urdf", "gripper_frame_link", "SO-ARM 101"),
-    "talos_arm": (
-        "talos_data/robots/talos_left_arm.urdf",
-        "gripper_left_base_link",
-        "left arm of PAL Robotics TALOS",
-    ),
-    "asr_twodof": ("asr_twodof_description/urdf/TwoDofs.urdf", "Tip", "arm of two joints"),
-    "double_pendulum": (
-        "double_pendulum_description/urdf/double_pendulum.urdf",
-        "link2",
-        "double pendulum",
-    ),
+    "ur3": ("ur_description/urdf/ur3_robot.urdf", "tool0"),
+    "ur3_gripper": ("ur_description/urdf/ur3_gripper.urdf", "tool0"),
+    "ur3_limited": ("ur_description/urdf/ur3_joint_limited_robot.urdf", "tool0"),
+    "ur5": ("ur_description/urdf/ur5_robot.urdf", "tool0"),
+    "ur5_gripper": ("ur_description/urdf/ur5_gripper.urdf", "tool0"),
+    "ur5_limited": ("ur_description/urdf/ur5_joint_limited_robot.urdf", "tool0"),
+    "ur10": ("ur_description/urdf/ur10_robot.urdf", "tool0"),
+    "ur10_limited": ("ur_description/urdf/ur10_joint_limited_robot.urdf", "tool0"),
+    "panda": ("panda_description/urdf/panda.urdf", "panda_hand_tcp"),
+    "xarm7": ("xarm_description/urdf/xarm7.urdf", "link_eef"),
+    "kinova": ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
+    "z1": ("z1_description/urdf/z1.urdf", "gripperStator"),
+    "so100": ("so_arm_description/urdf/so100.urdf", "gripper"),
+    "so101": ("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
+    "talos_arm": ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link"),
+    "asr_twodof": ("asr_twodof_description/urdf/TwoDofs.urdf", "Tip"),
+    "double_pendulum": ("double_pendulum_description/urdf/double_pendulum.urdf", "link2"),
 }
-
-# name -> (usual tip, what it is)
+# name -> usual tip
 _OWN_ROBOTS = {
-    "planar_2r": ("tip", "two parallel hinges, moving in the x-y plane"),
-    "planar_3r": ("tip", "three parallel hinges, moving in the x-y plane"),
-    "textbook_6r": ("tool", "six hinges, three of them a wrist with offsets"),
-    "corner_gripper": ("corner", "tool: four fingertips around a block's corner"),
+    "planar_2r": "tip",
+    "planar_3r": "tip",
+    "textbook_6r": "tool",
+    "corner_gripper": "corner",
 }
 
 
 @dataclass(frozen=True)
 class RobotEntry:
-    """A robot that a scene may name.
-
-    Attributes
-    ----------
-    name : str
-        Its name in a scene.
-    urdf : Path
-        Its URDF file.
-    tip : str
-        The link that is usually used as the tip.
-    summary : str
-        What it is.
-    source : str
-        The collection it comes from.
-    """
+    """A robot that a scene may name: its name, URDF file, and the link usually used as the tip."""
 
     name: str
     urdf: Path
     tip: str
-    summary: str
-    source: str
 
 
 def available_robots() -> dict[str, RobotEntry]:
@@ -166,11 +125,11 @@ def resolve_mesh(address: str, urdf: Path, package_dirs: tuple[Path, ...]) -> Pa
 def _own_robots() -> dict[str, RobotEntry]:
     package = Path(__file__).resolve().parents[1]
     entries = {}
-    for name, (tip, summary) in _OWN_ROBOTS.items():
+    for name, tip in _OWN_ROBOTS.items():
         for folder in (package / "robots", package.parent / "robots"):
             urdf = folder / name / f"{name}.urdf"
             if urdf.is_file():
-                entries[name] = RobotEntry(name, urdf, tip, summary, "multiarm")
+                entries[name] = RobotEntry(name, urdf, tip)
                 break
     return entries
 
@@ -181,8 +140,8 @@ def _example_arms() -> dict[str, RobotEntry]:
         return {}
     robots = share / "example-robot-data" / "robots"
     return {
-        name: RobotEntry(name, robots / file, tip, summary, _DISTRIBUTION)
-        for name, (file, tip, summary) in _EXAMPLE_ARMS.items()
+        name: RobotEntry(name, robots / file, tip)
+        for name, (file, tip) in _EXAMPLE_ARMS.items()
         if (robots / file).is_file()
     }
 

@@ -258,6 +258,8 @@ class _Parts:
 def _valid(kind: Any, data: Any, folder: Path, context: dict[str, Any] | None = None) -> Any:
     if data is None:
         return None
+    if isinstance(data, Spec):  # an instance was validated when it was made
+        return located(data, folder) if kind is ControlSpec or isinstance(data, kind) else None
     try:
         return located(TypeAdapter(kind).validate_python(data, context=context), folder)
     except ValidationError:

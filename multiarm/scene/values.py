@@ -85,6 +85,18 @@ def shorthand(key: str, *types: type) -> BeforeValidator:
     return BeforeValidator(table)
 
 
+class OneOf(Spec):
+    """A table that has exactly one of its keys."""
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> Self:
+        names = list(type(self).model_fields)
+        given = [name for name in names if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise fault(f"needs exactly one of {listed(names)}, got {given or 'none'}")
+        return self
+
+
 # --- numbers and vectors -------------------------------------------------------------------------
 
 
@@ -112,11 +124,20 @@ def as_list(value: Any) -> Any:
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
 
-def _of_length(length: int, value: Any) -> Any:
-    value = as_list(value)
-    if not isinstance(value, (list, tuple)) or len(value) != length:
-        raise fault(f"must be a list of {length} numbers, got {shown(value)}")
-    return value
+def list_of(text: str, length: int | None = None, least: int = 0) -> BeforeValidator:
+    """Refuse with a text what is no list of a length, or of at least so many entries."""
+
+    def check(value: Any) -> Any:
+        value = as_list(value)
+        if (
+            not isinstance(value, (list, tuple))
+            or len(value) < least
+            or length not in (None, len(value))
+        ):
+            raise fault(f"{text}, got {shown(value)}")
+        return value
+
+    return BeforeValidator(check)
 
 
 def _not_zero(vector: tuple[float, ...]) -> tuple[float, ...]:
@@ -125,24 +146,23 @@ def _not_zero(vector: tuple[float, ...]) -> tuple[float, ...]:
     return vector
 
 
-Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(partial(_of_length, 3))]
-Vec4 = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(partial(_of_length, 4))]
+def _rising(ends: tuple[float, float]) -> tuple[float, float]:
+    if not ends[0] < ends[1]:
+        raise fault(f"must run from a smaller to a larger number, got [{ends[0]:g}, {ends[1]:g}]")
+    return ends
+
+
+Vec3 = Annotated[tuple[Number, Number, Number], list_of("must be a list of 3 numbers", 3)]
+Vec4 = Annotated[tuple[Number, Number, Number, Number], list_of("must be a list of 4 numbers", 4)]
 Vec6 = Annotated[
-    tuple[Number, Number, Number, Number, Number, Number], BeforeValidator(partial(_of_length, 6))
+    tuple[Number, Number, Number, Number, Number, Number], list_of("must be a list of 6 numbers", 6)
 ]
 Direction = Annotated[Vec3, AfterValidator(_not_zero)]
-
-
-def _range(value: Any) -> tuple[float, ...]:
-    if not isinstance(value, (list, tuple)) or len(value) != 2:
-        raise fault(f"must be a list of two numbers, from and to, got {shown(value)}")
-    low, high = number_list(value)
-    if not low < high:
-        raise fault(f"must run from a smaller to a larger number, got {shown(value)}")
-    return low, high
-
-
-Range = Annotated[tuple[float, float], BeforeValidator(_range)]
+Range = Annotated[
+    tuple[Number, Number],
+    list_of("must be a list of two numbers, from and to", 2),
+    AfterValidator(_rising),
+]
 
 
 def _axis_numbers(axes: str, value: Any) -> tuple[float, ...]:
@@ -342,21 +362,9 @@ def joint_vector(
     joint_names: Sequence[str],
     default: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """One value per joint.
+    """One value per movable joint from base to tip, shape (n,).
 
-    Parameters
-    ----------
-    values : float, sequence, mapping or None
-        One number for all joints, one per joint (base to tip), or ``joint: value``.
-    joint_names : sequence of str, length n
-        The movable joints from base to tip.
-    default : float or ndarray, shape (n,)
-        Used for joints that ``values`` does not name.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        In the unit of ``values``.
+    Joints that ``values`` does not name get the default, one number or shape (n,).
 
     Raises
     ------
@@ -458,7 +466,7 @@ def gain_faults(
         wrong = [j.name for j in arms[arm].joints or () if not in_urdf(j) >= 0.0]
         if wrong:
             text = f"the URDF of arm {arm!r} gives {listed(wrong)} a {what} that is no number >= 0"
-            faults.append((where, f"{text}; mend the file, or write numbers here"))
+            faults.append((where, f"{text}; correct the file, or write numbers here"))
     return faults
 
 
