@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from multiarm.reports.report import report
     from multiarm.results.trajectory import Trajectory, load_trajectory
     from multiarm.scene import Scene, load_scene
-    from multiarm.scene.own_effects import register_effect
+    from multiarm.scene.effects import register_effect
     from multiarm.simulation.simulate import simulate
     from multiarm.sweeps.many import simulate_many
     from multiarm.sweeps.result import Sweep, load_sweep
@@ -50,7 +50,7 @@ _HOMES = {
     "load_scene": "scene",
     "load_sweep": "sweeps.result",
     "load_trajectory": "results.trajectory",
-    "register_effect": "scene.own_effects",
+    "register_effect": "scene.effects",
     "replay": "viewer",
     "report": "reports.report",
     "simulate": "simulation.simulate",

@@ -49,9 +49,7 @@ from multiarm.dynamics.solver.regular import ELIMINATED, IMBALANCE_BOUND, elimin
 from multiarm.dynamics.solver.singular import (
     IMMOVABLE_BY_OBJECT,
     PART_TOLERANCE,
-    RANK,
     RANK_TOLERANCE,
-    UNKNOWNS,
     couple,
     loose_rows,
     make_coupled,
@@ -146,7 +144,7 @@ def solve_by_node(system: System) -> NodeSolution:
         solve_coupled(work, coupled, *loads)
         if balanced(system, loads):
             break
-    rank = loads.c.size - int(coupled.counts[UNKNOWNS] - coupled.counts[RANK])
+    rank = loads.c.size - int(coupled.status.unknowns - coupled.status.rank)
     return _solution(work, loads, rank, loose_rows(work, coupled) < PART_TOLERANCE)
 
 

@@ -28,7 +28,7 @@ from multiarm.scene import (
     WeldJoint,
     WrenchesJoint,
 )
-from multiarm.scene.code import loaded_functions
+from multiarm.scene.loading import loaded_functions
 
 AXIS = (0.3, -0.5, 0.9)
 # our joint -> name of the worked example

@@ -18,8 +18,7 @@ from typer.testing import CliRunner
 import multiarm as ma
 from multiarm.cli import app
 from multiarm.errors import SceneError, SweepError
-from multiarm.scene import own_effects as registry
-from multiarm.scene import parse_scene
+from multiarm.scene import parse_scene, registry
 
 MARKING = """
 from pathlib import Path

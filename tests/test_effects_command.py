@@ -17,8 +17,7 @@ from multiarm.cli import app
 from multiarm.cli import check as check_command
 from multiarm.cli import effects as command
 from multiarm.effects.defaults import defaults
-from multiarm.scene import dump_scene
-from multiarm.scene import own_effects as registry
+from multiarm.scene import dump_scene, registry
 from multiarm.simulation.certificate import rotation_apart
 from multiarm.studies.effect_costs import study
 from multiarm.studies.effect_costs.changes import changes

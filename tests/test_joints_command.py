@@ -11,20 +11,19 @@ import yaml
 from typer.testing import CliRunner
 
 from multiarm.cli import app
-from multiarm.cli.guide.cards import (
+from multiarm.cli.joint_cards import (
     common_parameters,
     contact_parameters,
     joint_cards,
     joint_models,
-    read_joint,
     surface_cards,
 )
-from multiarm.cli.guide.motions import free_motions, seen_from
-from multiarm.cli.guide.words import JOINTS, SURFACES
 from multiarm.contacts.catalogue import CATALOGUE, FREE
+from multiarm.contacts.joint_motions import free_motions, seen_from
 from multiarm.scene import ContactSpec, Geometry, parse_scene
 
-KINDS = sorted(JOINTS)
+KINDS = sorted(CATALOGUE)
+SURFACES = list(Geometry.model_fields)
 # Constraint rows of the joints that mechanisms are made of, as textbooks count them.
 ROWS = {
     "weld": 6, "revolute": 5, "prismatic": 5, "cylindrical": 4, "universal": 4, "ball": 3,
@@ -60,9 +59,8 @@ def cards():
 
 
 def test_every_kind_and_surface_of_the_schema_is_in_the_catalogue(cards):
-    assert set(cards) == set(JOINTS) == set(CATALOGUE)
-    assert list(surface_cards()) == list(Geometry.model_fields)
-    assert set(SURFACES) == set(Geometry.model_fields)
+    assert set(cards) == set(CATALOGUE)
+    assert list(surface_cards()) == SURFACES
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -73,12 +71,13 @@ arms: {left: {robot: textbook_6r, tip: tool}}
 """
     scene = parse_scene(text + cards[kind].example, folder=None)
     assert scene.joints[0].kind == kind
-    assert scene.joints == (read_joint(cards[kind].example),)
+    (entry,) = yaml.safe_load(cards[kind].example)["joints"]
+    assert scene.joints == (joint_models()[kind].model_validate(entry),)
 
 
 @pytest.mark.parametrize("name", sorted(SURFACES))
 def test_every_example_of_a_surface_is_one_side_of_a_contact(name):
-    side = yaml.safe_load(SURFACES[name].example)
+    side = yaml.safe_load(surface_cards()[name].example)
     other = {"object" if "arm" in side else "arm": {"point": [0, 0, 0]}}
     if name == "point":
         other = {"object": {"plane": {"normal": [0, 0, 1]}}}
@@ -139,8 +138,7 @@ def test_a_force_through_a_frame_has_no_moment_in_it(rng):
 
 
 def test_parameters_carry_the_defaults_of_the_schema(cards):
-    for model in joint_models():
-        kind = model.model_fields["kind"].default
+    for kind, model in joint_models().items():
         for parameter in cards[kind].parameters:
             field = model.model_fields[parameter.name]
             if parameter.default in ("required", "none", "identity"):

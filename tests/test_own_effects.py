@@ -16,8 +16,7 @@ from mechanics import SCENES
 
 import multiarm as ma
 from multiarm.effects.defaults import defaults
-from multiarm.scene import dump_scene, parse_scene
-from multiarm.scene import own_effects as registry
+from multiarm.scene import dump_scene, parse_scene, registry
 
 ROOT = Path(__file__).parents[1]
 RING = ma.load_scene(SCENES / "ring_weld.yaml")

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from event_scenes import ball, on_floor
 from mechanics import SCENES
-from multiarm.events.driver import EventDriving
 
 import multiarm as ma
 from multiarm.errors import SceneError
 from multiarm.results.event_log import MOST_LISTED, EventLog
 from multiarm.scene import RunSpec
 from multiarm.simulation.driver import BUDGET, EVENT_STEPS, JUDGED_STEPS, MESSAGE_LENGTH, Pace
+from multiarm.simulation.event_handling import EventHandler
 
 FAST, SLOW = 1e9, 0.5  # [Hz]
 # A look at the pace may come late by the steps of one budget of evaluations, of at least 6 each.
@@ -144,7 +144,7 @@ def endless_events(monkeypatch):
         run.settings = run.settings._replace(stop=t + 1e-9)
         return ""
 
-    monkeypatch.setattr(EventDriving, "cross", cross)
+    monkeypatch.setattr(EventHandler, "cross", cross)
 
 
 @pytest.mark.parametrize("settings", [{}, {"integrator": "rk4", "step": 1e-3}])

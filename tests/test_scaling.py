@@ -22,7 +22,7 @@ from multiarm.dynamics.solver.regular import ELIMINATED
 from multiarm.dynamics.solver.work import FIRST_ARM, START, make_work
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.simd import LANES
-from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+from multiarm.scene.run import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 from multiarm.studies import bursts as bursts_module
 from multiarm.studies import evaluation_costs, scaling, solver_forms, solver_study, time_shares
 from multiarm.studies.bursts import fastest, fitted_slope, measure, median, upper_half

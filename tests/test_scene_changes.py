@@ -21,8 +21,8 @@ from multiarm.scene import (
     parse_scene,
     value_at,
 )
-from multiarm.scene.resolve import examine_arm
-from multiarm.scene.words import place
+from multiarm.scene.arms import examine_arm
+from multiarm.scene.faults import place
 
 SCENES = sorted((Path(__file__).parents[1] / "examples" / "scenes").glob("*.yaml"))
 
@@ -145,7 +145,7 @@ def test_naming_one_setting_of_the_steps_replaces_the_choice_of_all(scene):
 
 
 def test_parameters_of_own_effects_are_changed_and_checked(monkeypatch):
-    monkeypatch.setattr("multiarm.scene.own_effects._REGISTERED", {})
+    monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
 
     class Pull(ma.Effect):
         name = "pull"
@@ -223,7 +223,7 @@ def test_robots_of_arms_that_stay_are_not_looked_at_again(scene, monkeypatch):
         looked.append(spec.base.xyz)
         return examine_arm(spec)
 
-    monkeypatch.setattr("multiarm.scene.check.examine_arm", examine)
+    monkeypatch.setattr("multiarm.scene.schema.examine_arm", examine)
     changed(scene, {"object.mass": 3.0})
     assert looked == []
     changed(scene, {"arms.left.base.xyz[1]": 0.01})

@@ -140,7 +140,7 @@ def test_a_controller_in_python_is_asked_by_all(welded_ur5_system):
 
 def test_every_thread_has_an_instance_of_an_own_effect(monkeypatch, welded_ur5_system):
     """One that remembers is seen to give the numbers of a run alone, if its instance is its own."""
-    monkeypatch.setattr("multiarm.scene.own_effects._REGISTERED", {})
+    monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
     made = []
 
     class Scratch(ma.Effect):

@@ -35,10 +35,6 @@ import multiarm as ma
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, eliminate_arms
 from multiarm.dynamics.solver.singular import (
-    ARMS,
-    MOVABLE,
-    RANK,
-    UNKNOWNS,
     couple,
     loose_rows,
     make_coupled,
@@ -96,7 +92,7 @@ def solved(system, force_coupling=()):
         work.pivot[list(force_coupling)] = 0.0
     if status == DEFICIENT or force_coupling:
         solvable = couple(work, coupled, object_rows(system), system.M_o) > 0.0
-        rank += int(coupled.counts[RANK] - coupled.counts[UNKNOWNS])
+        rank += int(coupled.status.rank - coupled.status.unknowns)
         if solvable:
             solve_coupled(work, coupled, system.h_o, h, c, q_o, q, force)
     x = np.concatenate([q_o, q])
@@ -241,7 +237,7 @@ def test_regular_systems_are_those_of_the_exact_solution_too(seed, shapes):
     assert status == ELIMINATED and np.all(work.pivot > COUPLED_BELOW)
     exact, node = least_norm(*stacked(system)), solved(system)
     assert relative(node.x, exact.x) < 1e-12 and relative(node.force, exact.force) < 1e-12
-    assert node.coupled.counts[ARMS] == 0
+    assert node.coupled.status.arms == 0
 
 
 # --- constraints that contradict each other, forces that are not determined ----------------------
@@ -327,10 +323,10 @@ def test_directions_that_no_joint_moves_add_unknowns_but_no_rows():
     system = random_system(np.random.default_rng(1), [(2, 6), (6, 6), (2, 5)])
     make_consistent(system, np.random.default_rng(2))
     node = solved(system)
-    assert node.coupled.counts[ARMS] == 2
-    assert node.coupled.counts[UNKNOWNS] == 4 + 3
-    assert node.coupled.counts[MOVABLE] == 0
-    assert node.coupled.counts[RANK] == 6
+    assert node.coupled.status.arms == 2
+    assert node.coupled.status.unknowns == 4 + 3
+    assert node.coupled.status.movable == 0
+    assert node.coupled.status.rank == 6
 
 
 def test_sixty_four_arms_of_two_joints_meet_in_a_system_of_rank_six():
@@ -338,8 +334,8 @@ def test_sixty_four_arms_of_two_joints_meet_in_a_system_of_rank_six():
     system = random_system(np.random.default_rng(3), [(2, 6)] * 64)
     make_consistent(system, np.random.default_rng(4))
     node = solved(system)
-    counts = node.coupled.counts
-    assert (counts[ARMS], counts[UNKNOWNS], counts[MOVABLE], counts[RANK]) == (64, 4 * 64, 0, 6)
+    s = node.coupled.status
+    assert (s.arms, s.unknowns, s.movable, s.rank) == (64, 4 * 64, 0, 6)
     assert node.rank == 2 * 64 + 6
     M, h, W, c = stacked(system)
     assert relative(W.T @ node.x, c) < 1e-10
@@ -350,8 +346,8 @@ def test_a_direction_that_a_joint_hardly_moves_keeps_its_row():
     system = random_system(np.random.default_rng(5), [(3, 3), (6, 4)])
     system.W[0][:] = np.diag([1.0, 1.0, 1e-4])
     node = solved(system)
-    counts = node.coupled.counts
-    assert (counts[UNKNOWNS], counts[MOVABLE], counts[RANK]) == (1, 1, 1)
+    status = node.coupled.status
+    assert (status.unknowns, status.movable, status.rank) == (1, 1, 1)
     assert sorted(node.coupled.sigma[:3])[0] < 1e-3 * max(node.coupled.sigma[:3])
     assert relative(node.x, least_norm(*stacked(system)).x) < ACCELERATION
 
@@ -370,8 +366,8 @@ def test_both_paths_give_one_solution_as_far_as_the_linear_one_goes(share):
     work, _, status, _ = eliminated(system)
     assert status == ELIMINATED and work.pivot[0] > COUPLED_BELOW
     linear, coupled = solved(system), solved(system, force_coupling=[0])
-    assert (linear.coupled.counts[ARMS], coupled.coupled.counts[ARMS]) == (0, 1)
-    assert coupled.coupled.counts[UNKNOWNS] == (1 if share < 1e-2 else 0)
+    assert (linear.coupled.status.arms, coupled.coupled.status.arms) == (0, 1)
+    assert coupled.coupled.status.unknowns == (1 if share < 1e-2 else 0)
     assert relative(coupled.x, linear.x) < 1e-11
     assert relative(coupled.force, linear.force) < 1e-11
     assert relative(coupled.x, least_norm(*stacked(system)).x) < 1e-12
@@ -585,7 +581,7 @@ def test_the_units_do_not_matter(seed, length, mass):
     )
     one, two = solved(system), solved(other)
     assert one.rank == two.rank
-    assert one.coupled.counts.tolist() == two.coupled.counts.tolist()
+    assert one.coupled.status.rank == two.coupled.status.rank
     assert relative(two.x[:6] * object_units / length, one.x[:6]) < 1e-10
     assert relative(two.x[6:], one.x[6:]) < 1e-10
     assert relative(two.force / (mass * length), one.force) < 1e-9

@@ -17,7 +17,7 @@ import multiarm as ma
 from multiarm.errors import MultiarmError
 from multiarm.problems import ring_of_arms
 from multiarm.scene import find_robot
-from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+from multiarm.scene.run import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 from multiarm.studies.courses import Course, Grid, OutOfTime
 from multiarm.studies.peer_trials import NOT_INSTALLED
 from multiarm.studies.probes import control_torque, joint_damping, sinusoid

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,8 +18,7 @@ from multiarm.cli.terminal import columns, facts, output
 from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
-    from multiarm.cli.guide.cards import JointCard, SurfaceCard
-    from multiarm.cli.guide.schema import Parameter
+    from multiarm.cli.joint_cards import JointCard, Parameter, SurfaceCard
 
 __all__ = ["joints"]
 
@@ -47,12 +47,12 @@ def joints(
     The JSON has the keys joints, surfaces: each a table by name, with what is shown here.
     """
     check_targets({"--json": json})
-    from multiarm.cli.guide import cards
+    from multiarm.cli import joint_cards as cards
 
     joint_cards, surface_cards = cards.joint_cards(), cards.surface_cards()
     known = [*joint_cards, SURFACES, *surface_cards]
     if kind is not None and kind not in known:
-        from multiarm.scene.words import unknown
+        from multiarm.scene.faults import unknown
 
         text = unknown("joint kind", kind, known, "kinds")
         raise MultiarmError(f"{text}; 'multiarm joints' shows them all")
@@ -62,8 +62,8 @@ def joints(
         write_json(
             json,
             {
-                "joints": {name: card.as_dict() for name, card in chosen.items()},
-                "surfaces": {name: card.as_dict() for name, card in surfaces.items()},
+                "joints": {name: asdict(card) for name, card in chosen.items()},
+                "surfaces": {name: asdict(card) for name, card in surfaces.items()},
             },
         )
     console = output()
@@ -75,7 +75,7 @@ def _parts(
     kind: str | None, joints: dict[str, JointCard], surfaces: dict[str, SurfaceCard]
 ) -> list[RenderableType]:
     """What is shown: everything, one joint, all surfaces, or one surface."""
-    from multiarm.cli.guide.cards import common_parameters, contact_parameters
+    from multiarm.cli.joint_cards import common_parameters, contact_parameters
 
     common = _parameter_table("Parameters of every joint", common_parameters())
     options = [p for p in contact_parameters() if p.name not in ("arm", "object")]

@@ -10,7 +10,7 @@ import numpy as np
 from multiarm.contacts.records import Contact, Patch, plane, sphere
 from multiarm.errors import SceneError
 from multiarm.scene import Mesh, Shape
-from multiarm.scene.contact_effects import FloorSpec
+from multiarm.scene.effects import FloorSpec
 
 MOST_CORNERS = 64
 """A hull with more corners is no polyhedron but a rounded body; every corner is a contact."""

@@ -23,8 +23,8 @@ from multiarm.contacts.floor import floor_contacts
 from multiarm.contacts.records import Contact, JointRow
 from multiarm.errors import SceneError
 from multiarm.scene import Scene
-from multiarm.scene.contact_effects import SomeContacts
-from multiarm.scene.words import place, unknown
+from multiarm.scene.effects import SomeContacts
+from multiarm.scene.faults import place, unknown
 
 CONTACT, LIMIT, DRY_JOINT = "contact", "limit", "joint friction"
 SURROUNDINGS = "floor"

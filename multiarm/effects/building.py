@@ -9,15 +9,15 @@ from typing import Any
 from multiarm.dynamics.effect_kernels import EffectKernel, EffectProgram
 from multiarm.effects.context import BuildContext
 from multiarm.errors import ModelError
-from multiarm.scene.effects import COME_AND_GO
-from multiarm.scene.own_effects import find_effect
+from multiarm.scene.effects import WITH_EVENTS
+from multiarm.scene.registry import find_effect
 
 
 def effect_program(context: BuildContext, further: Sequence[EffectKernel] = ()) -> EffectProgram:
     """The kernels of the effects that the scene names, and further ones; no other is imported."""
     kernels = [*further]
     for name, spec in context.scene.effects.named.items():
-        if name in COME_AND_GO:
+        if name in WITH_EVENTS:
             continue
         if name in type(context.scene.effects).model_fields:
             kernels += import_module(f"multiarm.effects.{name}").build(spec, context)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.scene import Scene, Shape
-from multiarm.scene.own_effects import find_effect, own_effect_names
+from multiarm.scene.registry import find_effect, own_effect_names
 
 BLUNT = 1.0
 """Drag coefficient of a blunt body."""

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from multiarm.scene.own_effects import OwnSpec
+from multiarm.scene.registry import OwnSpec
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -14,6 +14,7 @@ from multiarm.errors import GraspError
 from multiarm.grasp.face import PLANE_TOLERANCE
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.solid import faces_of_triangles
+from multiarm.scene.object import hull_triangles
 
 AXIS_NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
 # Half-spaces turned to points (duality) and corners found from several triples of them are told
@@ -73,27 +74,15 @@ def pyramid(base: Any, apex: Any) -> Polyhedron:
 
 def hull(points: Any) -> Polyhedron:
     """The convex hull of points."""
-    from scipy.spatial import ConvexHull, QhullError
-
     cloud = _finite(points, "the points of a hull")
-    middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
-    size = float(np.ptp(cloud, axis=0).max())
     try:
-        found = ConvexHull((cloud - middle) / (size or 1.0))
-    except QhullError as error:
-        raise GraspError(
-            "the points of a hull lie in a plane, or there are fewer than four of them: they "
-            "enclose no volume"
-        ) from error
-    triangles = found.simplices.copy()
-    corners = found.points[triangles]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = np.sum(area * found.equations[:, :3], axis=1) < 0.0
-    triangles[inward] = triangles[inward][:, ::-1]
+        triangles = hull_triangles(cloud)
+    except ValueError as error:
+        raise GraspError(str(error)) from error
+    middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
+    scaled = (cloud - middle) / np.ptp(cloud, axis=0).max()
     kept, numbers = np.unique(triangles, return_inverse=True)
-    faces = faces_of_triangles(
-        found.points[kept], numbers.reshape(triangles.shape), PLANE_TOLERANCE
-    )
+    faces = faces_of_triangles(scaled[kept], numbers.reshape(triangles.shape), PLANE_TOLERANCE)
     return compacted(cloud[kept], faces)
 
 

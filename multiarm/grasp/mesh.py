@@ -14,7 +14,8 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.face import PLANE_TOLERANCE, Face
-from multiarm.grasp.solid import TOO_THIN, check_one_solid, faces_of_triangles
+from multiarm.grasp.solid import check_one_solid, faces_of_triangles
+from multiarm.scene.object import TOO_THIN
 
 if TYPE_CHECKING:
     from multiarm.grasp.polyhedron import Polyhedron

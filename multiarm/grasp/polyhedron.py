@@ -19,7 +19,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.face import PLANE_TOLERANCE, Face
-from multiarm.grasp.solid_moments import MassProperties, Moments, moments
+from multiarm.scene.object import MassProperties, Moments, moments
 
 ORTHOGONAL = 1e-6
 """How far a rotation matrix may be from one: it may have been typed with seven digits."""

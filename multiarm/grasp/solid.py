@@ -17,6 +17,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.scene.object import TOO_THIN
 
 Edge = tuple[int, int]
 # Fits of a plane before its face is taken as it is; two are nearly always enough.
@@ -24,10 +25,6 @@ FITS = 5
 # A triangle is of a face only if its normal is within 60 degrees of the face's: two sides of a thin
 # sheet are two faces.
 SAME_SIDE = 0.5
-TOO_THIN = (
-    "the body is thinner than its coordinates resolve, about a millionth of its size: give it "
-    "more thickness"
-)
 
 
 def check_one_solid(

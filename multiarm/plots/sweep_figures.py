@@ -20,7 +20,7 @@ from multiarm.errors import SweepError
 from multiarm.plots.style import INK, STYLE
 from multiarm.plots.sweep_axes import Variable, bands, cells, is_wide, variable
 from multiarm.results.files import save_figure
-from multiarm.scene.words import unknown
+from multiarm.scene.faults import unknown
 
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep

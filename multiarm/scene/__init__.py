@@ -1,46 +1,11 @@
 """What a user writes: scenes, their parts, and the robots they may name."""
 
-from multiarm.scene.arm_spec import ArmSpec, ToolSpec
-from multiarm.scene.base import Pose
+from multiarm.scene.arms import ArmSpec, ResolvedArm, ToolSpec, resolve_arm
 from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
-from multiarm.scene.code import NamedCode, named_code, refuse_code, with_code, without_code
-from multiarm.scene.contact_spec import ContactSpec
-from multiarm.scene.control import (
-    ARM_TERMS,
-    STEPS_CHOSEN_BY,
-    AccuracySpec,
-    ComputedTorqueControl,
-    ConstantControl,
-    ControlSpec,
-    GravityCompensationControl,
-    HarmonicControl,
-    JointPDControl,
-    NoControl,
-    ObjectImpedanceControl,
-    RunSpec,
-    StabilizationSpec,
-    Waypoint,
-)
-from multiarm.scene.effects import EffectsSpec
+from multiarm.scene.control import Waypoint
+from multiarm.scene.effects import EffectsSpec, damping_of, effort_limit_of, friction_of
 from multiarm.scene.functions import function_text
-from multiarm.scene.geometry import (
-    ConeGeometry,
-    CylinderGeometry,
-    EllipsoidGeometry,
-    Geometry,
-    PatchSpec,
-    PlaneGeometry,
-    SphereGeometry,
-    SurfaceGeometry,
-    TorusGeometry,
-)
-from multiarm.scene.joint_effects import (
-    ActuatorLag,
-    JointFriction,
-    damping_of,
-    effort_limit_of,
-    friction_of,
-)
+from multiarm.scene.geometry import ContactSpec, Geometry
 from multiarm.scene.joints import (
     BallJoint,
     ContactsJoint,
@@ -58,89 +23,71 @@ from multiarm.scene.joints import (
     WeldJoint,
     WrenchesJoint,
 )
-from multiarm.scene.loader import dump_scene, load_scene, parse_scene
-from multiarm.scene.loads import (
-    Drag,
-    ExternalWrench,
-    Pulse,
-    Sinusoid,
+from multiarm.scene.loading import (
+    NamedCode,
+    dump_scene,
+    load_scene,
+    named_code,
+    parse_scene,
+    refuse_code,
+    with_code,
+    without_code,
 )
-from multiarm.scene.object_control import ObjectGain
-from multiarm.scene.object_spec import Cylinder, Mesh, ObjectSpec, Shape
-from multiarm.scene.resolve import ResolvedArm, resolve_arm
+from multiarm.scene.loads import ExternalWrench, read_wrench_table
+from multiarm.scene.object import Mesh, ObjectSpec, Shape
 from multiarm.scene.robots import (
-    RobotEntry,
+    JointOutline,
     available_robots,
     find_robot,
+    read_urdf,
     resolve_mesh,
     resolve_package_dirs,
 )
+from multiarm.scene.run import (
+    ARM_TERMS,
+    STEPS_CHOSEN_BY,
+    AccuracySpec,
+    RunSpec,
+    StabilizationSpec,
+)
 from multiarm.scene.schema import Scene
-from multiarm.scene.urdf import JointOutline, UrdfOutline, read_urdf
-from multiarm.scene.values import gain_vector, joint_vector
-from multiarm.scene.wrench_table import WrenchTable, read_wrench_table
+from multiarm.scene.values import Pose, gain_vector, joint_vector
 
 __all__ = [
     "ARM_TERMS",
     "STEPS_CHOSEN_BY",
     "AccuracySpec",
-    "ActuatorLag",
     "ArmSpec",
     "BallJoint",
-    "ComputedTorqueControl",
-    "ConeGeometry",
-    "ConstantControl",
     "ContactSpec",
     "ContactsJoint",
-    "ControlSpec",
     "CornerGripperJoint",
-    "Cylinder",
-    "CylinderGeometry",
     "CylindricalJoint",
-    "Drag",
     "EffectsSpec",
-    "EllipsoidGeometry",
     "ExternalWrench",
     "Geometry",
-    "GravityCompensationControl",
-    "HarmonicControl",
     "JointBase",
-    "JointFriction",
     "JointOutline",
-    "JointPDControl",
     "JointSpec",
     "Mesh",
     "NamedCode",
-    "NoControl",
-    "ObjectGain",
-    "ObjectImpedanceControl",
     "ObjectSpec",
-    "PatchSpec",
     "PlanarJoint",
-    "PlaneGeometry",
     "PointOnCylinderJoint",
     "PointOnPlaneJoint",
     "PointOnSphereJoint",
     "Pose",
     "PrismaticJoint",
-    "Pulse",
     "ResolvedArm",
     "RevoluteJoint",
-    "RobotEntry",
     "RunSpec",
     "Scene",
     "Shape",
-    "Sinusoid",
-    "SphereGeometry",
     "StabilizationSpec",
-    "SurfaceGeometry",
     "ToolSpec",
-    "TorusGeometry",
     "UniversalJoint",
-    "UrdfOutline",
     "Waypoint",
     "WeldJoint",
-    "WrenchTable",
     "WrenchesJoint",
     "available_robots",
     "changed",

@@ -4,8 +4,8 @@ A path is written as messages write it, with or without the ``$.`` that stands f
 
     object.mass    arms.left.base.xyz    joints[1].at.xyz[2]    arms['my arm'].posture
 
-A changed scene is validated as a whole, as one that is written so.  Of several sets of changes all
-faults are told together.
+A changed scene is validated as a whole, like one that is written so.  One error names the faults of
+several sets of changes.
 """
 
 from __future__ import annotations
@@ -18,13 +18,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from multiarm.errors import SceneError
-from multiarm.scene.control import STEPS_CHOSEN_BY
+from multiarm.scene.faults import Parts, listed, place, shown, unknown
+from multiarm.scene.run import STEPS_CHOSEN_BY
 from multiarm.scene.schema import Scene
-from multiarm.scene.words import listed, place, shown, unknown
-
-__all__ = ["changed", "changed_scenes", "parse_path", "value_at"]
-
-Parts = tuple[str | int, ...]
 
 # A key, a key in quotes, a number in a list.
 _PART = re.compile(r"""\.?([^\s.\[\]'"]+)|\['([^']*)'\]|\["([^"]*)"\]|\[(\d+)\]""")
@@ -37,25 +33,25 @@ class _New:
     value: Any
 
 
-class _Fault(Exception):
-    """What is wrong with a path, at which part."""
-
-    def __init__(self, at: Parts, text: str) -> None:
-        super().__init__(f"{place(at)}: {text}")
-
-
 def parse_path(text: str) -> Parts:
-    """The keys and numbers of a path.
-
-    Raises
-    ------
-    SceneError
-        When it is no path.
-    """
-    try:
-        return _parsed(text)
-    except _Fault as fault:
-        raise SceneError([str(fault)]) from None
+    """The keys and numbers of a path; raises a SceneError when it is none."""
+    if not isinstance(text, str):
+        raise _fault((), f"a path is text, such as 'object.mass', got {shown(text)}")
+    rest = text.removeprefix("$").removeprefix(".") if text.startswith("$") else text
+    parts: list[str | int] = []
+    at = 0
+    while at < len(rest):
+        match = _PART.match(rest, at)
+        if match is None or (match[1] and (match[0][0] == ".") != bool(parts)):
+            break
+        parts.append(int(match[4]) if match[4] else next(p for p in match.groups()[:3] if p))
+        at = match.end()
+    if at < len(rest) or not parts:
+        raise _fault(
+            (), f"{text!r} is no path; write one as 'object.mass', 'joints[1].at.xyz', "
+            "\"arms['my arm'].base\""
+        )  # fmt: skip
+    return tuple(parts)
 
 
 def value_at(scene: Scene, path: str) -> Any:
@@ -68,24 +64,21 @@ def value_at(scene: Scene, path: str) -> Any:
     """
     value: Any = scene
     parts = parse_path(path)
-    try:
-        for k, part in enumerate(parts):
-            value = _below(value, part, parts[:k])
-    except _Fault as fault:
-        raise SceneError([str(fault)]) from None
+    for k, part in enumerate(parts):
+        value = _below(value, part, parts[:k])
     return value
 
 
 def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
-    """The scene with other values at some paths, validated anew.
+    """The scene with other values at some paths, validated as a whole.
 
     Parameters
     ----------
     scene : Scene
         Stays as it is.
     changes : mapping
-        Path -> value.  What is optional and not there is made: ``joints[0].at.xyz`` gives a joint
-        without a place of its own one.  Naming one of ``run.accuracy``, ``run.integrator``,
+        Path -> value.  What is optional and not there is made: ``joints[0].at.xyz`` gives a pose to
+        a joint that has none.  Naming one of ``run.accuracy``, ``run.integrator``,
         ``run.step`` and ``run.tolerance`` replaces the scene's choice of all four.
 
     Raises
@@ -95,20 +88,11 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     """
     faults: list[str] = []
     tree = _tree(changes, faults)
-    data = {name: getattr(scene, name) for name in type(scene).model_fields}
-    made: dict[Any, Any] = {}
-    for key, branch in tree.items():
-        try:
-            below = _below(scene, key, (), leaf=isinstance(branch, _New))
-            made[key] = _applied(below, branch, (key,), faults)
-        except _Fault as fault:
-            faults.append(str(fault))
-    if isinstance(made.get("run"), dict):
-        made["run"] = _one_choice(made["run"], tree["run"])
+    data = _applied(scene, tree, (), faults)
+    if isinstance(tree.get("run"), dict) and isinstance(data.get("run"), dict):
+        data["run"] = _one_choice(data["run"], tree["run"])
     try:
-        found = Scene.from_mapping(
-            {**data, **made}, scene.folder, like=scene, from_file=scene.is_from_file
-        )
+        found = Scene.from_mapping(data, scene.folder, like=scene, from_file=scene.is_from_file)
     except SceneError as error:
         faults += error.faults
     if faults:
@@ -122,7 +106,7 @@ def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[S
     Raises
     ------
     SceneError
-        Naming every fault of all, with the number of the run that it is for.
+        Naming every fault of all, with the number of its run.
     """
     scenes, faults = [], []
     for number, own in enumerate(changes, start=1):
@@ -137,42 +121,22 @@ def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[S
     return scenes
 
 
-def _parsed(text: Any) -> Parts:
-    if not isinstance(text, str):
-        raise _Fault((), f"a path is text, such as 'object.mass', got {shown(text)}")
-    rest = text.removeprefix("$").removeprefix(".") if text.startswith("$") else text
-    parts: list[str | int] = []
-    at = 0
-    while at < len(rest):
-        match = _PART.match(rest, at)
-        if match is None or (match[1] and (match[0][0] == ".") != bool(parts)):
-            break
-        parts.append(int(match[4]) if match[4] else next(p for p in match.groups()[:3] if p))
-        at = match.end()
-    if at < len(rest) or not parts:
-        raise _Fault(
-            (), f"{text!r} is no path; write one as 'object.mass', 'joints[1].at.xyz', "
-            "\"arms['my arm'].base\""
-        )  # fmt: skip
-    return tuple(parts)
-
-
 def _tree(changes: Mapping[str, Any], faults: list[str]) -> dict[str | int, Any]:
     """The changes by the parts of their paths: tables of tables, with :class:`_New` at the ends."""
     tree: dict[str | int, Any] = {}
     for path, value in changes.items():
         try:
-            *way, last = parts = _parsed(path)
+            *way, last = parts = parse_path(path)
             branch = tree
             for k, part in enumerate(way):
                 branch = branch.setdefault(part, {})
                 if isinstance(branch, _New):
-                    raise _Fault(parts, f"lies in {place(parts[: k + 1])}, which is changed too")
+                    raise _fault(parts, f"lies in {place(parts[: k + 1])}, which is changed too")
             if last in branch:
-                raise _Fault(parts, "is changed twice, or a part of it is; keep one of the changes")
+                raise _fault(parts, "is changed twice, or a part of it is; keep one of the changes")
             branch[last] = _New(value)
-        except _Fault as fault:
-            faults.append(str(fault))
+        except SceneError as error:
+            faults += error.faults
     return tree
 
 
@@ -185,8 +149,8 @@ def _applied(value: Any, tree: Any, here: Parts, faults: list[str]) -> Any:
         try:
             below = _below(value, part, here, leaf=isinstance(branch, _New))
             made[part] = _applied(below, branch, (*here, part), faults)
-        except _Fault as fault:
-            faults.append(str(fault))
+        except SceneError as error:
+            faults += error.faults
     if isinstance(value, (tuple, list)):
         return [made.get(k, old) for k, old in enumerate(value)]
     return {**_given(value), **made}
@@ -195,8 +159,8 @@ def _applied(value: Any, tree: Any, here: Parts, faults: list[str]) -> Any:
 def _given(value: Any) -> dict[str, Any]:
     """The entries of a table, of a part of a scene those that are written, and its kind."""
     if isinstance(value, BaseModel):
-        names = value.model_fields_set | {"kind"}.intersection(type(value).model_fields)
-        return {name: getattr(value, name) for name in names}
+        written = value.model_fields_set | {"kind"}
+        return {name: getattr(value, name) for name in _keys(value) if name in written}
     return dict(value) if isinstance(value, Mapping) else {}
 
 
@@ -209,17 +173,17 @@ def _below(value: Any, part: str | int, here: Parts, leaf: bool = False) -> Any:
     if isinstance(value, (tuple, list)):
         if isinstance(part, int) and part < len(value):
             return value[part]
-        raise _Fault((*here, part), f"{place(here)} is a list with {_entries(len(value))}")
+        raise _fault((*here, part), f"{place(here)} is a list with {_entries(len(value))}")
     if value is None and isinstance(part, str):
         return None
     if not isinstance(value, (BaseModel, Mapping)):
         held = "is not given" if value is None else f"is {shown(value)}"
-        raise _Fault(here, f"{held}: nothing is below it; give {place(here)[2:]!r} as a whole")
+        raise _fault(here, f"{held}: nothing is below it; give {place(here)[2:]!r} as a whole")
     keys = _keys(value)
     if isinstance(part, int):
-        raise _Fault((*here, part), f"{place(here)} is no list; its keys are {listed(keys)}")
+        raise _fault((*here, part), f"{place(here)} is no list; its keys are {listed(keys)}")
     if part not in keys and not leaf:
-        raise _Fault((*here, part), unknown("key", part, keys))
+        raise _fault((*here, part), unknown("key", part, keys))
     return getattr(value, part, None) if isinstance(value, BaseModel) else value.get(part)
 
 
@@ -227,6 +191,10 @@ def _keys(value: BaseModel | Mapping) -> list[str]:
     if isinstance(value, BaseModel):
         return [*type(value).model_fields, *(value.model_extra or {})]
     return list(value)
+
+
+def _fault(at: Parts, text: str) -> SceneError:
+    return SceneError(f"{place(at)}: {text}")
 
 
 def _entries(count: int) -> str:

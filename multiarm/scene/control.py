@@ -1,48 +1,53 @@
-"""What drives the arms, and how the run is carried out."""
+"""Control laws: torques by joint, and laws in terms of the object's path and stiffness."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
-from typing_extensions import Self
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter
 
-from multiarm.scene.accuracy import DEFAULT_ACCURACY, Accuracy, AccuracySpec
-from multiarm.scene.base import Spec
-from multiarm.scene.object_control import (
-    ComputedTorqueControl,
-    ObjectImpedanceControl,
-    ObjectPath,
-    Waypoint,
+from multiarm.scene.faults import fault, shown
+from multiarm.scene.values import (
+    ArmName,
+    Gain,
+    NonNegative,
+    Number,
+    PerArm,
+    Pose,
+    Positive,
+    Spec,
+    WorldAxes,
+    list_of,
 )
-from multiarm.scene.values import Gain, NonNegative, PerArm, Positive, fault
 
-__all__ = [
-    "ADAPTIVE_INTEGRATORS",
-    "ARM_TERMS",
-    "DEFAULT_ACCURACY",
-    "FIXED_STEP_INTEGRATORS",
-    "STEPS_CHOSEN_BY",
-    "AccuracySpec",
-    "ComputedTorqueControl",
-    "ConstantControl",
-    "ControlSpec",
-    "GravityCompensationControl",
-    "HarmonicControl",
-    "JointPDControl",
-    "NoControl",
-    "ObjectImpedanceControl",
-    "RunSpec",
-    "StabilizationSpec",
-    "Waypoint",
-]
 
-FIXED_STEP_INTEGRATORS = ("semi_implicit_euler", "variational", "rk4")
-ADAPTIVE_INTEGRATORS = ("dopri5", "dop853", "rodas5p")
-STEPS_CHOSEN_BY = ("accuracy", "integrator", "step", "tolerance")
-"""Settings of a run that say together how long its steps are."""
-ARM_TERMS = ("pinocchio", "compiled")
-"""Who computes inertia, forces and motion of the arms."""
+class Waypoint(Pose):
+    """A pose of the object to be passed at ``time`` [s]."""
+
+    time: NonNegative = Field(description="the time in seconds at which the pose is passed")
+
+
+def _ordered(path: tuple[Waypoint, ...] | None) -> tuple[Waypoint, ...] | None:
+    if path is None:
+        return None
+    if not path:
+        raise fault("'path' is empty; list poses with their times or leave the key out")
+    times = [waypoint.time for waypoint in path]
+    for number, (before, after) in enumerate(pairwise(times), start=1):
+        if after <= before:
+            raise fault(
+                f"the times of 'path' must increase, but waypoint {number} comes at "
+                f"{after:g} s after {before:g} s"
+            )
+    if times == [0.0]:
+        raise fault("'path' has one pose at time 0 and leads nowhere; add a later pose")
+    return path
+
+
+ObjectPath = Annotated[tuple[Waypoint, ...] | None, AfterValidator(_ordered)]
 
 
 class NoControl(Spec):
@@ -109,13 +114,131 @@ class HarmonicControl(Spec):
     hold: bool = True
 
 
-def _from_name(value: Any) -> Any:
+class ObjectGain(Spec):
+    """Gains for the shift and for the turn of the object, along and about the world's axes.
+
+    Attributes
+    ----------
+    translation, rotation : number or 3 numbers
+        One for all axes, or one each for x, y, z of the world.
+    """
+
+    translation: WorldAxes = Field(description="a number, or 3 for the world's axes")
+    rotation: WorldAxes = Field(description="a number, or 3 for the world's axes")
+
+    def vector(self) -> np.ndarray:
+        """Gains of shift and turn, shape (6,)."""
+        return np.array([*self.translation, *self.rotation])
+
+
+_world_axes = TypeAdapter(WorldAxes).validate_python
+
+
+def _from_number(value: Any) -> Any:
+    """Let one number stand for the gains of shift and turn, where both have one unit."""
+    if isinstance(value, (Mapping, ObjectGain)):
+        return value
+    if isinstance(value, (list, tuple)):
+        raise fault(
+            f"must be a number or a table (translation: ..., rotation: ...), got {shown(value)}"
+        )
+    gain = _world_axes(value)
+    return {"translation": gain, "rotation": gain}
+
+
+def _in_two_units(value: Any) -> Any:
+    if isinstance(value, (Mapping, ObjectGain)):
+        return value
+    raise fault(
+        "must be a table (translation: ..., rotation: ...), for shift and turn have different "
+        f"units, got {shown(value)}"
+    )
+
+
+ContactForces = Annotated[
+    tuple[Number, ...], list_of("must be a list of forces [N], one for each contact", least=1)
+]
+
+
+class _ObjectControl(Spec):
+    """What both laws have in common."""
+
+    path: ObjectPath = None
+    relative_damping: NonNegative = 10.0
+    relative_stiffness: NonNegative = 0.0
+    squeeze: NonNegative = 0.0
+    internal_forces: dict[ArmName, ContactForces] | None = None
+
+
+class ComputedTorqueControl(_ObjectControl):
+    """Inverse dynamics: the object follows its path, with errors that die out at given rates.
+
+    The object's acceleration is commanded as that of the path, plus damping times the error of the
+    velocity, plus stiffness times the error of the pose.
+
+    Attributes
+    ----------
+    path : list of Waypoint, optional
+        Poses of the object, reached at rest. A path that does not begin at time 0 begins with
+        the start pose. Absent: the object is held where it is.
+    stiffness : number or {translation, rotation}
+        [1/s^2]
+    damping : number or {translation, rotation}
+        [1/s]; twice the root of the stiffness lets errors die out without overshoot.
+    relative_damping : number
+        Rate at which motions of the arms that the object does not need die out [1/s].
+    relative_stiffness : number
+        How firmly the arms keep their place on the object where their joints leave them free, such
+        as fingertips that could slide [1/s^2]; 0: nothing draws them back. With a quarter of the
+        square of ``relative_damping`` they come back without overshoot.
+    squeeze : number
+        How hard the arms press the object between them [N]: fingertips, which can only push,
+        press so hard in the mean; arms with idealised joints each press so hard towards the
+        middle of all grips.
+    internal_forces : table 'arm: forces'
+        [N], one for each contact of the arm's joint; what is not internal in them is taken away.
+    """
+
+    kind: Literal["computed_torque"] = "computed_torque"
+    stiffness: Annotated[ObjectGain, BeforeValidator(_from_number)] = ObjectGain(
+        translation=100.0, rotation=100.0
+    )
+    damping: Annotated[ObjectGain, BeforeValidator(_from_number)] = ObjectGain(
+        translation=20.0, rotation=20.0
+    )
+
+
+class ObjectImpedanceControl(_ObjectControl):
+    """The object on a spring and a damper; arms and object carry their own weight.
+
+    Attributes
+    ----------
+    stiffness : {translation, rotation}
+        [N/m] and [N m/rad], along and about the world's axes.
+    damping : {translation, rotation}
+        [N s/m] and [N m s/rad].
+    path : list of Waypoint, optional
+        Where the spring pulls to. A path that does not begin at time 0 begins with the start
+        pose. Absent: the start pose.
+    relative_damping : number
+        Rate at which motions of the arms that the object does not need die out [1/s].
+    relative_stiffness, squeeze, internal_forces
+        As with computed torque.
+    """
+
+    kind: Literal["object_impedance"] = "object_impedance"
+    stiffness: Annotated[ObjectGain, BeforeValidator(_in_two_units)] = Field(
+        description="a table (translation: N/m, rotation: N m/rad), a number or 3 each"
+    )
+    damping: Annotated[ObjectGain, BeforeValidator(_in_two_units)] = Field(
+        description="a table (translation: N s/m, rotation: N m s/rad), a number or 3 each"
+    )
+
+
+def _by_name(value: Any) -> Any:
     """Let ``control: gravity_compensation`` stand for ``control: {kind: ...}``."""
-    return {"kind": value} if isinstance(value, str) else value
-
-
-def _control(value: Any) -> Any:
-    return {"kind": "none"} if value is None else _from_name(value)
+    name = "none" if value is None else value
+    return {"kind": name} if isinstance(name, str) else value
 
 
 ControlSpec = Annotated[
@@ -127,128 +250,5 @@ ControlSpec = Annotated[
     | ComputedTorqueControl
     | ObjectImpedanceControl,
     Field(discriminator="kind"),
-    BeforeValidator(_control),
+    BeforeValidator(_by_name),
 ]
-
-
-class StabilizationSpec(Spec):
-    """How the joints are kept closed although integration errors add up.
-
-    Attributes
-    ----------
-    kind : 'projection', 'feedback' or 'none'
-        ``projection`` returns position and velocity to the constraints after each step;
-        ``feedback`` adds -2 alpha W^T v - beta^2 phi to the constraint accelerations.
-    alpha, beta : float, optional
-        Gains of the feedback [1/s]; absent: chosen from the step.
-    """
-
-    kind: Literal["projection", "feedback", "none"] = "projection"
-    alpha: NonNegative | None = None
-    beta: NonNegative | None = None
-
-    @model_validator(mode="after")
-    def _gains_belong_to_feedback(self) -> Self:
-        if self.kind != "feedback" and (self.alpha is not None or self.beta is not None):
-            raise fault(f"'alpha' and 'beta' belong to kind 'feedback', not {self.kind!r}")
-        return self
-
-
-class RunSpec(Spec):
-    """How long and how exactly the motion is computed.
-
-    Attributes
-    ----------
-    duration : float
-        [s]
-    accuracy : AccuracySpec or float, optional
-        Largest error of the whole run at the worst output time: a number [m and rad], or a table
-        ``{position: [m], rotation: [rad], force: [N]}`` of what is asked. The program chooses
-        method and steps, checks the result against a tightened rerun and repeats the run with
-        smaller tolerances if need be. 1e-6 when nothing else is asked for.
-    integrator : str, optional
-        ``semi_implicit_euler``, ``variational`` or ``rk4`` with ``step``; ``dopri5``, ``dop853``
-        or ``rodas5p`` with ``tolerance`` (per step) or ``accuracy``.  Absent: chosen, and exchanged
-        for ``rodas5p`` where the scene turns out to be stiff.
-    step : float, optional
-        Fixed step [s].
-    tolerance : float, optional
-        Error tolerance per step of an adaptive integrator.
-    stabilization : StabilizationSpec or its kind
-        How drift off the joints is prevented.
-    output_step : float
-        Time between stored samples [s].
-    most_steps : float
-        Steps for one second of simulated time (for the whole run, if that is shorter): a run that
-        needs more at the pace of its last thousands of steps, rejected ones and events counted,
-        fails instead of going on for hours.
-    solver : 'node' or 'dense'
-        The node algorithm, or the whole linear system at once (for comparison).
-    arms : 'pinocchio' or 'compiled'
-        Who computes inertia, forces and motion of the arms: Pinocchio, or compiled code, which is
-        several times as fast and verified against Pinocchio whenever the scene is compiled.  An arm
-        that cannot be compiled stays with Pinocchio and says so.
-    """
-
-    duration: Positive = 1.0
-    accuracy: Accuracy | None = None
-    integrator: (
-        Literal["semi_implicit_euler", "variational", "rk4", "dopri5", "dop853", "rodas5p"] | None
-    ) = None
-    step: Positive | None = None
-    tolerance: Positive | None = None
-    stabilization: Annotated[StabilizationSpec, BeforeValidator(_from_name)] = StabilizationSpec()
-    output_step: Positive = 0.01
-    most_steps: Positive = 1e8
-    solver: Literal["node", "dense"] = "node"
-    arms: Literal["pinocchio", "compiled"] = "pinocchio"
-
-    @model_validator(mode="before")
-    @classmethod
-    def _default_accuracy(cls, data: Any) -> Any:
-        if isinstance(data, dict) and all(data.get(key) is None for key in STEPS_CHOSEN_BY):
-            return {**data, "accuracy": DEFAULT_ACCURACY}
-        return data
-
-    @model_validator(mode="after")
-    def _one_way_to_choose_the_steps(self) -> Self:
-        message = self._step_fault()
-        if message:
-            raise fault(message)
-        return self
-
-    def _step_fault(self) -> str | None:
-        if self.accuracy is not None and self.step is not None:
-            return "'accuracy' and 'step' exclude each other; keep the one that you mean"
-        if self.accuracy is not None and self.tolerance is not None:
-            return "'accuracy' and 'tolerance' exclude each other; keep the one that you mean"
-        if self.integrator is None and self.step is not None:
-            return f"'step' needs an integrator of fixed step: {_or(FIXED_STEP_INTEGRATORS)}"
-        if self.integrator is None and self.tolerance is not None:
-            return f"'tolerance' needs an adaptive integrator: {_or(ADAPTIVE_INTEGRATORS)}"
-        if self.integrator == "variational" and self.stabilization.kind == "feedback":
-            return "'variational' keeps the joints closed itself; remove 'stabilization: feedback'"
-        if self.integrator in FIXED_STEP_INTEGRATORS:
-            return self._fixed_step_fault()
-        if self.step is not None:
-            return (
-                f"{self.integrator!r} chooses its own steps; remove 'step' or use "
-                f"{_or(FIXED_STEP_INTEGRATORS)}"
-            )
-        return None
-
-    def _fixed_step_fault(self) -> str | None:
-        if self.accuracy is not None or self.tolerance is not None:
-            return (
-                f"{self.integrator!r} has a fixed step and cannot aim at 'accuracy' or "
-                f"'tolerance'; give 'step' instead, or use {_or(ADAPTIVE_INTEGRATORS)}"
-            )
-        if self.step is None:
-            return f"{self.integrator!r} has a fixed step: add 'step', for example 'step: 0.001'"
-        if self.step > self.duration:
-            return f"'step' is {self.step:g} s, longer than the run of {self.duration:g} s"
-        return None
-
-
-def _or(names: tuple[str, ...]) -> str:
-    return " or ".join(repr(name) for name in names)

@@ -1,44 +1,79 @@
-"""From Pydantic's findings to sentences that a scene's author can act on.
+"""Faults of a scene as sentences: what is wrong, where, what is possible instead, the remedy.
 
-Pydantic reports a location (``("joints", 1, "ball", "size")``, where ``"ball"`` is the branch of
-a union, not a key) and a type of error. Here the location becomes ``$.joints[1].size`` and the
-type a sentence with the offending value, the alternatives and the remedy.
+A message about a name offers the names that exist, the most similar first, so that a typing error
+is corrected without opening the manual.  Pydantic reports a location (``("joints", 1, "ball",
+"size")``, where ``"ball"`` is the branch of a union, not a key) and a type of error.  Here the
+location becomes ``$.joints[1].size`` and the type a sentence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+import reprlib
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, PydanticCustomError
 
-from multiarm.scene.words import listed, place, shown, unknown
+Parts = tuple[str | int, ...]
+"""Keys and list positions that lead to a value."""
 
-__all__ = ["explain", "sentences"]
+_MAX_LISTED = 12
+_SIMILAR = 0.6  # ratio of difflib above which two names count as one mistyped
 
-# How the keys of some tables are called, in the singular and the plural.
-_KEY_NOUNS = {"EffectsSpec": ("effect", "effects"), "Shape": ("shape", "shapes")}
-_KIND_NOUNS = {"joints": "joint kind", "control": "control kind"}
+_repr = reprlib.Repr()
+_repr.maxstring = _repr.maxother = 60
+_repr.maxlist = _repr.maxtuple = 8
+
+
+def fault(message: str) -> PydanticCustomError:
+    """The error that a validator raises; a user reads ``message`` as it is."""
+    return PydanticCustomError("fault", message.replace("{", "(").replace("}", ")"))
+
+
+def shown(value: object) -> str:
+    """A short text of ``value`` for use inside a message."""
+    return _repr.repr(list(value) if isinstance(value, tuple) else value)
+
+
+def listed(names: Iterable[str], similar_to: str | None = None) -> str:
+    """``'a', 'b', 'c'``, most similar first, shortened when there are very many."""
+    names = list(names)
+    if not names:
+        return "(none)"
+    if similar_to is not None:
+        names.sort(key=lambda name: -_similarity(name, similar_to))
+    text = ", ".join(repr(name) for name in names[:_MAX_LISTED])
+    left_out = len(names) - _MAX_LISTED
+    return text if left_out <= 0 else f"{text} and {left_out} more"
+
+
+def unknown(noun: str, value: object, known: Iterable[str], plural: str | None = None) -> str:
+    """``unknown arm 'rigth'; did you mean 'right'? arms are 'right', 'left'``."""
+    known = list(known)
+    plural = plural or f"{noun}s"
+    text = f"unknown {noun} {shown(value)}"
+    if not known:
+        return f"{text}; there are no {plural}"
+    if not isinstance(value, str):
+        return f"{text}; {plural} are {listed(known)}"
+    close = difflib.get_close_matches(value, known, n=1, cutoff=_SIMILAR)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{text}; {hint}{plural} are {listed(known, similar_to=value if close else None)}"
+
+
+def place(parts: Iterable[str | int], root: str = "$") -> str:
+    """A path such as ``$.joints[1].arm`` or ``$.arms['my arm'].tip``."""
+    text = root
+    for part in parts:
+        named = isinstance(part, str) and part.isidentifier()
+        text += f".{part}" if named else f"[{part!r}]"
+    return text
 
 
 def explain(error: ValidationError, root: type[BaseModel], root_name: str = "$") -> list[str]:
-    """Return every fault of ``error`` as one complete line.
-
-    Parameters
-    ----------
-    error : ValidationError
-        What Pydantic found in data for ``root``.
-    root : type
-        The model that was validated, from which known keys and kinds are told.
-    root_name : str
-        How the root is called in the places, ``$`` for a scene.
-
-    Returns
-    -------
-    list of str
-        In the order of the scene, without repetitions.
-    """
+    """Every fault of data for the model ``root`` as one complete line, each once, in its order."""
     lines = [f"{place(parts, root_name)}: {text}" for parts, text, _ in sentences(error, root)]
     return list(dict.fromkeys(lines))
 
@@ -46,7 +81,7 @@ def explain(error: ValidationError, root: type[BaseModel], root_name: str = "$")
 def sentences(
     error: ValidationError, root: type[BaseModel]
 ) -> list[tuple[list[str | int], str, Any]]:
-    """Return place below ``root``, sentence and offending value of every fault."""
+    """Place below ``root``, sentence and offending value of every fault."""
     found = []
     for details in error.errors(include_url=False):
         parts, owner, models = _walk(details["loc"], root)
@@ -54,6 +89,23 @@ def sentences(
         tail = ["kind"] if details["type"] == "union_tag_invalid" else []
         found.append(([*parts, *tail], text, details["input"]))
     return found
+
+
+# What the keys of some tables are called, in the singular and the plural.
+_KEY_NOUNS = {"EffectsSpec": ("effect", "effects"), "Shape": ("shape", "shapes")}
+_KIND_NOUNS = {"joints": "joint kind", "control": "control kind"}
+_EXPECTED = {
+    "string_type": "must be text",
+    "bool_type": "must be true or false",
+    "bool_parsing": "must be true or false",
+    "finite_number": "must be finite",
+    "path_type": "must be a path",
+    "tuple_type": "must be a list",
+    "list_type": "must be a list",
+    "dict_type": "must be a table of 'name: value' lines",
+    "model_type": "must be a table of 'key: value' lines",
+    "model_attributes_type": "must be a table of 'key: value' lines",
+}
 
 
 def _sentence(
@@ -84,20 +136,6 @@ def _sentence(
     return f"{_EXPECTED.get(kind, details['msg'])}, got {shown(value)}"
 
 
-_EXPECTED = {
-    "string_type": "must be text",
-    "bool_type": "must be true or false",
-    "bool_parsing": "must be true or false",
-    "finite_number": "must be finite",
-    "path_type": "must be a path",
-    "tuple_type": "must be a list",
-    "list_type": "must be a list",
-    "dict_type": "must be a table of 'name: value' lines",
-    "model_type": "must be a table of 'key: value' lines",
-    "model_attributes_type": "must be a table of 'key: value' lines",
-}
-
-
 def _missing(part: str | int, owner: type[BaseModel]) -> str:
     if isinstance(part, int):
         return "is missing: the list is too short"
@@ -109,7 +147,7 @@ def _missing(part: str | int, owner: type[BaseModel]) -> str:
 def _walk(
     loc: Sequence[str | int], root: type[BaseModel]
 ) -> tuple[list[str | int], type[BaseModel], list[type[BaseModel]]]:
-    """Return the location without union branches, the model of its last key, what may follow."""
+    """The location without union branches, the model of its last key, what may follow."""
     parts: list[str | int] = []
     owner, models, inside_container = root, [root], False
     for part in loc:
@@ -152,7 +190,7 @@ def _kind_of(model: type[BaseModel]) -> str | None:
 
 
 def _choices(owner: type[BaseModel], parts: list[str | int]) -> list[str]:
-    """Return the values allowed at ``parts``, the last named key of ``owner`` on the way."""
+    """The values allowed at ``parts``, the last named key of ``owner`` on the way."""
     names = [part for part in parts if isinstance(part, str) and part in owner.model_fields]
     return _literals(owner.model_fields[names[-1]].annotation) if names else []
 
@@ -161,3 +199,7 @@ def _literals(annotation: Any) -> list[str]:
     if get_origin(annotation) is Literal:
         return [str(value) for value in get_args(annotation)]
     return [value for part in get_args(annotation) for value in _literals(part)]
+
+
+def _similarity(name: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, name.lower(), other.lower()).ratio()

@@ -1,8 +1,8 @@
-"""A hand of rigid fingers, told by its fingertips: a tool that needs no URDF file of its own.
+"""A hand of rigid fingers, given by its fingertips: a tool that needs no URDF file.
 
 Such hands are small and made for one object, as the corner grippers of the thesis (2.2.3): each rod
-leads from a palm to a spherical fingertip.  What a scene says about them becomes the text of a
-URDF, so that hands are tools like all others.
+leads from a palm to a spherical fingertip.  A scene's hand becomes the text of a URDF, so that
+hands are tools like all others.
 """
 
 from __future__ import annotations
@@ -12,10 +12,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from pydantic import Field, field_validator
 
-from multiarm.scene.base import Pose, Spec
-from multiarm.scene.values import Positive, Vec3, fault
-
-__all__ = ["FingersSpec", "urdf_text"]
+from multiarm.scene.faults import fault
+from multiarm.scene.values import Pose, Positive, Spec, Vec3
 
 # The palm stands at this part of the way from the mount to the corner.
 PALM = 0.3

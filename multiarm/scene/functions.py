@@ -1,45 +1,80 @@
-"""Python functions as parts of a scene: the callable itself, or a text that says where it is.
+"""User functions in a scene, and the one place that decides whether one may be loaded.
 
 A scene must be written to a file and read again, also where the function's module is absent.  So a
-function is *named* in a scene, and looked up only when a system is compiled:
+function is *named* in a scene, and looked up only when a system is compiled or a quantity measured:
 
 * ``bowls.py:paraboloid``, a file (a relative path starts at the scene's folder);
 * ``my_package.bowls:paraboloid``, a module that Python can import.
 
-Such a text is a :class:`multiarm.scene.user_code.FunctionReference`.
-
 A callable given in Python is written as the second form, or as the first if it belongs to the
-script that runs.  One that has no name of its own, such as a lambda, is written with its name in
-angle brackets: the text tells what it was, but it cannot be looked up again.
+script that runs.  One without a name, such as a lambda, is written with its name in angle brackets:
+the text says what it was, but it cannot be looked up again.
+
+A function is loaded only
+
+* from a ``.py`` file, which for a scene or sweep file must lie in its folder or below, or from a
+  module that is installed, but not from Python's standard library;
+* by a plain name, and not if the standard library defines it: ``tools.py:system`` after
+  ``from os import system`` is refused as ``os:system`` is.
+
+These rules keep a file from reaching, without code of its own, what can delete or start something.
+Code that is loaded can do anything: looking at a stranger's file loads none.
 """
 
 from __future__ import annotations
 
+import functools
+import importlib
+import importlib.util
+import itertools
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, PlainSerializer
 
-from multiarm.scene.user_code import FunctionReference, LoadedFunction
-from multiarm.scene.values import Parts, fault
-from multiarm.scene.words import shown
+from multiarm.errors import USER_FAULTS, ModelError
+from multiarm.scene.faults import Parts, fault, shown
 
-__all__ = [
-    "UserFunction",
-    "function_references",
-    "function_text",
-    "located_function",
-    "parts_of",
-]
 
-_TEXT = re.compile(r"[^:\s][^\n]*:[^:\s][^:\n]*")
+class FunctionReference(str):
+    """The text that names a function, as it is in a file; the function is not loaded."""
+
+    __slots__ = ()
+
+    @property
+    def home(self) -> str:
+        """Its file, which ends in ``.py``, or its module."""
+        return self.rpartition(":")[0]
+
+    @property
+    def name(self) -> str:
+        """Its name there."""
+        return self.rpartition(":")[2]
+
+    @property
+    def file(self) -> Path | None:
+        """Its file; None where it is in a module."""
+        return Path(self.home) if self.home.endswith(".py") else None
+
+
+class LoadedFunction:
+    """A function that was loaded, and the reference by which a file names it."""
+
+    def __init__(self, reference: FunctionReference, function: Callable) -> None:
+        self.reference, self.function = reference, function
+        self.__qualname__ = str(reference)  # what messages call it
+
+    def __call__(self, *arguments):
+        """Call the function."""
+        return self.function(*arguments)
 
 
 def function_text(function: Callable | str) -> str:
-    """Return ``module:name`` or ``file.py:name`` for a function; a text is returned as it is."""
+    """``module:name`` or ``file.py:name`` for a function; a text is returned as it is."""
     if isinstance(function, LoadedFunction):
         function = function.reference
     if isinstance(function, str):
@@ -56,31 +91,10 @@ def function_text(function: Callable | str) -> str:
     return f"{module}:{name}"
 
 
-def located_function(function: Callable | str | None, folder: Path) -> Callable | str | None:
-    """Return the function with the path of its file made absolute, a relative one below folder."""
-    return function.below(folder) if isinstance(function, FunctionReference) else function
-
-
-def function_references(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, FunctionReference]]:
-    """The functions that are named, and not loaded, below a part of a scene, with their places."""
-    if isinstance(value, FunctionReference):
-        yield parts, value
-    for key, item in parts_of(value):
-        yield from function_references(item, (*parts, key))
-
-
-def parts_of(value: Any) -> Iterator[tuple[str | int, Any]]:
-    """What is directly below a part of a scene, by key or number."""
-    if isinstance(value, BaseModel):
-        yield from ((name, getattr(value, name)) for name in type(value).model_fields)
-    elif isinstance(value, tuple):
-        yield from enumerate(value)
-
-
 def _function(value: Any) -> Any:
     if callable(value):
         return value
-    if isinstance(value, str) and _TEXT.fullmatch(value):
+    if isinstance(value, str) and re.fullmatch(r"[^:\s][^\n]*:[^:\s][^:\n]*", value):
         return FunctionReference(value)
     raise fault(
         "must be a Python function, or name one as 'file.py:name' or 'package.module:name', got "
@@ -91,3 +105,164 @@ def _function(value: Any) -> Any:
 UserFunction = Annotated[
     Any, BeforeValidator(_function), PlainSerializer(function_text, return_type=str)
 ]
+
+
+# --- functions and files within a part of a scene ------------------------------------------------
+
+
+def function_references(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, FunctionReference]]:
+    """The functions that are named, and not loaded, in a part of a scene, with their places."""
+    if isinstance(value, FunctionReference):
+        yield parts, value
+    for key, item in _items(value):
+        yield from function_references(item, (*parts, key))
+
+
+def mapped(value: Any, change: Callable[[Any, Parts], Any], parts: Parts = ()) -> Any:
+    """A part of a scene with ``change(leaf, place)`` in place of every leaf; as it is if equal."""
+    items: dict[Any, Any] = dict(_items(value))
+    if not items:
+        return change(value, parts)
+    made = {key: mapped(item, change, (*parts, key)) for key, item in items.items()}
+    changes = {key: item for key, item in made.items() if item is not items[key]}
+    if not changes:
+        return value
+    if isinstance(value, BaseModel):
+        return value.model_copy(update=changes)
+    return made if isinstance(value, Mapping) else tuple(made.values())
+
+
+def located(value: Any, folder: Path) -> Any:
+    """A part of a scene with file paths made absolute, relative ones below ``folder``."""
+
+    def absolute(leaf: Any, _parts: Parts) -> Any:
+        if isinstance(leaf, Path):
+            return (folder / leaf.expanduser()).resolve()
+        if isinstance(leaf, FunctionReference) and leaf.file is not None:
+            return FunctionReference(f"{absolute(leaf.file, ())}:{leaf.name}")
+        return leaf
+
+    return mapped(value, absolute)
+
+
+def _items(value: Any) -> Iterator[tuple[str | int, Any]]:
+    if isinstance(value, BaseModel):
+        yield from ((name, getattr(value, name)) for name in type(value).model_fields)
+    elif isinstance(value, Mapping):
+        yield from value.items()
+    elif isinstance(value, tuple):
+        yield from enumerate(value)
+
+
+# --- loading -------------------------------------------------------------------------------------
+
+
+def reference_fault(reference: FunctionReference, folder: Path | None = None) -> str:
+    """Why a function may not be loaded by this reference; empty where it may.
+
+    Parameters
+    ----------
+    reference : FunctionReference
+        With an absolute path, if it names a file.
+    folder : Path, optional
+        That of the file in which it is written: a function's file lies there or below.
+    """
+    cannot = f"cannot load the function '{reference}': "
+    if reference.name.startswith("<"):
+        return (
+            f"the function '{reference}' has no name by which it can be found again; give the "
+            "function itself, or name one as 'file.py:name' or 'package.module:name'"
+        )
+    if not reference.name.isidentifier():
+        return (
+            f"{cannot}{reference.name!r} is not a plain name; name a function that stands in "
+            f"{reference.home} itself"
+        )
+    if reference.file is None:
+        if _is_standard(reference.home):
+            return (
+                f"{cannot}{reference.home!r} belongs to Python's standard library; name a function "
+                "in a .py file next to the scene or in an installed package"
+            )
+        return ""
+    if folder is not None and not reference.file.resolve().is_relative_to(folder.resolve()):
+        return (
+            f"{cannot}its file is not in the folder {folder} or below; put it there, or name an "
+            "installed module as 'package.module:name'"
+        )
+    return ""
+
+
+def load_function(given: Callable | FunctionReference) -> Callable:
+    """The function to which a reference leads; a function is returned as it is.
+
+    Raises
+    ------
+    ModelError
+        When it may not be loaded; when there is no such file, module or name; when loading fails.
+    """
+    if not isinstance(given, FunctionReference):
+        return given
+    reason = reference_fault(given)
+    if reason:
+        raise ModelError(reason)
+    home, name, file = given.home, given.name, given.file
+    if file is not None and not file.is_file():
+        raise ModelError(
+            f"cannot load the function '{given}': there is no file {file}; correct the path, "
+            "which starts at the scene's folder"
+        )
+    try:
+        module = importlib.import_module(home) if file is None else _file_module(file)
+    except USER_FAULTS as error:
+        raise ModelError(
+            f"cannot load the function '{given}': {type(error).__name__}: {error}; correct the "
+            "module (functions are named 'file.py:name' or 'package.module:name')"
+        ) from error
+    if not hasattr(module, name):
+        raise ModelError(f"there is no {name!r} in {home}; {_functions_in(module)}")
+    found = getattr(module, name)
+    if not callable(found):
+        raise ModelError(f"{name!r} in {home} is not a function; {_functions_in(module)}")
+    if _is_standard(_home_of(found)):
+        raise ModelError(
+            f"cannot load the function '{given}': it is one of {_home_of(found)!r}, of Python's "
+            "standard library; name a function that is defined outside of it"
+        )
+    return found
+
+
+def _is_standard(module: str) -> bool:
+    root = module.partition(".")[0]
+    return root in sys.stdlib_module_names or root in sys.builtin_module_names
+
+
+def _home_of(function: Callable) -> str:
+    """The module that defines a function, or what a partial one calls, or the type of an object."""
+    while isinstance(function, functools.partial):
+        function = function.func
+    return str(getattr(function, "__module__", None) or type(function).__module__)
+
+
+_COUNT = itertools.count()
+
+
+def _file_module(path: Path) -> ModuleType:
+    """Run a file as a module each time; it is not left among the imported ones."""
+    name = f"functions_of_{path.stem}_{next(_COUNT)}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None, "a name that ends in .py has a loader"
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # data classes look for their module while it is run
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.modules.pop(name, None)
+    return module
+
+
+def _functions_in(module: ModuleType) -> str:
+    names = [n for n, value in vars(module).items() if callable(value) and not n.startswith("_")]
+    return (
+        f"its functions are {', '.join(map(repr, names[:8]))}" if names else "it has no functions"
+    )

@@ -1,54 +1,50 @@
-"""The surfaces that can touch: what a user writes for one body's side of a contact."""
+r"""Contacts as they are written: the surfaces of both bodies, and whether they touch in a point.
+
+Two surfaces that touch share a tangent plane. They touch in that point only, and their common
+normal moves smoothly with the bodies, when the sum of their curvatures is positive in every
+direction of the plane (a curvature is positive where the body bulges, negative in a hollow). With
+principal curvatures :math:`a_1 \ge a_2` and :math:`b_1 \ge b_2` there is a way of turning the two
+such that this holds exactly if
+
+.. math:: a_1 + b_2 > 0 \quad\text{and}\quad a_2 + b_1 > 0 .
+
+So a plane meets no cylinder, a bore no cylinder, and a fingertip no narrower bore, but a ring fits
+into a bore that is wider than its tube.
+"""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from multiarm.errors import SceneError
-from multiarm.scene.base import Pose, Spec
-from multiarm.scene.functions import UserFunction, located_function
-from multiarm.scene.values import Direction, Positive, Vec3, Vec4, fault, number_list
-from multiarm.scene.words import listed, shown
-
-__all__ = [
-    "ConeGeometry",
-    "CylinderGeometry",
-    "EllipsoidGeometry",
-    "Geometry",
-    "PatchSpec",
-    "PlaneGeometry",
-    "Range",
-    "SphereGeometry",
-    "SurfaceGeometry",
-    "TorusGeometry",
-]
+from multiarm.scene.faults import fault, listed
+from multiarm.scene.functions import UserFunction
+from multiarm.scene.values import (
+    Direction,
+    Number,
+    OneOf,
+    Pose,
+    Positive,
+    Range,
+    Spec,
+    Vec3,
+    Vec4,
+    list_of,
+)
 
 _Z = (0.0, 0.0, 1.0)
+# A funnel is nowhere flat across its lines, but as flat as one likes far from the apex.
+_NEARLY_FLAT = 1e-300
 
 
-def _bounds(value: Any) -> tuple[float | None, ...]:
-    if not isinstance(value, (list, tuple)) or len(value) != 3:
-        raise fault(f"must be a list of 3 numbers (null: no bound), got {shown(value)}")
-    numbers = number_list([0.0 if bound is None else bound for bound in value])
-    return tuple(None if b is None else n for b, n in zip(value, numbers, strict=True))
-
-
-def _range(value: Any) -> tuple[float, float]:
-    if not isinstance(value, (list, tuple)) or len(value) != 2:
-        raise fault(f"must be a list of two numbers, from and to, got {shown(value)}")
-    low, high = number_list(value)
-    if not low < high:
-        raise fault(f"must run from a smaller to a larger number, got {shown(value)}")
-    return low, high
-
-
-Bounds = Annotated[tuple[float | None, float | None, float | None], BeforeValidator(_bounds)]
-Range = Annotated[tuple[float, float], BeforeValidator(_range)]
+Bounds = Annotated[
+    tuple[Number | None, Number | None, Number | None],
+    list_of("must be a list of 3 numbers (null: no bound)", 3),
+]
 
 
 class PatchSpec(Spec):
@@ -75,10 +71,6 @@ class _SurfaceSpec(Spec):
     """What all surfaces share."""
 
     patch: PatchSpec | None = Field(None, description="the part of it that exists: a box")
-
-    def located(self, folder: Path) -> Self:
-        """Return this surface with file paths made absolute, relative ones below ``folder``."""
-        return self
 
 
 class _Turned(_SurfaceSpec):
@@ -244,7 +236,7 @@ class EllipsoidGeometry(_Turned):
 
 
 class SurfaceGeometry(_Turned):
-    """A smooth surface of the user's: a signed distance or a parametrisation.
+    """A smooth surface as Python functions: a signed distance or a parametrisation.
 
     Attributes
     ----------
@@ -286,25 +278,19 @@ class SurfaceGeometry(_Turned):
             given = "neither" if self.distance is None else "both"
             raise fault(f"needs either 'distance' or 'parametrisation', got {given}")
         used = "parametrisation" if self.distance is None else "distance"
-        strange = {
+        of_the_other = {
             "distance": ("derivatives", "u", "v", "flip"),
             "parametrisation": ("gradient", "hessian"),
         }
-        wrong = [name for name in strange[used] if getattr(self, name)]
+        wrong = [name for name in of_the_other[used] if getattr(self, name)]
         if wrong:
             raise fault(f"{listed(wrong)} cannot be given with {used!r}; remove it")
         if used == "parametrisation" and (self.u is None or self.v is None):
             raise fault("a parametrisation needs the ranges 'u' and 'v', such as 'u: [-1, 1]'")
         return self
 
-    def located(self, folder: Path) -> Self:
-        """Return this surface with file paths made absolute, relative ones below ``folder``."""
-        names = ("distance", "gradient", "hessian", "parametrisation", "derivatives")
-        found = {name: located_function(getattr(self, name), folder) for name in names}
-        return self.model_copy(update=found)
 
-
-class Geometry(Spec):
+class Geometry(OneOf):
     """One body's side of a contact: exactly one of the attributes.
 
     Attributes
@@ -314,7 +300,7 @@ class Geometry(Spec):
     sphere, plane, cylinder, cone, torus, ellipsoid
         A surface of that form.
     surface
-        A smooth surface of the user's.
+        A smooth surface as Python functions.
     """
 
     point: Vec3 | None = None
@@ -325,14 +311,6 @@ class Geometry(Spec):
     torus: TorusGeometry | None = None
     ellipsoid: EllipsoidGeometry | None = None
     surface: SurfaceGeometry | None = None
-
-    @model_validator(mode="after")
-    def _exactly_one(self) -> Self:
-        names = list(type(self).model_fields)
-        given = [name for name in names if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise fault(f"needs exactly one of {listed(names)}, got {given or 0}")
-        return self
 
     @property
     def shape(self) -> str:
@@ -349,13 +327,88 @@ class Geometry(Spec):
         """Whether it is the surface of a cavity, touched from within."""
         return self.point is None and getattr(self.value, "inside", False)
 
-    @property
-    def is_tip(self) -> bool:
-        """Whether it is a point or a solid sphere, which can touch any surface."""
-        return self.shape in ("point", "sphere") and not self.is_hollow
 
-    def located(self, folder: Path) -> Self:
-        """Return this geometry with file paths made absolute, relative ones below ``folder``."""
-        if self.surface is None:
-            return self
-        return self.model_copy(update={"surface": self.surface.located(folder)})
+class ContactSpec(Spec):
+    """One frictionless contact: a surface of the arm and one of the object that touch.
+
+    Attributes
+    ----------
+    arm : Geometry
+        The arm's side, in the joint frame at the tip.
+    object : Geometry
+        The object's side, in the joint frame at the object.
+    rolling : bool
+        The surfaces do not slip where they touch: two rows more, for the velocities.
+    name : str, optional
+        A name for reports.
+    """
+
+    arm: Geometry = Field(description="the arm's side of the contact")
+    object: Geometry = Field(description="the object's side of the contact")
+    rolling: bool = False
+    name: str | None = None
+
+    @model_validator(mode="after")
+    def _touch_in_a_point(self) -> Self:
+        a, b = self.arm, self.object
+        reason = _obstacle(a, b)
+        if reason is not None:
+            raise fault(
+                f"{_named(a)} on the arm and {_named(b)} on the object make no point contact: "
+                f"{reason}"
+            )
+        return self
+
+
+def _obstacle(a: Geometry, b: Geometry) -> str | None:
+    """Why two geometries cannot touch in a point, and what can be done; None when they can."""
+    if a.shape == b.shape == "point":
+        return "two points have no normal; give one body a surface"
+    if a.is_hollow and b.is_hollow:
+        return "both are touched from within; leave out 'inside' on one body"
+    if "surface" in (a.shape, b.shape):
+        return None
+    (a_1, a_2), (b_1, b_2) = _curvatures(a), _curvatures(b)
+    if a_1 + b_2 > 0.0 and a_2 + b_1 > 0.0:
+        return None
+    if a.is_hollow or b.is_hollow:
+        inner = b if a.is_hollow else a
+        if inner.shape in ("plane", "cylinder", "cone"):
+            return f"a {inner.shape} is straight and cannot touch a hollow from within"
+        return "it does not fit; make the inner surface smaller or the hollow one larger"
+    return "they touch along a line or a face; use a sphere, a torus or an ellipsoid on one body"
+
+
+def _curvatures(geometry: Geometry) -> tuple[float, float]:
+    """Principal curvatures [1/m], the larger first, where the geometry is easiest to touch."""
+    g, side = geometry.value, -1.0 if geometry.is_hollow else 1.0
+    if geometry.shape == "point":
+        return math.inf, math.inf
+    if geometry.shape == "plane":
+        return 0.0, 0.0
+    if geometry.shape == "sphere":
+        return side / g.radius, side / g.radius
+    if geometry.shape == "cylinder":
+        return max(0.0, side / g.radius), min(0.0, side / g.radius)
+    if geometry.shape == "cone":
+        return (0.0, -_NEARLY_FLAT) if geometry.is_hollow else (math.inf, 0.0)
+    if geometry.shape == "torus":
+        circle, tube = g.circle_radius, g.tube_radius
+        if geometry.is_hollow:  # at the equator near the axis
+            return 1.0 / (circle - tube), -1.0 / tube
+        return 1.0 / tube, 1.0 / (circle + tube)
+    short, middle, long = sorted(g.semi_axes)
+    if geometry.is_hollow:  # at the end of the short axis
+        return -short / long**2, -short / middle**2
+    return long / short**2, long / middle**2
+
+
+def _named(geometry: Geometry) -> str:
+    """What a geometry is called: with its radius where that decides."""
+    noun = f"hollow {geometry.shape}" if geometry.is_hollow else geometry.shape
+    article = "an" if noun[0] in "aeiou" else "a"
+    if geometry.shape in ("sphere", "cylinder"):
+        return f"{article} {noun} of radius {geometry.value.radius:g} m"
+    if geometry.shape == "torus":
+        return f"{article} {noun} with a tube of radius {geometry.value.tube_radius:g} m"
+    return f"{article} {noun}"

@@ -8,37 +8,32 @@ the object frame (``at``) and in the tip's frame (``at_tip``); both coincide at 
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
-from multiarm.scene.base import Pose, Spec
-from multiarm.scene.contact_spec import ContactSpec, check_tip_fits
-from multiarm.scene.geometry import Range
-from multiarm.scene.values import Direction, NonNegative, Positive, Vec3, Vec6, fault
-from multiarm.scene.wrenches import dependent_rows
-
-__all__ = [
-    "BallJoint",
-    "ContactsJoint",
-    "CornerGripperJoint",
-    "CylindricalJoint",
-    "JointBase",
-    "JointSpec",
-    "PlanarJoint",
-    "PointOnCylinderJoint",
-    "PointOnPlaneJoint",
-    "PointOnSphereJoint",
-    "PrismaticJoint",
-    "RevoluteJoint",
-    "UniversalJoint",
-    "WeldJoint",
-    "WrenchesJoint",
-]
+from multiarm.scene.faults import fault
+from multiarm.scene.geometry import ContactSpec
+from multiarm.scene.values import (
+    Direction,
+    NonNegative,
+    Pose,
+    Positive,
+    Range,
+    Spec,
+    Vec3,
+    Vec6,
+)
 
 _Z = (0.0, 0.0, 1.0)
+# A wrench that stands out of the span of those before it by less than this fraction of itself is
+# taken for a combination of them: as many digits as a person may write.
+_SPAN_TOLERANCE = 1e-9
+# Wrenches that take part in a combination with less than this weight are not named.
+_NAMED_WEIGHT = 1e-6
 
 
 def _around_the_start(limits: tuple[float, float]) -> tuple[float, float]:
@@ -75,6 +70,9 @@ class JointBase(Spec):
     at: Pose | None = None
     at_tip: Pose = Pose()
 
+    limited: ClassVar[dict[str, int]] = {}
+    """Component of the relative motion that each attribute limits."""
+
     @property
     def free_limits(self) -> dict[int, tuple[float, float]]:
         """Limits by component of the relative motion.
@@ -82,11 +80,8 @@ class JointBase(Spec):
         Components 0 to 2 are slides along [m], 3 to 5 turns about [rad] x, y, z of the joint frame
         once that is turned so that z is the joint's axis.
         """
-        return {}
-
-    def located(self, folder: Path) -> Self:
-        """Return this joint with file paths made absolute, relative ones below ``folder``."""
-        return self
+        limits = {component: getattr(self, name) for name, component in self.limited.items()}
+        return {component: ends for component, ends in limits.items() if ends is not None}
 
 
 class WeldJoint(JointBase):
@@ -129,15 +124,12 @@ class RevoluteJoint(JointBase):
         enforced.
     """
 
+    limited: ClassVar[dict[str, int]] = {"limits": 5}
+
     kind: Literal["revolute"] = "revolute"
     axis: Direction = _Z
     size: Positive = 0.1
     limits: Limits | None = Field(None, description="how far it may turn from the start [rad]")
-
-    @property
-    def free_limits(self) -> dict[int, tuple[float, float]]:
-        """Limits of the turn about the axis."""
-        return {} if self.limits is None else {5: self.limits}
 
 
 class PrismaticJoint(JointBase):
@@ -153,15 +145,12 @@ class PrismaticJoint(JointBase):
         How far it may slide from the start [m]: drawn and reported, not enforced.
     """
 
+    limited: ClassVar[dict[str, int]] = {"limits": 2}
+
     kind: Literal["prismatic"] = "prismatic"
     axis: Direction = _Z
     size: Positive = 0.1
     limits: Limits | None = Field(None, description="how far it may slide from the start [m]")
-
-    @property
-    def free_limits(self) -> dict[int, tuple[float, float]]:
-        """Limits of the slide along the axis."""
-        return {} if self.limits is None else {2: self.limits}
 
 
 class CylindricalJoint(JointBase):
@@ -177,17 +166,13 @@ class CylindricalJoint(JointBase):
         How far it may turn [rad] and slide [m] from the start: drawn and reported, not enforced.
     """
 
+    limited: ClassVar[dict[str, int]] = {"slide_limits": 2, "turn_limits": 5}
+
     kind: Literal["cylindrical"] = "cylindrical"
     axis: Direction = _Z
     size: Positive = 0.1
     turn_limits: Limits | None = Field(None, description="how far it may turn from the start [rad]")
     slide_limits: Limits | None = Field(None, description="how far it may slide from the start [m]")
-
-    @property
-    def free_limits(self) -> dict[int, tuple[float, float]]:
-        """Limits of the slide along and of the turn about the axis."""
-        limits = {2: self.slide_limits, 5: self.turn_limits}
-        return {component: own for component, own in limits.items() if own is not None}
 
 
 class UniversalJoint(JointBase):
@@ -258,7 +243,7 @@ class PointOnCylinderJoint(JointBase):
 
     @model_validator(mode="after")
     def _tip_fits(self) -> Self:
-        check_tip_fits(self.inside, self.radius, self.tip_radius, "bore")
+        _check_tip_fits(self.inside, self.radius, self.tip_radius, "bore")
         return self
 
 
@@ -282,7 +267,7 @@ class PointOnSphereJoint(JointBase):
 
     @model_validator(mode="after")
     def _tip_fits(self) -> Self:
-        check_tip_fits(self.inside, self.radius, self.tip_radius, "hollow sphere")
+        _check_tip_fits(self.inside, self.radius, self.tip_radius, "hollow sphere")
         return self
 
 
@@ -321,7 +306,7 @@ class CornerGripperJoint(JointBase):
             if abs(point["xyz".index(face)]) > 1e-9:
                 raise fault(
                     f"point {number}, {list(point)}, is not on face {face!r}, where {face} = 0; "
-                    "mend the point or name its face"
+                    "correct the point or name its face"
                 )
         return self
 
@@ -352,11 +337,6 @@ class ContactsJoint(JointBase):
             raise fault("'contacts' is empty; list at least one contact {arm: ..., object: ...}")
         return self
 
-    def located(self, folder: Path) -> Self:
-        """Return this joint with file paths made absolute, relative ones below ``folder``."""
-        contacts = tuple(contact.located(folder) for contact in self.contacts)
-        return self.model_copy(update={"contacts": contacts})
-
 
 class WrenchesJoint(JointBase):
     """The joint that transmits given wrenches, and leaves every motion on which they do no work.
@@ -383,7 +363,7 @@ class WrenchesJoint(JointBase):
     def _independent(self) -> Self:
         if not self.wrenches:
             raise fault("'wrenches' is empty; list at least one [fx, fy, fz, mx, my, mz]")
-        found = dependent_rows(self.wrenches, self.size)
+        found = _dependent_rows(self.wrenches, self.size)
         if found:
             texts = [
                 f"wrench {row} is a combination of {_counted(others)}"
@@ -393,11 +373,6 @@ class WrenchesJoint(JointBase):
             ]
             raise fault(f"{'; '.join(texts)} (counted from 1); remove what adds nothing")
         return self
-
-
-def _counted(rows: tuple[int, ...]) -> str:
-    *first, last = (str(row) for row in rows)
-    return f"wrenches {', '.join(first)} and {last}" if first else f"wrench {last}"
 
 
 JointSpec = Annotated[
@@ -416,3 +391,42 @@ JointSpec = Annotated[
     | WrenchesJoint,
     Field(discriminator="kind"),
 ]
+
+
+def _check_tip_fits(inside: bool, radius: float, tip_radius: float, noun: str) -> None:
+    if inside and tip_radius >= radius:
+        raise fault(
+            f"a fingertip of radius {tip_radius:g} m does not fit into a {noun} of radius "
+            f"{radius:g} m; make the tip smaller"
+        )
+
+
+def _dependent_rows(
+    wrenches: Sequence[Sequence[float]], length: float
+) -> dict[int, tuple[int, ...]]:
+    """Wrenches, counted from 1, that are combinations of earlier ones, and which these are.
+
+    None of them when the wrench is zero.  Moments count as forces at the lever arm ``length`` [m].
+    """
+    scaled = np.array(wrenches, dtype=float) / ([1.0] * 3 + [length] * 3)
+    sizes = np.max(np.abs(scaled), axis=1)
+    found: dict[int, tuple[int, ...]] = {}
+    kept: list[int] = []
+    for row, size in enumerate(sizes):
+        if size == 0.0:
+            found[row + 1] = ()
+            continue
+        own = scaled[row] / size
+        basis = (scaled[kept] / sizes[kept, None]).T  # (6, K)
+        weights = np.linalg.lstsq(basis, own, rcond=None)[0] if kept else np.zeros(0)
+        if np.linalg.norm(own - basis @ weights) > _SPAN_TOLERANCE * np.linalg.norm(own):
+            kept.append(row)
+            continue
+        parts = [k + 1 for k, w in zip(kept, weights, strict=True) if abs(w) > _NAMED_WEIGHT]
+        found[row + 1] = tuple(parts)
+    return found
+
+
+def _counted(rows: tuple[int, ...]) -> str:
+    *first, last = (str(row) for row in rows)
+    return f"wrenches {', '.join(first)} and {last}" if first else f"wrench {last}"

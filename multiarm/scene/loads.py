@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from functools import partial
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
-from multiarm.scene.base import Spec, absolute
-from multiarm.scene.functions import UserFunction, located_function
-from multiarm.scene.per_axis import axis_numbers
-from multiarm.scene.per_joint import Faults, KnownArm
-from multiarm.scene.values import NonNegative, Number, Positive, Vec3, fault
-from multiarm.scene.words import listed, shown, unknown
-from multiarm.scene.wrench_table import WrenchTable, read_wrench_table
+from multiarm.scene.faults import fault, listed, shown, unknown
+from multiarm.scene.functions import UserFunction
+from multiarm.scene.values import (
+    BodyAxes,
+    Faults,
+    KnownArm,
+    NonNegative,
+    Number,
+    Positive,
+    Spec,
+    Vec3,
+    list_of,
+)
 
-__all__ = ["Drag", "ExternalWrench", "Pulse", "Sinusoid"]
-
-OBJECT = "object"
-"""What a wrench acts on that does not act on a link."""
-
-AxisNumbers = Annotated[
-    tuple[float, float, float], BeforeValidator(partial(axis_numbers, "the object's axes"))
-]
+_OBJECT = "object"  # what a wrench acts on that does not act on a link
+_TABLE_COLUMNS = ("t", "fx", "fy", "fz", "mx", "my", "mz")  # [s], [N], [N m]
 
 
 class Drag(Spec):
@@ -53,11 +54,11 @@ class Drag(Spec):
         Velocity of the medium [m/s], world axes.
     """
 
-    linear: AxisNumbers = (0.0, 0.0, 0.0)
-    angular: AxisNumbers = (0.0, 0.0, 0.0)
-    quadratic: AxisNumbers = (0.0, 0.0, 0.0)
-    area: AxisNumbers | None = None
-    coefficient: AxisNumbers | None = None
+    linear: BodyAxes = (0.0, 0.0, 0.0)
+    angular: BodyAxes = (0.0, 0.0, 0.0)
+    quadratic: BodyAxes = (0.0, 0.0, 0.0)
+    area: BodyAxes | None = None
+    coefficient: BodyAxes | None = None
     density: Positive = 1.225
     wind: Vec3 = (0.0, 0.0, 0.0)
 
@@ -74,7 +75,7 @@ class Drag(Spec):
         return self
 
     def per_axis(self) -> tuple[float, float, float]:
-        """Return what multiplies |u| u, for each axis of the object [N s^2/m^2]."""
+        """What multiplies |u| u, for each axis of the object [N s^2/m^2]."""
         area, coefficient = self.area or (0.0,) * 3, self.coefficient or (0.0,) * 3
         x, y, z = (
             q + 0.5 * self.density * a * c
@@ -111,7 +112,92 @@ class Pulse(Spec):
         return self
 
 
-_COURSES = ("sinusoid", "pulse", "table", "function")
+def _increasing(times: tuple[float, ...]) -> tuple[float, ...]:
+    message = _time_fault(times)
+    if message:
+        raise fault(message)
+    return times
+
+
+def _time_fault(times: tuple[float, ...]) -> str:
+    """What is wrong with the times of a table; empty when nothing is."""
+    if len(times) < 2:
+        return f"a table needs at least 2 times, got {len(times)}"
+    for number, (before, after) in enumerate(pairwise(times), start=2):
+        if not after > before:
+            return f"times must increase, but row {number} has {after:g} s after {before:g} s"
+    return ""
+
+
+Numbers = Annotated[tuple[Number, ...], list_of("must be a list of numbers")]
+
+
+class WrenchTable(Spec):
+    """Values over time, interpolated smoothly and without overshoot (PCHIP); zero outside.
+
+    Attributes
+    ----------
+    times : list of numbers, optional
+        [s], increasing.
+    values : list of numbers, optional
+        Factors on ``force`` and ``torque``, one for each time.
+    file : path, optional
+        Instead of these: a CSV file with the columns t, fx, fy, fz, mx, my, mz ([s], [N], [N m]),
+        which is the wrench itself.
+    """
+
+    times: Annotated[Numbers, AfterValidator(_increasing)] | None = None
+    values: Numbers | None = None
+    file: Path | None = None
+
+    @model_validator(mode="after")
+    def _one_table(self) -> Self:
+        written = (self.times, self.values)
+        if self.file is not None and written != (None, None):
+            raise fault("gives both 'file' and 'times' or 'values'; keep one of them")
+        if self.file is not None:
+            return self
+        if self.times is None or self.values is None:
+            raise fault("needs 'times' and 'values', or a 'file'")
+        if len(self.times) != len(self.values):
+            raise fault(f"has {len(self.times)} times and {len(self.values)} values; give as many")
+        return self
+
+
+def read_wrench_table(path: Path) -> tuple[list[list[float]], str]:
+    """Rows of a CSV file of wrenches, 7 numbers each, and what is wrong with it."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        return [], f"no file at {path}"
+    except UnicodeDecodeError:
+        return [], f"{path} is not a text file"
+    except OSError as error:
+        return [], f"cannot read {path}: {error.strerror}"
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, start=1):
+        cells = [cell.strip() for cell in line.split(",")]
+        if not line.strip() or (number == 1 and tuple(cells) == _TABLE_COLUMNS):
+            continue
+        message = _row_fault(cells)
+        if message:
+            return [], f"{path}, line {number}: {message}"
+        rows.append([float(cell) for cell in cells])
+    message = _time_fault(tuple(row[0] for row in rows))
+    return (rows, "") if not message else ([], f"{path}: {message}")
+
+
+def _row_fault(cells: list[str]) -> str:
+    if len(cells) != len(_TABLE_COLUMNS):
+        return f"has {len(cells)} columns; they are {', '.join(_TABLE_COLUMNS)}"
+    for name, cell in zip(_TABLE_COLUMNS, cells, strict=True):
+        try:
+            finite = math.isfinite(float(cell))
+        except ValueError:
+            finite = False
+        if not finite:
+            return f"{name} must be a finite number, got {shown(cell)}"
+    return ""
 
 
 class ExternalWrench(Spec):
@@ -153,8 +239,9 @@ class ExternalWrench(Spec):
     function: UserFunction | None = None
 
     @model_validator(mode="after")
-    def _one_course(self) -> Self:
-        given = [name for name in _COURSES if getattr(self, name) is not None]
+    def _one_time_course(self) -> Self:
+        courses = ("sinusoid", "pulse", "table", "function")
+        given = [name for name in courses if getattr(self, name) is not None]
         if len(given) > 1:
             raise fault(f"gives {' and '.join(map(repr, given))}; keep one of them")
         whole = self.function is not None or (self.table is not None and self.table.file)
@@ -170,35 +257,30 @@ class ExternalWrench(Spec):
     def target(self) -> tuple[str, str] | None:
         """Arm and link that it acts on; None: the object."""
         arm, _, link = self.on.partition("/")
-        return None if self.on == OBJECT else (arm, link)
-
-    def located(self, folder: Path) -> Self:
-        """Return this wrench with file paths made absolute, relative ones below ``folder``."""
-        changes: dict[str, Any] = {"function": located_function(self.function, folder)}
-        if self.table is not None and self.table.file is not None:
-            file = absolute(self.table.file, folder)
-            changes["table"] = self.table.model_copy(update={"file": file})
-        return self.model_copy(update=changes)
+        return None if self.on == _OBJECT else (arm, link)
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """What does not fit the arms, or is wrong in the file."""
-        found: Faults = [(("on",), text) for text in self._target_faults(arms)]
+        found: Faults = []
+        target = self._target_fault(arms)
+        if target:
+            found.append((("on",), target))
         if self.table is not None and self.table.file is not None:
-            fault_in_file = read_wrench_table(self.table.file)[1]
-            found += [(("table", "file"), fault_in_file)] if fault_in_file else []
+            in_file = read_wrench_table(self.table.file)[1]
+            found += [(("table", "file"), in_file)] if in_file else []
         return found
 
-    def _target_faults(self, arms: Mapping[str, KnownArm]) -> list[str]:
+    def _target_fault(self, arms: Mapping[str, KnownArm]) -> str:
         if self.target is None:
-            return []
+            return ""
         arm, link = self.target
         if not link:
-            return [f"must be 'object' or 'arm/link', got {shown(self.on)}"]
+            return f"must be 'object' or 'arm/link', got {shown(self.on)}"
         if arm not in arms:
-            return [unknown("arm", arm, arms)]
+            return unknown("arm", arm, arms)
         known = arms[arm]
         if known.links is None or link in known.moving:
-            return []
+            return ""
         if link not in known.links:
-            return [unknown("link", link, known.moving)]
-        return [f"link {link!r} does not move; links that do are {listed(known.moving)}"]
+            return unknown("link", link, known.moving)
+        return f"link {link!r} does not move; links that do are {listed(known.moving)}"

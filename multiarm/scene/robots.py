@@ -1,119 +1,81 @@
-"""Robots by name: ``robot: ur5`` instead of the path of a URDF file.
+"""Robots by name, and what a scene must know of their URDF files.
 
-Two collections are known. The project's own robots lie in ``robots/<name>/<name>.urdf`` (inside
-the installed package, or at the top of a checkout). The fixed-base arms of ``example-robot-data``
-are found through the metadata of that installed distribution, wherever it lives. A model of the
-project wins over one of the same name elsewhere.
+``robot: ur5`` stands for the path of a URDF file.  Two collections are known.  The project's own
+robots lie in ``robots/<name>/<name>.urdf`` (inside the installed package, or at the top of a
+checkout).  The fixed-base arms of ``example-robot-data`` are found through the metadata of that
+installed distribution, wherever it lives.  A model of the project wins over one of the same name
+elsewhere.
+
+A scene can be checked, with every fault, from the names, types and limits of a URDF alone.  So the
+reader here needs the standard library only, takes milliseconds, and leaves inertias and geometry to
+the dynamics.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import os
-from dataclasses import dataclass
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from multiarm.errors import SceneError
-from multiarm.scene.words import unknown
+from multiarm.errors import ModelError, SceneError
+from multiarm.scene.faults import listed, unknown
 
-__all__ = [
-    "RobotEntry",
-    "available_robots",
-    "find_robot",
-    "resolve_mesh",
-    "resolve_package_dirs",
-]
+CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
+_KNOWN_JOINTS = (*CHAIN_JOINTS, "fixed", "planar", "floating")
 
 _DISTRIBUTION = "example-robot-data"
 _SHARE = "cmeel.prefix/share"
 
-# name -> (file below example-robot-data/robots, usual tip, what it is)
+# name -> (file below example-robot-data/robots, usual tip)
 _EXAMPLE_ARMS = {
-    "ur3": ("ur_description/urdf/ur3_robot.urdf", "tool0", "Universal Robots UR3"),
-    "ur3_gripper": ("ur_description/urdf/ur3_gripper.urdf", "tool0", "UR3 with gripper"),
-    "ur3_limited": (
-        "ur_description/urdf/ur3_joint_limited_robot.urdf",
-        "tool0",
-        "UR3, joints limited to half turns",
-    ),
-    "ur5": ("ur_description/urdf/ur5_robot.urdf", "tool0", "Universal Robots UR5"),
-    "ur5_gripper": ("ur_description/urdf/ur5_gripper.urdf", "tool0", "UR5 with gripper"),
-    "ur5_limited": (
-        "ur_description/urdf/ur5_joint_limited_robot.urdf",
-        "tool0",
-        "UR5, joints limited to half turns",
-    ),
-    "ur10": ("ur_description/urdf/ur10_robot.urdf", "tool0", "Universal Robots UR10"),
-    "ur10_limited": (
-        "ur_description/urdf/ur10_joint_limited_robot.urdf",
-        "tool0",
-        "UR10, joints limited to half turns",
-    ),
-    "panda": ("panda_description/urdf/panda.urdf", "panda_hand_tcp", "Franka Emika Panda"),
-    "xarm7": ("xarm_description/urdf/xarm7.urdf", "link_eef", "UFACTORY xArm 7"),
-    "kinova": (
-        "kinova_description/robots/kinova.urdf",
-        "j2s6s200_end_effector",
-        "Kinova Jaco 2, six joints",
-    ),
-    "z1": ("z1_description/urdf/z1.urdf", "gripperStator", "Unitree Z1"),
-    "so100": ("so_arm_description/urdf/so100.urdf", "gripper", "SO-ARM 100"),
-    "so101": ("so_arm_description/urdf/so101.urdf", "gripper_frame_link", "SO-ARM 101"),
-    "talos_arm": (
-        "talos_data/robots/talos_left_arm.urdf",
-        "gripper_left_base_link",
-        "left arm of PAL Robotics TALOS",
-    ),
-    "asr_twodof": ("asr_twodof_description/urdf/TwoDofs.urdf", "Tip", "arm of two joints"),
-    "double_pendulum": (
-        "double_pendulum_description/urdf/double_pendulum.urdf",
-        "link2",
-        "double pendulum",
-    ),
+    "ur3": ("ur_description/urdf/ur3_robot.urdf", "tool0"),
+    "ur3_gripper": ("ur_description/urdf/ur3_gripper.urdf", "tool0"),
+    "ur3_limited": ("ur_description/urdf/ur3_joint_limited_robot.urdf", "tool0"),
+    "ur5": ("ur_description/urdf/ur5_robot.urdf", "tool0"),
+    "ur5_gripper": ("ur_description/urdf/ur5_gripper.urdf", "tool0"),
+    "ur5_limited": ("ur_description/urdf/ur5_joint_limited_robot.urdf", "tool0"),
+    "ur10": ("ur_description/urdf/ur10_robot.urdf", "tool0"),
+    "ur10_limited": ("ur_description/urdf/ur10_joint_limited_robot.urdf", "tool0"),
+    "panda": ("panda_description/urdf/panda.urdf", "panda_hand_tcp"),
+    "xarm7": ("xarm_description/urdf/xarm7.urdf", "link_eef"),
+    "kinova": ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
+    "z1": ("z1_description/urdf/z1.urdf", "gripperStator"),
+    "so100": ("so_arm_description/urdf/so100.urdf", "gripper"),
+    "so101": ("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
+    "talos_arm": ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link"),
+    "asr_twodof": ("asr_twodof_description/urdf/TwoDofs.urdf", "Tip"),
+    "double_pendulum": ("double_pendulum_description/urdf/double_pendulum.urdf", "link2"),
 }
-
-# name -> (usual tip, what it is)
+# name -> usual tip
 _OWN_ROBOTS = {
-    "planar_2r": ("tip", "two parallel hinges, moving in the x-y plane"),
-    "planar_3r": ("tip", "three parallel hinges, moving in the x-y plane"),
-    "textbook_6r": ("tool", "six hinges, three of them a wrist with offsets"),
-    "corner_gripper": ("corner", "tool: four fingertips around a block's corner"),
+    "planar_2r": "tip",
+    "planar_3r": "tip",
+    "textbook_6r": "tool",
+    "corner_gripper": "corner",
 }
 
 
 @dataclass(frozen=True)
 class RobotEntry:
-    """A robot that a scene may name.
-
-    Attributes
-    ----------
-    name : str
-        What stands behind ``robot:``.
-    urdf : Path
-        Its URDF file.
-    tip : str
-        The link that is usually used as the tip.
-    summary : str
-        What it is.
-    source : str
-        The collection it comes from.
-    """
+    """A robot that a scene may name: its name, URDF file, and the link usually used as the tip."""
 
     name: str
     urdf: Path
     tip: str
-    summary: str
-    source: str
 
 
 def available_robots() -> dict[str, RobotEntry]:
-    """Return all robots that can be used by name on this machine, the project's own first."""
+    """All robots that can be used by name on this machine, the project's own first."""
     return {**_own_robots(), **{k: v for k, v in _example_arms().items() if k not in _OWN_ROBOTS}}
 
 
 def find_robot(name: str) -> RobotEntry:
-    """Return the robot called ``name``.
+    """The robot called ``name``.
 
     Raises
     ------
@@ -130,7 +92,7 @@ def find_robot(name: str) -> RobotEntry:
 
 
 def resolve_package_dirs(urdf: Path, explicit: tuple[Path, ...] = ()) -> tuple[Path, ...]:
-    """Return the folders in which ``package://name/...`` is looked for, in order.
+    """The folders in which ``package://name/...`` is looked for, in order.
 
     First the explicit folders (each may contain packages or be one), then the folders above the
     URDF, then those of ``ROS_PACKAGE_PATH``, then the installed example-robot-data.
@@ -145,7 +107,7 @@ def resolve_package_dirs(urdf: Path, explicit: tuple[Path, ...] = ()) -> tuple[P
 
 
 def resolve_mesh(address: str, urdf: Path, package_dirs: tuple[Path, ...]) -> Path | None:
-    """Return the file behind a mesh address of a URDF, or None if there is none.
+    """The file of a mesh address of a URDF, or None if there is none.
 
     ``package://`` and ``model://`` are looked up in ``package_dirs``, ``file://`` and absolute
     paths taken as they are, other paths relative to the URDF's folder.
@@ -163,11 +125,11 @@ def resolve_mesh(address: str, urdf: Path, package_dirs: tuple[Path, ...]) -> Pa
 def _own_robots() -> dict[str, RobotEntry]:
     package = Path(__file__).resolve().parents[1]
     entries = {}
-    for name, (tip, summary) in _OWN_ROBOTS.items():
+    for name, tip in _OWN_ROBOTS.items():
         for folder in (package / "robots", package.parent / "robots"):
             urdf = folder / name / f"{name}.urdf"
             if urdf.is_file():
-                entries[name] = RobotEntry(name, urdf, tip, summary, "multiarm")
+                entries[name] = RobotEntry(name, urdf, tip)
                 break
     return entries
 
@@ -178,8 +140,8 @@ def _example_arms() -> dict[str, RobotEntry]:
         return {}
     robots = share / "example-robot-data" / "robots"
     return {
-        name: RobotEntry(name, robots / file, tip, summary, _DISTRIBUTION)
-        for name, (file, tip, summary) in _EXAMPLE_ARMS.items()
+        name: RobotEntry(name, robots / file, tip)
+        for name, (file, tip) in _EXAMPLE_ARMS.items()
         if (robots / file).is_file()
     }
 
@@ -192,3 +154,243 @@ def _share_folder() -> Path | None:
         return None
     share = Path(str(distribution.locate_file(_SHARE)))
     return share if share.is_dir() else None
+
+
+# --- outlines of URDF files -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """position = multiplier * (position of ``joint``) + offset"""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class JointOutline:
+    """A joint as its URDF names it.
+
+    Attributes
+    ----------
+    name, parent, child : str
+        The joint and the links it connects.
+    kind : str
+        revolute, continuous, prismatic, fixed, planar or floating.
+    axis : tuple of 3 floats
+        In the joint frame.
+    lower, upper : float
+        Position limits [rad] or [m]; infinite where there are none.
+    velocity_limit, effort_limit : float
+        [rad/s] or [m/s], [N m] or [N]; infinite where there are none.
+    mimic : Mimic or None
+        The joint it copies.
+    damping, friction : float
+        Of ``<dynamics>``: viscous [N m s/rad] or [N s/m] and dry friction [N m] or [N]; 0 where
+        there are none.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    axis: tuple[float, float, float]
+    lower: float
+    upper: float
+    velocity_limit: float
+    effort_limit: float
+    mimic: Mimic | None = None
+    damping: float = 0.0
+    friction: float = 0.0
+
+    @property
+    def movable(self) -> bool:
+        """Whether the joint moves at all."""
+        return self.kind != "fixed"
+
+    @property
+    def neutral(self) -> float:
+        """The position nearest to 0 within the limits."""
+        return min(max(0.0, self.lower), self.upper)
+
+
+@dataclass(frozen=True)
+class UrdfOutline:
+    """Names and structure of one URDF.
+
+    Attributes
+    ----------
+    path : Path
+        The file; where there is none, what messages call it.
+    links : tuple of str
+        All link names.
+    joints : tuple of JointOutline
+        All joints, in file order.
+    meshes : tuple of str
+        Addresses of the visual meshes as written in the file, each once.
+    root : str
+        The link that has no parent.
+    text : str or None
+        The URDF itself, where there is no file.
+    """
+
+    path: Path
+    links: tuple[str, ...]
+    joints: tuple[JointOutline, ...]
+    meshes: tuple[str, ...]
+    root: str
+    text: str | None = None
+
+    def chain(self, tip: str) -> tuple[JointOutline, ...]:
+        """All joints, fixed ones too, from the root to link ``tip``.
+
+        Raises
+        ------
+        ModelError
+            If there is no such link.
+        """
+        if tip not in self.links:
+            raise ModelError(f"{unknown('link', tip, self.links)} (of {self.path.name})")
+        above = {joint.child: joint for joint in self.joints}
+        chain = []
+        while tip in above:
+            chain.append(above[tip])
+            tip = above[tip].parent
+        return tuple(reversed(chain))
+
+    def carried_by(self, joints: Collection[str]) -> tuple[str, ...]:
+        """The links that some of these joints carry."""
+        return tuple(
+            link for link in self.links if any(joint.name in joints for joint in self.chain(link))
+        )
+
+
+def read_urdf(path: Path | str) -> UrdfOutline:
+    """Read the outline of a URDF file.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be read or is not one tree of links and joints.
+    """
+    path = Path(path)
+    try:
+        stamp = path.stat().st_mtime_ns
+    except OSError:
+        raise ModelError(f"no URDF file at {path}") from None
+    if path.is_dir():
+        raise ModelError(f"{path} is a folder; name the URDF file in it")
+    return _read(path, stamp)
+
+
+@lru_cache(maxsize=128)
+def outline_of_text(text: str, name: str) -> UrdfOutline:
+    """The outline of a URDF that is no file; `name` is what messages call it."""
+    return replace(_outline(ElementTree.fromstring(text), Path(name)), text=text)
+
+
+@lru_cache(maxsize=128)
+def _read(path: Path, _stamp: int) -> UrdfOutline:
+    try:
+        robot = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise ModelError(f"{path} is not valid XML: {error}") from None
+    except OSError as error:
+        raise ModelError(f"cannot read {path}: {error.strerror}") from None
+    return _outline(robot, path)
+
+
+def _outline(robot: ElementTree.Element, path: Path) -> UrdfOutline:
+    if robot.tag != "robot":
+        raise ModelError(f"{path} is not a URDF file: its root element is <{robot.tag}>")
+    if any("xacro" in str(element.tag) for element in robot.iter()):
+        raise ModelError(f"{path} is a xacro file; expand it first: xacro {path.name} > robot.urdf")
+    links = tuple(_required(link, "name", path) for link in robot.findall("link"))
+    joints = tuple(_joint(joint, path) for joint in robot.findall("joint"))
+    meshes = dict.fromkeys(
+        mesh.get("filename", "") for mesh in robot.findall("link/visual/geometry/mesh")
+    )
+    return UrdfOutline(path, links, joints, tuple(meshes), _root(links, joints, path))
+
+
+def _root(links: tuple[str, ...], joints: tuple[JointOutline, ...], path: Path) -> str:
+    for names, noun in ((links, "link"), ([j.name for j in joints], "joint")):
+        twice = sorted({name for name in names if list(names).count(name) > 1})
+        if twice:
+            raise ModelError(f"{path} has more than one {noun} named {listed(twice)}")
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise ModelError(f"{path}, joint {joint.name!r}: {unknown('link', link, links)}")
+    children = [joint.child for joint in joints]
+    if len(set(children)) < len(children):
+        twice = sorted({child for child in children if children.count(child) > 1})
+        raise ModelError(f"{path}: {listed(twice)} hang on more than one joint; a URDF is a tree")
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1:
+        raise ModelError(f"{path} must have exactly one root link, it has {listed(roots)}")
+    return roots[0]
+
+
+def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
+    name, kind = _required(element, "name", path), _required(element, "type", path)
+    where = f"{path}, joint {name!r}"
+    if kind not in _KNOWN_JOINTS:
+        raise ModelError(f"{where}: {unknown('type', kind, _KNOWN_JOINTS)}")
+    parent, child = element.find("parent"), element.find("child")
+    if parent is None or child is None:
+        raise ModelError(f"{where}: needs <parent link=.../> and <child link=.../>")
+    limit = element.find("limit")
+    bounded = limit is not None and kind in ("revolute", "prismatic")
+    axis, dynamics = element.find("axis"), element.find("dynamics")
+    text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+    return JointOutline(
+        name=name,
+        kind=kind,
+        parent=_required(parent, "link", path),
+        child=_required(child, "link", path),
+        axis=_axis(text, where),
+        lower=_number(limit, "lower", 0.0, where) if bounded else -math.inf,
+        upper=_number(limit, "upper", 0.0, where) if bounded else math.inf,
+        velocity_limit=_number(limit, "velocity", math.inf, where),
+        effort_limit=_number(limit, "effort", math.inf, where),
+        mimic=_mimic(element.find("mimic"), where, path),
+        damping=_number(dynamics, "damping", 0.0, where),
+        friction=_number(dynamics, "friction", 0.0, where),
+    )
+
+
+def _mimic(element: ElementTree.Element | None, where: str, path: Path) -> Mimic | None:
+    if element is None:
+        return None
+    return Mimic(
+        _required(element, "joint", path),
+        _number(element, "multiplier", 1.0, where),
+        _number(element, "offset", 0.0, where),
+    )
+
+
+def _required(element: ElementTree.Element, key: str, path: Path) -> str:
+    value = element.get(key)
+    if not value:
+        raise ModelError(f"{path}: a <{element.tag}> has no {key!r}")
+    return value
+
+
+def _number(element: ElementTree.Element | None, key: str, default: float, where: str) -> float:
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    try:
+        return float(text)
+    except ValueError:
+        raise ModelError(f"{where}: {key} must be a number, got {text!r}") from None
+
+
+def _axis(text: str, where: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split())
+    except ValueError:
+        raise ModelError(f"{where}: axis must be three numbers, got {text!r}") from None
+    return x, y, z

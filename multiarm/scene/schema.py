@@ -1,33 +1,42 @@
 """The scene: arms joined to one common object, what drives them, how the run is carried out.
 
-A :class:`Scene` that exists is valid: its numbers are physical, its arms, frames and joints exist.
-Whether it comes from YAML or is built in Python, all faults are told together in one SceneError.
+A :class:`Scene` that exists is valid: its numbers are physical, its arms, frames and joints exist
+and fit together.  Whether it comes from YAML or is built in Python, one SceneError names all
+faults: how the parts fit together is checked for the parts that are valid by themselves, so that a
+scene with a mistyped number *and* a mistyped arm has both reported at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator
+from pydantic import (
+    Field,
+    PrivateAttr,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 from typing_extensions import Self
 
 from multiarm.errors import SceneError
-from multiarm.scene.arm_spec import ArmSpec
-from multiarm.scene.base import Spec
-from multiarm.scene.check import Looked, SceneParts, check
-from multiarm.scene.control import ControlSpec, NoControl, RunSpec
+from multiarm.scene.arms import ArmSpec, Examination, examine_arm
+from multiarm.scene.control import ControlSpec, NoControl
 from multiarm.scene.effects import EffectsSpec
-from multiarm.scene.faults import explain
-from multiarm.scene.functions import function_references
+from multiarm.scene.faults import Parts, explain, listed, place, shown, unknown
+from multiarm.scene.functions import function_references, located, reference_fault
 from multiarm.scene.joints import JointSpec
-from multiarm.scene.object_spec import ObjectSpec
-from multiarm.scene.user_code import reference_fault
-from multiarm.scene.values import ArmName, Vec3
-from multiarm.scene.words import place, shown
+from multiarm.scene.object import ObjectSpec
+from multiarm.scene.run import RunSpec
+from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3, gain_faults
 
-__all__ = ["Scene"]
+_Examined = dict[str, tuple[ArmSpec, Examination]]
+"""Arms by name, with what was found out about them."""
 
 
 class Scene(Spec):
@@ -74,7 +83,7 @@ class Scene(Spec):
     _from_file: bool = PrivateAttr(default=False)
     _may_load_code: bool = PrivateAttr(default=True)
     _warnings: tuple[str, ...] = PrivateAttr(default=())
-    _looked: Looked = PrivateAttr(default_factory=dict)
+    _examined: _Examined = PrivateAttr(default_factory=dict)
 
     def __init__(self, /, folder: Path | str | None = None, **data: Any) -> None:
         self._fill(data, folder)
@@ -91,12 +100,21 @@ class Scene(Spec):
         from_file: bool = False,
         code: bool | None = None,
     ) -> Self:
-        """Return the scene that ``data``, such as a parsed YAML file, describes.
+        """The scene that ``data``, such as a parsed YAML file, describes.
 
-        A ``stored`` one is that of a run: effects of one's own need not be there to look at it.
-        Arms that are those of another scene, ``like`` it, are not looked at once more; it decides
-        about code too.  What is ``from_file`` loads nothing now, and its functions lie in its
-        folder; ``code`` tells whether a system may load them, by default unless it is stored.
+        Parameters
+        ----------
+        data : mapping
+        folder : path, optional
+            Where relative paths start; the current folder by default.
+        stored : bool
+            It is that of a run, to be looked at: user effects need not be installed.
+        like : Scene, optional
+            Its arms are not examined again where they are the same, and it decides about code.
+        from_file : bool
+            Nothing is loaded now, and functions lie in ``folder`` or below.
+        code : bool, optional
+            Whether a system may load the code that is named; by default unless it is stored.
         """
         if not isinstance(data, Mapping):
             keys = ", ".join(cls.model_fields)
@@ -110,11 +128,11 @@ class Scene(Spec):
 
     @classmethod
     def model_validate(cls, obj: Any, **_options: Any) -> Self:
-        """Return ``obj`` if it is a scene, else the scene that the mapping describes."""
+        """``obj`` itself if it is a scene, else the scene that the mapping describes."""
         return obj if isinstance(obj, cls) else cls.from_mapping(obj)
 
     def replace(self, **changes: Any) -> Self:
-        """Return a scene with some attributes replaced, validated anew."""
+        """A scene with some attributes replaced, validated as a whole."""
         kept = {name: getattr(self, name) for name in type(self).model_fields}
         return self.from_mapping({**kept, **changes}, self.folder, like=self)
 
@@ -147,12 +165,7 @@ class Scene(Spec):
     @classmethod
     def _paths_are_absolute(cls, value: Any, info: ValidationInfo) -> Any:
         assert info.context is not None, "a scene is read with its folder"
-        folder = info.context["folder"]
-        if isinstance(value, (ObjectSpec, EffectsSpec)):
-            return value.located(folder)
-        if isinstance(value, tuple):
-            return tuple(joint.located(folder) for joint in value)
-        return {name: arm.located(folder) for name, arm in value.items()}
+        return located(value, info.context["folder"])
 
     def _fill(
         self,
@@ -169,18 +182,17 @@ class Scene(Spec):
             self.__pydantic_validator__.validate_python(
                 data, self_instance=self, context={"folder": folder, "stored": stored, "load": load}
             )
-            parts = SceneParts.of(self.__dict__, folder)
+            parts = _Parts.of(self.__dict__, folder)
             if from_file:
                 faults = _function_faults(self, folder)
         except ValidationError as error:
             faults = explain(error, type(self))
-            parts = SceneParts.of(data, folder, load)
-        found = check(parts, None if like is None else like._looked)
+            parts = _Parts.of(data, folder, load)
+        found = _check(parts, {} if like is None else like._examined)
         if faults or found.faults:
             raise SceneError([*faults, *found.faults])
-        self._folder, self._warnings = folder, tuple(found.warnings)
-        self._from_file = from_file
-        self._looked = found.arms
+        self._folder, self._from_file = folder, from_file
+        self._warnings, self._examined = tuple(found.warnings), found.examined
 
 
 def _function_faults(scene: Scene, folder: Path) -> list[str]:
@@ -191,3 +203,201 @@ def _function_faults(scene: Scene, folder: Path) -> list[str]:
     ]
     found = ((parts, reference_fault(reference, folder)) for parts, reference in named)
     return [f"{place(parts)}: {reason}" for parts, reason in found if reason]
+
+
+# --- whether the parts fit together --------------------------------------------------------------
+
+_PUSHING = {"contacts", "corner_gripper", "point_on_cylinder", "point_on_plane", "point_on_sphere"}
+"""Kinds of joints with contacts that only push."""
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """The parts of a scene that are valid by themselves; None, or missing, where they are not.
+
+    Attributes
+    ----------
+    arm_names : list of str
+        All arms that are written, valid or not.
+    arms : dict
+        The valid ones.
+    joints : list of (arm, kind)
+        As they are written, whatever that is; None where there is none.
+    """
+
+    arm_names: list[str] | None
+    arms: dict[str, ArmSpec]
+    joints: list[tuple[Any, Any]] | None
+    object: ObjectSpec | None
+    control: Any
+    effects: EffectsSpec | None
+    run: RunSpec | None
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any], folder: Path, load: bool = True) -> _Parts:
+        """Find the valid parts of ``data``, which may hold instances or plain tables.
+
+        Effects of packages are loaded only where ``load`` says so.
+        """
+        arms, joints = data.get("arms"), data.get("joints")
+        written = arms if isinstance(arms, Mapping) else {}
+        valid = {str(name): _valid(ArmSpec, arm, folder) for name, arm in written.items()}
+        return cls(
+            arm_names=[str(name) for name in arms] if isinstance(arms, Mapping) else None,
+            arms={name: arm for name, arm in valid.items() if arm is not None},
+            joints=[(_entry(joint, "arm"), _entry(joint, "kind")) for joint in joints]
+            if isinstance(joints, (list, tuple))
+            else None,
+            object=_valid(ObjectSpec, data.get("object"), folder),
+            control=_valid(ControlSpec, data.get("control"), folder),
+            effects=_valid(EffectsSpec, data.get("effects", {}), folder, {"load": load}),
+            run=_valid(RunSpec, data.get("run"), folder),
+        )
+
+
+def _valid(kind: Any, data: Any, folder: Path, context: dict[str, Any] | None = None) -> Any:
+    if data is None:
+        return None
+    if isinstance(data, Spec):  # an instance was validated when it was made
+        return located(data, folder) if kind is ControlSpec or isinstance(data, kind) else None
+    try:
+        return located(TypeAdapter(kind).validate_python(data, context=context), folder)
+    except ValidationError:
+        return None
+
+
+def _entry(joint: Any, key: str) -> Any:
+    return joint.get(key) if isinstance(joint, Mapping) else getattr(joint, key, None)
+
+
+@dataclass
+class _Findings:
+    """Faults and warnings, each one complete line; the arms as they were examined."""
+
+    faults: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    examined: _Examined = field(default_factory=dict)
+
+    def fault(self, parts: Parts, text: str) -> None:
+        self.faults.append(f"{place(parts)}: {text}")
+
+    def warning(self, parts: Parts, text: str) -> None:
+        self.warnings.append(f"{place(parts)}: {text}")
+
+
+def _check(parts: _Parts, examined: _Examined) -> _Findings:
+    """All faults and warnings about how the parts fit together.
+
+    Arms that were examined already, and are written as they were, are not examined again.
+    """
+    findings = _Findings()
+    if parts.arm_names is not None:
+        _check_connections(parts.arm_names, parts.joints, findings)
+    for name, spec in parts.arms.items():
+        _check_arm(name, spec, examined, findings)
+    mesh = None if parts.object is None else parts.object.shape.mesh
+    if mesh is not None and not mesh.file.is_file():
+        findings.warning(
+            ("object", "shape", "mesh", "file"),
+            f"no file at {mesh.file}; the motion is not affected, the replay shows a stand-in",
+        )
+    if parts.arm_names is not None:
+        found = {name: examination for name, (_, examination) in findings.examined.items()}
+        arms = {name: found.get(name, KnownArm()) for name in parts.arm_names}
+        _check_control(parts.control, arms, findings)
+        _check_effects(parts, arms, findings)
+    return findings
+
+
+def _check_connections(
+    names: list[str], joints: list[tuple[Any, Any]] | None, findings: _Findings
+) -> None:
+    if not names:
+        findings.fault(("arms",), "a scene needs at least one arm, such as {left: {...}}")
+        return
+    connected = [arm for arm, _ in joints or ()]
+    for index, arm in enumerate(connected):
+        if arm is not None and not (isinstance(arm, str) and arm in names):
+            findings.fault(("joints", index, "arm"), unknown("arm", arm, names))
+    counts = Counter(arm for arm in connected if isinstance(arm, str))
+    all_named = joints is not None and all(arm is not None for arm in connected)
+    for name in names:
+        if counts[name] == 0 and all_named:
+            findings.fault(
+                ("joints",),
+                f"arm {name!r} is connected by no joint; add one, such as "
+                f"{{arm: {name}, kind: weld}}, or remove the arm",
+            )
+        if counts[name] > 1:
+            findings.fault(
+                ("joints",),
+                f"arm {name!r} has {counts[name]} joints; one joint per arm is possible, list "
+                "their contacts in one joint of kind 'contacts'",
+            )
+
+
+def _check_arm(name: str, spec: ArmSpec, examined: _Examined, findings: _Findings) -> None:
+    before, found = examined.get(name, (None, None))
+    if found is None or before != spec:
+        found = examine_arm(spec)
+    findings.examined[name] = spec, found
+    for where, text in found.faults:
+        findings.fault(("arms", name, *where), text)
+    for text in found.warnings:
+        findings.warning(("arms", name), text)
+
+
+def _check_control(control: Any, arms: Mapping[str, KnownArm], findings: _Findings) -> None:
+    by_joint = {
+        "constant": ("torques",),
+        "joint_pd": ("stiffness", "damping"),
+        "harmonic": ("amplitude", "phase"),
+    }
+    for key in by_joint.get(getattr(control, "kind", ""), ()):
+        for where, text in gain_faults(getattr(control, key), arms):
+            findings.fault(("control", key, *where), text)
+    for arm in getattr(control, "internal_forces", None) or {}:
+        if arm not in arms:
+            findings.fault(("control", "internal_forces", arm), unknown("arm", arm, arms))
+
+
+def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findings) -> None:
+    effects = parts.effects
+    if effects is None:
+        return
+    for where, text in effects.faults(arms):
+        findings.fault(("effects", *where), text)
+    for where, text in effects.warnings(arms):
+        findings.warning(("effects", *where), text)
+    if parts.run is not None:
+        message = method_fault(parts.run.integrator, effects.with_states, effects.with_events)
+        if message:
+            findings.fault(("run", "integrator"), message)
+    kinds = [kind for _, kind in parts.joints or () if isinstance(kind, str)]
+    if not kinds or len(kinds) < len(parts.joints or ()) or _PUSHING.intersection(kinds):
+        return
+    for name in ("unilateral_contacts", "contact_friction"):
+        if getattr(effects, name) is not None:
+            findings.warning(
+                ("effects", name),
+                "adds nothing, since no joint has contacts that only push; such joints are "
+                f"{listed(sorted(_PUSHING))}",
+            )
+
+
+def method_fault(
+    integrator: str | None, with_states: Sequence[str], with_events: Sequence[str] = ()
+) -> str:
+    """Why a method cannot carry effects that have states or events; empty when it can."""
+    if integrator == "variational" and with_events:
+        return (
+            f"'variational' takes its steps as wholes and knows no events of "
+            f"{listed(with_events)}; use another method, such as 'dop853' or 'rk4', or leave the "
+            f"effect out"
+        )
+    if integrator != "variational" or not with_states:
+        return ""
+    return (
+        f"'variational' knows positions and velocities only, no states of {listed(with_states)}; "
+        f"use another method, such as 'dop853' or 'rk4', or leave the effect out"
+    )

@@ -1,54 +1,360 @@
-"""Numbers as people write them: scalars, vectors, one value per joint, one value per arm.
+"""Values as people write them: tables with known keys, numbers, vectors, poses, values by joint.
 
-A joint quantity (posture, torque, gain, ...) may be written as one number for all joints, as a
-list in the order base to tip, or as a table ``joint: value``. The annotated types below validate
-each form and tell every fault at its own place; :func:`joint_vector` turns any of them into an
-array once the joints of the arm are known.
+A quantity of joints (posture, torque, gain, ...) may be written as one number for all joints, as a
+list from base to tip, or as a table ``joint: value``.  A quantity of all arms may be one of these
+for every arm alike, or a table ``arm: value``; where robots' files have such numbers too, ``urdf``
+stands for these, for all arms or for one.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from numbers import Real
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    TypeAdapter,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
+from typing_extensions import Self
 
-from multiarm.scene.words import listed, shown, unknown
+from multiarm.errors import SceneError
+from multiarm.scene.faults import Parts, explain, fault, listed, shown, unknown
+from multiarm.scene.robots import JointOutline
 
-__all__ = [
-    "ArmName",
-    "Color",
-    "Direction",
-    "Gain",
-    "JointValues",
-    "NonNegative",
-    "Number",
-    "PerArm",
-    "Positive",
-    "Vec3",
-    "Vec4",
-    "Vec6",
-    "fault",
-    "gain_vector",
-    "joint_value_faults",
-    "joint_vector",
-    "non_negative_gain",
-    "number_list",
-    "positive",
+Faults = list[tuple[Parts, str]]
+"""Pairs of a place, relative to that of the value, and what is wrong there."""
+URDF = "urdf"
+"""What is written in place of numbers that are in the robot's file."""
+
+
+class Spec(BaseModel):
+    """Base of all parts of a scene: frozen, strict about keys.
+
+    A part built in Python (``Pose(xyz=[0, 0, 1])``) is validated like one read from YAML, and
+    raises the same :class:`~multiarm.errors.SceneError`.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+    def __init__(self, /, **data: Any) -> None:
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise SceneError(explain(error, type(self), type(self).__name__)) from None
+
+    # Pydantic calls a foreign __init__ for nested parts too, where the first fault would end the
+    # search for others; this mark says that ours adds nothing but the wording.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @classmethod
+    def model_validate(cls, obj: Any, **options: Any) -> Self:
+        """Validate a mapping or an instance; raises SceneError."""
+        try:
+            return super().model_validate(obj, **options)
+        except ValidationError as error:
+            raise SceneError(explain(error, cls, cls.__name__)) from None
+
+    @model_serializer(mode="wrap")
+    def _kind_is_always_written(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data = handler(self)
+        kind = getattr(self, "kind", None)
+        return data if kind is None else {"kind": kind, **data}
+
+
+def shorthand(key: str, *types: type) -> BeforeValidator:
+    """Let a value of some types stand for a table with one key."""
+
+    def table(value: Any) -> Any:
+        bare = isinstance(value, types) and not isinstance(value, bool)
+        return {key: value} if bare else value
+
+    return BeforeValidator(table)
+
+
+class OneOf(Spec):
+    """A table that has exactly one of its keys."""
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> Self:
+        names = list(type(self).model_fields)
+        given = [name for name in names if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise fault(f"needs exactly one of {listed(names)}, got {given or 'none'}")
+        return self
+
+
+# --- numbers and vectors -------------------------------------------------------------------------
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, (str, bool, np.bool_)) or not hasattr(value, "__float__"):
+        raise fault(f"must be a number, got {shown(value)}")
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise fault(f"must be a number, got {shown(value)}") from None
+    if not math.isfinite(number):
+        raise fault(f"must be finite, got {number}")
+    return number
+
+
+Number = Annotated[float, BeforeValidator(_number)]
+Positive = Annotated[Number, Field(gt=0.0)]
+NonNegative = Annotated[Number, Field(ge=0.0)]
+number_list = TypeAdapter(tuple[Number, ...]).validate_python
+"""Numbers of a list as floats; every one that is no finite number is a fault at its place."""
+
+
+def as_list(value: Any) -> Any:
+    """Arrays as lists; all else as it is."""
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+
+
+def list_of(text: str, length: int | None = None, least: int = 0) -> BeforeValidator:
+    """Refuse with a text what is no list of a length, or of at least so many entries."""
+
+    def check(value: Any) -> Any:
+        value = as_list(value)
+        if (
+            not isinstance(value, (list, tuple))
+            or len(value) < least
+            or length not in (None, len(value))
+        ):
+            raise fault(f"{text}, got {shown(value)}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def _not_zero(vector: tuple[float, ...]) -> tuple[float, ...]:
+    if not math.hypot(*vector) > 0.0:
+        raise fault("must have a direction, got a vector of length zero")
+    return vector
+
+
+def _rising(ends: tuple[float, float]) -> tuple[float, float]:
+    if not ends[0] < ends[1]:
+        raise fault(f"must run from a smaller to a larger number, got [{ends[0]:g}, {ends[1]:g}]")
+    return ends
+
+
+Vec3 = Annotated[tuple[Number, Number, Number], list_of("must be a list of 3 numbers", 3)]
+Vec4 = Annotated[tuple[Number, Number, Number, Number], list_of("must be a list of 4 numbers", 4)]
+Vec6 = Annotated[
+    tuple[Number, Number, Number, Number, Number, Number], list_of("must be a list of 6 numbers", 6)
+]
+Direction = Annotated[Vec3, AfterValidator(_not_zero)]
+Range = Annotated[
+    tuple[Number, Number],
+    list_of("must be a list of two numbers, from and to", 2),
+    AfterValidator(_rising),
 ]
 
-Parts = tuple[str | int, ...]
+
+def _axis_numbers(axes: str, value: Any) -> tuple[float, ...]:
+    value = as_list(value)
+    if isinstance(value, (list, tuple)) and len(value) == 3:
+        numbers = number_list(value)
+    elif isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
+        numbers = (float(value),) * 3
+    else:
+        raise fault(f"must be a number, or a list of 3 for {axes}, got {shown(value)}")
+    if min(numbers) < 0.0:
+        raise fault(f"must not be negative, got {shown(value)}")
+    return numbers
 
 
-def fault(message: str) -> PydanticCustomError:
-    """Return the error that a validator raises: ``message`` is shown to the user as it is."""
-    return PydanticCustomError("fault", message.replace("{", "(").replace("}", ")"))
+BodyAxes = Annotated[
+    tuple[float, float, float], BeforeValidator(partial(_axis_numbers, "the object's axes"))
+]
+"""Three numbers for the object's axes, or one for all of them; not negative."""
+WorldAxes = Annotated[
+    tuple[float, float, float], BeforeValidator(partial(_axis_numbers, "the world's axes"))
+]
+"""Three numbers for the world's axes, or one for all of them; not negative."""
+
+
+def _arm_name(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*", value):
+        raise fault(
+            f"{shown(value)} cannot name an arm; use letters, digits, '_', '-' and '.' "
+            "(names become parts of paths such as 'left/elbow_joint')"
+        )
+    return value
+
+
+def _color(value: Any) -> tuple[float, ...]:
+    remedy = "write '#3b7dd8' or [red, green, blue] from 0 to 1, with opacity as a fourth"
+    value = as_list(value)
+    if isinstance(value, str) and re.fullmatch("#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})", value):
+        parts = tuple(byte / 255.0 for byte in bytes.fromhex(value[1:]))
+    elif isinstance(value, (list, tuple)) and len(value) in (3, 4):
+        parts = number_list(value)
+    else:
+        raise fault(f"unknown colour {shown(value)}; {remedy}")
+    if min(parts) < 0.0 or max(parts) > 1.0:
+        raise fault(f"colour parts lie between 0 and 1, got {shown(value)}; {remedy}")
+    return parts if len(parts) == 4 else (*parts, 1.0)
+
+
+ArmName = Annotated[str, BeforeValidator(_arm_name)]
+Color = Annotated[tuple[float, float, float, float], BeforeValidator(_color)]
+
+
+class Pose(Spec):
+    """A placement: where a frame's origin is and how its axes are turned.
+
+    Attributes
+    ----------
+    xyz : 3 numbers
+        Origin [m] in the parent frame.
+    rpy : 3 numbers
+        Roll, pitch, yaw [rad] about the fixed axes x, y, z in that order, as in URDF:
+        R = Rz(yaw) Ry(pitch) Rx(roll).
+    quaternion_xyzw : 4 numbers, optional
+        Orientation as a quaternion, scalar last, instead of ``rpy``. Any length but zero.
+    """
+
+    xyz: Vec3 = (0.0, 0.0, 0.0)
+    rpy: Vec3 = (0.0, 0.0, 0.0)
+    quaternion_xyzw: Vec4 | None = None
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> Self:
+        if self.quaternion_xyzw is None:
+            return self
+        if any(self.rpy):
+            raise fault("gives both 'rpy' and 'quaternion_xyzw'; keep one of them")
+        if not np.linalg.norm(self.quaternion_xyzw) > 1e-12:
+            raise fault("'quaternion_xyzw' has length zero; the identity is [0, 0, 0, 1]")
+        return self
+
+    def rotation(self) -> np.ndarray:
+        """Rotation matrix, shape (3, 3): child components to parent components."""
+        if self.quaternion_xyzw is not None:
+            return _rotation_of_quaternion(np.array(self.quaternion_xyzw))
+        (cr, cp, cy), (sr, sp, sy) = np.cos(self.rpy), np.sin(self.rpy)
+        return np.array(
+            [
+                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                [-sp, cp * sr, cp * cr],
+            ]
+        )
+
+    def matrix(self) -> np.ndarray:
+        """Homogeneous transform, shape (4, 4): child coordinates to parent ones."""
+        X = np.eye(4)
+        X[:3, :3] = self.rotation()
+        X[:3, 3] = self.xyz
+        return X
+
+
+def _rotation_of_quaternion(quaternion_xyzw: np.ndarray) -> np.ndarray:
+    x, y, z, w = quaternion_xyzw / np.linalg.norm(quaternion_xyzw)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+# --- values by joint and by arm ------------------------------------------------------------------
+
+
+def _with_text_keys(value: Mapping) -> Mapping:
+    for key in value:
+        if not isinstance(key, str):
+            raise fault(f"names must be text, got {shown(key)}; put quotes around it")
+    return value
+
+
+_joint_table = TypeAdapter(dict[str, Number]).validate_python
+
+
+def _joint_values(value: Any) -> tuple[float, ...] | dict[str, float]:
+    value = as_list(value)
+    if isinstance(value, Mapping):
+        return _joint_table(_with_text_keys(value))
+    if isinstance(value, (list, tuple)):
+        return number_list(value)
+    raise fault(f"must be a list (base to tip) or a table 'joint: value', got {shown(value)}")
+
+
+def _number_or_joint_values(value: Any) -> Any:
+    many = isinstance(value, (list, tuple, Mapping, np.ndarray))
+    return _joint_values(value) if many else _number(value)
+
+
+_arm_table = TypeAdapter(
+    dict[str, Annotated[Any, BeforeValidator(_number_or_joint_values)]]
+).validate_python
+
+
+def _per_arm(value: Any) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise fault(f"must be a table 'arm: values', got {shown(value)}")
+    return _arm_table(_with_text_keys(value))
+
+
+def _gain(value: Any) -> Any:
+    value = as_list(value)
+    gain = _per_arm(value) if isinstance(value, Mapping) else _number_or_joint_values(value)
+    lowest = min(_leaves(gain), default=0.0)
+    if lowest < 0.0:
+        raise fault(f"must not be negative, got {lowest}")
+    return gain
+
+
+def _leaves(value: Any) -> list[float]:
+    if isinstance(value, Mapping):
+        return [leaf for item in value.values() for leaf in _leaves(item)]
+    return list(value) if isinstance(value, tuple) else [value]
+
+
+def _gain_or_urdf(value: Any) -> Any:
+    if _is_urdf(value):
+        return value
+    if isinstance(value, str):
+        raise fault(f"must be a number, a list, a table or {URDF!r}, got {shown(value)}")
+    if not isinstance(value, Mapping):
+        return _gain(value)
+    numbers = _gain({arm: 0.0 if _is_urdf(own) else own for arm, own in value.items()})
+    return {arm: URDF if _is_urdf(value[arm]) else own for arm, own in numbers.items()}
+
+
+def _is_urdf(value: Any) -> bool:
+    return isinstance(value, str) and value == URDF
+
+
+JointValues = Annotated[tuple[float, ...] | dict[str, float], BeforeValidator(_joint_values)]
+PerArm = Annotated[
+    dict[str, float | tuple[float, ...] | dict[str, float]], BeforeValidator(_per_arm)
+]
+Gain = Annotated[
+    float | tuple[float, ...] | dict[str, float | tuple[float, ...] | dict[str, float]],
+    BeforeValidator(_gain),
+]
+UrdfGain = Annotated[
+    float | str | tuple[float, ...] | dict[str, float | str | tuple[float, ...] | dict[str, float]],
+    BeforeValidator(_gain_or_urdf),
+]
 
 
 def joint_vector(
@@ -56,21 +362,9 @@ def joint_vector(
     joint_names: Sequence[str],
     default: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Return one value per joint.
+    """One value per movable joint from base to tip, shape (n,).
 
-    Parameters
-    ----------
-    values : float, sequence, mapping or None
-        One number for all joints, one per joint (base to tip), or ``joint: value``.
-    joint_names : sequence of str, length n
-        The movable joints from base to tip.
-    default : float or ndarray, shape (n,)
-        Used for joints that ``values`` does not name.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        In the unit of ``values``.
+    Joints that ``values`` does not name get the default, one number or shape (n,).
 
     Raises
     ------
@@ -95,21 +389,15 @@ def gain_vector(
     arm: str,
     joint_names: Sequence[str],
 ) -> np.ndarray:
-    """Return one value per joint of ``arm`` from a value for all arms or a table ``arm: value``.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Zero for joints and arms that ``gain`` does not name.
-    """
+    """One value per joint of ``arm``, shape (n,); zero for joints and arms that are not named."""
     own = gain.get(arm) if isinstance(gain, Mapping) else gain
     return joint_vector(own, joint_names)
 
 
 def joint_value_faults(
     values: float | Sequence[float] | Mapping[str, float] | None, joint_names: Sequence[str]
-) -> list[tuple[Parts, str]]:
-    """Return what does not fit the joints: pairs (place below the value, message)."""
+) -> Faults:
+    """What does not fit the joints."""
     names = list(joint_names)
     if isinstance(values, Mapping):
         return [((j,), unknown("joint", j, names)) for j in values if j not in names]
@@ -122,167 +410,79 @@ def joint_value_faults(
     return [((), message)]
 
 
-def _real(value: Any) -> float:
-    if isinstance(value, (str, bool, np.bool_)) or not hasattr(value, "__float__"):
-        raise fault(f"must be a number, got {shown(value)}")
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
-        raise fault(f"must be a number, got {shown(value)}") from None
-    if not math.isfinite(number):
-        raise fault(f"must be finite, got {number}")
-    return number
+@dataclass
+class KnownArm:
+    """What is known of an arm when a scene is checked; None where it is faulty itself.
+
+    Attributes
+    ----------
+    joints : tuple of JointOutline
+        The movable ones from base to tip.
+    links : tuple of str
+        All links, of the robot and of its tool.
+    moving : tuple of str
+        Those that the movable joints carry.
+    """
+
+    joints: tuple[JointOutline, ...] | None = None
+    links: tuple[str, ...] | None = None
+    moving: tuple[str, ...] = ()
+
+    @property
+    def joint_names(self) -> tuple[str, ...] | None:
+        """Names of the movable joints."""
+        return None if self.joints is None else tuple(joint.name for joint in self.joints)
 
 
-def positive(value: Any) -> float:
-    """Return ``value`` as a float, refusing what is not a finite number above zero."""
-    number = _real(value)
-    if not number > 0.0:
-        raise fault(f"must be greater than 0, got {number}")
-    return number
+def gain_faults(
+    value: Any,
+    arms: Mapping[str, KnownArm],
+    in_urdf: Callable[[JointOutline], float] | None = None,
+    what: str = "",
+) -> Faults:
+    """What does not fit the arms in a value for all of them, or in a table by arm.
+
+    ``in_urdf`` gives a joint the number, called ``what``, of the robot's file, which must not be
+    negative where ``value`` refers to it.
+    """
+    if value is None:
+        return []
+    by_arm = isinstance(value, Mapping)
+    faults: Faults = []
+    for arm, own in (value if by_arm else dict.fromkeys(arms, value)).items():
+        where: Parts = (arm,) if by_arm else ()
+        if arm not in arms:
+            faults.append((where, unknown("arm", arm, arms)))
+            continue
+        names = arms[arm].joint_names
+        if names is None or _is_urdf(own):
+            continue
+        subject = "" if by_arm else f"arm {arm!r}: "
+        for further, text in joint_value_faults(own, names):
+            faults.append(((*where, *further), f"{subject}{text}"))
+    if in_urdf is None:
+        return faults
+    for where, arm in _arms_by_urdf(value, arms):
+        wrong = [j.name for j in arms[arm].joints or () if not in_urdf(j) >= 0.0]
+        if wrong:
+            text = f"the URDF of arm {arm!r} gives {listed(wrong)} a {what} that is no number >= 0"
+            faults.append((where, f"{text}; correct the file, or write numbers here"))
+    return faults
 
 
-def _as_list(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-def _collect(items: list[tuple[str | int, Any]], convert: Callable, title: str) -> list:
-    """Convert every item, and raise all faults together, each at its own place."""
-    results, errors = [], []
-    for key, item in items:
-        try:
-            results.append(convert(item))
-        except PydanticCustomError as error:
-            errors.append(InitErrorDetails(type=error, loc=(key,), input=item))
-        except ValidationError as error:
-            errors.extend(_nested(key, error))
-    if errors:
-        raise ValidationError.from_exception_data(title, errors)
-    return results
-
-
-def _nested(key: str | int, error: ValidationError) -> list[InitErrorDetails]:
+def urdf_warnings(
+    value: Any, arms: Mapping[str, KnownArm], in_urdf: Callable[[JointOutline], Any], what: str
+) -> Faults:
+    """Arms whose robots' files have no such number, where ``value`` refers to these files."""
     return [
-        InitErrorDetails(type=fault(e["msg"]), loc=(key, *e["loc"]), input=e["input"])
-        for e in error.errors()
+        (where, f"the URDF of arm {arm!r} gives no joint a {what}; write numbers to give them some")
+        for where, arm in _arms_by_urdf(value, arms)
+        if not any(in_urdf(joint) for joint in arms[arm].joints or ())
     ]
 
 
-def _joint_values(value: Any) -> tuple[float, ...] | dict[str, float]:
-    value = _as_list(value)
+def _arms_by_urdf(value: Any, arms: Iterable[str]) -> list[tuple[Parts, str]]:
+    """Arms whose numbers are those of their robots' files, and where a scene says so."""
     if isinstance(value, Mapping):
-        keys = [_text_key(key) for key in value]
-        return dict(zip(keys, _collect(list(value.items()), _real, "joint values"), strict=True))
-    if isinstance(value, (list, tuple)):
-        return tuple(number_list(value))
-    raise fault(f"must be a list (base to tip) or a table 'joint: value', got {shown(value)}")
-
-
-def _scalar_or_joint_values(value: Any) -> float | tuple[float, ...] | dict[str, float]:
-    if isinstance(value, (list, tuple, Mapping, np.ndarray)):
-        return _joint_values(value)
-    return _real(value)
-
-
-def _per_arm(value: Any) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        raise fault(f"must be a table 'arm: values', got {shown(value)}")
-    keys = [_text_key(key) for key in value]
-    items = list(value.items())
-    return dict(zip(keys, _collect(items, _scalar_or_joint_values, "arms"), strict=True))
-
-
-def _gain(value: Any) -> float | tuple[float, ...] | dict[str, Any]:
-    value = _as_list(value)
-    if isinstance(value, Mapping):
-        return _per_arm(value)
-    return _scalar_or_joint_values(value)
-
-
-def non_negative_gain(value: Any) -> float | tuple[float, ...] | dict[str, Any]:
-    """Return a value for the joints of all arms, or a table by arm, refusing negative numbers."""
-    gain = _gain(value)
-    lowest = min(_leaves(gain), default=0.0)
-    if lowest < 0.0:
-        raise fault(f"must not be negative, got {lowest}")
-    return gain
-
-
-def _leaves(value: Any) -> list[float]:
-    if isinstance(value, Mapping):
-        return [leaf for item in value.values() for leaf in _leaves(item)]
-    return list(value) if isinstance(value, tuple) else [value]
-
-
-def _text_key(key: Any) -> str:
-    if not isinstance(key, str):
-        raise fault(f"names must be text, got {shown(key)}; put quotes around it")
-    return key
-
-
-_COLOR_TEXT = re.compile(r"#(?:[0-9a-fA-F]{6}|[0-9a-fA-F]{8})")
-
-
-def _color(value: Any) -> tuple[float, ...]:
-    remedy = "write '#3b7dd8' or [red, green, blue] from 0 to 1, with opacity as a fourth"
-    if isinstance(value, str):
-        if not _COLOR_TEXT.fullmatch(value):
-            raise fault(f"unknown colour {shown(value)}; {remedy}")
-        parts = tuple(int(value[i : i + 2], 16) / 255.0 for i in range(1, len(value), 2))
-    else:
-        value = _as_list(value)
-        if not isinstance(value, (list, tuple)) or len(value) not in (3, 4):
-            raise fault(f"unknown colour {shown(value)}; {remedy}")
-        parts = tuple(number_list(value))
-        if min(parts) < 0.0 or max(parts) > 1.0:
-            raise fault(f"colour parts lie between 0 and 1, got {shown(value)}; {remedy}")
-    return parts if len(parts) == 4 else (*parts, 1.0)
-
-
-def _arm_name(value: Any) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*", value):
-        raise fault(
-            f"{shown(value)} cannot name an arm; use letters, digits, '_', '-' and '.' "
-            "(names become parts of paths such as 'left/elbow_joint')"
-        )
-    return value
-
-
-def number_list(values: Sequence[Any]) -> list[float]:
-    """Return ``values`` as floats, refusing each one that is not a finite number."""
-    return _collect(list(enumerate(values)), _real, "numbers")
-
-
-def _vector(length: int, value: Any) -> tuple[float, ...]:
-    value = _as_list(value)
-    if not isinstance(value, (list, tuple)) or len(value) != length:
-        raise fault(f"must be a list of {length} numbers, got {shown(value)}")
-    return tuple(number_list(value))
-
-
-def _direction(value: Any) -> tuple[float, ...]:
-    vector = _vector(3, value)
-    if not math.hypot(*vector) > 0.0:
-        raise fault("must have a direction, got a vector of length zero")
-    return vector
-
-
-Number = Annotated[float, BeforeValidator(_real)]
-Positive = Annotated[float, BeforeValidator(_real), Field(gt=0.0)]
-NonNegative = Annotated[float, BeforeValidator(_real), Field(ge=0.0)]
-Vec3 = Annotated[tuple[float, float, float], BeforeValidator(partial(_vector, 3))]
-Vec4 = Annotated[tuple[float, float, float, float], BeforeValidator(partial(_vector, 4))]
-Vec6 = Annotated[
-    tuple[float, float, float, float, float, float], BeforeValidator(partial(_vector, 6))
-]
-Direction = Annotated[tuple[float, float, float], BeforeValidator(_direction)]
-ArmName = Annotated[str, BeforeValidator(_arm_name)]
-Color = Annotated[tuple[float, float, float, float], BeforeValidator(_color)]
-JointValues = Annotated[tuple[float, ...] | dict[str, float], BeforeValidator(_joint_values)]
-PerArm = Annotated[
-    dict[str, float | tuple[float, ...] | dict[str, float]], BeforeValidator(_per_arm)
-]
-Gain = Annotated[
-    float | tuple[float, ...] | dict[str, float | tuple[float, ...] | dict[str, float]],
-    BeforeValidator(non_negative_gain),
-]
+        return [((arm,), arm) for arm in arms if _is_urdf(value.get(arm))]
+    return [((), arm) for arm in arms] if _is_urdf(value) else []

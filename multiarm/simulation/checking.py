@@ -19,8 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from multiarm.cli.guide.limits import axis_travel, limits_of
-from multiarm.cli.guide.motions import free_motions, seen_from
+from multiarm.contacts.joint_motions import axis_travel, free_motions, limits_of, seen_from
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.control.laws import needs_gravity_torque
 from multiarm.dynamics.arrays import OK

@@ -46,8 +46,8 @@ from multiarm.jit.structs import make_struct
 from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
-from multiarm.scene.check import method_fault
-from multiarm.scene.control import DEFAULT_ACCURACY, AccuracySpec
+from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
+from multiarm.scene.schema import method_fault
 from multiarm.simulation.solver_log import SolverLog
 
 if TYPE_CHECKING:

@@ -233,7 +233,7 @@ def choose_cases(
         For unknown names, with the alternatives.
     """
     from multiarm import problems
-    from multiarm.scene.words import unknown
+    from multiarm.scene.faults import unknown
 
     known = problems.HARD_CASES if cases is None else cases
     wrong = [unknown("hard case", name, known) for name in names if name not in known]

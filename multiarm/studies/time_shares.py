@@ -24,7 +24,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.problems import ring_of_arms
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+from multiarm.scene.run import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 from multiarm.studies.bursts import calls_a_burst, fastest, measure, one_thread
 from multiarm.studies.clocked_run import clocked_run
 from multiarm.studies.evaluation_costs import moving_state, slope_burst

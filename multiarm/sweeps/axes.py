@@ -18,9 +18,8 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, model_validator
 from typing_extensions import Self
 
-from multiarm.scene.base import Spec
-from multiarm.scene.values import Number, Positive, fault
-from multiarm.scene.words import listed
+from multiarm.scene.faults import fault, listed
+from multiarm.scene.values import Number, Positive, Spec
 from multiarm.sweeps.axis_values import (
     bounds,
     counted,

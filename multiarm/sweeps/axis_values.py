@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, BeforeValidator
 
-from multiarm.scene.values import fault, number_list
-from multiarm.scene.words import shown
+from multiarm.scene.faults import fault, shown
+from multiarm.scene.values import number_list
 
 __all__ = [
     "Count",

@@ -14,9 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, SceneError
 from multiarm.scene import NamedCode, Scene, changed, parse_path
-from multiarm.scene.own_effects import own_effect_names
-from multiarm.scene.user_code import FunctionReference, load_function, reference_fault
-from multiarm.scene.words import place, shown
+from multiarm.scene.faults import place, shown
+from multiarm.scene.functions import (
+    FunctionReference,
+    load_function,
+    located,
+    reference_fault,
+)
+from multiarm.scene.registry import own_effect_names
 from multiarm.sweeps.axes import Axis
 
 if TYPE_CHECKING:
@@ -104,7 +109,7 @@ def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
         found += [NamedCode.effect(at, name) for name in sorted(effects & texts)]
         for text in sorted(texts):
             if _FUNCTION.fullmatch(text):
-                function = FunctionReference(text).below(scene.folder)
+                function = located(FunctionReference(text), scene.folder)
                 found.append(NamedCode.function(at, function))
     return found
 

@@ -10,10 +10,9 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, TypeAdapter
 
 from multiarm.scene import function_text
-from multiarm.scene.base import Spec
-from multiarm.scene.functions import UserFunction, located_function
-from multiarm.scene.values import fault
-from multiarm.scene.words import shown, unknown
+from multiarm.scene.faults import fault, shown, unknown
+from multiarm.scene.functions import UserFunction, located
+from multiarm.scene.values import Spec
 from multiarm.sweeps.quantities import KNOWN, MEASURED, Quantity, digest
 
 __all__ = ["DEFAULT_KEEP", "Kept", "OwnQuantity"]
@@ -74,7 +73,7 @@ class OwnQuantity(Spec):
 
     def located(self, folder: Path) -> OwnQuantity:
         """The same with the path of its file made absolute."""
-        return self.model_copy(update={"function": located_function(self.function, folder)})
+        return self.model_copy(update={"function": located(self.function, folder)})
 
 
 def _read(value: Any) -> Any:

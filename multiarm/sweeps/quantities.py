@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import USER_FAULTS
-from multiarm.scene.user_code import FunctionReference, load_function
+from multiarm.scene.functions import FunctionReference, load_function
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory

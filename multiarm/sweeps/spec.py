@@ -17,11 +17,9 @@ from typing_extensions import Self
 
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY
-from multiarm.scene.base import Spec
-from multiarm.scene.faults import explain
-from multiarm.scene.loader import parse_yaml
-from multiarm.scene.values import fault
-from multiarm.scene.words import listed, shown
+from multiarm.scene.faults import explain, fault, listed, shown
+from multiarm.scene.loading import parse_yaml
+from multiarm.scene.values import Spec
 from multiarm.sweeps.axes import Axis, AxisSpec, paths_of
 from multiarm.sweeps.axis_values import Count, NonNegativeCount, plain_value
 from multiarm.sweeps.keeping import DEFAULT_KEEP, Kept, OwnQuantity

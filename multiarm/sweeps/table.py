@@ -16,7 +16,7 @@ import numpy as np
 
 from multiarm.errors import SweepError
 from multiarm.results.row_file import RowReader
-from multiarm.scene.words import unknown
+from multiarm.scene.faults import unknown
 from multiarm.sweeps.packing import QUANTITIES, VALUES, unpack
 from multiarm.sweeps.row import Row
 

@@ -22,7 +22,8 @@ from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import Scene, changed, parse_path, parse_scene
-from multiarm.scene.own_effects import register_effect, registered_effects
+from multiarm.scene.effects import register_effect
+from multiarm.scene.registry import registered_effects
 from multiarm.simulation.certificate.words import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import SweepPlan, program_version

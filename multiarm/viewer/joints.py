@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from multiarm.cli.guide.limits import axis_travel, limits_of
+from multiarm.contacts.joint_motions import axis_travel, limits_of
 from multiarm.viewer.film import Dial, HingeTracks, rotations
 
 if TYPE_CHECKING:

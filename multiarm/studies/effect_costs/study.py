@@ -20,7 +20,7 @@ from multiarm.effects.defaults import defaults
 from multiarm.errors import SolverError
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, Scene, dump_scene
-from multiarm.scene.control import DEFAULT_ACCURACY
+from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.bursts import one_thread
 from multiarm.studies.clocked_run import clocked_run

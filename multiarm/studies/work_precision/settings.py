@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from multiarm.integration.tableaus import METHODS, VARIATIONAL
-from multiarm.scene.control import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+from multiarm.scene.run import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 OURS = "multiarm"
 BY_ACCURACY = "accuracy"

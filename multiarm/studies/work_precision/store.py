@@ -17,7 +17,7 @@ from multiarm.errors import MultiarmError
 from multiarm.results.files import atomic_output
 from multiarm.results.trajectory import plain
 from multiarm.scene import RunSpec, Scene, dump_scene, resolve_arm
-from multiarm.scene.control import DEFAULT_ACCURACY
+from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.studies.work_precision.points import Point
 from multiarm.studies.work_precision.reference import Reference
 

@@ -1,8 +1,8 @@
-"""From an arm as written to the chain of joints that moves it.
+"""An arm as a user writes it, and the chain of joints that moves it.
 
 The chain runs from the robot's root through the mount and the tool's root to the tip. Its movable
-joints, without the locked ones, carry the arm's coordinates: ONE number each. Joints beside the
-chain (fingers, say) are held fixed.
+joints, without the locked ones, carry the arm's coordinates: ONE number each. Joints off the chain
+(fingers, say) are held fixed.
 """
 
 from __future__ import annotations
@@ -11,18 +11,118 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from pydantic import Field, model_validator
+from typing_extensions import Self
 
 from multiarm.errors import ModelError, SceneError
-from multiarm.scene.arm_spec import ArmSpec, ToolSpec
-from multiarm.scene.fingers import urdf_text
-from multiarm.scene.robots import find_robot, resolve_mesh, resolve_package_dirs
-from multiarm.scene.urdf import CHAIN_JOINTS, JointOutline, UrdfOutline, outline_of_text, read_urdf
-from multiarm.scene.values import joint_value_faults, joint_vector
-from multiarm.scene.words import listed, place, unknown
+from multiarm.scene.faults import fault, listed, place, unknown
+from multiarm.scene.fingers import FingersSpec, urdf_text
+from multiarm.scene.functions import located
+from multiarm.scene.robots import (
+    CHAIN_JOINTS,
+    JointOutline,
+    UrdfOutline,
+    find_robot,
+    outline_of_text,
+    read_urdf,
+    resolve_mesh,
+    resolve_package_dirs,
+)
+from multiarm.scene.values import (
+    Color,
+    Faults,
+    JointValues,
+    KnownArm,
+    Number,
+    Pose,
+    Spec,
+    joint_value_faults,
+    joint_vector,
+)
 
-__all__ = ["Examination", "ResolvedArm", "examine_arm", "resolve_arm"]
+_MAX_JOINTS = 16
 
-MAX_JOINTS = 16
+
+class _FromUrdf(Spec):
+    """A model by name (``robot``) or by file (``urdf``)."""
+
+    robot: str | None = None
+    urdf: Path | None = None
+    package_dirs: tuple[Path, ...] = ()
+
+    @model_validator(mode="after")
+    def _exactly_one_source(self) -> Self:
+        sources = self._sources()
+        given = [name for name in sources if getattr(self, name) is not None]
+        if len(given) != 1:
+            wanted = " or ".join(f"'{name}' ({what})" for name, what in sources.items())
+            got = "neither" if not given else "both" if len(given) == 2 else "all"
+            raise fault(f"needs either {wanted}, got {got}")
+        return self
+
+    def _sources(self) -> dict[str, str]:
+        """Keys of which exactly one says where the model comes from, and what they hold."""
+        return {"robot": "a name", "urdf": "a file"}
+
+
+class ToolSpec(_FromUrdf):
+    """A tool, from a URDF of its own or made of fingers, fixed to a link of the robot.
+
+    Attributes
+    ----------
+    robot, urdf, package_dirs
+        The tool's model: by name or by file, and where its packages lie; or
+    fingers : FingersSpec
+        a hand of rigid fingers, whose frame ``corner`` is the tip.
+    mount : str
+        The link of the robot that carries the tool.
+    at : Pose
+        The tool's root link in the frame of that link.
+    """
+
+    mount: str = Field(description="the link of the robot that carries the tool")
+    at: Pose = Pose()
+    fingers: FingersSpec | None = None
+
+    def _sources(self) -> dict[str, str]:
+        return {**super()._sources(), "fingers": "fingertips"}
+
+
+class ArmSpec(_FromUrdf):
+    """One arm: a serial chain of 1 to 16 joints from its base to its tip.
+
+    Attributes
+    ----------
+    robot : str
+        The name of a known robot, or
+    urdf : path
+        a URDF file.
+    package_dirs : list of paths
+        Where ``package://`` addresses are looked for first.
+    base : Pose
+        The root link in the world.
+    tip : str
+        The link whose frame is joined to the object: of the tool if there is one.
+    tool : ToolSpec, optional
+        A tool on the robot.
+    posture : list or table 'joint: value', optional
+        Positions [rad] or [m] at the start, one number per movable joint from base to tip.
+        Joints that are not named are at 0, or at the limit nearest to 0.
+    velocity : list or table 'joint: value', optional
+        Velocities [rad/s] or [m/s] at the start, 0 where not named.
+    lock : table 'joint: value'
+        Joints that are held fixed at a position [rad] or [m].
+    color : '#rrggbb' or 3 or 4 numbers, optional
+        Red, green, blue, opacity from 0 to 1.
+    """
+
+    base: Pose = Pose()
+    tip: str = Field(description="the link that is joined to the object")
+    tool: ToolSpec | None = None
+    posture: JointValues | None = None
+    velocity: JointValues | None = None
+    lock: dict[str, Number] = Field(default_factory=dict)
+    color: Color | None = None
 
 
 @dataclass(frozen=True)
@@ -63,26 +163,19 @@ class ResolvedArm:
 
 
 @dataclass
-class Examination:
+class Examination(KnownArm):
     """What was found out about one arm.
 
     Attributes
     ----------
     arm : ResolvedArm or None
         None where there are faults.
-    joints : tuple of JointOutline or None
-        The movable joints from base to tip; None where the chain is not known.
-    links, moving : tuple of str
-        All links of robot and tool; those that the movable joints carry.
-    faults : list of (place below the arm, text)
+    faults : list of (place within the arm, text)
     warnings : list of str
     """
 
     arm: ResolvedArm | None = None
-    joints: tuple[JointOutline, ...] | None = None
-    links: tuple[str, ...] | None = None
-    moving: tuple[str, ...] = ()
-    faults: list[tuple[tuple[str | int, ...], str]] = field(default_factory=list)
+    faults: Faults = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
     def fault(self, *where: str | int, text: str) -> None:
@@ -91,21 +184,11 @@ class Examination:
 
 
 def resolve_arm(spec: ArmSpec, folder: Path | str | None = None) -> ResolvedArm:
-    """Return files, chain and start of an arm.
+    """Files, chain and start of an arm; raises a SceneError that names every fault.
 
-    Parameters
-    ----------
-    spec : ArmSpec
-        The arm as written.
-    folder : path, optional
-        Where relative paths start; the current folder by default.
-
-    Raises
-    ------
-    SceneError
-        Naming every fault.
+    Relative paths start at ``folder``, the current one by default.
     """
-    found = examine_arm(spec.located(Path(folder or ".").resolve()))
+    found = examine_arm(located(spec, Path(folder or ".").resolve()))
     if found.faults or found.arm is None:
         raise SceneError([f"{place(where, 'arm')}: {text}" for where, text in found.faults])
     return found.arm
@@ -136,13 +219,14 @@ def examine_arm(spec: ArmSpec) -> Examination:
         found.moving += tool.links if moved else tool.carried_by(names)
     locked = _locked(spec, joints, free, found)
     posture, velocity = _start(spec, free, found)
-    _note_missing_meshes(spec, robot, tool, found)
+    package_dirs = _package_dirs(spec, robot, found)
+    tool_package_dirs = () if tool is None else _package_dirs(spec.tool, tool, found)
     if not found.faults:
         found.arm = ResolvedArm(
             urdf=robot.path,
-            package_dirs=resolve_package_dirs(robot.path, spec.package_dirs),
+            package_dirs=package_dirs,
             tool_urdf=None if tool is None else tool.text or tool.path,
-            tool_package_dirs=_tool_package_dirs(spec, tool),
+            tool_package_dirs=tool_package_dirs,
             joints=free,
             posture=posture,
             velocity=velocity,
@@ -169,7 +253,7 @@ def _outline(
 def _chain(
     spec: ArmSpec, robot: UrdfOutline | None, tool: UrdfOutline | None, found: Examination
 ) -> list[JointOutline] | None:
-    """Return all joints from the robot's root to the tip, or None if they cannot be told."""
+    """All joints from the robot's root to the tip, None where the chain is not known."""
     if spec.tool is None:
         return _part(robot, spec.tip, found, "tip")
     below = _part(robot, spec.tool.mount, found, "tool", "mount")
@@ -205,11 +289,10 @@ def _free_joints(
     free = tuple(joint for joint in chain if joint.movable and joint.name not in spec.lock)
     for joint in free:
         if joint.kind not in CHAIN_JOINTS:
-            text = (
-                f"joint {joint.name!r} on the way to {spec.tip!r} is {joint.kind}; arms move by "
-                f"{listed(CHAIN_JOINTS)} joints (or lock it: lock: {{{joint.name}: 0.0}})"
+            found.fault(
+                text=f"joint {joint.name!r} on the way to {spec.tip!r} is {joint.kind}; arms move "
+                f"by {listed(CHAIN_JOINTS)} joints (or lock it: lock: ({joint.name}: 0.0))"
             )
-            found.fault(text=text.replace("{", "(").replace("}", ")"))
         if joint.mimic is not None:
             found.fault(
                 text=f"joint {joint.name!r} on the way to {spec.tip!r} copies joint "
@@ -218,11 +301,11 @@ def _free_joints(
             )
     if not free:
         found.fault("tip", text=f"no movable joint lies between the base and {spec.tip!r}")
-    if len(free) > MAX_JOINTS:
+    if len(free) > _MAX_JOINTS:
         found.fault(
             "tip",
             text=f"{len(free)} movable joints lie between the base and {spec.tip!r}, at most "
-            f"{MAX_JOINTS} are possible; lock some",
+            f"{_MAX_JOINTS} are possible; lock some",
         )
     return free
 
@@ -233,17 +316,17 @@ def _locked(
     free: tuple[JointOutline, ...],
     found: Examination,
 ) -> dict[str, float]:
-    """Return the position of every movable joint that is no coordinate of the arm."""
+    """Position of every movable joint that is no coordinate of the arm."""
     names = {joint.name for joint in free}
-    beside = [joint for joint in joints.values() if joint.movable and joint.name not in names]
-    locked = {joint.name: joint.neutral for joint in beside} | {
+    fixed = [joint for joint in joints.values() if joint.movable and joint.name not in names]
+    locked = {joint.name: joint.neutral for joint in fixed} | {
         name: value for name, value in spec.lock.items() if name in joints
     }
-    for joint in beside:
+    for joint in fixed:
         if joint.mimic is not None and joint.name not in spec.lock and joint.mimic.joint in locked:
             source = locked[joint.mimic.joint]
             locked[joint.name] = joint.mimic.multiplier * source + joint.mimic.offset
-    silently = [j.name for j in beside if j.name not in spec.lock and _leader(j) not in spec.lock]
+    silently = [j.name for j in fixed if j.name not in spec.lock and _leader(j) not in spec.lock]
     if silently:
         positions = ", ".join(f"{name}: {locked[name]:g}" for name in silently)
         found.warnings.append(
@@ -278,24 +361,18 @@ def _start(
     return vectors[0], vectors[1]
 
 
-def _tool_package_dirs(spec: ArmSpec, tool: UrdfOutline | None) -> tuple[Path, ...]:
-    if tool is None or spec.tool is None or tool.text is not None:
+def _package_dirs(
+    spec: ArmSpec | ToolSpec | None, outline: UrdfOutline, found: Examination
+) -> tuple[Path, ...]:
+    """Where the meshes of a model are looked for; a warning if some are not there."""
+    if spec is None or outline.text is not None:
         return ()
-    return resolve_package_dirs(tool.path, spec.tool.package_dirs)
-
-
-def _note_missing_meshes(
-    spec: ArmSpec, robot: UrdfOutline, tool: UrdfOutline | None, found: Examination
-) -> None:
-    given = [(robot, spec.package_dirs)]
-    if tool is not None and spec.tool is not None:
-        given.append((tool, spec.tool.package_dirs))
-    for outline, explicit in given:
-        folders = resolve_package_dirs(outline.path, explicit)
-        missing = [m for m in outline.meshes if resolve_mesh(m, outline.path, folders) is None]
-        if missing:
-            found.warnings.append(
-                f"{len(missing)} of {len(outline.meshes)} meshes of {outline.path.name} are "
-                f"missing (first: {missing[0]}); the motion is not affected, the replay shows "
-                "stand-ins; 'package_dirs' says where to look"
-            )
+    folders = resolve_package_dirs(outline.path, spec.package_dirs)
+    missing = [m for m in outline.meshes if resolve_mesh(m, outline.path, folders) is None]
+    if missing:
+        found.warnings.append(
+            f"{len(missing)} of {len(outline.meshes)} meshes of {outline.path.name} are missing "
+            f"(first: {missing[0]}); the motion is not affected, the replay shows stand-ins; "
+            "'package_dirs' says where to look"
+        )
+    return folders

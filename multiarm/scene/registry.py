@@ -1,8 +1,8 @@
-"""Effects that others wrote: found by the name under which a scene has them.
+"""User effects: found by the name under which a scene has them.
 
 A name under ``effects`` that is none of ours is looked for among the classes that were handed to
-:func:`register_effect`, and then among the entry points ``multiarm.effects`` of the installed
-packages,
+:func:`multiarm.register_effect`, and then among the entry points ``multiarm.effects`` of the
+installed packages,
 
 .. code-block:: toml
 
@@ -10,9 +10,9 @@ packages,
     magnet = "my_package.magnet:Magnet"
 
 A package is imported only for scenes that name its effect: when one is made in Python, and when one
-that was read from a file is compiled.  The class's ``Spec`` then validates what stands under the
-name, and every fault is told at its place, as for our own effects.  What the class
-must offer says :class:`multiarm.effects.effect.Effect`; here only its name and its ``Spec`` matter.
+that was read from a file is compiled.  The class's ``Spec`` then validates the parameters, and
+every fault has its place, as for our own effects.  What the class must offer says
+:class:`multiarm.effects.effect.Effect`; here only its name and its ``Spec`` matter.
 """
 
 from __future__ import annotations
@@ -20,70 +20,37 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from importlib import metadata
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from multiarm.errors import USER_FAULTS, ModelError
-from multiarm.scene.base import Spec
-from multiarm.scene.faults import sentences
-from multiarm.scene.values import fault
-from multiarm.scene.words import unknown
+from multiarm.scene.faults import fault, sentences, unknown
+from multiarm.scene.values import Spec
 
-__all__ = [
-    "GROUP",
-    "Named",
-    "OwnEffect",
-    "OwnSpec",
-    "find_effect",
-    "known_effect",
-    "offered_words",
-    "own_effect_names",
-    "register_effect",
-    "registered_effects",
-]
-
-GROUP = "multiarm.effects"
-"""Of the entry points."""
-
-AnyEffect = TypeVar("AnyEffect", bound=type)
-
-# The one place that remembers: classes handed over at run time, and those of entry points.
+_GROUP = "multiarm.effects"  # of the entry points
 _REGISTERED: dict[str, type] = {}
-_LOADED: dict[str, type] = {}
+_LOADED: dict[str, type] = {}  # of entry points
 
 
 class OwnSpec(Spec):
-    """Parameters of an effect: keys that are not declared, NaN and infinity are refused."""
+    """Parameters of a user effect: keys that are not declared, NaN and infinity are refused."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
 
-def register_effect(effect: AnyEffect) -> AnyEffect:
-    """Let scenes name an effect of one's own; also a decorator of its class.
-
-    Parameters
-    ----------
-    effect : type
-        A subclass of :class:`multiarm.Effect`.  Defined and registered once more, as notebooks do,
-        it replaces the former one.
-
-    Returns
-    -------
-    type
-        The class.
+def add_effect(effect: type, reserved: Collection[str]) -> None:
+    """Let scenes name a class of effect, by a name that is none of the reserved ones.
 
     Raises
     ------
     ModelError
         It lacks something, or another effect has its name.
     """
-    from multiarm.scene.effects import EffectsSpec
-
     _check(effect, "cannot be registered")
     name = effect.name  # type: ignore[attr-defined]
-    if name in EffectsSpec.model_fields:
+    if name in reserved:
         raise ModelError(f"effect {name!r}: multiarm itself has one of that name; choose another")
     taken = _REGISTERED.get(name)
     if taken is not None and _path(taken) != _path(effect):
@@ -94,7 +61,6 @@ def register_effect(effect: AnyEffect) -> AnyEffect:
                 f"effect {name!r}: {_offered(point)} has that name already; choose another one"
             )
     _REGISTERED[name] = effect
-    return effect
 
 
 def known_effect(name: str) -> type | None:
@@ -108,7 +74,7 @@ def offered_words(name: str) -> str:
 
 
 def find_effect(name: str) -> type | None:
-    """The class of an effect; None where nobody has one of that name.
+    """The class of an effect; None where there is none of that name.
 
     Raises
     ------
@@ -137,12 +103,12 @@ def find_effect(name: str) -> type | None:
 
 
 def own_effect_names() -> list[str]:
-    """Names of all effects that are registered or installed."""
-    return sorted({*_REGISTERED, *(point.name for point in metadata.entry_points(group=GROUP))})
+    """Names of all user effects that are registered or installed."""
+    return sorted({*_REGISTERED, *(point.name for point in metadata.entry_points(group=_GROUP))})
 
 
 def registered_effects() -> tuple[type, ...]:
-    """The classes that were registered in this process, which another one knows nothing of."""
+    """The classes that were registered in this process; another process has its own."""
     return tuple(_REGISTERED.values())
 
 
@@ -159,7 +125,7 @@ def _read(entry: Any, info: ValidationInfo) -> Any:
     """The validated parameters of an effect; None where a scene leaves it out by ``name: null``.
 
     A scene that is read from a file loads no package, and a stored one does without it: the
-    parameters stay what they are, see :mod:`multiarm.scene.code`.
+    parameters stay as they are, see :mod:`multiarm.scene.loading`.
     """
     if not isinstance(entry, Named):
         return entry
@@ -175,9 +141,7 @@ def _read(entry: Any, info: ValidationInfo) -> Any:
             return entry.value
         text = unknown("effect", entry.name, [*entry.ours, *own_effect_names()], "effects")
         raise fault(f"{text}; effects of your own need multiarm.register_effect, or their package")
-    if entry.value is None:
-        return None
-    return _validated(effect, entry.value)
+    return None if entry.value is None else _validated(effect, entry.value)
 
 
 def _validated(effect: Any, value: Any) -> Any:
@@ -215,7 +179,7 @@ def _check(effect: Any, trouble: str, name: str | None = None) -> None:
 
 
 def _entry_points(name: str) -> list[metadata.EntryPoint]:
-    return list(metadata.entry_points(group=GROUP, name=name))
+    return list(metadata.entry_points(group=_GROUP, name=name))
 
 
 def _offered(point: metadata.EntryPoint) -> str:

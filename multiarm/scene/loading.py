@@ -1,0 +1,325 @@
+"""Scene files: YAML text read with every fault at its place, written back, and their code.
+
+Three habits of YAML 1.1 that bite are avoided on reading: ``1e-6`` is a number (not text), ``on``
+is a word (not true), and a key that stands twice in one table is a fault (not a silent loss of the
+first).
+
+A scene can name functions (surfaces, wrenches) and effects of installed packages.  Reading it loads
+none of them.  :func:`with_code` loads them for a system that is to run; :func:`without_code` gives
+what can be looked at without them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel
+
+from multiarm.errors import ModelError, SceneError
+from multiarm.scene.faults import Parts, place
+from multiarm.scene.functions import (
+    FunctionReference,
+    LoadedFunction,
+    function_references,
+    load_function,
+    mapped,
+)
+from multiarm.scene.registry import known_effect, offered_words
+from multiarm.scene.schema import Scene
+
+
+def load_scene(path: Path | str, code: bool = True) -> Scene:
+    """Read a scene file; nothing that it names is loaded or run.
+
+    Parameters
+    ----------
+    path : path
+        A YAML file. Relative paths in it start at its folder.
+    code : bool
+        Whether :func:`multiarm.compile_system` may load the functions and effects of packages that
+        it names; without, it refuses a scene that names any.
+
+    Returns
+    -------
+    Scene
+        Named after the file if it has no name of its own.
+
+    Raises
+    ------
+    SceneError
+        If the file cannot be read, or naming every fault in it.
+    """
+    path = Path(path).expanduser()
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise SceneError(f"no scene file at {path}{_neighbours(path)}") from None
+    except UnicodeDecodeError:
+        raise SceneError(f"{path} is not a text file; a scene is YAML in UTF-8") from None
+    except OSError as error:
+        raise SceneError(f"cannot read {path}: {error.strerror}") from None
+    try:
+        data = parse_yaml(text)
+        if isinstance(data, Mapping):
+            data = {"name": path.stem.replace("_", " "), **data}
+        return Scene.from_mapping(data, path.resolve().parent, from_file=True, code=code)
+    except SceneError as error:
+        raise SceneError(error.faults, source=str(path)) from None
+
+
+def parse_scene(
+    source: str | Mapping[str, Any],
+    folder: Path | str | None = None,
+    stored: bool = False,
+    code: bool | None = None,
+) -> Scene:
+    """The scene that a YAML text or a table describes.
+
+    Parameters
+    ----------
+    source : str or mapping
+        The text, or what it stands for.
+    folder : path, optional
+        Where relative paths start; the current folder by default.
+    stored : bool
+        It is that of a run, to be looked at: user effects need not be installed.
+    code : bool, optional
+        Whether :func:`multiarm.compile_system` may load the code that it names; not, when left out,
+        if it is ``stored``.
+
+    Raises
+    ------
+    SceneError
+        Naming every fault.
+    """
+    data = parse_yaml(source) if isinstance(source, str) else source
+    return Scene.from_mapping(data, folder, stored, code=code)
+
+
+def dump_scene(scene: Scene) -> str:
+    """The scene as YAML text with absolute paths; it loads again to an equal scene."""
+    data = scene.model_dump(mode="json", exclude_defaults=True)
+    # A run that names nothing aims at the default accuracy: write what holds.
+    data["run"] = scene.run.model_dump(mode="json", exclude_none=True)
+    return yaml.safe_dump(
+        data, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
+    )
+
+
+def parse_yaml(text: str) -> Any:
+    """What a YAML text stands for, without the habits above.
+
+    Raises
+    ------
+    SceneError
+        When it is not YAML, or a key stands twice.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise SceneError(f"{where}{error.problem or error.context}; this is not YAML") from None
+    except yaml.YAMLError as error:
+        raise SceneError(f"this is not YAML: {error}") from None
+
+
+_MERGE, _TRUTH = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:bool"
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML with ``1e-6`` as a number, ``on`` as a word, and without repeated keys."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        """Refuse keys that stand twice."""
+        seen: set[Hashable] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if isinstance(key, Hashable) and key in seen and key_node.tag != _MERGE:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key!r} stands twice in one table", key_node.start_mark
+                )
+            seen.add(key if isinstance(key, Hashable) else str(key))
+        return super().construct_mapping(node, deep=deep)
+
+
+# of the truth values, only those of YAML 1.2
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in known if first in "tTfF" or tag != _TRUTH]
+    for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+$"),
+    list("-+0123456789"),
+)
+
+
+def _neighbours(path: Path) -> str:
+    found = sorted(p.name for p in path.parent.glob("*.y*ml")) if path.parent.is_dir() else []
+    return f"; scenes in that folder: {', '.join(found[:8])}" if found else ""
+
+
+# --- code that a scene names ----------------------------------------------------------------------
+
+
+_WRENCHES = ("effects", "external_wrenches")
+
+
+@dataclass(frozen=True)
+class NamedCode:
+    """Code that is named somewhere.
+
+    Attributes
+    ----------
+    place : str
+        Where it is named, such as ``$.effects.external_wrenches[0].function``.
+    what : str
+        What it is: which function of which file or module, which effect of which package.
+    arm : str or None
+        Whose joint needs it.
+    """
+
+    place: str
+    what: str
+    arm: str | None = None
+
+    @classmethod
+    def function(cls, parts: Parts, reference: FunctionReference, arm: str | None = None):
+        """A function that is named at a place."""
+        return cls(place(parts), f"the function {reference.name!r} of {reference.home}", arm)
+
+    @classmethod
+    def effect(cls, parts: Parts, name: str) -> NamedCode:
+        """An effect of an installed package that is named at a place."""
+        return cls(place(parts), f"the effect {name!r} of {offered_words(name)}")
+
+
+def named_code(scene: Scene) -> list[NamedCode]:
+    """The code that a scene names and that is not loaded yet, in the order of the scene."""
+    found = []
+    for k, joint in enumerate(scene.joints):
+        for parts, reference in function_references(joint, ("joints", k)):
+            found.append(NamedCode.function(parts, reference, joint.arm))
+    for parts, reference in function_references(scene.effects.external_wrenches, _WRENCHES):
+        found.append(NamedCode.function(parts, reference))
+    found += [
+        NamedCode.effect(("effects", name), name)
+        for name in _available(_unvalidated_effects(scene))
+        if known_effect(name) is None
+    ]
+    return found
+
+
+def refuse_code(named: Iterable[NamedCode]) -> None:
+    """Refuse to load any code.
+
+    Raises
+    ------
+    SceneError
+        When some is named: each with its place, and how it is allowed.
+    """
+    faults = [
+        f"{one.place}: {one.what} is not loaded, since code is not allowed; if you trust its "
+        "author, allow it (`code=True` in Python, no `--no-code` on the command line)"
+        for one in named
+    ]
+    if faults:
+        raise SceneError(faults)
+
+
+def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
+    """The scene with its functions loaded in place of their names, and its effects validated.
+
+    Parameters
+    ----------
+    scene : Scene
+    allowed : bool, optional
+        Whether code may be loaded; as the scene was read, when left out.
+
+    Raises
+    ------
+    SceneError
+        When code is named and not allowed, or a package refuses the parameters of its effect.
+    ModelError
+        When a function cannot be loaded.
+    """
+    named, unvalidated = named_code(scene), _available(_unvalidated_effects(scene))
+    if not (scene.may_load_code if allowed is None else allowed):
+        refuse_code(named)
+    if named:
+        joints = loaded_functions(scene.joints, ("joints",))
+        wrenches = loaded_functions(scene.effects.external_wrenches, _WRENCHES)
+        effects = scene.effects.model_copy(update={"external_wrenches": wrenches})
+        scene = scene.model_copy(update={"joints": joints, "effects": effects})
+    # `replace` validates as for a scene made in Python, which loads the effects that it names
+    return scene.replace(effects=scene.effects.named) if unvalidated else scene
+
+
+def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
+    """The scene without what needs code that is not loaded, and that code.
+
+    Left out are wrenches by functions and effects of packages, and of joints the contacts on
+    surfaces by functions; the other contacts keep their names.
+    """
+    left = named_code(scene)
+    unvalidated = _unvalidated_effects(scene)
+    if not left and not unvalidated:
+        return scene, left
+    wrenches = scene.effects.external_wrenches or ()
+    kept = tuple(wrench for wrench in wrenches if not any(function_references(wrench)))
+    effects = scene.effects.model_copy(
+        update={"external_wrenches": kept or None, **dict.fromkeys(unvalidated)}
+    )
+    joints = tuple(_without_contacts(joint) for joint in scene.joints)
+    return scene.model_copy(update={"joints": joints, "effects": effects}), left
+
+
+def loaded_functions(value: Any, parts: Parts = ()) -> Any:
+    """A part of a scene, which is at the place ``parts`` in it, with its functions loaded.
+
+    Raises
+    ------
+    ModelError
+        When one cannot be loaded.
+    """
+
+    def loaded(leaf: Any, where: Parts) -> Any:
+        if not isinstance(leaf, FunctionReference):
+            return leaf
+        try:
+            return LoadedFunction(leaf, load_function(leaf))
+        except ModelError as error:
+            raise ModelError(f"{place(where)}: {error}") from error
+
+    return mapped(value, loaded, parts)
+
+
+def _unvalidated_effects(scene: Scene) -> list[str]:
+    """User effects whose parameters have not been validated by their ``Spec``."""
+    return [
+        name
+        for name, parameters in (scene.effects.model_extra or {}).items()
+        if parameters is not None and not isinstance(parameters, BaseModel)
+    ]
+
+
+def _available(names: Iterable[str]) -> list[str]:
+    return [name for name in names if known_effect(name) or offered_words(name)]
+
+
+def _without_contacts(joint: Any) -> Any:
+    """A joint without its contacts on surfaces that need functions."""
+    if not any(function_references(joint)):
+        return joint
+    contacts = tuple(
+        contact.model_copy(update={"name": contact.name or f"contact {k + 1}"})
+        for k, contact in enumerate(joint.contacts)
+        if not any(function_references(contact))
+    )
+    return joint.model_copy(update={"contacts": contacts})

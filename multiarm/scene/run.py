@@ -1,0 +1,217 @@
+"""How a run is carried out: how long, how accurately, by which method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BeforeValidator, PlainSerializer, TypeAdapter, model_validator
+from typing_extensions import Self
+
+from multiarm.scene.faults import fault, shown
+from multiarm.scene.values import NonNegative, Positive, Spec, shorthand
+
+FixedStepIntegrator = Literal["semi_implicit_euler", "variational", "rk4"]
+AdaptiveIntegrator = Literal["dopri5", "dop853", "rodas5p"]
+ArmTerms = Literal["pinocchio", "compiled"]
+FIXED_STEP_INTEGRATORS: tuple[str, ...] = get_args(FixedStepIntegrator)
+ADAPTIVE_INTEGRATORS: tuple[str, ...] = get_args(AdaptiveIntegrator)
+ARM_TERMS: tuple[str, ...] = get_args(ArmTerms)
+"""Who computes inertia, forces and motion of the arms."""
+STEPS_CHOSEN_BY = ("accuracy", "integrator", "step", "tolerance")
+"""Settings of a run that say together how long its steps are."""
+DEFAULT_ACCURACY = 1e-6
+"""Aimed at in positions [m] and rotations [rad] by default."""
+
+_positive = TypeAdapter(Positive).validate_python
+
+
+class AccuracySpec(Spec):
+    """Largest error of the whole run, at the worst output time; what is not named is not bounded.
+
+    A single number in place of the table is meant for position and rotation alike, and the two
+    forms compare equal: ``AccuracySpec(position=1e-6, rotation=1e-6) == 1e-6``.
+
+    Attributes
+    ----------
+    position : float, optional
+        Of the object's centre of mass and of sliding joints [m].
+    rotation : float, optional
+        Of the object's orientation and of turning joints [rad].
+    force : float, optional
+        Of every contact force that the equations determine [N].
+    """
+
+    position: Positive | None = None
+    rotation: Positive | None = None
+    force: Positive | None = None
+
+    @model_validator(mode="after")
+    def _bounds_something(self) -> Self:
+        if self.position is None and self.rotation is None and self.force is None:
+            raise fault("asks for nothing; name 'position' [m], 'rotation' [rad] or 'force' [N]")
+        return self
+
+    @property
+    def smallest(self) -> float:
+        """The smaller one of position and rotation; 1e-6 where only a force is named."""
+        lengths = [value for value in (self.position, self.rotation) if value is not None]
+        return min(lengths, default=DEFAULT_ACCURACY)
+
+    @property
+    def written(self) -> float | dict[str, float]:
+        """As in a scene: one number where that is enough, else a table."""
+        if self.force is None and self.position is not None and self.position == self.rotation:
+            return self.position
+        values = {"position": self.position, "rotation": self.rotation, "force": self.force}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, AccuracySpec):
+            return self.written == other.written
+        return self.written == other if isinstance(other, (int, float, Mapping)) else NotImplemented
+
+    def __hash__(self) -> int:
+        written = self.written
+        return hash(tuple(written.items()) if isinstance(written, dict) else written)
+
+
+def _accuracy(value: Any) -> Any:
+    """Let a number stand for a table in which it is both position and rotation."""
+    if value is None or isinstance(value, (Mapping, AccuracySpec)):
+        return value
+    if isinstance(value, (str, list, tuple, bool)):
+        raise fault(
+            f"must be a number [m, rad] or a table with 'position', 'rotation', 'force', got "
+            f"{shown(value)}"
+        )
+    number = _positive(value)
+    return {"position": number, "rotation": number}
+
+
+Accuracy = Annotated[
+    AccuracySpec,
+    BeforeValidator(_accuracy),
+    PlainSerializer(lambda accuracy: accuracy.written),
+]
+
+
+class StabilizationSpec(Spec):
+    """How the joints are kept closed although integration errors add up.
+
+    Attributes
+    ----------
+    kind : 'projection', 'feedback' or 'none'
+        ``projection`` returns position and velocity to the constraints after each step;
+        ``feedback`` adds -2 alpha W^T v - beta^2 phi to the constraint accelerations.
+    alpha, beta : float, optional
+        Gains of the feedback [1/s]; absent: chosen from the step.
+    """
+
+    kind: Literal["projection", "feedback", "none"] = "projection"
+    alpha: NonNegative | None = None
+    beta: NonNegative | None = None
+
+    @model_validator(mode="after")
+    def _gains_belong_to_feedback(self) -> Self:
+        if self.kind != "feedback" and (self.alpha is not None or self.beta is not None):
+            raise fault(f"'alpha' and 'beta' belong to kind 'feedback', not {self.kind!r}")
+        return self
+
+
+class RunSpec(Spec):
+    """How long and how exactly the motion is computed.
+
+    Attributes
+    ----------
+    duration : float
+        [s]
+    accuracy : AccuracySpec or float, optional
+        Largest error of the whole run at the worst output time: a number [m and rad], or a table
+        ``{position: [m], rotation: [rad], force: [N]}`` of what is bounded. The program chooses
+        method and steps, checks the result against a tightened rerun and repeats the run with
+        smaller tolerances if need be. 1e-6 by default.
+    integrator : str, optional
+        ``semi_implicit_euler``, ``variational`` or ``rk4`` with ``step``; ``dopri5``, ``dop853``
+        or ``rodas5p`` with ``tolerance`` (per step) or ``accuracy``.  Absent: chosen, and exchanged
+        for ``rodas5p`` where the scene turns out to be stiff.
+    step : float, optional
+        Fixed step [s].
+    tolerance : float, optional
+        Error tolerance per step of an adaptive integrator.
+    stabilization : StabilizationSpec or its kind
+        How drift off the joints is prevented.
+    output_step : float
+        Time between stored samples [s].
+    most_steps : float
+        Steps for one second of simulated time (for the whole run, if that is shorter): a run that
+        needs more at the pace of its last thousands of steps, rejected ones and events counted,
+        fails instead of running for hours.
+    solver : 'node' or 'dense'
+        The node algorithm, or the whole linear system at once (for comparison).
+    arms : 'pinocchio' or 'compiled'
+        Who computes inertia, forces and motion of the arms: Pinocchio, or compiled code, which is
+        several times as fast and verified against Pinocchio whenever the scene is compiled.  An arm
+        that cannot be compiled stays with Pinocchio and says so.
+    """
+
+    duration: Positive = 1.0
+    accuracy: Accuracy | None = None
+    integrator: Literal[FixedStepIntegrator, AdaptiveIntegrator] | None = None
+    step: Positive | None = None
+    tolerance: Positive | None = None
+    stabilization: Annotated[StabilizationSpec, shorthand("kind", str)] = StabilizationSpec()
+    output_step: Positive = 0.01
+    most_steps: Positive = 1e8
+    solver: Literal["node", "dense"] = "node"
+    arms: ArmTerms = "pinocchio"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_accuracy(cls, data: Any) -> Any:
+        if isinstance(data, dict) and all(data.get(key) is None for key in STEPS_CHOSEN_BY):
+            return {**data, "accuracy": DEFAULT_ACCURACY}
+        return data
+
+    @model_validator(mode="after")
+    def _one_way_to_choose_the_steps(self) -> Self:
+        message = self._step_fault()
+        if message:
+            raise fault(message)
+        return self
+
+    def _step_fault(self) -> str | None:
+        if self.accuracy is not None and self.step is not None:
+            return "'accuracy' and 'step' exclude each other; keep the one that you mean"
+        if self.accuracy is not None and self.tolerance is not None:
+            return "'accuracy' and 'tolerance' exclude each other; keep the one that you mean"
+        if self.integrator is None and self.step is not None:
+            return f"'step' needs an integrator of fixed step: {_or(FIXED_STEP_INTEGRATORS)}"
+        if self.integrator is None and self.tolerance is not None:
+            return f"'tolerance' needs an adaptive integrator: {_or(ADAPTIVE_INTEGRATORS)}"
+        if self.integrator == "variational" and self.stabilization.kind == "feedback":
+            return "'variational' keeps the joints closed itself; remove 'stabilization: feedback'"
+        if self.integrator in FIXED_STEP_INTEGRATORS:
+            return self._fixed_step_fault()
+        if self.step is not None:
+            return (
+                f"{self.integrator!r} chooses its own steps; remove 'step' or use "
+                f"{_or(FIXED_STEP_INTEGRATORS)}"
+            )
+        return None
+
+    def _fixed_step_fault(self) -> str | None:
+        if self.accuracy is not None or self.tolerance is not None:
+            return (
+                f"{self.integrator!r} has a fixed step and cannot aim at 'accuracy' or "
+                f"'tolerance'; give 'step' instead, or use {_or(ADAPTIVE_INTEGRATORS)}"
+            )
+        if self.step is None:
+            return f"{self.integrator!r} has a fixed step: add 'step', for example 'step: 0.001'"
+        if self.step > self.duration:
+            return f"'step' is {self.step:g} s, longer than the run of {self.duration:g} s"
+        return None
+
+
+def _or(names: tuple[str, ...]) -> str:
+    return " or ".join(repr(name) for name in names)
