@@ -5,7 +5,7 @@ world axes, `arms/left/joint_torque` is (K, nv). A `Channel` says what its numbe
 frame, description, a label per column), so that a file can be read without this program.
 
 A run produces its samples as rows of numbers, shape (K, width). Columns tell which numbers of a row
-are which channel, so that rows are split into channels only where somebody looks at them.
+are which channel, so that rows are split into channels only when one is read.
 """
 
 from __future__ import annotations

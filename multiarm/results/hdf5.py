@@ -98,7 +98,7 @@ class StoredFile:
     def require(self, name: str, rows: int = 0) -> None:
         """Refuse a file that was cut short within the first `rows` rows of a dataset.
 
-        HDF5 reads zeros behind the end of a file that was not closed.
+        HDF5 reads zeros past the end of a file that was not closed.
         """
         if self._size is not None and not _stored_within(self.file[name], rows, self._size):
             raise OSError("data behind the end of the file")

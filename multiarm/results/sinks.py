@@ -3,8 +3,8 @@
 `MemorySink` keeps the samples, `Hdf5Sink` writes them to a file that survives a kill. Both refuse a
 number that is not finite and keep everything before it, so that none gets into a result.
 
-A run of milliseconds must not spend its time on what nobody may look at. In memory, samples stay
-the rows that the run produced, and channels, provenance and the scene's text are made on access.
+A run may take less than a millisecond, and most of its result may never be read. In memory, samples
+stay the rows that the run produced; channels, provenance and the scene's text are made on access.
 """
 
 from __future__ import annotations

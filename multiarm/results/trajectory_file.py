@@ -95,8 +95,10 @@ class TrajectoryReader(StoredFile):
             begin, end = (int(n) for n in file["amended"][:])
             self.require("amendment", end)
             self.amendment = json.loads(joined(file["amendment"][begin:end]) or "{}")
-        outcome = json.loads(joined(file["outcome"][:pieces]) or "null")
-        self.outcome = outcome and outcome | (self.amendment or {})
+        self.outcome = None
+        if pieces:
+            outcome = json.loads(joined(file["outcome"][:pieces]))
+            self.outcome = outcome | (self.amendment or {})
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel."""
