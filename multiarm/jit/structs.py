@@ -49,6 +49,7 @@ from numba.extending import (
     lower_setattr_generic,
     models,
     register_model,
+    typeof_impl,
     unbox,
 )
 from numba.np.arrayobj import populate_array
@@ -231,11 +232,21 @@ def _set_field_of_view(context, builder, signature, arguments, name):
     builder.store(bits, builder.gep(numbers, [ir.IntType(64)(WIDTH * place)]))
 
 
+@typeof_impl.register(Numbers)
+def _type_of_numbers(numbers, _):
+    return View(type(numbers), 0)
+
+
 @unbox(View)
-def _no_view(view, given, c):
-    """Python has no views: kernels take the ``NamedTuple`` itself from there."""
-    c.pyapi.err_set_string("PyExc_TypeError", "views of structs exist in kernels only")
-    return NativeValue(ir.IntType(64)(0), is_error=ir.IntType(1)(1))
+def _view_of_numbers(view, given, c):
+    """A view of the :class:`Numbers` that Python passes: where their struct is."""
+    struct, kind = c.pyapi.object_getattr_string(given, "struct"), types.int64[::1]
+    native = c.unbox(kind, struct)
+    array = c.context.make_array(kind)(c.context, c.builder, native.value)
+    address = c.builder.ptrtoint(array.data, ir.IntType(64))
+    c.context.nrt.decref(c.builder, kind, native.value)  # the caller holds the numbers
+    c.pyapi.decref(struct)
+    return NativeValue(address, is_error=native.is_error)
 
 
 def view(holder: type, at: int = 0) -> Callable[[Any], Any]:
