@@ -167,6 +167,24 @@ def test_every_thread_has_an_instance_of_an_own_effect(monkeypatch, welded_ur5_s
         assert_same_run(one, other)
 
 
+@pytest.mark.parametrize("terms", ["pinocchio", "compiled"])
+def test_variational_runs_side_by_side_have_the_numbers_of_single_runs_after_one_of_them(terms):
+    """The first run makes matrices of Coriolis forces, which no other thread may use."""
+    scene, run = ur5_pair(WELD, {"kind": "ball"}), {"integrator": "variational", "step": 1e-3}
+    system = ma.compile_system(scene, arms=terms)
+    states = random_states(system, 3, size=0.1)
+    expected = [
+        ma.simulate(ma.compile_system(scene, arms=terms), 0.05, state=s, certificate=False, **run)
+        for s in states
+    ]
+    ma.simulate(system, 0.01, certificate=False, **run)
+    found = ma.simulate_many(
+        system, 0.05, states=states, threads=3, progress=None, certificate=False, **run
+    )
+    for one, other in zip(found, expected, strict=True):
+        assert_same_run(one, other)
+
+
 def written_arrays(system) -> dict[str, np.ndarray]:
     """All arrays that kernels may write, by name."""
     parts = {

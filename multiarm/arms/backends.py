@@ -1,49 +1,69 @@
-"""Who supplies the terms of each arm: Pinocchio, through a callback, or compiled copies.
+"""Arm-dynamics backends: what computes the terms of each arm of a system.
 
-Pinocchio's arms are taken in groups of neighbours
-(:class:`multiarm.arms.pinocchio_groups.ArmGroup`); all compiled ones together
-(:class:`multiarm.arms.compiled.group.CompiledArms`).  Whoever needs an arm's terms finds them
-through ``pointers``, in the order of the scene.
+A backend reads positions and velocities of its arms from a system's buffers and leaves inertia,
+bias, Jacobian and the motion of the tip's link at fixed addresses, where kernels find them through
+a table (:mod:`multiarm.arms.terms`).  There are two: Pinocchio, called back in Python
+(:mod:`multiarm.arms.pinocchio_backend`), and batched RNEA and CRBA in compiled code
+(:mod:`multiarm.arms.compiled`).  A system may have arms of both.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from copy import copy
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Protocol
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.arms.pinocchio_groups import ArmGroup, group_arms
-from multiarm.arms.terms import POINTER_WIDTH
-from multiarm.dynamics.arrays import CALL_POTENTIAL, CALL_TERMS, Buffers
+from multiarm.arms.pinocchio_backend import PinocchioBackend
+from multiarm.arms.terms import POINTER_WIDTH, Coriolis
+from multiarm.dynamics.arrays import Buffers
 from multiarm.jit.pointers import PythonCallback
 
-if TYPE_CHECKING:
-    from multiarm.arms.compiled.group import CompiledArms
 
+class ArmBackend(Protocol):
+    """Computes the terms of some of a system's arms.
 
-class Coriolis(NamedTuple):
-    """Where the arms' matrices of Coriolis forces are, and what updates them.
-
-    calls : int64 (4,)
-        Address of a callback (0: none), and of an entry (0: none) with its struct and size.
-    places : int64 (arms, 2)
-        Addresses and strides.
+    Attributes
+    ----------
+    places : tuple of int
+        Numbers of its arms among all arms of the scene.
+    pointers : int64 ndarray, shape (its arms, 8)
+        Where each arm's terms are, see :mod:`multiarm.arms.terms`; valid while the backend lives.
     """
 
-    calls: np.ndarray
-    places: np.ndarray
+    places: tuple[int, ...]
+    pointers: np.ndarray
+
+    def twin(self) -> ArmBackend:
+        """The same arms for another thread: constants are shared, their terms are not."""
+        ...
+
+    def connect(self, buffers: Buffers, calls: np.ndarray) -> dict[str, PythonCallback]:
+        """Read and write a system's buffers, be called through ``calls``; what enters Python."""
+        ...
+
+    def connect_coriolis(self, buffers: Buffers, found: Coriolis) -> PythonCallback | None:
+        """Write where the matrices of Coriolis forces are and what updates them."""
+        ...
+
+    def pose_address(self, place: int, joint: int) -> int:
+        """Where the pose of a joint of arm number ``place`` of the scene is: axes, origin."""
+        ...
+
+    def potential_energy(self, buffers: Buffers) -> float:
+        """Potential energy of its arms [J] at the state evaluated last, zero at the origin."""
+        ...
 
 
-class ArmSupply:
-    """The arms of one system and who computes their terms.
+class ArmBackends:
+    """The arms of one system and the backends that compute their terms.
 
     Parameters
     ----------
-    arms : dict of str to Arm
+    arms : mapping of str to Arm
     gravity : ndarray, shape (3,)
     with_gravity_torque : bool
         Whether the control needs the gravity torques.
@@ -72,53 +92,51 @@ class ArmSupply:
         compiled: bool = False,
     ) -> None:
         self._arms = dict(arms)
-        self._first = np.cumsum([0, *(arm.dof for arm in arms.values())])
-        self.compiled, self.reasons = _compiled(arms, gravity) if compiled else (None, {})
-        own = () if self.compiled is None else self.compiled.places
-        every = list(arms.values())
-        self.by_arm = {name: "compiled" if k in own else "pinocchio" for k, name in enumerate(arms)}
-        self._groups: list[_Group] = []
+        self._backends: list[ArmBackend] = []
         self._coriolis: tuple[Coriolis, PythonCallback | None] | None = None
-        self.q_slots = np.full(self._first[-1], -1, dtype=np.int64)
-        self.configuration = 0
-        for places in _runs([k for k in range(len(every)) if k not in own]):
-            for group in group_arms([every[k] for k in places], gravity, with_gravity_torque):
-                self._add(group, places[0])
-                places = places[len(group.pointers) :]
-        if self.compiled is not None and with_gravity_torque:
-            self.compiled.want_gravity_torque()
+        self.reasons: dict[str, str] = {}
+        self.by_arm = dict.fromkeys(arms, "pinocchio")
+        if compiled:
+            self._compile(gravity, with_gravity_torque)
+        rest = {k: arms[name] for k, name in enumerate(arms) if self.by_arm[name] == "pinocchio"}
+        first_joints = np.cumsum([0, *(arm.dof for arm in arms.values())])
+        pinocchio = PinocchioBackend(rest, first_joints, gravity, with_gravity_torque)
+        self._backends.append(pinocchio)
+        self.q_slots, self.configuration = pinocchio.q_slots, pinocchio.configuration
         self.pointers = self._all_pointers()
 
-    def twin(self) -> ArmSupply:
+    def _compile(self, gravity: np.ndarray, with_gravity_torque: bool) -> None:
+        """Take the arms that can be compiled."""
+        from multiarm.arms.compiled.verification import compile_arms
+
+        backend, self.reasons = compile_arms(self._arms, gravity)
+        for name, reason in self.reasons.items():
+            warnings.warn(f"arm '{name}' stays with Pinocchio: {reason}", stacklevel=2)
+        if backend is not None:
+            names = list(self._arms)
+            self.by_arm |= {names[place]: "compiled" for place in backend.places}
+            if with_gravity_torque:
+                backend.want_gravity_torque()
+            self._backends.append(backend)
+
+    def twin(self) -> ArmBackends:
         """The same arms for another thread: models and tables are shared, their terms are not."""
         twin = copy(self)
-        twin._groups = [own._replace(group=own.group.twin()) for own in self._groups]
-        if self.compiled is not None:
-            twin.compiled = self.compiled.twin()
+        twin._backends = [backend.twin() for backend in self._backends]
+        twin._coriolis = None
         twin.pointers = twin._all_pointers()
         return twin
 
-    def _add(self, group: ArmGroup, place: int) -> None:
-        """Take a group whose first arm is this one."""
-        own = _Group(group, place, int(self._first[place]), self.configuration)
-        self._groups.append(own)
-        self.q_slots[own.joints] = group.q_slots + own.first_number
-        self.configuration += group.model.nq
-
     def _all_pointers(self) -> np.ndarray:
         pointers = np.zeros((len(self._arms), POINTER_WIDTH), dtype=np.int64)
-        for own in self._groups:
-            pointers[own.place : own.place + len(own.group.pointers)] = own.group.pointers
-        if self.compiled is not None:
-            pointers[list(self.compiled.places)] = self.compiled.pointers
+        for backend in self._backends:
+            pointers[list(backend.places)] = backend.pointers
         return pointers
 
     def pose_address(self, arm: int, joint: int) -> int:
         """Where the pose of a joint of an arm is: rotation by columns, origin."""
-        if self.compiled is not None and arm in self.compiled.places:
-            return self.compiled.pose_address(self.compiled.places.index(arm), joint)
-        own = next(g for g in reversed(self._groups) if g.place <= arm)
-        return own.group.pose_address(arm - own.place, joint)
+        own = next(backend for backend in self._backends if arm in backend.places)
+        return own.pose_address(arm, joint)
 
     def connect(self, buffers: Buffers, calls: np.ndarray) -> dict[str, PythonCallback]:
         """Let all arms read and write a system's buffers; writes addresses into ``Plant.calls``.
@@ -128,23 +146,14 @@ class ArmSupply:
         dict of str to PythonCallback
             What enters Python; empty where all arms are compiled.
         """
-        if self.compiled is not None:
-            self.compiled.connect(buffers.angles, buffers.v, buffers.arms)
-            self.compiled.write_calls(calls)
-        if not self._groups:
-            return {}
-        updates = [g.group.bind(buffers.q[g.numbers], buffers.v[g.joints]) for g in self._groups]
-        made = {"terms": PythonCallback(_all_of(updates), buffers.flag)}
-        calls[CALL_TERMS] = made["terms"].address
-        if any(np.any(own.group.model.gravity.linear) for own in self._groups):
-            made["potential"] = PythonCallback(self._potential_call(buffers), buffers.flag)
-            calls[CALL_POTENTIAL] = made["potential"].address
+        made: dict[str, PythonCallback] = {}
+        for backend in self._backends:
+            made |= backend.connect(buffers, calls)
         return made
 
     def potential_energy(self, buffers: Buffers) -> float:
         """Potential energy of all arms [J] at the state evaluated last, zero at the origin."""
-        energy = 0.0 if self.compiled is None else self.compiled.potential_energy()
-        return energy + self._of_pinocchio(buffers)
+        return sum(backend.potential_energy(buffers) for backend in self._backends)
 
     def coriolis(self, buffers: Buffers) -> tuple[Coriolis, PythonCallback | None]:
         """What updates the matrices of Coriolis forces, and where they are; the callback in it.
@@ -155,88 +164,23 @@ class ArmSupply:
             When a compiled matrix is not Pinocchio's.
         """
         if self._coriolis is None:
-            self._coriolis = self._make_coriolis(buffers)
+            count = len(self._arms)
+            found = Coriolis(np.zeros(4, dtype=np.int64), np.zeros((count, 2), dtype=np.int64))
+            calls = [backend.connect_coriolis(buffers, found) for backend in self._backends]
+            self._coriolis = found, next((call for call in calls if call is not None), None)
         return self._coriolis
 
-    def _make_coriolis(self, buffers: Buffers) -> tuple[Coriolis, PythonCallback | None]:
-        places = np.zeros((len(self.pointers), 2), dtype=np.int64)
-        calls = np.zeros(4, dtype=np.int64)
-        updates, call = [], None
-        for own in self._groups:
-            update, at = own.group.bind_coriolis(buffers.q[own.numbers], buffers.v[own.joints])
-            updates.append(update)
-            places[own.place : own.place + len(at)] = at
-        if updates:
-            call = PythonCallback(_all_of(updates), buffers.flag)
-            calls[0] = call.address
-        if self.compiled is not None:
-            from multiarm.arms.compiled.verification import CORIOLIS, verify
 
-            verify(self.compiled.tables, self.compiled.places, self._arms, CORIOLIS)
-            places[list(self.compiled.places)] = self.compiled.coriolis
-            calls[1:] = self.compiled.coriolis_call()
-        return Coriolis(calls, places), call
+class Ground:
+    """The surroundings as an arm without joints: a body at rest at the world's origin.
 
-    def _of_pinocchio(self, buffers: Buffers) -> float:
-        return sum(own.group.potential_energy(buffers.q[own.numbers]) for own in self._groups)
+    ``pointers`` (8,) are as those of a backend; valid while this lives.
+    """
 
-    def _potential_call(self, buffers: Buffers) -> Callable[[], None]:
-        def update() -> None:
-            buffers.energy[0] = self._of_pinocchio(buffers)
-
-        return update
-
-
-def _compiled(
-    arms: Mapping[str, Arm], gravity: np.ndarray
-) -> tuple[CompiledArms | None, dict[str, str]]:
-    """Those arms that can be compiled, and why others cannot."""
-    from multiarm.arms.compiled.choice import compile_arms
-    from multiarm.arms.compiled.group import CompiledArms
-
-    found = compile_arms(arms, gravity)
-    for name, reason in found.reasons.items():
-        warnings.warn(f"arm '{name}' stays with Pinocchio: {reason}", stacklevel=2)
-    if found.tables is None:
-        return None, found.reasons
-    return CompiledArms(found.tables, found.places), found.reasons
-
-
-class _Group(NamedTuple):
-    """A group of Pinocchio's, its first arm, joint and number in Pinocchio's configuration."""
-
-    group: ArmGroup
-    place: int
-    first_joint: int
-    first_number: int
-
-    @property
-    def joints(self) -> slice:
-        return slice(self.first_joint, self.first_joint + self.group.model.nv)
-
-    @property
-    def numbers(self) -> slice:
-        return slice(self.first_number, self.first_number + self.group.model.nq)
-
-
-def _runs(places: list[int]) -> list[list[int]]:
-    """Numbers that follow each other, together."""
-    runs: list[list[int]] = []
-    for place in places:
-        if runs and runs[-1][-1] == place - 1:
-            runs[-1].append(place)
-        else:
-            runs.append([place])
-    return runs
-
-
-def _all_of(updates: list[Callable[[], None]]) -> Callable[[], None]:
-    """One function for several."""
-    if len(updates) == 1:
-        return updates[0]
-
-    def update_all() -> None:
-        for update in updates:
-            update()
-
-    return update_all
+    def __init__(self, gravity: np.ndarray):
+        pose = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+        still, drift = np.zeros(6), np.concatenate([-gravity, np.zeros(3)])
+        self._kept = pose, still, drift
+        at = [array.ctypes.data for array in (still, pose, still, drift)]
+        # inertia and its stride, Jacobian, bias, gravity: none; pose, twist, drift
+        self.pointers = np.array([at[0], 1, at[0], at[0], at[0], *at[1:]], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""What arm dynamics hand to the rest: addresses for the kernels, named arrays for people."""
+"""Terms of arm dynamics: where kernels find them, and named arrays of them."""
 
 from __future__ import annotations
 
@@ -36,6 +36,19 @@ class ArmTerms(NamedTuple):
     tip_rotation: np.ndarray
     tip_twist: np.ndarray
     drift: np.ndarray
+
+
+class Coriolis(NamedTuple):
+    """Where the arms' matrices of Coriolis forces are, and what updates them.
+
+    calls : int64 (4,)
+        Address of a callback (0: none), and of an entry (0: none) with its struct and size.
+    places : int64 (arms, 2)
+        Addresses and strides.
+    """
+
+    calls: np.ndarray
+    places: np.ndarray
 
 
 class ArmStructure(NamedTuple):

@@ -14,12 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from multiarm.arms.arm import Arm, ArmFiles
-from multiarm.arms.backends import ArmSupply
-from multiarm.arms.pinocchio_groups import Ground
+from multiarm.arms.backends import ArmBackends, Ground
 from multiarm.assembly import StartReport, assemble
 from multiarm.assembly.contact_checks import check_patches, choose_free, locate_pairs
 from multiarm.assembly.joints import Parts, make_joints, on_link
-from multiarm.assembly.likeness import same_arms, same_joints, same_supply, shared
+from multiarm.assembly.likeness import same_arms, same_backends, same_joints, shared
 from multiarm.assembly.system import System
 from multiarm.contacts.catalogue import FREE
 from multiarm.contacts.frames import FRAME_WIDTH
@@ -119,7 +118,7 @@ def compile_system(
         for name in scene.arms
     }
     joints = make_joints(scene, made, resolved, same_joints(scene, known, like))
-    system = _unassembled(scene, Parts(resolved, joints), made, same_supply(scene, known, like))
+    system = _unassembled(scene, Parts(resolved, joints), made, same_backends(scene, known, like))
     if system.unilateral is not None:
         return _with_unilateral(system, control)
     return _controlled(_with_free_motions(_at_start(system)), control)
@@ -155,7 +154,7 @@ def twin(system: System) -> System:
     scene, parts = system.scene, system.parts
     arms = {name: arm.twin() for name, arm in system.arms.items()}
     joints = make_joints(scene, arms, parts.arms, shared(parts.joints, arms))
-    fresh = _unassembled(scene, Parts(parts.arms, joints), arms, system._supply.twin())
+    fresh = _unassembled(scene, Parts(parts.arms, joints), arms, system._backends.twin())
     fresh = replace(
         fresh,
         plant=_with_control_of(fresh.plant, system.plant),
@@ -229,9 +228,9 @@ def _controlled(system: System, control: ControlFunction | None) -> System:
 
 
 def _unassembled(
-    scene: Scene, parts: Parts, arms: dict[str, Arm], supply: ArmSupply | None = None
+    scene: Scene, parts: Parts, arms: dict[str, Arm], backends: ArmBackends | None = None
 ) -> System:
-    """The system without control, its start as it is written; ``supply`` is made if not given."""
+    """The system without control, its start as it is written; ``backends`` is made if not given."""
     joints = parts.joints
     outlines = {name: own.joints for name, own in parts.arms.items()}
     contacts = {name: joint.contacts for name, joint in joints.items()}
@@ -248,29 +247,29 @@ def _unassembled(
     if around:
         on_links[SURROUNDINGS] = around
     gravity = np.array(scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0))
-    supply = supply or ArmSupply(
+    backends = backends or ArmBackends(
         arms, gravity, needs_gravity_torque(scene), scene.run.arms == "compiled"
     )
     every_row = [record for own in on_links.values() for record in own]
     table = pack(every_row)
-    site = Site(scene, arms, layout, outlines, supply)
+    site = Site(scene, arms, layout, outlines, backends)
     pieces = build_pieces(site, _unilateral_pieces(unilateral))
     watched = on_links if unilateral is None else {name: [] for name in arms}
     limits = {name: joint.limits for name, joint in joints.items()}
     watches = make_watches(watched, limits, layout, pieces.watched)
-    plant = _plant(scene, arms, table, supply, gravity, pieces)._replace(watches=watches)
+    plant = _plant(scene, arms, table, backends, gravity, pieces)._replace(watches=watches)
     plant = plant._replace(joint_rows=joint_rows(table, layout))
     ground = Ground(gravity) if around else None
     if ground is not None:
         plant = plant._replace(pointers=np.vstack([plant.pointers, ground.pointers]))
     buffers = make_buffers(
-        plant, layout.contacts, supply.configuration, len(pieces.works), pieces.states
+        plant, layout.contacts, backends.configuration, len(pieces.works), pieces.states
     )
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     levers = [arms[name].levers(joints[name].frame.on_tip[:3, 3]) for name in arms]
     levers += [np.zeros(0)] * (len(owners) - len(arms))
     work, coupled = make_work(*sizes, levers), make_coupled(*sizes)
-    calls: dict[str, GuardedCall] = {**supply.connect(buffers, plant.calls)}
+    calls: dict[str, GuardedCall] = {**backends.connect(buffers, plant.calls)}
     dense = PythonCallback(dense_call(plant.pointers, buffers, work), buffers.flag)
     calls["dense"], plant.calls[CALL_DENSE] = dense, dense.address
     for name, call in pieces.connect(buffers).items():
@@ -299,7 +298,7 @@ def _unassembled(
         unilateral=unilateral,
         parts=parts,
         _start=_written_start(scene, parts.arms, layout),
-        _supply=supply,
+        _backends=backends,
         _ground=ground,
         _places=np.zeros_like(buffers.places),
         calls=calls,
@@ -394,15 +393,15 @@ def _plant(
     scene: Scene,
     arms: dict[str, Arm],
     table: ContactTable,
-    supply: ArmSupply,
+    backends: ArmBackends,
     gravity: np.ndarray,
     pieces: Pieces,
 ) -> Plant:
     """Everything constant but the control; the callbacks' addresses are filled in later."""
     effects, phases = pieces.program()
     return Plant(
-        pointers=supply.pointers,
-        q_slots=supply.q_slots,
+        pointers=backends.pointers,
+        q_slots=backends.q_slots,
         circular=np.concatenate([arm.circular for arm in arms.values()]).astype(np.int64),
         codes=table.codes,
         geometry=table.geometry,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from multiarm.arms.arm import Arm
-from multiarm.arms.backends import ArmSupply
+from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.joints import JointParts
 from multiarm.assembly.system import System
 from multiarm.control.laws import needs_gravity_torque
@@ -43,15 +43,15 @@ def same_joints(scene: Scene, known: Iterable[str], like: System | None) -> dict
     )
 
 
-def same_supply(scene: Scene, known: Iterable[str], like: System | None) -> ArmSupply | None:
-    """What supplies the terms of the arms, where they all are another system's."""
+def same_backends(scene: Scene, known: Iterable[str], like: System | None) -> ArmBackends | None:
+    """The backends of the arms, where they all are another system's."""
     if like is None or list(known) != list(like.arms) or list(known) != list(scene.arms):
         return None
     theirs = like.scene
     same = scene.gravity == theirs.gravity and scene.run.arms == theirs.run.arms
     if not same or needs_gravity_torque(scene) != needs_gravity_torque(theirs):
         return None
-    return like._supply.twin()
+    return like._backends.twin()
 
 
 def shared(joints: Mapping[str, JointParts], names: Iterable[str]) -> dict[str, JointParts]:

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.arms.backends import ArmSupply, Coriolis
-from multiarm.arms.pinocchio_groups import Ground
+from multiarm.arms.backends import ArmBackends, Ground
+from multiarm.arms.terms import Coriolis
 from multiarm.assembly import StartReport
 from multiarm.assembly.joints import Parts
 from multiarm.contacts.frames import COMPONENTS, UNITS, JointFrame
@@ -99,7 +99,7 @@ class System:
     records: tuple[Contact | JointRow, ...] = field(repr=False)
     parts: Parts = field(repr=False)
     _start: State = field(repr=False)
-    _supply: ArmSupply = field(repr=False)
+    _backends: ArmBackends = field(repr=False)
     _ground: Ground | None = field(repr=False)
     _places: np.ndarray = field(repr=False)
     calls: dict[str, GuardedCall] = field(repr=False)
@@ -108,12 +108,12 @@ class System:
     @property
     def arm_terms(self) -> dict[str, str]:
         """Who computes the terms of each arm: ``"compiled"`` code or ``"pinocchio"``."""
-        return self._supply.by_arm
+        return self._backends.by_arm
 
     @property
     def not_compiled(self) -> dict[str, str]:
         """Why an arm stays with Pinocchio although the scene wants compiled ones, by arm."""
-        return self._supply.reasons
+        return self._backends.reasons
 
     @property
     def arm_names(self) -> tuple[str, ...]:
@@ -267,7 +267,7 @@ class System:
 
         Valid while the system lives; they are made once.
         """
-        found, call = self._supply.coriolis(self.buffers)
+        found, call = self._backends.coriolis(self.buffers)
         if call is not None:
             self.calls["coriolis"] = call  # asked what it ran into, like the others
         return found
@@ -276,7 +276,7 @@ class System:
         """Potential energy of arms and object [J] at the state in the buffers, origin = zero."""
         gravity = self.plant.gravity
         energy = -float(self.plant.object_mass[0]) * float(gravity @ self.buffers.position[:3])
-        return energy + self._supply.potential_energy(self.buffers)
+        return energy + self._backends.potential_energy(self.buffers)
 
     def set_state(self, t: float, state: State) -> None:
         """Write a state into the buffers.

@@ -27,7 +27,7 @@ from multiarm.scene import joint_vector
 
 if TYPE_CHECKING:
     from multiarm.arms.arm import Arm
-    from multiarm.arms.backends import ArmSupply
+    from multiarm.arms.backends import ArmBackends
     from multiarm.assembly.system import System
     from multiarm.dynamics.arrays import Buffers
     from multiarm.dynamics.state import Layout
@@ -121,7 +121,7 @@ class Site:
         Where each arm's joints and contacts are in stacked vectors.
     outlines : dict of str to tuple of JointOutline
         Each arm's joints as its URDF has them.
-    supply : ArmSupply
+    backends : ArmBackends
         Where the terms of the arms are.
     """
 
@@ -129,7 +129,7 @@ class Site:
     arms: dict[str, Arm]
     layout: Layout
     outlines: dict[str, tuple[JointOutline, ...]]
-    supply: ArmSupply
+    backends: ArmBackends
 
     def stacked(
         self,
@@ -147,8 +147,8 @@ class Site:
         joint, rotation, translation = self.arms[arm].link(name)
         number = self.layout.names.index(arm)
         return Link(
-            pose=self.supply.pose_address(number, joint),
-            jacobian=int(self.supply.pointers[number, J_AT]),
+            pose=self.backends.pose_address(number, joint),
+            jacobian=int(self.backends.pointers[number, J_AT]),
             first=self.layout.dofs[number],
             joints=joint,
             rotation=rotation,

@@ -1,17 +1,21 @@
-"""Arms whose terms compiled code computes: their tables, their arrays, where the terms are."""
+"""The compiled backend: arms whose terms batched kernels compute, and where the terms are."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multiarm.arms.compiled.arrays import (
+from multiarm.arms.compiled.coriolis import update_coriolis
+from multiarm.arms.compiled.kernels import update_arms
+from multiarm.arms.compiled.tables import (
     BIAS,
     ENERGY,
     GRAVITY_TORQUE,
     JACOBIAN,
     JOINTS,
+    PLACES,
     POSES,
     TERMS,
     WIDTH,
@@ -21,9 +25,6 @@ from multiarm.arms.compiled.arrays import (
     make_arrays,
     make_terms,
 )
-from multiarm.arms.compiled.coriolis import update_coriolis
-from multiarm.arms.compiled.sweep import update_arms
-from multiarm.arms.compiled.tables import lane_of
 from multiarm.arms.terms import (
     BIAS_AT,
     GRAVITY_AT,
@@ -31,16 +32,24 @@ from multiarm.arms.terms import (
     M_AT,
     M_STRIDE,
     POINTER_WIDTH,
+    Coriolis,
     LinkTerms,
 )
 from multiarm.contacts.kernel import BODY_WIDTH
-from multiarm.dynamics.arrays import ARMS_SIZE, ARMS_STRUCT, CALL_ARMS
-from multiarm.jit.pointers import CFUNC_PROTOTYPE, address_of
+from multiarm.dynamics.arrays import ARMS_SIZE, ARMS_STRUCT, CALL_ARMS, Buffers
+from multiarm.jit.pointers import CFUNC_PROTOTYPE, PythonCallback, address_of
+from multiarm.jit.simd import LANES
 from multiarm.jit.structs import make_struct
 
+if TYPE_CHECKING:
+    from multiarm.arms.arm import Arm
 
-class CompiledArms:
+
+class CompiledBackend:
     """Arms of one system that compiled code takes four at a time.
+
+    An :class:`multiarm.arms.backends.ArmBackend`.  Its ``pointers`` have no pose, twist and drift:
+    the motion of the link that carries the tip is in ``Buffers.arms`` when the sweep ends.
 
     Parameters
     ----------
@@ -48,72 +57,70 @@ class CompiledArms:
         Constants, which several systems may share.
     places : sequence of int
         The arms' numbers among all arms of the scene.
-
-    Attributes
-    ----------
-    tables : ArmTables
-    places : tuple of int
-    pointers : int64 ndarray, shape (arms, 8)
-        Where each arm's terms are, see :mod:`multiarm.arms.terms`; valid while this lives.  No
-        pose, twist and drift: the motion of the link that carries the tip is there when the sweep
-        ends.
-    coriolis : int64 ndarray, shape (arms, 2)
-        Addresses and strides of the matrices of Coriolis forces.
+    arms : mapping of str to Arm
+        All arms of the scene, against which the compiled ones are verified.
     """
 
-    def __init__(self, tables: ArmTables, places: Sequence[int]) -> None:
-        self.tables, self.places = tables, tuple(places)
+    def __init__(self, tables: ArmTables, places: Sequence[int], arms: Mapping[str, Arm]) -> None:
+        self.tables, self.places, self._arms = tables, tuple(places), arms
         self._terms, self._coriolis = make_terms(tables), make_terms(tables)
         self._world = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
         self._lanes = [
-            _Lane(*lane_of(tables, place), place, int(joints))
+            _Lane(tables, place, int(joints))
             for place, joints in zip(self.places, tables.joints, strict=True)
         ]
         self.pointers = np.array([self._pointers(lane) for lane in self._lanes])
-        at = self._coriolis.ctypes.data
-        self.coriolis = np.array(
-            [[at + 8 * lane.square, lane.stride] for lane in self._lanes], dtype=np.int64
-        )
 
-    def twin(self) -> CompiledArms:
+    def twin(self) -> CompiledBackend:
         """The same arms for another thread: the tables are shared, the terms are not."""
         wanted = self.tables.wanted.copy()  # another system may want more
-        return CompiledArms(self.tables._replace(wanted=wanted), self.places)
+        return CompiledBackend(self.tables._replace(wanted=wanted), self.places, self._arms)
 
-    def connect(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
-        """Let the sweeps read a system's positions and velocities, and write its bodies."""
+    def bind(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
+        """Let the sweeps read positions and velocities of all joints, and write all bodies."""
         self._arrays = make_arrays(self.tables, self._terms, self._coriolis, angles, rates, bodies)
         self._struct = make_struct(self._arrays)
 
-    def write_calls(self, calls: np.ndarray) -> None:
-        """Write entry, struct and its size into ``Plant.calls``."""
+    def connect(self, buffers: Buffers, calls: np.ndarray) -> dict[str, PythonCallback]:
+        """Write entry, struct and its size into ``Plant.calls``; nothing enters Python."""
+        self.bind(buffers.angles, buffers.v, buffers.arms)
         calls[CALL_ARMS] = address_of(update_arms)
         calls[ARMS_STRUCT], calls[ARMS_SIZE] = self._struct.ctypes.data, self._struct.size
+        return {}
+
+    def connect_coriolis(self, buffers: Buffers, found: Coriolis) -> None:
+        """Write the places of the matrices, and the entry that updates them with its struct.
+
+        Raises
+        ------
+        ModelError
+            When a compiled matrix is not Pinocchio's.
+        """
+        from multiarm.arms.compiled.verification import CORIOLIS, verify
+
+        verify(self.tables, self.places, self._arms, CORIOLIS)
+        at = self._coriolis.ctypes.data
+        for lane in self._lanes:
+            found.places[lane.place] = at + 8 * lane.square, lane.stride
+        found.calls[1:] = address_of(update_coriolis), self._struct.ctypes.data, self._struct.size
 
     def want_gravity_torque(self) -> None:
         """Write gravity torques from now on."""
         self.tables.wanted[WITH_GRAVITY_TORQUE] = 1
 
-    def pose_address(self, arm: int, joint: int) -> int:
-        """Where the pose of a joint of arm number ``arm`` of these is written from now on.
-
-        Joint 0 is the world.
-        """
+    def pose_address(self, place: int, joint: int) -> int:
+        """Where the pose of a joint is written from now on; joint 0 is the world."""
         if joint == 0:
             return self._world.ctypes.data
         self.tables.wanted[WITH_POSES] = 1
-        return self._terms.ctypes.data + 8 * self._lanes[arm].pose(joint - 1)
+        return self._terms.ctypes.data + 8 * self._lanes[self.places.index(place)].pose(joint - 1)
 
-    def potential_energy(self) -> float:
+    def potential_energy(self, buffers: Buffers) -> float:
         """Potential energy of all links [J] at the last state, zero at the world's origin."""
         return float(np.sum(self._terms[self.tables.energies]))
 
-    def coriolis_call(self) -> tuple[int, int, int]:
-        """Entry that updates the matrices of Coriolis forces, struct and its size."""
-        return address_of(update_coriolis), self._struct.ctypes.data, self._struct.size
-
     def update(self, with_coriolis: bool = False) -> None:
-        """Compute all terms at the system's positions and velocities, from Python."""
+        """Compute all terms at the positions and velocities bound, from Python."""
         for entry in (update_arms, update_coriolis) if with_coriolis else (update_arms,):
             CFUNC_PROTOTYPE(address_of(entry))(
                 self._struct.ctypes.data, self._struct.size, 0.0, 0.0
@@ -147,7 +154,9 @@ class CompiledArms:
 class _Lane:
     """Where the terms of one arm are among all: ``joints`` of its own, matrices of ``stride``."""
 
-    def __init__(self, block: np.ndarray, lane: int, place: int, joints: int) -> None:
+    def __init__(self, tables: ArmTables, place: int, joints: int) -> None:
+        (k, lane), *_ = np.argwhere(tables.blocks[:, PLACES : PLACES + LANES] == place)
+        block = tables.blocks[k]
         self.place, self.joints, self.stride = place, joints, int(block[JOINTS])
         before = self.stride - self.joints  # joints that stand in for missing ones
         at = int(block[TERMS] + lane * block[WIDTH])
