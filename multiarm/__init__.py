@@ -16,10 +16,10 @@ from multiarm.errors import MultiarmError
 if TYPE_CHECKING:
     from multiarm import grasp
     from multiarm.assembly.compilation import compile_system
-    from multiarm.assembly.system import System
     from multiarm.dynamics.evaluation import Evaluation
     from multiarm.dynamics.inverse import inverse_dynamics
     from multiarm.dynamics.state import State
+    from multiarm.dynamics.system import System
     from multiarm.effects.effect import Effect, Loads
     from multiarm.events.evaluation import evaluate
     from multiarm.reports.report import report
@@ -42,7 +42,7 @@ _HOMES = {
     "Scene": "scene",
     "State": "dynamics.state",
     "Sweep": "sweeps.result",
-    "System": "assembly.system",
+    "System": "dynamics.system",
     "Trajectory": "results.trajectory",
     "compile_system": "assembly.compilation",
     "evaluate": "events.evaluation",

@@ -31,6 +31,7 @@ from multiarm.contacts.records import (
 )
 from multiarm.contacts.rows import write_row
 from multiarm.contacts.surfaces import answering
+from multiarm.dynamics.arrays import Status
 from multiarm.jit.pointers import PythonCallback
 from multiarm.scene import parse_scene
 
@@ -276,7 +277,7 @@ def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
     rows, parts = np.zeros((n, CONTACT_WIDTH)), np.zeros((len(table.codes) - n, CONTACT_WIDTH))
     scratch, located = np.zeros(29), np.zeros((len(table.shapes), 3))
     places = np.zeros_like(located)
-    answer = PythonCallback(answering(table.functions, scratch[15:]), np.zeros(1, dtype=np.int64))
+    answer = PythonCallback(answering(table.functions, scratch[15:]), Status())
     for k in range(n):
         if table.codes[k, KIND] == PAIR:
             places[table.codes[k, LINK]] = near[k]
@@ -321,7 +322,7 @@ def plain_system(system, state, torque=None):
     """
     names, scene = system.arm_names, system.scene
     gravity = np.array(scene.gravity or (0.0, 0.0, 0.0))
-    size = 6 + system.layout.joints
+    size = 6 + system.model.layout.joints
     M, h = np.zeros((size, size)), np.zeros(size)
     R = Rotation.from_quat(state.object_quaternion_xyzw).as_matrix()
     omega, inertia = state.object_twist[3:], R @ scene.object.inertia_matrix() @ R.T
@@ -362,7 +363,7 @@ def _gaps_along(system, state, direction):
     """Gaps as a function of the displacement along one generalised direction."""
     there = system.state(
         state.object_position, state.object_quaternion_xyzw, state.joint_positions, direction[:6],
-        system.layout.split_joints(direction[6:]),
+        system.model.layout.split_joints(direction[6:]),
     )  # fmt: skip
     return lambda t: plain_gaps(system, moved_state(system, there, t))
 
@@ -454,3 +455,9 @@ def object_terms(
     full[3:, 3:] = world
     omega = twist[3:]
     return full, np.concatenate([-mass * gravity, np.cross(omega, world @ omega)])
+
+
+def data_of(system):
+    """The Data that the last evaluation or run of a system has used, or a new one."""
+    with system.borrow() as data:
+        return data

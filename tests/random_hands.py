@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from mechanics import data_of
 from random_systems import Box, System, decades, draw_tilt, turned, unit
 from scipy.spatial.transform import Rotation
 
@@ -135,14 +136,14 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, NodeSolu
     run = scene.run.model_copy(update={"solver": solver, "arms": arms})
     compiled = ma.compile_system(scene.replace(run=run))
     found = ma.evaluate(compiled)
-    b, work, names = compiled.buffers, compiled.work, compiled.arm_names
+    b, work, names = data_of(compiled).arrays, data_of(compiled).work, compiled.arm_names
     dofs, rows = np.diff(work.dofs), work.rows
     size = float(np.max(np.linalg.norm(b.Wo[:, 3:], axis=1)))
     W_o = [b.Wo[rows[i] : rows[i + 1]].T.copy() for i in range(len(names))]
     W = [work.Y[i, :d, : rows[i + 1] - rows[i]].copy() for i, d in enumerate(dofs)]
     system = System(
         M_o=b.inertia.copy(), h_o=b.h_o.copy(),
-        M=[read_inertia(compiled.plant.pointers[i], d) for i, d in enumerate(dofs)],
+        M=[read_inertia(data_of(compiled).arrays.pointers[i], d) for i, d in enumerate(dofs)],
         h=np.split(b.h.copy(), work.dofs[1:-1]), c=np.split(b.c.copy(), rows[1:-1]),
         W_o=W_o, W=W, reaction_o=W_o, reaction=W, lever=size,
         reach=[compiled.arms[n].levers(compiled.frames[n].on_tip[:3, 3]) for n in names],

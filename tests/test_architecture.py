@@ -32,9 +32,8 @@ ROOMS = (
 # Imports that still point up.
 UPWARD = {
     ("arms", "dynamics"), ("dynamics", "control"), ("dynamics", "integration"),
-    ("dynamics", "assembly"), ("dynamics", "events"), ("control", "assembly"),
-    ("effects", "assembly"), ("integration", "assembly"),
-    ("assembly", "events"), ("assembly", "simulation"), ("assembly", "cli"),
+    ("dynamics", "assembly"), ("control", "assembly"), ("effects", "assembly"),
+    ("integration", "assembly"), ("assembly", "simulation"), ("assembly", "cli"),
     ("events", "simulation"), ("scene", "grasp"), ("plots", "grasp"), ("viewer", "cli"),
     ("sweeps", "cli"),
 }  # fmt: skip

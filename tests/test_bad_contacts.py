@@ -111,7 +111,7 @@ def test_a_contact_given_twice_is_welcome_and_named(compiled):
         contact("first", point(0, 0, 0), FLOOR), contact("again", point(0, 0, 0), FLOOR)
     )
     found = ma.evaluate(system)
-    assert found.rank == 1 and system.constraint_count == 2
+    assert found.rank == 1 and system.model.layout.contacts == 2
     assert found.lost_motions["arm"] == ("1 of 2 contacts too many",)
 
 

@@ -13,7 +13,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from mechanics import ur5_pair
+from mechanics import (
+    data_of,
+    ur5_pair,
+)
 from sample_run import record, samples
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -353,10 +356,10 @@ def test_a_fault_that_both_runs_share_is_found_in_the_run_itself(ring, channel, 
         ma.simulate(ring, integrator="dop853", tolerance=tolerance, **SHORT)
         for tolerance in (1e-8, 3e-10)
     )
-    good = judge(ring, run, finer, AccuracySpec(position=1e-6, rotation=1e-6))
+    good = judge(data_of(ring), run, finer, AccuracySpec(position=1e-6, rotation=1e-6))
     assert good.met and all(found.passed for found in good.checks.values())
     spoilt = [tampered(r, **{channel: lambda t: size * t / 0.2}) for r in (run, finer)]
-    bad = judge(ring, *spoilt, AccuracySpec(position=1e-6, rotation=1e-6))
+    bad = judge(data_of(ring), *spoilt, AccuracySpec(position=1e-6, rotation=1e-6))
     assert bad.accurate and not bad.met
     assert [name for name, found in bad.checks.items() if not found.passed] == [check]
     assert words in bad.faults[0]
@@ -368,7 +371,9 @@ def test_the_energy_bound_follows_the_accuracy_asked(ring):
         for tolerance in (1e-8, 3e-10)
     )
     bounds = [
-        judge(ring, run, finer, AccuracySpec(position=a, rotation=a)).checks["energy"].bound
+        judge(data_of(ring), run, finer, AccuracySpec(position=a, rotation=a))
+        .checks["energy"]
+        .bound
         for a in (1e-4, 1e-6)
     ]
     assert bounds[0] == pytest.approx(100 * bounds[1], rel=0.05)

@@ -9,6 +9,7 @@ import pytest
 from mechanics import (
     EPS,
     UR5_POSTURE,
+    data_of,
     first_difference,
     panda_trio,
     plain_gaps,
@@ -19,8 +20,8 @@ from mechanics import (
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.adoption import adopt_state
 from multiarm.assembly.linkage import projection_tolerance
+from multiarm.assembly.start import project_start
 from multiarm.errors import ModelError, SceneError
 
 FIRST_LINK, SECOND_LINK = 0.5, 0.4  # of planar_2r [m]
@@ -67,7 +68,7 @@ def planar_arm(posture, **more):
 
 def perturbed(system, size, rng):
     state = system.initial_state()
-    state.position[7:] += size * rng.standard_normal(system.layout.joints)
+    state.position[7:] += size * rng.standard_normal(system.model.layout.joints)
     return state
 
 
@@ -94,7 +95,7 @@ def plain_rows(system, state):
             first_difference(
                 lambda h, e=e: plain_gaps(system, displaced(system, state, h * e)), 1e-2
             )
-            for e in np.eye(6 + system.layout.joints)
+            for e in np.eye(6 + system.model.layout.joints)
         ]
     )
 
@@ -102,7 +103,7 @@ def plain_rows(system, state):
 def plain_inertia(system, state):
     """Inertia of object and arms (6 + n, 6 + n), world axes."""
     R = Rotation.from_quat(state.position[3:7]).as_matrix()
-    M = np.zeros((6 + system.layout.joints,) * 2)
+    M = np.zeros((6 + system.model.layout.joints,) * 2)
     M[:3, :3] = system.scene.object.mass * np.eye(3)
     M[3:6, 3:6] = R @ system.scene.object.inertia_matrix() @ R.T
     at = 6
@@ -115,7 +116,7 @@ def plain_inertia(system, state):
 
 def assert_closed(system, state):
     np.testing.assert_allclose(
-        plain_gaps(system, state), 0.0, atol=2 * projection_tolerance(system)
+        plain_gaps(system, state), 0.0, atol=2 * projection_tolerance(data_of(system))
     )
 
 
@@ -126,7 +127,7 @@ def assert_closed(system, state):
 def test_any_slightly_wrong_pair_of_ur5s_is_closed_by_the_arms(kinds, rng):
     system = ma.compile_system(ur5_pair(*({"kind": kind} for kind in kinds)))
     for size in np.repeat([1e-9, 1e-6, 1e-3, 1e-2], 4):
-        state, report = adopt_state(system, perturbed(system, size, rng))
+        state, report = project_start(data_of(system), system.scene, perturbed(system, size, rng))
         assert_closed(system, state)
         assert report.object_held and report.joint_change < 20 * size
 
@@ -136,9 +137,9 @@ def test_any_slightly_wrong_pair_of_ur5s_is_closed_by_the_arms(kinds, rng):
 def test_singular_arms_are_closed_whichever_solver_is_named(posture, solver, rng):
     system = ma.compile_system(welded_ur5s(posture, solver))
     for size in np.repeat([1e-9, 1e-6, 1e-3, 1e-2], 3):
-        state, report = adopt_state(system, perturbed(system, size, rng))
+        state, report = project_start(data_of(system), system.scene, perturbed(system, size, rng))
         assert_closed(system, state)
-        assert report.joint_change < 30 * size + math.sqrt(projection_tolerance(system))
+        assert report.joint_change < 30 * size + math.sqrt(projection_tolerance(data_of(system)))
 
 
 @pytest.mark.parametrize("elbow", [0.8, -0.8, 0.1, -0.1])
@@ -149,7 +150,7 @@ def test_the_elbow_stays_on_its_side_and_where_trigonometry_puts_it(elbow, rng):
         shift = 0.02 * rng.standard_normal(2)
         written = start.copy()
         written.position[:2] += shift
-        state, report = adopt_state(system, written)
+        state, report = project_start(data_of(system), system.scene, written)
         tip = system.arms["arm"].tip_pose(np.array([0.3, elbow]))[:2, 3] + shift
         cosine = (tip @ tip - FIRST_LINK**2 - SECOND_LINK**2) / (2 * FIRST_LINK * SECOND_LINK)
         assert cosine <= 1.0 or not report.object_held
@@ -167,7 +168,7 @@ def test_an_elbow_that_is_almost_straight_is_not_swung_through_for_a_small_gap(r
     for _ in range(10):
         written = system.initial_state()
         written.position[:3] += 3e-3 * rng.standard_normal(3)
-        state, report = adopt_state(system, written)
+        state, report = project_start(data_of(system), system.scene, written)
         assert_closed(system, state)
         assert all(angles[2] > 0.0 for angles in state.joint_positions.values())
         assert report.joint_change < 0.3
@@ -179,7 +180,7 @@ def test_an_arm_at_full_stretch_lets_the_object_come_to_it():
     for away in (1e-9, 1e-6, 1e-3, 1e-2):
         written = system.initial_state()
         written.position[:3] += away * outward
-        state, report = adopt_state(system, written)
+        state, report = project_start(data_of(system), system.scene, written)
         assert_closed(system, state)
         assert not report.object_held
         assert report.object_shift < 1.1 * away and report.joint_change < 10 * away
@@ -198,7 +199,7 @@ def test_the_change_is_the_least_in_the_metric_of_the_inertia(held, rng):
         system = ma.compile_system(planar_arm([0.3, 0.7]))
         written = system.initial_state()
         written.position[:3] += 1e-6 * rng.standard_normal(3)
-    state, report = adopt_state(system, written)
+    state, report = project_start(data_of(system), system.scene, written)
     assert report.object_held == held
     move = slice(6, None) if held else slice(None)
     W = plain_rows(system, state)[:, move].T
@@ -216,7 +217,7 @@ def test_renumbering_the_arms_changes_nothing(rng):
         for name, change in zip(("left", "right"), changes, strict=True):
             state.joint_positions[name][:] += change
         state.position[0] += 0.03
-        state, report = adopt_state(system, state)
+        state, report = project_start(data_of(system), system.scene, state)
         ends.append([*state.position[:7], *state.joint_positions["left"], report.object_turn])
     np.testing.assert_allclose(*ends, atol=1e-9)
 
@@ -238,7 +239,7 @@ def test_a_joint_does_not_leave_its_limits_and_is_named():
     reach = system.arms["arm"].tip_pose(np.array(posture))[:3, 3]
     centre = written.position[:3]
     written.position[:3] = reach + Rotation.from_rotvec(0.05 * axis).apply(centre - reach)
-    state, report = adopt_state(system, written)
+    state, report = project_start(data_of(system), system.scene, written)
     assert_closed(system, state)
     assert np.all(state.position[7:] >= low) and np.all(state.position[7:] <= high)
     assert state.position[13] == high[6] and report.at_limit == ("arm/panda_joint7",)
@@ -266,7 +267,7 @@ def test_a_flat_four_bar_closes_to_the_last_digit(wider):
     assert_closed(system, start)
     bend = np.abs(start.position[7:]).max()
     assert (bend == 0.0) if wider == 0.0 else (bend < 10 * math.sqrt(abs(wider)))
-    assert max(report.gaps_left.values()) <= projection_tolerance(system)
+    assert max(report.gaps_left.values()) <= projection_tolerance(data_of(system))
 
 
 def test_a_chain_that_is_too_short_is_refused_with_what_is_left():
@@ -288,10 +289,10 @@ def test_a_flat_chain_that_would_have_to_buckle_far_is_refused():
 
 def test_a_state_on_the_joints_is_taken_bit_for_bit(rng):
     system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "ball"}))
-    state, _ = adopt_state(system, perturbed(system, 0.01, rng))
+    state, _ = project_start(data_of(system), system.scene, perturbed(system, 0.01, rng))
     state.velocity[:] = rng.standard_normal(state.velocity.size)
-    state, _ = adopt_state(system, state)
-    again, report = adopt_state(system, state)
+    state, _ = project_start(data_of(system), system.scene, state)
+    again, report = project_start(data_of(system), system.scene, state)
     np.testing.assert_array_equal(again.position, state.position)
     np.testing.assert_array_equal(again.velocity, state.velocity)
     assert report.lines() == [] and report.energy_lost == 0.0
@@ -300,7 +301,7 @@ def test_a_state_on_the_joints_is_taken_bit_for_bit(rng):
 def test_the_given_state_is_left_as_it_is(welded_ur5_system, rng):
     written = perturbed(welded_ur5_system, 0.01, rng)
     before = written.position.copy()
-    adopt_state(welded_ur5_system, written)
+    project_start(data_of(welded_ur5_system), welded_ur5_system.scene, written)
     np.testing.assert_array_equal(written.position, before)
 
 
@@ -308,7 +309,7 @@ def test_a_state_that_is_too_far_is_refused_as_a_state_with_every_gap(welded_ur5
     state = welded_ur5_system.initial_state()
     state.joint_positions["left"][1] += 1.0
     with pytest.raises(ModelError) as caught:
-        adopt_state(welded_ur5_system, state)
+        project_start(data_of(welded_ur5_system), welded_ur5_system.scene, state)
     text = str(caught.value)
     assert text.startswith("the given state") and "initial_state()" in text
     assert "arm 'left'" in text and "gaps of the other joints: right: " in text
@@ -318,7 +319,7 @@ def test_a_state_that_is_not_finite_is_refused(welded_ur5_system):
     state = welded_ur5_system.initial_state()
     state.position[9] = math.nan
     with pytest.raises(ModelError, match="not finite"):
-        adopt_state(welded_ur5_system, state)
+        project_start(data_of(welded_ur5_system), welded_ur5_system.scene, state)
 
 
 # --- velocities ----------------------------------------------------------------------------------
@@ -329,7 +330,7 @@ def test_velocities_change_least_and_the_lost_energy_is_told(posture, rng):
     system = ma.compile_system(welded_ur5s(posture))
     written = system.initial_state()
     written.velocity[:] = rng.standard_normal(written.velocity.size)
-    state, report = adopt_state(system, written)
+    state, report = project_start(data_of(system), system.scene, written)
     np.testing.assert_array_equal(state.position, written.position)
     W, M = plain_rows(system, state).T, plain_inertia(system, state)
     change = state.velocity - written.velocity

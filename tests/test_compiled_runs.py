@@ -14,6 +14,7 @@ from mechanics import (
     PANDA_POSTURE,
     SCENES,
     UR5_POSTURE,
+    data_of,
     panda_trio,
     random_state,
     scene_of,
@@ -24,14 +25,6 @@ from test_cli import figures, multiarm
 
 import multiarm as ma
 from multiarm.arms.compiled import verification
-from multiarm.dynamics.arrays import (
-    CALL_ARMS,
-    CALL_COUPLED,
-    CALL_CROSSING,
-    CALL_POTENTIAL,
-    CALL_ROW,
-    CALL_TERMS,
-)
 from multiarm.errors import ModelError, SceneError
 from multiarm.jit.pointers import PythonCallback
 from multiarm.problems import ring_of_arms
@@ -235,12 +228,12 @@ def entered(monkeypatch):
     names: list[str] = []
     begin = PythonCallback.__init__
 
-    def counting(self, function, flag):
+    def counting(self, function, status):
         def counted():
             names.append(function.__qualname__)
             function()
 
-        begin(self, counted, flag)
+        begin(self, counted, status)
 
     monkeypatch.setattr(PythonCallback, "__init__", counting)
     return names
@@ -250,15 +243,15 @@ def entered(monkeypatch):
 def test_a_run_of_compiled_arms_enters_python_never(method, entered):
     scene = pair(control=CONTROLS["joint pd"], effects={**EFFECTS["joints"], **EFFECTS["loads"]})
     system = ma.compile_system(scene, arms="compiled")
-    calls = system.plant.calls
-    assert calls[CALL_TERMS] == 0 and calls[CALL_POTENTIAL] == 0 and calls[CALL_ARMS] != 0
-    late = {"coupled", "crossing", "row"}
-    assert set(system.calls) == {"dense", *late}
+    data = data_of(system)
+    functions = data.arrays.functions
+    assert functions.pinocchio == functions.pinocchio_energy == 0 and functions.arms != 0
+    lazy = {"coupled", "near_singular", "row"}
+    assert set(data.callbacks) == {"dense", *lazy}
     ma.simulate(system, 0.1, certificate=False, **METHODS[method])
     assert entered == []
-    slots = {"coupled": CALL_COUPLED, "crossing": CALL_CROSSING, "row": CALL_ROW}
-    for name in late:  # none was asked for: all still stand in
-        assert calls[slots[name]] == system.calls[name].address
+    for name in lazy:  # none was called: all still stand in
+        assert getattr(functions, name) == data.callbacks[name].address
 
 
 def test_pinocchios_arms_are_counted(entered):
@@ -274,8 +267,8 @@ def test_a_run_with_events_enters_python_never(entered):
 
 
 def test_scenes_without_compiled_arms_have_nothing_of_them():
-    calls = ma.compile_system(pair()).plant.calls
-    assert calls[CALL_ARMS] == 0 and calls[CALL_TERMS] != 0
+    functions = data_of(ma.compile_system(pair())).arrays.functions
+    assert functions.arms == 0 and functions.pinocchio != 0
 
 
 # --- mixed systems -------------------------------------------------------------------------------
@@ -331,10 +324,11 @@ def test_any_arm_may_be_the_one_that_stays(compiled_ones, monkeypatch, rng):
     state = random_state(whole, rng)
     one, other = (ma.evaluate(s, 0.0, state).object_acceleration for s in (whole, system))
     np.testing.assert_allclose(other, one, atol=1e-10 * np.max(np.abs(one)))
-    assert system.potential_energy() == pytest.approx(whole.potential_energy(), rel=1e-12)
-    twin = system._backends.twin()
-    assert twin.pointers.shape == system.plant.pointers.shape
-    assert not set(twin.pointers[:, 0]) & set(system.plant.pointers[:, 0].tolist())
+    own, theirs = data_of(system), data_of(whole)
+    assert own.potential_energy() == pytest.approx(theirs.potential_energy(), rel=1e-12)
+    other = system.model.data()
+    assert other.arrays.pointers.shape == own.arrays.pointers.shape
+    assert not set(other.arrays.pointers[:, 0]) & set(own.arrays.pointers[:, 0].tolist())
 
 
 def test_an_arm_that_stays_says_so(monkeypatch):

@@ -10,9 +10,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from mechanics import data_of
 
 import multiarm as ma
-from multiarm.dynamics.equations import OK, evaluate_buffers
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import evaluate_state
 from multiarm.integration.near_singular import OFFSET, ZONE, evaluate_on_branch
 from multiarm.problems import loops
 from multiarm.problems.postures import stretched_and_released_scene
@@ -166,9 +168,9 @@ def test_arms_of_one_joint_say_so_at_the_start():
 def accelerations(name, coordinate, rate, closed):
     """Object's acceleration on the closed form; ``closed`` < 0: not interpolated."""
     system = compiled(name)
-    system.set_state(0.0, state_on(name, coordinate, rate))
-    assert evaluate_on_branch(system.struct(), closed, 0.0, 0.0) == OK
-    return system.buffers.q_o.copy(), system
+    data_of(system).set_state(0.0, state_on(name, coordinate, rate))
+    assert evaluate_on_branch(data_of(system).struct, closed, 0.0, 0.0) == OK
+    return data_of(system).arrays.q_o.copy(), system
 
 
 def exact_acceleration(name, coordinate, rate):
@@ -197,7 +199,7 @@ def test_acceleration_near_the_flat_position_is_interpolated_to_order_six(name, 
     scale = np.linalg.norm(exact)
     bound = 50.0 * OFFSET**6 + 1e-10  # sixth derivatives by the linkage's angle, roundings
     np.testing.assert_allclose(found[:3], exact, atol=bound * scale)
-    assert system.coupled.margin[0] < ZONE
+    assert data_of(system).coupled.status.margin < ZONE
 
 
 @pytest.mark.parametrize("off", [1e-9, -1e-8])
@@ -211,16 +213,16 @@ def test_the_constraints_of_the_state_alone_do_not_say_how_it_goes_on_there(off)
 def test_interpolation_leaves_the_state_as_it_was():
     state = state_on("four_bar", math.pi + 1e-4, 6.0)
     _, system = accelerations("four_bar", math.pi + 1e-4, 6.0, 1e-13)
-    b = system.buffers
+    b = data_of(system).arrays
     np.testing.assert_array_equal(np.concatenate([b.position, b.angles]), state.position)
     np.testing.assert_array_equal(np.concatenate([b.twist, b.v]), state.velocity)
 
 
 def test_far_from_the_flat_position_nothing_is_interpolated():
     found, system = accelerations("four_bar", math.pi + 0.5, 6.0, 1e-13)
-    assert system.coupled.margin[0] > ZONE
-    assert evaluate_buffers(system.struct(), 0.0, 0.0) == OK
-    np.testing.assert_array_equal(found, system.buffers.q_o)
+    assert data_of(system).coupled.status.margin > ZONE
+    assert evaluate_state(data_of(system).struct, 0.0, 0.0) == OK
+    np.testing.assert_array_equal(found, data_of(system).arrays.q_o)
 
 
 # --- arms that pass singular postures, loops that are closed too often ---------------------------

@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 from test_dynamics import two_arm_block_twice
 
 import multiarm as ma
-from multiarm.dynamics.equations import OK, update_kinematics
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.evaluation import contact_terms
 from multiarm.dynamics.rank_diagnosis import (
     LITTLE,
     LONGEST,
@@ -31,11 +33,12 @@ HEALTHY = [0.2, -1.0, 1.2, 0.5, 1.0, 0.4]
 
 
 def placed(scene):
-    """A system with the kinematics of its start in the buffers."""
+    """A Data with the kinematics of the scene's start."""
     system = ma.compile_system(scene)
-    system.set_state(0.0, system.initial_state())
-    assert update_kinematics(system.struct()) == OK
-    return system
+    data = system.model.data()
+    data.set_state(0.0, system.initial_state())
+    assert update_kinematics(data.struct) == OK
+    return data
 
 
 def one_arm(robot, tip, posture, joint, **more):
@@ -46,14 +49,14 @@ def ur5(posture, joint=WELD):
     return one_arm("ur5", "tool0", posture, joint)
 
 
-def tip_terms(system, arm="arm"):
-    q = system.initial_state().joint_positions[arm]
-    return system.arms[arm].terms(q, np.zeros(q.size))
+def tip_terms(data, arm="arm"):
+    q = data.get_state().joint_positions[arm]
+    return data.model.arms[arm].terms(q, np.zeros(q.size))
 
 
-def torques_of(system, lost, arm="arm"):
+def torques_of(data, lost, arm="arm"):
     """Joint torques that a lost wrench is felt as, by the tip's Jacobian."""
-    terms = tip_terms(system, arm)
+    terms = tip_terms(data, arm)
     moment = lost.moment + np.cross(lost.place - terms.tip_position, lost.force)
     return terms.J.T @ np.concatenate([lost.force, moment])
 
@@ -68,19 +71,19 @@ def angle_between(a, b):
 
 @pytest.mark.parametrize("joint", [WELD, BALL], ids=["weld", "ball"])
 def test_a_regular_arm_has_lost_nothing(joint):
-    system = ur5(HEALTHY, joint)
-    assert lost_motions(system) == {"arm": ()}
-    assert lost_directions(system, "arm") == ()
+    data = ur5(HEALTHY, joint)
+    assert lost_motions(data) == {"arm": ()}
+    assert lost_directions(data, "arm") == ()
 
 
 def test_a_stretched_elbow_cannot_move_along_its_reach():
-    system = ur5(STRETCHED)
-    assert lost_motions(system) == {"arm": ("no motion along its own reach",)}
-    (lost,) = lost_directions(system, "arm")
+    data = ur5(STRETCHED)
+    assert lost_motions(data) == {"arm": ("no motion along its own reach",)}
+    (lost,) = lost_directions(data, "arm")
     # the only wrench that no joint feels
-    J = tip_terms(system).J
+    J = tip_terms(data).J
     null = np.linalg.svd(J)[0][:, -1]
-    moment = lost.moment + np.cross(lost.place - tip_terms(system).tip_position, lost.force)
+    moment = lost.moment + np.cross(lost.place - tip_terms(data).tip_position, lost.force)
     wrench = np.concatenate([lost.force, moment])
     assert abs(wrench @ null) == pytest.approx(np.linalg.norm(wrench), rel=1e-12)
     assert lost.share < 1e-12
@@ -94,9 +97,9 @@ def test_a_stretched_elbow_cannot_move_along_its_reach():
 
 
 def test_a_spherical_wrist_on_a_stretched_elbow_loses_exactly_the_line_from_the_shoulder():
-    system = one_arm("textbook_6r", "tool", [0.1, 0.5, 0.0, 0.3, 0.8, 0.2], WELD)
-    assert lost_motions(system)["arm"] == ("no motion along its own reach",)
-    (lost,) = lost_directions(system, "arm")
+    data = one_arm("textbook_6r", "tool", [0.1, 0.5, 0.0, 0.3, 0.8, 0.2], WELD)
+    assert lost_motions(data)["arm"] == ("no motion along its own reach",)
+    (lost,) = lost_directions(data, "arm")
     assert lost.force @ lost.moment == pytest.approx(0.0, abs=1e-12)  # a force along a line
     shoulder = np.array([0.0, 0.0, 0.4])
     np.testing.assert_allclose(np.cross(lost.place - shoulder, lost.force), -lost.moment, atol=1e-9)
@@ -104,10 +107,10 @@ def test_a_spherical_wrist_on_a_stretched_elbow_loses_exactly_the_line_from_the_
 
 def test_an_aligned_wrist_is_told_by_the_line_that_it_cannot_push_along():
     """All axes but the first and the fifth are parallel: the line along them that meets these."""
-    system = ur5(WRIST_ALIGNED)
-    (words,) = lost_motions(system)["arm"]
-    (lost,) = lost_directions(system, "arm")
-    axis = tip_terms(system).J[3:, 1]
+    data = ur5(WRIST_ALIGNED)
+    (words,) = lost_motions(data)["arm"]
+    (lost,) = lost_directions(data, "arm")
+    axis = tip_terms(data).J[3:, 1]
     assert angle_between(lost.force, axis) < 1e-6
     x, y, z = np.round(-axis, 2)
     assert words.startswith(f"no motion along ({x:.2f}, {y:.2f}, {z + 0.0:.2f}) ")
@@ -116,8 +119,8 @@ def test_an_aligned_wrist_is_told_by_the_line_that_it_cannot_push_along():
 
 
 def test_a_screw_is_told_with_its_pitch():
-    system = ur5([0.2, -1.0, 0.0, 0.5, -0.6, 0.4])
-    (lost,) = lost_directions(system, "arm")
+    data = ur5([0.2, -1.0, 0.0, 0.5, -0.6, 0.4])
+    (lost,) = lost_directions(data, "arm")
     pitch = lost.force @ lost.moment / (lost.force @ lost.force)
     x, y, z = lost.force * np.sign(lost.force[0]) / np.linalg.norm(lost.force)
     assert abs(pitch) > 0.1
@@ -136,8 +139,8 @@ def test_near_a_singular_posture_little_motion_is_left():
 
 def test_a_planar_arm_of_three_joints_has_no_motion_out_of_its_plane():
     """Three constraints, three joints, and none of them helps."""
-    system = one_arm("planar_3r", "tip", [0.3, 0.5, 0.4], {"kind": "planar", "normal": [0, 0, 1]})
-    assert lost_motions(system)["arm"] == (
+    data = one_arm("planar_3r", "tip", [0.3, 0.5, 0.4], {"kind": "planar", "normal": [0, 0, 1]})
+    assert lost_motions(data)["arm"] == (
         "no motion along world z",
         "no turn about world x",
         "no turn about world y",
@@ -161,8 +164,8 @@ def test_a_planar_arm_of_three_joints_has_no_motion_out_of_its_plane():
     ids=["weld", "ball", "stretched, ball"],
 )
 def test_too_few_joints_are_counted_against_the_directions(joint, posture, words):
-    system = one_arm("planar_2r", "tip", posture, joint)
-    assert lost_motions(system) == {"arm": words}
+    data = one_arm("planar_2r", "tip", posture, joint)
+    assert lost_motions(data) == {"arm": words}
 
 
 def test_one_joint_is_spoken_of_as_one(tmp_path):
@@ -171,45 +174,45 @@ def test_one_joint_is_spoken_of_as_one(tmp_path):
 
 
 def test_contacts_that_say_the_same_twice_are_named():
-    system = placed(two_arm_block_twice())
-    names = {arm: [c.name for c in system.contacts[arm]] for arm in system.arm_names}
-    for arm, words in lost_motions(system).items():
+    data = placed(two_arm_block_twice())
+    names = {arm: [c.name for c in data.model.contacts[arm]] for arm in data.model.arm_names}
+    for arm, words in lost_motions(data).items():
         count = len(names[arm])
         first, last = names[arm][0], names[arm][-1]
         assert words == (f"1 of {count} contacts too many among '{first}', '{last}'",)
         combination = np.zeros((count, 1))
         combination[[0, -1], 0] = [1.0, -1.0]
-        assert describe(system, arm, combination) == ("contacts that say the same twice",)
+        assert describe(data, arm, combination) == ("contacts that say the same twice",)
 
 
 def test_only_the_arms_asked_for_are_looked_at():
-    system = placed(panda_trio(WELD))
-    assert list(lost_motions(system)) == list(system.arm_names)
-    assert list(lost_motions(system, [system.arm_names[1]])) == [system.arm_names[1]]
-    assert not any(lost_motions(system).values())
+    data = placed(panda_trio(WELD))
+    assert list(lost_motions(data)) == list(data.model.arm_names)
+    assert list(lost_motions(data, [data.model.arm_names[1]])) == [data.model.arm_names[1]]
+    assert not any(lost_motions(data).values())
 
 
 # --- words for given directions ------------------------------------------------------------------
 
 
 def test_words_for_a_null_vector_are_those_of_the_lost_direction():
-    system = ur5(STRETCHED)
-    W = system.work.Y[0, :6, :6]
+    data = ur5(STRETCHED)
+    W = data.work.Y[0, :6, :6]
     combination = np.linalg.svd(W)[2][-1:].T
-    assert describe(system, "arm", combination) == lost_motions(system)["arm"]
-    assert describe(system, "arm", -3.0 * combination) == lost_motions(system)["arm"]
+    assert describe(data, "arm", combination) == lost_motions(data)["arm"]
+    assert describe(data, "arm", -3.0 * combination) == lost_motions(data)["arm"]
 
 
 def test_several_directions_are_described_by_named_axes_among_them():
     """Whatever basis of the lost directions is handed over, the words are of the same axes."""
-    system = one_arm("planar_3r", "tip", [0.3, 0.5, 0.4], {"kind": "planar", "normal": [0, 0, 1]})
+    data = one_arm("planar_3r", "tip", [0.3, 0.5, 0.4], {"kind": "planar", "normal": [0, 0, 1]})
     turned = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
-    assert describe(system, "arm", turned) == lost_motions(system)["arm"]
+    assert describe(data, "arm", turned) == lost_motions(data)["arm"]
 
 
 def test_numbers_that_are_not_finite_get_words_too():
-    system = ur5(STRETCHED)
-    assert len(describe(system, "arm", np.full((6, 2), np.nan))) == 2
+    data = ur5(STRETCHED)
+    assert len(describe(data, "arm", np.full((6, 2), np.nan))) == 2
 
 
 # --- any arm -------------------------------------------------------------------------------------
@@ -232,18 +235,18 @@ def chain_scene(folder, kinds, joint):
 )
 def test_lost_directions_have_no_power_and_none_is_missing(tmp_path, kinds, joint):
     """Slides, hinges, massless links, one joint to seven."""
-    system = placed(chain_scene(tmp_path, kinds, joint))
-    lost = lost_directions(system, "arm")
-    words = lost_motions(system)["arm"]
+    data = placed(chain_scene(tmp_path, kinds, joint))
+    lost = lost_directions(data, "arm")
+    words = lost_motions(data)["arm"]
     assert all(len(text) <= LONGEST for text in (*words, *(one.words for one in lost)))
-    term, terms = ma.evaluate(system).contact_terms["arm"], tip_terms(system)
+    term, terms = contact_terms(data)["arm"], tip_terms(data)
     R = terms.tip_rotation
     felt = terms.J.T @ np.kron(np.eye(2), R) @ term.W_m  # (n, N) joint torques of every contact
     assert len(lost) == np.linalg.matrix_rank(term.W_m, 1e-9) - np.linalg.matrix_rank(felt, 1e-9)
     assert bool(words) == bool(lost)
     for one in lost:
         size = np.linalg.norm(np.concatenate([one.force, one.moment]))
-        np.testing.assert_allclose(torques_of(system, one), 0.0, atol=1e-9 * size)
+        np.testing.assert_allclose(torques_of(data, one), 0.0, atol=1e-9 * size)
         # it is a wrench that the joint can transmit
         moment = one.moment + np.cross(one.place - terms.tip_position, one.force)
         wrench = np.concatenate([R.T @ one.force, R.T @ moment])
@@ -279,10 +282,10 @@ def test_a_regular_posture_is_far_from_the_tolerance():
         {"arm": {"robot": "panda", **joints}}, [{"arm": "arm", **WELD}],
         object={"shape": {"sphere": 0.1}, "mass": 1.0},
     )  # fmt: skip
-    system = placed(scene)
-    W = system.work.Y[0, :7, :6]
+    data = placed(scene)
+    W = data.work.Y[0, :7, :6]
     weakest = np.linalg.svd(W)[2][-1:].T
-    assert lost_motions(system) == {"arm": ()}
+    assert lost_motions(data) == {"arm": ()}
     assert np.linalg.norm(W @ weakest) > 0.0
-    singular = np.linalg.svd(tip_terms(system).J, compute_uv=False)
+    singular = np.linalg.svd(tip_terms(data).J, compute_uv=False)
     assert singular[-1] / singular[0] > 10 * LITTLE

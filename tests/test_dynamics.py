@@ -33,7 +33,7 @@ from mechanics import (
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.dynamics.evaluation import project_velocity
+from multiarm.assembly.velocities import project_velocity
 from multiarm.errors import ModelError
 from multiarm.scene import Pose
 
@@ -487,7 +487,7 @@ def test_a_singular_arm_is_named_with_what_it_cannot_do(ur5_system):
     assert list(ev.lost_motions) == ["left"] and "no " in ev.lost_motions["left"][0]
     regular = ma.evaluate(ur5_system)
     assert regular.coupled_arms == () and regular.lost_motions == {}
-    assert ev.rank == regular.rank == ur5_system.constraint_count
+    assert ev.rank == regular.rank == ur5_system.model.layout.contacts
 
 
 def test_pivot_tells_how_near_a_singularity_is(ur5_system):

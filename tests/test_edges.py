@@ -6,10 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import ur5_pair
+from mechanics import (
+    data_of,
+    ur5_pair,
+)
 
 import multiarm as ma
-from multiarm.assembly import projection_tolerance, scene_size
+from multiarm.assembly.linkage import projection_tolerance, scene_size
 from multiarm.control.torques import static_forces
 from multiarm.dynamics.equations import largest
 from multiarm.errors import ControlError, ModelError
@@ -70,8 +73,8 @@ def test_tolerances_follow_the_size_of_the_arms_not_of_the_joint():
     """A ball at the centre of mass has no lever arm."""
     scene = ur5_pair({"kind": "weld"}, {"kind": "weld"})
     system = ma.compile_system(scene)
-    assert 0.5 < scene_size(system) < 5.0
-    assert 1e-15 < projection_tolerance(system) < 1e-12
+    assert 0.5 < scene_size(data_of(system)) < 5.0
+    assert 1e-15 < projection_tolerance(data_of(system)) < 1e-12
 
 
 @pytest.mark.parametrize("at", [0, 1, 2])

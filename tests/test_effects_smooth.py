@@ -11,9 +11,17 @@ import sys
 
 import numpy as np
 import pytest
-from mechanics import chain_urdf, random_state, scene_of, single_arm, ur5_pair
+from mechanics import (
+    chain_urdf,
+    data_of,
+    random_state,
+    scene_of,
+    single_arm,
+    ur5_pair,
+)
 
 import multiarm as ma
+from multiarm.assembly.velocities import project_velocity
 from multiarm.dynamics.arrays import OWN_ARRAYS
 from multiarm.errors import SceneError
 from multiarm.problems.random_scenes import random_scene
@@ -98,9 +106,9 @@ def test_friction_at_rest_is_none_and_never_exceeds_its_torque(rng):
     )
     state = random_state(rough, rng, turn=0.0)
     ma.evaluate(plain, 0.0, state)
-    before = plain.buffers.h.copy()
+    before = data_of(plain).arrays.h.copy()
     ma.evaluate(rough, 0.0, state)
-    added = rough.buffers.h - before
+    added = data_of(rough).arrays.h - before
     np.testing.assert_allclose(added, -3.0 * np.tanh(state.velocity[6:] / 0.01), atol=1e-12)
 
 
@@ -114,7 +122,7 @@ def test_model_based_control_compensates_what_the_joints_do(rng):
     effects = {"joint_friction": 4.0, "joint_damping": 2.0, "rotor_inertia": 0.3}
     plain = ur5_pair({"kind": "weld"}, {"kind": "weld"}, control=control)
     systems = [ma.compile_system(s) for s in (plain, plain.replace(effects=effects))]
-    state = ma.dynamics.project_velocity(systems[0], random_state(systems[0], rng, turn=0.0))
+    state = project_velocity(systems[0], random_state(systems[0], rng, turn=0.0))
     first, second = (ma.evaluate(system, 0.0, state) for system in systems)
     np.testing.assert_allclose(first.object_acceleration, second.object_acceleration, atol=1e-9)
     assert np.abs(first.joint_torques["left"] - second.joint_torques["left"]).max() > 1.0
@@ -122,7 +130,9 @@ def test_model_based_control_compensates_what_the_joints_do(rng):
 
 def test_set_valued_friction_is_not_the_smooth_one(sledge):
     system = sledge({"joint_friction": {"torque": 0.6, "model": "set_valued"}})
-    assert "add_joint_friction" not in {p.kernel.__name__ for p in system.pieces.every if p.kernel}
+    assert "add_joint_friction" not in {
+        p.kernel.__name__ for p in system.model.effects.kernels if p.kernel
+    }
 
 
 # --- rotors --------------------------------------------------------------------------------------
@@ -154,7 +164,7 @@ def test_a_rotor_of_the_first_joint_is_a_disc_on_its_link(tmp_path, rng):
         joint = {"arm": "arm", "kind": "weld"}
         scenes.append(scene_of({"arm": arm}, [joint], object=body, effects=effects))
     disc, rotor = (ma.compile_system(scene) for scene in scenes)
-    state = ma.dynamics.project_velocity(disc, random_state(disc, rng, turn=0.0))
+    state = project_velocity(disc, random_state(disc, rng, turn=0.0))
     first, second = (ma.evaluate(system, 0.0, state) for system in (disc, rotor))
     np.testing.assert_allclose(
         first.joint_accelerations["arm"], second.joint_accelerations["arm"], rtol=1e-9
@@ -191,7 +201,8 @@ def test_rotors_of_arms_in_several_pinocchio_models_stay_with_their_arms(monkeyp
     for s in (system, plain):
         ma.evaluate(s)
     added = [
-        read_inertia(system.plant.pointers[i], 6) - read_inertia(plain.plant.pointers[i], 6)
+        read_inertia(data_of(system).arrays.pointers[i], 6)
+        - read_inertia(data_of(plain).arrays.pointers[i], 6)
         for i in range(2)
     ]
     np.testing.assert_allclose(added[0], 0.0, atol=1e-14)
@@ -287,7 +298,7 @@ def test_only_joints_with_a_time_constant_lag():
     control = {"kind": "constant", "torques": {"left": 5.0, "right": 5.0}}
     scene = ur5_pair({"kind": "weld"}, {"kind": "ball"}, control=control)
     system = ma.compile_system(scene.replace(effects={"actuator_lag": {**lag, "start": "zero"}}))
-    assert system.pieces.states == 2
+    assert system.model.effects.states == 2
     found = ma.evaluate(system).joint_torques
     assert found["left"].tolist() == [5.0, 5.0, 0.0, 5.0, 5.0, 5.0]
     assert found["right"].tolist() == [5.0, 5.0, 5.0, 0.0, 5.0, 5.0]
@@ -383,7 +394,7 @@ def test_each_effect_alone_adds_what_it_adds_to_all(rng):
     def right_hand_sides(effects):
         system = ma.compile_system(scene.replace(effects=effects))
         ma.evaluate(system, 0.07, state)
-        return np.concatenate([system.buffers.h_o, system.buffers.h])
+        return np.concatenate([data_of(system).arrays.h_o, data_of(system).arrays.h])
 
     nothing = right_hand_sides({})
     alone = [right_hand_sides({name: ALL[name]}) - nothing for name in names]
@@ -394,10 +405,10 @@ def test_each_effect_alone_adds_what_it_adds_to_all(rng):
 
 def test_a_scene_without_effects_has_nothing_of_them(sledge):
     system = sledge({})
-    assert system.plant.effects.size == 0 and system.pieces.arrays == []
-    assert system.struct().size == 4 * OWN_ARRAYS
-    assert system.buffers.inner.size == 0 and system.buffers.power.size == 1
-    assert not system.plant.watches.size
+    assert system.model.constants.effects.size == 0 and data_of(system).effects == []
+    assert data_of(system).struct.size == 4 * OWN_ARRAYS
+    assert data_of(system).arrays.inner.size == 0 and data_of(system).arrays.power.size == 1
+    assert not system.model.constants.watches.size
 
 
 def test_effects_that_are_not_named_are_not_imported():

@@ -11,14 +11,21 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from mechanics import UR5_POSTURE, random_state, scene_of, single_arm, ur5_pair
+from mechanics import (
+    UR5_POSTURE,
+    data_of,
+    random_state,
+    scene_of,
+    single_arm,
+    ur5_pair,
+)
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 from test_crossing import compiled, state_on
 
 import multiarm as ma
 import multiarm.arms.pinocchio_backend
-from multiarm.dynamics.equations import OK
+from multiarm.dynamics.arrays import OK
 from multiarm.errors import ControlError, ModelError
 from multiarm.integration.near_singular import evaluate_on_branch
 
@@ -131,9 +138,9 @@ def test_quadratic_drag_is_against_the_motion_and_as_its_speed_squared(carried, 
     plain, resisted = (ma.compile_system(scene.replace(effects=e)) for e in ({}, {"drag": drag}))
     state = random_state(plain, rng)
     ma.evaluate(plain, 0.0, state)
-    before = plain.buffers.h_o.copy()
+    before = data_of(plain).arrays.h_o.copy()
     ma.evaluate(resisted, 0.0, state)
-    found = resisted.buffers.h_o - before
+    found = data_of(resisted).arrays.h_o - before
     R = Rotation.from_quat(state.object_quaternion_xyzw).as_matrix()
     u, w = R.T @ (state.object_twist[:3] - wind), R.T @ state.object_twist[3:]
     force, moment = -(c + q * np.linalg.norm(u)) * u, -d * w
@@ -271,10 +278,10 @@ def added(scene, wrenches, state, t=0.0):
     """What wrenches add to the right-hand sides: on the object (6,), on the joints (n,)."""
     plain = ma.compile_system(scene)
     ma.evaluate(plain, t, state)
-    before = plain.buffers.h_o.copy(), plain.buffers.h.copy()
+    before = data_of(plain).arrays.h_o.copy(), data_of(plain).arrays.h.copy()
     loaded = ma.compile_system(scene.replace(effects={"external_wrenches": wrenches}))
     ma.evaluate(loaded, t, state)
-    return loaded.buffers.h_o - before[0], loaded.buffers.h - before[1]
+    return data_of(loaded).arrays.h_o - before[0], data_of(loaded).arrays.h - before[1]
 
 
 @pytest.mark.parametrize("axes", ["world", "body"])
@@ -477,8 +484,8 @@ def test_a_function_is_asked_about_the_state_itself_where_motions_cross():
     wrenches = [{"on": "object", "function": watch}]
     system = ma.compile_system(scene.replace(effects={"external_wrenches": wrenches}))
     state = state_on("four_bar", math.pi + 1e-4, 6.0)
-    system.set_state(0.0, state)
-    assert evaluate_on_branch(system.struct(), 1e-13, 0.0, 0.0) == OK
+    data_of(system).set_state(0.0, state)
+    assert evaluate_on_branch(data_of(system).struct, 1e-13, 0.0, 0.0) == OK
     assert asked
     for position in asked:
         np.testing.assert_array_equal(position, state.position)

@@ -7,9 +7,9 @@ import pytest
 from mechanics import SCENES, UR5_POSTURE, chain_urdf, scene_of, ur5_pair
 
 import multiarm as ma
-from multiarm.assembly.checking import active_effects
 from multiarm.errors import SceneError
 from multiarm.scene import EffectsSpec, ExternalWrench, dump_scene, parse_scene
+from multiarm.simulation.checking import active_effects
 
 WELD = {"kind": "weld"}
 
@@ -253,7 +253,7 @@ def chain_of(tmp_path, dynamics: str):
 def test_numbers_of_a_urdf_are_those_of_its_joints(tmp_path):
     scene = chain_of(tmp_path, "<dynamics damping='2.5' friction='0.7'/>")
     system = ma.compile_system(scene(joint_damping="urdf", joint_friction={"arm": "urdf"}))
-    damping, friction = (piece.arrays[0] for piece in system.pieces.every)
+    damping, friction = (kernel.arrays[0] for kernel in system.model.effects.kernels)
     assert damping.tolist() == [2.5] * 3 + [0.0] * 3
     assert friction.tolist() == [0.7] * 3 + [0.0] * 3
     assert not system.scene.warnings

@@ -9,7 +9,11 @@ from functools import cached_property
 import numpy as np
 import pytest
 from event_scenes import arm, ball, ball_on_plate, box, on_floor
-from mechanics import SCENES, ur5_pair
+from mechanics import (
+    SCENES,
+    data_of,
+    ur5_pair,
+)
 from test_dynamics import UR5_WRIST_SINGULAR, two_arm_block_twice
 
 import multiarm as ma
@@ -45,10 +49,10 @@ def singular_state(system):
 
 
 def other_state(system):
-    """A moving state near the start; with unilateral contacts, positions stay."""
+    """A moving state near the start; where contacts come and go, positions stay."""
     state = system.initial_state()
     rng = np.random.default_rng(3)
-    if system.unilateral is None:
+    if system.model.unilateral is None:
         state.position[:] += 0.1 * rng.standard_normal(state.position.size)
         state.position[3:7] /= np.linalg.norm(state.position[3:7])
     state.velocity[6:] += 0.01 * rng.standard_normal(state.velocity.size - 6)
@@ -57,8 +61,14 @@ def other_state(system):
 
 def overwrite(system) -> None:
     """Leave nothing in the arrays that an evaluation writes."""
-    for array in (*system.buffers, *system.coupled, system.work.L, system.work.Y):
-        array[:] = 0 if array.dtype == np.int64 else np.nan
+    data = data_of(system)
+    for array in (*data.arrays, *data.coupled, data.work.L, data.work.Y):
+        if isinstance(array, np.ndarray) and array is not data.arrays.pointers:
+            array[:] = 0 if array.dtype == np.int64 else np.nan
+    addresses = data.arrays.functions.struct.copy()
+    for numbers in (data.arrays.time, data.arrays.status, data.coupled.status):
+        numbers.struct[:] = 0
+    np.testing.assert_array_equal(data.arrays.functions.struct, addresses)
 
 
 def everything(ev: ma.Evaluation) -> dict:

@@ -7,11 +7,12 @@ import math
 import numpy as np
 import pytest
 from loose_scenes import body_and_cart, happened
+from mechanics import data_of
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.contact_checks import place_state
 from multiarm.contacts.floor import hull_corners
+from multiarm.dynamics.contact_geometry import place_state
 from multiarm.events.instant import Instant
 from multiarm.events.modes import Modes
 from multiarm.problems import HARD_CASES
@@ -89,7 +90,7 @@ def test_a_mesh_falls_on_its_corners(tmp_path):
     assert trajectory.status == "completed", trajectory.message
     first = happened(trajectory)[0]
     assert first["time"] == pytest.approx(math.sqrt(2 * 0.2 / GRAVITY), abs=1e-9)
-    assert len(ma.compile_system(trajectory.scene).unilateral.contacts_of("floor")) == 4
+    assert len(ma.compile_system(trajectory.scene).model.unilateral.contacts_of("floor")) == 4
 
 
 def test_a_box_slides_off_a_table_and_falls(tmp_path):
@@ -171,10 +172,11 @@ def test_contacts_that_others_hold_fast_have_no_response():
     below = (pose[:3, 3] - 0.5 * height * pose[:3, 2]).tolist()
     floor = {"at": {"xyz": below, "quaternion_xyzw": turn}, "mu": 0.5}
     system = ma.compile_system(scene.replace(effects={"floor": floor}))
-    place_state(system, 0.0, system.initial_state())
-    instant = Instant(Modes(system, 1e-9), 0.0)
+    data = data_of(system)
+    place_state(data, 0.0, system.initial_state())
+    instant = Instant(Modes(data, 1e-9), 0.0)
     instant._update()
-    rows = list(range(system.constraint_count))[system.layout.surroundings]
+    rows = list(range(system.model.layout.contacts))[system.model.layout.surroundings]
     matrix = instant._matrix(rows)
     assert len(rows) == 3 * 8 and np.all(instant._mobility(matrix) > 1e-3)
     response, _ = instant._response(matrix, instant._bare)

@@ -16,8 +16,8 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
+from multiarm.assembly.velocities import project_velocity
 from multiarm.contacts.internal_forces import InternalForces
-from multiarm.dynamics.evaluation import project_velocity
 from multiarm.errors import GraspError, ModelError, SolverError
 
 HINGES = ({"kind": "revolute"}, {"kind": "revolute", "axis": [1, 0, 0]})

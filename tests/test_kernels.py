@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from mechanics import data_of
 
 import multiarm as ma
-from multiarm.dynamics.arrays import CALL_COUPLED, CALL_ROW
 from multiarm.jit.kernels import cfunc, kernel
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import (
@@ -164,10 +164,10 @@ def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():
     ma.evaluate(regular)
     fresh = ma.compile_system(ring_of_arms(2, "weld"))
     coupled = ma.compile_system(HARD_CASES["bricard"].scene())
-    before = regular.plant.calls[CALL_COUPLED]
-    assert before != fresh.plant.calls[CALL_COUPLED], "each system has its own stand-in"
+    before = data_of(regular).arrays.functions.coupled
+    assert before != data_of(fresh).arrays.functions.coupled, "each system has its own stand-in"
     ma.evaluate(coupled)
-    compiled = coupled.plant.calls[CALL_COUPLED]
-    assert compiled not in (before, fresh.plant.calls[CALL_COUPLED])
-    assert regular.plant.calls[CALL_COUPLED] == before, "a regular scene does without"
-    assert regular.plant.calls[CALL_ROW] != 0
+    compiled = data_of(coupled).arrays.functions.coupled
+    assert compiled not in (before, data_of(fresh).arrays.functions.coupled)
+    assert data_of(regular).arrays.functions.coupled == before, "a regular scene does without"
+    assert data_of(regular).arrays.functions.row != 0

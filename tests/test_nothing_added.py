@@ -11,7 +11,10 @@ from pathlib import Path
 
 import pinocchio
 import pytest
-from mechanics import SCENES
+from mechanics import (
+    SCENES,
+    data_of,
+)
 
 import multiarm as ma
 from multiarm.dynamics.arrays import OWN_ARRAYS
@@ -49,7 +52,7 @@ def pinocchio_calls(monkeypatch):
     def calls(scene: ma.Scene, count: int) -> Counter[str]:
         system = ma.compile_system(scene)
         ma.evaluate(system)
-        burst = slope_burst(system)
+        burst = slope_burst(data_of(system))
         counting.calls.clear()
         burst(count)
         return counting.calls.copy()
@@ -58,17 +61,24 @@ def pinocchio_calls(monkeypatch):
 
 
 def array_count(system: ma.System) -> int:
-    return len(system.struct()) // 4
+    return len(data_of(system).struct) // 4
 
 
 def test_a_scene_without_effects_has_no_piece_and_no_array_of_one():
     system = ma.compile_system(BARE)
-    assert system.plant.effects.shape == (0, 2)
-    assert system.plant.phases.tolist() == [0, 0, 0]
+    assert system.model.constants.effects.shape == (0, 2)
+    constants = system.model.constants
+    assert constants.passive_end == constants.actuator_end == constants.applied_end == 0
     assert array_count(system) == OWN_ARRAYS
-    assert system.buffers.inner.size == 0
-    assert system.buffers.power.size == 1, "of the control"
-    assert set(system.calls) == {"terms", "dense", "coupled", "crossing", "row"}
+    assert data_of(system).arrays.inner.size == 0
+    assert data_of(system).arrays.power.size == 1, "of the control"
+    assert set(data_of(system).callbacks) == {
+        "pinocchio",
+        "dense",
+        "coupled",
+        "near_singular",
+        "row",
+    }
     run = ma.simulate(system, 0.02)
     assert not [name for name in run.channels if name.startswith("effects/")]
 
@@ -76,7 +86,7 @@ def test_a_scene_without_effects_has_no_piece_and_no_array_of_one():
 def test_an_effect_has_its_arrays_and_no_other_one_has():
     system = ma.compile_system(BARE.replace(effects={"joint_damping": 1.0}))
     assert array_count(system) == OWN_ARRAYS + 2
-    assert system.pieces.arrays[1].tolist() == [1.0] * system.layout.joints
+    assert data_of(system).effect("joint_damping")[0].tolist() == [1.0] * system.model.layout.joints
 
 
 def test_an_evaluation_calls_of_pinocchio_what_the_effects_need(pinocchio_calls):
@@ -115,4 +125,4 @@ def test_of_all_effects_only_those_of_the_scene_are_imported(effects, imported):
     assert result.returncode == 0, result.stderr
     ours, rest = json.loads(result.stdout)
     assert ours == imported
-    assert rest == ["building", "piece"]
+    assert rest == ["building", "context"]

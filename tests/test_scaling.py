@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from mechanics import data_of
 from playwright.sync_api import sync_playwright
 from test_replay import FLAGS, View, chromium
 from typer.testing import CliRunner
@@ -312,7 +313,7 @@ def test_the_script_builds_the_same_coefficients_as_the_kernels():
     assert np.max(np.abs(state.object_twist)) > 0.01, "terms in the velocities count"
     s = solver_forms.build(system, state)
     ma.evaluate(system, 0.0, state)
-    buffers = system.buffers
+    buffers = data_of(system).arrays
     given = {"M_o": buffers.inertia, "h_o": buffers.h_o, "h": buffers.h, "c": buffers.c}
     for name, kernels in given.items():
         np.testing.assert_allclose(np.ravel(getattr(s, name)), kernels.ravel(), atol=1e-11)

@@ -1,4 +1,4 @@
-"""Claims about twins of systems: nothing that a run writes is shared, in scenes of all kinds."""
+"""Claims about models and data: nothing that a run writes is shared, in scenes of all kinds."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from event_scenes import arm, ball, ball_on_plate, box, on_floor
 from many_runs import assert_same_run, random_states
-from mechanics import ur5_pair
+from mechanics import (
+    ur5_pair,
+)
 
 import multiarm as ma
 from multiarm.arms.terms import M_STRIDE
-from multiarm.assembly.compilation import twin
-from multiarm.dynamics.arrays import ARMS_STRUCT, CALL_DENSE, CALL_TERMS
+from multiarm.jit.structs import Numbers
 from multiarm.scene import changed
 
 WELD = {"kind": "weld"}
@@ -125,6 +126,24 @@ def test_all_methods_run_side_by_side(method, welded_ur5_system):
         assert_same_run(run, ma.simulate(welded_ur5_system, 0.05, state=state, **method))
 
 
+@pytest.mark.parametrize("terms", ["pinocchio", "compiled"])
+def test_variational_runs_side_by_side_have_the_numbers_of_single_runs_after_one_of_them(terms):
+    """The first run makes matrices of Coriolis forces, which no other thread may use."""
+    scene, run = ur5_pair(WELD, {"kind": "ball"}), {"integrator": "variational", "step": 1e-3}
+    system = ma.compile_system(scene, arms=terms)
+    states = random_states(system, 3, size=0.1)
+    expected = [
+        ma.simulate(ma.compile_system(scene, arms=terms), 0.05, state=s, certificate=False, **run)
+        for s in states
+    ]
+    ma.simulate(system, 0.01, certificate=False, **run)
+    found = ma.simulate_many(
+        system, 0.05, states=states, threads=3, progress=None, certificate=False, **run
+    )
+    for one, other in zip(found, expected, strict=True):
+        assert_same_run(one, other)
+
+
 def test_a_controller_in_python_is_asked_by_all(welded_ur5_system):
     system = welded_ur5_system.with_control(beating())
     states = random_states(system, 4)
@@ -167,70 +186,45 @@ def test_every_thread_has_an_instance_of_an_own_effect(monkeypatch, welded_ur5_s
         assert_same_run(one, other)
 
 
-@pytest.mark.parametrize("terms", ["pinocchio", "compiled"])
-def test_variational_runs_side_by_side_have_the_numbers_of_single_runs_after_one_of_them(terms):
-    """The first run makes matrices of Coriolis forces, which no other thread may use."""
-    scene, run = ur5_pair(WELD, {"kind": "ball"}), {"integrator": "variational", "step": 1e-3}
-    system = ma.compile_system(scene, arms=terms)
-    states = random_states(system, 3, size=0.1)
-    expected = [
-        ma.simulate(ma.compile_system(scene, arms=terms), 0.05, state=s, certificate=False, **run)
-        for s in states
-    ]
-    ma.simulate(system, 0.01, certificate=False, **run)
-    found = ma.simulate_many(
-        system, 0.05, states=states, threads=3, progress=None, certificate=False, **run
-    )
-    for one, other in zip(found, expected, strict=True):
-        assert_same_run(one, other)
-
-
-def written_arrays(system) -> dict[str, np.ndarray]:
+def written_arrays(data) -> dict[str, np.ndarray]:
     """All arrays that kernels may write, by name."""
     parts = {
-        "buffers": system.buffers._asdict(),
-        "work": system.work._asdict(),
-        "coupled": system.coupled._asdict(),
-        "pieces": dict(enumerate(system.pieces.arrays)),
+        "arrays": data.arrays._asdict(),
+        "work": data.work._asdict(),
+        "coupled": data.coupled._asdict(),
+        "effects": {f"{k} {i}": a for k, own in enumerate(data.effects) for i, a in enumerate(own)},
     }
-    if system.unilateral is not None:
-        unilateral, springs = system.unilateral, system.unilateral.compliant
-        parts["unilateral"] = {"dry": unilateral.dry, "shown": unilateral.shown}
-        if springs is not None:
-            parts["springs"] = {"active": springs.active, "force": springs.force}
-    return {f"{p}.{name}": a for p, own in parts.items() for name, a in own.items() if a.size}
+    found = {f"{p}.{name}": a for p, own in parts.items() for name, a in own.items()}
+    memory = {n: a.struct if isinstance(a, Numbers) else a for n, a in found.items()}
+    return {name: array for name, array in memory.items() if array.size}
 
 
-def where_terms_are(system) -> set[int]:
+def where_terms_are(data) -> set[int]:
     """Addresses of the arms' terms, and of what computes them."""
-    pointers = system.plant.pointers[: len(system.arms)]
+    pointers = data.arrays.pointers[: len(data.model.arms)]
     places = set(np.delete(pointers, M_STRIDE, axis=1).ravel())
-    return (places | set(system.plant.calls[[CALL_TERMS, CALL_DENSE, ARMS_STRUCT]])) - {0}
+    functions = data.arrays.functions
+    return (places | {functions.pinocchio, functions.dense, functions.arms_struct}) - {0}
 
 
-def test_twins_share_no_array_that_is_written(system):
-    own, others = written_arrays(system), written_arrays(twin(system))
+def test_data_of_one_model_share_no_array_that_is_written(system):
+    both = system.model.data(), system.model.data()
+    own, others = map(written_arrays, both)
     assert own.keys() == others.keys() and len(own) > 50
     shared = [n for n in own for other in others.values() if np.shares_memory(own[n], other)]
     assert shared == []
-    terms = [where_terms_are(of) for of in (system, twin(system))]
+    terms = [where_terms_are(data) for data in both]
     assert terms[0] and not terms[0] & terms[1]
-    surfaces = [set(map(id, of.surfaces)) for of in (system, twin(system))]
+    surfaces = [set(map(id, data.surfaces)) for data in both]
     assert not surfaces[0] & surfaces[1]  # they remember where they were
-    pinocchio = [{id(arm._data) for arm in of.arms.values()} for of in (system, twin(system))]
-    assert not pinocchio[0] & pinocchio[1]
 
 
-def test_a_twin_has_the_constants_of_its_system(system):
-    other = twin(system)
-    moves = {"pointers", "calls", "links"}  # addresses
-    for name in set(system.plant._fields) - moves:
-        mine, theirs = getattr(system.plant, name), getattr(other.plant, name)
-        np.testing.assert_array_equal(mine, theirs, err_msg=name)
-    assert other.channels == system.channels and other.scene is system.scene
-    assert other.start_report == system.start_report
-    np.testing.assert_array_equal(other.breakpoints, system.breakpoints)
-    np.testing.assert_array_equal(other.initial_state().position, system.initial_state().position)
+def test_a_model_is_not_written_by_runs_and_evaluations(system):
+    before = {name: np.copy(a) for name, a in system.model.constants._asdict().items()}
+    ma.evaluate(system)
+    ma.simulate(system, 0.02, accuracy=1e-3)
+    for name, array in system.model.constants._asdict().items():
+        np.testing.assert_array_equal(array, before[name], err_msg=name)
 
 
 def test_a_system_like_another_is_the_one_that_is_compiled_anew(monkeypatch):

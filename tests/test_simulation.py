@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.dynamics.evaluation import project_velocity
+from multiarm.assembly.velocities import project_velocity
 from multiarm.errors import ControlError, ModelError, SceneError, TrajectoryError
 from multiarm.problems import ring_of_arms
 
@@ -94,10 +94,10 @@ def test_harmonic_run_equals_scipys_dop853_on_the_evaluation():
 
     def state_of(y):
         turn = Rotation.from_quat(y[3:7] / np.linalg.norm(y[3:7]))
-        n = system.layout.joints
+        n = system.model.layout.joints
+        split = system.model.layout.split_joints
         return system.state(
-            y[:3], turn.as_quat(), system.layout.split_joints(y[7 : 7 + n]), y[7 + n : 13 + n],
-            system.layout.split_joints(y[13 + n :]),
+            y[:3], turn.as_quat(), split(y[7 : 7 + n]), y[7 + n : 13 + n], split(y[13 + n :]),
         )  # fmt: skip
 
     def rate(t, y):

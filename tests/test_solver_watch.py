@@ -11,13 +11,17 @@ from functools import cache
 
 import numpy as np
 import pytest
-from mechanics import single_arm
+from mechanics import (
+    data_of,
+    single_arm,
+)
 from test_crossing import compiled, state_on
 from test_singular import system_matrices
 
 import multiarm as ma
-from multiarm.dynamics.equations import OK, evaluate_buffers
-from multiarm.dynamics.evaluation import project_velocity
+from multiarm.assembly.velocities import project_velocity
+from multiarm.dynamics.arrays import OK, open_system
+from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.solver.regular import COUPLED_BELOW
 from multiarm.dynamics.solver_monitor import (
     LOST,
@@ -26,6 +30,7 @@ from multiarm.dynamics.solver_monitor import (
     RESIDUAL_BOUND,
     constraint_residual,
 )
+from multiarm.jit.kernels import kernel
 from multiarm.problems import loops
 from multiarm.problems.postures import straight_elbow_scene, stretched_and_released_scene
 
@@ -60,7 +65,7 @@ def arm_matrix(system, trajectory, arm, k):
     evaluation = ma.evaluate(system, 0.0, state_at(system, trajectory, k))
     M, _, W, _ = system_matrices(system, evaluation)
     i = system.arm_names.index(arm)
-    d, r = system.layout.dofs, system.layout.rows
+    d, r = system.model.layout.dofs, system.model.layout.rows
     own = slice(6 + d[i], 6 + d[i + 1])
     return np.linalg.solve(np.linalg.cholesky(M[own, own]), W[own, r[i] : r[i + 1]])
 
@@ -177,7 +182,7 @@ def test_the_remembered_side_is_the_sign_of_the_determinant(bend, turn):
     posture = [turn, -0.9, bend, -0.6 + turn, 1.2 * turn, 0.3]
     system = ma.compile_system(single_arm("ur5", "tool0", posture, {"kind": "weld"}))
     trajectory = ma.simulate(system, 1e-4, integrator="rk4", step=1e-4)
-    remembered = float(system.buffers.signs[0])
+    remembered = float(data_of(system).arrays.signs[0])
     assert ma.evaluate(system).conditioning["arm"] > COUPLED_BELOW
     expected = np.sign(np.linalg.det(arm_matrix(system, trajectory, "arm", 0)))
     assert remembered == expected != 0.0
@@ -279,20 +284,26 @@ def test_the_residual_is_the_largest_gap_acceleration_over_the_largest_term():
     assert run.residual[0] > RESIDUAL_BOUND
 
 
+@kernel
+def residual_of(struct):
+    model, data, work = open_system(struct)
+    return constraint_residual(model, data, work)
+
+
 def test_the_largest_term_may_be_what_contact_forces_hold_back(welded_ur5_system):
     """Regular arms at rest: the links would fall faster than the object, did it not hold them."""
     system = welded_ur5_system
     evaluation = ma.evaluate(system, 0.0, system.initial_state())
     M, h, W, c = system_matrices(system, evaluation)
-    assert evaluate_buffers(system.struct(), 0.0, 0.0) == OK
-    buffers = system.buffers
+    assert evaluate_state(data_of(system).struct, 0.0, 0.0) == OK
+    buffers = data_of(system).arrays
     x = np.concatenate([buffers.q_o, buffers.qdd])
     x[6] = buffers.qdd[0] = x[6] + 1e-3
     free = W[6:].T @ np.linalg.solve(M[6:, 6:], h[6:])
     others = (W[:6].T @ x[:6], W[6:].T @ x[6:], c, h[:3] / M[0, 0])
     assert np.max(np.abs(free)) > 1.01 * max(np.max(np.abs(term)) for term in others)
     expected = np.max(np.abs(W.T @ x - c)) / np.max(np.abs(free))
-    found = constraint_residual(system.plant, buffers, system.work)
+    found = residual_of(data_of(system).struct)
     assert found == pytest.approx(expected, rel=1e-9)
 
 

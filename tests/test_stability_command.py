@@ -446,7 +446,7 @@ def test_pinocchio_as_shipped_gives_nan_on_redundant_rows_and_tuned_does_not():
 
 
 def test_what_a_peer_returns_or_raises_is_told_and_never_ends_the_suite(healthy_trial):
-    size = 6 + healthy_trial.system.layout.joints
+    size = 6 + healthy_trial.system.model.layout.joints
 
     def answer_of(accelerations, motion):
         return peer_trials.ask(healthy_trial, "peer", lambda: (accelerations, motion))

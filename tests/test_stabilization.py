@@ -7,7 +7,7 @@ import pytest
 from mechanics import WORKED, plain_gaps, plain_system, random_state, ur5_pair
 
 import multiarm as ma
-from multiarm.dynamics.evaluation import project_velocity
+from multiarm.assembly.velocities import project_velocity
 from multiarm.integration.projection import FEEDBACK_LIMITS, FEEDBACK_RATIO
 
 # Semi-implicit and explicit Euler and RK4 on phi'' + 2 a phi' + a^2 phi = 0 with step 1.

@@ -9,7 +9,14 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import chain_urdf, first_difference, random_state, scene_of, ur5_pair
+from mechanics import (
+    chain_urdf,
+    data_of,
+    first_difference,
+    random_state,
+    scene_of,
+    ur5_pair,
+)
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -61,7 +68,7 @@ class Textbook:
 
     def __init__(self, system, start):
         self.system, self.start = system, start
-        self.n = 6 + system.layout.joints
+        self.n = 6 + system.model.layout.joints
         self.damping = system.scene.effects.joint_damping or 0.0
         v, works = start.velocity, np.zeros(2 if self.damping else 1)
         self.z = np.concatenate([start.object_position, np.zeros(3), start.position[7:], v, works])
@@ -69,9 +76,9 @@ class Textbook:
     def slope(self, t, z):
         n, theta = self.n, z[3:6]
         base = Rotation.from_quat(self.start.object_quaternion_xyzw)
-        q = self.system.layout.split_joints(z[6:n])
+        q = self.system.model.layout.split_joints(z[6:n])
         twist, v = z[n : n + 6], z[n + 6 : 2 * n]
-        rates = self.system.layout.split_joints(v)
+        rates = self.system.model.layout.split_joints(v)
         state = self.system.state(
             z[:3], (Rotation.from_rotvec(theta) * base).as_quat(), q, twist, rates
         )
@@ -117,12 +124,19 @@ def step_of_the_package(system, state, h):
     choice = {"accuracy": None, "integrator": "rodas5p", "step": None, "tolerance": 1.0}
     changes = {"duration": h, "stabilization": "none", "output_step": h}
     spec = run_spec(system.scene.run, changes, choice, None)
-    run = prepare(system, spec, state, None, np.inf, EventLog())
+    data = data_of(system)
+    run = prepare(system, data, spec, state, None, np.inf, EventLog())
     stepping = run.stepping
     settings = run.settings._replace(adaptive=False, step=h, apart=np.inf)
-    arrays, joints_ = step_struct(stepping.method, stepping.step), system.layout.joints
+    arrays, joints_ = step_struct(stepping.method, stepping.step), system.model.layout.joints
     reason = advance(
-        system.struct(), joints_, arrays, run.clock.struct, struct_of(settings), run.block, 1000
+        data_of(system).struct,
+        joints_,
+        arrays,
+        run.clock.struct,
+        struct_of(settings),
+        run.block,
+        1000,
     )
     assert reason == FINISHED and run.clock.steps == 1
     return stepping.own[0]

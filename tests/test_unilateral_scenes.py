@@ -1,4 +1,4 @@
-"""Scenes with unilateral constraints: what is refused, and everything else that takes a system."""
+"""Scenes whose contacts come and go: what is refused, and everything else that takes a system."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from mechanics import SCENES, ur5_pair
 from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.assembly.checking import inspect_system
 from multiarm.cli import app
-from multiarm.contacts.records import JointRow
-from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT
+from multiarm.simulation.checking import inspect_system
 
 GRAVITY = 9.81
 
@@ -73,31 +71,7 @@ def test_effects_of_pushing_contacts_are_warned_of_where_there_are_none(tmp_path
     for effects in ({"unilateral_contacts": {}}, {"contact_friction": 0.3}):
         scene = ma.Scene(**cart_with_box(tmp_path, effects))
         assert any("adds nothing" in line for line in scene.warnings)
-        assert ma.compile_system(scene).unilateral is None
-
-
-def test_constraints_and_bilateral_rows_are_all_rows_in_the_order_of_the_system():
-    """Contacts that pull, contacts with friction, joint stops, dry friction and a floor at once."""
-    effects = {
-        "contact_friction": {"mu": 0.2, "contacts": ["left"]},
-        "joint_limits": {},
-        "joint_friction": {"torque": 1.0, "model": "set_valued"},
-        "floor": {"at": {"xyz": [0.0, 0.0, -5.0]}, "mu": 0.3},
-    }
-    system = ma.compile_system(corner_pair().replace(effects=effects))
-    unilateral, rows = system.unilateral, []
-    for one in unilateral.constraints:
-        owner, record = system.owner(one.row)
-        assert (owner, record.name) == (one.arm, one.name)
-        if isinstance(record, JointRow):
-            assert system.joint_name(one.joint) == system.arms[owner].joint_names[record.joint]
-        assert [system.records[row].tangent for row in one.tangents] == [1, 2][: len(one.tangents)]
-        rows += [one.row, *one.tangents]
-    assert sorted([*rows, *unilateral.bilateral]) == list(range(len(system.records)))
-    assert {one.kind for one in unilateral.constraints} == {CONTACT, LIMIT, DRY_JOINT}
-    own = [system.records[row] for row in unilateral.model]
-    plain = ma.compile_system(corner_pair())
-    assert [record.name for record in own] == [record.name for record in plain.records]
+        assert ma.compile_system(scene).model.unilateral is None
 
 
 def test_rolling_contacts_cannot_let_go(tmp_path):

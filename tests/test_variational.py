@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from mechanics import (
     chain_urdf,
+    data_of,
     first_difference,
     pose,
     random_state,
@@ -330,11 +331,11 @@ def test_works_of_effects_are_no_unknowns_of_a_step(ur5_system):
     """The unknowns are velocities: one more would read and write beyond the joints' arrays."""
     effects = {"joint_damping": 0.5, "drag": {"linear": 1.0}}
     system = ma.compile_system(ur5_system.scene.replace(effects=effects))
-    assert len(system.pieces.works) == 2
-    step = make_stepping(system, "variational", None).own[0]
+    assert len(system.model.effects.works) == 2
+    step = make_stepping(data_of(system), "variational", None).own[0]
     for unknowns in (step.xi, step.start, step.push, step.scratch):
-        assert unknowns.size == 6 + system.layout.joints
-    assert step.last.shape == (2, 6 + system.layout.joints + system.layout.contacts)
+        assert unknowns.size == 6 + system.model.layout.joints
+    assert step.last.shape == (2, 6 + system.model.layout.joints + system.model.layout.contacts)
 
 
 def test_rolling_converges_with_order_2(tmp_path):
@@ -362,8 +363,8 @@ def test_rolling_converges_with_order_2(tmp_path):
 
 def coriolis_matrices(system):
     """``C`` of every arm at the state in the buffers, read where the kernels read it."""
-    (callback, address, *struct), places = system.coriolis()
-    update_kinematics(system.struct())
+    (callback, address, *struct), places = data_of(system).coriolis()
+    update_kinematics(data_of(system).struct)
     if callback:
         ctypes.CFUNCTYPE(None)(int(callback))()
     if address:
@@ -402,7 +403,7 @@ def test_rate_of_the_inertia_is_the_coriolis_matrix_and_its_transpose(robot, ter
     scene = scene_of(arms, [{"arm": name, "kind": "ball"} for name in arms])
     system = ma.compile_system(scene, arms=terms)
     state = random_state(system, rng)
-    system.set_state(0.0, state)
+    data_of(system).set_state(0.0, state)
     for (name, arm), C in zip(system.arms.items(), coriolis_matrices(system), strict=True):
         q, v = state.joint_positions[name], state.joint_velocities[name]
         rate = first_difference(lambda t, a=arm, q=q, v=v: a.terms(q + t * v, v).M, 1e-2)

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 import multiarm as ma
-from multiarm.dynamics.arrays import open_system
-from multiarm.effects.piece import APPLIED, POWER, Piece
+from multiarm.effects import APPLIED, POWER, EffectKernel, open_system
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 
@@ -38,17 +37,17 @@ class Magnet(ma.Effect):
 def pull(address, size, at, _t):
     """Own array: place of the magnet, strength, softening."""
     struct = struct_at(address, size)
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     slots, magnet = ints1(struct, int(at)), floats1(struct, int(at) + 1)
     squared = magnet[4] ** 2
     for k in range(3):
-        squared += (magnet[k] - buffers.position[k]) ** 2
+        squared += (magnet[k] - data.position[k]) ** 2
     power = 0.0
     for k in range(3):
-        force = magnet[3] * (magnet[k] - buffers.position[k]) / squared**1.5
-        buffers.h_o[k] += force
-        power += force * buffers.twist[k]
-    buffers.power[slots[POWER]] = power
+        force = magnet[3] * (magnet[k] - data.position[k]) / squared**1.5
+        data.h_o[k] += force
+        power += force * data.twist[k]
+    data.power[slots[POWER]] = power
     return 0
 
 
@@ -57,8 +56,8 @@ class CompiledMagnet(Magnet):
 
     name = "compiled_magnet"
 
-    def build(self, site):
-        """One piece, with one array."""
+    def build(self, context):
+        """One kernel, with one array."""
         spec = self.spec
         numbers = np.array([*spec.at, spec.strength, spec.softening])
-        return [Piece(self.name, pull, APPLIED, (numbers,))]
+        return [EffectKernel(self.name, pull, APPLIED, (numbers,))]

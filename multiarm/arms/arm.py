@@ -12,7 +12,6 @@ with ``b`` the Coriolis, centrifugal and gravity forces.
 from __future__ import annotations
 
 import warnings
-from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,7 +98,6 @@ class Arm:
         self.tip_joint = frame.parentJoint
         self.tip_rotation = frame.placement.rotation.copy()
         self.tip_translation = frame.placement.translation.copy()
-        self._data = self.model.createData()
         q_first = np.array([j.idx_q for j in self.model.joints[1:]], dtype=int)
         lower = self.model.lowerPositionLimit[q_first]
         upper = self.model.upperPositionLimit[q_first]
@@ -112,12 +110,6 @@ class Arm:
 
     def __repr__(self) -> str:
         return f"Arm({self.name!r}, {self.dof} joints, tip {self.files.tip!r})"
-
-    def twin(self) -> Arm:
-        """The same arm for another thread: the model is shared, what is computed in is not."""
-        twin = copy(self)
-        twin._data = self.model.createData()
-        return twin
 
     def configuration(self, angles: np.ndarray) -> np.ndarray:
         """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(nv,)``."""
@@ -162,7 +154,7 @@ class Arm:
         ArmTerms
         """
         q, v = self.configuration(angles), np.array(velocity, dtype=float)
-        model, data = self.model, self._data
+        model, data = self.model, self.model.createData()
         inertia = pin.crba(model, data, q, pin.Convention.WORLD)
         inertia = np.triu(inertia) + np.triu(inertia, 1).T
         bias = pin.nonLinearEffects(model, data, q, v).copy()
@@ -182,14 +174,19 @@ class Arm:
 
     def tip_pose(self, angles: np.ndarray) -> np.ndarray:
         """Homogeneous pose ``X_WT``, shape (4, 4), of the tip in the world."""
-        pin.framesForwardKinematics(self.model, self._data, self.configuration(angles))
-        return self._data.oMf[self.tip_frame_id].homogeneous.copy()
+        return self._frames(angles).oMf[self.tip_frame_id].homogeneous.copy()
 
     def skeleton(self, angles: np.ndarray) -> np.ndarray:
         """Origins of all joints and of the tip in the world, shape (n + 1, 3) [m]."""
-        pin.framesForwardKinematics(self.model, self._data, self.configuration(angles))
-        joints = [self._data.oMi[k].translation for k in range(1, self.model.njoints)]
-        return np.array([*joints, self._data.oMf[self.tip_frame_id].translation])
+        data = self._frames(angles)
+        joints = [data.oMi[k].translation for k in range(1, self.model.njoints)]
+        return np.array([*joints, data.oMf[self.tip_frame_id].translation])
+
+    def _frames(self, angles: np.ndarray) -> pin.Data:
+        """Poses of all joints and frames; an arm itself is never written."""
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, self.configuration(angles))
+        return data
 
     def gravity_torque(self, angles: np.ndarray, gravity: np.ndarray) -> np.ndarray:
         """Joint torques that hold the unloaded arm still, shape (n,)."""

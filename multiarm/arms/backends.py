@@ -1,8 +1,8 @@
 """Arm-dynamics backends: what computes the terms of each arm of a system.
 
-A backend reads positions and velocities of its arms from a system's buffers and leaves inertia,
-bias, Jacobian and the motion of the tip's link at fixed addresses, where kernels find them through
-a table (:mod:`multiarm.arms.terms`).  There are two: Pinocchio, called back in Python
+A backend reads positions and velocities of its arms from given arrays and leaves inertia, bias,
+Jacobian and the motion of the tip's link at fixed addresses, where kernels find them through a
+table (:mod:`multiarm.arms.terms`).  There are two: Pinocchio, called back in Python
 (:mod:`multiarm.arms.pinocchio_backend`), and batched RNEA and CRBA in compiled code
 (:mod:`multiarm.arms.compiled`).  A system may have arms of both.
 """
@@ -12,14 +12,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from copy import copy
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
 from multiarm.arms.pinocchio_backend import PinocchioBackend
-from multiarm.arms.terms import POINTER_WIDTH, Coriolis
-from multiarm.dynamics.arrays import Buffers
+from multiarm.arms.terms import POINTER_WIDTH, ArmFunctions, ArmState, Coriolis
 from multiarm.jit.pointers import PythonCallback
 
 
@@ -37,23 +36,23 @@ class ArmBackend(Protocol):
     places: tuple[int, ...]
     pointers: np.ndarray
 
-    def twin(self) -> ArmBackend:
-        """The same arms for another thread: constants are shared, their terms are not."""
+    def copy(self) -> ArmBackend:
+        """The same arms with terms of their own: constants are shared."""
         ...
 
-    def connect(self, buffers: Buffers, calls: np.ndarray) -> dict[str, PythonCallback]:
-        """Read and write a system's buffers, be called through ``calls``; what enters Python."""
+    def connect(self, state: ArmState, status: Any) -> ArmFunctions:
+        """What updates the terms at a state; see :meth:`ArmBackends.connect`."""
         ...
 
-    def connect_coriolis(self, buffers: Buffers, found: Coriolis) -> PythonCallback | None:
-        """Write where the matrices of Coriolis forces are and what updates them."""
+    def connect_coriolis(self, status: Any, found: Coriolis) -> PythonCallback | None:
+        """Write where the matrices of Coriolis forces are, and what updates them."""
         ...
 
     def pose_address(self, place: int, joint: int) -> int:
         """Where the pose of a joint of arm number ``place`` of the scene is: axes, origin."""
         ...
 
-    def potential_energy(self, buffers: Buffers) -> float:
+    def potential_energy(self) -> float:
         """Potential energy of its arms [J] at the state evaluated last, zero at the origin."""
         ...
 
@@ -119,13 +118,13 @@ class ArmBackends:
                 backend.want_gravity_torque()
             self._backends.append(backend)
 
-    def twin(self) -> ArmBackends:
-        """The same arms for another thread: models and tables are shared, their terms are not."""
-        twin = copy(self)
-        twin._backends = [backend.twin() for backend in self._backends]
-        twin._coriolis = None
-        twin.pointers = twin._all_pointers()
-        return twin
+    def copy(self) -> ArmBackends:
+        """The same arms with terms of their own: models and tables are shared."""
+        other = copy(self)
+        other._backends = [backend.copy() for backend in self._backends]
+        other._coriolis = None
+        other.pointers = other._all_pointers()
+        return other
 
     def _all_pointers(self) -> np.ndarray:
         pointers = np.zeros((len(self._arms), POINTER_WIDTH), dtype=np.int64)
@@ -138,24 +137,35 @@ class ArmBackends:
         own = next(backend for backend in self._backends if arm in backend.places)
         return own.pose_address(arm, joint)
 
-    def connect(self, buffers: Buffers, calls: np.ndarray) -> dict[str, PythonCallback]:
-        """Let all arms read and write a system's buffers; writes addresses into ``Plant.calls``.
+    def connect(
+        self,
+        angles: np.ndarray,
+        rates: np.ndarray,
+        q: np.ndarray,
+        bodies: np.ndarray,
+        status: Any,
+    ) -> ArmFunctions:
+        """Let all arms read positions and velocities, and write the motion of their last links.
 
-        Returns
-        -------
-        dict of str to PythonCallback
-            What enters Python; empty where all arms are compiled.
+        Parameters
+        ----------
+        angles, rates, q, bodies : ndarray
+            See :class:`multiarm.arms.terms.ArmState`.
+        status : Numbers
+            ``failed`` is set when Pinocchio raises, ``potential_energy`` where that is wanted.
         """
-        made: dict[str, PythonCallback] = {}
+        state, made = ArmState(angles, rates, q, bodies), ArmFunctions({}, {})
         for backend in self._backends:
-            made |= backend.connect(buffers, calls)
+            addresses, callbacks = backend.connect(state, status)
+            made.addresses.update(addresses)
+            made.callbacks.update(callbacks)
         return made
 
-    def potential_energy(self, buffers: Buffers) -> float:
+    def potential_energy(self) -> float:
         """Potential energy of all arms [J] at the state evaluated last, zero at the origin."""
-        return sum(backend.potential_energy(buffers) for backend in self._backends)
+        return sum(backend.potential_energy() for backend in self._backends)
 
-    def coriolis(self, buffers: Buffers) -> tuple[Coriolis, PythonCallback | None]:
+    def coriolis(self, status: Any) -> tuple[Coriolis, PythonCallback | None]:
         """What updates the matrices of Coriolis forces, and where they are; the callback in it.
 
         Raises
@@ -166,7 +176,7 @@ class ArmBackends:
         if self._coriolis is None:
             count = len(self._arms)
             found = Coriolis(np.zeros(4, dtype=np.int64), np.zeros((count, 2), dtype=np.int64))
-            calls = [backend.connect_coriolis(buffers, found) for backend in self._backends]
+            calls = [backend.connect_coriolis(status, found) for backend in self._backends]
             self._coriolis = found, next((call for call in calls if call is not None), None)
         return self._coriolis
 

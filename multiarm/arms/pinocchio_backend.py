@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from multiarm.arms.arm import Arm, named_with_prefix
-from multiarm.arms.terms import POINTER_WIDTH, Coriolis
-from multiarm.dynamics.arrays import CALL_POTENTIAL, CALL_TERMS, Buffers
+from multiarm.arms.terms import POINTER_WIDTH, ArmFunctions, ArmState, Coriolis
 from multiarm.errors import ModelError
 from multiarm.jit.pointers import PythonCallback
 
@@ -68,35 +68,35 @@ class PinocchioBackend:
             self.configuration += group.model.nq
         self.pointers = self._all_pointers()
 
-    def twin(self) -> PinocchioBackend:
-        """The same arms for another thread: the models are shared, their terms are not."""
-        twin = copy(self)
-        twin._groups = [group.twin() for group in self._groups]
-        twin.pointers = twin._all_pointers()
-        return twin
+    def copy(self) -> PinocchioBackend:
+        """The same arms with terms of their own: the models are shared."""
+        other = copy(self)
+        other._groups = [group.copy() for group in self._groups]
+        other.pointers = other._all_pointers()
+        return other
 
-    def connect(self, buffers: Buffers, calls: np.ndarray) -> dict[str, PythonCallback]:
-        """Make the callbacks that update terms and potential energy; none without arms."""
-        if not self._groups:
-            return {}
-        updates = [group.bind(buffers) for group in self._groups]
-        made = {"terms": PythonCallback(_all_of(updates), buffers.flag)}
-        calls[CALL_TERMS] = made["terms"].address
-        if any(np.any(group.model.gravity.linear) for group in self._groups):
-            made["potential"] = PythonCallback(self._potential_call(buffers), buffers.flag)
-            calls[CALL_POTENTIAL] = made["potential"].address
-        return made
+    def connect(self, state: ArmState, status: Any) -> ArmFunctions:
+        """Callbacks that update terms and potential energy; none without arms."""
+        self._state = state
+        callbacks: dict[str, PythonCallback] = {}
+        if self._groups:
+            updates = [group.bind(state) for group in self._groups]
+            callbacks["pinocchio"] = PythonCallback(_all_of(updates), status)
+            if any(np.any(group.model.gravity.linear) for group in self._groups):
+                energy = PythonCallback(self._energy_update(status), status)
+                callbacks["pinocchio_energy"] = energy
+        return ArmFunctions({name: call.address for name, call in callbacks.items()}, callbacks)
 
-    def connect_coriolis(self, buffers: Buffers, found: Coriolis) -> PythonCallback | None:
+    def connect_coriolis(self, status: Any, found: Coriolis) -> PythonCallback | None:
         """Write the places of the matrices, and the callback that updates them; None: no arms."""
         updates = []
         for group in self._groups:
-            update, at = group.bind_coriolis(buffers)
+            update, at = group.bind_coriolis(self._state)
             updates.append(update)
             found.places[group.place : group.place + len(at)] = at
         if not updates:
             return None
-        call = PythonCallback(_all_of(updates), buffers.flag)
+        call = PythonCallback(_all_of(updates), status)
         found.calls[0] = call.address
         return call
 
@@ -105,17 +105,17 @@ class PinocchioBackend:
         group = next(group for group in reversed(self._groups) if group.place <= place)
         return group.pose_address(place - group.place, joint)
 
-    def potential_energy(self, buffers: Buffers) -> float:
+    def potential_energy(self) -> float:
         """Potential energy of all links [J], zero at the world's origin."""
-        return sum(group.potential_energy(buffers) for group in self._groups)
+        return sum(group.potential_energy(self._state) for group in self._groups)
 
     def _all_pointers(self) -> np.ndarray:
         groups = [group.pointers for group in self._groups]
         return np.concatenate(groups) if groups else np.zeros((0, POINTER_WIDTH), dtype=np.int64)
 
-    def _potential_call(self, buffers: Buffers) -> Callable[[], None]:
+    def _energy_update(self, status: Any) -> Callable[[], None]:
         def update() -> None:
-            buffers.energy[0] = self.potential_energy(buffers)
+            status.potential_energy = self.potential_energy()
 
         return update
 
@@ -182,17 +182,17 @@ class ArmGroup:
         self._fill_pointers()
         self._with_gravity_torque = with_gravity_torque
 
-    def twin(self) -> ArmGroup:
-        """The same arms for another thread: the model is shared, their terms are not."""
-        twin = copy(self)
-        twin.data, twin.pointers = self.model.createData(), np.zeros_like(self.pointers)
-        twin._fill_pointers()
-        return twin
+    def copy(self) -> ArmGroup:
+        """The same arms with terms of their own: the model is shared."""
+        other = copy(self)
+        other.data, other.pointers = self.model.createData(), np.zeros_like(self.pointers)
+        other._fill_pointers()
+        return other
 
-    def bind(self, buffers: Buffers) -> Callable[[], None]:
-        """Function without arguments that updates all terms from the state in the buffers."""
+    def bind(self, state: ArmState) -> Callable[[], None]:
+        """Function without arguments that updates all terms from positions and velocities."""
         model, data = self.model, self.data
-        q, v = buffers.q[self.numbers], buffers.v[self.joints]
+        q, v = state.q[self.numbers], state.rates[self.joints]
         crba, bias, world = pin.crba, pin.nonLinearEffects, pin.Convention.WORLD
         gravity_torque = pin.computeGeneralizedGravity
 
@@ -208,14 +208,14 @@ class ArmGroup:
 
         return update_with_gravity_torque if self._with_gravity_torque else update
 
-    def bind_coriolis(self, buffers: Buffers) -> tuple[Callable[[], None], np.ndarray]:
+    def bind_coriolis(self, state: ArmState) -> tuple[Callable[[], None], np.ndarray]:
         """Function that updates the matrices of Coriolis forces, and where each arm's is.
 
         Addresses and strides, int64 (arms, 2); the matrices are those for which the rate of the
         inertia is ``C + C^T``.
         """
         model, data, n = self.model, self.model.createData(), self.model.nv
-        q, v = buffers.q[self.numbers], buffers.v[self.joints]
+        q, v = state.q[self.numbers], state.rates[self.joints]
         run = pin.computeCoriolisMatrix
 
         def update() -> None:
@@ -232,9 +232,9 @@ class ArmGroup:
         """Where the pose of a joint of the group's arm number ``arm`` is; see ``POSE_AT``."""
         return _address(self.data.oMi[int(self._first_dof[arm]) + joint].rotation)
 
-    def potential_energy(self, buffers: Buffers) -> float:
+    def potential_energy(self, state: ArmState) -> float:
         """Potential energy of all links [J], zero at the world's origin."""
-        return pin.computePotentialEnergy(self.model, self.data, buffers.q[self.numbers])
+        return pin.computePotentialEnergy(self.model, self.data, state.q[self.numbers])
 
     def _fill_pointers(self) -> None:
         """Read addresses once; check the memory layout that the kernels rely on."""

@@ -4,16 +4,3 @@
 holds the gaps as a function of what may move, `closing` closes them, `velocities` their rates,
 `refusals` says why it cannot be done, and `paths` moves the arms with a given object.
 """
-
-from multiarm.assembly.linkage import projection_tolerance, scene_size
-from multiarm.assembly.paths import follow_object
-from multiarm.assembly.start import StartReport, assemble, assemble_placed
-
-__all__ = [
-    "StartReport",
-    "assemble",
-    "assemble_placed",
-    "follow_object",
-    "projection_tolerance",
-    "scene_size",
-]

@@ -51,7 +51,7 @@ _GUARD_WEIGHT = 1e3
 
 @dataclass(frozen=True)
 class Closing:
-    """How it ended; the place is in the system's buffers.
+    """How it ended; the place is in the data.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Closing:
 
 
 def close_gaps(linkage: Linkage, tolerance: float) -> Closing:
-    """Close the gaps of a linkage, from the place in the system's buffers (kinematics included).
+    """Close the gaps of a linkage, from the place in the data (kinematics included).
 
     Parameters
     ----------

@@ -20,19 +20,17 @@ import math
 import sys
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from multiarm.contacts.kernel import GAP
 from multiarm.contacts.records import KIND, TANGENT
+from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.dense_callback import read_inertia
-from multiarm.dynamics.equations import OK, update_kinematics
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.model import Data
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.spatial import difference, retract
-
-if TYPE_CHECKING:
-    from multiarm.assembly.system import System
 
 # Relative singular value below which an arm is between its branches: it may take either.
 NO_BRANCH = 1e-4
@@ -41,24 +39,24 @@ _SNAP = 1e-12  # [rad, m]
 _NO_REACH = 1e-9  # of the longest row: nothing moves along it
 
 
-def scene_size(system: System) -> float:
+def scene_size(data: Data) -> float:
     """A length that is typical of the scene [m]: of its lever arms, its object and its arms."""
-    buffers, plant = system.buffers, system.plant
-    levers = buffers.contacts[:, :3] - buffers.position[:3]
-    reaches = buffers.arms[: len(system.bases), 9:12] - system.bases
+    arrays, constants = data.arrays, data.model.constants
+    levers = arrays.contacts[:, :3] - arrays.position[:3]
+    reaches = arrays.arms[: len(data.model.bases), 9:12] - data.model.bases
     squares = [np.square(ways).sum(axis=1).max(initial=0.0) for ways in (levers, reaches)]
-    gyration = plant.object_inertia.trace() / plant.object_mass[0]
+    gyration = constants.object_inertia.trace() / constants.object_mass
     return math.sqrt(max(*squares, gyration))
 
 
-def projection_tolerance(system: System, size: float | None = None) -> float:
+def projection_tolerance(data: Data, size: float | None = None) -> float:
     """Gap [m] that counts as closed: some roundings of the coordinates involved.
 
     ``size`` is the scene's, where it is known already.
     """
-    contacts = system.buffers.contacts[:, :3]
-    far = float(max(np.abs(places).max(initial=0.0) for places in (contacts, system.bases)))
-    return 100 * sys.float_info.epsilon * max(far, scene_size(system) if size is None else size)
+    contacts = data.arrays.contacts[:, :3]
+    far = float(max(np.abs(places).max(initial=0.0) for places in (contacts, data.model.bases)))
+    return 100 * sys.float_info.epsilon * max(far, scene_size(data) if size is None else size)
 
 
 @dataclass(frozen=True)
@@ -108,8 +106,8 @@ class Linkage:
 
     Parameters
     ----------
-    system : System
-        Its buffers hold the place to begin at, kinematics included.
+    data : Data
+        Its arrays hold the place to begin at, kinematics included.
     arms : sequence of int
         Arms that may move.
     with_object : bool
@@ -133,23 +131,23 @@ class Linkage:
 
     def __init__(
         self,
-        system: System,
+        data: Data,
         arms: list[int],
         with_object: bool,
         limits: np.ndarray,
         every_row: bool = False,
         size: float | None = None,
     ) -> None:
-        work = system.work
-        self._system, self._arms, self.with_object = system, arms, with_object
+        work = data.work
+        self._data, self._arms, self.with_object = data, arms, with_object
         self._limits = limits
-        self.size = scene_size(system) if size is None else size
+        self.size = scene_size(data) if size is None else size
         self.joints = np.concatenate([np.arange(*work.dofs[i : i + 2]) for i in arms])
-        units = np.array([u for arm in system.arms.values() for u in arm.joint_units.values()])
+        units = np.array([u for arm in data.model.arms.values() for u in arm.joint_units.values()])
         self.unit = np.where(units[self.joints] == "m", self.size, 1.0)
         if with_object:
             self.unit = np.concatenate([[self.size] * 3, [1.0] * 3, self.unit])
-        holds = every_row | (system.plant.codes[: work.rows[-1], KIND] != TANGENT)
+        holds = every_row | (data.model.constants.codes[: work.rows[-1], KIND] != TANGENT)
         self._own = [np.flatnonzero(holds[slice(*work.rows[i : i + 2])]) for i in arms]
         self.rows = np.concatenate(
             [work.rows[i] + own for i, own in zip(arms, self._own, strict=True)]
@@ -161,14 +159,14 @@ class Linkage:
         """Place of every arm in ``J``: its rows and its columns."""
         blocks, r, c = [], 0, self._first
         for i, own in zip(self._arms, self._own, strict=True):
-            n = int(self._system.work.dofs[i + 1] - self._system.work.dofs[i])
+            n = int(self._data.work.dofs[i + 1] - self._data.work.dofs[i])
             blocks.append((slice(r, r + own.size), slice(c, c + n)))
             r, c = r + own.size, c + n
         return blocks
 
     def here(self) -> Posture:
-        """The system at the place in its buffers, whose kinematics are fresh."""
-        b, work = self._system.buffers, self._system.work
+        """The system at the place in its arrays, whose kinematics are fresh."""
+        b, work = self._data.arrays, self._data.work
         J = np.zeros((self.rows.size, self.unit.size))
         L = np.zeros((self.unit.size, self.unit.size))
         if self.with_object:
@@ -183,19 +181,19 @@ class Linkage:
         )
 
     def _factor(self, i: int, n: int) -> np.ndarray:
-        system = self._system
+        data = self._data
         try:
-            return np.linalg.cholesky(read_inertia(system.plant.pointers[i], n))
+            return np.linalg.cholesky(read_inertia(data.arrays.pointers[i], n))
         except np.linalg.LinAlgError:
             raise SolverError(
-                f"the inertia matrix of arm '{system.arm_names[i]}' is not positive definite: a "
-                f"joint moves links without mass or inertia; give them some in the URDF, or lock "
+                f"the inertia matrix of arm '{data.model.arm_names[i]}' is not positive definite: "
+                f"a joint moves links without mass or inertia; give them some in the URDF, or lock "
                 f"the joint"
             ) from None
 
     def place(self, posture: Posture, u: np.ndarray | None = None) -> None:
-        """Bring the kinematics of a posture, displaced by ``u``, into the system's buffers."""
-        b = self._system.buffers
+        """Bring the kinematics of a posture, displaced by ``u``, into the data."""
+        b = self._data.arrays
         b.position[:], b.angles[:] = posture.position, posture.angles
         if u is not None:
             move = self.unit * u
@@ -204,17 +202,17 @@ class Linkage:
             if self.with_object:
                 b.position[:3] += move[:3]
                 b.position[3:7] = retract(posture.position[3:7], move[3:6])
-        if update_kinematics(self._system.struct()) != OK:
-            self._system.reraise()
+        if update_kinematics(self._data.struct) != OK:
+            self._data.reraise()
 
     def moved(self, posture: Posture, u: np.ndarray) -> Posture | None:
         """The posture displaced by ``u``; None where some contact has no normal."""
         try:
             self.place(posture, u)
         except MultiarmError:  # a surface ends there
-            self._system.forgive()
+            self._data.forgive()
             return None
-        if not np.all(np.isfinite(self._system.buffers.contacts)):
+        if not np.all(np.isfinite(self._data.arrays.contacts)):
             return None
         return self.here()
 

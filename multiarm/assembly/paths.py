@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from multiarm.assembly.closing import CLOSED, close_gaps
 from multiarm.assembly.linkage import Linkage, projection_tolerance
+from multiarm.assembly.refusals import joint_names
 from multiarm.contacts.kernel import GAP
-from multiarm.dynamics.equations import OK, update_kinematics
+from multiarm.control.laws import JointPath
+from multiarm.control.object_laws import pose_of, route
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import ControlError
 from multiarm.integration.projection import project_positions
+from multiarm.scene import Scene, Waypoint
 from multiarm.spatial import difference, matrix_to_quaternion, retract
 
-if TYPE_CHECKING:
-    from multiarm.assembly.system import System
-    from multiarm.dynamics.state import State
-
+# Joint paths are interpolated in so many Chebyshev intervals a segment, doubled until the series
+# has converged to PATH_TOLERANCE [rad, m].
+PATH_INTERVALS = (16, 32, 64, 128)
+PATH_TOLERANCE = 1e-8
 # Steps between two nodes of a path: an arm's free motions on the way depend little on them.
 _SUBSTEPS = 3
 _LONGEST_JOINT_CHANGE = 0.3  # [rad, m] an iteration
@@ -27,8 +34,93 @@ _ITERATIONS = 60
 _HEAVY = 1e8
 
 
+def joint_path(
+    scene: Scene,
+    data: Data,
+    start: State,
+    path: Sequence[Waypoint],
+    compile_scene: Callable[[Scene], System],
+) -> JointPath:
+    """Joint positions with which the object passes the waypoints of a path.
+
+    Parameters
+    ----------
+    scene : Scene
+    data : Data
+        Of its model, all contacts of the joints closed.
+    start : State
+    path : sequence of Waypoint
+    compile_scene : callable
+        Makes the system of a scene, see :func:`_rigidly_held`.
+
+    Raises
+    ------
+    ControlError
+        When the arms cannot follow, or do not move smoothly.
+    """
+    times, poses = route(start, path)
+    if any(joint.kind != "weld" for joint in scene.joints):
+        rigid = compile_scene(_rigidly_held(scene, data, start))
+        with rigid.borrow() as own:
+            return _joint_path(own, rigid.initial_state(), times, poses)
+    return _joint_path(data, start, times, poses)
+
+
+def _joint_path(data: Data, state: State, times: list[float], poses: list[np.ndarray]) -> JointPath:
+    segments = []
+    for k in range(len(times) - 1):
+        series, state = _segment(data, state, poses[k], poses[k + 1], k + 1)
+        segments.append(series)
+    width = max(series.shape[1] for series in segments)
+    padded = [np.pad(series, ((0, 0), (0, width - series.shape[1]))) for series in segments]
+    return JointPath(np.array(times), np.array(padded))
+
+
+def _rigidly_held(scene: Scene, data: Data, start: State) -> Scene:
+    """The scene with every tip fixed to the object where it is at the start.
+
+    Its motion is one that the joints allow, and it is unique: free motions of a joint stay at rest.
+    Arms with fewer than six joints cannot hold rigidly; they keep their own joints.
+    """
+    joints = []
+    for joint in scene.joints:
+        rigid = data.model.arms[joint.arm].dof >= 6
+        joints.append({"arm": joint.arm, "kind": "weld"} if rigid else joint)
+    arms = {
+        name: spec.model_copy(update={"posture": tuple(start.joint_positions[name])})
+        for name, spec in scene.arms.items()
+    }
+    body = scene.object.model_copy(update={"pose": pose_of(start), "twist": None})
+    parts = {"joints": joints, "arms": arms, "object": body}
+    return scene.replace(**parts, control={"kind": "none"}, effects={})
+
+
+def _segment(
+    data: Data, start: State, begin: np.ndarray, end: np.ndarray, number: int
+) -> tuple[np.ndarray, State]:
+    """Chebyshev series (n, width) of the joints from one waypoint to the next, and the end state.
+
+    The object follows the quintic law of time that begins and ends at rest.  The nodes include both
+    ends, so that segments join without a jump.
+    """
+    for intervals in PATH_INTERVALS:
+        x = -np.cos(np.pi * np.arange(intervals + 1) / intervals)
+        s = 0.5 * (1.0 + x)
+        law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        angles, state = follow_object(data, start, begin, end, law, number)
+        series = np.polynomial.chebyshev.chebfit(x, angles, intervals).T
+        if np.max(np.abs(series[:, -4:])) < PATH_TOLERANCE:
+            return series, state
+    worst = int(np.argmax(np.max(np.abs(series[:, -4:]), axis=1)))
+    joint = joint_names(data.model)[worst]
+    raise ControlError(
+        f"control.path: on the way to waypoint {number} the joints do not move smoothly "
+        f"(worst: {joint}); an arm passes a singular posture there, choose another path or posture"
+    )
+
+
 def follow_object(
-    system: System,
+    data: Data,
     start: State,
     begin: np.ndarray,
     end: np.ndarray,
@@ -56,11 +148,14 @@ def follow_object(
     state : State
         Closed, with the object at the end pose.
     """
-    plant = system.plant._replace(
-        object_mass=_HEAVY * system.plant.object_mass,
-        object_inertia=_HEAVY * system.plant.object_inertia,
+    constants = data.model.constants
+    heavy = data.view(
+        data.model.with_constants(
+            object_mass=_HEAVY * constants.object_mass,
+            object_inertia=_HEAVY * constants.object_inertia,
+        )
     )
-    heavy, tolerance = replace(system, plant=plant), projection_tolerance(system)
+    tolerance = projection_tolerance(data)
     base = matrix_to_quaternion(np.ascontiguousarray(begin[:3, :3]))
     turn = difference(base, matrix_to_quaternion(np.ascontiguousarray(end[:3, :3])))
     state, angles = start.copy(), []
@@ -70,36 +165,36 @@ def follow_object(
         for part in np.linspace(before, fraction, _SUBSTEPS + 1)[1:]:
             state.position[:3] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
             state.position[3:7] = retract(base, part * turn)
-            if not _arms_close(system, heavy, state, tolerance):
-                raise _cannot_follow(system, segment, part)
-            state = system.get_state()
+            if not _arms_close(data, heavy, state, tolerance):
+                raise _cannot_follow(data, segment, part)
+            state = data.get_state()
         before = fraction
         angles.append(state.position[7:].copy())
     return np.array(angles), state
 
 
-def _arms_close(system: System, heavy: System, state: State, tolerance: float) -> bool:
-    """Close the gaps from ``state`` with the object held; the result is left in the buffers.
+def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool:
+    """Close the gaps from ``state`` with the object held; the result is left in the data.
 
-    ``heavy`` is the system with an object that does not move.  The compiled projection is fast;
+    ``heavy`` has an object that does not move.  The compiled projection is fast;
     where it fails, near singular postures, the arms are led.
     """
-    system.set_state(0.0, state)
-    if project_positions(heavy.struct(), tolerance, True, _LONGEST_JOINT_CHANGE, _ITERATIONS) == OK:
+    data.set_state(0.0, state)
+    if project_positions(heavy.struct, tolerance, True, _LONGEST_JOINT_CHANGE, _ITERATIONS) == OK:
         return True
-    system.reraise()
-    system.set_state(0.0, state)
-    free = np.full((system.layout.joints, 2), [-np.inf, np.inf])
-    for i in range(len(system.arm_names)):
-        if update_kinematics(system.struct()) != OK:
-            system.reraise()
-        if close_gaps(Linkage(system, [i], False, free), tolerance).status != CLOSED:
+    data.reraise()
+    data.set_state(0.0, state)
+    free = np.full((data.model.layout.joints, 2), [-np.inf, np.inf])
+    for i in range(len(data.model.arm_names)):
+        if update_kinematics(data.struct) != OK:
+            data.reraise()
+        if close_gaps(Linkage(data, [i], False, free), tolerance).status != CLOSED:
             return False
     return True
 
 
-def _cannot_follow(system: System, segment: int, part: float) -> ControlError:
-    gaps = system.layout.split_contacts(np.abs(system.buffers.contacts[:, GAP]))
+def _cannot_follow(data: Data, segment: int, part: float) -> ControlError:
+    gaps = data.model.layout.split_contacts(np.abs(data.arrays.contacts[:, GAP]))
     arm, gap = max(((arm, float(np.max(own))) for arm, own in gaps.items()), key=lambda a: a[1])
     return ControlError(
         f"control.path: on the way to waypoint {segment} the arms cannot follow the object beyond "

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from multiarm.assembly.closing import FAR, FARTHEST, Closing
 from multiarm.assembly.linkage import Linkage, projection_tolerance
 from multiarm.contacts.kernel import GAP
-
-if TYPE_CHECKING:
-    from multiarm.assembly.system import System
+from multiarm.dynamics.model import Data, Model
+from multiarm.scene import Scene
 
 # A joint this near to a limit is at it [rad, m].
 AT_LIMIT = 1e-9
@@ -24,34 +21,34 @@ PART = 0.1
 _NAMED = 6
 
 
-def gaps_by_arm(system: System, column: int = GAP) -> dict[str, float]:
+def gaps_by_arm(data: Data, column: int = GAP) -> dict[str, float]:
     """Largest magnitude of one column of the contact kinematics, by arm."""
-    parts = system.layout.split_contacts(np.abs(system.buffers.contacts[:, column]))
+    parts = data.model.layout.split_contacts(np.abs(data.arrays.contacts[:, column]))
     return {arm: float(np.max(values, initial=0.0)) for arm, values in parts.items()}
 
 
-def joint_names(system: System) -> list[str]:
+def joint_names(model: Model) -> list[str]:
     """All joints as ``arm/joint``, in the order of the stacked vectors."""
-    return [f"{arm}/{joint}" for arm, a in system.arms.items() for joint in a.joint_names]
+    return [f"{arm}/{joint}" for arm, a in model.arms.items() for joint in a.joint_names]
 
 
-def joints_at_limit(system: System) -> tuple[str, ...]:
-    """Joints that are at one of their limits in the system's buffers."""
-    limits = np.vstack([arm.position_limits for arm in system.arms.values()])
-    near = np.min(np.abs(limits - system.buffers.angles[:, None]), axis=1) <= AT_LIMIT
-    return tuple(name for name, at in zip(joint_names(system), near, strict=True) if at)
+def joints_at_limit(data: Data) -> tuple[str, ...]:
+    """Joints that are at one of their limits in the data."""
+    limits = np.vstack([arm.position_limits for arm in data.model.arms.values()])
+    near = np.min(np.abs(limits - data.arrays.angles[:, None]), axis=1) <= AT_LIMIT
+    return tuple(name for name, at in zip(joint_names(data.model), near, strict=True) if at)
 
 
-def too_far(system: System, what: str, gaps: dict[str, float], limit: float) -> list[str]:
-    """One fault for every joint whose gap in the buffers is not below the limit [m]."""
-    kinds = {joint.arm: joint.kind for joint in system.scene.joints}
-    phi = system.layout.split_contacts(np.abs(system.buffers.contacts[:, GAP]))
+def too_far(data: Data, scene: Scene, what: str, gaps: dict[str, float], limit: float) -> list[str]:
+    """One fault for every joint whose gap in the data is not below the limit [m]."""
+    kinds = {joint.arm: joint.kind for joint in scene.joints}
+    phi = data.model.layout.split_contacts(np.abs(data.arrays.contacts[:, GAP]))
     faults, near = [], {}
     for arm, gap in gaps.items():
         if gap <= limit:
             near[arm] = gap
             continue
-        contact = system.contacts[arm][int(np.argmax(phi[arm]))]
+        contact = data.model.contacts[arm][int(np.argmax(phi[arm]))]
         remedy = "or `at` (or leave `at` out to join the object where the tip is)"
         if kinds[arm] == "contacts":
             remedy = (
@@ -68,9 +65,9 @@ def too_far(system: System, what: str, gaps: dict[str, float], limit: float) -> 
 
 
 def cannot_close(
-    system: System, what: str, gaps: dict[str, float], whole: Linkage, end: Closing
+    data: Data, what: str, gaps: dict[str, float], whole: Linkage, end: Closing
 ) -> list[str]:
-    """Why the gaps of a start could not be closed; the place that was reached is in the buffers.
+    """Why the gaps of a start could not be closed; the place that was reached is in the data.
 
     Parameters
     ----------
@@ -81,23 +78,23 @@ def cannot_close(
     end : Closing
         How that ended.
     """
-    faults = _contradictions(system, what, whole)
+    faults = _contradictions(data, what, whole)
     if faults:
         return faults
     if end.status == FAR:
-        names = [*["the object"] * 6, *(f"joint '{name}'" for name in joint_names(system))]
+        names = [*["the object"] * 6, *(f"joint '{name}'" for name in joint_names(data.model))]
         worst = int(np.argmax(end.changes))
         why = f"{names[worst]} would have to move by more than "
         why += f"{FARTHEST * whole.unit[worst]:.3g} rad or m for it, which is no correction"
     else:
         left = {
-            arm: f"{gap:.3g} m at '{_worst_contact(system, arm)}'"
-            for arm, gap in gaps_by_arm(system).items()
+            arm: f"{gap:.3g} m at '{_worst_contact(data, arm)}'"
+            for arm, gap in gaps_by_arm(data).items()
         }
         why = "no motion of the arms and the object lessens what then is left, "
         why += ", ".join(f"{arm}: {text}" for arm, text in left.items())
         why += "; the arms are at the end of their reach, or have too few joints for these contacts"
-        stopped = joints_at_limit(system)
+        stopped = joints_at_limit(data)
         if stopped:
             why += f"; at a limit: {', '.join(stopped)}"
     return [
@@ -112,17 +109,17 @@ def listed(gaps: dict[str, float]) -> str:
     return ", ".join(f"{arm}: {gap:.3g} m" for arm, gap in gaps.items())
 
 
-def _worst_contact(system: System, arm: str) -> str:
-    phi = system.layout.split_contacts(system.buffers.contacts[:, GAP])[arm]
-    return system.contacts[arm][int(np.argmax(np.abs(phi)))].name
+def _worst_contact(data: Data, arm: str) -> str:
+    phi = data.model.layout.split_contacts(data.arrays.contacts[:, GAP])[arm]
+    return data.model.contacts[arm][int(np.argmax(np.abs(phi)))].name
 
 
-def _contradictions(system: System, what: str, whole: Linkage) -> list[str]:
+def _contradictions(data: Data, what: str, whole: Linkage) -> list[str]:
     """Joints whose own contacts cannot all be closed, wherever the arm is."""
-    b, faults, tolerance = system.buffers, [], projection_tolerance(system)
+    b, faults, tolerance = data.arrays, [], projection_tolerance(data)
     wrenches = b.Wo[whole.rows] * whole.unit[:6]
     phi = b.contacts[whole.rows, GAP]
-    for arm, (own, _) in zip(system.arm_names, whole.blocks, strict=True):
+    for arm, (own, _) in zip(data.model.arm_names, whole.blocks, strict=True):
         U, s, _ = np.linalg.svd(wrenches[own])
         dependent = U[:, int(np.sum(s > DEPENDENT * s[0])) :] if s.size else U
         opposed = dependent @ (dependent.T @ phi[own])
@@ -130,7 +127,7 @@ def _contradictions(system: System, what: str, whole: Linkage) -> list[str]:
         if not worst > max(PART * float(np.max(np.abs(phi[own]), initial=0.0)), tolerance):
             continue
         rows = whole.rows[own][np.abs(opposed) > PART * worst]
-        names = [f"'{system.owner(int(row))[1].name}'" for row in rows]
+        names = [f"'{data.model.owner(int(row))[1].name}'" for row in rows]
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
         faults.append(
             f"the contacts {', '.join(names[:_NAMED])}{more} of arm '{arm}' contradict each other "

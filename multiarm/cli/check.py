@@ -24,8 +24,8 @@ from multiarm.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from multiarm.assembly import StartReport
-    from multiarm.assembly.inspection import (
+    from multiarm.dynamics.system import StartReport
+    from multiarm.simulation.inspection import (
         ArmFacts,
         Carrying,
         EffectFacts,
@@ -56,16 +56,16 @@ def check(
 
     The JSON has the keys scene, gravity, object, arms, joints, freedom, coming_and_going, effects,
     control, run, start, position_residual, velocity_residual, residuals, carrying, warnings,
-    not_looked_at; their meaning and units are those of multiarm.assembly.inspection.Inspection.
+    not_looked_at; their meaning and units are those of multiarm.simulation.inspection.Inspection.
     Numbers are finite, or null where there is none.
     """
     check_targets({"--json": json}, source=scene)
     loaded = scene_to_look_at(scene, code)
-    from multiarm.assembly.checking import inspect_system
-    from multiarm.assembly.compilation import compile_for_a_look
+    from multiarm.assembly.compilation import compile_for_inspection
+    from multiarm.simulation.checking import inspect_system
     from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
 
-    system, left = compile_for_a_look(loaded, None if arms is None else arms.value)
+    system, left = compile_for_inspection(loaded, None if arms is None else arms.value)
     inspection = inspect_system(system, left)
     print_warnings(inspection.not_looked_at)
     if inspection.start is not None:

@@ -222,11 +222,11 @@ def check(
     check_plot(plot)
     check_targets({"--json": json, "--plot": plot}, source=scene)
     loaded = scene_to_look_at(scene, code)
-    from multiarm.assembly.compilation import compile_for_a_look
+    from multiarm.assembly.compilation import compile_for_inspection
     from multiarm.grasp.scenes.judging import judge_grasp
     from multiarm.grasp.scenes.reading import read_grasp
 
-    system, left = compile_for_a_look(loaded)
+    system, left = compile_for_inspection(loaded)
     unknown = [f"{one.what} ({one.place})" for one in left if one.arm]
     if unknown:
         raise GraspError(

@@ -24,7 +24,7 @@ from multiarm.cli.terminal import (
 from multiarm.errors import SceneError
 
 if TYPE_CHECKING:
-    from multiarm.assembly import StartReport
+    from multiarm.dynamics.system import StartReport
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
 

@@ -14,7 +14,7 @@ tangents, then its joints; last the contacts of the object with the floor.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -68,7 +68,7 @@ class Constraint:
 
 @dataclass(frozen=True, eq=False)
 class CompliantContacts:
-    """Contacts that are springs and dampers: what their kernel reads and writes.
+    """Contacts that are springs and dampers.
 
     Attributes
     ----------
@@ -78,24 +78,15 @@ class CompliantContacts:
         Numbers of their arms.
     stiffness, damping : ndarray, shape (s,)
         [N/m, N s/m]
-    active : int64 (s,)
-        1 where the spring acts now; one that only pushes acts in some modes.
-    force : ndarray, shape (s,)
-        Contact forces at the state evaluated last [N].
-    links : int64 (2,)
-        Address and size of the struct of a system with these rows.
-    kept : list
-        What is reached by these addresses.
+    always : int64 (s,)
+        1 for those that also pull; one that only pushes acts while it is pressed in.
     """
 
     rows: np.ndarray
     owners: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
-    active: np.ndarray
-    force: np.ndarray
-    links: np.ndarray = field(default_factory=lambda: np.zeros(2, dtype=np.int64))
-    kept: list[object] = field(default_factory=list)
+    always: np.ndarray
 
     def number(self, row: int) -> int:
         """Number of the contact in a row."""
@@ -123,10 +114,6 @@ class UnilateralConstraints:
         Rows on which the start is assembled: those of the model that begin closed.
     bilateral : tuple of int
         Rows that are active at all times.
-    dry : ndarray, shape (n,)
-        Torques of dry friction in the joints that move now [N m, N]: a mode's, read by a kernel.
-    shown : ndarray
-        Forces of all rows and states of all contacts, as they are recorded.
     compliant : CompliantContacts or None
     """
 
@@ -135,8 +122,6 @@ class UnilateralConstraints:
     model: tuple[int, ...]
     assembled: tuple[int, ...]
     bilateral: tuple[int, ...]
-    dry: np.ndarray
-    shown: np.ndarray
     compliant: CompliantContacts | None
 
     @property
@@ -192,15 +177,12 @@ def unilateral_constraints(
         return None
     spec = scene.effects.unilateral_contacts
     as_written = spec is not None and spec.start == "as_written"
-    states = sum(one.kind == CONTACT for one in rows.constraints)
     return UnilateralConstraints(
         records=rows.records,
         constraints=tuple(rows.constraints),
         model=tuple(rows.model),
         assembled=tuple(rows.bilateral if as_written else rows.model),
         bilateral=tuple(rows.bilateral),
-        dry=np.zeros(first),
-        shown=np.zeros(rows.count + states),
         compliant=_compliant_contacts(rows),
     )
 
@@ -298,8 +280,7 @@ def _compliant_contacts(rows: _Rows) -> CompliantContacts | None:
         owners=np.array(owners, dtype=np.int64),
         stiffness=np.array([own.stiffness for own in parameters]),
         damping=np.array([own.damping for own in parameters]),
-        active=np.array(always, dtype=np.int64),
-        force=np.zeros(len(places)),
+        always=np.array(always, dtype=np.int64),
     )
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.assembly import follow_object
-from multiarm.control.object_laws import object_law, pose_of, route
+from multiarm.arms.arm import Arm
+from multiarm.control.object_laws import object_law
 from multiarm.control.torques import (
     computed_torque,
     gravity_compensation,
@@ -19,11 +19,11 @@ from multiarm.control.torques import (
     pack_path,
     write_holding_torque,
 )
-from multiarm.dynamics.arrays import Buffers
-from multiarm.dynamics.equations import OK, update_kinematics
-from multiarm.dynamics.state import Layout, State
-from multiarm.dynamics.user_callback import Asked
-from multiarm.errors import ControlError
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.state import State
+from multiarm.dynamics.user_callback import NO_CONTROL
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.pointers import address_of
 from multiarm.scene import Scene, gain_vector
@@ -35,25 +35,30 @@ from multiarm.scene.control import (
     JointPDControl,
     NoControl,
     ObjectImpedanceControl,
-    Waypoint,
 )
 
-if TYPE_CHECKING:
-    from multiarm.arms.arm import Arm
-    from multiarm.assembly.system import System
 
-ControlFunction = Callable[[float, State], Mapping[str, np.ndarray]]
+class JointPath(NamedTuple):
+    """Joint positions along a path.
 
-NO_PROGRAM = np.zeros((0, 2), dtype=np.int64)
+    bounds : (S + 1,)
+        Times of the waypoints [s].
+    coefficients : (S, n, width)
+        Chebyshev series of every segment and joint [rad, m].
+    """
 
-# Joint paths are interpolated in so many Chebyshev intervals a segment, doubled until the series
-# has converged to PATH_TOLERANCE [rad, m].
-PATH_INTERVALS = (16, 32, 64, 128)
-PATH_TOLERANCE = 1e-8
+    bounds: np.ndarray
+    coefficients: np.ndarray
 
 
-class Program(NamedTuple):
-    """Laws (address, offset), the numbers they refer to, and times where smoothness ends."""
+class ControlProgram(NamedTuple):
+    """The control laws of a scene.
+
+    laws : int64 (k, 2), parameters : float64
+        See :class:`multiarm.dynamics.arrays.Constants`.
+    breakpoints : float64
+        Times at which the torques are not smooth [s].
+    """
 
     laws: np.ndarray
     parameters: np.ndarray
@@ -70,184 +75,92 @@ def needs_gravity_torque(scene: Scene) -> bool:
     )
 
 
-def control_program(system: System) -> Program:
-    """Program of the scene's control; its parameters follow those that the plant has already."""
-    match system.scene.control:
+def control_program(
+    scene: Scene, data: Data, start: State, joint_path: Callable[..., JointPath]
+) -> ControlProgram:
+    """The laws of a scene's control, for a model whose contacts are all closed.
+
+    Parameters
+    ----------
+    scene : Scene
+    data : Data
+        Of a model without control; its state is changed.
+    start : State
+    joint_path : callable
+        ``joint_path(waypoints)``: joint positions with which the object passes them.
+
+    Raises
+    ------
+    ControlError
+        When the contacts cannot do what the control wants of them.
+    """
+    none = np.zeros(0)
+    match scene.control:
         case ConstantControl() as control:
-            program = _constant(system, control)
+            torques = _stacked(control.torques, data.model.arms)
+            zero = np.zeros_like(torques)
+            return ControlProgram(_laws(harmonic), pack_harmonic(0.0, torques, zero, zero), none)
         case GravityCompensationControl():
-            program = _gravity_compensation(system)
+            laws = [gravity_compensation] if needs_gravity_torque(scene) else []
+            return ControlProgram(_laws(*laws), none, none)
         case JointPDControl() as control:
-            program = _joint_pd(system, control)
+            return _joint_pd(scene, data, start, control, joint_path)
         case HarmonicControl() as control:
-            program = _harmonic(system, control)
+            return ControlProgram(_laws(harmonic), _harmonic(data, start, control), none)
         case ComputedTorqueControl() as control:
-            program = Program(_laws(computed_torque), *object_law(system, control))
+            return ControlProgram(_laws(computed_torque), *object_law(data, start, control))
         case ObjectImpedanceControl() as control:
-            program = Program(_laws(object_impedance), *object_law(system, control))
+            return ControlProgram(_laws(object_impedance), *object_law(data, start, control))
         case NoControl():
-            program = Program(NO_PROGRAM, np.zeros(0), np.zeros(0))
-    laws = program.laws.copy()
-    laws[:, 1] += system.plant.parameters.size
-    return program._replace(laws=laws)
+            return ControlProgram(NO_CONTROL, none, none)
+    raise AssertionError(f"no control law for {scene.control!r}")
 
 
-def control_call(function: ControlFunction, layout: Layout, buffers: Buffers) -> Asked:
-    """Callback that writes the torques of a Python controller."""
-
-    def read(torques: object) -> np.ndarray:
-        return _read_torques(torques, layout, float(buffers.time[0]))
-
-    return Asked(function, "the controller", read, buffers.torque, layout, buffers)
-
-
-def _read_torques(torques: object, layout: Layout, t: float) -> np.ndarray:
-    """Torques of all joints (n,) from those by arm; arms that are left out get none."""
-    if not isinstance(torques, Mapping):
-        raise ControlError(
-            f"the controller returned {type(torques).__name__}; return a dict arm -> torques"
-        )
-    stacked = np.zeros(layout.joints)
-    views = layout.split_joints(stacked)
-    for arm, values in torques.items():
-        if arm not in views:
-            raise ControlError(
-                f"the controller returned torques for an unknown arm {arm!r}; "
-                f"arms are {', '.join(views)}"
-            )
-        try:
-            vector = np.asarray(values, dtype=float)
-        except (TypeError, ValueError):
-            raise ControlError(
-                f"the controller's torques for arm {arm!r} are not numbers: {values!r}"
-            ) from None
-        if vector.shape != views[arm].shape:
-            raise ControlError(
-                f"the controller returned shape {vector.shape} for arm {arm!r}, "
-                f"expected {views[arm].shape}: one torque a joint"
-            )
-        if not np.all(np.isfinite(vector)):
-            raise ControlError(
-                f"the controller returned a torque that is not finite for arm {arm!r} at "
-                f"t = {t:.6g} s: {vector.tolist()}"
-            )
-        views[arm][:] = vector
-    return stacked
-
-
-def _constant(system: System, control: ConstantControl) -> Program:
-    torques = _stacked(control.torques, system.arms)
-    zero = np.zeros_like(torques)
-    return Program(_laws(harmonic), pack_harmonic(0.0, torques, zero, zero), np.zeros(0))
-
-
-def _gravity_compensation(system: System) -> Program:
-    laws = [gravity_compensation] if needs_gravity_torque(system.scene) else []
-    return Program(_laws(*laws), np.zeros(0), np.zeros(0))
-
-
-def _harmonic(system: System, control: HarmonicControl) -> Program:
-    arms = system.arms
-    hold = holding_torque(system) if control.hold else np.zeros(system.layout.joints)
-    parameters = pack_harmonic(
+def _harmonic(data: Data, start: State, control: HarmonicControl) -> np.ndarray:
+    arms = data.model.arms
+    hold = holding_torque(data, start) if control.hold else np.zeros(data.model.layout.joints)
+    return pack_harmonic(
         control.frequency, hold, _stacked(control.amplitude, arms), _stacked(control.phase, arms)
     )
-    return Program(_laws(harmonic), parameters, np.zeros(0))
 
 
-def _joint_pd(system: System, control: JointPDControl) -> Program:
-    arms = system.arms
+def _joint_pd(
+    scene: Scene,
+    data: Data,
+    start: State,
+    control: JointPDControl,
+    joint_path: Callable[..., JointPath],
+) -> ControlProgram:
+    arms = data.model.arms
     gains = np.concatenate([_stacked(control.stiffness, arms), _stacked(control.damping, arms)])
-    bounds, coefficients = _reference(system, control.path)
+    path = JointPath(np.array([0.0, 1.0]), start.position[None, 7:, None])
+    if control.path is not None:
+        path = joint_path(control.path)
     laws = [joint_pd]
-    if needs_gravity_torque(system.scene):
+    if needs_gravity_torque(scene):
         laws.append(gravity_compensation)
-    parameters = np.concatenate([gains, pack_path(bounds, coefficients)])
-    return Program(_laws(*laws), parameters, bounds if control.path else np.zeros(0))
+    parameters = np.concatenate([gains, pack_path(path.bounds, path.coefficients)])
+    return ControlProgram(_laws(*laws), parameters, path.bounds if control.path else np.zeros(0))
 
 
-def _reference(system: System, path: tuple[Waypoint, ...] | None) -> tuple[np.ndarray, np.ndarray]:
-    """Segment bounds and Chebyshev coefficients of the joints' reference."""
-    start = system.initial_state()
-    if path is None:
-        return np.array([0.0, 1.0]), start.position[None, 7:, None]
-    times, poses = route(start, path)
-    carrier = _rigidly_held(system)
-    segments, state = [], carrier.initial_state()
-    for k in range(len(times) - 1):
-        series, state = _segment(carrier, state, poses[k], poses[k + 1], k + 1)
-        segments.append(series)
-    width = max(series.shape[1] for series in segments)
-    padded = [np.pad(series, ((0, 0), (0, width - series.shape[1]))) for series in segments]
-    return np.array(times), np.array(padded)
-
-
-def _rigidly_held(system: System) -> System:
-    """The system with every tip fixed to the object where it is at the start.
-
-    Its motion is one that the joints allow, and it leaves nothing to chance: free motions of a
-    joint stay at rest.  Arms with fewer than six joints cannot hold rigidly; they keep their own
-    joints.
-    """
-    from multiarm.assembly.compilation import compile_system
-
-    scene, start = system.scene, system.initial_state()
-    if all(joint.kind == "weld" for joint in scene.joints):
-        return system
-    joints = []
-    for joint in scene.joints:
-        rigid = system.arms[joint.arm].dof >= 6
-        joints.append({"arm": joint.arm, "kind": "weld"} if rigid else joint)
-    arms = {
-        name: spec.model_copy(update={"posture": tuple(start.joint_positions[name])})
-        for name, spec in scene.arms.items()
-    }
-    body = scene.object.model_copy(update={"pose": pose_of(start), "twist": None})
-    parts = {"joints": joints, "arms": arms, "object": body}
-    return compile_system(scene.replace(**parts, control={"kind": "none"}, effects={}))
-
-
-def _segment(
-    system: System, start: State, begin: np.ndarray, end: np.ndarray, number: int
-) -> tuple[np.ndarray, State]:
-    """Chebyshev series (n, width) of the joints from one waypoint to the next, and the end state.
-
-    The object follows the quintic law of time that begins and ends at rest.  The nodes include both
-    ends, so that segments join without a jump.
-    """
-    for intervals in PATH_INTERVALS:
-        x = -np.cos(np.pi * np.arange(intervals + 1) / intervals)
-        s = 0.5 * (1.0 + x)
-        law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-        angles, state = follow_object(system, start, begin, end, law, number)
-        series = np.polynomial.chebyshev.chebfit(x, angles, intervals).T
-        if np.max(np.abs(series[:, -4:])) < PATH_TOLERANCE:
-            return series, state
-    worst = int(np.argmax(np.max(np.abs(series[:, -4:]), axis=1)))
-    joint = [f"{arm}/{joint}" for arm, a in system.arms.items() for joint in a.joint_names][worst]
-    raise ControlError(
-        f"control.path: on the way to waypoint {number} the joints do not move smoothly "
-        f"(worst: {joint}); an arm passes a singular posture there, choose another path or posture"
-    )
-
-
-def holding_torque(system: System) -> np.ndarray:
+def holding_torque(data: Data, start: State) -> np.ndarray:
     """Constant joint torques that hold the whole system still at its start, shape (n,)."""
-    plant, buffers = system.plant, system.buffers
-    if not np.any(plant.gravity):
-        return np.zeros(system.layout.joints)
-    state = system.initial_state()
+    gravity, b = data.model.constants.gravity, data.arrays
+    if not np.any(gravity):
+        return np.zeros(data.model.layout.joints)
+    state = start.copy()
     state.velocity[:] = 0.0
-    system.set_state(0.0, state)
-    if update_kinematics(system.struct()) != OK:
-        system.reraise()
-    at = 0
-    for arm, angles in state.joint_positions.items():
-        torque = system.arms[arm].gravity_torque(angles, plant.gravity)
-        buffers.gravity_torque[at : at + torque.size] = torque
-        at += torque.size
-    write_holding_torque(system.struct())
-    return buffers.torque.copy()
+    data.set_state(0.0, state)
+    if update_kinematics(data.struct) != OK:
+        data.reraise()
+    b.gravity_torque[:] = np.concatenate(
+        [
+            data.model.arms[arm].gravity_torque(angles, gravity)
+            for arm, angles in state.joint_positions.items()
+        ]
+    )
+    write_holding_torque(data.struct)
+    return b.torque.copy()
 
 
 def _stacked(values, arms: dict[str, Arm]) -> np.ndarray:

@@ -91,7 +91,7 @@ def nearest_accelerations(inertia, W, preferred, target, result):
 
 
 @allocating
-def keep_place(i, stiffness, rate, along, plant, buffers, work, preferred):
+def keep_place(i, stiffness, rate, along, model, data, work, preferred):
     """Change the preferred accelerations (n,) of arm ``i`` to those that keep its place.
 
     Parameters
@@ -99,12 +99,12 @@ def keep_place(i, stiffness, rate, along, plant, buffers, work, preferred):
     stiffness, rate : float
         ``k`` [1/s^2] and ``delta`` [1/s].
     along : bool
-        Whether the object has the acceleration in ``buffers.q_o`` and everything that moves is
+        Whether the object has the acceleration in ``data.q_o`` and everything that moves is
         accounted for; else the law lets velocities have their own effect, and asks for the
         springs' part alone.
     """
     n = work.dofs[i + 1] - work.dofs[i]
-    frame, link, body = plant.frames[i], buffers.arms[i], buffers.body
+    frame, link, body = model.frames[i], data.arms[i], data.body
     rates, places, target = np.empty(6), np.empty(9), np.empty(6)
     write_relative(frame, link, body, rates, places)
     R_J = compose(rotation(body, 0), rotation(frame, ON_OBJECT))
@@ -116,7 +116,7 @@ def keep_place(i, stiffness, rate, along, plant, buffers, work, preferred):
     p = add(vec(link, ORIGIN_AT), m)
     if along:
         j, omega = sub(p, vec(body, ORIGIN_AT)), vec(body, SPIN)
-        a_o, alpha_o = vec(buffers.q_o, 0), vec(buffers.q_o, 3)
+        a_o, alpha_o = vec(data.q_o, 0), vec(data.q_o, 3)
         inner = add_scaled(cross(omega, j), 2.0, shift_rate)
         a = add_cross(add_cross(add(a, a_o), alpha_o, j), omega, inner)
         alpha = add_cross(add(alpha, alpha_o), omega, turn_rate)
@@ -127,7 +127,7 @@ def keep_place(i, stiffness, rate, along, plant, buffers, work, preferred):
         alpha = sub(alpha, alpha_m)
     put(target, 0, a)
     put(target, 3, alpha)
-    J, W, result = floats_at(plant.pointers[i, J_AT], 6 * n), np.empty((n, 6)), np.empty(n)
+    J, W, result = floats_at(data.pointers[i, J_AT], 6 * n), np.empty((n, 6)), np.empty(n)
     for column in range(n):  # Pinocchio's Jacobian is about the world's origin
         v, w = vec(J, 6 * column), vec(J, 6 * column + 3)
         put(W[column], 0, add_cross(v, w, p))

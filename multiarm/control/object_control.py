@@ -140,41 +140,41 @@ def path_offset(parameters, at, work):
 
 
 @kernel
-def write_contact_forces(parameters, at, buffers, work):
-    """Let the contacts share ``buffers.weight`` as the law wants; writes ``static_force``."""
-    weight, Wo, force = buffers.weight, buffers.Wo, buffers.static_force
+def write_contact_forces(parameters, at, data, work):
+    """Let the contacts share ``data.weight`` as the law wants; writes ``static_force``."""
+    weight, Wo, force = data.weight, data.Wo, data.static_force
     if parameters[at + SQUEEZES] == 0.0:
         static_forces(Wo, weight, force)
         return
     offsets = at + LAW_WIDTH
     pressing = offsets + force.size
     share_load(
-        weight, Wo, work.rows, buffers.body, parameters[offsets:pressing],
+        weight, Wo, work.rows, data.body, parameters[offsets:pressing],
         parameters[pressing : pressing + 6 * (work.rows.size - 1)], force,
     )  # fmt: skip
 
 
 @kernel
-def add_motion_forces(parameters, at, along, plant, buffers, work, torque):
-    """Add ``M q''`` of all arms: targets in ``buffers.c``, free motions die out or are held.
+def add_motion_forces(parameters, at, along, model, data, work, torque):
+    """Add ``M q''`` of all arms: targets in ``data.c``, free motions die out or are held.
 
     ``along`` as in :func:`multiarm.control.null_space.keep_place`.
     """
     rate, stiffness = parameters[at + FREE_RATE], parameters[at + FREE_STIFFNESS]
-    for j in range(buffers.v.size):
-        buffers.qdd[j] = -rate * buffers.v[j]
+    for j in range(data.v.size):
+        data.qdd[j] = -rate * data.v[j]
     for i in range(work.rows.size - 1):
         d0, d1 = work.dofs[i], work.dofs[i + 1]
         r0, r1 = work.rows[i], work.rows[i + 1]
         if stiffness > 0.0:
-            keep_place(i, stiffness, rate, along, plant, buffers, work, buffers.qdd[d0:d1])
-        add_arm_forces(work.L[i], work.Y[i], buffers.qdd[d0:d1], buffers.c[r0:r1], torque[d0:d1])
+            keep_place(i, stiffness, rate, along, model, data, work, data.qdd[d0:d1])
+        add_arm_forces(work.L[i], work.Y[i], data.qdd[d0:d1], data.c[r0:r1], torque[d0:d1])
 
 
 @kernel
-def take_contact_forces(buffers, work, torque):
-    """Take ``W lambda`` of the contact forces in ``buffers.static_force`` off the torques."""
-    force = buffers.static_force
+def take_contact_forces(data, work, torque):
+    """Take ``W lambda`` of the contact forces in ``data.static_force`` off the torques."""
+    force = data.static_force
     for i in range(work.rows.size - 1):
         d0, r0 = work.dofs[i], work.rows[i]
         for j in range(work.dofs[i + 1] - d0):
@@ -183,42 +183,42 @@ def take_contact_forces(buffers, work, torque):
 
 
 @kernel
-def add_computed_torque(t, parameters, at, plant, buffers, work, torque):
+def add_computed_torque(t, parameters, at, model, data, work, torque):
     """Add the torques of computed torque, see the module's text.
 
-    Until the equations of motion are solved ``buffers.q_o, qdd, c`` hold what the law wants.
+    Until the equations of motion are solved ``data.q_o, qdd, c`` hold what the law wants.
     """
-    wanted, wrench = buffers.q_o, buffers.weight
+    wanted, wrench = data.q_o, data.weight
     path = path_offset(parameters, at, work)
-    write_object_acceleration(t, parameters, at, path, buffers.position, buffers.twist, wanted)
+    write_object_acceleration(t, parameters, at, path, data.position, data.twist, wanted)
     for a in range(6):
-        wrench[a] = -buffers.h_o[a]
+        wrench[a] = -data.h_o[a]
         for b in range(6):
-            wrench[a] += buffers.inertia[a, b] * wanted[b]
-    write_contact_forces(parameters, at, buffers, work)
+            wrench[a] += data.inertia[a, b] * wanted[b]
+    write_contact_forces(parameters, at, data, work)
     # the law carries the bias and what the joints do by themselves, which is all of h so far
     for j in range(torque.size):
-        torque[j] -= buffers.h[j]
-    for k in range(buffers.c.size):
-        buffers.c[k] = -buffers.contacts[k, GAP_BIAS]
+        torque[j] -= data.h[j]
+    for k in range(data.c.size):
+        data.c[k] = -data.contacts[k, GAP_BIAS]
         for a in range(6):
-            buffers.c[k] -= buffers.Wo[k, a] * wanted[a]
-    add_motion_forces(parameters, at, True, plant, buffers, work, torque)
-    take_contact_forces(buffers, work, torque)
+            data.c[k] -= data.Wo[k, a] * wanted[a]
+    add_motion_forces(parameters, at, True, model, data, work, torque)
+    take_contact_forces(data, work, torque)
 
 
 @kernel
-def add_object_impedance(t, parameters, at, plant, buffers, work, torque):
+def add_object_impedance(t, parameters, at, model, data, work, torque):
     """Add the torques of the object impedance, see the module's text."""
-    wrench = buffers.weight
+    wrench = data.weight
     path = path_offset(parameters, at, work)
-    write_spring_wrench(t, parameters, at, path, buffers.position, buffers.twist, wrench)
+    write_spring_wrench(t, parameters, at, path, data.position, data.twist, wrench)
     for k in range(3):
-        wrench[k] -= plant.object_mass[0] * plant.gravity[k]
-    write_contact_forces(parameters, at, buffers, work)
+        wrench[k] -= model.object_mass * model.gravity[k]
+    write_contact_forces(parameters, at, data, work)
     for j in range(torque.size):
-        torque[j] += buffers.gravity_torque[j]
-    for k in range(buffers.c.size):
-        buffers.c[k] = 0.0
-    add_motion_forces(parameters, at, False, plant, buffers, work, torque)
-    take_contact_forces(buffers, work, torque)
+        torque[j] += data.gravity_torque[j]
+    for k in range(data.c.size):
+        data.c[k] = 0.0
+    add_motion_forces(parameters, at, False, model, data, work, torque)
+    take_contact_forces(data, work, torque)

@@ -9,22 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from multiarm.contacts.internal_forces import internal_forces
 from multiarm.control.object_control import pack_object_path
-from multiarm.dynamics.equations import OK, update_kinematics
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.state import State
 from multiarm.errors import ControlError, GraspError
 from multiarm.scene import Pose
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl, Waypoint
 from multiarm.spatial import difference, matrix_to_quaternion, skew
-
-if TYPE_CHECKING:
-    from multiarm.assembly.system import System
-    from multiarm.dynamics.state import State
 
 ObjectControl = ComputedTorqueControl | ObjectImpedanceControl
 
@@ -59,7 +57,7 @@ def packed_path(times: Sequence[float], poses: Sequence[np.ndarray]) -> np.ndarr
     return pack_object_path(np.array(times), positions, np.array(quaternions), np.array(turns))
 
 
-def object_law(system: System, control: ObjectControl) -> tuple[np.ndarray, np.ndarray]:
+def object_law(data: Data, start: State, control: ObjectControl) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of a law of :mod:`multiarm.control.object_control`, and the times of its waypoints.
 
     Raises
@@ -68,15 +66,14 @@ def object_law(system: System, control: ObjectControl) -> tuple[np.ndarray, np.n
         When the contacts cannot put every wrench on the object, or hold no internal force as the
         scene wants it.
     """
-    start = system.initial_state()
-    system.set_state(0.0, start)
-    if update_kinematics(system.struct()) != OK:
-        system.reraise()
-    Wo = system.buffers.Wo.copy()
+    data.set_state(0.0, start)
+    if update_kinematics(data.struct) != OK:
+        data.reraise()
+    Wo = data.arrays.Wo.copy()
     _require_hold(Wo, control.kind)
     gains = [*control.stiffness.vector(), *control.damping.vector()]
     gains += [control.relative_damping, control.relative_stiffness]
-    offsets, pressing = _wanted_forces(system, control, Wo)
+    offsets, pressing = _wanted_forces(data, control, Wo)
     squeezes = bool(np.any(offsets) or np.any(pressing))
     inner = [offsets, pressing.ravel()] if squeezes else []
     at_rest = Waypoint(time=1.0, **pose_of(start).model_dump())
@@ -98,15 +95,15 @@ def _require_hold(Wo: np.ndarray, kind: str) -> None:
 
 
 def _wanted_forces(
-    system: System, control: ObjectControl, Wo: np.ndarray
+    data: Data, control: ObjectControl, Wo: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Wanted forces of all contacts (N,), and a wrench of every arm (n, 6) in object axes."""
-    offsets = np.zeros(len(Wo))
-    pressing = np.zeros((len(system.arm_names), 6))
-    own = system.layout.split_contacts(offsets)
+    model, offsets = data.model, np.zeros(len(Wo))
+    pressing = np.zeros((len(model.arm_names), 6))
+    own = model.layout.split_contacts(offsets)
     for arm, forces in (control.internal_forces or {}).items():
         if len(forces) != own[arm].size:
-            names = ", ".join(contact.name for contact in system.contacts[arm])
+            names = ", ".join(contact.name for contact in model.contacts[arm])
             raise ControlError(
                 f"control.internal_forces.{arm}: {len(forces)} forces for {own[arm].size} "
                 f"contacts; give one each: {names}"
@@ -119,21 +116,21 @@ def _wanted_forces(
             "internal; name contacts that press against each other, or use `squeeze`"
         )
     if control.squeeze:
-        contacts = [(arm, contact) for arm, own in system.contacts.items() for contact in own]
+        contacts = [(arm, contact) for arm, own in model.contacts.items() for contact in own]
         if all(contact.pushes_only for _, contact in contacts):
             labels = [f"{arm}: {contact.name}" for arm, contact in contacts]
             offsets += control.squeeze * _pushing(Wo, labels)
         else:
-            pressing += control.squeeze * _towards_the_middle(system)
-            _require_pressing(system, Wo, pressing)
+            pressing += control.squeeze * _towards_the_middle(model)
+            _require_pressing(data, Wo, pressing)
     return offsets, pressing
 
 
-def _require_pressing(system: System, Wo: np.ndarray, pressing: np.ndarray) -> None:
+def _require_pressing(data: Data, Wo: np.ndarray, pressing: np.ndarray) -> None:
     """Refuse a squeeze that slips away along a joint's free motion."""
-    R = system.buffers.body[:9].reshape(3, 3)
-    rows = system.layout.rows
-    for i, arm in enumerate(system.arm_names):
+    model, R = data.model, data.arrays.body[:9].reshape(3, 3)
+    rows = model.layout.rows
+    for i, arm in enumerate(model.arm_names):
         own = Wo[rows[i] : rows[i + 1]]
         wanted = np.concatenate([R @ pressing[i, :3], R @ pressing[i, 3:]])
         found = own.T @ np.linalg.lstsq(own.T, wanted, rcond=None)[0]
@@ -153,13 +150,13 @@ def _pushing(Wo: np.ndarray, names: list[str]) -> np.ndarray:
     return forces / np.mean(forces)
 
 
-def _towards_the_middle(system: System) -> np.ndarray:
+def _towards_the_middle(model: Model) -> np.ndarray:
     """Wrenches (n, 6) of the arms on the object, object axes, that are in balance.
 
     Each is a force of 1 N (in the mean over the arms) at the origin of the arm's joint frame,
     towards the middle of all of them as nearly as the balance of forces and moments allows.
     """
-    grips = np.array([frame.on_object[:3, 3] for frame in system.frames.values()])
+    grips = np.array([frame.on_object[:3, 3] for frame in model.frames.values()])
     inward = np.mean(grips, axis=0) - grips
     distance = np.linalg.norm(inward, axis=1)
     if not np.all(distance > 1e-9):

@@ -12,7 +12,7 @@ empty program.
   or a path of Chebyshev segments, smooth inside each segment.
 * *computed torque* and *object impedance* move the object, see
 :mod:`multiarm.control.object_control`.
-* *Python*: the user's function, through a callback.
+* *Python*: a user function, see :mod:`multiarm.dynamics.user_callback`.
 """
 
 from __future__ import annotations
@@ -27,9 +27,8 @@ from multiarm.control.object_control import (
     add_object_impedance,
     take_contact_forces,
 )
-from multiarm.dynamics.arrays import CALL_CONTROL, open_system
-from multiarm.jit.kernels import cfunc, inlined, kernel
-from multiarm.jit.pointers import call_cfunc, call_python
+from multiarm.dynamics.arrays import open_system
+from multiarm.jit.kernels import cfunc, clear, kernel
 from multiarm.jit.structs import struct_at
 
 
@@ -96,83 +95,65 @@ def add_joint_pd(t, angles, velocity, parameters, at, torque):
         torque[j] += parameters[at + n + j] * (rate - velocity[j])
 
 
-@inlined
-def control_torques(address, size, t, plant, buffers):
-    """Let the laws of ``plant.control`` write ``buffers.torque`` of the system."""
-    for j in range(buffers.torque.size):
-        buffers.torque[j] = 0.0
-    for k in range(plant.control.shape[0]):
-        call_cfunc(plant.control[k, 0], struct_at(address, size), float(plant.control[k, 1]), t)
-
-
 @cfunc
 def harmonic(address, size, at, t):
     """See :func:`add_harmonic`; constant torques have no amplitude."""
-    plant, buffers, _ = open_system(struct_at(address, size))
-    add_harmonic(t, plant.parameters, int(at), buffers.torque)
+    model, data, _ = open_system(struct_at(address, size))
+    add_harmonic(t, model.parameters, int(at), data.torque)
     return 0
 
 
 @cfunc
 def joint_pd(address, size, at, t):
     """See :func:`add_joint_pd`."""
-    plant, buffers, _ = open_system(struct_at(address, size))
-    add_joint_pd(t, buffers.angles, buffers.v, plant.parameters, int(at), buffers.torque)
+    model, data, _ = open_system(struct_at(address, size))
+    add_joint_pd(t, data.angles, data.v, model.parameters, int(at), data.torque)
     return 0
 
 
 @cfunc
 def gravity_compensation(address, size, _at, _t):
     """See :func:`add_gravity_compensation`."""
-    plant, buffers, work = open_system(struct_at(address, size))
-    add_gravity_compensation(plant, buffers, work, buffers.torque)
+    model, data, work = open_system(struct_at(address, size))
+    add_gravity_compensation(model, data, work, data.torque)
     return 0
 
 
 @cfunc
 def computed_torque(address, size, at, t):
     """See :func:`multiarm.control.object_control.add_computed_torque`."""
-    plant, buffers, work = open_system(struct_at(address, size))
-    add_computed_torque(t, plant.parameters, int(at), plant, buffers, work, buffers.torque)
+    model, data, work = open_system(struct_at(address, size))
+    add_computed_torque(t, model.parameters, int(at), model, data, work, data.torque)
     return 0
 
 
 @cfunc
 def object_impedance(address, size, at, t):
     """See :func:`multiarm.control.object_control.add_object_impedance`."""
-    plant, buffers, work = open_system(struct_at(address, size))
-    add_object_impedance(t, plant.parameters, int(at), plant, buffers, work, buffers.torque)
-    return 0
-
-
-@cfunc
-def python_control(address, size, _at, _t):
-    """The user's function, which writes all torques."""
-    plant, _, _ = open_system(struct_at(address, size))
-    call_python(plant.calls[CALL_CONTROL])
+    model, data, work = open_system(struct_at(address, size))
+    add_object_impedance(t, model.parameters, int(at), model, data, work, data.torque)
     return 0
 
 
 @kernel
 def write_holding_torque(struct):
-    """Write the torques that hold the configuration in the buffers into ``buffers.torque``.
+    """Write the torques that hold the configuration in ``data`` into ``data.torque``.
 
-    Needs its kinematics and ``gravity_torque`` in the buffers.
+    Needs its kinematics and ``gravity_torque`` in ``data``.
     """
-    plant, buffers, work = open_system(struct)
-    for j in range(buffers.torque.size):
-        buffers.torque[j] = 0.0
-    add_gravity_compensation(plant, buffers, work, buffers.torque)
+    model, data, work = open_system(struct)
+    clear(data.torque)
+    add_gravity_compensation(model, data, work, data.torque)
 
 
 @kernel
-def add_gravity_compensation(plant, buffers, work, torque):
+def add_gravity_compensation(model, data, work, torque):
     """Torques that hold arms and object still where they are, see the module's text."""
-    weight = buffers.weight
+    weight = data.weight
     for k in range(3):
-        weight[k] = -plant.object_mass[0] * plant.gravity[k]
+        weight[k] = -model.object_mass * model.gravity[k]
         weight[3 + k] = 0.0
-    static_forces(buffers.Wo, weight, buffers.static_force)
+    static_forces(data.Wo, weight, data.static_force)
     for j in range(torque.size):
-        torque[j] += buffers.gravity_torque[j]
-    take_contact_forces(buffers, work, torque)
+        torque[j] += data.gravity_torque[j]
+    take_contact_forces(data, work, torque)

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.contacts.coordinates import joint_selection
 from multiarm.contacts.gripper import RelativeMotion, relative_wrenches, seen_from_object
 from multiarm.contacts.internal_forces import InternalForces, decompose, internal_forces
 from multiarm.contacts.matrices import ContactTerms
 from multiarm.contacts.motion_space import MotionSpace, motion_space, motion_space_in_rates
+from multiarm.dynamics.model import Model
 from multiarm.dynamics.state import State
 from multiarm.errors import ModelError
 from multiarm.spatial import quaternion_to_matrix
@@ -48,7 +48,7 @@ class ForceDecomposition:
     wrench: np.ndarray
 
 
-def relative_motion_of(system: System, state: State, arm: str) -> RelativeMotion:
+def relative_motion_of(model: Model, state: State, arm: str) -> RelativeMotion:
     """Pose and twist of an arm's tip frame relative to the object, in object axes.
 
     Raises
@@ -56,9 +56,9 @@ def relative_motion_of(system: System, state: State, arm: str) -> RelativeMotion
     ModelError
         For an unknown arm.
     """
-    if arm not in system.arms:
-        raise ModelError(f"unknown arm {arm!r}; arms are {', '.join(system.arm_names)}")
-    tip = system.arms[arm].terms(state.joint_positions[arm], state.joint_velocities[arm])
+    if arm not in model.arms:
+        raise ModelError(f"unknown arm {arm!r}; arms are {', '.join(model.arm_names)}")
+    tip = model.arms[arm].terms(state.joint_positions[arm], state.joint_velocities[arm])
     X_WO, X_WT = np.eye(4), np.eye(4)
     X_WO[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw.copy())
     X_WO[:3, 3] = state.object_position
@@ -67,7 +67,7 @@ def relative_motion_of(system: System, state: State, arm: str) -> RelativeMotion
 
 
 def motion_space_of(
-    system: System,
+    model: Model,
     state: State,
     terms: Mapping[str, ContactTerms],
     arm: str,
@@ -77,7 +77,7 @@ def motion_space_of(
 
     Parameters
     ----------
-    system : System
+    model : Model
     state : State
     terms : mapping arm -> ContactTerms
         The contacts at this state.
@@ -93,34 +93,32 @@ def motion_space_of(
     GraspError
         When these components cannot be coordinates at this state.
     """
-    relative = relative_motion_of(system, state, arm)
+    relative = relative_motion_of(model, state, arm)
     W, W_dot = relative_wrenches(terms[arm], relative)
     if rows is not None:
         return motion_space(W, W_dot, rows)
-    return motion_space_in_rates(W, joint_selection(system.frames[arm], relative), W_dot)
+    return motion_space_in_rates(W, joint_selection(model.frames[arm], relative), W_dot)
 
 
-def relative_rates_of(system: System, state: State, arm: str) -> np.ndarray:
+def relative_rates_of(model: Model, state: State, arm: str) -> np.ndarray:
     """Rates ``alpha`` of the free components of an arm's joint [m/s, rad/s]."""
-    relative = relative_motion_of(system, state, arm)
-    return joint_selection(system.frames[arm], relative).matrix @ relative.twist
+    relative = relative_motion_of(model, state, arm)
+    return joint_selection(model.frames[arm], relative).matrix @ relative.twist
 
 
 def internal_forces_of(
-    system: System,
+    model: Model,
     terms: Mapping[str, ContactTerms],
     form: str = "orthonormal",
     rows: Sequence[int | str] | None = None,
 ) -> InternalForces:
     """Internal forces of all contacts, arm after arm; contacts are named ``arm/contact``."""
-    names = [
-        f"{arm}/{contact.name}" for arm in system.arm_names for contact in system.contacts[arm]
-    ]
+    names = [f"{arm}/{contact.name}" for arm in model.arm_names for contact in model.contacts[arm]]
     return internal_forces(_on_object(terms), form, rows, names)
 
 
 def force_decomposition_of(
-    system: System,
+    model: Model,
     terms: Mapping[str, ContactTerms],
     forces: Mapping[str, np.ndarray],
     internal: InternalForces | None = None,
@@ -130,7 +128,7 @@ def force_decomposition_of(
 
     Parameters
     ----------
-    system : System
+    model : Model
     terms : mapping arm -> ContactTerms
     forces : mapping arm -> ndarray, shape (N_i,)
         [N], positive pushes.
@@ -140,12 +138,12 @@ def force_decomposition_of(
         Measure forces in newtons, couples over this lever arm [m]; left out: multipliers as they
         are.
     """
-    internal = internal or internal_forces_of(system, terms)
+    internal = internal or internal_forces_of(model, terms)
     stacked = np.concatenate([forces[arm] for arm in terms])
     parts = decompose(_on_object(terms), stacked, internal, length)
     return ForceDecomposition(
-        moving=system.layout.split_contacts(parts.moving),
-        squeezing=system.layout.split_contacts(parts.squeezing),
+        moving=model.layout.split_contacts(parts.moving),
+        squeezing=model.layout.split_contacts(parts.squeezing),
         internal=internal,
         coordinates=parts.coordinates,
         wrench=parts.wrench,

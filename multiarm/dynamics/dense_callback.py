@@ -8,19 +8,18 @@ from collections.abc import Callable
 import numpy as np
 
 from multiarm.arms.terms import M_AT, M_STRIDE
-from multiarm.dynamics.arrays import COUPLED_ARMS, RANK_OF_ALL, Buffers
+from multiarm.dynamics.arrays import Variables
 from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.work import NodeWork
 from multiarm.errors import SolverError
 
 
 def dense_call(
-    pointers: np.ndarray,
-    buffers: Buffers,
+    b: Variables,
     work: NodeWork,
     reactions: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Callable[[], None]:
-    """Function without arguments that solves for ``q_o, qdd, force`` in ``buffers``.
+    """Function without arguments that solves for ``q_o, qdd, force`` in ``b``.
 
     ``reactions`` are the object's rows (N, 6) and the arms' matrices (n, d, m) where forces act
     along other directions than the constraints.
@@ -29,22 +28,22 @@ def dense_call(
     arms = range(len(dofs) - 1)
 
     def solve() -> None:
-        inertias = [read_inertia(pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
-        _require_usable(inertias, (buffers.h, buffers.c, buffers.h_o, work.Y))
+        inertias = [read_inertia(b.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
+        _require_usable(inertias, (b.h, b.c, b.h_o, work.Y))
         solution = solve_dense(
-            M_o=buffers.inertia,
-            h_o=buffers.h_o,
+            M_o=b.inertia,
+            h_o=b.h_o,
             M=inertias,
-            h=[buffers.h[dofs[i] : dofs[i + 1]] for i in arms],
-            W_o=[buffers.Wo[rows[i] : rows[i + 1]].T for i in arms],
+            h=[b.h[dofs[i] : dofs[i + 1]] for i in arms],
+            W_o=[b.Wo[rows[i] : rows[i + 1]].T for i in arms],
             W=[work.Y[i, : dofs[i + 1] - dofs[i], : rows[i + 1] - rows[i]] for i in arms],
-            c=[buffers.c[rows[i] : rows[i + 1]] for i in arms],
+            c=[b.c[rows[i] : rows[i + 1]] for i in arms],
             **_reactions(reactions, dofs, rows),
         )
-        buffers.q_o[:] = solution.object_acceleration
-        buffers.qdd[:] = np.concatenate(solution.joint_accelerations)
-        buffers.force[:] = np.concatenate(solution.contact_forces)
-        buffers.solved[RANK_OF_ALL], buffers.solved[COUPLED_ARMS] = solution.rank, 0
+        b.q_o[:] = solution.object_acceleration
+        b.qdd[:] = np.concatenate(solution.joint_accelerations)
+        b.force[:] = np.concatenate(solution.contact_forces)
+        b.status.rank, b.status.coupled_arms = solution.rank, 0
 
     return solve
 

@@ -7,21 +7,19 @@ results, contact matrices, and the residuals of all three equations: a result ce
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TypeVar
 
 import numpy as np
 
-from multiarm.assembly.contact_checks import place_state, points_and_normals
-from multiarm.assembly.system import System
 from multiarm.contacts.internal_forces import InternalForces
 from multiarm.contacts.kernel import BODY_WIDTH, GAP, GAP_BIAS, GAP_RATE
 from multiarm.contacts.matrices import ContactTerms, contact_matrices
 from multiarm.contacts.motion_space import MotionSpace
 from multiarm.contacts.records import Contact
 from multiarm.contacts.unilateral import SURROUNDINGS
-from multiarm.dynamics.arrays import COUPLED_ARMS, IMBALANCE, RANK_OF_ALL, RESIDUAL
+from multiarm.dynamics.arrays import CONTRADICTION, NOT_FINITE, OK, PROJECTION_FAILED, Variables
 from multiarm.dynamics.contact_analysis import (
     ForceDecomposition,
     force_decomposition_of,
@@ -29,23 +27,20 @@ from multiarm.dynamics.contact_analysis import (
     motion_space_of,
     relative_rates_of,
 )
-from multiarm.dynamics.equations import (
-    CONTRADICTION,
-    NOT_FINITE,
-    OK,
-    evaluate_buffers,
-    update_kinematics,
-)
+from multiarm.dynamics.contact_geometry import place_state, points_and_normals
+from multiarm.dynamics.equations import evaluate_state, update_kinematics
+from multiarm.dynamics.model import Data, Evaluated
 from multiarm.dynamics.rank_diagnosis import lost_motions
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.regular import NO_INERTIA
-from multiarm.dynamics.solver.singular import ARMS, PART_TOLERANCE, loose_rows
+from multiarm.dynamics.solver.singular import PART_TOLERANCE, CoupledWork, loose_rows
+from multiarm.dynamics.solver.work import NodeWork
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import SolverError
-from multiarm.integration.projection import PROJECTION_FAILED, project_velocities
 
 Rows = TypeVar("Rows", np.ndarray, tuple)
+Arrays = TypeVar("Arrays", Variables, NodeWork, CoupledWork)
 
 
 @dataclass(frozen=True)
@@ -67,41 +62,38 @@ class Residuals:
     constraint: float
 
 
-# Buffers that are copied for what is computed later: for all evaluations, and where some arm could
-# not be eliminated as a whole, or the dense solver was asked.
+# Variables that are copied for what is computed later: for all evaluations, and where some arm
+# could not be eliminated as a whole, or the dense solver was used.
 _MOTION = ("arms", "body", "contacts", "parts", "Wo")
 _COORDINATES = ("angles", "inertia")
 
 
 class Snapshot:
-    """What an evaluation left in its system's arrays, copied for what is computed later of it."""
+    """Copies of what an evaluation left in a Data, for results that are computed later.
 
-    def __init__(self, system: System) -> None:
-        b, work, coupled = system.buffers, system.work, system.coupled
-        self._system = system
-        self._buffers = {name: getattr(b, name).copy() for name in _MOTION}
-        self.regular = not (system.plant.dense[0] or coupled.counts[ARMS])
+    It is read like the Data itself, as before the arms were eliminated.  Of a ``regular`` one, in
+    which all arms were eliminated as a whole, only motion and contacts are copied.
+
+    Attributes
+    ----------
+    model : Model
+    arrays, work, coupled : Variables, NodeWork, CoupledWork
+        Arrays that are not copied go on to other states.
+    regular : bool
+    """
+
+    def __init__(self, data: Data) -> None:
+        self.model = data.model
+        self.regular = not (data.model.constants.dense or data.coupled.status.arms)
+        self.arrays = _copied(data.arrays, _MOTION if self.regular else _MOTION + _COORDINATES)
+        self.work, self.coupled = data.work, data.coupled
         if not self.regular:
-            self._buffers |= {name: getattr(b, name).copy() for name in _COORDINATES}
-            self._work = {"L": work.L.copy(), "Y": work.Y.copy()}
-            self._coupled = type(coupled)(*(array.copy() for array in coupled))
+            self.work = _copied(data.work, ("L", "Y"))
+            self.coupled = _copied(data.coupled, data.coupled._fields)
 
-    @cached_property
-    def system(self) -> System:
-        """The system with these copies in its arrays, as before its arms were eliminated.
 
-        For reading: its other arrays go on to other states.  Of a ``regular`` one, in which all
-        arms were eliminated as a whole, only motion and contacts are copied.
-        """
-        own = self._system
-        if self.regular:
-            return replace(own, buffers=own.buffers._replace(**self._buffers))
-        return replace(
-            own,
-            buffers=own.buffers._replace(**self._buffers),
-            work=own.work._replace(**self._work),
-            coupled=self._coupled,
-        )
+def _copied(arrays: Arrays, names: Sequence[str]) -> Arrays:
+    return arrays._replace(**{name: getattr(arrays, name).copy() for name in names})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -173,12 +165,12 @@ class Evaluation:
     @cached_property
     def contact_forces_unique(self) -> Mapping[str, np.ndarray]:
         """Which contact forces the equations determine, arm -> ndarray of bool, shape (N_i,)."""
-        return rows_by_owner(self._all.system.layout, self._unique())
+        return rows_by_owner(self._all.model.layout, self._unique())
 
     @cached_property
     def contact_points(self) -> Mapping[str, np.ndarray]:
         """Contact points [m], world axes, arm -> ndarray, shape (N_i, 3)."""
-        return rows_by_owner(self._all.system.layout, self._points_and_normals[0])
+        return rows_by_owner(self._all.model.layout, self._points_and_normals[0])
 
     @cached_property
     def contact_normals(self) -> Mapping[str, np.ndarray]:
@@ -186,16 +178,16 @@ class Evaluation:
 
         Of rows of friction, the tangents.
         """
-        return rows_by_owner(self._all.system.layout, self._points_and_normals[1])
+        return rows_by_owner(self._all.model.layout, self._points_and_normals[1])
 
     @cached_property
     def _points_and_normals(self) -> tuple[np.ndarray, np.ndarray]:
-        return points_and_normals(self._all.system, slice(None))
+        return points_and_normals(self._all, slice(None))
 
     @cached_property
     def contact_terms(self) -> Mapping[str, ContactTerms]:
         """Contact matrices of the joints, arm -> ContactTerms."""
-        return contact_terms(self._held.system)
+        return contact_terms(self._held)
 
     @cached_property
     def lost_motions(self) -> Mapping[str, tuple[str, ...]]:
@@ -208,8 +200,7 @@ class Evaluation:
 
         Force [N] and moment [N m] about the object's centre of mass, world axes, with friction.
         """
-        system = self._all.system
-        rows = rows_by_owner(system.layout, system.buffers.Wo)
+        rows = rows_by_owner(self._all.model.layout, self._all.arrays.Wo)
         return {owner: rows[owner].T @ force for owner, force in self.contact_forces.items()}
 
     @cached_property
@@ -229,8 +220,8 @@ class Evaluation:
         Along the two tangents that follow the contact's normal in ``contact_normals``; zero where a
         contact has no friction.
         """
-        system, found = self._all.system, {}
-        for owner, records in rows_by_owner(system.layout, system.records).items():
+        model, found = self._all.model, {}
+        for owner, records in rows_by_owner(model.layout, model.records).items():
             found[owner] = np.zeros((len(self._normal_rows[owner]), 2))
             for pair, row in zip(found[owner], self._normal_rows[owner], strict=True):
                 if any(record.tangent for record in records[row + 1 : row + 2]):
@@ -240,14 +231,14 @@ class Evaluation:
     @cached_property
     def _normal_rows(self) -> dict[str, list[int]]:
         """Rows of each owner that are contacts along their normals."""
-        system = self._all.system
+        model = self._all.model
         return {
             owner: [
                 row
                 for row, record in enumerate(records)
                 if isinstance(record, Contact) and not record.tangent
             ]
-            for owner, records in rows_by_owner(system.layout, system.records).items()
+            for owner, records in rows_by_owner(model.layout, model.records).items()
         }
 
     def motion_space(self, arm: str, rows: Sequence[int | str] | None = None) -> MotionSpace:
@@ -264,14 +255,14 @@ class Evaluation:
         GraspError
             When these rates cannot be coordinates; the message lists rows that can.
         """
-        return motion_space_of(self._held.system, self.state, self.contact_terms, arm, rows)
+        return motion_space_of(self._held.model, self.state, self.contact_terms, arm, rows)
 
     def relative_rates(self, arm: str) -> np.ndarray:
         """Rates ``alpha`` of the free components of an arm's joint, along its own axes, shape (m,).
 
-        [m/s, rad/s]; ``system.frames[arm].labels`` says which they are.
+        [m/s, rad/s]; ``data.model.frames[arm].labels`` says which they are.
         """
-        return relative_rates_of(self._held.system, self.state, arm)
+        return relative_rates_of(self._held.model, self.state, arm)
 
     def internal_forces(
         self, form: str = "orthonormal", rows: Sequence[int | str] | None = None
@@ -281,7 +272,7 @@ class Evaluation:
         One row a contact, arm after arm.  ``form`` is ``orthonormal``, ``nonnegative`` or
         ``echelon``; see :func:`multiarm.contacts.internal_forces.internal_forces`.
         """
-        return internal_forces_of(self._held.system, self.contact_terms, form, rows)
+        return internal_forces_of(self._held.model, self.contact_terms, form, rows)
 
     def force_decomposition(
         self, internal: InternalForces | None = None, length: float | None = None
@@ -292,21 +283,21 @@ class Evaluation:
         basis of its coordinates ``mu_I``, orthonormal when left out.  Friction has no part in it.
         """
         return force_decomposition_of(
-            self._held.system, self.contact_terms, self._joint_forces, internal, length
+            self._held.model, self.contact_terms, self._joint_forces, internal, length
         )
 
 
-def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Evaluation:
-    """Accelerations and contact forces of a system at one state.
+def evaluate(data: Data, t: float, state: State) -> Evaluation:
+    """Accelerations and contact forces at one state, of a model whose rows are all closed.
 
     Parameters
     ----------
-    system : System
+    data : Data
     t : float
         Time, for the control [s].
-    state : State, optional
-        The start when left out.  It is taken as it is: nothing is projected.  Effects that have
-        states of their own, such as lagging drives, are as at the start of a run.
+    state : State
+        Taken as it is: nothing is projected.  Effects that have states of their own, such as
+        lagging drives, are as at the start of a run.
 
     Raises
     ------
@@ -315,26 +306,26 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     ControlError
         When a Python controller returns something unusable.
     """
-    state = system.initial_state() if state is None else state.copy()
-    place_state(system, t, state)
-    b, layout, status, found = system.buffers, system.layout, OK, np.empty(6)
-    if system.pieces.states:
-        status = evaluate_buffers(system.struct(), 0.0, 0.0)
+    state = state.copy()
+    place_state(data, t, state)
+    b, layout, status, found = data.arrays, data.model.layout, OK, np.empty(6)
+    if data.model.effects.states:
+        status = evaluate_state(data.struct, 0.0, 0.0)
         if status == OK:
-            system.buffers.inner[:] = system.pieces.start(system)
+            b.inner[:] = data.effect_states()
     if status == OK:
-        status = evaluate_and_check(system.struct(), found)
+        status = evaluate_and_check(data.struct, found)
     if status != OK:
         try:
-            system.reraise()
+            data.reraise()
         except SolverError as error:  # of the dense solver, which knows numbers only
-            raise SolverError(lost_contact_text(system) or str(error)) from error
-        raise SolverError(failure_text(system, status))
+            raise SolverError(lost_contact_text(data) or str(error)) from error
+        raise SolverError(failure_text(data, status))
     arm, on_object, constraint, gap, gap_rate, solved = found.tolist()
-    qdd, torques, snapshot = b.qdd.copy(), b.torque.copy(), Snapshot(system)
+    qdd, torques, snapshot = b.qdd.copy(), b.torque.copy(), Snapshot(data)
     forces = layout.split_contacts(b.force.copy())
-    coupled = _coupled_arms(system)
-    pivots = () if system.plant.dense[0] else system.work.pivot.tolist()
+    coupled = _coupled_arms(data)
+    pivots = () if data.model.constants.dense else data.work.pivot.tolist()
     return Evaluation(
         time=float(t),
         state=state,
@@ -348,9 +339,9 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
         conditioning={
             name: max(pivot, 0.0) for name, pivot in zip(layout.names, pivots, strict=False)
         },
-        rank=int(b.solved[RANK_OF_ALL]),
+        rank=b.status.rank,
         coupled_arms=coupled,
-        message="" if solved else _contradiction_text(system),
+        message="" if solved else _contradiction_text(data),
         contact_states={},
         _held=snapshot,
         _all=snapshot,
@@ -367,29 +358,13 @@ def rows_by_owner(layout: Layout, values: Rows) -> dict[str, Rows]:
     return {**found, SURROUNDINGS: around} if len(around) else found
 
 
-def project_velocity(system: System, state: State) -> State:
-    """Project the velocities of a state on the constraints, in the inertia metric (thesis, 4.2).
-
-    The correction is the one that loses the least kinetic energy: an inelastic impact that closes
-    all gap rates.  Positions stay.
-    """
-    place_state(system, 0.0, state)
-    status = update_kinematics(system.struct())
-    if status == OK:
-        status = project_velocities(system.struct())
-    if status != OK:
-        system.reraise()
-        raise SolverError(failure_text(system, status))
-    return system.get_state()
-
-
-def failure_text(system: System, status: int) -> str:
+def failure_text(data: Data, status: int) -> str:
     """What a status of the compiled code means, with the remedy."""
-    names = system.arm_names
-    lost = lost_contact_text(system)
+    names = data.model.arm_names
+    lost = lost_contact_text(data)
     if lost:
         return lost
-    if 0 <= status < len(names) and system.work.pivot[status] == NO_INERTIA:
+    if 0 <= status < len(names) and data.work.pivot[status] == NO_INERTIA:
         return (
             f"the inertia matrix of arm '{names[status]}' is not positive definite: a joint moves "
             f"links without mass or inertia; give them some in the URDF, or lock the joint"
@@ -405,15 +380,15 @@ def failure_text(system: System, status: int) -> str:
             "`accuracy` or `step`), or look for a motion that the joints cannot follow"
         )
     if status == CONTRADICTION:
-        return _contradiction_text(system)
+        return _contradiction_text(data)
     if status == NOT_FINITE:
         return "the state is not finite; take smaller steps, or check the controller"
     return f"the evaluation failed (status {status})"
 
 
-def _contradiction_text(system: System) -> str:
-    residual = float(system.buffers.solved[RESIDUAL])
-    if system.buffers.solved[IMBALANCE] >= residual:
+def _contradiction_text(data: Data) -> str:
+    residual = float(data.arrays.status.residual)
+    if data.arrays.status.imbalance >= residual:
         return (
             f"the contact forces do not balance the object (relative residual {residual:.2g}): too "
             f"few digits determine them next to a posture in which arms cannot move; start "
@@ -432,58 +407,59 @@ _FIND_CONTACT = (
 )
 
 
-def lost_contact_text(system: System) -> str:
-    """What to say when a contact has no normal at the state in the buffers; else nothing."""
-    b = system.buffers
+def lost_contact_text(data: Data) -> str:
+    """What to say when a contact has no normal at the state in the data; else nothing."""
+    b = data.arrays
     lost = np.flatnonzero(~np.isfinite(b.contacts).all(axis=1))
     if not lost.size or not (np.isfinite(b.position).all() and np.isfinite(b.angles).all()):
         return ""
-    return f"{lost_contact(system, int(lost[0]))}; {_FIND_CONTACT}"
+    return f"{lost_contact(data, int(lost[0]))}; {_FIND_CONTACT}"
 
 
-def lost_contact(system: System, row: int) -> str:
-    """Say that a contact has no normal at the state in the buffers."""
-    arm, contact = system.owner(row)
+def lost_contact(data: Data, row: int) -> str:
+    """Say that a contact has no normal at the state in the data."""
+    arm, contact = data.model.owner(row)
     return (
         f"contact '{contact.name}' of arm '{arm}' has no normal where it is: an axis, a centre, an "
         f"apex or the end of a surface was reached, or two surfaces lost each other"
     )
 
 
-def _coupled_arms(system: System) -> tuple[str, ...]:
+def _coupled_arms(data: Data) -> tuple[str, ...]:
     """Arms that went through the coupled system in the last solution."""
-    if not system.buffers.solved[COUPLED_ARMS]:
+    if not data.arrays.status.coupled_arms:
         return ()
-    deficient = system.coupled.deficient
-    return tuple(name for name, is_so in zip(system.arm_names, deficient, strict=False) if is_so)
+    deficient = data.coupled.deficient
+    return tuple(
+        name for name, is_so in zip(data.model.arm_names, deficient, strict=False) if is_so
+    )
 
 
 def _lost_motions(snapshot: Snapshot, arms: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    return lost_motions(snapshot.system, arms) if arms else {}
+    return lost_motions(snapshot, arms) if arms else {}
 
 
 def _unique_forces(snapshot: Snapshot) -> np.ndarray:
     """Which contact forces are determined: all, when every arm's elimination succeeded."""
-    system = snapshot.system
     if snapshot.regular:
-        return np.ones(system.constraint_count, dtype=bool)
-    if system.plant.dense[0]:
-        return null_space(constraint_matrix(system)).untouched
-    return loose_rows(system.work, system.coupled) < PART_TOLERANCE
+        return np.ones(snapshot.model.layout.contacts, dtype=bool)
+    if snapshot.model.constants.dense:
+        return null_space(constraint_matrix(snapshot)).untouched
+    return loose_rows(snapshot.work, snapshot.coupled) < PART_TOLERANCE
 
 
-def constraint_matrix(system: System) -> np.ndarray:
-    """Stacked constraint matrix ``[W_o; W]`` at the kinematics in the buffers, (6 + n, N).
+def constraint_matrix(data: Evaluated) -> np.ndarray:
+    """Stacked constraint matrix ``[W_o; W]`` at the kinematics in the data, (6 + n, N).
 
     Columns and rows are scaled so that its singular values can be compared: joint and object
     coordinates by the square root of their inertia, contacts to unit length.
     """
-    b, work = system.buffers, system.work
-    matrix = np.zeros((6 + system.layout.joints, system.constraint_count))
-    scale = np.empty(6 + system.layout.joints)
+    b, work = data.arrays, data.work
+    matrix = np.zeros((6 + data.model.layout.joints, data.model.layout.contacts))
+    scale = np.empty(6 + data.model.layout.joints)
     matrix[:6] = b.Wo.T
     scale[:6] = np.sqrt(np.diag(b.inertia))
-    for i in range(len(system.arm_names)):
+    for i in range(len(data.model.arm_names)):
         d = slice(work.dofs[i], work.dofs[i + 1])
         r = slice(work.rows[i], work.rows[i + 1])
         n = d.stop - d.start
@@ -493,7 +469,7 @@ def constraint_matrix(system: System) -> np.ndarray:
     return matrix / np.linalg.norm(matrix, axis=0)
 
 
-def contact_places(system: System, state: State) -> tuple[np.ndarray, np.ndarray]:
+def contact_places(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
     """Points [m] and normals into the object of all rows, world axes, shapes (N, 3).
 
     Rows of all arms, then those of the surroundings: see ``Layout``.  Nothing is solved.
@@ -503,27 +479,27 @@ def contact_places(system: System, state: State) -> tuple[np.ndarray, np.ndarray
     SolverError
         When a surface of the user's own fails.
     """
-    place_state(system, 0.0, state)
-    status = update_kinematics(system.struct())
+    place_state(data, 0.0, state)
+    status = update_kinematics(data.struct)
     if status != OK:
-        system.reraise()
-        raise SolverError(failure_text(system, status))
-    return points_and_normals(system, slice(None))
+        data.reraise()
+        raise SolverError(failure_text(data, status))
+    return points_and_normals(data, slice(None))
 
 
-def contact_terms(system: System) -> dict[str, ContactTerms]:
-    """Contact matrices of every arm at the kinematics in the buffers."""
-    b, plant = system.buffers, system.plant
+def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
+    """Contact matrices of every arm at the kinematics in the data."""
+    b, constants = data.arrays, data.model.constants
     every_row = np.vstack([b.contacts, b.parts])
     terms = {}
-    for i, name in enumerate(system.arm_names):
-        rows = slice(system.layout.rows[i], system.layout.rows[i + 1])
+    for i, name in enumerate(data.model.arm_names):
+        rows = slice(data.model.layout.rows[i], data.model.layout.rows[i + 1])
         matrices = contact_matrices(
-            plant.codes, plant.geometry, every_row, np.arange(rows.start, rows.stop),
-            b.arms[i], b.body, _tip_kinematics(system, name, b.arms[i]),
+            constants.codes, constants.geometry, every_row, np.arange(rows.start, rows.stop),
+            b.arms[i], b.body, _tip_kinematics(data, name, b.arms[i]),
         )  # fmt: skip
         contacts = b.contacts[rows]
-        points, normals = points_and_normals(system, rows)
+        points, normals = points_and_normals(data, rows)
         terms[name] = ContactTerms(
             *matrices,
             c=-contacts[:, GAP_BIAS],
@@ -535,9 +511,9 @@ def contact_terms(system: System) -> dict[str, ContactTerms]:
     return terms
 
 
-def _tip_kinematics(system: System, name: str, link: np.ndarray) -> np.ndarray:
+def _tip_kinematics(data: Evaluated, name: str, link: np.ndarray) -> np.ndarray:
     """Kinematics of the tip frame from those of the link it is fixed to, a row of 24."""
-    arm = system.arms[name]
+    arm = data.model.arms[name]
     tip = np.zeros(BODY_WIDTH)
     rotation = link[:9].reshape(3, 3)
     offset = rotation @ arm.tip_translation

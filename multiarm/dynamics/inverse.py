@@ -1,6 +1,6 @@
 r"""Inverse dynamics: the joint torques for a wanted motion and wanted internal forces.
 
-The motion is told by the object's acceleration and by the rates of the relative rates
+The motion is given by the object's acceleration and by the rates of the relative rates
 :math:`\alpha` that the joints leave free.  With the motion space T of its joint (thesis, 3.5 -
 3.8), each gripper accelerates with
 
@@ -24,21 +24,22 @@ CUHK 1995, section 3.10.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.assembly.system import System, checked_vector
 from multiarm.contacts.gripper import gripper_acceleration, relative_wrenches
 from multiarm.contacts.internal_forces import InternalForces, distribute
-from multiarm.control.laws import NO_PROGRAM
+from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_analysis import relative_motion_of
 from multiarm.dynamics.dense_callback import read_inertia
-from multiarm.dynamics.equations import OK, update_kinematics
+from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate
+from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System, checked_vector
+from multiarm.dynamics.user_callback import NO_CONTROL
 from multiarm.errors import ModelError, SolverError
-from multiarm.events.selection import held_model
 from multiarm.spatial import quaternion_to_matrix
 
 # Singular values of an arm's scaled Jacobian below this fraction of the largest count as zero.
@@ -86,8 +87,7 @@ def inverse_dynamics(
     ----------
     system : System
         Its control is left out of account, its effects (joint damping, ...) are compensated.
-        Where contacts come and go, all contacts of the joints are held, and those with a floor are
-        open.
+        Unilateral contacts of the joints are closed, those with a floor are open.
     state : State
         On the constraints, positions and velocities.
     object_acceleration : array-like, shape (6,)
@@ -114,22 +114,36 @@ def inverse_dynamics(
     ModelError
         For an unknown arm or a wrong shape.
     """
-    system = held_model(system)
     wanted = checked_vector("object_acceleration", object_acceleration, 6)
-    relative = _relative_accelerations(system, relative_acceleration or {})
-    posture = _posture_accelerations(system, posture_acceleration or {})
-    ev = _uncontrolled(system, t, state)
-    b, layout = system.buffers, system.layout
+    relative = _relative_accelerations(system.model, relative_acceleration or {})
+    posture = _posture_accelerations(system.model, posture_acceleration or {})
+    with system.borrow() as own:
+        data = _uncontrolled(own)
+        ev = evaluate(data, t, state)
+        return _solve(data, ev, wanted, relative, posture, internal_forces, basis)
+
+
+def _solve(
+    data: Data,
+    ev: Evaluation,
+    wanted: np.ndarray,
+    relative: Mapping[str, np.ndarray | None],
+    posture: Mapping[str, np.ndarray],
+    internal_forces: np.ndarray | None,
+    basis: str | InternalForces,
+) -> InverseDynamics:
+    """Torques for a wanted motion, at a state that has just been evaluated."""
+    b, layout = data.arrays, data.model.layout
     free, h_o, c = b.h.copy(), b.h_o.copy(), b.c.copy()
-    if update_kinematics(system.struct()) != OK:
-        system.reraise()
+    if update_kinematics(data.struct) != OK:
+        data.reraise()
     force = _contact_forces(ev, b.inertia @ wanted - h_o, internal_forces, basis)
     qdd, torque, faults = np.zeros(layout.joints), np.zeros(layout.joints), []
     residuals = np.zeros(2)
     for i, name in enumerate(layout.names):
         d, r = (slice(at[i], at[i + 1]) for at in (layout.dofs, layout.rows))
-        M, W = read_inertia(system.plant.pointers[i], d.stop - d.start), _own_W(system, i)
-        A, a = _wanted_motion(system, name, ev, wanted, relative[name])
+        M, W = read_inertia(b.pointers[i], d.stop - d.start), _own_W(data, i)
+        A, a = _wanted_motion(data.model, name, ev, wanted, relative[name])
         qdd[d], left = _nearest(M, A, a, posture[name])
         if left > IMPOSSIBLE * (1.0 + np.max(np.abs(a), initial=0.0)):
             faults.append(f"arm '{name}' ({len(M)} joints) misses it by {left:.3g} m/s^2, rad/s^2")
@@ -151,7 +165,7 @@ def inverse_dynamics(
 
 
 def _wanted_motion(
-    system: System,
+    model: Model,
     name: str,
     ev: Evaluation,
     object_acceleration: np.ndarray,
@@ -159,9 +173,9 @@ def _wanted_motion(
 ) -> tuple[np.ndarray, np.ndarray]:
     """``A`` and ``a`` of the equations ``A q'' = a`` for the joint accelerations of one arm."""
     state = ev.state
-    arm = system.arms[name].terms(state.joint_positions[name], state.joint_velocities[name])
+    arm = model.arms[name].terms(state.joint_positions[name], state.joint_velocities[name])
     R = quaternion_to_matrix(state.object_quaternion_xyzw)
-    relative, space = relative_motion_of(system, state, name), ev.motion_space(name)
+    relative, space = relative_motion_of(model, state, name), ev.motion_space(name)
     alpha = space.rates(relative.twist)
     alpha_dot = np.zeros(alpha.size) if rates is None else rates
     vdot = gripper_acceleration(
@@ -173,18 +187,18 @@ def _wanted_motion(
     return across @ arm.J, across @ (vdot - arm.drift)
 
 
-def _uncontrolled(system: System, t: float, state: State) -> Evaluation:
-    """Evaluate without control; its forces stay in the buffers.
+def _uncontrolled(data: Data) -> Data:
+    """Data of the model without control, all contacts of its joints closed, for the dense solver.
 
     The dense solver also answers where an arm is singular.
     """
-    plant = system.plant._replace(control=NO_PROGRAM, dense=np.ones(1, dtype=np.int64))
-    return evaluate(replace(system, plant=plant), t, state)
+    closed = data.with_contacts_closed()
+    return closed.view(closed.model.with_constants(control=NO_CONTROL, dense=True))
 
 
-def _own_W(system: System, i: int) -> np.ndarray:
+def _own_W(data: Data, i: int) -> np.ndarray:
     """Constraint matrix (n_i, N_i) of arm ``i`` at the kinematics in the buffers."""
-    work = system.work
+    work = data.work
     return work.Y[i, : work.dofs[i + 1] - work.dofs[i], : work.rows[i + 1] - work.rows[i]].copy()
 
 
@@ -223,30 +237,28 @@ def _impossible(faults: list[str]) -> str:
 
 
 def _relative_accelerations(
-    system: System, given: Mapping[str, np.ndarray | None]
+    model: Model, given: Mapping[str, np.ndarray | None]
 ) -> dict[str, np.ndarray | None]:
     """The wanted rates of the relative rates of every arm; None: left to the arm."""
-    _require_arms(system, "relative_acceleration", given)
+    _require_arms(model, "relative_acceleration", given)
     rates: dict[str, np.ndarray | None] = {}
-    for arm, frame in system.frames.items():
+    for arm, frame in model.frames.items():
         values = given.get(arm, np.zeros(len(frame.free)))
         what = f"relative_acceleration[{arm!r}] ({', '.join(frame.labels) or 'nothing is free'})"
         rates[arm] = None if values is None else checked_vector(what, values, len(frame.free))
     return rates
 
 
-def _posture_accelerations(
-    system: System, given: Mapping[str, np.ndarray]
-) -> dict[str, np.ndarray]:
-    _require_arms(system, "posture_acceleration", given)
+def _posture_accelerations(model: Model, given: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    _require_arms(model, "posture_acceleration", given)
     return {
         name: checked_vector(f"posture_acceleration[{name!r}]", given.get(name, np.zeros(n)), n)
-        for name, n in ((name, arm.dof) for name, arm in system.arms.items())
+        for name, n in ((name, arm.dof) for name, arm in model.arms.items())
     }
 
 
-def _require_arms(system: System, what: str, given: Mapping[str, object]) -> None:
+def _require_arms(model: Model, what: str, given: Mapping[str, object]) -> None:
     for arm in given:
-        if arm not in system.arms:
-            names = ", ".join(system.arm_names)
+        if arm not in model.arms:
+            names = ", ".join(model.arm_names)
             raise ModelError(f"{what}: unknown arm {arm!r}; arms are {names}")

@@ -24,7 +24,6 @@ from multiarm.contacts.kernel import (
 )
 from multiarm.contacts.records import COMBINED, KIND, RADIUS, SIDE, WEIGHT
 from multiarm.contacts.rows import write_rows
-from multiarm.dynamics.arrays import ARMS_SIZE, ARMS_STRUCT, CALL_ARMS, CALL_ROW, CALL_TERMS
 from multiarm.jit.kernels import inlined
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
@@ -49,53 +48,54 @@ from multiarm.spatial import write_matrix
 
 
 @inlined
-def fill_configuration(plant, buffers):
+def fill_configuration(model, data):
     """Write Pinocchio's configuration from the positions of its arms' joints."""
-    for j in range(buffers.angles.size):
-        slot = plant.q_slots[j]
+    for j in range(data.angles.size):
+        slot = model.q_slots[j]
         if slot < 0:
             continue
-        if plant.circular[j] != 0:
-            buffers.q[slot] = np.cos(buffers.angles[j])
-            buffers.q[slot + 1] = np.sin(buffers.angles[j])
+        if model.circular[j] != 0:
+            data.q[slot] = np.cos(data.angles[j])
+            data.q[slot + 1] = np.sin(data.angles[j])
         else:
-            buffers.q[slot] = buffers.angles[j]
+            data.q[slot] = data.angles[j]
 
 
 @inlined
-def arm_terms(plant, buffers):
+def arm_terms(model, data):
     """All terms of the arms, and the motion of the links that carry their tips."""
-    calls = plant.calls
-    if calls[CALL_ARMS] != 0:
-        call_cfunc(calls[CALL_ARMS], struct_at(calls[ARMS_STRUCT], calls[ARMS_SIZE]), 0.0, 0.0)
-    if calls[CALL_TERMS] != 0:
-        fill_configuration(plant, buffers)
-        call_python(calls[CALL_TERMS])
-    for i in range(plant.pointers.shape[0]):
-        if plant.pointers[i, TWIST_AT] != 0:
-            link_motion(plant.pointers[i], plant.gravity, buffers.arms[i])
+    functions = data.functions
+    if functions.arms != 0:
+        arms = struct_at(functions.arms_struct, functions.arms_size)
+        call_cfunc(functions.arms, arms, 0.0, 0.0)
+    if functions.pinocchio != 0:
+        fill_configuration(model, data)
+        call_python(functions.pinocchio)
+    for i in range(data.pointers.shape[0]):
+        if data.pointers[i, TWIST_AT] != 0:
+            link_motion(data.pointers[i], model.gravity, data.arms[i])
 
 
 @inlined
-def object_terms(plant, buffers):
+def object_terms(model, data):
     """Pose, motion, inertia ``blkdiag(m I, R I R^T)`` and bias of the object (thesis, 3.2)."""
-    body, mass = buffers.body, plant.object_mass[0]
-    write_matrix(buffers.position[3:7], body)
-    R, omega = rotation(body, 0), vec(buffers.twist, 3)
-    A = plant.object_inertia
+    body, mass = data.body, model.object_mass
+    write_matrix(data.position[3:7], body)
+    R, omega = rotation(body, 0), vec(data.twist, 3)
+    A = model.object_inertia
     I = rotate_symmetric(  # noqa: E741
         R, (A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2])
     )
-    put(body, ORIGIN_AT, vec(buffers.position, 0))
-    put(body, VELOCITY, vec(buffers.twist, 0))
+    put(body, ORIGIN_AT, vec(data.position, 0))
+    put(body, VELOCITY, vec(data.twist, 0))
     put(body, SPIN, omega)
     for k in range(3):
-        buffers.inertia[k, k] = mass
-    put(buffers.inertia[3], 3, I[0:3])
-    put(buffers.inertia[4], 3, (I[1], I[3], I[4]))
-    put(buffers.inertia[5], 3, (I[2], I[4], I[5]))
-    put(buffers.h_o, 0, scale(mass, vec(plant.gravity, 0)))
-    put(buffers.h_o, 3, cross(times(I, omega), omega))
+        data.inertia[k, k] = mass
+    put(data.inertia[3], 3, I[0:3])
+    put(data.inertia[4], 3, (I[1], I[3], I[4]))
+    put(data.inertia[5], 3, (I[2], I[4], I[5]))
+    put(data.h_o, 0, scale(mass, vec(model.gravity, 0)))
+    put(data.h_o, 3, cross(times(I, omega), omega))
 
 
 @inlined
@@ -121,24 +121,24 @@ def link_motion(pointers, gravity, row):
 
 
 @inlined
-def arm_rows(i, struct, plant, buffers, work):
+def arm_rows(i, struct, model, data, work):
     """Contact kinematics of arm ``i``, its rows of ``W_o`` and its ``W`` (into ``work.Y``).
 
-    ``plant, buffers, work`` are the views of ``struct``.
+    ``model, data, work`` are the views of ``struct``.
     """
     d = work.dofs[i + 1] - work.dofs[i]
     first = work.rows[i]
     m = work.rows[i + 1] - first
-    J = floats_at(plant.pointers[i, J_AT], 6 * d)  # column by column
-    x_o, Y, wrench = vec(buffers.body, ORIGIN_AT), work.Y[i], buffers.wrench
+    J = floats_at(data.pointers[i, J_AT], 6 * d)  # column by column
+    x_o, Y, wrench = vec(data.body, ORIGIN_AT), work.Y[i], data.wrench
     write_rows(
-        first, m, buffers.arms[i], buffers.body, buffers.relative, plant.codes, plant.geometry,
-        buffers.contacts, struct, i, plant.calls[CALL_ROW],
+        first, m, data.arms[i], data.body, data.relative, model.codes, model.geometry,
+        data.contacts, struct, i, data.functions.row,
     )  # fmt: skip
     for k in range(m):
-        row, Wo = buffers.contacts[first + k], buffers.Wo[first + k]
+        row, Wo = data.contacts[first + k], data.Wo[first + k]
         e, p = vec(row, NORMAL), vec(row, AT)
-        couple = vec(row, COUPLE) if plant.codes[first + k, KIND] == COMBINED else ZERO
+        couple = vec(row, COUPLE) if model.codes[first + k, KIND] == COMBINED else ZERO
         put(Wo, 0, e)
         put(Wo, 3, add(cross(sub(p, x_o), e), couple))
         # the arm takes the opposite wrench; its Jacobian is about the world's origin
@@ -181,24 +181,22 @@ def write_columns(i, k, d, J, wrench, work):
 
 
 @inlined
-def write_joint_rows(plant, buffers, work):
+def write_joint_rows(model, data, work):
     """Rows that belong to joints: their gaps, and their columns of ``W``."""
-    for k in range(plant.joint_rows.shape[0]):
-        i, row, joint = plant.joint_rows[k, 0], plant.joint_rows[k, 1], plant.joint_rows[k, 2]
-        side, geometry = plant.geometry[row, SIDE], plant.geometry[row]
-        buffers.contacts[row, GAP] = (
-            geometry[WEIGHT] * side * (buffers.angles[joint] - geometry[RADIUS])
-        )
-        buffers.contacts[row, GAP_RATE] = side * buffers.v[joint]
+    for k in range(model.joint_rows.shape[0]):
+        i, row, joint = model.joint_rows[k, 0], model.joint_rows[k, 1], model.joint_rows[k, 2]
+        side, geometry = model.geometry[row, SIDE], model.geometry[row]
+        data.contacts[row, GAP] = geometry[WEIGHT] * side * (data.angles[joint] - geometry[RADIUS])
+        data.contacts[row, GAP_RATE] = side * data.v[joint]
         work.Y[i, joint - work.dofs[i], row - work.rows[i]] = side
 
 
 @inlined
-def load_inertia(i, plant, work):
+def load_inertia(i, data, work):
     """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.L``."""
     d = work.dofs[i + 1] - work.dofs[i]
-    stride = plant.pointers[i, M_STRIDE]
-    M = floats_at(plant.pointers[i, M_AT], d * stride)
+    stride = data.pointers[i, M_STRIDE]
+    M = floats_at(data.pointers[i, M_AT], d * stride)
     L = work.L[i]
     for a in range(d):
         for b in range(a + 1):

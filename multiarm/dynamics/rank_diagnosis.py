@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.assembly.contact_checks import joint_wrenches
-from multiarm.assembly.system import System
 from multiarm.contacts.records import Contact
+from multiarm.dynamics.contact_geometry import joint_wrenches
+from multiarm.dynamics.model import Evaluated
 from multiarm.dynamics.solver.dense import null_space
 
 # An arm hardly moves along a direction in which it does less than this part of its best one, ...
@@ -62,23 +62,23 @@ class LostMotion:
     share: float
 
 
-def lost_motions(system: System, arms: Iterable[str] | None = None) -> dict[str, tuple[str, ...]]:
+def lost_motions(data: Evaluated, arms: Iterable[str] | None = None) -> dict[str, tuple[str, ...]]:
     """What each arm cannot do, in words of at most 60 characters; empty for a regular arm.
 
-    At the kinematics in the buffers, before they are eliminated.
+    At the kinematics in the data, before they are eliminated.
 
     Parameters
     ----------
-    system : System
+    data : Evaluated
     arms : names, optional
         All when left out.
     """
-    return {arm: _of_arm(system, arm) for arm in (system.arm_names if arms is None else arms)}
+    return {arm: _of_arm(data, arm) for arm in (data.model.arm_names if arms is None else arms)}
 
 
-def lost_directions(system: System, arm: str) -> tuple[LostMotion, ...]:
+def lost_directions(data: Evaluated, arm: str) -> tuple[LostMotion, ...]:
     """The directions that an arm loses by its posture, or for want of joints, one by one."""
-    hold = _hold(system, arm)
+    hold = _hold(data, arm)
     if hold is None:
         return ()
     _, sizes, turned = np.linalg.svd(hold.felt)
@@ -86,18 +86,18 @@ def lost_directions(system: System, arm: str) -> tuple[LostMotion, ...]:
     return _named(hold, hold.basis @ turned[kept:].T, float(sizes[0]))
 
 
-def describe(system: System, arm: str, directions: np.ndarray) -> tuple[str, ...]:
+def describe(data: Evaluated, arm: str, directions: np.ndarray) -> tuple[str, ...]:
     """Words for combinations of an arm's contacts, one for each.
 
     Parameters
     ----------
-    system : System
+    data : Evaluated
     arm : str
     directions : ndarray, shape (N_i, k)
         Each column a combination that the arm cannot follow, or hardly.  They are taken together:
         the words are for a basis of what they span.
     """
-    hold = _hold(system, arm)
+    hold = _hold(data, arm)
     directions = np.asarray(directions, dtype=float)
     if hold is None or not np.all(np.isfinite(directions)):
         return ("a direction that has no name here",) * directions.shape[1]
@@ -143,13 +143,13 @@ class _Axis(NamedTuple):
     point: np.ndarray
 
 
-def _of_arm(system: System, arm: str) -> tuple[str, ...]:
-    hold = _hold(system, arm)
+def _of_arm(data: Evaluated, arm: str) -> tuple[str, ...]:
+    hold = _hold(data, arm)
     if hold is None:
         return ()
-    words = _redundant(system, arm)
+    words = _redundant(data, arm)
     joints, independent = hold.felt.shape
-    lost = lost_directions(system, arm)
+    lost = lost_directions(data, arm)
     if joints >= independent:
         return words + tuple(motion.words for motion in lost)
     leave = f"its {joints} joint{' leaves' if joints == 1 else 's leave'}"
@@ -159,10 +159,10 @@ def _of_arm(system: System, arm: str) -> tuple[str, ...]:
     return words
 
 
-def _redundant(system: System, arm: str) -> tuple[str, ...]:
+def _redundant(data: Evaluated, arm: str) -> tuple[str, ...]:
     """Contacts that depend on each other."""
-    space = null_space(joint_wrenches(system, arm).T)
-    own_contacts = [row for row in system.contacts[arm] if isinstance(row, Contact)]
+    space = null_space(joint_wrenches(data, arm).T)
+    own_contacts = [row for row in data.model.contacts[arm] if isinstance(row, Contact)]
     names = [contact.name for contact in own_contacts]
     many = len(names) - space.rank
     if not many:
@@ -179,22 +179,22 @@ def _redundant(system: System, arm: str) -> tuple[str, ...]:
     return (f"{text} among {len(among)} of them",)
 
 
-def _hold(system: System, arm: str) -> _Hold | None:
+def _hold(data: Evaluated, arm: str) -> _Hold | None:
     """Wrenches and what the joints feel of them; None when a contact has no normal."""
-    i = system.arm_names.index(arm)
-    buffers, layout, tip = system.buffers, system.layout, system.arms[arm]
+    i = data.model.arm_names.index(arm)
+    arrays, layout, tip = data.arrays, data.model.layout, data.model.arms[arm]
     d = slice(layout.dofs[i], layout.dofs[i + 1])
     r = slice(layout.rows[i], layout.rows[i + 1])
-    rows, W = buffers.Wo[r], system.work.Y[i, : d.stop - d.start, : r.stop - r.start]
+    rows, W = arrays.Wo[r], data.work.Y[i, : d.stop - d.start, : r.stop - r.start]
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(W)) and np.any(rows)):
         return None
-    link, at = buffers.arms[i], system.frames[arm].on_tip[:3, 3]
+    link, at = arrays.arms[i], data.model.frames[arm].on_tip[:3, 3]
     place = link[9:12] + link[:9].reshape(3, 3) @ (tip.tip_rotation @ at + tip.tip_translation)
-    axes = _axes(system, arm, buffers.angles[d])
+    axes = _axes(data, arm, arrays.angles[d])
     length = _length(axes, place)
-    moments = rows[:, 3:] - np.cross(place - buffers.body[9:12], rows[:, :3])
+    moments = rows[:, 3:] - np.cross(place - arrays.body[9:12], rows[:, :3])
     wrenches = np.hstack([rows[:, :3], moments / length]).T
-    rank = null_space(joint_wrenches(system, arm).T).rank
+    rank = null_space(joint_wrenches(data, arm).T).rank
     basis, sizes, turned = np.linalg.svd(wrenches, full_matrices=False)
     combinations = turned[:rank].T / sizes[:rank]
     units = np.array([length if axis.turns else 1.0 for axis in axes])
@@ -208,12 +208,12 @@ def _hold(system: System, arm: str) -> _Hold | None:
     )
 
 
-def _axes(system: System, arm: str, angles: np.ndarray) -> list[_Axis]:
+def _axes(data: Evaluated, arm: str, angles: np.ndarray) -> list[_Axis]:
     """Axes of an arm's joints, from the Jacobian of its tip.
 
     A turn about ``a`` through ``o`` moves the tip by ``a x (tip - o)``.
     """
-    terms = system.arms[arm].terms(angles, np.zeros(len(angles)))
+    terms = data.model.arms[arm].terms(angles, np.zeros(len(angles)))
     axes = []
     for velocity, spin in zip(terms.J[:3].T, terms.J[3:].T, strict=True):
         turns = bool(np.any(spin))

@@ -17,27 +17,16 @@ from __future__ import annotations
 import math
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.dynamics.arrays import (
-    CALL_CLOSE,
-    CALL_SOLVE,
-    COUPLED_ARMS,
-    IMBALANCE,
-    RANK_OF_ALL,
-    RESIDUAL,
-    open_coupled,
-    open_system,
-)
+from multiarm.dynamics.arrays import OK, open_coupled, open_system
 from multiarm.dynamics.equations import (
     AT_REST,
-    OK,
-    evaluate_buffers,
+    evaluate_state,
     largest,
     renew_kinematics,
     solve_again,
 )
 from multiarm.dynamics.solver.batched import largest_free_rate
 from multiarm.dynamics.solver.regular import COUPLED_BELOW
-from multiarm.dynamics.solver.singular import ARMS, RANK, UNKNOWNS
 from multiarm.jit.kernels import inlined, kernel
 
 # Constraint residual, relative to the largest term of its equation, that is still a solution.
@@ -52,30 +41,30 @@ LOST, REGAINED = 1e-3, 2.0
 
 @kernel
 def evaluate_and_check(struct, found):
-    """Evaluate the state in the buffers, and put the result back into the equations.
+    """Evaluate the state in ``data``, and put the result back into the equations.
 
     Writes into ``found`` (6,) what is left over of the arms' equations, of the object's and of the
     constraints (largest magnitudes, see :class:`multiarm.dynamics.evaluation.Residuals`), the
     largest gap [m] and gap rate [m/s], and whether the result counts as a solution.  The matrices
     in ``work`` are not factored afterwards.  Returns a status, as
-    :func:`multiarm.dynamics.equations.evaluate_buffers`.
+    :func:`multiarm.dynamics.equations.evaluate_state`.
     """
-    status = evaluate_buffers(struct, 0.0, 0.0)
+    status = evaluate_state(struct, 0.0, 0.0)
     if status != OK:
         return status
     note_solution(struct)
-    _, buffers, work = open_system(struct)
-    found[5] = 1.0 if believable(struct, buffers.solved[RESIDUAL]) else 0.0
+    _, data, work = open_system(struct)
+    found[5] = 1.0 if believable(struct, data.status.residual) else 0.0
     if work.factored[0] != 0:
         status = renew_kinematics(struct)
-    found[0], found[2] = arm_residuals(buffers, work)
-    found[1] = object_residual(buffers)
-    found[3], found[4] = largest(buffers.contacts, GAP), largest(buffers.contacts, GAP_RATE)
+    found[0], found[2] = arm_residuals(data, work)
+    found[1] = object_residual(data)
+    found[3], found[4] = largest(data.contacts, GAP), largest(data.contacts, GAP_RATE)
     return status
 
 
 @kernel
-def arm_residuals(buffers, work):
+def arm_residuals(data, work):
     """``M q'' - h - W force`` of all arms and ``W_o^T q_o + W^T q'' - c``, largest magnitudes."""
     of_arms = of_constraints = 0.0
     for i in range(work.dofs.size - 1):
@@ -83,32 +72,32 @@ def arm_residuals(buffers, work):
         r0, r = work.rows[i], work.rows[i + 1] - work.rows[i]
         M, W = work.L[i], work.Y[i]
         for j in range(d):
-            left = -buffers.h[d0 + j]
+            left = -data.h[d0 + j]
             for k in range(d):
-                left += M[max(j, k), min(j, k)] * buffers.qdd[d0 + k]
+                left += M[max(j, k), min(j, k)] * data.qdd[d0 + k]
             for a in range(r):
-                left -= W[j, a] * buffers.force[r0 + a]
+                left -= W[j, a] * data.force[r0 + a]
             of_arms = larger(of_arms, left)
         for a in range(r):
-            left = -buffers.c[r0 + a]
+            left = -data.c[r0 + a]
             for k in range(6):
-                left += buffers.Wo[r0 + a, k] * buffers.q_o[k]
+                left += data.Wo[r0 + a, k] * data.q_o[k]
             for j in range(d):
-                left += W[j, a] * buffers.qdd[d0 + j]
+                left += W[j, a] * data.qdd[d0 + j]
             of_constraints = larger(of_constraints, left)
     return of_arms, of_constraints
 
 
 @kernel
-def object_residual(buffers):
+def object_residual(data):
     """``M_o q_o - h_o - W_o force``, largest magnitude."""
     worst = 0.0
     for k in range(6):
-        left = -buffers.h_o[k]
+        left = -data.h_o[k]
         for j in range(6):
-            left += buffers.inertia[k, j] * buffers.q_o[j]
-        for a in range(buffers.force.size):
-            left -= buffers.Wo[a, k] * buffers.force[a]
+            left += data.inertia[k, j] * data.q_o[j]
+        for a in range(data.force.size):
+            left -= data.Wo[a, k] * data.force[a]
         worst = larger(worst, left)
     return worst
 
@@ -121,40 +110,41 @@ def larger(worst, left):
 
 @kernel
 def note_solution(struct):
-    """Write rank, coupled arms and residual of the last solution into ``buffers.solved``.
+    """Write rank, coupled arms and residual of the last solution into ``data.status``.
 
     A solution that is not believable is replaced by the one with every arm decomposed.
     """
-    plant, buffers, work = open_system(struct)
+    model, data, work = open_system(struct)
     coupled = open_coupled(struct)
-    solved, counts, arms = buffers.solved, coupled.counts, plant.pointers.shape[0]
-    solved[RESIDUAL] = residual_of_all(plant, buffers, work)
-    if not believable(struct, solved[RESIDUAL]) and can_be_repeated(plant) and counts[ARMS] < arms:
+    status, arms = data.status, data.pointers.shape[0]
+    status.residual = residual_of_all(model, data, work)
+    solved = believable(struct, status.residual)
+    if not solved and can_be_repeated(model, data) and coupled.status.arms < arms:
         if solve_again(struct) != OK:
-            solved[IMBALANCE] = math.nan
-        solved[RESIDUAL] = residual_of_all(plant, buffers, work)
-    if plant.dense[0] == 0:
-        solved[COUPLED_ARMS] = counts[ARMS]
-        solved[RANK_OF_ALL] = buffers.force.size
-        if counts[ARMS] > 0:
-            solved[RANK_OF_ALL] += counts[RANK] - counts[UNKNOWNS]
+            status.imbalance = math.nan
+        status.residual = residual_of_all(model, data, work)
+    if not model.dense:
+        status.coupled_arms = coupled.status.arms
+        status.rank = data.force.size
+        if coupled.status.arms > 0:
+            status.rank += coupled.status.rank - coupled.status.unknowns
 
 
 @inlined
-def can_be_repeated(plant):
+def can_be_repeated(model, data):
     """Whether the node algorithm alone made the solution, without friction or forces of a mode."""
-    return plant.dense[0] == 0 and plant.calls[CALL_SOLVE] == plant.calls[CALL_CLOSE]
+    return not model.dense and data.functions.solve == data.functions.project
 
 
 @inlined
-def residual_of_all(plant, buffers, work):
+def residual_of_all(model, data, work):
     """The constraints' residual or the object's, whichever is larger; NaN if either is."""
-    residual, other = constraint_residual(plant, buffers, work), buffers.solved[IMBALANCE]
+    residual, other = constraint_residual(model, data, work), data.status.imbalance
     return residual if other <= residual or residual != residual else other
 
 
 @kernel
-def constraint_residual(plant, buffers, work):
+def constraint_residual(model, data, work):
     """Largest ``|W_o^T q_o + W^T q - c|`` relative to the largest term in any of these rows.
 
     Terms are those that cancel there: ``c``, the accelerations, and those without contact forces.
@@ -162,27 +152,27 @@ def constraint_residual(plant, buffers, work):
     ``W^T q = Y^T (L^T q)``; else ``W`` is still in ``work.Y``.
     """
     factored = work.factored[0] != 0
-    worst, scale, u = 0.0, max(AT_REST, free_acceleration(buffers)), buffers.residual
-    if not factored and plant.dense[0] == 0:
+    worst, scale, u = 0.0, max(AT_REST, free_acceleration(data)), data.residual
+    if not factored and not model.dense:
         scale = max(scale, largest_free_rate(work))
     for i in range(work.dofs.size - 1):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         L, Y = work.L[i], work.Y[i]
         for j in range(d):
-            u[j] = buffers.qdd[d0 + j]
+            u[j] = data.qdd[d0 + j]
             if factored:
                 u[j] /= L[j, j]
                 for k in range(j + 1, d):
-                    u[j] += L[k, j] * buffers.qdd[d0 + k]
+                    u[j] += L[k, j] * data.qdd[d0 + k]
         for a in range(work.rows[i], work.rows[i + 1]):
             of_object = of_arm = free = 0.0
             for k in range(6):
-                of_object += buffers.Wo[a, k] * buffers.q_o[k]
+                of_object += data.Wo[a, k] * data.q_o[k]
             for j in range(d):
                 of_arm += Y[j, a - work.rows[i]] * u[j]
                 if factored:
                     free += Y[j, a - work.rows[i]] * work.y[d0 + j]
-            c = buffers.c[a]
+            c = data.c[a]
             scale = max(scale, abs(of_object), abs(of_arm), abs(free), abs(c))
             left = abs(of_object + of_arm - c)
             if left != left:
@@ -199,50 +189,50 @@ def believable(struct, residual):
     only so near to the motion that it is on.
     """
     coupled = open_coupled(struct)
-    if coupled.counts[ARMS] == 0:
+    if coupled.status.arms == 0:
         return residual <= RESIDUAL_BOUND
-    margin = coupled.margin[0]
+    margin = coupled.status.margin
     rounded = min(MOST_ROUNDED_RESIDUAL, ROUNDED_RESIDUAL / (margin * margin))
     return residual <= max(RESIDUAL_BOUND, rounded)
 
 
 @kernel
-def free_acceleration(buffers):
+def free_acceleration(data):
     """Acceleration of the object's centre of mass without contact forces [m/s^2]."""
     force = 0.0
     for k in range(3):
-        force = max(force, abs(buffers.h_o[k]))
-    return force / buffers.inertia[0, 0]
+        force = max(force, abs(data.h_o[k]))
+    return force / data.inertia[0, 0]
 
 
 @kernel
 def watch_solver(struct):
     """Compare with the step before; returns the number of changes, for Python to put into words."""
-    plant, buffers, work = open_system(struct)
+    model, data, work = open_system(struct)
     changes = 0
-    rank = int(buffers.solved[RANK_OF_ALL])
-    last = buffers.lost.size - 1
-    if buffers.lost[last] != rank:
-        buffers.lost[last] = rank
+    rank = data.status.rank
+    last = data.lost.size - 1
+    if data.lost[last] != rank:
+        data.lost[last] = rank
         changes += 1
-    if plant.dense[0] != 0:
+    if model.dense:
         return changes
     coupled = open_coupled(struct)
     for i in range(last):
-        buffers.passed[i] = 0
+        data.passed[i] = 0
         lost = 0
         if not work.pivot[i] > COUPLED_BELOW:
-            lost = lost_directions(i, buffers.lost[i], work, coupled)
+            lost = lost_directions(i, data.lost[i], work, coupled)
         elif work.pivot[i] < REGAINED * REGAINED * COUPLED_BELOW:
-            lost = buffers.lost[i]
+            lost = data.lost[i]
         elif work.dofs[i + 1] - work.dofs[i] == work.rows[i + 1] - work.rows[i]:
             sign = determinant_sign(i, work, coupled)
-            if sign * buffers.signs[i] < 0.0:
-                buffers.passed[i] = 1
+            if sign * data.signs[i] < 0.0:
+                data.passed[i] = 1
                 changes += 1
-            buffers.signs[i] = sign
-        if lost != buffers.lost[i]:
-            buffers.lost[i] = lost
+            data.signs[i] = sign
+        if lost != data.lost[i]:
+            data.lost[i] = lost
             changes += 1
     return changes
 

@@ -1,33 +1,41 @@
-"""Functions of the user's that an evaluation asks: controllers, wrenches from outside.
+"""User functions that an evaluation calls: controllers, wrenches, effects.
 
 ``f(t, state)`` is called from compiled code with the time and a copy of the state being evaluated.
 Its answer is checked and copied into an array that the kernels read.
 
-A rerun that checks a run asks again from the beginning.  A function that integrates, counts or
-draws random numbers then answers otherwise, and the two runs are not the same motion.  So some
-questions are kept with their answers, the 1st, 2nd, 4th, 8th ..., and can be put once more.
+A rerun that checks a run calls the function from the beginning again.  One that integrates, counts
+or draws random numbers then answers differently, and the two runs are not the same motion.  So some
+calls are kept with their answers, the 1st, 2nd, 4th, 8th ..., and can be repeated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from multiarm.dynamics.arrays import BUSY, Buffers
+from multiarm.dynamics.arrays import Variables, open_data
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import USER_FAULTS, ControlError, MultiarmError
-from multiarm.jit.pointers import PythonCallback
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.pointers import PythonCallback, address_of, call_python
+from multiarm.jit.structs import struct_at
+
+ControlFunction = Callable[[float, State], Mapping[str, np.ndarray]]
+
+# No control law: see ``Constants.control``.
+NO_CONTROL = np.zeros((0, 2), dtype=np.int64)
 
 # Answers that differ by less than this, relative to the largest of those kept, are the same.
 SAME = 1e-9
 
 
-class Asked(PythonCallback):
-    """A function of the user's, to be called from compiled code; ``name`` says which.
+class UserCallback(PythonCallback):
+    """A user function that compiled code calls.
 
-    Systems of several threads may ask one function: each has an instance of this for itself.
+    Threads may call one function: each has an instance of this for itself.
 
     Parameters
     ----------
@@ -36,29 +44,37 @@ class Asked(PythonCallback):
     name : str
         What it is, such as "the controller".
     read : callable
-        Turns an answer into a new vector; raises ``ControlError`` for one that cannot be used.
+        ``read(answer, t)`` turns an answer into a new vector; raises ``ControlError`` for one that
+        cannot be used.
     out : ndarray
         Where that is copied.
     layout : Layout
-    buffers : Buffers
+    variables : Variables
+        Where the state being evaluated is.
     """
 
     def __init__(
         self,
         function: Callable[[float, State], Any],
         name: str,
-        read: Callable[[Any], np.ndarray],
+        read: Callable[[Any, float], np.ndarray],
         out: np.ndarray,
         layout: Layout,
-        buffers: Buffers,
+        variables: Variables,
     ) -> None:
         self.function, self.name, self._read = function, name, read
-        self._out, self._layout, self._buffers = out, layout, buffers
-        self._count, self._kept = 0, []  # type: ignore[var-annotated]
-        super().__init__(self._write_answer, buffers.flag)
+        self._out, self._layout, self._variables = out, layout, variables
+        self._count = 0
+        self._kept: list[tuple[float, State, np.ndarray]] = []
+        super().__init__(self._write_answer, variables.status)
+
+    def forget(self) -> None:
+        """Forget the calls that were kept: another run begins."""
+        self._count = 0
+        self._kept.clear()
 
     def remembers(self) -> bool:
-        """Whether the function answers kept questions otherwise than it did.
+        """Whether the function now answers kept calls differently.
 
         Those that it cannot answer any more are left out.
         """
@@ -73,7 +89,8 @@ class Asked(PythonCallback):
         return apart > SAME * largest
 
     def _write_answer(self) -> None:
-        t, b = float(self._buffers.time[0]), self._buffers
+        b = self._variables
+        t = b.time.now
         position, velocity = np.concatenate([b.position, b.angles]), np.concatenate([b.twist, b.v])
         state = State(position, velocity, self._layout)
         self._count += 1
@@ -85,7 +102,6 @@ class Asked(PythonCallback):
         self._out[:] = answer
 
     def _answer(self, t: float, state: State) -> np.ndarray:
-        self._buffers.flag[BUSY] = 1
         try:
             answer = self.function(t, state)
         except MultiarmError:
@@ -94,6 +110,72 @@ class Asked(PythonCallback):
             raise ControlError(
                 f"{self.name} raised {type(error).__name__}: {error} (at t = {t:.6g} s)"
             ) from error
-        finally:
-            self._buffers.flag[BUSY] = 0
-        return self._read(answer)
+        return self._read(answer, t)
+
+
+@dataclass(frozen=True)
+class PythonControl:
+    """A controller in Python.
+
+    Attributes
+    ----------
+    function : callable
+        ``f(t, state) -> {arm: torques}``; arms that it leaves out get no torque.
+    """
+
+    function: ControlFunction
+
+    @property
+    def laws(self) -> np.ndarray:
+        """``Constants.control``."""
+        return np.array([[address_of(call_controller), 0]], dtype=np.int64)
+
+    def connect(self, layout: Layout, variables: Variables) -> UserCallback:
+        """The callback that writes the torques."""
+
+        def read(torques: object, t: float) -> np.ndarray:
+            return _read_torques(torques, layout, t)
+
+        out = variables.torque
+        return UserCallback(self.function, "the controller", read, out, layout, variables)
+
+
+@cfunc
+def call_controller(address, size, _at, _t):
+    """Let the controller in Python write all torques."""
+    call_python(open_data(struct_at(address, size)).functions.control)
+    return 0
+
+
+def _read_torques(torques: object, layout: Layout, t: float) -> np.ndarray:
+    """Torques of all joints (n,) from those by arm; arms that are left out get none."""
+    if not isinstance(torques, Mapping):
+        raise ControlError(
+            f"the controller returned {type(torques).__name__}; return a dict arm -> torques"
+        )
+    stacked = np.zeros(layout.joints)
+    views = layout.split_joints(stacked)
+    for arm, values in torques.items():
+        if arm not in views:
+            raise ControlError(
+                f"the controller returned torques for an unknown arm {arm!r}; "
+                f"arms are {', '.join(views)}"
+            )
+        try:
+            vector = np.asarray(values, dtype=float)
+        except (TypeError, ValueError):
+            raise ControlError(
+                f"the controller's torques for arm {arm!r} are not numbers: {values!r}"
+            ) from None
+        if vector.shape != views[arm].shape:
+            raise ControlError(
+                f"the controller returned shape {vector.shape} for arm {arm!r}, "
+                f"expected {views[arm].shape}: one torque a joint"
+            )
+        if not np.all(np.isfinite(vector)):
+            raise ControlError(
+                f"the controller returned a torque that is not finite for arm {arm!r} at "
+                f"t = {t:.6g} s: {vector.tolist()}"
+            )
+        views[arm][:] = vector
+    return stacked

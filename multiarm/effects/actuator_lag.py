@@ -6,48 +6,44 @@ control asks for, within ``torque_limits``.  The torque that acts does the contr
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from multiarm.dynamics.arrays import open_system
-from multiarm.effects.piece import ACTUATOR, STATE, Piece, Site
+from multiarm.dynamics.effect_kernels import ACTUATOR, STATE, Arrays, EffectKernel
+from multiarm.effects.context import BuildContext
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
-
-if TYPE_CHECKING:
-    from multiarm.assembly.system import System
 
 
 @cfunc
 def lag_torques(address, size, at, _t):
     """Own arrays: the lagging joints; their time constants [s]; their commands, written here."""
     struct = struct_at(address, size)
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     first = int(at)
     slots, lagging = ints1(struct, first), ints1(struct, first + 1)
     constants, commands = floats1(struct, first + 2), floats1(struct, first + 3)
-    torque, state = buffers.torque, slots[STATE]
+    torque, state = data.torque, slots[STATE]
     for k in range(lagging.size):
         j = lagging[k]
         commands[k] = torque[j]
-        torque[j] = buffers.inner[state + k]
-        buffers.inner_rate[state + k] = (commands[k] - torque[j]) / constants[k]
+        torque[j] = data.inner[state + k]
+        data.inner_rate[state + k] = (commands[k] - torque[j]) / constants[k]
     return 0
 
 
-def build(spec, site: Site) -> list[Piece]:
+def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The piece of a system whose drives lag; joints without a time constant follow at once."""
-    constants = site.stacked(spec.time_constant)
+    constants = context.stacked(spec.time_constant)
     lagging = np.flatnonzero(constants).astype(np.int64)
     commands = np.zeros(lagging.size)
 
-    def start(_system: System) -> np.ndarray:
-        return commands.copy() if spec.start == "command" else np.zeros_like(commands)
+    def start(arrays: Arrays) -> np.ndarray:
+        return arrays[2].copy() if spec.start == "command" else np.zeros_like(commands)
 
     arrays = (lagging, constants[lagging], commands)
     return [
-        Piece(
+        EffectKernel(
             "actuator_lag",
             lag_torques,
             ACTUATOR,

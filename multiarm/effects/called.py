@@ -1,4 +1,4 @@
-"""Forces that a Python function computes, asked at every evaluation.
+"""Forces that a Python function computes at every evaluation.
 
 What it returns, a wrench on the object and torques of the joints, is checked and added by a kernel.
 """
@@ -9,11 +9,12 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from multiarm.dynamics.arrays import Buffers, open_system
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import Layout, State
-from multiarm.dynamics.user_callback import Asked
+from multiarm.dynamics.user_callback import UserCallback
 from multiarm.effects.effect import Loads
-from multiarm.effects.piece import APPLIED, POWER, Piece
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import call_python
@@ -24,35 +25,43 @@ from multiarm.jit.structs import floats1, ints1, struct_at
 def add_called_loads(address, size, at, _t):
     """Own arrays: address of the function, and what it answers: wrench, then torques."""
     struct = struct_at(address, size)
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     slots, function = ints1(struct, int(at)), ints1(struct, int(at) + 1)
     loads, power = floats1(struct, int(at) + 2), 0.0
-    if buffers.flag[0] != 0:
-        return 0  # another function failed: nobody is asked any more
+    if data.status.failed:
+        return 0  # another function failed
     call_python(function[0])
     for k in range(6):
-        buffers.h_o[k] += loads[k]
-        power += loads[k] * buffers.twist[k]
-    for j in range(buffers.h.size):
-        buffers.h[j] += loads[6 + j]
-        power += loads[6 + j] * buffers.v[j]
-    buffers.power[slots[POWER]] = power
+        data.h_o[k] += loads[k]
+        power += loads[k] * data.twist[k]
+    for j in range(data.h.size):
+        data.h[j] += loads[6 + j]
+        power += loads[6 + j] * data.v[j]
+    data.power[slots[POWER]] = power
     return 0
 
 
-def called_piece(name: str, function: Callable[[float, State], Loads], layout: Layout) -> Piece:
-    """The piece of an effect whose forces a Python function computes."""
+def called_kernel(
+    name: str, make: Callable[[], Callable[[float, State], Loads]], layout: Layout
+) -> EffectKernel:
+    """The kernel of an effect whose forces a Python function computes.
+
+    ``make`` gives the function; it is called for every Data.
+    """
     address, loads = np.zeros(1, dtype=np.int64), np.zeros(6 + layout.joints)
 
-    def connect(buffers: Buffers) -> dict[str, Asked]:
-        def read(answer: object) -> np.ndarray:
-            return _stacked(name, answer, layout, float(buffers.time[0]))
+    def connect(data: Data, arrays: Arrays) -> dict[str, UserCallback]:
+        def read(answer: object, t: float) -> np.ndarray:
+            return _stacked(name, answer, layout, t)
 
-        call = Asked(function, f"the effect {name!r}", read, loads, layout, buffers)
-        address[0] = call.address
+        own_address, own_loads = arrays
+        call = UserCallback(make(), f"the effect {name!r}", read, own_loads, layout, data.arrays)
+        own_address[0] = call.address
         return {f"effects/{name}": call}
 
-    return Piece(name, add_called_loads, APPLIED, (address, loads), connect=connect)
+    return EffectKernel(
+        name, add_called_loads, APPLIED, (address, loads), connect=connect, calls_user=True
+    )
 
 
 def _stacked(name: str, found: object, layout: Layout, t: float) -> np.ndarray:

@@ -19,7 +19,8 @@ import numpy as np
 
 from multiarm.contacts.kernel import SPIN, VELOCITY
 from multiarm.dynamics.arrays import open_system
-from multiarm.effects.piece import APPLIED, POWER, Piece, Site
+from multiarm.dynamics.effect_kernels import APPLIED, POWER, EffectKernel
+from multiarm.effects.context import BuildContext
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 
@@ -28,9 +29,9 @@ from multiarm.jit.structs import floats1, ints1, struct_at
 def add_drag(address, size, at, _t):
     """Own array: linear, quadratic and angular coefficients of the axes; the medium's velocity."""
     struct = struct_at(address, size)
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     slots, own = ints1(struct, int(at)), floats1(struct, int(at) + 1)
-    body, h_o, power = buffers.body, buffers.h_o, 0.0
+    body, h_o, power = data.body, data.h_o, 0.0
     square = 0.0
     for a in range(3):
         square += (body[VELOCITY + a] - own[9 + a]) ** 2
@@ -46,11 +47,11 @@ def add_drag(address, size, at, _t):
             h_o[a] += body[3 * a + k] * force
             h_o[3 + a] += body[3 * a + k] * moment
             power += body[3 * a + k] * force * body[VELOCITY + a]
-    buffers.power[slots[POWER]] = power
+    data.power[slots[POWER]] = power
     return 0
 
 
-def build(spec, _site: Site) -> list[Piece]:
+def build(spec, _site: BuildContext) -> list[EffectKernel]:
     """The piece of a system whose object moves through a medium."""
     own = np.array([*spec.linear, *spec.per_axis(), *spec.angular, *spec.wind])
-    return [Piece("drag", add_drag, APPLIED, (own,))]
+    return [EffectKernel("drag", add_drag, APPLIED, (own,))]

@@ -16,7 +16,7 @@ r"""An effect of one's own: a name, parameters, and the forces it adds to the eq
 
 A scene then has ``effects: {spring: {stiffness: 200}}``.  ``forces`` is called back at every
 evaluation, some microseconds each.  An effect that shall not leave compiled code defines ``build``
-in its place, see :mod:`multiarm.effects.piece`.
+in its place, see :mod:`multiarm.dynamics.effect_kernels`.
 
 The forces must be smooth functions of time and state: a method of high order sees jumps only by
 what they do to its errors.
@@ -35,8 +35,9 @@ from multiarm.scene.own_effects import OwnSpec
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from multiarm.dynamics.effect_kernels import EffectKernel
     from multiarm.dynamics.state import State
-    from multiarm.effects.piece import Piece, Site
+    from multiarm.effects.context import BuildContext
 
 __all__ = ["Effect", "Loads"]
 
@@ -86,14 +87,14 @@ class Effect:
         """The forces at a time [s] and a state; a function of these two alone."""
         raise NotImplementedError
 
-    def build(self, site: Site) -> list[Piece]:
+    def build(self, context: BuildContext) -> list[EffectKernel]:
         """The kernels and arrays of this effect in a system; by default one that calls ``forces``.
 
         A kernel calls nothing in Python, and an evaluation costs what its arithmetic costs.
         """
-        from multiarm.effects.called import called_piece
+        from multiarm.effects.called import called_kernel
 
-        return [called_piece(self.name, self.forces, site.layout)]
+        return [called_kernel(self.name, lambda: type(self)(self.spec).forces, context.layout)]
 
     @classmethod
     def lacks(cls) -> str:

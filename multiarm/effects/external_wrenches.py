@@ -12,7 +12,7 @@ Pinocchio has the pose of every joint after any evaluation; a compiled arm write
 is asked for.
 
 Over time a wrench is constant, or times :math:`\sin(2\pi f t + \psi)`, or there from ``begin`` to
-``end``, or a table, or the answer of a function.  Tables are interpolated by cubics with a
+``end``, or a table, or what a function returns.  Tables are interpolated by cubics with a
 continuous slope that do not overshoot (F.N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5,
 1984).  Steps end at the rows of tables and at the ends of pulses.
 """
@@ -24,10 +24,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from multiarm.arms.terms import J_AT
 from multiarm.contacts.kernel import SPIN, VELOCITY
-from multiarm.dynamics.arrays import Buffers, open_system
-from multiarm.dynamics.user_callback import Asked
-from multiarm.effects.piece import APPLIED, POWER, Piece, Site
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.user_callback import UserCallback
+from multiarm.effects.context import BuildContext
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, kernel
 from multiarm.jit.pointers import call_python
@@ -48,10 +51,10 @@ from multiarm.scene import read_wrench_table
 
 # Courses over time.
 CONSTANT, SINUSOID, PULSE, TABLE, FUNCTION = range(5)
-# Columns of the table of integers: course; whether on a link; whether in body axes; addresses of
-# the carrying joint's pose and of the Jacobian; the arm's first joint, how many carry the link;
-# address of a function or first row of a table, and how many.
-COURSE, ON_LINK, IN_BODY, POSE, JACOBIAN, FIRST, JOINTS, SOURCE, ROWS, INTEGERS = range(10)
+# Columns of the table of integers: course; whether on a link; whether in body axes; the link and
+# its arm; the arm's first joint, how many carry the link; address of a function or first row of a
+# table, and how many.
+COURSE, ON_LINK, IN_BODY, LINK, ARM, FIRST, JOINTS, SOURCE, ROWS, INTEGERS = range(10)
 # Columns of the table of numbers: the link's frame in the joint's (rotation row by row), the point
 # in the joint's or object's frame, force and torque, frequency and phase or begin and end.
 FRAME, POINT, SIZE, TIMES, NUMBERS = 0, 9, 12, 18, 20
@@ -63,7 +66,7 @@ CUBICS, ROW = 2, 26
 def add_external_wrenches(address, size, at, t):
     """Own arrays: integers, numbers, rows of tables, the wrenches now."""
     struct = struct_at(address, size)
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     first, power = int(at), 0.0
     slots, integers, numbers = (
         ints1(struct, first),
@@ -75,15 +78,15 @@ def add_external_wrenches(address, size, at, t):
         which, own, wrench = integers[k], numbers[k], wrenches[k]
         write_wrench(which, own, rows, t, wrench)
         # the moment is that about the object's centre of mass, or about the world's origin
-        R, origin = rotation(buffers.body, 0), ZERO
+        R, origin = rotation(data.body, 0), ZERO
         if which[ON_LINK] != 0:
-            pose = floats_at(which[POSE], 12)
+            pose = floats_at(data.link_poses[which[LINK]], 12)
             R, origin = (vec(pose, 0), vec(pose, 3), vec(pose, 6)), vec(pose, 9)  # by columns
         if which[IN_BODY] != 0:
             to_world(R, own, wrench)
         lever = add_rotated(origin, R, vec(own, POINT))
-        power += apply_wrench(which, wrench, lever, buffers)
-    buffers.power[slots[POWER]] = power
+        power += apply_wrench(which, wrench, lever, data)
+    data.power[slots[POWER]] = power
     return 0
 
 
@@ -133,32 +136,32 @@ def to_world(R, own, wrench):
 
 
 @kernel
-def apply_wrench(which, wrench, lever, buffers):
+def apply_wrench(which, wrench, lever, data):
     """Add a wrench to the right-hand sides; returns its power [W]."""
     f = vec(wrench, 0)
     m = add_cross(vec(wrench, 3), lever, f)
     if which[ON_LINK] == 0:
-        h_o, body = buffers.h_o, buffers.body
+        h_o, body = data.h_o, data.body
         put(h_o, 0, add(vec(h_o, 0), f))
         put(h_o, 3, add(vec(h_o, 3), m))
         return dot(f, vec(body, VELOCITY)) + dot(m, vec(body, SPIN))
     joints, first, power = which[JOINTS], which[FIRST], 0.0
-    J = floats_at(which[JACOBIAN], 6 * joints)
+    J = floats_at(data.pointers[which[ARM], J_AT], 6 * joints)
     for j in range(joints):
         torque = dot(f, vec(J, 6 * j)) + dot(m, vec(J, 6 * j + 3))
-        buffers.h[first + j] += torque
-        power += torque * buffers.v[first + j]
+        data.h[first + j] += torque
+        power += torque * data.v[first + j]
     return power
 
 
-def build(spec, site: Site) -> list[Piece]:
+def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The piece of a system on which wrenches from outside act; functions have been loaded."""
     count = len(spec)
     integers, numbers = np.zeros((count, INTEGERS), dtype=np.int64), np.zeros((count, NUMBERS))
     wrenches, rows, times = np.zeros((count, 6)), np.zeros((0, ROW)), [np.zeros(0)]
     functions: dict[int, Callable] = {}
     for k, wrench in enumerate(spec):
-        _place(wrench, site, integers[k], numbers[k])
+        _place(wrench, context, integers[k], numbers[k])
         numbers[k, SIZE : SIZE + 6] = [*(wrench.force or (0, 0, 0)), *(wrench.torque or (0, 0, 0))]
         if wrench.sinusoid is not None:
             integers[k, COURSE] = SINUSOID
@@ -176,33 +179,34 @@ def build(spec, site: Site) -> list[Piece]:
             integers[k, COURSE] = FUNCTION
             functions[k] = wrench.function
 
-    def connect(buffers: Buffers) -> dict[str, Asked]:
+    def connect(data: Data, arrays: Arrays) -> dict[str, UserCallback]:
         calls = {}
         for k, function in functions.items():
             name = f"external_wrenches[{k}]"
-            calls[name] = _asked(function, name, wrenches[k], site, buffers)
-            integers[k, SOURCE] = calls[name].address
+            calls[name] = _callback(function, name, arrays[3][k], data)
+            arrays[0][k, SOURCE] = calls[name].address
         return calls
 
     return [
-        Piece(
+        EffectKernel(
             "external_wrenches",
             add_external_wrenches,
             APPLIED,
             (integers, numbers, rows, wrenches),
             breakpoints=np.concatenate(times),
-            connect=connect,
+            connect=connect if functions else None,
+            calls_user=bool(functions),
         )
     ]
 
 
-def _place(wrench, site: Site, integers: np.ndarray, numbers: np.ndarray) -> None:
+def _place(wrench, context: BuildContext, integers: np.ndarray, numbers: np.ndarray) -> None:
     """Write what a wrench acts on, and where."""
     rotation, point = np.eye(3), np.array(wrench.at)
     if wrench.target is not None:
-        link = site.link(*wrench.target)
-        integers[[ON_LINK, POSE, JACOBIAN, FIRST, JOINTS]] = (
-            1, link.pose, link.jacobian, link.first, link.joints,
+        link = context.link(*wrench.target)
+        integers[[ON_LINK, LINK, ARM, FIRST, JOINTS]] = (
+            1, link.number, link.arm, link.first, link.joints,
         )  # fmt: skip
         rotation, point = link.rotation, link.rotation @ point + link.translation
     integers[IN_BODY] = wrench.axes == "body"
@@ -224,11 +228,11 @@ def _table_rows(table, size: np.ndarray) -> np.ndarray:
     return np.column_stack([times[:-1], times[1:], by_row])
 
 
-def _asked(function: Callable, name: str, out: np.ndarray, site: Site, buffers: Buffers) -> Asked:
+def _callback(function: Callable, name: str, out: np.ndarray, data: Data) -> UserCallback:
     """A function ``f(t, state)`` that writes force and torque."""
     words = f"the function of {name}"
 
-    def read(answer: object) -> np.ndarray:
+    def read(answer: object, t: float) -> np.ndarray:
         try:
             vector = np.array(answer, dtype=float)
         except (TypeError, ValueError):
@@ -239,9 +243,8 @@ def _asked(function: Callable, name: str, out: np.ndarray, site: Site, buffers: 
             )
         if not np.all(np.isfinite(vector)):
             raise ControlError(
-                f"{words} returned a number that is not finite at t = {buffers.time[0]:.6g} s: "
-                f"{vector.tolist()}"
+                f"{words} returned a number that is not finite at t = {t:.6g} s: {vector.tolist()}"
             )
         return vector
 
-    return Asked(function, words, read, out, site.layout, buffers)
+    return UserCallback(function, words, read, out, data.model.layout, data.arrays)

@@ -3,7 +3,8 @@ r"""Viscous friction in the joints: :math:`\tau_j = -d_j \dot q_j` [N m s/rad, N
 from __future__ import annotations
 
 from multiarm.dynamics.arrays import open_system
-from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
+from multiarm.dynamics.effect_kernels import PASSIVE, POWER, EffectKernel
+from multiarm.effects.context import BuildContext
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 from multiarm.scene import damping_of
@@ -13,18 +14,18 @@ from multiarm.scene import damping_of
 def add_joint_damping(address, size, at, _t):
     """Own array: one coefficient a joint."""
     struct = struct_at(address, size)
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     slots, damping = ints1(struct, int(at)), floats1(struct, int(at) + 1)
     power = 0.0
-    for j in range(buffers.h.size):
-        force = -damping[j] * buffers.v[j]
-        buffers.h[j] += force
-        power += force * buffers.v[j]
-    buffers.power[slots[POWER]] = power
+    for j in range(data.h.size):
+        force = -damping[j] * data.v[j]
+        data.h[j] += force
+        power += force * data.v[j]
+    data.power[slots[POWER]] = power
     return 0
 
 
-def build(spec, site: Site) -> list[Piece]:
+def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The piece of a system with viscous friction."""
-    damping = site.stacked(spec, damping_of)
-    return [Piece("joint_damping", add_joint_damping, PASSIVE, (damping,))]
+    damping = context.stacked(spec, damping_of)
+    return [EffectKernel("joint_damping", add_joint_damping, PASSIVE, (damping,))]

@@ -13,7 +13,8 @@ import math
 import numpy as np
 
 from multiarm.dynamics.arrays import open_system
-from multiarm.effects.piece import PASSIVE, POWER, Piece, Site
+from multiarm.dynamics.effect_kernels import PASSIVE, POWER, EffectKernel
+from multiarm.effects.context import BuildContext
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 from multiarm.scene import friction_of
@@ -23,7 +24,7 @@ from multiarm.scene import friction_of
 def add_joint_friction(address, size, at, _t):
     """Own arrays: one friction torque a joint; the speed ``s``."""
     struct = struct_at(address, size)
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     first = int(at)
     slots, friction, speed = (
         ints1(struct, first),
@@ -31,17 +32,17 @@ def add_joint_friction(address, size, at, _t):
         floats1(struct, first + 2),
     )
     power = 0.0
-    for j in range(buffers.h.size):
-        force = -friction[j] * math.tanh(buffers.v[j] / speed[0])
-        buffers.h[j] += force
-        power += force * buffers.v[j]
-    buffers.power[slots[POWER]] = power
+    for j in range(data.h.size):
+        force = -friction[j] * math.tanh(data.v[j] / speed[0])
+        data.h[j] += force
+        power += force * data.v[j]
+    data.power[slots[POWER]] = power
     return 0
 
 
-def build(spec, site: Site) -> list[Piece]:
+def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The piece of a system with smooth dry friction."""
     if spec.model != "smooth":
         return []
-    arrays = (site.stacked(spec.torque, friction_of), np.array([spec.smoothing_speed]))
-    return [Piece("joint_friction", add_joint_friction, PASSIVE, arrays)]
+    arrays = (context.stacked(spec.torque, friction_of), np.array([spec.smoothing_speed]))
+    return [EffectKernel("joint_friction", add_joint_friction, PASSIVE, arrays)]

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.effects.piece import Piece, Site
+from multiarm.dynamics.effect_kernels import EffectKernel
+from multiarm.effects.context import BuildContext
 from multiarm.scene import gain_vector
 
 
-def build(_spec, _site: Site) -> list[Piece]:
+def build(_spec, _site: BuildContext) -> list[EffectKernel]:
     """No piece."""
     return []
 

@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from multiarm.dynamics.arrays import open_system
-from multiarm.effects.piece import ACTUATOR, Piece, Site
+from multiarm.dynamics.effect_kernels import ACTUATOR, EffectKernel
+from multiarm.effects.context import BuildContext
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, struct_at
 from multiarm.scene import effort_limit_of
@@ -25,9 +26,9 @@ ROUNDED = 1e-9
 def limit_torques(address, size, at, _t):
     """Own arrays: limits; margins, positive where the command exceeds them."""
     struct = struct_at(address, size)
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     limits, margins = floats1(struct, int(at) + 1), floats1(struct, int(at) + 2)
-    torque = buffers.torque
+    torque = data.torque
     for j in range(torque.size):
         wanted = abs(torque[j])
         margins[j] = wanted - (1.0 + ROUNDED) * limits[j]
@@ -36,13 +37,13 @@ def limit_torques(address, size, at, _t):
     return 0
 
 
-def build(spec, site: Site) -> list[Piece]:
+def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The piece of a system whose drives are limited."""
-    limits = site.stacked(spec, effort_limit_of, default=math.inf)
+    limits = context.stacked(spec, effort_limit_of, default=math.inf)
     margins = np.full_like(limits, -math.inf)
     watched = tuple((1, int(j)) for j in np.flatnonzero(np.isfinite(limits)))
     return [
-        Piece(
+        EffectKernel(
             "torque_limits",
             limit_torques,
             ACTUATOR,

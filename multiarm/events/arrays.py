@@ -9,9 +9,6 @@ import numpy as np
 from multiarm.dynamics.solver.reactions import ReactionWork
 from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, make_struct, view
 
-# Places of addresses and sizes of other structs in ``Plant.links``.
-MODEL, FULL, ASIDE, OWN, LINKS = 0, 2, 4, 6, 8
-
 # Columns of ModeArrays.slides: row held, its arm, first tangent in the aside rows, and among all.
 HELD, ARM, TANGENT_AT, TANGENT_OF_ALL, SLIDE_WIDTH = range(5)
 

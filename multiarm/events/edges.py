@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Set
 
 from multiarm.contacts.kernel import GAP
+from multiarm.dynamics.contact_geometry import patch_margin
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Modes
-from multiarm.events.patches import patch_margin
 
 # Gaps that are below the patch and not closed [m].
 BELOW = 1e-8
 
 
 def beside_constraints(modes: Modes, before: Choice, crossed: Set[int]) -> frozenset[int]:
-    """Units whose contacts are beside their patches from now on, at the state in the buffers.
+    """Units whose contacts are beside their patches from now on, at the state in the data.
 
     One that has just ``crossed`` an edge is on it: from now on it is on the other side.
     """
@@ -35,7 +35,7 @@ def beside_constraints(modes: Modes, before: Choice, crossed: Set[int]) -> froze
 
 def below_constraints(modes: Modes, others: Set[int]) -> frozenset[int]:
     """Units whose contacts are below their patches; ``others`` are known not to be."""
-    gaps = modes.full.buffers.contacts[:, GAP]
+    gaps = modes.full.arrays.contacts[:, GAP]
     return frozenset(
         u
         for u, constraint in enumerate(modes.unilateral.constraints)

@@ -1,20 +1,53 @@
-"""Evaluations of any scene, also of those with unilateral constraints."""
+"""Evaluations of any scene, also of those with unilateral contacts.
+
+The model of a scene with unilateral contacts has all rows that can ever be closed, and is never
+solved as it is: which contacts push, slide, stick or open at a state follows from the state, as it
+does at the beginning of a run, but without impacts.  The equations of that mode are solved by
+:func:`multiarm.dynamics.evaluation.evaluate`; its results are then spread to all rows, and put into
+the equations with the friction forces.
+"""
 
 from __future__ import annotations
 
-from multiarm.assembly.system import System
-from multiarm.dynamics import evaluation as dynamics
-from multiarm.dynamics.evaluation import Evaluation
+from dataclasses import replace
+
+import numpy as np
+
+from multiarm.contacts.unilateral import CONTACT
+from multiarm.dynamics import evaluation
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.dense_callback import read_inertia
+from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
+from multiarm.dynamics.evaluation import (
+    Evaluation,
+    Residuals,
+    Snapshot,
+    constraint_matrix,
+    contact_places,
+    rows_by_owner,
+)
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.errors import SolverError
+from multiarm.events.arrays import HELD, TANGENT_OF_ALL, THRESHOLD
+from multiarm.events.beginning import touching_constraints
+from multiarm.events.kernels import start_guards
+from multiarm.events.modes import STATE_NAMES, Mode, Modes
+from multiarm.events.transition import Transition
+
+# Slip slower than this has hardly a direction of its own [m/s].
+SLOW = 1e-9
 
 
 def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Evaluation:
     """Accelerations and contact forces of a system at one state.
 
-    With unilateral contacts, the result is that of the contact mode that follows from the state:
+    With unilateral contacts, the result is that of the contacts which are closed at the state:
     ``contact_states`` says what each does, and ``contact_forces`` has all rows, in the order of
-    ``system.contacts``, those of contacts that are open with zeros; ``contact_terms``, motion
-    spaces and internal forces are those of all contacts of the joints.
+    ``system.contacts``, those of open contacts with zeros; ``contact_terms``, motion spaces and
+    internal forces are those of all contacts of the joints.
 
     Parameters
     ----------
@@ -32,8 +65,114 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     ControlError
         When a Python controller returns something unusable.
     """
-    if system.unilateral is None:
-        return dynamics.evaluate(system, t, state)
-    from multiarm.events.mode_evaluation import evaluate_mode
+    state = system.initial_state() if state is None else state.copy()
+    with system.borrow() as data:
+        return evaluate_data(data, t, state)
 
-    return evaluate_mode(system, t, system.initial_state() if state is None else state.copy())
+
+def evaluate_data(data: Data, t: float, state: State) -> Evaluation:
+    """:func:`evaluate` with a Data at hand."""
+    if data.model.unilateral is None:
+        return evaluation.evaluate(data, t, state)
+    mode = mode_at(data, t, state)
+    return _spread(modes_of(data, SLOW), mode, t, state)
+
+
+def mode_at(data: Data, t: float, state: State) -> Mode:
+    """The mode of a state, evaluated there; valid until the next one is wanted."""
+    modes = modes_of(data, SLOW)
+    touching, beside, _ = touching_constraints(modes, t, state)
+    decision = Transition(modes, touching, 0.0, beside=beside).stay()
+    if decision.trouble:
+        raise SolverError(decision.trouble)
+    mode = modes.enter(decision.choice, decision.directions)
+    if evaluate_state(mode.data.struct, 0.0, 0.0) != OK:
+        mode.data.reraise()
+    start_guards(mode.data.struct)
+    if np.any(mode.arrays.values < -mode.arrays.levels[:, THRESHOLD]):
+        mode.set_prestress(decision.forces)  # least forces do not obey the laws, but others do
+    return mode
+
+
+def modes_of(data: Data, slow: float) -> Modes:
+    """The modes of a Data, made when they are first wanted."""
+    if ("modes", slow) not in data.cache:
+        data.cache["modes", slow] = Modes(data, slow)
+    return data.cache["modes", slow]
+
+
+def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
+    """The evaluation of a mode, in the rows of the whole system."""
+    full, closed = modes.full, modes.full.with_contacts_closed()
+    own = evaluation.evaluate(mode.data, t, state)
+    forces, unique = _all_forces(full, mode)
+    residuals = _residuals(full, mode, forces, own.residuals.constraint)
+    contact_places(full, state)
+    update_rows(closed.struct)
+    unilateral, layout = modes.unilateral, full.model.layout
+    doing: dict[str, list[str]] = {}
+    for constraint, does in zip(unilateral.constraints, mode.choice.states, strict=True):
+        if constraint.kind == CONTACT:
+            doing.setdefault(constraint.arm, []).append(STATE_NAMES[does])
+    of_joints = forces[list(unilateral.model)]
+    return replace(
+        own,
+        state=state,
+        contact_forces=rows_by_owner(layout, forces),
+        residuals=residuals,
+        contact_states={owner: tuple(words) for owner, words in doing.items()},
+        _held=Snapshot(closed),
+        _all=Snapshot(full),
+        _unique=lambda: unique,
+        _joint_forces=closed.model.layout.split_contacts(of_joints),
+    )
+
+
+def _all_forces(full: Data, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
+    """Forces of all rows [N], and which of them are determined."""
+    count = full.model.layout.contacts
+    forces, unique = np.zeros(count), np.ones(count, dtype=bool)
+    arrays, own = mode.arrays, mode.data.arrays.force
+    forces[arrays.held] = own
+    columns = _columns(full)
+    reactions = columns[:, arrays.held]
+    for s, slide in enumerate(arrays.slides):
+        first, drag = slide[TANGENT_OF_ALL], -arrays.slide_mu[s] * arrays.turning[s]
+        forces[first : first + 2] = drag * own[slide[HELD]]
+        reactions[:, slide[HELD]] += columns[:, first : first + 2] @ drag
+    forces[arrays.springs] = arrays.spring_force
+    if arrays.held.size:
+        unique[arrays.held] = null_space(reactions).untouched
+    for slide in arrays.slides:
+        first = slide[TANGENT_OF_ALL]
+        unique[first : first + 2] = unique[arrays.held[slide[HELD]]]
+    return forces, unique
+
+
+def _columns(full: Data) -> np.ndarray:
+    """``[W_o; W]`` of all rows, shape (6 + n, N), as for a rank.
+
+    Coordinates are scaled by the square root of their inertia, rows to unit length.
+    """
+    update_kinematics(full.struct)
+    return constraint_matrix(full)
+
+
+def _residuals(full: Data, mode: Mode, forces: np.ndarray, constraint: float) -> Residuals:
+    """Put forces of all rows into the equations of motion."""
+    b, work = mode.data.arrays, full.work
+    if evaluate_state(mode.data.struct, 0.0, 0.0) != OK:
+        mode.data.reraise()
+    q_o, qdd, h, h_o = b.q_o.copy(), b.qdd.copy(), b.h.copy(), b.h_o.copy()
+    update_kinematics(full.struct)
+    pushing = forces.copy()
+    pushing[mode.arrays.springs] = 0.0  # effects have their part in h and h_o
+    arm = 0.0
+    for i in range(len(full.model.arm_names)):
+        d = slice(work.dofs[i], work.dofs[i + 1])
+        r = slice(work.rows[i], work.rows[i + 1])
+        W = work.Y[i, : d.stop - d.start, : r.stop - r.start]
+        M = read_inertia(full.arrays.pointers[i], d.stop - d.start)
+        arm = max(arm, float(np.max(np.abs(M @ qdd[d] - h[d] - W @ pushing[r]))))
+    on_object = b.inertia @ q_o - h_o - full.arrays.Wo.T @ pushing
+    return Residuals(arm, float(np.max(np.abs(on_object))), constraint)

@@ -46,7 +46,7 @@ class Hit:
 
 
 class Impact(Instant):
-    """A blow at one instant; the state is in the buffers, and its velocities are changed.
+    """A blow at one instant; the state is in the data, and its velocities are changed.
 
     Parameters
     ----------
@@ -82,9 +82,9 @@ class Impact(Instant):
             elastic = {u: e for u, e in elastic.items() if u not in rested}
             solution, after = self._collide(involved, rows, response, before, elastic, rested - hit)
         change = moved @ solution.forces
-        buffers = self._full.buffers
-        buffers.twist[:] += change[:6]
-        buffers.v[:] += change[6:]
+        arrays = self._full.arrays
+        arrays.twist[:] += change[:6]
+        arrays.v[:] += change[6:]
         hits = [
             Hit(u, float(rates[constraints[u].row]), float(after[k]), float(solution.forces[k]))
             for u, k in ((u, rows.index(constraints[u].row)) for u in hit)

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT, Constraint
+from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.dense_callback import read_inertia
 from multiarm.dynamics.equations import (
-    OK,
-    evaluate_buffers,
+    evaluate_state,
     solve_constrained,
     update_kinematics,
     update_rows,
 )
+from multiarm.dynamics.model import Data
 from multiarm.errors import SolverError
 from multiarm.events.complementarity import Bounded, ContactLaw, Friction, Push, Sliding
 from multiarm.events.modes import Modes
@@ -36,7 +36,7 @@ DEPENDENT = 1e-7
 
 
 class Instant:
-    """A system with unilateral constraints at the state in its buffers.
+    """A system whose contacts come and go at the state in its arrays.
 
     Parameters
     ----------
@@ -51,35 +51,35 @@ class Instant:
         self._residual = 0.0
 
     def _update(self) -> None:
-        """Kinematics of all rows at the state in the buffers."""
-        _require(update_kinematics(self._bare.struct()), self._bare)
-        update_rows(self._full.struct())
+        """Kinematics of all rows at the state in the data."""
+        _require(update_kinematics(self._bare.struct), self._bare)
+        update_rows(self._full.struct)
 
     def _rates(self) -> np.ndarray:
-        return self._full.buffers.contacts[:, GAP_RATE]
+        return self._full.arrays.contacts[:, GAP_RATE]
 
     def _rest_rate(self) -> float:
-        buffers = self._full.buffers
-        fastest = max(np.max(np.abs(buffers.twist)), np.max(np.abs(buffers.v), initial=0.0))
+        arrays = self._full.arrays
+        fastest = max(np.max(np.abs(arrays.twist)), np.max(np.abs(arrays.v), initial=0.0))
         return REST_RATE * (1.0 + float(fastest))
 
     def _matrix(self, rows: list[int]) -> np.ndarray:
         """Rows of ``[W_o^T, W^T]``, shape (len(rows), 6 + n)."""
         full = self._full
-        layout, matrix = full.layout, np.zeros((len(rows), 6 + full.layout.joints))
+        layout, matrix = full.model.layout, np.zeros((len(rows), 6 + full.model.layout.joints))
         for k, row in enumerate(rows):
             i = int(np.searchsorted(layout.rows, row, side="right")) - 1
-            matrix[k, :6] = full.buffers.Wo[row]
+            matrix[k, :6] = full.arrays.Wo[row]
             d0, d1 = layout.dofs[i], layout.dofs[i + 1]
             matrix[k, 6 + d0 : 6 + d1] = full.work.Y[i, : d1 - d0, row - layout.rows[i]]
         return matrix
 
-    def _response(self, matrix: np.ndarray, system: System) -> tuple[np.ndarray, np.ndarray]:
-        """``D`` and what each unit force does, one a column, with the rows of ``system`` held.
+    def _response(self, matrix: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
+        """``D`` and what each unit force does, one a column, with the rows of ``data`` held.
 
         Rows that these hold fast have no response.
         """
-        motions = [_answer(system, row) for row in matrix]
+        motions = [_answer(data, row) for row in matrix]
         moved = np.array(motions).T.reshape(matrix.shape[1], matrix.shape[0])
         response = matrix @ moved
         response = 0.5 * (response + response.T)
@@ -90,9 +90,9 @@ class Instant:
     def _mobility(self, matrix: np.ndarray) -> np.ndarray:
         """Rates of rows to a unit force on each, with nothing held, shape (len(matrix),)."""
         full = self._full
-        bodies = [full.buffers.inertia]
-        for i, name in enumerate(full.arm_names):
-            bodies.append(read_inertia(full.plant.pointers[i], full.arms[name].dof))
+        bodies = [full.arrays.inertia]
+        for i, name in enumerate(full.model.arm_names):
+            bodies.append(read_inertia(full.arrays.pointers[i], full.model.arms[name].dof))
         total, first = np.zeros(len(matrix)), 0
         for inertia in bodies:
             own = matrix[:, first : first + len(inertia)].T
@@ -100,21 +100,21 @@ class Instant:
             first += len(inertia)
         return total
 
-    def _free_accelerations(self, rows: list[int], system: System) -> np.ndarray:
-        """Accelerations of gaps with the rows of ``system`` held, and no force on others."""
-        b, delay = system.buffers, self._ahead
-        kept = [array.copy() for array in (b.time, b.position, b.angles)]
+    def _free_accelerations(self, rows: list[int], data: Data) -> np.ndarray:
+        """Accelerations of gaps with the rows of ``data`` held, and no force on others."""
+        b, delay = data.arrays, self._ahead
+        kept = b.time.now, b.position.copy(), b.angles.copy()
         if delay > 0.0:
-            b.time[0] += delay
+            b.time.now += delay
             b.position[:3] += delay * b.twist[:3]
             b.position[3:] = retract(b.position[3:], delay * b.twist[3:])
             b.angles[:] += delay * b.v
-        _require(evaluate_buffers(system.struct(), 0.0, 0.0), system)
+        _require(evaluate_state(data.struct, 0.0, 0.0), data)
         motion = np.concatenate([b.q_o, b.qdd])
-        update_rows(self._full.struct())
-        free = self._matrix(rows) @ motion + self._full.buffers.contacts[rows, GAP_BIAS]
+        update_rows(self._full.struct)
+        free = self._matrix(rows) @ motion + self._full.arrays.contacts[rows, GAP_BIAS]
         if delay > 0.0:
-            b.time[:], b.position[:], b.angles[:] = kept
+            b.time.now, b.position[:], b.angles[:] = kept
             self._update()
         return free
 
@@ -128,8 +128,9 @@ def law_of(constraint: Constraint, at: dict[int, int], slip: np.ndarray | None) 
     first, second = (at[t] for t in constraint.tangents)
     if slip is None:
         return Friction(at[constraint.row], (first, second), constraint.mu)
-    direction = float(slip[0]), float(slip[1])
-    return Sliding(at[constraint.row], (first, second), constraint.mu, direction)
+    return Sliding(
+        at[constraint.row], (first, second), constraint.mu, (float(slip[0]), float(slip[1]))
+    )
 
 
 def is_free(response: np.ndarray, row: int, held: list[int]) -> bool:
@@ -167,16 +168,16 @@ def leans_on_others(response: np.ndarray, matrix: np.ndarray) -> bool:
     return bool(np.any(left > DEPENDENT * np.max(reach, initial=0.0)))
 
 
-def _answer(system: System, push: np.ndarray) -> np.ndarray:
+def _answer(data: Data, push: np.ndarray) -> np.ndarray:
     """Accelerations (velocities) of object and joints to forces (impulses), (6 + n,)."""
-    b = system.buffers
-    _require(update_kinematics(system.struct()), system)
+    b = data.arrays
+    _require(update_kinematics(data.struct), data)
     b.h_o[:], b.h[:], b.c[:] = push[:6], push[6:], 0.0
-    _require(solve_constrained(system.struct()), system)
+    _require(solve_constrained(data.struct), data)
     return np.concatenate([b.q_o, b.qdd])
 
 
-def _require(status: int, system: System) -> None:
+def _require(status: int, data: Data) -> None:
     if status != OK:
-        system.reraise()
+        data.reraise()
         raise SolverError(f"the motion at an event could not be evaluated (status {status})")

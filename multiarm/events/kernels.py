@@ -31,13 +31,11 @@ from __future__ import annotations
 import math
 
 from multiarm.contacts.kernel import AT, GAP, GAP_RATE
-from multiarm.control.torques import control_torques
-from multiarm.dynamics.arrays import CALL_CLOSE, CALL_DENSE, IMBALANCE, open_coupled, open_system
+from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_coupled, open_system
 from multiarm.dynamics.equations import (
-    CALLBACK_FAILED,
-    OK,
     add_torques,
     applied_forces,
+    control_torques,
     drift_terms,
     imbalance,
     load_gravity_torque,
@@ -51,23 +49,18 @@ from multiarm.dynamics.solver.reaction_coupling import ROWS as REACTION_ROWS
 from multiarm.dynamics.solver.reaction_elimination import eliminate_with_reactions
 from multiarm.dynamics.solver.reaction_solution import solve_for_reactions
 from multiarm.dynamics.solver.regular import IMBALANCE_BOUND
-from multiarm.dynamics.solver.singular import ARMS, RANK, UNKNOWNS
 from multiarm.dynamics.solver_monitor import note_solution, watch_solver
 from multiarm.events.arrays import (
     ARM,
-    ASIDE,
     CONE_GUARD,
     DIPPED,
     FIRED,
-    FULL,
     GAP_GUARD,
     GUARD_KIND,
     HELD,
     HOLD_GUARD,
     LIFT_GUARD,
-    MODEL,
     ONSET_GUARD,
-    OWN,
     PARAMETER,
     PATCH_GUARD,
     PUSH_GUARD,
@@ -93,127 +86,126 @@ from multiarm.jit.structs import struct_at
 @cfunc
 def forces_by_model(address, size, alpha, beta):
     """Right-hand sides of a mode; its control reckons with all contacts of the model."""
-    plant, buffers, work = open_system(struct_at(address, size))
-    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
-    buffers.power[mode.slots[0]] = 0.0
-    passive_forces(address, size, plant, buffers, work)
+    model, data, work = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(data.modes.guards, 0))
+    data.power[mode.slots[0]] = 0.0
+    passive_forces(address, size, model, data, work)
     power = 0.0
-    if plant.control.shape[0] > 0:
-        at_model, size_of_model = plant.links[MODEL], plant.links[MODEL + 1]
-        model = struct_at(at_model, size_of_model)
-        of_model, own, theirs = open_system(model)
-        for i in range(of_model.pointers.shape[0]):
-            arm_rows(i, model, of_model, own, theirs)
-            load_inertia(i, of_model, theirs)
-        load_gravity_torque(of_model, own, theirs)
-        control_torques(at_model, size_of_model, buffers.time[0], plant, own)
-        power = add_torques(address, size, plant, buffers)
-    applied_forces(address, size, plant, buffers, power)
-    drift_terms(buffers, alpha, beta)
-    return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
+    if model.control.shape[0] > 0:
+        closed = struct_at(data.modes.closed, 0)
+        constants, own, theirs = open_system(closed)
+        for i in range(own.pointers.shape[0]):
+            arm_rows(i, closed, constants, own, theirs)
+            load_inertia(i, own, theirs)
+        load_gravity_torque(own, theirs)
+        control_torques(data.modes.closed, 0, model, own)
+        power = add_torques(address, size, model, data)
+    applied_forces(address, size, model, data, power)
+    drift_terms(data, alpha, beta)
+    return CALLBACK_FAILED if data.status.failed else OK
 
 
 @cfunc
 def solve_held(address, size, _a, _b):
     """Solve a mode in which nothing slides, and note how near its guards come to zero."""
     struct = struct_at(address, size)
-    plant, buffers, work = open_system(struct)
-    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    _, data, work = open_system(struct)
+    mode = open_mode(struct_at(data.modes.guards, 0))
     if mode.stressed[0] != 0:
-        add_prestress(mode, buffers.Wo, work.Y, buffers, work)
-    status = call_cfunc(plant.calls[CALL_CLOSE], struct, 0.0, 0.0)
+        add_prestress(mode, data.Wo, work.Y, data, work)
+    status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
     if mode.stressed[0] != 0:
-        add_forces(mode, buffers)
-    note_least(plant, buffers)
+        add_forces(mode, data)
+    note_least(data)
     return status
 
 
 @kernel
-def add_prestress(mode, on_object, on_arms, buffers, work):
+def add_prestress(mode, on_object, on_arms, data, work):
     """Add what the forces of ``mode.prestress`` do to the right-hand sides."""
     for i in range(work.dofs.size - 1):
         d0, first = work.dofs[i], work.rows[i]
         for k in range(first, work.rows[i + 1]):
             force = mode.prestress[k]
             for l in range(6):  # noqa: E741
-                buffers.h_o[l] += on_object[k, l] * force
+                data.h_o[l] += on_object[k, l] * force
             for j in range(work.dofs[i + 1] - d0):
-                buffers.h[d0 + j] += on_arms[i, j, k - first] * force
+                data.h[d0 + j] += on_arms[i, j, k - first] * force
 
 
 @kernel
-def add_forces(mode, buffers):
+def add_forces(mode, data):
     """Add the forces of ``mode.prestress`` to those that were solved for."""
-    for k in range(buffers.force.size):
-        buffers.force[k] += mode.prestress[k]
+    for k in range(data.force.size):
+        data.force[k] += mode.prestress[k]
 
 
 @cfunc
 def solve_sliding(address, size, _a, _b):
     """Solve a mode in which contacts slide."""
     struct = struct_at(address, size)
-    plant, buffers, work = open_system(struct)
-    own = struct_at(plant.links[OWN], plant.links[OWN + 1])
+    model, data, work = open_system(struct)
+    own = struct_at(data.modes.guards, 0)
     mode, reactions = open_mode(own), open_reactions(own)
-    write_reactions(plant, buffers, work, mode, reactions)
+    write_reactions(data, work, mode, reactions)
     if mode.stressed[0] != 0:
-        add_prestress(mode, mode.Wr, reactions.Yr, buffers, work)
-    buffers.solved[IMBALANCE] = 0.0
+        add_prestress(mode, mode.Wr, reactions.Yr, data, work)
+    data.status.imbalance = 0.0
     coupled = open_coupled(struct)
-    coupled.counts[ARMS] = 0
-    if plant.dense[0] != 0:
-        call_python(plant.calls[CALL_DENSE])
-        if buffers.flag[0] != 0:
+    coupled.status.arms = 0
+    if model.dense:
+        call_python(data.functions.dense)
+        if data.status.failed:
             return CALLBACK_FAILED
     else:
-        status = solve_reactions(buffers, work, mode, reactions, False)
-        if status == OK and not buffers.solved[IMBALANCE] <= IMBALANCE_BOUND:
+        status = solve_reactions(data, work, mode, reactions, False)
+        if status == OK and not data.status.imbalance <= IMBALANCE_BOUND:
             status = renew_kinematics(struct)
             if status == OK:
-                write_reactions(plant, buffers, work, mode, reactions)
-                status = solve_reactions(buffers, work, mode, reactions, True)
+                write_reactions(data, work, mode, reactions)
+                status = solve_reactions(data, work, mode, reactions, True)
         if status != OK:
             return status
         lacking = reactions.counts[REACTION_ROWS] - reactions.counts[REACTION_RANK]
         if lacking > 0:
-            coupled.counts[ARMS] = 1
-            coupled.counts[UNKNOWNS] = reactions.counts[REACTION_ROWS]
-            coupled.counts[RANK] = reactions.counts[REACTION_RANK]
-            coupled.margin[0] = math.inf
+            coupled.status.arms = 1
+            coupled.status.unknowns = reactions.counts[REACTION_ROWS]
+            coupled.status.rank = reactions.counts[REACTION_RANK]
+            coupled.status.margin = math.inf
     if mode.stressed[0] != 0:
-        add_forces(mode, buffers)
+        add_forces(mode, data)
     power = 0.0
     for s in range(mode.slides.shape[0]):
-        power -= mode.slide_mu[s] * buffers.force[mode.slides[s, HELD]] * mode.speed[s]
-    buffers.power[mode.slots[0]] = power
-    buffers.power[buffers.power.size - 1] += power
-    note_least(plant, buffers)
+        power -= mode.slide_mu[s] * data.force[mode.slides[s, HELD]] * mode.speed[s]
+    data.power[mode.slots[0]] = power
+    data.power[data.power.size - 1] += power
+    note_least(data)
     return OK
 
 
 @kernel
-def solve_reactions(buffers, work, mode, reactions, couple_all):
+def solve_reactions(data, work, mode, reactions, couple_all):
     """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
     work.factored[0] = 1
-    failed = eliminate_with_reactions(reactions, buffers.Wo, mode.Wr, buffers.inertia, couple_all)
+    failed = eliminate_with_reactions(reactions, data.Wo, mode.Wr, data.inertia, couple_all)
     if failed >= 0:
         return failed
     solve_for_reactions(
-        reactions, buffers.Wo, mode.Wr, buffers.h_o, buffers.h, buffers.c, buffers.q_o,
-        buffers.qdd, buffers.force,
+        reactions, data.Wo, mode.Wr, data.h_o, data.h, data.c, data.q_o,
+        data.qdd, data.force,
     )  # fmt: skip
-    buffers.solved[IMBALANCE] = imbalance(buffers, work, mode.Wr)
+    data.status.imbalance = imbalance(data, work, mode.Wr)
     return OK
 
 
 @kernel
-def write_reactions(plant, buffers, work, mode, reactions):
-    """Reaction matrices at the kinematics in the buffers, into ``mode.Wr`` and ``reactions.Yr``."""
-    update_rows(struct_at(plant.links[ASIDE], plant.links[ASIDE + 1]))
-    _, aside, tangents = open_system(struct_at(plant.links[ASIDE], plant.links[ASIDE + 1]))
-    for k in range(buffers.Wo.shape[0]):
+def write_reactions(data, work, mode, reactions):
+    """Reaction matrices at the kinematics in ``data``, into ``mode.Wr`` and ``reactions.Yr``."""
+    update_rows(struct_at(data.modes.tangents, 0))
+    _, aside, tangents = open_system(struct_at(data.modes.tangents, 0))
+    for k in range(data.Wo.shape[0]):
         for l in range(6):  # noqa: E741
-            mode.Wr[k, l] = buffers.Wo[k, l]
+            mode.Wr[k, l] = data.Wo[k, l]
     for i in range(work.dofs.size - 1):
         for j in range(work.dofs[i + 1] - work.dofs[i]):
             for a in range(work.rows[i + 1] - work.rows[i]):
@@ -246,15 +238,15 @@ def write_direction(s, mode, first, second):
 
 @cfunc
 def show_forces(address, size, _t, _b):
-    """Write the forces of all rows, and what every contact does, into ``buffers.shown``."""
-    plant, buffers, _ = open_system(struct_at(address, size))
-    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
-    shown = buffers.shown
+    """Write the forces of all rows, and what every contact does, into ``data.shown``."""
+    _, data, _ = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(data.modes.guards, 0))
+    shown = data.shown
     shown[:] = 0.0
     for k in range(mode.held.size):
-        shown[mode.held[k]] = buffers.force[k]
+        shown[mode.held[k]] = data.force[k]
     for s in range(mode.slides.shape[0]):
-        drag = -mode.slide_mu[s] * buffers.force[mode.slides[s, HELD]]
+        drag = -mode.slide_mu[s] * data.force[mode.slides[s, HELD]]
         t = mode.slides[s, TANGENT_OF_ALL]
         shown[t], shown[t + 1] = drag * mode.turning[s, 0], drag * mode.turning[s, 1]
     for k in range(mode.springs.size):
@@ -266,10 +258,10 @@ def show_forces(address, size, _t, _b):
 
 
 @kernel
-def force_guard(g, mode, buffers):
+def force_guard(g, mode, data):
     """Value of a guard that is about forces."""
     kind, a = mode.guards[g, GUARD_KIND], mode.guards[g, A]
-    parameter, force = mode.levels[g, PARAMETER], buffers.force
+    parameter, force = mode.levels[g, PARAMETER], data.force
     if kind == PUSH_GUARD:
         return force[a]
     if kind == HOLD_GUARD:
@@ -295,16 +287,16 @@ def is_about_a_gap(g, mode):
 
 
 @kernel
-def note_least(plant, buffers):
+def note_least(data):
     """Note the least values of guards about forces in the stages of a step."""
-    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    mode = open_mode(struct_at(data.modes.guards, 0))
     for g in range(mode.guards.shape[0]):
         if is_about_forces(mode.guards[g, GUARD_KIND]):
-            mode.least[g] = min(mode.least[g], force_guard(g, mode, buffers))
+            mode.least[g] = min(mode.least[g], force_guard(g, mode, data))
 
 
 @kernel
-def patch_guard(g, mode, plant, buffers, contact):
+def patch_guard(g, mode, contact):
     """How far inside its patch a contact of the surroundings is [m]."""
     patch, inside = mode.patches[g], math.inf
     for j in range(3):
@@ -326,8 +318,8 @@ def spring_length(gap, rate, lag):
 
 
 @kernel
-def guard_value(g, mode, plant, buffers, everything):
-    """Value of a guard at the state evaluated last; ``everything`` are the buffers of all rows."""
+def guard_value(g, mode, data, everything):
+    """Value of a guard at the state evaluated last; ``everything`` are the data of all rows."""
     kind, a, parameter = mode.guards[g, GUARD_KIND], mode.guards[g, A], mode.levels[g, PARAMETER]
     if kind == GAP_GUARD:
         return everything.contacts[a, GAP]
@@ -344,13 +336,13 @@ def guard_value(g, mode, plant, buffers, everything):
         first, second = everything.contacts[t, GAP_RATE], everything.contacts[t + 1, GAP_RATE]
         return parameter - math.sqrt(first * first + second * second)
     if kind == RATE_GUARD:
-        return parameter * buffers.v[a]
+        return parameter * data.v[a]
     if kind == SPRING_GUARD:
         row = everything.contacts[a]
         return mode.guards[g, C] * spring_length(row[GAP], row[GAP_RATE], parameter)
     if kind == PATCH_GUARD:
-        return mode.guards[g, C] * patch_guard(g, mode, plant, buffers, everything.contacts[a])
-    return force_guard(g, mode, buffers)
+        return mode.guards[g, C] * patch_guard(g, mode, everything.contacts[a])
+    return force_guard(g, mode, data)
 
 
 @cfunc
@@ -362,23 +354,23 @@ def write_guards(address, size, _a, _b):
 @kernel
 def value_guards(address, size):
     """Write the values of all guards at the state evaluated last."""
-    plant, buffers, _ = open_system(struct_at(address, size))
-    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
-    update_rows(struct_at(plant.links[FULL], plant.links[FULL + 1]))
-    _, everything, _ = open_system(struct_at(plant.links[FULL], plant.links[FULL + 1]))
+    _, data, _ = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(data.modes.guards, 0))
+    update_rows(struct_at(data.modes.full, 0))
+    _, everything, _ = open_system(struct_at(data.modes.full, 0))
     for g in range(mode.guards.shape[0]):
-        mode.values[g] = guard_value(g, mode, plant, buffers, everything)
-    return OK if buffers.flag[0] == 0 else CALLBACK_FAILED
+        mode.values[g] = guard_value(g, mode, data, everything)
+    return CALLBACK_FAILED if data.status.failed else OK
 
 
 @cfunc
 def check_guards(address, size, begin, end):
     """Look at all guards at the end of a step; not ``OK`` when one has something to tell."""
-    plant, _, _ = open_system(struct_at(address, size))
-    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
+    _, data, _ = open_system(struct_at(address, size))
+    mode = open_mode(struct_at(data.modes.guards, 0))
     if value_guards(address, size) != OK:
         return OK  # the flag is up: the loop will notice
-    _, everything, _ = open_system(struct_at(plant.links[FULL], plant.links[FULL + 1]))
+    _, everything, _ = open_system(struct_at(data.modes.full, 0))
     mode.span[0], mode.span[1] = begin, end
     events = 0
     for g in range(mode.guards.shape[0]):
@@ -446,11 +438,10 @@ def start_guards(struct):
     """Take the state evaluated last as the end of a step: its guards, and how it was solved."""
     note_solution(struct)
     watch_solver(struct)
-    plant, _, _ = open_system(struct)
-    mode = open_mode(struct_at(plant.links[OWN], plant.links[OWN + 1]))
-    update_rows(struct_at(plant.links[FULL], plant.links[FULL + 1]))
-    _, everything, _ = open_system(struct_at(plant.links[FULL], plant.links[FULL + 1]))
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
+    mode = open_mode(struct_at(data.modes.guards, 0))
+    update_rows(struct_at(data.modes.full, 0))
+    _, everything, _ = open_system(struct_at(data.modes.full, 0))
     for g in range(mode.guards.shape[0]):
-        mode.values[g] = guard_value(g, mode, plant, buffers, everything)
+        mode.values[g] = guard_value(g, mode, data, everything)
     accept_guards(mode, everything)

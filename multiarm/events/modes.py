@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint, UnilateralConstraints
-from multiarm.dynamics.arrays import CALL_DENSE, CALL_FORCES, CALL_GUARDS, CALL_SHOW, CALL_SOLVE
-from multiarm.dynamics.dense_callback import dense_call
+from multiarm.dynamics.arrays import ModeStructs
+from multiarm.dynamics.contact_geometry import patch_of
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
+from multiarm.effects.contact_compliance import ACTIVE, FORCE
 from multiarm.events.arrays import (
-    ASIDE,
     CONE_GUARD,
-    FULL,
     GAP_GUARD,
     GUARD_WIDTH,
     HOLD_GUARD,
     LEVEL_WIDTH,
     LIFT_GUARD,
-    LINKS,
-    MODEL,
     ONSET_GUARD,
-    OWN,
     PATCH_GUARD,
     PUSH_GUARD,
     RATE_GUARD,
@@ -42,9 +39,7 @@ from multiarm.events.kernels import (
     solve_held,
     solve_sliding,
 )
-from multiarm.events.patches import patch_of
-from multiarm.events.selection import select
-from multiarm.jit.pointers import PythonCallback, address_of
+from multiarm.jit.pointers import address_of
 from multiarm.results.channels import OPEN, RESTING, SLIDING, STICKING, TOUCHING
 
 # Beside the states that are recorded (:mod:`multiarm.results.channels`): joints that move against
@@ -65,6 +60,9 @@ STILL = 0.01
 # Contacts that touch without force may sink in or lift by so much before they are looked at [m].
 REST = 1e-9
 
+
+# Names of the effects whose kernels a mode sets.
+DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
 
 # Kind, (a, b, c), parameter and threshold of a guard.
 Guard = tuple[int, tuple[int, int, int], float, float]
@@ -107,15 +105,15 @@ class Mode:
     Attributes
     ----------
     choice : Choice
-    system : System
+    data : Data
         With the rows held now; its forces, guards and sliding are those of the mode.
     arrays : ModeArrays
     """
 
     choice: Choice
-    system: System
+    data: Data
     arrays: ModeArrays
-    _kept: tuple[object, ...]  # arrays and systems that the kernels reach by their addresses
+    _kept: tuple[object, ...]  # what kernels reach by its address
 
     def set_prestress(self, forces: dict[int, float]) -> None:
         """Let the forces of the mode be those nearest to these, given by their rows among all."""
@@ -131,36 +129,35 @@ class Mode:
 
 
 class Modes:
-    """All modes of a system that a run has come to.
+    """All modes that the runs of one Data have come to.
 
     Attributes
     ----------
-    full : System
+    full : Data
         With all rows.
     slow : float
         Slip slower than this has hardly a direction of its own [m/s].
-    model, bare : System
-        See :class:`multiarm.contacts.unilateral.UnilateralConstraints`; in ``bare`` every
-        constraint is open.
+    closed, bare : Data
+        With all contacts of the joints closed; with every unilateral constraint open.
     """
 
-    def __init__(self, full: System, slow: float):
-        assert full.unilateral is not None, "a system with unilateral constraints"
-        self.full, self.unilateral, self.slow = full, full.unilateral, slow
-        self.model = select(full, self.unilateral.model)
-        self._nothing = select(full, [])
+    def __init__(self, full: Data, slow: float):
+        assert full.model.unilateral is not None, "a system with unilateral contacts"
+        self.full, self.unilateral, self.slow = full, full.model.unilateral, slow
+        self.closed = _select(full, self.unilateral.model)
+        self._nothing = _select(full, [])
         self._made: dict[Choice, Mode] = {}
         everything_open = tuple(
             FORWARD if constraint.kind == DRY_JOINT else OPEN
             for constraint in self.unilateral.constraints
         )
         self._open = Choice(everything_open, ())
-        self.bare = self.mode(self._open).system
+        self.bare = self.mode(self._open).data
 
     @property
-    def loose(self) -> System:
+    def loose(self) -> Data:
         """The bodies without any contact."""
-        return self._loose.system
+        return self._loose.data
 
     @cached_property
     def _loose(self) -> Mode:  # kept whole: kernels reach its arrays by their addresses
@@ -179,44 +176,34 @@ class Modes:
         arrays = mode.arrays
         arrays.armed[:] = arrays.muted[:] = arrays.stressed[:] = 0
         arrays.least[:] = np.inf
-        set_constraint_forces(self.unilateral, choice)
+        set_constraint_forces(self.full, choice)
         return mode
 
     def _make(self, choice: Choice, bare: tuple[int, ...]) -> Mode:
         full, constraints = self.full, self.unilateral.constraints
         rows = np.array(sorted([*bare, *choice.rows]), dtype=np.int64)
         sliding = choice.sliding(constraints)
-        held = select(full, rows)
+        held = _select(full, rows)
         tangents = [t for u in sliding for t in constraints[u].tangents]
-        aside = select(full, tangents) if sliding else self._nothing
+        aside = _select(full, tangents) if sliding else self._nothing
         arrays = self._arrays(choice, rows, sliding)
         reactions = _reactions(held) if sliding else None
         struct = mode_struct(arrays, reactions)
-        links, plant = np.zeros(LINKS, dtype=np.int64), held.plant
-        others = {
-            MODEL: self.model.struct(),
-            FULL: full.struct(),
-            ASIDE: aside.struct(),
-            OWN: struct,
-        }
-        for at, other in others.items():
-            links[at : at + 2] = other.ctypes.data, other.size
-        plant.calls[CALL_FORCES] = address_of(forces_by_model)
-        plant.calls[CALL_SOLVE] = address_of(solve_sliding if sliding else solve_held)
-        plant.calls[CALL_SHOW] = address_of(show_forces)
-        plant.calls[CALL_GUARDS] = address_of(check_guards)
-        buffers = held.buffers._replace(shown=self.unilateral.shown)
-        calls = held.calls
+        structs = ModeStructs(
+            closed=self.closed.struct.ctypes.data,
+            full=full.struct.ctypes.data,
+            tangents=aside.struct.ctypes.data,
+            guards=struct.ctypes.data,
+        )
+        held.replace_arrays(modes=structs, shown=full.arrays.shown)
+        functions = held.arrays.functions
+        functions.forces = address_of(forces_by_model)
+        functions.solve = address_of(solve_sliding if sliding else solve_held)
+        functions.contact_forces = address_of(show_forces)
+        functions.guards = address_of(check_guards)
         if reactions is not None:
-            solve = dense_call(plant.pointers, buffers, held.work, (arrays.Wr, reactions.Yr))
-            calls = {**calls, "dense": PythonCallback(solve, buffers.flag)}
-            plant.calls[CALL_DENSE] = calls["dense"].address
-        system = replace(
-            held, plant=plant._replace(links=links), buffers=buffers, calls=calls, unilateral=None
-        )
-        return Mode(
-            choice, system, arrays, (held, aside, struct, reactions, others, self.model, full)
-        )
+            held.replace_dense_solver((arrays.Wr, reactions.Yr))
+        return Mode(choice, held, arrays, (aside, struct, reactions, self.closed, full))
 
     def _arrays(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> ModeArrays:
         constraints, full, springs = (
@@ -227,11 +214,11 @@ class Modes:
         place = {int(row): k for k, row in enumerate(rows)}
         slides = np.zeros((len(sliding), SLIDE_WIDTH), dtype=np.int64)
         for s, u in enumerate(sliding):
-            arm = int(np.searchsorted(full.layout.rows, constraints[u].row, side="right")) - 1
+            arm = int(np.searchsorted(full.model.layout.rows, constraints[u].row, side="right")) - 1
             slides[s] = place[constraints[u].row], arm, 2 * s, constraints[u].tangents[0]
         guards, levels, patches = [], [], []
         for u, constraint in enumerate(constraints):
-            patch = patch_of(full, constraint)
+            patch = patch_of(full.model, constraint)
             found = _guards(u, constraint, choice, place, sliding, self.slow)
             if constraint.compliant:
                 found = [_spring_guard(self.unilateral, constraint, choice.states[u])]
@@ -272,34 +259,49 @@ class Modes:
             prestress=np.zeros(len(rows)),
             stressed=np.zeros(1, dtype=np.int64),
             springs=np.zeros(0, dtype=np.int64) if springs is None else springs.rows,
-            spring_force=np.zeros(0) if springs is None else springs.force,
+            spring_force=np.zeros(0) if springs is None else full.effect(COMPLIANCE)[FORCE],
         )
 
 
-def _friction_slot(full: System) -> int:
-    """Place of the power of sliding friction; without it one where nothing is ever noted."""
-    has_it = "contact_friction" in full.pieces.works
-    return full.pieces.slot("contact_friction" if has_it else "impacts")
+def _select(full: Data, rows: Sequence[int] | np.ndarray) -> Data:
+    """Data with some of the rows; contacts of two surfaces are where those of ``full`` are."""
+    chosen = np.array(rows, dtype=np.int64)
+    model = replace(full.model.select(chosen), unilateral=None)
+    data = full.view(model)
+    for own, source in full.model.pairs(chosen, model.constants):
+        data.arrays.places[own] = full.arrays.places[source]
+    return data
 
 
-def set_constraint_forces(unilateral: UnilateralConstraints, choice: Choice) -> None:
+def _friction_slot(full: Data) -> int:
+    """Place of the power of sliding friction; without it one where nothing is ever written."""
+    effects = full.model.effects
+    has_it = "contact_friction" in effects.works
+    return effects.slot("contact_friction" if has_it else "impacts")
+
+
+def set_constraint_forces(full: Data, choice: Choice) -> None:
     """Torques of dry friction of the joints that move, zero of those that are held; which springs
     push.
     """
-    unilateral.dry[:] = 0.0
+    unilateral = full.model.unilateral
+    assert unilateral is not None
+    dry = [constraint for constraint in unilateral.constraints if constraint.kind == DRY_JOINT]
+    if dry:
+        full.effect(DRY_FRICTION)[0][:] = 0.0
     for constraint, state in zip(unilateral.constraints, choice.states, strict=True):
         if constraint.compliant:
             assert unilateral.compliant is not None, "a compliant contact is a spring"
-            unilateral.compliant.active[unilateral.compliant.number(constraint.row)] = state != OPEN
+            active = full.effect(COMPLIANCE)[ACTIVE]
+            active[unilateral.compliant.number(constraint.row)] = state != OPEN
         if constraint.kind == DRY_JOINT and state in (FORWARD, BACKWARD):
-            unilateral.dry[constraint.joint] = (
-                -constraint.bound if state == FORWARD else constraint.bound
-            )
+            torque = -constraint.bound if state == FORWARD else constraint.bound
+            full.effect(DRY_FRICTION)[0][constraint.joint] = torque
 
 
-def _reactions(held: System) -> ReactionWork:
-    """Arrays of the node algorithm with friction that share what others read with the system's."""
-    layout, work = held.layout, held.work
+def _reactions(held: Data) -> ReactionWork:
+    """Arrays of the node algorithm with friction, which share with ``held`` what others read."""
+    layout, work = held.model.layout, held.work
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     return make_reaction_work(*sizes)._replace(
         dofs=work.dofs, rows=work.rows, levers=work.levers, L=work.L, Y=work.Y, y=work.y

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.equations import OK, evaluate_buffers
+from multiarm.dynamics.arrays import OK, open_system
+from multiarm.dynamics.equations import evaluate_state
 from multiarm.events.kernels import write_guards
 from multiarm.integration.dense_output import interpolate
 from multiarm.integration.stepper import load, open_step
@@ -21,11 +21,11 @@ def probe(struct, arrays, entry, t, h, theta):
     values in the mode's arrays.
     """
     method, step = open_step(arrays)
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     interpolate(method, step, theta, step.z_stage)
-    load(step.z_stage, step.base_old, buffers)
-    buffers.time[0] = min(t + theta * h, buffers.time[1])
-    status = evaluate_buffers(struct, 0.0, 0.0)
+    load(step.z_stage, step.base_old, data)
+    data.time.now = min(t + theta * h, data.time.latest)
+    status = evaluate_state(struct, 0.0, 0.0)
     if status != OK:
         return status
     return call_cfunc(entry, struct, 0.0, 0.0)

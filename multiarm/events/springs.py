@@ -8,7 +8,7 @@ from multiarm.events.modes import GAP_THRESHOLD, OPEN, Choice, Modes
 
 
 def pressed_constraints(modes: Modes, before: Choice, came: set[int]) -> set[int]:
-    """Compliant contacts that push from now on, at the state in the buffers.
+    """Compliant contacts that push from now on, at the state in the data.
 
     One that has just come to the end of pushing, or of being apart, is at zero: it does the other
     thing from now on.  ``before`` has no states at the beginning of a run.
@@ -18,7 +18,7 @@ def pressed_constraints(modes: Modes, before: Choice, came: set[int]) -> set[int
         if not constraint.compliant:
             continue
         assert unilateral.compliant is not None, "a compliant contact is a spring"
-        gap, rate = modes.full.buffers.contacts[constraint.row, [GAP, GAP_RATE]]
+        gap, rate = modes.full.arrays.contacts[constraint.row, [GAP, GAP_RATE]]
         lag = unilateral.compliant.lags[unilateral.compliant.number(constraint.row)]
         length = spring_length(gap, rate, lag)
         pushes = length < 0.0

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from multiarm.assembly.contact_checks import points_and_normals
 from multiarm.contacts.records import (
     JointRow,
 )
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
+from multiarm.dynamics.contact_geometry import points_and_normals
 from multiarm.events.modes import (
     AT_BOUND,
     BACKWARD,
@@ -65,7 +65,9 @@ def _event(
     modes: Modes, t: float, constraint: Constraint, kind: str, was: int, now: int, hit: Hit | None
 ) -> dict[str, Any]:
     what = (
-        constraint.name if constraint.kind == CONTACT else modes.full.joint_name(constraint.joint)
+        constraint.name
+        if constraint.kind == CONTACT
+        else modes.full.model.joint_name(constraint.joint)
     )
     event: dict[str, Any] = {
         "time": float(t),
@@ -80,7 +82,9 @@ def _event(
         points, _ = points_and_normals(modes.full, slice(constraint.row, constraint.row + 1))
         event["where"] = points[0].tolist()
     if hit is not None:
-        turns = constraint.kind != CONTACT and modes.full.joint_unit(constraint.joint) == "rad"
+        turns = (
+            constraint.kind != CONTACT and modes.full.model.joint_units[constraint.joint] == "rad"
+        )
         unit_of_rate = "rad_s" if turns else "m_s"
         event["before"][f"gap_rate_{unit_of_rate}"] = hit.before
         event["after"][f"gap_rate_{unit_of_rate}"] = hit.after
@@ -92,7 +96,7 @@ def _words(modes: Modes, constraint: Constraint, kind: str) -> str:
     """What happened, of a joint at its limit with the end at which it did."""
     if constraint.kind != LIMIT:
         return kind.removeprefix("joint ")
-    record = modes.full.records[constraint.row]
+    record = modes.full.model.records[constraint.row]
     assert isinstance(record, JointRow), "a limit is a joint's"
     end = "its lower limit" if record.side > 0.0 else "its upper limit"
     return f"bounces off {end}" if kind == "bounces" else kind.replace("its limit", end)

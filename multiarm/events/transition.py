@@ -91,7 +91,7 @@ class Decision:
 
 
 class Transition(Impact):
-    """Decides at one instant; the state is in the buffers, and its velocities may be changed.
+    """Decides at one instant; the state is in the data, and its velocities may be changed.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ class Transition(Impact):
                 if constraint.tangents and speed > still:
                     slips[u] = slip / speed
         moving = tuple(OPEN if u in involved else state for u, state in enumerate(states))
-        set_constraint_forces(self._modes.unilateral, Choice(moving, ()))
+        set_constraint_forces(self._modes.full, Choice(moving, ()))
         if not involved:
             return self._chosen(states, ()), {}, {}, ""
         rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
@@ -266,8 +266,8 @@ def _trouble(solution: Solution, normal: list[int]) -> str:
 
 
 def closed_constraints(modes: Modes, tolerance: float) -> set[int]:
-    """Contacts and limits whose gaps are closed at the state in the buffers."""
-    gaps = modes.full.buffers.contacts[:, GAP]
+    """Contacts and limits whose gaps are closed at the state in the data."""
+    gaps = modes.full.arrays.contacts[:, GAP]
     return {
         u
         for u, constraint in enumerate(modes.unilateral.constraints)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from multiarm.dynamics.equations import OK
+from multiarm.dynamics.arrays import OK
 from multiarm.integration.stepper import combine, evaluate_slope, weighted_slopes
 from multiarm.integration.tableaus import HERMITE, POLYNOMIAL, QUARTIC
 from multiarm.jit.kernels import clear, copy, kernel

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,13 +21,11 @@ from multiarm.contacts.frames import COMPONENTS
 from multiarm.contacts.kernel import AT, NORMAL
 from multiarm.contacts.records import SURFACE_BODY, SURFACE_ON_OBJECT, TIP_RADIUS, Contact, Patch
 from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.state import Layout
 from multiarm.jit.kernels import kernel
 from multiarm.jit.structs import floats1
 from multiarm.results.event_log import EventLog
-
-if TYPE_CHECKING:
-    from multiarm.assembly.system import System
-    from multiarm.dynamics.state import Layout
 
 # Columns of a watch: row of W; body that carries the patch (``ON_OBJECT``, else the arm), or
 # ``FORCE``, ``LIMIT``, ``DRIVE``; the patch's frame (rotation row by row, origin) in that body; its
@@ -91,16 +89,16 @@ def _watch(row: int, body: int, patch: Patch | None = None) -> np.ndarray:
     return watch
 
 
-def collect_events(system: System, log: EventLog) -> None:
+def collect_events(data: Data, log: EventLog) -> None:
     """Take over the events that the loop has noted since the last call."""
-    buffers = system.buffers
-    count, noted = int(buffers.event_count[0]), len(buffers.events)
+    arrays = data.arrays
+    count, noted = int(arrays.event_count[0]), len(arrays.events)
     if not count:
         return
-    log.add([_named(event, system) for event in buffers.events[: min(count, noted)]])
+    log.add([_named(event, data) for event in arrays.events[: min(count, noted)]])
     if count > noted:
-        log.drop(float(buffers.events[-1, 0]), "limits and contacts", count=count - noted)
-    buffers.event_count[0] = 0
+        log.drop(float(arrays.events[-1, 0]), "limits and contacts", count=count - noted)
+    arrays.event_count[0] = 0
 
 
 _KINDS = {
@@ -111,19 +109,19 @@ _KINDS = {
 }
 
 
-def _named(event: np.ndarray, system: System) -> dict[str, Any]:
+def _named(event: np.ndarray, data: Data) -> dict[str, Any]:
     """An event as the result tells it."""
     time, number, began = event
-    watch = system.plant.watches[int(number)]
+    watch = data.model.constants.watches[int(number)]
     row, what = int(watch[WATCH_ROW]), int(watch[WATCH_BODY])
     if what == LIMIT:
-        arm, name = system.arm_names[row], f"joint, {COMPONENTS[int(watch[WATCH_POSE])]}"
+        arm, name = data.model.arm_names[row], f"joint, {COMPONENTS[int(watch[WATCH_POSE])]}"
     elif what == DRIVE:
-        arm = system.arm_names[row]
-        joint = int(watch[WATCH_POSE + 1]) - system.layout.dofs[row]
-        name = system.arms[arm].joint_names[joint]
+        arm = data.model.arm_names[row]
+        joint = int(watch[WATCH_POSE + 1]) - data.model.layout.dofs[row]
+        name = data.model.arms[arm].joint_names[joint]
     else:
-        arm, contact = system.owner(row)
+        arm, contact = data.model.owner(row)
         name = contact.name
     kind = _KINDS.get(what, _KINDS[ON_OBJECT])[0 if began else 1]
     where = " (on the object)" if what == ON_OBJECT else " (on the arm)" if what >= 0 else ""
@@ -137,19 +135,19 @@ def _named(event: np.ndarray, system: System) -> dict[str, Any]:
 
 
 @kernel
-def margin_of(watch, plant, buffers):
+def margin_of(watch, model, data):
     """Margin of one watch: of a force [N], of a patch [m]; negative as long as all is well."""
     row, carrier = int(watch[WATCH_ROW]), int(watch[WATCH_BODY])
     if carrier == FORCE:
         largest = 1.0
-        for k in range(buffers.force.size):
-            largest = max(largest, abs(buffers.force[k]))
-        return -buffers.force[row] - NO_PULL * largest
-    contact = buffers.contacts[row]
-    body = buffers.body if carrier == ON_OBJECT else buffers.arms[carrier]
+        for k in range(data.force.size):
+            largest = max(largest, abs(data.force[k]))
+        return -data.force[row] - NO_PULL * largest
+    contact = data.contacts[row]
+    body = data.body if carrier == ON_OBJECT else data.arms[carrier]
     # the contact point lies a tip's radius from its centre, against the guide's outward normal
-    away = plant.geometry[row, TIP_RADIUS]
-    if plant.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT:
+    away = model.geometry[row, TIP_RADIUS]
+    if model.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT:
         away = -away
     d0 = contact[AT] - away * contact[NORMAL] - body[9]
     d1 = contact[AT + 1] - away * contact[NORMAL + 1] - body[10]
@@ -166,30 +164,37 @@ def margin_of(watch, plant, buffers):
 
 
 @kernel
+def margin_at(struct, k):
+    """Margin of monitor ``k`` of the system with this struct; see :func:`margin_of`."""
+    model, data, _ = open_system(struct)
+    return margin_of(model.watches[k], model, data)
+
+
+@kernel
 def watch_step(struct, begin, end):
     """Note the margins at the end of a step, and every one that changed its sign in it.
 
-    ``buffers.margins`` holds those of the step's beginning (NaN at the start of a run);
-    ``buffers.coordinates`` the joints' coordinates at its end.
+    ``data.margins`` holds those of the step's beginning (NaN at the start of a run);
+    ``data.coordinates`` the joints' coordinates at its end.
     """
-    plant, buffers, _ = open_system(struct)
-    for k in range(plant.watches.shape[0]):
-        before, watch = buffers.margins[k], plant.watches[k]
+    model, data, _ = open_system(struct)
+    for k in range(model.watches.shape[0]):
+        before, watch = data.margins[k], model.watches[k]
         if int(watch[WATCH_BODY]) == DRIVE:
             now = floats1(struct, int(watch[WATCH_POSE]))[int(watch[WATCH_POSE + 1])]
         elif int(watch[WATCH_BODY]) == LIMIT:
-            x = buffers.coordinates[int(watch[WATCH_ROW]), int(watch[WATCH_POSE])]
+            x = data.coordinates[int(watch[WATCH_ROW]), int(watch[WATCH_POSE])]
             now = max(watch[WATCH_LOWER] - x, x - watch[WATCH_UPPER]) - NO_EXCESS
         else:
-            now = margin_of(watch, plant, buffers)
-        buffers.margins[k] = now
+            now = margin_of(watch, model, data)
+        data.margins[k] = now
         began = before <= 0.0 < now or (before != before and now > 0.0)
         if not (began or now <= 0.0 < before):
             continue
-        count = buffers.event_count[0]
-        if count < buffers.events.shape[0]:
+        count = data.event_count[0]
+        if count < data.events.shape[0]:
             share = before / (before - now) if before == before else 0.0
-            event = buffers.events[count]
+            event = data.events[count]
             event[0], event[1] = begin + share * (end - begin), k
             event[2] = 1.0 if began else 0.0
-        buffers.event_count[0] += 1
+        data.event_count[0] += 1

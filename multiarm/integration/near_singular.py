@@ -22,24 +22,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from multiarm.dynamics.arrays import (
-    CALL_CROSSING,
-    CALLS,
-    FLAG,
-    KICK,
-    SHIFT,
-    asks_python,
-    open_coupled,
-    open_system,
-)
-from multiarm.dynamics.equations import CALLBACK_FAILED, OK, evaluate_buffers
-from multiarm.dynamics.solver.singular import ARMS, RANK, UNKNOWNS
+from multiarm.dynamics.arrays import OK, open_coupled, open_system
+from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.solver_monitor import believable, constraint_residual
 from multiarm.integration.projection import greatest, project
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
-from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_at
 from multiarm.spatial import retract_into
@@ -56,130 +43,123 @@ AT_REST = 1e-8
 
 @kernel
 def evaluate_on_branch(struct, closed, alpha, beta):
-    """:func:`multiarm.dynamics.equations.evaluate_buffers`, interpolated near a loss of rank.
+    """:func:`multiarm.dynamics.equations.evaluate_state`, interpolated near a loss of rank.
 
     ``closed`` is the gap to which states are projected [m]; negative: nothing is interpolated.
     """
-    status = evaluate_buffers(struct, alpha, beta)
-    if status != OK or closed < 0.0 or open_coupled(struct).counts[ARMS] == 0:
+    status = evaluate_state(struct, alpha, beta)
+    if status != OK or closed < 0.0 or open_coupled(struct).status.arms == 0:
         return status
-    plant, buffers, _ = open_system(struct)
-    buffers.stage_gap[1] = closed
-    return call_cfunc(plant.calls[CALL_CROSSING], struct, alpha, beta)
+    _, data, _ = open_system(struct)
+    data.status.branch_gap = closed
+    return call_cfunc(data.functions.near_singular, struct, alpha, beta)
 
 
 @cfunc
-def _evaluate_near_crossing(address, size, alpha, beta):
-    """Go on with an evaluation in which some arms are deficient; see the function above."""
+def evaluate_near_singular(address, size, alpha, beta):
+    """Continue an evaluation in which some arms are deficient, see :func:`evaluate_on_branch`."""
     struct = struct_at(address, size)
-    plant, buffers, work = open_system(struct)
-    coupled, closed = open_coupled(struct), buffers.stage_gap[1]
+    model, data, work = open_system(struct)
+    coupled, closed = open_coupled(struct), data.status.branch_gap
     # before a run nothing is known of the rank elsewhere: the state may be on the very crossing
-    unknown = buffers.lost[buffers.lost.size - 1] == 0 and excess(coupled) > 0
-    if not (coupled.margin[0] < ZONE or unknown):
+    unknown = data.lost[data.lost.size - 1] == 0 and excess(coupled) > 0
+    if not (coupled.status.margin < ZONE or unknown):
         return OK
-    if asks_python(plant):
+    if model.calls_user:
         return OK
-    rate = max(greatest(buffers.twist), greatest(buffers.v))
+    rate = max(greatest(data.twist), greatest(data.v))
     if rate < AT_REST:
         return OK
-    shift, kick = buffers.solved[SHIFT], buffers.solved[KICK]
-    keep_state(buffers, buffers.kept)
+    shift, kick = data.status.position_change, data.status.velocity_change
+    keep_state(data, data.kept)
     crossing = mix_evaluations(struct, closed, alpha, beta, OFFSET / rate)
-    restore_state(buffers.kept, buffers)
-    buffers.solved[SHIFT], buffers.solved[KICK] = shift, kick
+    restore_state(data.kept, data)
+    data.status.position_change, data.status.velocity_change = shift, kick
     # everything but the accelerations belongs to the state itself
-    status = evaluate_buffers(struct, alpha, beta)
+    status = evaluate_state(struct, alpha, beta)
     if status == OK and crossing:
-        exchange_solution(buffers)
-        if not believable(struct, constraint_residual(plant, buffers, work)):
-            exchange_solution(buffers)
+        exchange_solution(data)
+        if not believable(struct, constraint_residual(model, data, work)):
+            exchange_solution(data)
     return status
-
-
-def connect_crossing(calls: np.ndarray) -> dict[str, LazyFunction]:
-    """Write the address of what follows near a loss of rank into ``Plant.calls``."""
-    crossing = LazyFunction(_evaluate_near_crossing, CALLS, CALL_CROSSING, FLAG, CALLBACK_FAILED)
-    calls[CALL_CROSSING] = crossing.address
-    return {"crossing": crossing}
 
 
 @kernel
 def excess(coupled):
     """How many of the unknown forces move nothing."""
-    return coupled.counts[UNKNOWNS] - coupled.counts[RANK]
+    return coupled.status.unknowns - coupled.status.rank
 
 
 @kernel
 def mix_evaluations(struct, closed, alpha, beta, delay):
     """Accelerations from states ``delay`` [s] and its multiples before and behind.
 
-    Returns whether ``buffers.mixed`` has them: not when a state cannot be reached, or when the
+    Returns whether ``data.mixed`` has them: not when a state cannot be reached, or when the
     constraints are no further from losing rank there.
     """
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     coupled = open_coupled(struct)
-    n, mixed = buffers.angles.size, buffers.mixed
-    here, there, fewest = coupled.margin[0], 0.0, excess(coupled)
+    n, mixed = data.angles.size, data.mixed
+    here, there, fewest = coupled.status.margin, 0.0, excess(coupled)
     more = fewest
     clear(mixed)
     for side in range(6):
         k = 1 + side // 2
-        restore_state(buffers.kept, buffers)
-        move_state(buffers, (k if side % 2 == 0 else -k) * delay)
-        if project(struct, closed) != OK or evaluate_buffers(struct, alpha, beta) != OK:
+        restore_state(data.kept, data)
+        move_state(data, (k if side % 2 == 0 else -k) * delay)
+        if project(struct, closed) != OK or evaluate_state(struct, alpha, beta) != OK:
             return False
-        there = max(there, coupled.margin[0] if coupled.counts[ARMS] > 0 else math.inf)
-        fewest = min(fewest, excess(coupled) if coupled.counts[ARMS] > 0 else 0)
+        there = max(there, coupled.status.margin if coupled.status.arms > 0 else math.inf)
+        fewest = min(fewest, excess(coupled) if coupled.status.arms > 0 else 0)
         if side == 1 and fewest == more and not (here < ZONE and there >= FURTHER * here):
             return False
         weight = 0.75 if k == 1 else (-0.3 if k == 2 else 0.05)
         for j in range(6):
-            mixed[j] += weight * buffers.q_o[j]
+            mixed[j] += weight * data.q_o[j]
         for j in range(n):
-            mixed[6 + j] += weight * buffers.qdd[j]
+            mixed[6 + j] += weight * data.qdd[j]
     return True
 
 
 @kernel
-def exchange_solution(buffers):
-    """Exchange the accelerations with those in ``buffers.mixed``."""
-    mixed = buffers.mixed
+def exchange_solution(data):
+    """Exchange the accelerations with those in ``data.mixed``."""
+    mixed = data.mixed
     for j in range(mixed.size):
         other = mixed[j]
         if j < 6:
-            mixed[j], buffers.q_o[j] = buffers.q_o[j], other
+            mixed[j], data.q_o[j] = data.q_o[j], other
         else:
-            mixed[j], buffers.qdd[j - 6] = buffers.qdd[j - 6], other
+            mixed[j], data.qdd[j - 6] = data.qdd[j - 6], other
 
 
 @kernel
-def keep_state(buffers, kept):
-    """Write the state in the buffers to ``kept``."""
-    n = buffers.angles.size
-    copy(buffers.position, kept[:7])
-    copy(buffers.twist, kept[7:13])
-    copy(buffers.angles, kept[13 : 13 + n])
-    copy(buffers.v, kept[13 + n :])
+def keep_state(data, kept):
+    """Write the state in ``data`` to ``kept``."""
+    n = data.angles.size
+    copy(data.position, kept[:7])
+    copy(data.twist, kept[7:13])
+    copy(data.angles, kept[13 : 13 + n])
+    copy(data.v, kept[13 + n :])
 
 
 @kernel
-def restore_state(kept, buffers):
-    """Write a kept state into the buffers."""
-    n = buffers.angles.size
-    copy(kept[:7], buffers.position)
-    copy(kept[7:13], buffers.twist)
-    copy(kept[13 : 13 + n], buffers.angles)
-    copy(kept[13 + n :], buffers.v)
+def restore_state(kept, data):
+    """Write a kept state into the data."""
+    n = data.angles.size
+    copy(kept[:7], data.position)
+    copy(kept[7:13], data.twist)
+    copy(kept[13 : 13 + n], data.angles)
+    copy(kept[13 + n :], data.v)
 
 
 @kernel
-def move_state(buffers, delay):
-    """Move the state in the buffers along its velocity."""
-    turn = buffers.q_o  # scratch: an evaluation follows
+def move_state(data, delay):
+    """Move the state in ``data`` along its velocity."""
+    turn = data.q_o  # scratch: an evaluation follows
     for k in range(3):
-        buffers.position[k] += delay * buffers.twist[k]
-        turn[k] = delay * buffers.twist[3 + k]
-    retract_into(buffers.position[3:7], turn[:3], buffers.position[3:7])
-    for j in range(buffers.angles.size):
-        buffers.angles[j] += delay * buffers.v[j]
+        data.position[k] += delay * data.twist[k]
+        turn[k] = delay * data.twist[3 + k]
+    retract_into(data.position[3:7], turn[:3], data.position[3:7])
+    for j in range(data.angles.size):
+        data.angles[j] += delay * data.v[j]

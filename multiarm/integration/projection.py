@@ -23,11 +23,9 @@ from __future__ import annotations
 import math
 
 from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.dynamics.arrays import COUPLED_COUNTS, KICK, SHIFT, open_coupled, open_system
-from multiarm.dynamics.equations import OK, largest, solve_constrained, update_kinematics
-from multiarm.dynamics.solver.singular import ARMS, RANK, UNKNOWNS
+from multiarm.dynamics.arrays import OK, PROJECTION_FAILED, open_coupled, open_system
+from multiarm.dynamics.equations import largest, solve_constrained, update_kinematics
 from multiarm.jit.kernels import clear, inlined, kernel
-from multiarm.jit.structs import ints1
 from multiarm.spatial import retract_into
 
 # alpha = beta = FEEDBACK_RATIO / step
@@ -39,7 +37,6 @@ FEEDBACK_LIMITS = {
     "rk4": 2.785293563405282,
 }
 
-PROJECTION_FAILED = -3
 MAX_ITERATIONS = 12
 # Constraints that are nearer than this to losing rank magnify what is left of gaps; iterations that
 # are spent there to reduce these to roundings.
@@ -49,10 +46,10 @@ UNREACHED = 1e4
 
 
 @inlined
-def clear_forces(buffers):
+def clear_forces(data):
     """Set the right-hand sides ``h_o`` and ``h`` to zero."""
-    clear(buffers.h_o)
-    clear(buffers.h)
+    clear(data.h_o)
+    clear(data.h)
 
 
 @kernel
@@ -73,18 +70,18 @@ def project_positions(struct, tolerance, hold_object, longest, iterations):
     Returns
     -------
     int
-        ``OK`` with the kinematics of the projected state in ``buffers``; ``PROJECTION_FAILED``; or
+        ``OK`` with the kinematics of the projected state in ``data``; ``PROJECTION_FAILED``; or
         what :func:`multiarm.dynamics.equations.solve_constrained` returned.  The largest change of
-        a coordinate is in ``buffers.solved[SHIFT]``.
+        a coordinate is in ``data.status.position_change``.
     """
-    _, buffers, _ = open_system(struct)
-    buffers.solved[SHIFT] = 0.0
+    _, data, _ = open_system(struct)
+    data.status.position_change = 0.0
     before, further = math.inf, FURTHER_ITERATIONS
     for _ in range(iterations):
         status = update_kinematics(struct)
         if status != OK:
             return status
-        worst = largest(buffers.contacts, GAP)
+        worst = largest(data.contacts, GAP)
         if worst <= tolerance:
             if further == 0 or worst > 0.5 * before or not near_loss(struct):
                 return OK
@@ -94,36 +91,36 @@ def project_positions(struct, tolerance, hold_object, longest, iterations):
         if worst > 0.5 * before and worst <= UNREACHED * tolerance and lacks_rank(struct):
             return OK
         before = worst
-        clear_forces(buffers)
-        for k in range(buffers.c.size):
-            buffers.c[k] = -buffers.contacts[k, GAP]
+        clear_forces(data)
+        for k in range(data.c.size):
+            data.c[k] = -data.contacts[k, GAP]
         status = solve_constrained(struct)
         if status != OK:
             return status
-        reach = greatest(buffers.qdd)
+        reach = greatest(data.qdd)
         scale = 1.0 if reach <= longest else longest / reach
         if not hold_object:
-            reach = max(reach, greatest(buffers.q_o))
-        buffers.solved[SHIFT] += scale * reach
-        for j in range(buffers.qdd.size):
-            buffers.angles[j] += scale * buffers.qdd[j]
+            reach = max(reach, greatest(data.q_o))
+        data.status.position_change += scale * reach
+        for j in range(data.qdd.size):
+            data.angles[j] += scale * data.qdd[j]
         if not hold_object:
-            move_object(buffers, scale)
+            move_object(data, scale)
     return PROJECTION_FAILED
 
 
 @kernel
 def near_loss(struct):
     """Whether the constraints were near a loss of rank when they were solved last."""
-    coupled = open_coupled(struct)
-    return coupled.counts[ARMS] > 0 and coupled.margin[0] < NEAR_LOSS
+    status = open_coupled(struct).status
+    return status.arms > 0 and status.margin < NEAR_LOSS
 
 
 @kernel
 def lacks_rank(struct):
     """Whether some constraints of the last solution depended on others."""
-    counts = ints1(struct, COUPLED_COUNTS)
-    return counts[ARMS] > 0 and counts[RANK] < counts[UNKNOWNS]
+    status = open_coupled(struct).status
+    return status.arms > 0 and status.rank < status.unknowns
 
 
 @kernel
@@ -136,9 +133,9 @@ def greatest(vector):
 
 
 @inlined
-def move_object(buffers, scale):
+def move_object(data, scale):
     """Apply ``scale * q_o`` as a displacement and a rotation vector to the object's pose."""
-    q_o, position = buffers.q_o, buffers.position
+    q_o, position = data.q_o, data.position
     for k in range(6):
         q_o[k] *= scale
     for k in range(3):
@@ -148,30 +145,30 @@ def move_object(buffers, scale):
 
 @kernel
 def project_velocities(struct):
-    """Project ``twist`` and ``v`` on ``W^T v = 0``; needs the state's kinematics in the buffers.
+    """Project ``twist`` and ``v`` on ``W^T v = 0``; needs the state's kinematics in ``data``.
 
-    The largest change is in ``buffers.solved[KICK]``.
+    The largest change is in ``data.status.velocity_change``.
     """
-    _, buffers, _ = open_system(struct)
-    clear_forces(buffers)
-    for k in range(buffers.c.size):
-        buffers.c[k] = -buffers.contacts[k, GAP_RATE]
+    _, data, _ = open_system(struct)
+    clear_forces(data)
+    for k in range(data.c.size):
+        data.c[k] = -data.contacts[k, GAP_RATE]
     status = solve_constrained(struct)
     if status != OK:
         return status
-    buffers.solved[KICK] = max(greatest(buffers.q_o), greatest(buffers.qdd))
+    data.status.velocity_change = max(greatest(data.q_o), greatest(data.qdd))
     for k in range(6):
-        buffers.twist[k] += buffers.q_o[k]
-    for j in range(buffers.v.size):
-        buffers.v[j] += buffers.qdd[j]
+        data.twist[k] += data.q_o[k]
+    for j in range(data.v.size):
+        data.v[j] += data.qdd[j]
     return OK
 
 
 @kernel
 def project(struct, tolerance):
-    """Project the state in the buffers of the system with this struct; returns a status.
+    """Project the state in ``data`` of the system with this struct; returns a status.
 
-    The kinematics left in the buffers are those of before the velocities' correction.
+    The kinematics left in ``data`` are those of before the velocities' correction.
     """
     status = project_positions(struct, tolerance, False, 0.5, MAX_ITERATIONS)
     if status != OK:

@@ -37,8 +37,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.equations import NOT_FINITE, OK
+from multiarm.dynamics.arrays import NOT_FINITE, OK, open_system
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu
 from multiarm.integration.stepper import (
     OWN_EVALUATIONS,
@@ -207,10 +206,10 @@ def differentiate(work, t, h):
 @kernel
 def differentiate_by_time(work, t, h):
     """``f_t`` from two later times, inside the step: its beginning may be a kink."""
-    plant, _, _ = open_system(work.system)
+    model, _, _ = open_system(work.system)
     rate, other = work.time_slope, work.other
     clear(rate)
-    if plant.control.shape[0] == 0 and plant.effects.shape[0] == 0:
+    if model.control.shape[0] == 0 and model.effects.shape[0] == 0:
         return OK
     change = TIME_CHANGE * min(h, 1.0)
     status = slope_at(work, t + 2.0 * change, work.z, other)

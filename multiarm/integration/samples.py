@@ -16,13 +16,7 @@ import numpy as np
 
 from multiarm.contacts.frames import SINGLE_TURN, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.dynamics.arrays import (
-    CALL_SHOW,
-    COUPLED_ARMS,
-    RANK_OF_ALL,
-    RESIDUAL,
-    open_system,
-)
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import kinetic_energy, largest, potential_energy
 from multiarm.dynamics.state import Layout
 from multiarm.jit.kernels import copy, inlined, kernel
@@ -40,67 +34,67 @@ def write_sample(struct, t, works, row):
     forces, relative rates and coordinates, kinetic and potential energy, works, largest gap and gap
     rate, rank, coupled arms and residual.
     """
-    plant, buffers, work = open_system(struct)
-    n, m = buffers.angles.size, buffers.shown.size
+    model, data, work = open_system(struct)
+    n, m = data.angles.size, data.shown.size
     row[0] = t
-    copy(buffers.position, row[1:8])
-    copy(buffers.angles, row[8 : 8 + n])
-    copy(buffers.twist, row[8 + n : 14 + n])
-    copy(buffers.v, row[14 + n : 14 + 2 * n])
-    copy(buffers.torque, row[14 + 2 * n : 14 + 3 * n])
+    copy(data.position, row[1:8])
+    copy(data.angles, row[8 : 8 + n])
+    copy(data.twist, row[8 + n : 14 + n])
+    copy(data.v, row[14 + n : 14 + 2 * n])
+    copy(data.torque, row[14 + 2 * n : 14 + 3 * n])
     at = 14 + 3 * n
-    if plant.calls[CALL_SHOW] != 0:
-        call_cfunc(plant.calls[CALL_SHOW], struct, t, 0.0)
-    copy(buffers.shown, row[at : at + m])
+    if data.functions.contact_forces != 0:
+        call_cfunc(data.functions.contact_forces, struct, t, 0.0)
+    copy(data.shown, row[at : at + m])
     at += m
-    write_free(plant, buffers, row[at:])
-    at += 2 * plant.free.shape[0]
-    row[at] = kinetic_energy(plant, buffers, work)
-    row[at + 1] = potential_energy(plant, buffers)
+    write_free(model, data, row[at:])
+    at += 2 * model.free.shape[0]
+    row[at] = kinetic_energy(data, work)
+    row[at + 1] = potential_energy(model, data)
     at += 2
     copy(works, row[at : at + works.size])
     at += works.size
-    row[at] = largest(buffers.contacts, GAP)
-    row[at + 1] = largest(buffers.contacts, GAP_RATE)
-    row[at + 2] = buffers.solved[RANK_OF_ALL]
-    row[at + 3] = buffers.solved[COUPLED_ARMS]
-    row[at + 4] = buffers.solved[RESIDUAL]
+    row[at] = largest(data.contacts, GAP)
+    row[at + 1] = largest(data.contacts, GAP_RATE)
+    row[at + 2] = data.status.rank
+    row[at + 3] = data.status.coupled_arms
+    row[at + 4] = data.status.residual
 
 
 @kernel
-def write_free(plant, buffers, out):
+def write_free(model, data, out):
     """Free relative rates of all joints, then their coordinates."""
-    rates, places = buffers.query[0:6], buffers.query[6:15]
-    count = plant.free.shape[0]
-    for i in range(plant.frames.shape[0]):
-        first, last = plant.free_bounds[i], plant.free_bounds[i + 1]
+    rates, places = data.query[0:6], data.query[6:15]
+    count = model.free.shape[0]
+    for i in range(model.frames.shape[0]):
+        first, last = model.free_bounds[i], model.free_bounds[i + 1]
         if first == last:
             continue
-        write_relative(plant.frames[i], buffers.arms[i], buffers.body, rates, places)
+        write_relative(model.frames[i], data.arms[i], data.body, rates, places)
         for k in range(first, last):
-            out[k] = rates[plant.free[k, 0]]
-            out[count + k] = going_on(plant, buffers, i, k, places)
+            out[k] = rates[model.free[k, 0]]
+            out[count + k] = going_on(model, data, i, k, places)
 
 
 @kernel
-def follow_joints(plant, buffers):
-    """Note the free coordinates of all joints at the end of a step, in ``buffers.coordinates``."""
-    rates, places = buffers.query[0:6], buffers.query[6:15]
-    for i in range(plant.frames.shape[0]):
-        first, last = plant.free_bounds[i], plant.free_bounds[i + 1]
+def follow_joints(model, data):
+    """Note the free coordinates of all joints at the end of a step, in ``data.coordinates``."""
+    rates, places = data.query[0:6], data.query[6:15]
+    for i in range(model.frames.shape[0]):
+        first, last = model.free_bounds[i], model.free_bounds[i + 1]
         if first == last:
             continue
-        write_relative(plant.frames[i], buffers.arms[i], buffers.body, rates, places)
+        write_relative(model.frames[i], data.arms[i], data.body, rates, places)
         for k in range(first, last):
-            x = going_on(plant, buffers, i, k, places)
-            buffers.coordinates[i, plant.free[k, 0]] = x
+            x = going_on(model, data, i, k, places)
+            data.coordinates[i, model.free[k, 0]] = x
 
 
 @inlined
-def going_on(plant, buffers, i, k, places):
+def going_on(model, data, i, k, places):
     """Coordinate ``k``, of arm ``i``; a single angle goes on from the last step's, past pi."""
-    x, before = places[plant.free[k, 1]], buffers.coordinates[i, plant.free[k, 0]]
-    if plant.free[k, 1] >= SINGLE_TURN and before == before:
+    x, before = places[model.free[k, 1]], data.coordinates[i, model.free[k, 0]]
+    if model.free[k, 1] >= SINGLE_TURN and before == before:
         x += 2.0 * math.pi * round((before - x) / (2.0 * math.pi))
     return x
 

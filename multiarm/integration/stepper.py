@@ -27,8 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.equations import NOT_FINITE, OK, finite
+from multiarm.dynamics.arrays import NOT_FINITE, OK, open_data, open_system
+from multiarm.dynamics.equations import finite
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import project
 from multiarm.integration.tableaus import EXPLICIT, SEMI_IMPLICIT, Tableau
@@ -156,80 +156,86 @@ def open_step(struct):
 
 
 @inlined
-def load(z, base, buffers):
-    """Write the state of a chart into the evaluation's buffers."""
-    n = buffers.angles.size
+def load(z, base, data):
+    """Write the state of a chart into the evaluation's data."""
+    n = data.angles.size
     for k in range(3):
-        buffers.position[k] = z[k]
-    retract_into(base, z[3:6], buffers.position[3:7])
+        data.position[k] = z[k]
+    retract_into(base, z[3:6], data.position[3:7])
     for k in range(6):
-        buffers.twist[k] = z[6 + n + k]
+        data.twist[k] = z[6 + n + k]
     for j in range(n):
-        buffers.angles[j] = z[6 + j]
-        buffers.v[j] = z[12 + n + j]
-    for k in range(buffers.inner.size):
-        buffers.inner[k] = z[12 + 2 * n + k]
+        data.angles[j] = z[6 + j]
+        data.v[j] = z[12 + n + j]
+    for k in range(data.inner.size):
+        data.inner[k] = z[12 + 2 * n + k]
 
 
 @inlined
-def store(buffers, base, z):
-    """Begin a chart at the state in the buffers: ``theta = 0``; the works stay."""
-    n = buffers.angles.size
+def store(data, base, z):
+    """Begin a chart at the state in ``data``: ``theta = 0``; the works stay."""
+    n = data.angles.size
     for k in range(3):
-        z[k] = buffers.position[k]
+        z[k] = data.position[k]
         z[3 + k] = 0.0
     for k in range(4):
-        base[k] = buffers.position[3 + k]
+        base[k] = data.position[3 + k]
     for k in range(6):
-        z[6 + n + k] = buffers.twist[k]
+        z[6 + n + k] = data.twist[k]
     for j in range(n):
-        z[6 + j] = buffers.angles[j]
-        z[12 + n + j] = buffers.v[j]
-    for k in range(buffers.inner.size):
-        z[12 + 2 * n + k] = buffers.inner[k]
+        z[6 + j] = data.angles[j]
+        z[12 + n + j] = data.v[j]
+    for k in range(data.inner.size):
+        z[12 + 2 * n + k] = data.inner[k]
+
+
+@kernel
+def begin_chart(struct, base, z):
+    """Begin a chart at the state of the system with this struct, see :func:`store`."""
+    store(open_data(struct), base, z)
 
 
 @inlined
-def write_slope(z, buffers, slope):
-    """Rate of ``z`` from the accelerations in the buffers."""
-    n = buffers.angles.size
+def write_slope(z, data, slope):
+    """Rate of ``z`` from the accelerations in ``data``."""
+    n = data.angles.size
     for k in range(3):
-        slope[k] = buffers.twist[k]
-    write_chart_rate(z[3:6], buffers.twist[3:6], slope[3:6])
+        slope[k] = data.twist[k]
+    write_chart_rate(z[3:6], data.twist[3:6], slope[3:6])
     for k in range(6):
-        slope[6 + n + k] = buffers.q_o[k]
+        slope[6 + n + k] = data.q_o[k]
     for j in range(n):
-        slope[6 + j] = buffers.v[j]
-        slope[12 + n + j] = buffers.qdd[j]
+        slope[6 + j] = data.v[j]
+        slope[12 + n + j] = data.qdd[j]
     at = 12 + 2 * n
-    for k in range(buffers.inner_rate.size):
-        slope[at + k] = buffers.inner_rate[k]
-    at += buffers.inner_rate.size
-    for k in range(buffers.power.size):
-        slope[at + k] = buffers.power[k]
+    for k in range(data.inner_rate.size):
+        slope[at + k] = data.inner_rate[k]
+    at += data.inner_rate.size
+    for k in range(data.power.size):
+        slope[at + k] = data.power[k]
 
 
 @kernel
 def evaluate_slope(struct, t, z, base, alpha, beta, slope):
     """Rate of ``z`` at time ``t`` of the system with this struct; returns a status.
 
-    Later times than ``buffers.time[1]`` count as that: a step that ends where something jumps does
+    Later times than ``data.time.latest`` count as that: a step that ends where something jumps does
     not see what comes after.
-    With ``buffers.stage_gap`` not negative it is the rate at the projection of ``z``: the same on
+    With ``data.stage_gap`` not negative it is the rate at the projection of ``z``: the same on
     the constraints, and smooth where they lose rank, since ``z`` beside them would be driven away.
     """
     if not finite(z):
         return NOT_FINITE
-    _, buffers, _ = open_system(struct)
-    load(z, base, buffers)
-    if buffers.stage_gap[0] >= 0.0:
-        status = project(struct, buffers.stage_gap[0])
+    _, data, _ = open_system(struct)
+    load(z, base, data)
+    if data.status.stage_gap >= 0.0:
+        status = project(struct, data.status.stage_gap)
         if status != OK:
             return status
-    buffers.time[0] = min(t, buffers.time[1])
-    status = evaluate_on_branch(struct, buffers.stage_gap[0], alpha, beta)
+    data.time.now = min(t, data.time.latest)
+    status = evaluate_on_branch(struct, data.status.stage_gap, alpha, beta)
     if status == OK:
-        write_slope(z, buffers, slope)
+        write_slope(z, data, slope)
     return status
 
 

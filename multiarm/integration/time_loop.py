@@ -17,23 +17,14 @@ import numpy as np
 
 from multiarm.contacts.kernel import GAP
 from multiarm.dynamics.arrays import (
-    CALL_GUARDS,
-    COUPLED_ARMS,
-    KICK,
-    RANK_OF_ALL,
-    RESIDUAL,
-    SHIFT,
-    open_coupled,
-    open_system,
-)
-from multiarm.dynamics.equations import (
     CALLBACK_FAILED,
     CONTRADICTION,
     NOT_FINITE,
     OK,
-    finite,
-    largest,
+    open_coupled,
+    open_system,
 )
+from multiarm.dynamics.equations import finite, largest
 from multiarm.dynamics.solver_monitor import believable, note_solution, watch_solver
 from multiarm.integration.dense_output import interpolate, prepare_dense
 from multiarm.integration.monitors import watch_step
@@ -239,17 +230,17 @@ def sample_time(settings, k):
 
 @kernel
 def settle(struct, clock, settings, projected, t, alpha, beta):
-    """Project the state in the buffers, unless it is ``projected``, and evaluate it; returns a
+    """Project the state in ``data``, unless it is ``projected``, and evaluate it; returns a
     status.
     """
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     if settings.closed >= 0.0 and not projected:
         status = project(struct, settings.closed)
         clock.projections += 1
         clock.evaluations += 2
         if status != OK:
             return status
-    buffers.time[0] = t
+    data.time.now = t
     clock.evaluations += 1
     return evaluate_on_branch(struct, settings.closed, alpha, beta)
 
@@ -257,7 +248,7 @@ def settle(struct, clock, settings, projected, t, alpha, beta):
 @kernel
 def emit_samples(struct, method, step, clock, settings, block):
     """Write the samples that are due up to now; returns a status (``OK``: all written)."""
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     t = clock.t
     rows = clock.sample - clock.block_first
     near = 1e-9 * max(clock.h_before, 1e-12)
@@ -270,19 +261,19 @@ def emit_samples(struct, method, step, clock, settings, block):
         alpha, beta = gains(settings, max(clock.h_before, settings.step))
         projected = True
         if due >= t - near:
-            load(step.z, step.base, buffers)
+            load(step.z, step.base, data)
             works = step.z[step.tolerance.size :]
         else:
             projected = False
             interpolate(method, step, (due - clock.t_before) / clock.h_before, step.z_stage)
-            load(step.z_stage, step.base_old, buffers)
+            load(step.z_stage, step.base_old, data)
             works = step.z_stage[step.tolerance.size :]
         status = settle(struct, clock, settings, projected, due, alpha, beta)
         if status != OK:
             return status
         note_solution(struct)
         write_sample(struct, due, works, block[rows])
-        if buffers.flag[0] != 0:
+        if data.status.failed:
             return CALLBACK_FAILED
         rows += 1
         clock.sample += 1
@@ -292,8 +283,8 @@ def emit_samples(struct, method, step, clock, settings, block):
 @kernel
 def watch_start(struct):
     """Note the joints' coordinates at the start of a run, and what is amiss there already."""
-    plant, buffers, _ = open_system(struct)
-    follow_joints(plant, buffers)
+    model, data, _ = open_system(struct)
+    follow_joints(model, data)
     watch_step(struct, 0.0, 0.0)
     note_solution(struct)
     watch_solver(struct)
@@ -348,11 +339,11 @@ def try_step(struct, joints, method, step, clock, settings, h):
         if status != OK:
             return status, 0.0
     status = run_stages(struct, joints, method, step, t, h, alpha, beta)
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     own = method.kind != EXPLICIT and method.kind != SEMI_IMPLICIT
     stages = step.own[OWN_EVALUATIONS] if own else method.stages - 1
     # a projection is counted as two evaluations
-    projected = buffers.stage_gap[0] >= 0.0 and method.kind != VARIATIONAL
+    projected = data.status.stage_gap >= 0.0 and method.kind != VARIATIONAL
     clock.evaluations += 3 * stages if projected else stages
     if status != OK:
         return status, 0.0
@@ -372,7 +363,7 @@ def try_step(struct, joints, method, step, clock, settings, h):
 
 
 @kernel
-def judge_solution(struct, buffers, clock, settings):
+def judge_solution(struct, data, clock, settings):
     """Whether the end of a step can be believed: ``CONTRADICTION``, ``LARGE_CORRECTION`` or ``OK``.
 
     What the projection changes is the part of a step's error that led off the joints, and must be
@@ -380,18 +371,19 @@ def judge_solution(struct, buffers, clock, settings):
     branches, and the projection then takes the state far: a shorter step ends nearer to the branch
     that the motion is on.  There the change has other causes too, and may be larger.
     """
-    if not believable(struct, buffers.solved[RESIDUAL]):
+    if not believable(struct, data.status.residual):
         return CONTRADICTION
     if settings.adaptive and settings.closed >= 0.0:
         floor = max(settings.tolerance, rounding_floor(struct, clock))
-        margin, most = open_coupled(struct).margin[1], 1.0
+        margin, most = open_coupled(struct).status.least_margin, 1.0
         moved, kicked = ROUNDED_SHIFT * settings.closed, ROUNDED_KICK * settings.closed
         if not math.isinf(margin):
             most = MOST_CORRECTED
             moved = min(MOST_ROUNDED_GAP, ROUNDED_GAP / margin) / most
             kicked = min(MOST_ROUNDED_GAP, ROUNDED_GAP / (margin * margin)) / most
         correction = max(
-            buffers.solved[SHIFT] / max(floor, moved), buffers.solved[KICK] / max(floor, kicked)
+            data.status.position_change / max(floor, moved),
+            data.status.velocity_change / max(floor, kicked),
         )
         before = clock.correction
         lessened = before == 0.0 or correction < LESSENED * before or correction > HOPELESS
@@ -402,60 +394,62 @@ def judge_solution(struct, buffers, clock, settings):
 
 
 @kernel
-def count_solution(struct, buffers, clock):
+def count_solution(struct, data, clock):
     """Statistics of how the end of an accepted step was solved."""
-    solved = buffers.solved
-    rank = int(solved[RANK_OF_ALL])
+    status = data.status
+    rank = status.rank
     clock.lowest_rank = min(clock.lowest_rank, rank)
     clock.highest_rank = max(clock.highest_rank, rank)
-    if solved[COUPLED_ARMS] > 0.0:
+    if status.coupled_arms > 0:
         clock.coupled_steps += 1
-    clock.worst_residual = max(clock.worst_residual, solved[RESIDUAL])
-    clock.worst_correction = max(clock.worst_correction, solved[SHIFT], solved[KICK])
+    clock.worst_residual = max(clock.worst_residual, status.residual)
+    clock.worst_correction = max(
+        clock.worst_correction, status.position_change, status.velocity_change
+    )
     clock.solver_changes += watch_solver(struct)
 
 
 @kernel
 def complete_step(struct, method, step, clock, settings, h, end):
     """Stabilise the end of an accepted step, evaluate there, prepare its dense output."""
-    plant, buffers, _ = open_system(struct)
+    model, data, _ = open_system(struct)
     t = clock.t
     alpha, beta = gains(settings, h)
-    load(step.z_new, step.base, buffers)
+    load(step.z_new, step.base, data)
     # the variational method keeps the joints closed itself
     closed = method.kind == VARIATIONAL
-    status = settle(struct, clock, settings, closed, min(end, buffers.time[1]), alpha, beta)
+    status = settle(struct, clock, settings, closed, min(end, data.time.latest), alpha, beta)
     if status != OK:
         return status
     note_solution(struct)
-    status = judge_solution(struct, buffers, clock, settings)
+    status = judge_solution(struct, data, clock, settings)
     if status != OK:
         return status
-    gap = largest(buffers.contacts, GAP)
+    gap = largest(data.contacts, GAP)
     if not gap <= settings.apart:
         return DIVERGED if math.isfinite(gap) else NOT_FINITE
     # the slope of the next step, in this chart for the dense output and in the next one for it
-    write_slope(step.z_new, buffers, step.k[method.stages])
-    if plant.calls[CALL_GUARDS] != 0 and call_cfunc(plant.calls[CALL_GUARDS], struct, t, end) != OK:
+    write_slope(step.z_new, data, step.k[method.stages])
+    if data.functions.guards != 0 and call_cfunc(data.functions.guards, struct, t, end) != OK:
         status = prepare_dense(struct, method, step, t, h, alpha, beta)
         return EVENT if status == OK else status
-    if buffers.places.size > 0:
-        for i in range(buffers.places.shape[0]):
-            copy(buffers.located[i], buffers.places[i])
-    follow_joints(plant, buffers)
+    if data.places.size > 0:
+        for i in range(data.places.shape[0]):
+            copy(data.located[i], data.places[i])
+    follow_joints(model, data)
     watch_step(struct, t, end)
-    count_solution(struct, buffers, clock)
+    count_solution(struct, data, clock)
     if settings.adaptive and method.kind == EXPLICIT:
         note_stiffness(method, step, clock, h, end)
-    if not math.isinf(buffers.time[1]):
+    if not math.isinf(data.time.latest):
         after = max(end, breakpoint_at(clock, settings, end))
         status = settle(struct, clock, settings, True, after, alpha, beta)
         if status != OK:
             return status
     clear(step.z_stage)
-    write_slope(step.z_stage, buffers, step.slope_next)
+    write_slope(step.z_stage, data, step.slope_next)
     due = sample_time(settings, clock.sample) if clock.sample < settings.samples else math.inf
-    store(buffers, step.base_next, step.z_next)
+    store(data, step.base_next, step.z_next)
     copy(step.z_new[step.tolerance.size :], step.z_next[step.tolerance.size :])
     if due < end - 1e-9 * h:
         status = prepare_dense(struct, method, step, t, h, alpha, beta)
@@ -496,27 +490,27 @@ def rounding_floor(struct, clock):
     """Smallest error that a step with projected stages can be asked for."""
     if clock.retry_steps == 0:
         return 0.0
-    margin = open_coupled(struct).margin[1]
+    margin = open_coupled(struct).status.least_margin
     return min(MOST_ROUNDED, ROUNDED / margin**3)
 
 
 @kernel
 def before_breakpoint(struct, clock, settings, end):
     """See to it that a step that ends at a breakpoint does not see what comes after it."""
-    _, buffers, _ = open_system(struct)
+    _, data, _ = open_system(struct)
     ahead = not math.isinf(breakpoint_at(clock, settings, end))
-    buffers.time[1] = end - CLOSE_IN_TIME * (1.0 + settings.end) if ahead else math.inf
+    data.time.latest = end - CLOSE_IN_TIME * (1.0 + settings.end) if ahead else math.inf
 
 
 @kernel
 def project_stages(struct, clock, settings):
     """Decide whether the stages of the coming step are projected."""
-    _, buffers, _ = open_system(struct)
-    open_coupled(struct).margin[1] = math.inf
+    _, data, _ = open_system(struct)
+    open_coupled(struct).status.least_margin = math.inf
     careful = clock.retry_steps > 0
     if not settings.adaptive and settings.closed >= 0.0:
         careful = near_loss(struct)
-    buffers.stage_gap[0] = settings.closed if careful else -1.0
+    data.status.stage_gap = settings.closed if careful else -1.0
 
 
 @kernel

@@ -45,14 +45,8 @@ import numpy as np
 from multiarm.arms.terms import M_AT, M_STRIDE
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.records import KIND, TANGENT
-from multiarm.dynamics.arrays import CALL_FORCES, open_system
-from multiarm.dynamics.equations import (
-    CALLBACK_FAILED,
-    OK,
-    finite,
-    solve_constrained,
-    update_kinematics,
-)
+from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_system
+from multiarm.dynamics.equations import finite, solve_constrained, update_kinematics
 from multiarm.integration.stepper import OWN_EVALUATIONS, Step, load
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
@@ -171,23 +165,23 @@ def variational_step(address, size, t, h):
 @kernel
 def begin(own, t, h):
     """Momenta and constraint matrices at the beginning, and a guess of what is unknown."""
-    plant, buffers, work = open_system(own.system)
-    n = buffers.angles.size
-    for k in range(buffers.force.size):  # of the last evaluation, which was here or near
-        own.impulse[k] = 0.5 * h * buffers.force[k]
-    load(own.z, own.base, buffers)
-    buffers.time[0] = t
+    model, data, work = open_system(own.system)
+    n = data.angles.size
+    for k in range(data.force.size):  # of the last evaluation, which was here or near
+        own.impulse[k] = 0.5 * h * data.force[k]
+    load(own.z, own.base, data)
+    data.time.now = t
     status = update_kinematics(own.system)
     own.own[OWN_EVALUATIONS] += 1
     if status != OK:
         return status
     for a in range(3):
         for b in range(3):
-            own.inertia[a, b] = buffers.inertia[3 + a, 3 + b]
-    momenta(plant, buffers, work, own.start)
+            own.inertia[a, b] = data.inertia[3 + a, 3 + b]
+    momenta(model, data, work, own.start)
     for k in range(own.Wo.shape[0]):
-        copy(buffers.Wo[k], own.Wo[k])
-    for i in range(plant.pointers.shape[0]):
+        copy(data.Wo[k], own.Wo[k])
+    for i in range(data.pointers.shape[0]):
         for j in range(work.dofs[i + 1] - work.dofs[i]):
             copy(work.Y[i, j], own.W[i, j])
     for k in range(6 + n):
@@ -196,49 +190,49 @@ def begin(own, t, h):
 
 
 @kernel
-def momenta(plant, buffers, work, out):
-    """``M v`` of object and arms at the kinematics in the buffers, from ``twist`` and ``v``."""
+def momenta(model, data, work, out):
+    """``M v`` of object and arms at the kinematics in ``data``, from ``twist`` and ``v``."""
     for a in range(6):
         s = 0.0
         for b in range(6):
-            s += buffers.inertia[a, b] * buffers.twist[b]
+            s += data.inertia[a, b] * data.twist[b]
         out[a] = s
-    for i in range(plant.pointers.shape[0]):
+    for i in range(data.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        stride = plant.pointers[i, M_STRIDE]
-        M = floats_at(plant.pointers[i, M_AT], d * stride)
+        stride = data.pointers[i, M_STRIDE]
+        M = floats_at(data.pointers[i, M_AT], d * stride)
         for a in range(d):
             s = 0.0
             for b in range(d):  # one triangle is filled
-                s += M[a * stride + b if b <= a else b * stride + a] * buffers.v[d0 + b]
+                s += M[a * stride + b if b <= a else b * stride + a] * data.v[d0 + b]
             out[6 + d0 + a] = s
 
 
 @kernel
 def find_velocities(own, t, h):
     """Newton's method for the velocities over the step and the contacts' impulses."""
-    plant, buffers, _ = open_system(own.system)
-    n, before = buffers.angles.size, math.inf
+    model, data, _ = open_system(own.system)
+    n, before = data.angles.size, math.inf
     for iteration in range(MOST_ITERATIONS):
-        place(own, buffers, h, t + h)
+        place(own, data, h, t + h)
         status = update_kinematics(own.system)
         if status != OK:
             return status
         for k in range(own.gap.size):
-            own.gap[k] = -buffers.contacts[k, GAP] / h
-        place(own, buffers, 0.5 * h, t + 0.5 * h)
+            own.gap[k] = -data.contacts[k, GAP] / h
+        place(own, data, 0.5 * h, t + 0.5 * h)
         status = drive(own, h)
         own.own[OWN_EVALUATIONS] += 2
         if status != OK:
             return status
         imbalance(own, h)
         for k in range(own.gap.size):
-            rolls = plant.codes[k, KIND] == TANGENT
-            buffers.c[k] = -buffers.contacts[k, GAP_RATE] if rolls else own.gap[k]
+            rolls = model.codes[k, KIND] == TANGENT
+            data.c[k] = -data.contacts[k, GAP_RATE] if rolls else own.gap[k]
         status = solve_constrained(own.system)
         if status != OK:  # far away: inertias were sound at the beginning
             return status if status == CALLBACK_FAILED else NOT_CONVERGED
-        change = correct(own, buffers, iteration)
+        change = correct(own, data, iteration)
         fastest = 0.0
         for k in range(6 + n):
             fastest = max(fastest, abs(own.xi[k]))
@@ -254,8 +248,8 @@ def find_velocities(own, t, h):
 
 
 @kernel
-def correct(own, buffers, iteration):
-    """Correct the unknowns by the solution in the buffers; returns the largest change proposed.
+def correct(own, data, iteration):
+    """Correct the unknowns by the solution in ``data``; returns the largest change proposed.
 
     The corrections shrink by a nearly constant factor, since the node system is that half way: a
     secant through the last two of them takes most of what is left (D.G. Anderson, J. ACM 12, 1965).
@@ -263,7 +257,7 @@ def correct(own, buffers, iteration):
     size, rows = own.xi.size, own.impulse.size
     change, along, square = 0.0, 0.0, 0.0
     for k in range(size):
-        delta = buffers.q_o[k] if k < 6 else buffers.qdd[k - 6]
+        delta = data.q_o[k] if k < 6 else data.qdd[k - 6]
         change = max(change, abs(delta))
         difference = delta - own.last[1, k]
         along += delta * difference
@@ -272,9 +266,9 @@ def correct(own, buffers, iteration):
     share = min(0.9, max(-0.9, share))
     for k in range(size + rows):
         if k < size:
-            delta, old = buffers.q_o[k] if k < 6 else buffers.qdd[k - 6], own.xi[k]
+            delta, old = data.q_o[k] if k < 6 else data.qdd[k - 6], own.xi[k]
         else:
-            delta, old = buffers.force[k - size], own.impulse[k - size]
+            delta, old = data.force[k - size], own.impulse[k - size]
         new = old + delta - share * (old + delta - own.last[0, k] - own.last[1, k])
         own.last[0, k], own.last[1, k] = old, delta
         if k < size:
@@ -285,52 +279,52 @@ def correct(own, buffers, iteration):
 
 
 @kernel
-def place(own, buffers, delay, t):
-    """Write the state ``delay`` after the beginning of the step, on its way, into the buffers."""
-    n, turn = buffers.angles.size, own.scratch[:3]
+def place(own, data, delay, t):
+    """Write the state ``delay`` after the beginning of the step, on its way, into the data."""
+    n, turn = data.angles.size, own.scratch[:3]
     for k in range(3):
-        buffers.position[k] = own.z[k] + delay * own.xi[k]
+        data.position[k] = own.z[k] + delay * own.xi[k]
         turn[k] = delay * own.xi[3 + k]
-    retract_into(own.base, turn, buffers.position[3:7])
+    retract_into(own.base, turn, data.position[3:7])
     for k in range(6):
-        buffers.twist[k] = own.xi[k]
+        data.twist[k] = own.xi[k]
     for j in range(n):
-        buffers.angles[j] = own.z[6 + j] + delay * own.xi[6 + j]
-        buffers.v[j] = own.xi[6 + j]
-    buffers.time[0] = t
+        data.angles[j] = own.z[6 + j] + delay * own.xi[6 + j]
+        data.v[j] = own.xi[6 + j]
+    data.time.now = t
 
 
 @kernel
 def drive(own, h):
     """Kinematics and forces half way: ``push = h F / 2``; returns a status."""
-    plant, buffers, work = open_system(own.system)
+    _, data, work = open_system(own.system)
     status = update_kinematics(own.system)
     if status != OK:
         return status
     update_coriolis(own.call)
-    if buffers.flag[0] != 0:
+    if data.status.failed:
         return CALLBACK_FAILED
-    status = call_cfunc(plant.calls[CALL_FORCES], own.system, 0.0, 0.0)
+    status = call_cfunc(data.functions.forces, own.system, 0.0, 0.0)
     if status != OK:
         return status
-    inertia, w, push, half = buffers.inertia, buffers.twist[3:6], own.push, 0.5 * h
+    inertia, w, push, half = data.inertia, data.twist[3:6], own.push, 0.5 * h
     l0 = inertia[3, 3] * w[0] + inertia[3, 4] * w[1] + inertia[3, 5] * w[2]
     l1 = inertia[4, 3] * w[0] + inertia[4, 4] * w[1] + inertia[4, 5] * w[2]
     l2 = inertia[5, 3] * w[0] + inertia[5, 4] * w[1] + inertia[5, 5] * w[2]
     for k in range(3):
-        push[k] = half * buffers.h_o[k]
+        push[k] = half * data.h_o[k]
     # the gyroscopic moment is part of the momentum here
-    push[3] = half * (buffers.h_o[3] + w[1] * l2 - w[2] * l1)
-    push[4] = half * (buffers.h_o[4] + w[2] * l0 - w[0] * l2)
-    push[5] = half * (buffers.h_o[5] + w[0] * l1 - w[1] * l0)
-    for i in range(plant.pointers.shape[0]):
+    push[3] = half * (data.h_o[3] + w[1] * l2 - w[2] * l1)
+    push[4] = half * (data.h_o[4] + w[2] * l0 - w[0] * l2)
+    push[5] = half * (data.h_o[5] + w[0] * l1 - w[1] * l0)
+    for i in range(data.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
         stride = own.coriolis[i, 1]
         C = floats_at(own.coriolis[i, 0], d * stride)
         for a in range(d):
-            s = buffers.h[d0 + a]
+            s = data.h[d0 + a]
             for b in range(d):
-                s += (C[a * stride + b] + C[b * stride + a]) * buffers.v[d0 + b]
+                s += (C[a * stride + b] + C[b * stride + a]) * data.v[d0 + b]
             push[6 + d0 + a] = half * s
     return OK
 
@@ -346,14 +340,14 @@ def update_coriolis(call):
 
 @kernel
 def imbalance(own, h):
-    """What the momenta at the beginning lack, into ``buffers.h_o`` and ``buffers.h``.
+    """What the momenta at the beginning lack, into ``data.h_o`` and ``data.h``.
 
-    ``p_0 + W_0 S_0 + h F / 2 - pi``; needs the kinematics half way in the buffers.
+    ``p_0 + W_0 S_0 + h F / 2 - pi``; needs the kinematics half way in ``data``.
     """
-    plant, buffers, work = open_system(own.system)
-    n, momentum = buffers.angles.size, own.scratch
-    momenta(plant, buffers, work, momentum)
-    l, theta = buffers.weight[:3], buffers.weight[3:]  # noqa: E741  free between evaluations
+    model, data, work = open_system(own.system)
+    n, momentum = data.angles.size, own.scratch
+    momenta(model, data, work, momentum)
+    l, theta = data.weight[:3], data.weight[3:]  # noqa: E741  free between evaluations
     for a in range(3):
         theta[a] = -h * own.xi[3 + a]
         l[a] = 0.0
@@ -364,9 +358,9 @@ def imbalance(own, h):
         momentum[k] = own.start[k] + own.push[k] - momentum[k]
     add_impulses(own.Wo, own.W, own.impulse, work, momentum)
     for k in range(6):
-        buffers.h_o[k] = momentum[k]
+        data.h_o[k] = momentum[k]
     for j in range(n):
-        buffers.h[j] = momentum[6 + j]
+        data.h[j] = momentum[6 + j]
 
 
 @kernel
@@ -385,32 +379,32 @@ def add_impulses(Wo, W, impulse, work, out):
 @kernel
 def end(own, t, h):
     """Momenta at the end, and the velocities on the joints that have them: ``z_new``."""
-    _, buffers, work = open_system(own.system)
-    n, z, new = buffers.angles.size, own.z, own.z_new
+    _, data, work = open_system(own.system)
+    n, z, new = data.angles.size, own.z, own.z_new
     momentum = own.scratch
     for k in range(6 + n):
         momentum[k] = own.start[k] + 2.0 * own.push[k]
     add_impulses(own.Wo, own.W, own.impulse, work, momentum)
     copy(momentum, own.push)  # `place` needs the scratch
-    place(own, buffers, h, t + h)
+    place(own, data, h, t + h)
     status = update_kinematics(own.system)
     own.own[OWN_EVALUATIONS] += 1
     if status != OK:
         return status
     for k in range(6):
-        buffers.h_o[k] = own.push[k]
+        data.h_o[k] = own.push[k]
     for j in range(n):
-        buffers.h[j] = own.push[6 + j]
-    clear(buffers.c)
+        data.h[j] = own.push[6 + j]
+    clear(data.c)
     status = solve_constrained(own.system)
     if status != OK:
         return status
     for k in range(6):
         new[k] = h * own.xi[k] + (z[k] if k < 3 else 0.0)
-        new[6 + n + k] = buffers.q_o[k]
+        new[6 + n + k] = data.q_o[k]
     for j in range(n):
         new[6 + j] = z[6 + j] + h * own.xi[6 + j]
-        new[12 + n + j] = buffers.qdd[j]
-    for k in range(buffers.power.size):
-        new[12 + 2 * n + k] = z[12 + 2 * n + k] + h * buffers.power[k]
+        new[12 + n + j] = data.qdd[j]
+    for k in range(data.power.size):
+        new[12 + 2 * n + k] = z[12 + 2 * n + k] + h * data.power[k]
     return OK

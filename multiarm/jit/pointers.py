@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from typing import Any
 
 from llvmlite import ir
 from numba import types
@@ -63,8 +64,8 @@ def call_python(typing_context, address):
 class GuardedCall:
     """A call of compiled code into Python, and the exception that it ran into.
 
-    An exception must not cross compiled code (it would be printed and lost).  It is kept here, the
-    flag array is raised, and the loop returns; :meth:`reraise` then raises it where Python can see
+    An exception must not cross compiled code (it would be printed and lost).  It is kept here, a
+    flag is set, and the loop returns; :meth:`reraise` then raises it where Python can see
     it.  ``KeyboardInterrupt`` goes the same way.
     """
 
@@ -79,15 +80,18 @@ class GuardedCall:
 
 
 class PythonCallback(GuardedCall):
-    """A Python function without arguments or result that compiled code can call."""
+    """A Python function without arguments or result that compiled code can call.
 
-    def __init__(self, function: Callable[[], None], flag) -> None:
+    When it raises an exception, ``status.failed`` is set.
+    """
+
+    def __init__(self, function: Callable[[], None], status: Any) -> None:
         def guarded() -> None:
             try:
                 function()
             except BaseException as error:
                 self.error = error
-                flag[0] = 1
+                status.failed = True
 
         self._keep_alive = ctypes.CFUNCTYPE(None)(guarded)
         self.address: int = ctypes.cast(self._keep_alive, ctypes.c_void_p).value or 0

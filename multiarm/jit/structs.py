@@ -25,6 +25,8 @@ that kernels set are the fields of a :class:`Numbers`:
 
     view_clock = view(Clock)
     clock = Clock(time=0.5)  # in a kernel: view_clock(clock.struct).steps += 1; then clock.steps
+
+A field of a ``NamedTuple`` may be such numbers too: ``view_run(struct).clock.steps``.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from struct import Struct as Format
-from typing import Annotated, Any, ClassVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_type_hints
 
 import numpy as np
 from llvmlite import ir
@@ -50,6 +52,9 @@ from numba.extending import (
     unbox,
 )
 from numba.np.arrayobj import populate_array
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 # What a field of a NamedTuple may be: C-contiguous arrays of float64 or int64, and their axes, or
 # numbers.
@@ -69,13 +74,15 @@ _KINDS = (np.dtype(np.float64), np.dtype(np.int64))
 _NUMBER, _BITS = Format("d"), Format("q")
 
 
-def make_struct(entries: Sequence[np.ndarray | float]) -> np.ndarray:
+def make_struct(entries: Sequence[np.ndarray | float | Numbers]) -> np.ndarray:
     """Addresses and shapes of C-contiguous float64 and int64 arrays, and numbers, shape (4 k,).
 
     The arrays must stay alive as long as the struct is used.
     """
     numbers: list[int] = []  # a list is filled faster than an array
     for entry in entries:
+        if isinstance(entry, Numbers):
+            entry = entry.struct
         if isinstance(entry, np.ndarray):
             assert entry.flags.c_contiguous and entry.dtype in _KINDS
             sizes = entry.shape
@@ -93,7 +100,7 @@ def struct_of(*holders: tuple) -> np.ndarray:
 
     An ``int`` in a ``Float`` field is written as a float, a ``bool`` in an ``Int`` field as an int.
     """
-    entries: list[np.ndarray | float] = []
+    entries: list[np.ndarray | float | Numbers] = []
     for holder in holders:
         numbers = _numbers_of(type(holder))
         entries += [numbers[k](entry) if k in numbers else entry for k, entry in enumerate(holder)]
@@ -103,7 +110,7 @@ def struct_of(*holders: tuple) -> np.ndarray:
 @functools.cache
 def _numbers_of(holder: type) -> dict[int, Callable[[Any], float]]:
     """Places of the fields that are numbers, and what makes such a number."""
-    kinds = [dtype if not axes else None for dtype, axes in _fields_of(holder)]
+    kinds = [dtype if axes == 0 else None for dtype, axes in _fields_of(holder)]
     made = {types.float64: float, types.int64: int}
     return {k: made[kind] for k, kind in enumerate(kinds) if kind is not None}
 
@@ -131,6 +138,17 @@ class Numbers:
         for name, value in values.items():
             setattr(self, name, value)
 
+    def copy(self) -> Self:
+        """The same numbers in a struct of their own."""
+        other = type(self)()
+        other.struct[:] = self.struct
+        return other
+
+    @classmethod
+    def place(cls, name: str) -> int:
+        """Place of a field among the integers of the struct."""
+        return WIDTH * cls._fields.index(name)
+
 
 def _number_property(place: int, real: bool) -> property:
     """A field of :class:`Numbers` at one place of its struct."""
@@ -145,9 +163,14 @@ def _number_property(place: int, real: bool) -> property:
 
 
 def _fields_of(holder: type) -> list[tuple[Any, int]]:
-    """Number type and axes of every field of a ``NamedTuple``, from its annotations."""
+    """Number type and axes of every field, from its annotations; -1 axes: a view of numbers."""
     hints = get_type_hints(holder, include_extras=True)
-    return [hints[name].__metadata__[0] for name in holder._fields]  # type: ignore[attr-defined]
+    found = []
+    for name in holder._fields:  # type: ignore[attr-defined]
+        kind = hints[name]
+        of_numbers = isinstance(kind, type) and issubclass(kind, Numbers)
+        found.append((View(kind, 0), -1) if of_numbers else kind.__metadata__[0])
+    return found
 
 
 class View(types.Type):
@@ -178,7 +201,7 @@ class _ViewFields(AttributeTemplate):
     def generic_resolve(self, view, name):
         if name in view.fields:
             _, dtype, axes = view.fields[name]
-            return types.Array(dtype, axes, "C") if axes else dtype
+            return types.Array(dtype, axes, "C") if axes > 0 else dtype
         return None
 
 
@@ -187,8 +210,10 @@ def _field_of_view(context, builder, view, struct, name):
     place, dtype, axes = view.fields[name]
     numbers = builder.inttoptr(struct, ir.IntType(64).as_pointer())
     first = ir.IntType(64)(WIDTH * place)
-    if axes:
+    if axes > 0:
         return _array_in_struct(context, builder, dtype, axes, numbers, first)
+    if axes < 0:
+        return _number(builder, numbers, first)  # where these numbers are
     if view.settable:  # it may have been set since it was read last
         number = builder.load(builder.gep(numbers, [first]))
     else:

@@ -29,7 +29,7 @@ from multiarm.problems.references import reference_run
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
-    from multiarm.assembly.system import System
+    from multiarm.dynamics.system import System
     from multiarm.results.trajectory import Trajectory
 
 ACCURACY = 1e-6

@@ -25,7 +25,7 @@ from multiarm.problems.ring import RING_POSTURE
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
-    from multiarm.assembly.system import System
+    from multiarm.dynamics.system import System
     from multiarm.results.trajectory import Trajectory
 
 ACCURACY = 1e-6

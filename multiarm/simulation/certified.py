@@ -147,14 +147,12 @@ class Attempts:
 
     def _settle(self) -> tuple[str, str]:
         """Runs until one is accurate enough, or there is no use in another; returns why."""
-        for function in self.task.system.asked:
+        for function in self.task.data.user_callbacks:
             if function.remembers():
                 return MEMORY, memory_words(function.name)
         candidate, finer = self._first_pair()
         while True:
-            finding = judge(
-                self.task.system, candidate.trajectory, finer.trajectory, self._accuracy
-            )
+            finding = judge(self.task.data, candidate.trajectory, finer.trajectory, self._accuracy)
             candidate.row.update(finding.estimated)
             if self._judged:
                 self._drop(self._judged[-1][0])

@@ -10,18 +10,17 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.system import System
-from multiarm.dynamics.arrays import BUSY
-from multiarm.dynamics.equations import CALLBACK_FAILED, NOT_FINITE
+from multiarm.dynamics.arrays import CALLBACK_FAILED, NOT_FINITE
 from multiarm.dynamics.evaluation import failure_text, lost_contact_text
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SolverError, TrajectoryError
-from multiarm.events.driver import EventDriving
 from multiarm.integration.monitors import collect_events
 from multiarm.integration.samples import named_samples
 from multiarm.integration.stepper import step_struct
@@ -44,6 +43,7 @@ from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink, provenance
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, dump_scene
+from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.interrupts import Interrupt, deferred_interrupt
 from multiarm.simulation.setup import Run, method_and_tolerance, prepare
 from multiarm.simulation.switching import Switch, stiffness_remark
@@ -72,6 +72,8 @@ class Task:
     Attributes
     ----------
     system : System
+    data : Data
+        What the runs write.
     spec : RunSpec
     state : State or None
         Where to begin; None: the scene's start.
@@ -80,6 +82,7 @@ class Task:
     """
 
     system: System
+    data: Data
     spec: RunSpec
     state: State | None
     longest_step: float
@@ -150,16 +153,17 @@ def carry_out(
     TrajectoryError
         When the sink cannot be opened.
     """
-    system, spec = task.system, task.spec
-    log, comings = EventLog(), None
-    if system.unilateral is not None:
-        comings = EventDriving(system, method_and_tolerance(spec, tighten)[1], spec.step, log)
-        task = replace(task, **comings.begin(task.state))
-    run = prepare(task.system, spec, task.state, sink, task.longest_step, log, tighten)
-    if comings is not None:
-        comings.arm(run)
-    run.comings, run.home = comings, system
-    run.sink.open(system.channels, _metadata(task))
+    system, full, spec, state = task.system, task.data, task.spec, task.state
+    log, data, events = EventLog(), full, None
+    if full.model.unilateral is not None:
+        events = EventHandler(full, method_and_tolerance(spec, tighten)[1], spec.step, log)
+        start = system.initial_state() if state is None else state
+        data, state = events.begin(start, given=state is not None)
+    run = prepare(system, data, spec, state, sink, task.longest_step, log, tighten)
+    if events is not None:
+        events.arm(run)
+    run.events, run.full = events, full
+    run.sink.open(system.channels, _metadata(system, spec, state is not None))
     interrupt = Interrupt()
     try:
         pace = Pace(run, spec)
@@ -178,25 +182,24 @@ def carry_out(
     return trajectory
 
 
-def leave_undone(task: Task, sink: Sink, status: str, message: str) -> Trajectory:
-    """The result of a task that cannot begin, or shall not: no samples, and the reason.
+def leave_undone(system: System, given: bool, sink: Sink, status: str, message: str) -> Trajectory:
+    """The result of a run that cannot begin, or shall not: no samples, and the reason.
 
     Raises
     ------
     TrajectoryError
         When the sink cannot be opened.
     """
-    sink.open(task.system.channels, _metadata(task))
+    sink.open(system.channels, _metadata(system, system.scene.run, given))
     return sink.finish(status, message, {"simulated_s": 0.0, "wall_time_s": 0.0})
 
 
-def _metadata(task: Task) -> dict[str, Any]:
-    """Where the result comes from."""
-    system = task.system
-    control = "python function" if "control" in system.calls else system.scene.control.kind
-    start = "scene" if task.state is None else "given state"
-
-    scene, spec = system.scene, task.spec  # a result must not keep its system alive
+def _metadata(system: System, spec: RunSpec, given: bool) -> dict[str, Any]:
+    """Where the result comes from; ``given``: the start is not the scene's."""
+    python = system.model.python_control is not None
+    control = "python function" if python else system.scene.control.kind
+    start = "given state" if given else "scene"
+    scene = system.scene  # a result must not keep its system alive
 
     def scene_as_run() -> str:
         return dump_scene(scene.model_copy(update={"run": spec}))
@@ -222,10 +225,10 @@ def _drive(
     with deferred_interrupt(interrupt):
         while True:
             ended = None
-            collect_events(run.system, run.log)
-            if run.comings is not None and reason in (EVENT, STOPPED):
+            collect_events(run.data, run.log)
+            if run.events is not None and reason in (EVENT, STOPPED):
                 pace.event_stops += 1
-                trouble = run.comings.happens(run, reason == STOPPED)
+                trouble = run.events.happens(run, reason == STOPPED)
                 ended = ("failed", f"{_where(run)}: {trouble}") if trouble else None
                 advance_by = _advancer(run)
                 reason = BUDGET_USED
@@ -234,18 +237,15 @@ def _drive(
                 advance_by = _advancer(run)
             elif reason == BUDGET_USED and switch.judge(run):  # then no sample is due any more
                 advance_by = _advancer(run)
-            if reason == SOLVER_CHANGED and run.comings is not None:
-                run.solver_log.settle(run.system)  # contacts that come and go have their own events
+            if reason == SOLVER_CHANGED and run.events is not None:
+                run.solver_log.settle(run.data)  # unilateral contacts have their own events
             elif reason == SOLVER_CHANGED:
-                run.solver_log.collect(run.system, run.clock.t, _state(run))
+                run.solver_log.collect(run.data, run.clock.t, _state(run))
             try:
                 if progress is not None:
-                    run.system.buffers.flag[BUSY] = 1
                     progress(run.clock.t)
             except KeyboardInterrupt:  # the caller's way to end the run in good order
                 interrupt.pressed = reason != FINISHED
-            finally:
-                run.system.buffers.flag[BUSY] = 0
             if reason == FINISHED:
                 ended = "completed", "the run reached its end"
             elif interrupt.pressed:
@@ -274,7 +274,7 @@ def _drive(
 
 def _advancer(run: Run) -> Callable[[int], int]:
     """The compiled loop as a function of its budget of evaluations."""
-    struct, joints = run.system.struct(), run.system.layout.joints
+    struct, joints = run.data.struct, run.data.model.layout.joints
     arrays = step_struct(run.stepping.method, run.stepping.step)
 
     settings, fixed = run.settings, struct_of(run.settings)
@@ -290,11 +290,11 @@ def _advancer(run: Run) -> Callable[[int], int]:
 
 def _state(run: Run) -> State:
     """The state at the beginning of the next step."""
-    n, z = run.system.layout.joints, run.stepping.step.z
+    n, z = run.data.model.layout.joints, run.stepping.step.z
     return State(
         np.concatenate([z[:3], run.stepping.step.base, z[6 : 6 + n]]),
         z[6 + n : 12 + 2 * n].copy(),
-        run.system.layout,
+        run.data.model.layout,
     )
 
 
@@ -308,11 +308,11 @@ def _trouble(run: Run, reason: int) -> tuple[str, str]:
     smaller = "a smaller `accuracy`" if run.settings.adaptive else "a smaller `step`"
     if reason == CALLBACK_FAILED:
         try:
-            run.system.reraise()
+            run.data.reraise()
         except KeyboardInterrupt:
             return "interrupted", f"stopped by the user {where}"
         except SolverError as error:
-            return "failed", f"{where}: {lost_contact_text(run.system) or error}"
+            return "failed", f"{where}: {lost_contact_text(run.data) or error}"
         except MultiarmError as error:
             return "failed", f"{where}: {error}"
         except USER_FAULTS as error:
@@ -339,9 +339,9 @@ def _trouble(run: Run, reason: int) -> tuple[str, str]:
             "`step`, or `integrator: dop853` where damping is strong or linkages lie flat"
         )
     if reason == NOT_FINITE:
-        lost = lost_contact_text(run.system)
+        lost = lost_contact_text(run.data)
         return "failed", f"{where}: {lost or f'the state is no longer finite; take {smaller}'}"
-    return "failed", f"{where}: {failure_text(run.system, reason)}"
+    return "failed", f"{where}: {failure_text(run.data, reason)}"
 
 
 def _flush(run: Run) -> None:
@@ -353,11 +353,11 @@ def _flush(run: Run) -> None:
     clock.block_first = clock.sample
     run.sink.append(
         named_samples(
-            run.home.layout,
-            run.system.plant.free_bounds,
-            run.system.pieces.works,
+            run.full.model.layout,
+            run.full.model.constants.free_bounds,
+            run.full.model.effects.works,
             run.block[:rows],
-            run.home.contacts_with_states,
+            run.full.model.contacts_with_states,
         )
     )
 
@@ -368,8 +368,8 @@ def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:
     return {
         "integrator": run.stepping.tableau.name,
         "solver": spec.solver,
-        "arms": run.system.arm_terms,
-        "not_compiled": run.system.not_compiled,
+        "arms": run.full.model.backends.by_arm,
+        "not_compiled": run.full.model.backends.reasons,
         "stabilization": spec.stabilization.kind,
         "accuracy": None if spec.accuracy is None else spec.accuracy.written,
         "tolerance": settings.tolerance if settings.adaptive else None,
@@ -386,7 +386,7 @@ def _statistics(run: Run, spec: RunSpec, wall: float) -> dict:
         "highest_rank": clock.highest_rank if clock.steps else None,
         "residual_max": clock.worst_residual,
         "correction_max": clock.worst_correction,
-        **({} if run.comings is None else run.comings.statistics()),
+        **({} if run.events is None else run.events.statistics()),
         "wall_time_s": wall,
         "realtime_factor": simulated / wall if wall > 0.0 else None,
     }

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multiarm.assembly import StartReport, projection_tolerance, scene_size
-from multiarm.assembly.adoption import adopt_state
-from multiarm.assembly.contact_checks import place_state
-from multiarm.assembly.system import System
-from multiarm.dynamics.equations import OK
+from multiarm.assembly.linkage import projection_tolerance, scene_size
+from multiarm.assembly.start import project_start
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.evaluation import failure_text
-from multiarm.dynamics.solver.singular import ARMS
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import SceneError, SolverError
 from multiarm.integration.rosenbrock import make_rosenbrock, rosenbrock_step
 from multiarm.integration.samples import sample_width
@@ -24,10 +24,10 @@ from multiarm.integration.stepper import (
     OWN_STRUCT,
     Method,
     Step,
+    begin_chart,
     evaluate_slope,
     make_method,
     make_step,
-    store,
 )
 from multiarm.integration.tableaus import METHODS, ROSENBROCK, VARIATIONAL, Tableau
 from multiarm.integration.time_loop import (
@@ -51,7 +51,7 @@ from multiarm.scene.control import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.simulation.solver_log import SolverLog
 
 if TYPE_CHECKING:
-    from multiarm.events.driver import EventDriving
+    from multiarm.simulation.event_handling import EventHandler
 
 # Below this accuracy [m, rad] the method of order 8 is the cheaper one.
 ORDER_8_BELOW = 1e-3
@@ -116,7 +116,7 @@ class Run:
 
     Attributes
     ----------
-    system, stepping, settings, clock
+    data, stepping, settings, clock
         What the loop works on; the method may change on the way.
     sink, block
         Where samples go, and the rows that are not there yet.
@@ -126,13 +126,13 @@ class Run:
         None: the step is fixed.
     may_switch : bool
         The method was not named, and may be exchanged.
-    home : System
-        With all rows; ``system`` itself but where contacts come and go.
-    comings : EventDriving or None
-        What deals with them.
+    full : Data
+        With all rows; ``data`` itself unless there are unilateral contacts.
+    events : EventHandler or None
+        Handles their events.
     """
 
-    system: System
+    data: Data
     stepping: Stepping
     settings: Settings
     clock: Clock
@@ -142,8 +142,8 @@ class Run:
     solver_log: SolverLog
     tolerance: Tolerance | None
     may_switch: bool
-    home: System
-    comings: EventDriving | None = None
+    full: Data
+    events: EventHandler | None = None
 
 
 def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) -> RunSpec:
@@ -177,25 +177,22 @@ def method_and_tolerance(spec: RunSpec, tighten: float = 1.0) -> tuple[str, Tole
     return name, Tolerance(*(tighten * max(STEP_SHARE * v, SMALLEST_TOLERANCE) for v in asked))
 
 
-def make_stepping(system: System, name: str, tolerance: Tolerance | None) -> Stepping:
-    """A method and its arrays for one system; compiles the method if it has a step of its own."""
+def make_stepping(data: Data, name: str, tolerance: Tolerance | None) -> Stepping:
+    """A method and its arrays; compiles the method if it has a step of its own."""
     tableau = METHODS[name]
-    pieces = system.pieces
+    pieces = data.model.effects
     method = make_method(tableau)
-    step = make_step(tableau, system.layout.joints, pieces.states, 1 + len(pieces.works))
+    step = make_step(tableau, data.model.layout.joints, pieces.states, 1 + len(pieces.works))
     if tolerance is not None:
-        step.tolerance[:] = _tolerances(system, tolerance)
+        step.tolerance[:] = _tolerances(data, tolerance)
     if tableau.kind == ROSENBROCK:
-        work = make_rosenbrock(tableau, method, step, system.layout.joints, system.struct())
+        work = make_rosenbrock(tableau, method, step, data.model.layout.joints, data.struct)
         return _with_own_step(Stepping(tableau, method, step), work)
     if tableau.kind == VARIATIONAL:
-        fault = method_fault(name, pieces.with_states, system.scene.effects.with_events)
-        if fault:
-            raise SceneError(f"integrator: {fault}")
-        call, places = system.coriolis()
-        shape, rows = system.work.Y.shape, system.layout.contacts
+        call, places = data.coriolis()
+        shape, rows = data.work.Y.shape, data.model.layout.contacts
         momenta = make_variational(
-            step, system.struct(), system.layout.joints, shape, rows, call, places
+            step, data.struct, data.model.layout.joints, shape, rows, call, places
         )
         return _with_own_step(Stepping(tableau, method, step), momenta)
     return Stepping(tableau, method, step)
@@ -209,16 +206,17 @@ def _with_own_step(stepping: Stepping, work: tuple) -> Stepping:
     return replace(stepping, own=(work, struct))
 
 
-def _tolerances(system: System, tolerance: Tolerance) -> list[float]:
+def _tolerances(data: Data, tolerance: Tolerance) -> list[float]:
     """One tolerance an entry of the state, but for the works."""
-    units = [unit for arm in system.arms.values() for unit in arm.joint_units.values()]
+    units = [unit for arm in data.model.arms.values() for unit in arm.joint_units.values()]
     of_unit = {"m": tolerance.position, "rad": tolerance.rotation}
     coordinates = [of_unit[unit] for unit in ["m"] * 3 + ["rad"] * 3 + units]
-    return 2 * coordinates + [tolerance.smallest] * system.pieces.states
+    return 2 * coordinates + [tolerance.smallest] * data.model.effects.states
 
 
 def prepare(
     system: System,
+    data: Data,
     spec: RunSpec,
     state: State | None,
     sink: Sink,
@@ -228,6 +226,11 @@ def prepare(
 ) -> Run:
     """Settings, arrays and the first evaluation; ``tighten`` multiplies the tolerances."""
     name, tolerance = method_and_tolerance(spec, tighten)
+    if METHODS[name].kind == VARIATIONAL:
+        own_states = data.model.effects.with_states
+        fault = method_fault(name, own_states, system.scene.effects.with_events)
+        if fault:
+            raise SceneError(f"integrator: {fault}")
     adaptive = tolerance is not None
     stabilization = spec.stabilization
     samples = int(np.floor(spec.duration / spec.output_step * (1 + 1e-12))) + 1
@@ -247,52 +250,51 @@ def prepare(
         beta=-1.0 if stabilization.beta is None else float(stabilization.beta),
         closed=0.0 if stabilization.kind == "projection" else -1.0,
         apart=np.inf,
-        breakpoints=np.array(system.breakpoints, dtype=float),
+        breakpoints=np.array(data.model.breakpoints, dtype=float),
         switch=adaptive and spec.integrator is None,
         stop=np.inf,
     )
-    stepping = make_stepping(system, name, tolerance)
+    stepping = make_stepping(data, name, tolerance)
     method, step = stepping.method, stepping.step
     begin, report = system.initial_state(), system.start_report
     if state is not None:
         begin, report = state, StartReport()
         if stabilization.kind == "projection":
-            begin, report = adopt_state(system, state)
-    place_state(system, 0.0, begin)
-    store(system.buffers, step.base, step.z)
+            begin, report = project_start(data, system.scene, state)
+    place_state(data, 0.0, begin)
+    begin_chart(data.struct, step.base, step.z)
     feedback = gains(settings, settings.step)
-    _first_slope(system, step, feedback)
-    if system.pieces.states:
-        step.z[12 + 2 * system.layout.joints :][: system.pieces.states] = system.pieces.start(
-            system
-        )
-        _first_slope(system, step, feedback)
-    size = scene_size(system)
+    _first_slope(data, step, feedback)
+    if data.model.effects.states:
+        first = 12 + 2 * data.model.layout.joints
+        step.z[first : first + data.model.effects.states] = data.effect_states()
+        _first_slope(data, step, feedback)
+    size = scene_size(data)
     settings = settings._replace(
-        closed=projection_tolerance(system, size) if settings.closed >= 0.0 else -1.0,
+        closed=projection_tolerance(data, size) if settings.closed >= 0.0 else -1.0,
         apart=APART * size,
     )
-    if settings.closed >= 0.0 and system.coupled.counts[ARMS]:
+    if settings.closed >= 0.0 and data.coupled.status.arms:
         # the start may be where two motions cross
-        system.buffers.stage_gap[0] = settings.closed
-        _first_slope(system, step, feedback)
-        system.buffers.stage_gap[0] = -1.0
-    watch_start(system.struct())
+        data.arrays.status.stage_gap = settings.closed
+        _first_slope(data, step, feedback)
+        data.arrays.status.stage_gap = -1.0
+    watch_start(data.struct)
     log.add([{"time": 0.0, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
-    solver_log = SolverLog(system, log)
-    solver_log.collect(system, 0.0, begin)
+    solver_log = SolverLog(data, log)
+    solver_log.collect(data, 0.0, begin)
     if adaptive:
-        first = _first_step(system, step, feedback, settings.end, method)
-        settings = settings._replace(step=first)
+        first_step = _first_step(data, step, feedback, settings.end, method)
+        settings = settings._replace(step=first_step)
     width = sample_width(
-        system.layout.joints,
-        system.buffers.shown.size,
-        system.plant.free.shape[0],
-        1 + len(system.pieces.works),
+        data.model.layout.joints,
+        data.arrays.shown.size,
+        data.model.constants.free.shape[0],
+        1 + len(data.model.effects.works),
     )
     rows = min(max(BLOCK_NUMBERS // width, 16), samples)
     return Run(
-        system,
+        data,
         stepping,
         settings,
         make_clock(settings),
@@ -302,7 +304,7 @@ def prepare(
         solver_log,
         tolerance,
         settings.switch,
-        system,
+        data,
     )
 
 
@@ -318,16 +320,16 @@ def positive(name: str, value: float) -> float:
     return float(value)
 
 
-def _first_slope(system: System, step: Step, feedback: tuple[float, float]) -> None:
+def _first_slope(data: Data, step: Step, feedback: tuple[float, float]) -> None:
     """Evaluate the beginning; what is impossible there is an error, not a result."""
-    status = evaluate_slope(system.struct(), 0.0, step.z, step.base, *feedback, step.slope)
+    status = evaluate_slope(data.struct, 0.0, step.z, step.base, *feedback, step.slope)
     if status != OK:
-        system.reraise()
-        raise SolverError(failure_text(system, status))
+        data.reraise()
+        raise SolverError(failure_text(data, status))
 
 
 def _first_step(
-    system: System, step: Step, feedback: tuple[float, float], end: float, method: Method
+    data: Data, step: Step, feedback: tuple[float, float], end: float, method: Method
 ) -> float:
     """A first step whose error is about the tolerance (Hairer, Norsett, Wanner, II.4)."""
     scale, trial = step.tolerance, min(TRIAL_STEP, end)
@@ -335,7 +337,7 @@ def _first_step(
     first = (np.abs(step.slope[:judged]) / scale).max()
     other = np.zeros_like(step.slope)
     status = evaluate_slope(
-        system.struct(),
+        data.struct,
         trial,
         step.z + trial * step.slope,
         step.base,
@@ -343,7 +345,7 @@ def _first_step(
         other,
     )
     if status != OK:
-        system.forgive()  # the run itself will meet the trouble, and tell when
+        data.forgive()  # the run itself will meet the trouble, and say when
         return float(trial)
     second = (np.abs(other - step.slope)[:judged] / scale).max() / trial
     worst = max(first, second)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from multiarm.assembly.system import System
-from multiarm.control.laws import ControlFunction
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.dynamics.user_callback import ControlFunction
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts
@@ -107,10 +107,13 @@ def simulate(
     if control is not None:
         system = system.with_control(control)
     if max_step is None:
-        max_step = spec.output_step if system.asked else np.inf
-    task = Task(system, spec, state, max_step)
-    attempts = Attempts(task, None if out is None else Path(out), progress)
-    trajectory = attempts.first()
-    if certificate and spec.accuracy is not None and trajectory.status == "completed":
-        trajectory = attempts.certify()
+        max_step = spec.output_step if system.model.calls_user else np.inf
+    with system.borrow() as data:
+        for callback in data.user_callbacks:
+            callback.forget()
+        task = Task(system, data, spec, state, max_step)
+        attempts = Attempts(task, None if out is None else Path(out), progress)
+        trajectory = attempts.first()
+        if certificate and spec.accuracy is not None and trajectory.status == "completed":
+            trajectory = attempts.certify()
     return trajectory.of(system.scene)

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.dynamics.dense_callback import read_inertia
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.rank_diagnosis import describe, lost_motions
 from multiarm.dynamics.state import State
 from multiarm.results.event_log import EventLog
@@ -20,41 +20,41 @@ DESCRIBED = 100
 class SolverLog:
     """Adds what the solver met to a run's log; the times are those of the steps' ends."""
 
-    def __init__(self, system: System, log: EventLog) -> None:
+    def __init__(self, data: Data, log: EventLog) -> None:
         self._log, self._added = log, 0
-        self._lost = np.zeros(len(system.arm_names), dtype=np.int64)
-        self._rank = int(system.buffers.lost[-1])
+        self._lost = np.zeros(len(data.model.arm_names), dtype=np.int64)
+        self._rank = int(data.arrays.lost[-1])
 
-    def collect(self, system: System, t: float, state: State) -> None:
+    def collect(self, data: Data, t: float, state: State) -> None:
         """Take over what changed in the step that ended at ``t``, in this state."""
-        buffers = system.buffers
-        count, rank = len(system.arm_names), int(buffers.lost[-1])
-        lost, passed = buffers.lost[:count].copy(), buffers.passed[:count].copy()
+        arrays = data.arrays
+        count, rank = len(data.model.arm_names), int(arrays.lost[-1])
+        lost, passed = arrays.lost[:count].copy(), arrays.passed[:count].copy()
         events = self._of_rank(rank)
         changed = np.flatnonzero((lost != self._lost) | (passed != 0))
         if changed.size:
             in_words = self._added < DESCRIBED
             if in_words:
-                _load(system, state)
+                _load(data, state)
             other = changed[lost[changed] != self._lost[changed]] if in_words else []
-            words = lost_motions(system, [system.arm_names[i] for i in other])
+            words = lost_motions(data, [data.model.arm_names[i] for i in other])
             for i in map(int, changed):
-                arm = system.arm_names[i]
+                arm = data.model.arm_names[i]
                 if lost[i] != self._lost[i]:
                     what = words.get(arm, ())
                     events.append(_of_arm(arm, int(lost[i]), int(self._lost[i]), what))
                 else:
-                    where = f", {_nearest(system, i)}" if in_words else ""
+                    where = f", {_nearest(data, i)}" if in_words else ""
                     text = f"{arm}: passed a singular posture{where}"
                     events.append({"kind": "passes a singular posture", "arm": arm, "text": text})
         self._lost, self._rank = lost, rank
         self._added += len(events)
         self._log.add([{"time": float(t), **event} for event in events])
 
-    def settle(self, system: System) -> None:
+    def settle(self, data: Data) -> None:
         """Take the solution that was noted last as the one to compare with, and log nothing."""
-        self._lost = system.buffers.lost[: len(system.arm_names)].copy()
-        self._rank = int(system.buffers.lost[-1])
+        self._lost = data.arrays.lost[: len(data.model.arm_names)].copy()
+        self._rank = int(data.arrays.lost[-1])
 
     def _of_rank(self, rank: int) -> list[dict[str, Any]]:
         if rank == self._rank:
@@ -78,19 +78,17 @@ def _of_arm(arm: str, now: int, before: int, words: tuple[str, ...]) -> dict[str
     }
 
 
-def _nearest(system: System, i: int) -> str:
+def _nearest(data: Data, i: int) -> str:
     """The direction along which an arm moves least, in words."""
-    work, d = system.work, system.layout.dofs[i + 1] - system.layout.dofs[i]
-    m = system.layout.rows[i + 1] - system.layout.rows[i]
-    inertia = read_inertia(system.plant.pointers[i], d)
+    work, d = data.work, data.model.layout.dofs[i + 1] - data.model.layout.dofs[i]
+    m = data.model.layout.rows[i + 1] - data.model.layout.rows[i]
+    inertia = read_inertia(data.arrays.pointers[i], d)
     Y = np.linalg.solve(np.linalg.cholesky(inertia), work.Y[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
-    return "; ".join(describe(system, system.arm_names[i], directions[-1:].T))
+    return "; ".join(describe(data, data.model.arm_names[i], directions[-1:].T))
 
 
-def _load(system: System, state: State) -> None:
-    """Kinematics of a state into the buffers, which may hold those of another one."""
-    b = system.buffers
-    b.position[:], b.angles[:] = state.position[:7], state.position[7:]
-    b.twist[:], b.v[:] = state.velocity[:6], state.velocity[6:]
-    update_kinematics(system.struct())
+def _load(data: Data, state: State) -> None:
+    """Kinematics of a state, where there may be those of another one."""
+    data.move_to(state)
+    update_kinematics(data.struct)

@@ -56,7 +56,7 @@ class Switch:
 
     def _change(self, run: Run, name: str) -> None:
         """Give a run another method; what it has come to stays."""
-        old, run.stepping = run.stepping.step, make_stepping(run.system, name, run.tolerance)
+        old, run.stepping = run.stepping.step, make_stepping(run.data, name, run.tolerance)
         new = run.stepping.step
         new.z[:], new.base[:], new.slope[:] = old.z, old.base, old.slope
         run.settings = run.settings._replace(switch=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from multiarm.assembly.system import System
+from multiarm.dynamics.system import System
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.simulate import simulate
 

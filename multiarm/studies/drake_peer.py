@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.studies.courses import Course, Grid
 from multiarm.studies.probes import Sinusoid
@@ -70,17 +70,19 @@ class DrakeModel:
         builder = DiagramBuilder()
         plant: Any = builder.AddSystem(MultibodyPlant(step))
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
-        plant.mutable_gravity_field().set_gravity_vector(system.plant.gravity)
+        plant.mutable_gravity_field().set_gravity_vector(system.model.constants.gravity)
         try:
             self._object = plant.AddRigidBody(
                 "object",
                 _inertia(
-                    float(system.plant.object_mass[0]), np.zeros(3), system.plant.object_inertia
+                    float(system.model.constants.object_mass),
+                    np.zeros(3),
+                    system.model.constants.object_inertia,
                 ),
             )
             for joint in system.scene.joints:
                 name = joint.arm
-                first = system.layout.dofs[system.layout.names.index(name)]
+                first = system.model.layout.dofs[system.model.layout.names.index(name)]
                 tip = self._add_arm(plant, name, damping[first:])
                 _constrain(plant, self._object, system.frames[name].on_object, *tip, joint)
             plant.Finalize()
@@ -178,7 +180,7 @@ class DrakeModel:
         return State(
             np.concatenate([q[at + 4 : at + 7], quaternion / np.linalg.norm(quaternion), angles]),
             np.concatenate([np.roll(v[rate_at : rate_at + 6], 3), v[self.velocity_places]]),
-            self.system.layout,
+            self.system.model.layout,
         )
 
     def follow(self, course: Course, grid: Grid, start: State) -> None:

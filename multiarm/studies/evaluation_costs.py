@@ -20,13 +20,14 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.system import System
-from multiarm.dynamics.arrays import CALL_TERMS
-from multiarm.dynamics.equations import OK
-from multiarm.dynamics.evaluation import evaluate, project_velocity
+from multiarm.assembly.velocities import project_velocity
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
-from multiarm.integration.stepper import evaluate_slope, make_step, store
+from multiarm.events.evaluation import evaluate
+from multiarm.integration.stepper import begin_chart, evaluate_slope, make_step
 from multiarm.integration.tableaus import RK4
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_python
@@ -95,24 +96,24 @@ def moving_state(system: System, seed: int) -> State:
     return project_velocity(system, state)
 
 
-def slope_burst(system: System) -> Burst:
-    """Evaluations as the time loop performs them, at the state in the buffers."""
-    joints, pieces, struct = system.layout.joints, system.pieces, system.struct()
-    step = make_step(RK4, joints, pieces.states, 1 + len(pieces.works))
-    store(system.buffers, step.base, step.z)
-    step.z[12 + 2 * joints :][: pieces.states] = pieces.start(system)
+def slope_burst(data: Data) -> Burst:
+    """Evaluations as the time loop performs them, at the state in the data."""
+    joints, effects, struct = data.model.layout.joints, data.model.effects, data.struct
+    step = make_step(RK4, joints, effects.states, 1 + len(effects.works))
+    begin_chart(struct, step.base, step.z)
+    step.z[12 + 2 * joints :][: effects.states] = data.effect_states()
 
     def burst(count: int) -> None:
         if _evaluate_often(struct, step.z, step.base, step.slope, count) != OK:
-            system.reraise()
+            data.reraise()
             raise SolverError("an evaluation of the benchmark failed")
 
     return burst
 
 
-def terms_burst(system: System) -> Burst:
+def terms_burst(data: Data) -> Burst:
     """Pinocchio's two calls alone."""
-    address = int(system.plant.calls[CALL_TERMS])
+    address = data.arrays.functions.pinocchio
     return lambda count: _terms_often(address, count)
 
 
@@ -129,7 +130,7 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
         name: np.concatenate(list(evaluate(each, 0.0, state).joint_accelerations.values()))
         for name, each in ((OURS, system), (COMPILED, compiled))
     }
-    remark = too_large_for_pinocchio(system.layout.joints)
+    remark = too_large_for_pinocchio(system.model.layout.joints)
     peers: dict[str, Callable[[], np.ndarray]] = {}
     if not remark:
         forest = PinocchioForest(system)
@@ -138,14 +139,15 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
         tree = PinocchioMotion(system, np.zeros(torque.size))
         peers["tree"] = tree.acceleration_call(state, torque)
         found.update({name: call()[: torque.size].copy() for name, call in peers.items()})
-    system.set_state(0.0, state)
-    compiled.set_state(0.0, state)
+    ours, copies, dense = (each.model.data() for each in (system, compiled, dense_system))
+    for data in (ours, copies, dense):
+        data.set_state(0.0, state)
     bursts = {
-        OURS: slope_burst(system),
-        COMPILED: slope_burst(compiled),
-        TERMS: terms_burst(system),
+        OURS: slope_burst(ours),
+        COMPILED: slope_burst(copies),
+        TERMS: terms_burst(ours),
         **{name: python_burst(call) for name, call in peers.items()},
-        DENSE: slope_burst(dense_system),
+        DENSE: slope_burst(dense),
     }
     cost: dict[str, float | None] = dict.fromkeys(METHODS)
     cost.update(fastest(measure(bursts, rounds * BURSTS_PER_ROUND, (DENSE,), BURSTS_PER_ROUND)))

@@ -30,7 +30,7 @@ from multiarm.simulation.simulate import simulate
 from multiarm.studies.peer_trials import Answer, Trial, ask_everyone
 
 if TYPE_CHECKING:
-    from multiarm.assembly.system import System
+    from multiarm.dynamics.system import System
     from multiarm.problems import Criterion, HardCase
 
 HISTORY_POINTS = 400

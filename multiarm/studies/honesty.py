@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.system import System
+from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.problems import random_scene
 from multiarm.results.sinks import MemorySink
@@ -226,8 +226,9 @@ def _reference(system: System, method: str, run: Trajectory) -> Trajectory:
         if _expected(method, run, tolerance) > MOST_EVALUATIONS:
             continue
         choice = {"integrator": method, "tolerance": tolerance, "accuracy": None, "step": None}
-        task = Task(system, run_spec(scene, {}, choice, None), None, np.inf)
-        reference = carry_out(task, MemorySink(), most_evaluations=MOST_EVALUATIONS)
+        with system.borrow() as data:
+            task = Task(system, data, run_spec(scene, {}, choice, None), None, np.inf)
+            reference = carry_out(task, MemorySink(), most_evaluations=MOST_EVALUATIONS)
         if reference.status == "completed":
             return reference
     return run  # which decides nothing
@@ -241,7 +242,8 @@ def _expected(method: str, run: Trajectory, tolerance: float) -> float:
 
 def _apart(system: System, run: Trajectory, other: Trajectory) -> dict[str, float | None]:
     """Worst differences of two runs, by kind."""
-    comparison = compare(run, other, undetermined_forces(system, run))
+    with system.borrow() as data:
+        comparison = compare(run, other, undetermined_forces(data, run))
     return {kind: comparison.worst(kind) for kind in KINDS}
 
 

@@ -26,8 +26,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.studies.courses import Course, Grid
 from multiarm.studies.probes import Sinusoid
@@ -68,7 +68,7 @@ class MujocoModel:
         self.system = system
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
-        spec.option.gravity = system.plant.gravity
+        spec.option.gravity = system.model.constants.gravity
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if not as_shipped:
             spec.option.integrator, spec.option.timestep = mujoco.mjtIntegrator.mjINT_RK4, 5e-4
@@ -86,12 +86,12 @@ class MujocoModel:
             raise ModelError(f"MuJoCo refuses the model: {reason}") from error
         if not as_shipped:
             self.model.body_invweight0[:] *= HARDNESS
-        self.model.dof_damping[: system.layout.joints] = damping
+        self.model.dof_damping[: system.model.layout.joints] = damping
         self.data = mujoco.MjData(self.model)
 
     def place(self, state: State) -> None:
         """Write a state; the object's angular velocity goes to its own axes."""
-        d, n = self.data, self.system.layout.joints
+        d, n = self.data, self.system.model.layout.joints
         mujoco.mj_resetData(self.model, d)
         d.qpos[:n] = state.position[7:]
         d.qpos[n : n + 3] = state.object_position
@@ -102,14 +102,14 @@ class MujocoModel:
 
     def state(self) -> State:
         """The state as it is now."""
-        d, n = self.data, self.system.layout.joints
+        d, n = self.data, self.system.model.layout.joints
         position = [d.qpos[n : n + 3], np.roll(d.qpos[n + 3 :], -1), d.qpos[:n]]
         velocity = [d.qvel[n : n + 3], self._rotation() @ d.qvel[n + 3 :], d.qvel[:n]]
-        return State(np.concatenate(position), np.concatenate(velocity), self.system.layout)
+        return State(np.concatenate(position), np.concatenate(velocity), self.system.model.layout)
 
     def accelerations(self, state: State, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Object's classical acceleration in world axes (6,) and the joints' (n,)."""
-        d, n = self.data, self.system.layout.joints
+        d, n = self.data, self.system.model.layout.joints
         self.place(state)
         d.qfrc_applied[:n] = torque
         with _quiet():
@@ -150,7 +150,7 @@ class MujocoModel:
         is no longer finite.
         """
         kind, stages = _INTEGRATORS[integrator]
-        d, n, count = self.data, self.system.layout.joints, grid.steps(step)
+        d, n, count = self.data, self.system.model.layout.joints, grid.steps(step)
         self.model.opt.integrator, self.model.opt.timestep = kind, step
         self.place(start)
         course.positions.append(start.position.copy())
@@ -180,7 +180,7 @@ class MujocoModel:
 
     def _control(self, torque: Callable[[float, State], np.ndarray]) -> Callable[[Any, Any], None]:
         """MuJoCo's callback for torques of time and state."""
-        n = self.system.layout.joints
+        n = self.system.model.layout.joints
 
         def control(_model: Any, data: Any) -> None:
             data.qfrc_applied[:n] = torque(data.time, self.state())
@@ -234,8 +234,8 @@ def _add_object(spec: Any, system: System) -> None:
     body = spec.worldbody.add_body(
         pos=start.object_position, quat=np.roll(start.object_quaternion_xyzw, 1)
     )
-    plant = system.plant
-    _set_inertia(body, float(plant.object_mass[0]), np.zeros(3), plant.object_inertia)
+    plant = system.model.constants
+    _set_inertia(body, float(plant.object_mass), np.zeros(3), plant.object_inertia)
     body.add_freejoint()
     for joint in system.scene.joints:
         _add_sites(body, "object", joint, system.frames[joint.arm].on_object)

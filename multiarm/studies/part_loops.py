@@ -10,15 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly import projection_tolerance
-from multiarm.assembly.system import System
-from multiarm.dynamics.arrays import CALL_FORCES, CALL_KINEMATICS, CALL_SOLVE, CALLS, open_system
-from multiarm.dynamics.equations import OK, finite
+from multiarm.assembly.linkage import projection_tolerance
+from multiarm.dynamics.arrays import OK, open_data
+from multiarm.dynamics.equations import finite
 from multiarm.dynamics.evaluation import evaluate
+from multiarm.dynamics.model import Data
 from multiarm.errors import SolverError
 from multiarm.integration.projection import project
 from multiarm.integration.samples import sample_width, write_sample
 from multiarm.integration.stepper import (
+    begin_chart,
     combine,
     error_estimate,
     load,
@@ -26,13 +27,11 @@ from multiarm.integration.stepper import (
     make_step,
     open_step,
     step_struct,
-    store,
     write_slope,
 )
 from multiarm.integration.tableaus import METHODS, RK4
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import ints1
 from multiarm.studies.bursts import Burst
 from multiarm.studies.evaluation_costs import slope_burst, terms_burst
 
@@ -40,39 +39,39 @@ OPEN = 1e-9
 """How far the object is moved off its joints before it is projected [m]."""
 
 
-def part_bursts(system: System, integrator: str) -> dict[str, Burst]:
-    """The loops over the parts, all at the state in the system's buffers."""
-    struct, buffers, work = system.struct(), system.buffers, system.work
-    state = system.get_state()
-    slopes = make_step(RK4, system.layout.joints)
-    store(buffers, slopes.base, slopes.z)
+def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
+    """The loops over the parts, all at the state in the data."""
+    struct, work = data.struct, data.work
+    state = data.get_state()
+    slopes = make_step(RK4, data.model.layout.joints)
+    begin_chart(data.struct, slopes.base, slopes.z)
     pushed = slopes.z.copy()
     pushed[:3] += OPEN
     _kinematics_often(struct, 1)
     L, Y = work.L.copy(), work.Y.copy()
-    joints = system.layout.joints
+    joints = data.model.layout.joints
     sample = np.zeros(
         sample_width(
             joints,
-            system.layout.contacts,
-            system.plant.free.shape[0],
-            system.buffers.power.size,
+            data.model.layout.contacts,
+            data.model.constants.free.shape[0],
+            data.arrays.power.size,
         )
     )
-    closed = projection_tolerance(system)
-    evaluate(system, 0.0, state)  # all that samples are made of
+    closed = projection_tolerance(data)
+    evaluate(data, 0.0, state)  # all that samples are made of
 
     def checked(function: Callable[..., int], *arguments: Any) -> Burst:
         def burst(count: int) -> None:
             if function(struct, *arguments, count) != OK:
-                system.reraise()
+                data.reraise()
                 raise SolverError("a part of an evaluation failed in the benchmark")
 
         return burst
 
     return {
-        "evaluation": slope_burst(system),
-        "terms": terms_burst(system),
+        "evaluation": slope_burst(data),
+        "terms": terms_burst(data),
         "kinematics": checked(_kinematics_often),
         "forces": checked(_forces_often),
         "reload": checked(_reload_often, L, Y, work.L, work.Y),
@@ -80,7 +79,7 @@ def part_bursts(system: System, integrator: str) -> dict[str, Burst]:
         "state": checked(_pass_often, slopes.z, slopes.base, slopes.slope),
         "sample": checked(_sample_often, sample),
         "arithmetic": _arithmetic_burst(joints, integrator),
-        # last: it moves the state in the buffers, which the next turn's evaluations load again
+        # last: it moves the state in the data, which the next turn's evaluations load again
         "projection": checked(_project_often, pushed, slopes.base, closed),
     }
 
@@ -103,7 +102,7 @@ def _arithmetic_burst(joints: int, integrator: str) -> Burst:
 def _kinematics_often(struct, count):
     status = OK
     for _ in range(count):
-        status = call_cfunc(ints1(struct, CALLS)[CALL_KINEMATICS], struct, 0.0, 0.0)
+        status = call_cfunc(open_data(struct).functions.kinematics, struct, 0.0, 0.0)
     return status
 
 
@@ -111,7 +110,7 @@ def _kinematics_often(struct, count):
 def _forces_often(struct, count):
     status = OK
     for _ in range(count):
-        status = call_cfunc(ints1(struct, CALLS)[CALL_FORCES], struct, 0.0, 0.0)
+        status = call_cfunc(open_data(struct).functions.forces, struct, 0.0, 0.0)
     return status
 
 
@@ -138,27 +137,27 @@ def _solve_often(struct, L, Y, to_L, to_Y, count):
     for _ in range(count):
         _reload(L, to_L)
         _reload(Y, to_Y)
-        status = call_cfunc(ints1(struct, CALLS)[CALL_SOLVE], struct, 0.0, 0.0)
+        status = call_cfunc(open_data(struct).functions.solve, struct, 0.0, 0.0)
     return status
 
 
 @kernel
 def _pass_often(struct, z, base, slope, count):
-    """The state's way into the buffers, and the slope's out of them."""
-    _, buffers, _ = open_system(struct)
+    """The state's way into the arrays, and the slope's out of them."""
+    data = open_data(struct)
     good = True
     for _ in range(count):
         good = finite(z) and good
-        load(z, base, buffers)
-        write_slope(z, buffers, slope)
+        load(z, base, data)
+        write_slope(z, data, slope)
     return OK if good else 1
 
 
 @kernel
 def _sample_often(struct, row, count):
-    _, buffers, _ = open_system(struct)
+    data = open_data(struct)
     for i in range(count):
-        write_sample(struct, 1e-3 * i, buffers.power, row)
+        write_sample(struct, 1e-3 * i, data.power, row)
     return OK
 
 
@@ -178,9 +177,9 @@ def _combine_often(arrays, count):
 @kernel
 def _project_often(struct, z, base, closed, count):
     """Projection of a state whose joints are open."""
-    _, buffers, _ = open_system(struct)
+    data = open_data(struct)
     status = OK
     for _ in range(count):
-        load(z, base, buffers)
+        load(z, base, data)
         status = project(struct, closed)
     return status

@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from multiarm.assembly.system import System
-from multiarm.dynamics.evaluation import evaluate
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError
+from multiarm.events.evaluation import evaluate
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.probes import (
@@ -294,7 +294,7 @@ def pinocchio_peer(trial: Trial, algorithm: str) -> Asked:
     def make():
         from multiarm.studies.peers import PinocchioForest
 
-        memory = BYTES_PER_CUBE * (6 + trial.system.layout.joints) ** 3
+        memory = BYTES_PER_CUBE * (6 + trial.system.model.layout.joints) ** 3
         if memory > MOST_MEMORY:
             raise NotAsked(f"Pinocchio's Data for it takes about {memory / 1e9:.1f} GB")
         forest = PinocchioForest(trial.system)

@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 
 from multiarm.arms.arm import named_with_prefix
-from multiarm.assembly.system import System
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 
 EXPRESSIBLE = ("weld", "ball", "revolute")
@@ -64,8 +64,8 @@ class PinocchioForest:
         for arm in system.arms.values():
             model = pin.appendModel(model, named_with_prefix(arm), 0, pin.SE3.Identity())
         body = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
-        plant = system.plant
-        inertia = pin.Inertia(float(plant.object_mass[0]), np.zeros(3), plant.object_inertia)
+        plant = system.model.constants
+        inertia = pin.Inertia(float(plant.object_mass), np.zeros(3), plant.object_inertia)
         model.appendBodyToJoint(body, inertia, pin.SE3.Identity())
         model.gravity.linear = plant.gravity
         self.model, self.data = model, model.createData()
@@ -75,7 +75,7 @@ class PinocchioForest:
 
     def _constraints(self, body: int):
         constraints = pin.StdVec_RigidConstraintModel()
-        layout = self.system.layout
+        layout = self.system.model.layout
         for joint in self.system.scene.joints:
             arm, frame = self.system.arms[joint.arm], self.system.frames[joint.arm]
             first = layout.dofs[layout.names.index(joint.arm)]

@@ -19,8 +19,8 @@ import numpy as np
 import pinocchio as pin
 
 from multiarm.arms.arm import named_with_prefix
-from multiarm.assembly.system import System
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.studies.courses import Course, Grid, OutOfTime
 from multiarm.studies.peers import rigid_parts
 from multiarm.studies.probes import Sinusoid
@@ -61,8 +61,8 @@ class PinocchioMotion:
         last = system.arm_names[-1]
         self._kind = next(joint.kind for joint in system.scene.joints if joint.arm == last)
         self._last, tip, on_object = self._places[last]
-        plant = system.plant
-        inertia = pin.Inertia(float(plant.object_mass[0]), np.zeros(3), plant.object_inertia)
+        plant = system.model.constants
+        inertia = pin.Inertia(float(plant.object_mass), np.zeros(3), plant.object_inertia)
         hanging = {"ball": pin.JointModelSpherical, "revolute": pin.JointModelRZ}.get(self._kind)
         if hanging is None:
             self._body, base = self._last, tip
@@ -74,7 +74,7 @@ class PinocchioMotion:
         model.gravity.linear = plant.gravity
         self.model = model
         self._circular = np.concatenate([arm.circular for arm in system.arms.values()]).astype(bool)
-        self._split = system.layout.joints + {"ball": 4, "revolute": 1}.get(self._kind, 0)
+        self._split = system.model.layout.joints + {"ball": 4, "revolute": 1}.get(self._kind, 0)
         self.constraints = pin.StdVec_RigidConstraintModel()
         for name, (joint, on_tip, at) in self._places.items():
             for kind, place in parts[name] if name != last else ():
@@ -93,7 +93,7 @@ class PinocchioMotion:
         """An arm's last joint, and the frame of its joint to the object there and on the object."""
         system = self.system
         arm, frame = system.arms[name], system.frames[name]
-        first = system.layout.dofs[system.layout.names.index(name)]
+        first = system.model.layout.dofs[system.model.layout.names.index(name)]
         on_tip = pin.SE3(arm.tip_rotation, arm.tip_translation) * pin.SE3(frame.on_tip)
         return first + arm.tip_joint, on_tip, pin.SE3(frame.on_object)
 
@@ -151,7 +151,7 @@ class PinocchioMotion:
         model, data = self.model, self.data
         constraints, constraint_data = self.constraints, self._constraint_data
         settings, dynamics = pin.ProximalSettings(*_SETTINGS), pin.constraintDynamics
-        n, split, width = self.system.layout.joints, self._split, self._split + model.nv
+        n, split, width = self.system.model.layout.joints, self._split, self._split + model.nv
         plain, configuration = not self._circular.any(), self._configuration
         torque, damping = np.zeros(model.nv), self.damping
         torques = self._torques(drive)
@@ -209,14 +209,14 @@ class PinocchioMotion:
 
     def _configuration(self, y: np.ndarray) -> np.ndarray:
         """Pinocchio's configuration vector: two numbers for a joint that turns without end."""
-        angles = y[: self.system.layout.joints]
+        angles = y[: self.system.model.layout.joints]
         parts = np.column_stack([np.where(self._circular, np.cos(angles), angles), np.sin(angles)])
         keep = np.column_stack([np.ones_like(self._circular), self._circular])
         return np.concatenate([parts[keep], y[angles.size : self._split]])
 
     def coordinates(self, state: State) -> np.ndarray:
         """``y`` of a state, shape (m + nv,)."""
-        n, split = self.system.layout.joints, self._split
+        n, split = self.system.model.layout.joints, self._split
         y = np.zeros(split + self.model.nv)
         y[:n], y[split : split + n] = state.position[7:], state.velocity[6:]
         if split == n:
@@ -237,7 +237,7 @@ class PinocchioMotion:
 
     def state(self, y: np.ndarray) -> State:
         """The state of ``y``, its quaternion made a unit again."""
-        model, data, n = self.model, self.data, self.system.layout.joints
+        model, data, n = self.model, self.data, self.system.model.layout.joints
         y = y.copy()
         if self._kind == "ball":
             y[n : self._split] /= np.linalg.norm(y[n : self._split])
@@ -248,7 +248,7 @@ class PinocchioMotion:
         return State(
             np.concatenate([pin.SE3ToXYZQUAT(pose), y[:n]]),
             np.concatenate([pose.rotation @ twist.linear, pose.rotation @ twist.angular, v[:n]]),
-            self.system.layout,
+            self.system.model.layout,
         )
 
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.contacts.kernel import GAP
 from multiarm.control.torques import harmonic
 from multiarm.dynamics.dense_callback import read_inertia
-from multiarm.dynamics.equations import evaluate_buffers, update_kinematics
+from multiarm.dynamics.equations import evaluate_state, update_kinematics
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.jit.pointers import address_of
 
 
@@ -50,10 +50,10 @@ class Sinusoid:
 
 def sinusoid(system: System) -> Sinusoid | None:
     """The torques of a scene whose control looks at the clock only; None where it looks at more."""
-    n = system.layout.joints
+    n = system.model.layout.joints
     if not is_controlled(system):
         return Sinusoid.none(n)
-    program, parameters = system.plant.control, system.plant.parameters
+    program, parameters = system.model.constants.control, system.model.constants.parameters
     if program.shape[0] > 1 or program[0, 0] != address_of(harmonic):
         return None
     at = program[0, 1]
@@ -64,42 +64,45 @@ def sinusoid(system: System) -> Sinusoid | None:
 def control_torque(system: System, t: float, state: State) -> np.ndarray:
     """Torques of the scene's control at time ``t``, shape (n,), without damping."""
     if not is_controlled(system):
-        return np.zeros(system.layout.joints)
-    system.set_state(t, state)
-    evaluate_buffers(system.struct(), 0.0, 0.0)  # torques are there whatever the solver says
-    system.forgive()
-    return system.buffers.torque.copy()
+        return np.zeros(system.model.layout.joints)
+    with system.borrow() as data:
+        data.set_state(t, state)
+        evaluate_state(data.struct, 0.0, 0.0)  # torques are there whatever the solver says
+        data.forgive()
+        return data.arrays.torque.copy()
 
 
 def is_controlled(system: System) -> bool:
     """Whether anything drives the arms."""
-    return system.plant.control.shape[0] > 0
+    return system.model.constants.control.shape[0] > 0
 
 
 def largest_gap(system: System, state: State) -> float:
     """Largest gap of a contact [m]."""
-    system.set_state(0.0, state)
-    update_kinematics(system.struct())
-    return float(np.max(np.abs(system.buffers.contacts[:, GAP]), initial=0.0))
+    with system.borrow() as data:
+        data.set_state(0.0, state)
+        update_kinematics(data.struct)
+        return float(np.max(np.abs(data.arrays.contacts[:, GAP]), initial=0.0))
 
 
 def total_energy(system: System, state: State) -> float:
     """Kinetic and potential energy [J]."""
-    system.set_state(0.0, state)
-    update_kinematics(system.struct())
-    twist, buffers = state.object_twist, system.buffers
-    kinetic = twist @ buffers.inertia @ twist
-    for i, v in enumerate(state.joint_velocities.values()):
-        kinetic += v @ read_inertia(system.plant.pointers[i], v.size) @ v
-    return 0.5 * float(kinetic) + system.potential_energy()
+    with system.borrow() as data:
+        data.set_state(0.0, state)
+        update_kinematics(data.struct)
+        twist, b = state.object_twist, data.arrays
+        kinetic = twist @ b.inertia @ twist
+        for i, v in enumerate(state.joint_velocities.values()):
+            kinetic += v @ read_inertia(b.pointers[i], v.size) @ v
+        return 0.5 * float(kinetic) + data.potential_energy()
 
 
 def joint_damping(system: System) -> np.ndarray:
     """Coefficients of the joints' viscous friction, zero without that effect, shape (n,)."""
-    damping = np.zeros(system.layout.joints)
-    for piece in system.pieces.every:
-        if piece.name == "joint_damping":
-            damping += piece.arrays[0]
+    damping = np.zeros(system.model.layout.joints)
+    for kernel in system.model.effects.kernels:
+        if kernel.name == "joint_damping":
+            damping += kernel.arrays[0]
     return damping
 
 

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from multiarm.assembly.system import System
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 
 
@@ -89,11 +89,11 @@ def build(system: System, state: State) -> Coefficients:
         rows.append(
             (terms.M, -terms.bias, G.T @ wrench, -terms.J.T @ wrench, [c], terms.J, wrench, G)
         )
-    plant = system.plant
+    plant = system.model.constants
     inertia = R @ plant.object_inertia @ R.T
     M_o = np.zeros((6, 6))
-    M_o[:3, :3], M_o[3:, 3:] = plant.object_mass[0] * np.eye(3), inertia
-    h_o = np.concatenate([plant.object_mass[0] * plant.gravity, -np.cross(omega, inertia @ omega)])
+    M_o[:3, :3], M_o[3:, 3:] = plant.object_mass * np.eye(3), inertia
+    h_o = np.concatenate([plant.object_mass * plant.gravity, -np.cross(omega, inertia @ omega)])
     return Coefficients(M_o, h_o, *(np.array(column) for column in zip(*rows, strict=True)))
 
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.assembly.system import System
-from multiarm.dynamics.arrays import CALL_FORCES, CALL_KINEMATICS, CALLS
-from multiarm.dynamics.equations import OK
+from multiarm.dynamics.arrays import OK, open_data
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.regular import ELIMINATED
 from multiarm.dynamics.solver.work import make_work
 from multiarm.errors import SolverError
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import ints1
 from multiarm.studies.bursts import Burst
 from multiarm.studies.solver_forms import Coefficients, Solution, assemble
 
@@ -47,13 +45,13 @@ class CompiledNode:
         return Solution(q_o, q.reshape(n, d), force.reshape(n, N))
 
 
-def build_burst(system: System) -> Burst:
-    """The coefficients of (4.9) at the state in the system's buffers, with ``W`` and all forces."""
-    struct = system.struct()
+def build_burst(data: Data) -> Burst:
+    """The coefficients of (4.9) at the state in the data, with ``W`` and all forces."""
+    struct = data.struct
 
     def burst(count: int) -> None:
         if _build_often(struct, count) != OK:
-            system.reraise()
+            data.reraise()
             raise SolverError("the coefficients of the study cannot be built")
 
     return burst
@@ -73,12 +71,12 @@ def assembly_burst(s: Coefficients) -> Burst:
 @kernel
 def _build_often(struct, count):
     """Coefficients of the system in the struct: Pinocchio, contacts, forces."""
-    calls = ints1(struct, CALLS)
+    functions = open_data(struct).functions
     status = OK
     for _ in range(count):
-        status = call_cfunc(calls[CALL_KINEMATICS], struct, 0.0, 0.0)
+        status = call_cfunc(functions.kinematics, struct, 0.0, 0.0)
         if status == OK:
-            status = call_cfunc(calls[CALL_FORCES], struct, 0.0, 0.0)
+            status = call_cfunc(functions.forces, struct, 0.0, 0.0)
         if status != OK:
             return status
     return status

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.system import System
+from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.problems import ring_of_arms
 from multiarm.results.trajectory import Trajectory
@@ -117,8 +117,9 @@ def integrators() -> tuple[str, ...]:
 
 def step_cost(system: System, integrator: str, rounds: int) -> StepCost:
     """The cheapest of some runs, and the cheapest evaluations measured between them."""
-    system.set_state(0.0, moving_state(system, seed=len(system.arm_names)))
-    evaluations = slope_burst(system)
+    data = system.model.data()
+    data.set_state(0.0, moving_state(system, seed=len(system.arm_names)))
+    evaluations = slope_burst(data)
     calls, cost, best, runs, spent = calls_a_burst(evaluations), math.inf, math.inf, 0, 0.0
     while runs < LEAST_RUNS or spent < PATIENCE * rounds:
         run, took = _run(system, integrator)
@@ -168,9 +169,10 @@ def step_parts(
 
 def _measure(count: int, rounds: int) -> dict[str, Any]:
     system = compile_system(ring_of_arms(count, KIND))
-    system.set_state(0.0, moving_state(system, seed=count))
+    data = system.model.data()
+    data.set_state(0.0, moving_state(system, seed=count))
     turns = rounds * BURSTS_PER_ROUND
-    cost = fastest(measure(part_bursts(system, INTEGRATOR), turns))
+    cost = fastest(measure(part_bursts(data, INTEGRATOR), turns))
     evaluation = evaluation_parts(cost, cost["evaluation"])
     step = step_cost(system, INTEGRATOR, rounds)
     return {

@@ -18,7 +18,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.system import System
+from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import Scene, changed, parse_path, parse_scene

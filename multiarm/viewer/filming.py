@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from multiarm.assembly.compilation import compile_for_a_look, compile_system
+from multiarm.assembly.compilation import compile_for_inspection, compile_system
 from multiarm.errors import ReplayError
 from multiarm.viewer.commands import rgb
 from multiarm.viewer.film import Body, Film, along, rotations
@@ -32,7 +32,7 @@ from multiarm.viewer.touching import contacts_of
 
 if TYPE_CHECKING:
     from multiarm.arms.arm import Arm
-    from multiarm.assembly.system import System
+    from multiarm.dynamics.system import System
     from multiarm.results.trajectory import Trajectory
 
 PALETTE = ("#4a80c9", "#f08a45", "#4fa36a", "#9b6bc2", "#d9596a", "#2fa3a8", "#d3a62f", "#7a8797")
@@ -101,7 +101,7 @@ def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
     scene = trajectory.simulated_scene
     if code:
         return compile_system(scene, code=True), []
-    system, left = compile_for_a_look(scene)
+    system, left = compile_for_inspection(scene)
     unseen = [one for one in left if one.arm]
     if not unseen:
         return system, []

@@ -15,8 +15,8 @@ from multiarm.cli.guide.limits import axis_travel, limits_of
 from multiarm.viewer.film import Dial, HingeTracks, rotations
 
 if TYPE_CHECKING:
-    from multiarm.assembly.system import System
     from multiarm.contacts.frames import JointFrame
+    from multiarm.dynamics.system import System
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import JointSpec
 

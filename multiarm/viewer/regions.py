@@ -16,7 +16,7 @@ from multiarm.viewer.film import Body
 from multiarm.viewer.mesh import Mesh
 
 if TYPE_CHECKING:
-    from multiarm.assembly.system import System
+    from multiarm.dynamics.system import System
     from multiarm.grasp.seventh_contact import ContactRegion
     from multiarm.results.trajectory import Trajectory
 

@@ -30,7 +30,7 @@ from multiarm.viewer.mesh import Mesh
 from multiarm.viewer.touching import row_states, rows_of
 
 if TYPE_CHECKING:
-    from multiarm.assembly.system import System
+    from multiarm.dynamics.system import System
     from multiarm.results.trajectory import Trajectory
 
 # Joints whose surfaces are things that one could touch, rather than ways to write a hinge.
@@ -153,8 +153,9 @@ def _triangles() -> np.ndarray:
 def _touched(system: System, name: str) -> dict[str, np.ndarray]:
     """Return the contact points of an arm at the start, by side, in that body's frame (N, 3)."""
     start = system.initial_state()
-    rows = [k for k in rows_of(system, name) if isinstance(system.records[k], Contact)]
-    points = contact_places(system, start)[0][rows]
+    rows = [k for k in rows_of(system, name) if isinstance(system.model.records[k], Contact)]
+    with system.borrow() as data:
+        points = contact_places(data, start)[0][rows]
     quaternion, position = pin.Quaternion(start.object_quaternion_xyzw), start.object_position
     tip = system.arms[name].tip_pose(start.joint_positions[name])
     return {

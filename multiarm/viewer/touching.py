@@ -18,7 +18,7 @@ from multiarm.results.sample_store import channels_of
 from multiarm.viewer.film import ContactTracks
 
 if TYPE_CHECKING:
-    from multiarm.assembly.system import System
+    from multiarm.dynamics.system import System
     from multiarm.results.trajectory import Trajectory
 
 FLOOR_COLOR = np.array([0.36, 0.40, 0.46])
@@ -33,7 +33,7 @@ def contacts_of(
     tracks = []
     for owner, channel in channels_of(trajectory.channels, "contact_force").items():
         own = rows_of(system, owner)
-        shown = {k: r for k in own if isinstance(r := system.records[k], Contact)}
+        shown = {k: r for k in own if isinstance(r := system.model.records[k], Contact)}
         if not shown:
             continue
         k, records = list(shown), list(shown.values())
@@ -78,10 +78,10 @@ def row_states(
 def rows_of(system: System, owner: str) -> range:
     """Rows of W of an arm, or of the object's own contacts."""
     if owner not in system.arm_names:
-        around = system.layout.surroundings
+        around = system.model.layout.surroundings
         return range(around.start, around.stop)
     i = system.arm_names.index(owner)
-    return range(system.layout.rows[i], system.layout.rows[i + 1])
+    return range(system.model.layout.rows[i], system.model.layout.rows[i + 1])
 
 
 def _is_friction(trajectory: Trajectory, owner: str, record: Contact) -> bool:
@@ -105,4 +105,5 @@ def _places(system: System, trajectory: Trajectory, row: int) -> tuple[np.ndarra
         object_quaternion_xyzw=trajectory.object_quaternion_xyzw[row],
         joint_positions={name: trajectory.joint_positions[name][row] for name in system.arm_names},
     )
-    return contact_places(system, state)
+    with system.borrow() as data:
+        return contact_places(data, state)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,12 +32,13 @@ from multiarm.arms.terms import (
     M_AT,
     M_STRIDE,
     POINTER_WIDTH,
+    ArmFunctions,
+    ArmState,
     Coriolis,
     LinkTerms,
 )
 from multiarm.contacts.kernel import BODY_WIDTH
-from multiarm.dynamics.arrays import ARMS_SIZE, ARMS_STRUCT, CALL_ARMS, Buffers
-from multiarm.jit.pointers import CFUNC_PROTOTYPE, PythonCallback, address_of
+from multiarm.jit.pointers import CFUNC_PROTOTYPE, address_of
 from multiarm.jit.simd import LANES
 from multiarm.jit.structs import make_struct
 
@@ -71,8 +72,8 @@ class CompiledBackend:
         ]
         self.pointers = np.array([self._pointers(lane) for lane in self._lanes])
 
-    def twin(self) -> CompiledBackend:
-        """The same arms for another thread: the tables are shared, the terms are not."""
+    def copy(self) -> CompiledBackend:
+        """The same arms with terms of their own: the tables are shared."""
         wanted = self.tables.wanted.copy()  # another system may want more
         return CompiledBackend(self.tables._replace(wanted=wanted), self.places, self._arms)
 
@@ -81,15 +82,19 @@ class CompiledBackend:
         self._arrays = make_arrays(self.tables, self._terms, self._coriolis, angles, rates, bodies)
         self._struct = make_struct(self._arrays)
 
-    def connect(self, buffers: Buffers, calls: np.ndarray) -> dict[str, PythonCallback]:
-        """Write entry, struct and its size into ``Plant.calls``; nothing enters Python."""
-        self.bind(buffers.angles, buffers.v, buffers.arms)
-        calls[CALL_ARMS] = address_of(update_arms)
-        calls[ARMS_STRUCT], calls[ARMS_SIZE] = self._struct.ctypes.data, self._struct.size
-        return {}
+    def connect(self, state: ArmState, status: Any) -> ArmFunctions:
+        """Compiled function that updates all terms, its struct and size; nothing enters Python."""
+        self.bind(state.angles, state.rates, state.bodies)
+        struct = self._struct
+        addresses = {
+            "arms": address_of(update_arms),
+            "arms_struct": struct.ctypes.data,
+            "arms_size": struct.size,
+        }
+        return ArmFunctions(addresses, {})
 
-    def connect_coriolis(self, buffers: Buffers, found: Coriolis) -> None:
-        """Write the places of the matrices, and the entry that updates them with its struct.
+    def connect_coriolis(self, status: Any, found: Coriolis) -> None:
+        """Write the places of the matrices, and the function that updates them with its struct.
 
         Raises
         ------
@@ -115,7 +120,7 @@ class CompiledBackend:
         self.tables.wanted[WITH_POSES] = 1
         return self._terms.ctypes.data + 8 * self._lanes[self.places.index(place)].pose(joint - 1)
 
-    def potential_energy(self, buffers: Buffers) -> float:
+    def potential_energy(self) -> float:
         """Potential energy of all links [J] at the last state, zero at the world's origin."""
         return float(np.sum(self._terms[self.tables.energies]))
 

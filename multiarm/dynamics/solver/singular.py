@@ -58,7 +58,7 @@ from multiarm.dynamics.solver.regular import (
 )
 from multiarm.dynamics.solver.work import NodeWork
 from multiarm.jit.kernels import copy, inlined, kernel
-from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1
+from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Numbers
 
 # Directions of an arm with a sigma below this fraction of the best are not eliminated.
 SPLIT = 1e-2
@@ -76,8 +76,26 @@ PART_TOLERANCE = 1e-7
 # Singular values below this are roundings, of gaps as well as of sums.
 ROUNDING = 1e-10
 
-# Entries of CoupledWork.counts.
-ARMS, UNKNOWNS, MOVABLE, RANK, COUNTS = range(5)
+
+class CoupledStatus(Numbers):
+    """How the coupled system was solved.
+
+    Attributes
+    ----------
+    arms, unknowns, movable, rank : int
+        Deficient arms, unknown forces, those with a ``sigma``, rank of the coupled system; all 0
+        when no arm is deficient.
+    margin, least_margin : float
+        Smallest singular value in the decision on the rank that is no rounding: how far the system
+        is from losing one (of the order of 1 when it is far).  Now, and least since it was reset.
+    """
+
+    arms: Int
+    unknowns: Int
+    movable: Int
+    rank: Int
+    margin: Float
+    least_margin: Float
 
 
 class CoupledWork(NamedTuple):
@@ -99,12 +117,7 @@ class CoupledWork(NamedTuple):
         Orthonormal combinations of unknowns that move something, and what they move.
     right, unknown : (N,)
         Right-hand side and forces of the coupled system.
-    counts : int64 (4,)
-        Deficient arms, unknowns, those with a ``sigma``, rank of the coupled system; all 0 when no
-        arm is deficient.
-    margin : (2,)
-        Smallest singular value in the decision on the rank that is no rounding: how far the system
-        is from losing one (of the order of 1 when it is far).  Now, and least since it was reset.
+    status : CoupledStatus
     """
 
     V: Floats3
@@ -122,8 +135,7 @@ class CoupledWork(NamedTuple):
     images: Floats2
     right: Floats1
     unknown: Floats1
-    counts: Ints1
-    margin: Floats1
+    status: CoupledStatus
 
 
 def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
@@ -145,8 +157,7 @@ def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
         images=np.zeros((6 + N, 6 + N)),
         right=np.zeros(N),
         unknown=np.zeros(N),
-        counts=np.zeros(COUNTS, dtype=np.int64),
-        margin=np.full(2, np.inf),
+        status=CoupledStatus(margin=np.inf, least_margin=np.inf),
     )
 
 
@@ -155,7 +166,7 @@ def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
 
     Between 0 (the contact's force is determined) and 1.
     """
-    p, rank = coupled.counts[UNKNOWNS], coupled.counts[RANK]
+    p, rank = coupled.status.unknowns, coupled.status.rank
     rows = np.zeros((p, work.rows[-1]))
     for u, (i, a) in enumerate(zip(coupled.arm[:p], coupled.row[:p], strict=True)):
         own = slice(work.rows[i], work.rows[i + 1])
@@ -230,10 +241,10 @@ def split_arm(i, work, coupled, Wo):
             continue
         if not sigma > least:
             coupled.sigma[first + a] = 0.0
-        p = coupled.counts[UNKNOWNS]
+        p = coupled.status.unknowns
         coupled.arm[p], coupled.row[p] = i, a
         copy(wrench, coupled.C[p])
-        coupled.counts[UNKNOWNS] = p + 1
+        coupled.status.unknowns = p + 1
     return True
 
 
@@ -255,8 +266,8 @@ def lever_length(Wo):
 @kernel
 def find_rank(work, coupled, lever):
     """Orthonormal combinations of the unknowns that move something, into ``coupled.basis``."""
-    basis, counts = coupled.basis, coupled.counts
-    p, rows = counts[UNKNOWNS], 6
+    basis, status = coupled.basis, coupled.status
+    p, rows = status.unknowns, 6
     for u in range(p):
         for k in range(6):
             basis[k, u] = coupled.C[u, k] / (1.0 if k < 3 else lever)
@@ -266,31 +277,31 @@ def find_rank(work, coupled, lever):
                 basis[rows, w] = 0.0
             basis[rows, u] = sigma / coupled.scale[coupled.arm[u]]
             rows += 1
-    counts[MOVABLE] = rows - 6
+    status.movable = rows - 6
     orthogonalize(basis, rows, p, basis, 0)
     rank = 0
-    coupled.margin[0] = math.inf
+    coupled.status.margin = math.inf
     for r in range(rows):
         size = norm(basis[r], p)
         if size > ROUNDING:
-            coupled.margin[0] = min(coupled.margin[0], size)
+            coupled.status.margin = min(coupled.status.margin, size)
         if size > RANK_TOLERANCE:
             for u in range(p):
                 basis[rank, u] = basis[r, u] / size
             rank += 1
-    counts[RANK] = rank
-    coupled.margin[1] = min(coupled.margin[1], coupled.margin[0])
+    status.rank = rank
+    coupled.status.least_margin = min(coupled.status.least_margin, coupled.status.margin)
 
 
 @kernel
 def image_basis(work, coupled):
     """What the combinations in ``coupled.basis`` move, made orthogonal, into ``coupled.images``."""
-    basis, images, counts = coupled.basis, coupled.images, coupled.counts
-    p = counts[UNKNOWNS]
+    basis, images, status = coupled.basis, coupled.images, coupled.status
+    p = status.unknowns
     for u in range(p):
         copy(coupled.C[u], coupled.B[u])
         node_forward(work.S, coupled.B[u])
-    for r in range(counts[RANK]):
+    for r in range(status.rank):
         for k in range(6):
             images[r, k] = 0.0
             for u in range(p):
@@ -301,7 +312,7 @@ def image_basis(work, coupled):
             if sigma > 0.0:
                 images[r, column] = basis[r, u] * sigma
                 column += 1
-    orthogonalize(images, counts[RANK], 6 + counts[MOVABLE], basis, p)
+    orthogonalize(images, status.rank, 6 + status.movable, basis, p)
 
 
 @inlined
@@ -322,7 +333,7 @@ def couple(work, coupled, Wo, object_inertia, decompose_all=False):
     arms = work.dofs.size - 1
     for every in range(1 if decompose_all else 0, 2):
         pivot = build_node(work, coupled, Wo, object_inertia, every == 1)
-        if pivot > COUPLED_BELOW or coupled.counts[ARMS] == arms:
+        if pivot > COUPLED_BELOW or coupled.status.arms == arms:
             break
     if pivot > 0.0:
         find_rank(work, coupled, lever_length(Wo))
@@ -336,15 +347,15 @@ def build_node(work, coupled, Wo, object_inertia, every):
 
     Deficient arms are decomposed, or, when that leaves too few digits, every arm is.
     """
-    counts, S = coupled.counts, work.S
-    counts[ARMS] = counts[UNKNOWNS] = 0
+    status, S = coupled.status, work.S
+    status.arms = status.unknowns = 0
     for k in range(6):
         for l in range(k + 1):  # noqa: E741
             S[k, l] = object_inertia[k, l]
     for i in range(work.dofs.size - 1):
         coupled.deficient[i] = 1 if every or not work.pivot[i] > COUPLED_BELOW else 0
         if coupled.deficient[i] != 0:
-            counts[ARMS] += 1
+            status.arms += 1
             if not split_arm(i, work, coupled, Wo):
                 return math.nan
         else:
@@ -374,14 +385,14 @@ def reduce_deficient_arm(i, work, coupled, c, q_o):
 @kernel
 def solve_coupled_forces(work, coupled, q_o):
     """Forces of the coupled system, and their push added to ``q_o``, both as ``L_S^-1 q_o``."""
-    counts = coupled.counts
-    p, width = counts[UNKNOWNS], 6 + counts[MOVABLE]
+    status = coupled.status
+    p, width = status.unknowns, 6 + status.movable
     for u in range(p):
         s = work.z[work.rows[coupled.arm[u]] + coupled.row[u]]
         for k in range(6):
             s -= coupled.B[u, k] * q_o[k]
         coupled.right[u], coupled.unknown[u] = s, 0.0
-    for r in range(counts[RANK]):
+    for r in range(status.rank):
         size = norm(coupled.images[r], width)
         s = 0.0
         for u in range(p):
@@ -438,7 +449,7 @@ def solve_coupled(work, coupled, h_o, h, c, q_o, q, force):
             push_arm(i, work, q_o, force)
         else:
             push_deficient_arm(i, work, coupled, q_o, force)
-    for u in range(coupled.counts[UNKNOWNS]):
+    for u in range(coupled.status.unknowns):
         i = coupled.arm[u]
         r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
         for b in range(m):

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.dynamics.evaluation import Evaluation
+from multiarm.dynamics.system import System
 from multiarm.errors import GraspError
 from multiarm.events.evaluation import evaluate
 from multiarm.grasp.balances import LEAST_MARGIN

@@ -13,10 +13,10 @@ from functools import cached_property
 
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.contacts.records import Contact
 from multiarm.dynamics.evaluation import contact_places
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.form_closure import FormClosure, is_form_closure
@@ -119,7 +119,8 @@ def read_grasp(system: System, state: State | None = None) -> SceneGrasp:
         When no row of the scene's joints is a contact in a point.
     """
     state = system.initial_state() if state is None else state
-    points, normals = contact_places(system, state)
+    with system.borrow() as data:
+        points, normals = contact_places(data, state)
     R = quaternion_to_matrix(state.object_quaternion_xyzw.copy())
     points, normals = (points - state.object_position) @ R, normals @ R
     body = body_of(system.scene.object)

@@ -38,10 +38,11 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.contact_checks import place_state
-from multiarm.assembly.system import System
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.dense_callback import read_inertia
-from multiarm.dynamics.equations import OK, update_kinematics
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import Trajectory
@@ -86,13 +87,13 @@ class Check:
 
 
 def check_run(
-    system: System, run: Trajectory, comparison: Comparison, accuracy: dict[str, float]
+    data: Data, run: Trajectory, comparison: Comparison, accuracy: dict[str, float]
 ) -> dict[str, Check]:
     """Energy, residual and drift of a run.
 
     Parameters
     ----------
-    system : System
+    data : Data
     run : Trajectory
     comparison : Comparison
         With its tightened rerun.
@@ -102,7 +103,7 @@ def check_run(
     gap = _largest(run, "drift/position")
     residual = _largest(run, "solver/residual")
     smallest = min(accuracy[POSITION], accuracy[ROTATION])
-    energy = _energy_check(system, run, comparison, accuracy)
+    energy = _energy_check(data, run, comparison, accuracy)
     return {
         **({} if energy is None else {"energy": energy}),
         "residual": Check(
@@ -116,18 +117,18 @@ def check_run(
 
 
 def _energy_check(
-    system: System, run: Trajectory, comparison: Comparison, accuracy: dict[str, float]
+    data: Data, run: Trajectory, comparison: Comparison, accuracy: dict[str, float]
 ) -> Check | None:
     """The energy check; None next to a posture at which there is no energy to compare with."""
     k, imbalance, exchanged = _worst_balance(run)
     slack = ENERGY_ROUNDING * exchanged + _work_on_gaps(run)
     try:
-        state = state_of(system, run, k)
-        turned = np.concatenate([[1] * 3, [2] * 3, _kinds_of_joints(system)])
+        state = state_of(data.model.layout, run, k)
+        turned = np.concatenate([[1] * 3, [2] * 3, _kinds_of_joints(data)])
         off = np.where(turned == 1, accuracy[POSITION], accuracy[ROTATION])
-        names = ["object/twist", *(f"arms/{arm}/joint_velocity" for arm in system.arm_names)]
+        names = ["object/twist", *(f"arms/{arm}/joint_velocity" for arm in data.model.arm_names)]
         slow = np.concatenate([comparison.velocity[name] for name in names])
-        energies = _Energies(system)
+        energies = _Energies(data)
         explained = float(
             np.abs(energies.gradient(state)) @ off + np.abs(energies.momentum(state)) @ slow
         )
@@ -172,27 +173,26 @@ def _work_on_gaps(run: Trajectory) -> float:
     return largest * (gap + opened)
 
 
-def _kinds_of_joints(system: System) -> list[int]:
+def _kinds_of_joints(data: Data) -> list[int]:
     """1 for each joint that slides, 2 for each that turns."""
-    units = [unit for arm in system.arms.values() for unit in arm.joint_units.values()]
-    return [1 if unit == "m" else 2 for unit in units]
+    return [1 if unit == "m" else 2 for unit in data.model.joint_units]
 
 
 class _Energies:
     """Momenta and energies of a system at any state."""
 
-    def __init__(self, system: System) -> None:
-        self._system, self._struct = system, system.struct()
+    def __init__(self, data: Data) -> None:
+        self._data = data
 
     def momentum(self, state: State) -> np.ndarray:
         """Generalised momenta M v, shape (6 + n,)."""
-        system = self._system
-        place_state(system, 0.0, state)
-        if update_kinematics(self._struct) != OK:
-            system.reraise()
-        parts = [system.buffers.inertia @ state.velocity[:6]]
-        for i, (a, b) in enumerate(pairwise(system.layout.dofs)):
-            inertia = read_inertia(system.plant.pointers[i], b - a)
+        data = self._data
+        place_state(data, 0.0, state)
+        if update_kinematics(data.struct) != OK:
+            data.reraise()
+        parts = [data.arrays.inertia @ state.velocity[:6]]
+        for i, (a, b) in enumerate(pairwise(data.model.layout.dofs)):
+            inertia = read_inertia(data.arrays.pointers[i], b - a)
             parts.append(inertia @ state.velocity[6 + a : 6 + b])
         return np.concatenate(parts)
 
@@ -206,7 +206,7 @@ class _Energies:
 
     def _energy(self, state: State) -> float:
         kinetic = 0.5 * float(self.momentum(state) @ state.velocity)
-        return kinetic + self._system.potential_energy()
+        return kinetic + self._data.potential_energy()
 
 
 def _shifted(state: State, i: int, step: float) -> State:

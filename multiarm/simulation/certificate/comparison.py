@@ -17,10 +17,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from multiarm.assembly.system import System
-from multiarm.dynamics.state import State
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.user_callback import NO_CONTROL
 from multiarm.errors import MultiarmError
-from multiarm.events.evaluation import evaluate
+from multiarm.events.evaluation import evaluate_data
 from multiarm.results.trajectory import Trajectory
 
 POSITION, ROTATION, FORCE = "position_m", "rotation_rad", "force_N"
@@ -32,8 +33,9 @@ UNITS = {POSITION: "m", ROTATION: "rad", FORCE: "N"}
 MOST_POINTS = 400
 """Points of the course over time; each is the worst of its samples."""
 BLOCK_SAMPLES = 4096
-ASKED_STATES = 8
-"""States at which the system is asked which forces are determined."""
+_MOTION = ("position", "velocity")
+EVALUATED_STATES = 8
+"""States at which it is evaluated which forces are determined."""
 
 
 @dataclass(frozen=True)
@@ -188,28 +190,29 @@ def compare(
     return Comparison(result, times, courses, apart, work, samples)
 
 
-def undetermined_forces(system: System, run: Trajectory) -> dict[str, np.ndarray]:
+def undetermined_forces(data: Data, run: Trajectory) -> dict[str, np.ndarray]:
     """By arm: which contact forces the equations leave open where the constraints are dependent.
 
-    The system is asked at some states at which the rank is below the number of contacts; an arm
+    Evaluated at some states at which the rank is below the number of contacts; an arm
     that is not named has none.
     """
     dependent, start = [], 0
     for (rank,) in run.blocks("solver/rank", samples=BLOCK_SAMPLES):
-        found = np.flatnonzero(rank < system.layout.contacts)
-        dependent += (start + found[:: max(1, len(found) // ASKED_STATES)]).tolist()
+        found = np.flatnonzero(rank < data.model.layout.contacts)
+        dependent += (start + found[:: max(1, len(found) // EVALUATED_STATES)]).tolist()
         start += len(rank)
     if not dependent:
         return {}
-    chosen = {dependent[i] for i in np.linspace(0, len(dependent) - 1, ASKED_STATES).astype(int)}
-    if "control" in system.calls:  # which has nothing to say in this, and may have a memory
-        system = system.with_control(lambda _time, _state: {})
+    chosen = {
+        dependent[i] for i in np.linspace(0, len(dependent) - 1, EVALUATED_STATES).astype(int)
+    }
+    if data.model.python_control is not None:  # it has no part in this, and may have a memory
+        data = data.view(data.model.with_constants(control=NO_CONTROL))
     lost: dict[str, np.ndarray] = {}
     for k in sorted(chosen):
         try:
-            evaluation = evaluate(
-                system, float(run.read("time", k, k + 1)[0]), state_of(system, run, k)
-            )
+            t = float(run.read("time", k, k + 1)[0])
+            evaluation = evaluate_data(data, t, state_of(data.model.layout, run, k))
         except MultiarmError:
             continue
         for arm, unique in evaluation.contact_forces_unique.items():
@@ -217,15 +220,18 @@ def undetermined_forces(system: System, run: Trajectory) -> dict[str, np.ndarray
     return {arm: flags for arm, flags in lost.items() if flags.any()}
 
 
-def state_of(system: System, run: Trajectory, k: int) -> State:
+def state_of(layout: Layout, run: Trajectory, k: int) -> State:
     """The state of a sample."""
-    read = {name: run.read(name, k, k + 1)[0] for name in run.channels if "relative" not in name}
-    return system.state(
-        object_position=read["object/position"],
-        object_quaternion_xyzw=read["object/quaternion_xyzw"],
-        object_twist=read["object/twist"],
-        joint_positions={a: read[f"arms/{a}/joint_position"] for a in run.arm_names},
-        joint_velocities={a: read[f"arms/{a}/joint_velocity"] for a in run.arm_names},
+
+    def read(name: str) -> np.ndarray:
+        return run.read(name, k, k + 1)[0]
+
+    joints = [[read(f"arms/{arm}/joint_{what}") for arm in run.arm_names] for what in _MOTION]
+    pose = [read("object/position"), read("object/quaternion_xyzw")]
+    return State(
+        np.concatenate([*pose, *joints[0]]),
+        np.concatenate([read("object/twist"), *joints[1]]),
+        layout,
     )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.system import System
+from multiarm.dynamics.model import Data
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certificate.checks import Check, check_run
@@ -139,12 +139,12 @@ def unchecked(accuracy: AccuracySpec) -> dict[str, Any]:
     }
 
 
-def judge(system: System, run: Trajectory, finer: Trajectory, accuracy: AccuracySpec) -> Finding:
+def judge(data: Data, run: Trajectory, finer: Trajectory, accuracy: AccuracySpec) -> Finding:
     """Estimate the errors of a run from a tightened rerun, and check the run itself.
 
     Parameters
     ----------
-    system : System
+    data : Data
     run : Trajectory
         Complete, with at least one sample.
     finer : Trajectory
@@ -152,7 +152,7 @@ def judge(system: System, run: Trajectory, finer: Trajectory, accuracy: Accuracy
     accuracy : AccuracySpec
         What was asked.
     """
-    comparison = compare(run, finer, undetermined_forces(system, run))
+    comparison = compare(run, finer, undetermined_forces(data, run))
     asked = _asked(accuracy)
     estimated: dict[str, float | None] = {}
     for kind in KINDS:
@@ -164,7 +164,7 @@ def judge(system: System, run: Trajectory, finer: Trajectory, accuracy: Accuracy
         asked,
         estimated,
         comparison,
-        check_run(system, run, comparison, lengths),
+        check_run(data, run, comparison, lengths),
         growth_rate(comparison.time, apart),
         complete=finer.status == "completed" and len(finer) == len(run),
     )

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.system import System
+from multiarm.dynamics.system import System
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.certificate import compare, rotation_apart, undetermined_forces
 from multiarm.studies.effect_costs.entries import FORCE, JOINTS, PATH, SLIDES, TURN, Change
@@ -38,7 +38,9 @@ def changes(system: System, run: Trajectory, other: Trajectory) -> dict[str, Cha
     if not len(run) or not len(other):
         return found
     first, second = _Shared(run, other), _Shared(other, run)
-    open_forces = undetermined_forces(system, run)  # of the floor too, which is not compared
+    with system.borrow() as data:
+        # of the floor too, which is not compared
+        open_forces = undetermined_forces(data, run)
     lost = {arm: first.own(arm, open_forces[arm]) for arm in run.arm_names if arm in open_forces}
     for name, difference in compare(_seen(first), _seen(second), lost).outputs.items():
         arm, _, noun = name.rpartition(": ")

@@ -13,11 +13,10 @@ from functools import partial
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.inspection import EffectFacts
-from multiarm.assembly.system import System
-from multiarm.dynamics.evaluation import evaluate
-from multiarm.events.mode_evaluation import standing_mode
+from multiarm.dynamics.system import System
+from multiarm.events.evaluation import evaluate_data, mode_at
 from multiarm.events.modes import Mode
+from multiarm.simulation.inspection import EffectFacts
 from multiarm.studies.bursts import Burst, measure, one_thread
 from multiarm.studies.effect_costs.estimates import paired_difference
 from multiarm.studies.effect_costs.variants import left_out, told
@@ -79,11 +78,12 @@ def effects_of_evaluation(system: System, turns: int = TURNS) -> dict[str, Effec
 
 def _burst_at_start(system: System) -> Burst:
     """Evaluations at the start; where contacts come and go, those of the mode there."""
-    if system.unilateral is None:
-        evaluate(system)
-        return slope_burst(system)
-    mode = standing_mode(system, 0.0, system.initial_state())
-    return partial(_in_mode, mode, slope_burst(mode.system))
+    data, start = system.model.data(), system.initial_state()
+    evaluate_data(data, 0.0, start)
+    if system.model.unilateral is None:
+        return slope_burst(data)
+    mode = mode_at(data, 0.0, start)
+    return partial(_in_mode, mode, slope_burst(mode.data))
 
 
 def _in_mode(_mode: Mode, burst: Burst, count: int) -> None:
@@ -102,11 +102,12 @@ class _Size:
 
     @classmethod
     def of(cls, system: System) -> _Size:
+        data = system.model.data()
         # some arrays stand in the struct under two names
-        shapes = np.unique(system.struct().reshape(-1, 4), axis=0)[:, 1:]
+        shapes = np.unique(data.struct.reshape(-1, 4), axis=0)[:, 1:]
         return cls(
             bytes=ITEM * int(shapes.prod(axis=1).sum()),
-            states=system.pieces.states,
-            rows=system.constraint_count,
-            callbacks=len(system.calls.keys() - BESIDE),
+            states=system.model.effects.states,
+            rows=system.model.layout.contacts,
+            callbacks=len(data.callbacks.keys() - BESIDE),
         )

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.system import System
+from multiarm.dynamics.system import System
 from multiarm.effects.defaults import defaults
 from multiarm.errors import SolverError
 from multiarm.results.trajectory import Trajectory

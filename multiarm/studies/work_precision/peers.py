@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.studies.courses import Course, Grid, OutOfTime
 from multiarm.studies.peer_trials import NOT_INSTALLED

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.system import System
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.outcome import plain
 from multiarm.studies.courses import Course, Grid, OutOfTime
@@ -118,8 +118,8 @@ def point_of_course(
     if len(found) <= grid.intervals:
         reached = (len(found) - 1) * grid.interval
         return Point(setting, FAILED, f"the state is no longer finite after {reached:.3g} s")
-    still = np.zeros(6 + system.layout.joints)
-    gaps = [largest_gap(system, State(position, still, system.layout)) for position in found]
+    still = np.zeros(6 + system.model.layout.joints)
+    gaps = [largest_gap(system, State(position, still, system.model.layout)) for position in found]
     return Point(
         setting,
         COMPLETED,

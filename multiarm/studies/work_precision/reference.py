@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.system import System
+from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.control import ADAPTIVE_INTEGRATORS

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.system import System
+from multiarm.dynamics.system import System
 from multiarm.scene import Scene
 from multiarm.studies.bursts import one_thread
 from multiarm.studies.hard_cases import machine

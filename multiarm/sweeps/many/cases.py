@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -12,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.system import System
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.dynamics.user_callback import ControlFunction
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import STEPS_CHOSEN_BY, RunSpec, Scene, changed_scenes
-from multiarm.simulation.driver import Task, leave_undone
+from multiarm.simulation.driver import leave_undone
 from multiarm.simulation.setup import positive, run_spec
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.many.files import run_files
@@ -106,7 +106,7 @@ def run_case(case: Case, system: System, progress: Callable[[float], None] | Non
     """
     try:
         if case.scene is not system.scene:
-            system = compile_system(case.scene, system.python_control, like=system)
+            system = compile_system(case.scene, _control_of(system), like=system)
         return simulate(
             system, state=case.state, out=case.out, progress=progress, **case.options
         ).rest()
@@ -114,15 +114,20 @@ def run_case(case: Case, system: System, progress: Callable[[float], None] | Non
         return undone(case, system, "failed", f"the run could not begin: {error}")
 
 
+def _control_of(system: System) -> ControlFunction | None:
+    control = system.model.python_control
+    return None if control is None else control.function
+
+
 def undone(case: Case, system: System, status: str, message: str, keep: bool = True) -> Trajectory:
     """The result of a case that did not begin; ``keep`` a file of it, where there is to be one."""
-    task = Task(replace(system, scene=case.scene), case.scene.run, case.state, math.inf)
+    own, given = replace(system, scene=case.scene), case.state is not None
     if case.out is not None and keep:
         try:
-            return leave_undone(task, Hdf5Sink(case.out), status, message).rest()
+            return leave_undone(own, given, Hdf5Sink(case.out), status, message).rest()
         except TrajectoryError:
             pass  # which may be why it could not begin
-    return leave_undone(task, MemorySink(), status, message)
+    return leave_undone(own, given, MemorySink(), status, message)
 
 
 def _check_states(system: System, states: list[Any], same_arms: bool) -> None:
@@ -132,7 +137,7 @@ def _check_states(system: System, states: list[Any], same_arms: bool) -> None:
             faults.append(f"run {number}: {type(state).__name__} is no state")
         elif not (np.all(np.isfinite(state.position)) and np.all(np.isfinite(state.velocity))):
             faults.append(f"run {number}: the state is not finite")
-        elif same_arms and not state.layout.same_joints(system.layout):
+        elif same_arms and not state.layout.same_joints(system.model.layout):
             arms = ", ".join(state.layout.names)
             faults.append(f"run {number}: the state belongs to a system with arms {arms}")
     if faults:

@@ -1,8 +1,8 @@
 """Workers that carry out cases side by side, and the caller who waits for them.
 
 The compiled loop over time lets other threads run; Python, around a run and wherever a run calls
-it, is for one thread at a time.  Every worker has a twin of the system for itself, so that a run
-gives the same numbers whoever carries it out.
+it, is for one thread at a time.  Every run borrows a Data of the system for itself, so
+that it gives the same numbers whichever worker carries it out.
 
 The caller looks now and then how far the runs are, and whether Ctrl-C was pressed: then those under
 way end in good order, as they do by themselves, and no other begins.
@@ -15,8 +15,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from queue import Empty, SimpleQueue
 
-from multiarm.assembly.compilation import twin
-from multiarm.assembly.system import System
+from multiarm.dynamics.system import System
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.sweeps.many.cases import Case, run_case, undone
@@ -37,7 +36,7 @@ def run_cases(
     cases : sequence of Case
         Of scenes that are the system's, or similar to it.
     system : System
-        Stays free for the caller: the workers take twins.
+        Stays free for the caller.
     threads : int
     progress : callable, optional
         Called in this thread with the simulated time of all runs together [s] and the number of
@@ -54,13 +53,13 @@ def run_cases(
         What a run raised that is no trouble of its own, after the others have ended.
     """
     crew = _Crew(cases)
-    twins = [twin(system) for _ in range(min(threads, len(cases)))]
+    workers_at_once = max(1, min(threads, len(cases)))
     with (
         deferred_interrupt() as interrupt,
-        ThreadPoolExecutor(max(1, len(twins)), "multiarm") as pool,
+        ThreadPoolExecutor(workers_at_once, "multiarm") as pool,
     ):
         try:
-            workers = [pool.submit(crew.work, own) for own in twins]
+            workers = [pool.submit(crew.work, system) for _ in range(workers_at_once)]
             while wait(workers, TICK).not_done:
                 if interrupt.pressed:
                     crew.stop()

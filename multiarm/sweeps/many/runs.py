@@ -6,9 +6,9 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from multiarm.assembly.system import System
-from multiarm.control.laws import ControlFunction
 from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.dynamics.user_callback import ControlFunction
 from multiarm.errors import ModelError
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
@@ -117,7 +117,7 @@ def simulate_many(
 
 
 def _threads(asked: int | None, system: System, control: ControlFunction | None) -> int:
-    if asked is None and (control is not None or system.calls_python):
+    if asked is None and (control is not None or system.model.calls_python):
         return 1
     if asked is None:
         has_affinity = hasattr(os, "sched_getaffinity")

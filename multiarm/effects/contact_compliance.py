@@ -13,24 +13,29 @@ K.L. Johnson, Contact Mechanics, Cambridge 1985, linearised about a load.
 
 from __future__ import annotations
 
+import numpy as np
+
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import CompliantContacts
 from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel
 from multiarm.dynamics.equations import update_rows
-from multiarm.effects.piece import APPLIED, POWER, Piece
+from multiarm.dynamics.model import Data
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 
 
 @cfunc
 def add_contact_compliance(address, size, at, _t):
-    """Own arrays: those of :class:`multiarm.contacts.unilateral.CompliantContacts`."""
+    """Own arrays: struct with the rows of the springs; owners, stiffness [N/m] and damping [N s/m];
+    which springs act now; their forces [N].
+    """
     struct, first = struct_at(address, size), int(at)
-    _, buffers, _ = open_system(struct)
-    slots, links, owners = ints1(struct, first), ints1(struct, first + 1), ints1(struct, first + 2)
+    _, data, _ = open_system(struct)
+    slots, place, owners = ints1(struct, first), ints1(struct, first + 1), ints1(struct, first + 2)
     stiffness, damping = floats1(struct, first + 3), floats1(struct, first + 4)
     active, force = ints1(struct, first + 5), floats1(struct, first + 6)
-    own = struct_at(links[0], links[1])
+    own = struct_at(place[0], place[1])
     update_rows(own)
     _, rows, work = open_system(own)
     power = 0.0
@@ -40,20 +45,40 @@ def add_contact_compliance(address, size, at, _t):
         if active[s] != 0:
             force[s] = -(stiffness[s] * rows.contacts[s, GAP] + damping[s] * rate)
         for k in range(6):
-            buffers.h_o[k] += rows.Wo[s, k] * force[s]
+            data.h_o[k] += rows.Wo[s, k] * force[s]
         for j in range(work.dofs[i + 1] - work.dofs[i]):
-            buffers.h[work.dofs[i] + j] += work.Y[i, j, s - work.rows[i]] * force[s]
+            data.h[work.dofs[i] + j] += work.Y[i, j, s - work.rows[i]] * force[s]
         power += force[s] * rate
-    buffers.power[slots[POWER]] = power
+    data.power[slots[POWER]] = power
     return 0
 
 
-def compliance_pieces(springs: CompliantContacts | None) -> list[Piece]:
-    """The piece of a scene whose contacts give way."""
+def compliance_kernels(springs: CompliantContacts | None) -> list[EffectKernel]:
+    """The kernel of a scene with compliant contacts."""
     if springs is None:
         return []
+
+    def connect(data: Data, arrays: Arrays) -> dict:
+        rows = data.view(data.model.select(springs.rows))
+        arrays[0][:] = rows.struct.ctypes.data, rows.struct.size
+        data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
+        return {}
+
     arrays = (
-        springs.links, springs.owners, springs.stiffness, springs.damping, springs.active,
-        springs.force,
+        np.zeros(2, dtype=np.int64), springs.owners, springs.stiffness, springs.damping,
+        springs.always, np.zeros(len(springs.rows)),
     )  # fmt: skip
-    return [Piece("contact_compliance", add_contact_compliance, APPLIED, arrays)]
+    return [
+        EffectKernel(
+            "contact_compliance",
+            add_contact_compliance,
+            APPLIED,
+            arrays,
+            connect=connect,
+            unilateral=True,
+        )
+    ]
+
+
+# Places of what acts now and of the forces in the kernel's own arrays.
+ACTIVE, FORCE = 4, 5

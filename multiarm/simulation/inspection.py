@@ -1,6 +1,6 @@
 """Records of what a scene compiles to: plain facts in named fields, ready for a table or for JSON.
 
-:func:`multiarm.assembly.checking.inspect_system` fills them in.
+:func:`multiarm.simulation.checking.inspect_system` fills them in.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from multiarm.assembly import StartReport
 from multiarm.dynamics.evaluation import Residuals
+from multiarm.dynamics.system import StartReport
 from multiarm.results.trajectory import plain
 
 __all__ = [

@@ -1,21 +1,25 @@
-"""A run with unilateral constraints: between events it is driven like any other.
+"""Events of a run with unilateral contacts; between them it is like any other.
 
 The loop returns when a guard has changed its sign inside a step, before that step is accepted.  The
 time is found on the step's dense output, the loop goes on to stop exactly there, and what comes
 next is decided (:mod:`multiarm.events`): the run then goes on in another mode, which is another
-system with the same state.
+Data with the same state.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
-from multiarm.dynamics.equations import OK, evaluate_buffers, update_kinematics, update_rows
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.arrays import (
     CONSTRAINT,
@@ -26,7 +30,7 @@ from multiarm.events.arrays import (
     SLIP_GUARD,
     THRESHOLD,
 )
-from multiarm.events.beginning import TOUCHING, touching_constraints
+from multiarm.events.beginning import touching_constraints
 from multiarm.events.edges import beside_constraints
 from multiarm.events.kernels import start_guards
 from multiarm.events.locating import first_event
@@ -36,15 +40,10 @@ from multiarm.events.springs import pressed_constraints
 from multiarm.events.telling import decision_events
 from multiarm.events.transition import Decision, Transition, closed_constraints
 from multiarm.integration.projection import project
-from multiarm.integration.stepper import evaluate_slope, step_struct, store
+from multiarm.integration.stepper import begin_chart, evaluate_slope, step_struct
 from multiarm.integration.time_loop import gains
 from multiarm.results.event_log import EventLog
-from multiarm.simulation.setup import make_stepping
-
-if TYPE_CHECKING:
-    from multiarm.assembly.system import System
-    from multiarm.dynamics.state import State
-    from multiarm.simulation.setup import Run, Tolerance
+from multiarm.simulation.setup import Run, Tolerance, make_stepping
 
 # Gaps of those that have just hit are as small as the step's errors.
 HIT_SHARE = 4.0
@@ -85,7 +84,7 @@ class _News:
     beside: frozenset[int] = frozenset()
 
 
-class EventDriving:
+class EventHandler:
     """Modes and events of one run.
 
     Attributes
@@ -94,15 +93,13 @@ class EventDriving:
         Largest residual of the complementarity problems.
     """
 
-    def __init__(
-        self, system: System, tolerance: Tolerance | None, step: float | None, log: EventLog
-    ):
+    def __init__(self, data: Data, tolerance: Tolerance | None, step: float | None, log: EventLog):
         if tolerance is None:
             assert step is not None, "steps are either fixed or chosen"
             slow = SLOW_OF_STEP * step
         else:
             slow = SLOW * tolerance.position
-        self.modes = Modes(system, max(slow, SLOWEST))
+        self.modes = Modes(data, max(slow, SLOWEST))
         self.residual = 0.0
         self.count = 0
         self._log = log
@@ -117,9 +114,11 @@ class EventDriving:
 
     # --- beginning --------------------------------------------------------------------------------
 
-    def begin(self, state: State | None) -> dict[str, Any]:
-        """The mode in which a run begins, as ``system``, and its ``state``, behind an impact."""
-        start = self.modes.full.initial_state() if state is None else state
+    def begin(self, start: State, given: bool) -> tuple[Data, State | None]:
+        """Data of the mode in which a run begins, and its state after an impact.
+
+        ``given``: the start is not the scene's.  None: the scene's start as it is.
+        """
         touching, beside, self._size = touching_constraints(self.modes, 0.0, start)
         of_step = None if self._tolerance is None else self._tolerance.smallest
         height = REST_SIZE * self._size if of_step is None else REST_SHARE * of_step
@@ -130,11 +129,8 @@ class EventDriving:
         if self._trouble:
             raise SolverError(f"at the start: {self._trouble}")
         self.mode = self.modes.enter(decision.choice, decision.directions)
-        changed = decision.hits or state is not None
-        return {
-            "system": self.mode.system,
-            "state": self.mode.system.get_state() if changed else None,
-        }
+        changed = decision.hits or given
+        return self.mode.data, self.mode.data.get_state() if changed else None
 
     def statistics(self) -> dict[str, Any]:
         """How many events there were, and the largest residual of what was decided at them."""
@@ -156,7 +152,7 @@ class EventDriving:
         """Find the first event in the step just made, and let the loop stop there."""
         arrays, t = self.mode.arrays, run.clock.t
         begin, end = arrays.span
-        struct, method = run.system.struct(), run.stepping.method
+        struct, method = run.data.struct, run.stepping.method
         probe = Probe(struct, step_struct(method, run.stepping.step), self.mode, begin, end)
         theta, guards = first_event(probe, arrays.found.copy(), arrays.levels[:, THRESHOLD])
         arrays.least[:] = np.inf
@@ -201,7 +197,7 @@ class EventDriving:
     def _at_rest(self, pending: Pending) -> dict[int, float]:
         """Speeds of constraints whose slip has just come to rest: as small as the step's errors."""
         constraints, guards = self.modes.unilateral.constraints, self.mode.arrays.guards
-        rates, found = self.modes.full.buffers.contacts[:, GAP_RATE], {}
+        rates, found = self.modes.full.arrays.contacts[:, GAP_RATE], {}
         of_step = SLOWEST if self._tolerance is None else self._tolerance.smallest
         for g in pending.guards:
             if guards[g, GUARD_KIND] in (SLIP_GUARD, RATE_GUARD):
@@ -239,9 +235,9 @@ class EventDriving:
 
     def _holds(self) -> bool:
         """Whether the mode agrees with the state in the buffers."""
-        struct, arrays = self.mode.system.struct(), self.mode.arrays
-        if evaluate_buffers(struct, 0.0, 0.0) != OK:
-            self.mode.system.reraise()
+        struct, arrays = self.mode.data.struct, self.mode.arrays
+        if evaluate_state(struct, 0.0, 0.0) != OK:
+            self.mode.data.reraise()
             return False
         start_guards(struct)
         return bool(np.all(arrays.values >= -arrays.levels[:, THRESHOLD]))
@@ -249,14 +245,14 @@ class EventDriving:
     def _load(self, run: Run) -> None:
         """Write the run's state into the buffers, with the kinematics of all rows."""
         step, bare = run.stepping.step, self.modes.bare
-        b, n, z = bare.buffers, bare.layout.joints, step.z
+        b, n, z = bare.arrays, bare.model.layout.joints, step.z
         b.position[:3], b.position[3:] = z[:3], step.base  # a chart begins at every step
         b.angles[:], b.twist[:], b.v[:] = z[6 : 6 + n], z[6 + n : 12 + n], z[12 + n : 12 + 2 * n]
         b.inner[:] = z[12 + 2 * n :][: b.inner.size]
-        b.time[0], b.time[1] = run.clock.t, np.inf
-        if update_kinematics(bare.struct()) != OK:
+        b.time.now, b.time.latest = run.clock.t, np.inf
+        if update_kinematics(bare.struct) != OK:
             bare.reraise()
-        update_rows(self.modes.full.struct())
+        update_rows(self.modes.full.struct)
 
     def _touching(self, pending: Pending) -> set[int]:
         """Units that touch at an event: those that were held, and those that came."""
@@ -272,13 +268,13 @@ class EventDriving:
         came = {
             u for u in came if constraints[u].kind != DRY_JOINT and not constraints[u].compliant
         }
-        gaps = self.modes.full.buffers.contacts[:, GAP]
+        gaps = self.modes.full.arrays.contacts[:, GAP]
         sunk = max((abs(float(gaps[constraints[u].row])) for u in came - held), default=0.0)
         near = closed_constraints(self.modes, max(TOUCHING * self._size, HIT_SHARE * sunk))
         return near | came | held | pressed
 
     def _decide(self, t: float, news: _News, ahead: float = 0.0) -> Decision:
-        self.modes.full.buffers.time[0] = t
+        self.modes.full.arrays.time.now = t
         decision = Transition(
             self.modes, news.touching, self._rest_height, news.at_rest, news.unloaded,
             news.beside, ahead,
@@ -289,18 +285,18 @@ class EventDriving:
 
     def _go_on(self, run: Run, decision: Decision, step) -> None:
         """Let the run go on in the new mode from the state in the buffers."""
-        system = self.mode.system
-        joints = system.layout.joints
-        run.system = system
-        if run.settings.closed >= 0.0 and project(system.struct(), run.settings.closed) != OK:
+        data = self.mode.data
+        joints = data.model.layout.joints
+        run.data = data
+        if run.settings.closed >= 0.0 and project(data.struct, run.settings.closed) != OK:
             raise SolverError("the state could not be put on the contacts that closed")
-        run.stepping = make_stepping(system, run.stepping.tableau.name, run.tolerance)
+        run.stepping = make_stepping(data, run.stepping.tableau.name, run.tolerance)
         new = run.stepping.step
         new.z[:] = step.z
-        store(system.buffers, new.base, new.z)
+        begin_chart(data.struct, new.base, new.z)
         if decision.energy:
-            works = new.z[12 + 2 * joints + system.pieces.states :]
-            works[system.pieces.slot("impacts")] += decision.energy
+            works = new.z[12 + 2 * joints + data.model.effects.states :]
+            works[data.model.effects.slot("impacts")] += decision.energy
             works[-1] += decision.energy
         clock = run.clock
         length = max(SHORTER * self._last_length, 1e-12)
@@ -310,16 +306,16 @@ class EventDriving:
         run.settings = run.settings._replace(stop=np.inf)
         alpha, beta = gains(run.settings, run.settings.step)
         t = clock.t
-        status = evaluate_slope(system.struct(), t, new.z, new.base, alpha, beta, new.slope)
+        status = evaluate_slope(data.struct, t, new.z, new.base, alpha, beta, new.slope)
         if status != OK:
-            system.reraise()
+            data.reraise()
             raise SolverError(f"the motion after the event could not be evaluated ({status})")
         self.arm(run)
 
     def arm(self, run: Run) -> None:
         """Let the guards begin at the state in the buffers, which has been evaluated."""
-        start_guards(run.system.struct())
-        run.solver_log.settle(run.system)
+        start_guards(run.data.struct)
+        run.solver_log.settle(run.data)
 
     def _tell(self, t: float, decision: Decision, before: Choice) -> None:
         events = decision_events(self.modes, t, decision, before)

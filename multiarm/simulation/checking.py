@@ -19,7 +19,27 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from multiarm.assembly.inspection import (
+from multiarm.cli.guide.limits import axis_travel, limits_of
+from multiarm.cli.guide.motions import free_motions, seen_from
+from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
+from multiarm.control.laws import needs_gravity_torque
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.evaluation import (
+    ContactTerms,
+    Evaluation,
+    constraint_matrix,
+    contact_terms,
+    failure_text,
+)
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
+from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.errors import SolverError
+from multiarm.events.evaluation import evaluate
+from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
+from multiarm.simulation.inspection import (
     ArmFacts,
     Carrying,
     Freedom,
@@ -29,25 +49,6 @@ from multiarm.assembly.inspection import (
     ObjectFacts,
     RunFacts,
 )
-from multiarm.assembly.system import System
-from multiarm.cli.guide.limits import axis_travel, limits_of
-from multiarm.cli.guide.motions import free_motions, seen_from
-from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
-from multiarm.control.laws import needs_gravity_torque
-from multiarm.dynamics.equations import OK, update_kinematics
-from multiarm.dynamics.evaluation import (
-    ContactTerms,
-    Evaluation,
-    constraint_matrix,
-    contact_terms,
-    failure_text,
-)
-from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
-from multiarm.dynamics.state import State
-from multiarm.errors import SolverError
-from multiarm.events.evaluation import evaluate
-from multiarm.events.selection import held_model
-from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
 from multiarm.simulation.setup import method_and_tolerance
 from multiarm.spatial import matrix_to_quaternion, quaternion_to_matrix
 
@@ -76,30 +77,34 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
     ----------
     system : System
     left : sequence of NamedCode
-        What :func:`multiarm.assembly.compilation.compile_for_a_look` left out of it.
+        What :func:`multiarm.assembly.compilation.compile_for_inspection` left out of it.
 
     Raises
     ------
     SolverError
         When the equations of motion cannot be solved at the start.
     """
-    scene, model = system.scene, held_model(system)
+    scene = system.scene
     away = {code.arm for code in left}.difference([None])
     evaluation = None if away else evaluate(system)
-    if away:
-        _place_at_start(model)
-    terms = contact_terms(model) if evaluation is None else evaluation.contact_terms
+    with system.borrow() as data:
+        closed = data.with_contacts_closed()
+        _place_at_start(closed, system)
+        terms = contact_terms(closed) if evaluation is None else evaluation.contact_terms
+        freedom = None if away else count_freedom(closed)
+        carries = _carries(scene) and not away
+        carrying = carrying_capacity(closed, scene) if carries else None
     return Inspection(
         scene=scene.name,
         gravity=None if scene.gravity is None else list(scene.gravity),
         object=_object_facts(scene.object),
         arms={name: _arm_facts(system, name, evaluation) for name in system.arm_names},
         joints=[
-            _joint_facts(model, joint, terms[joint.arm])
+            _joint_facts(system, joint, terms[joint.arm])
             for joint in sorted(scene.joints, key=lambda j: system.arm_names.index(j.arm))
             if joint.arm not in away
         ],
-        freedom=None if away else count_freedom(model),
+        freedom=freedom,
         coming_and_going=[] if away else coming_and_going(system),
         effects=dict.fromkeys(active_effects(scene)),
         control=scene.control.kind,
@@ -108,7 +113,7 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
         position_residual=None if evaluation is None else evaluation.position_residual,
         velocity_residual=None if evaluation is None else evaluation.velocity_residual,
         residuals=None if evaluation is None else evaluation.residuals,
-        carrying=carrying_capacity(model) if _carries(scene) and not away else None,
+        carrying=carrying,
         warnings=scene.warnings,
         not_looked_at=[_not_looked_at(code) for code in left],
     )
@@ -125,16 +130,15 @@ def _not_looked_at(code: NamedCode) -> str:
     )
 
 
-def count_freedom(system: System) -> Freedom:
-    """Degrees of freedom, constraints, their rank and the mobility at the start.
+def count_freedom(data: Data) -> Freedom:
+    """Degrees of freedom, constraints, their rank and the mobility at the kinematics in ``data``.
 
-    Of a system that holds all its rows, see :func:`multiarm.events.selection.held_model`.
+    All rows are held, see :meth:`multiarm.dynamics.model.Data.with_contacts_closed`.
     """
-    _place_at_start(system)
-    matrix = constraint_matrix(system)  # (6 + n, N)
+    matrix = constraint_matrix(data)  # (6 + n, N)
     space = null_space(matrix)
     rank, singular = space.rank, space.singular
-    names = [f"{arm}: {row}" for arm in system.arm_names for row in _row_names(system, arm)]
+    names = [f"{arm}: {c.name}" for arm, own in data.model.contacts.items() for c in own]
     return Freedom(
         degrees_of_freedom=matrix.shape[0],
         constraints=matrix.shape[1],
@@ -146,12 +150,11 @@ def count_freedom(system: System) -> Freedom:
     )
 
 
-def carrying_capacity(system: System) -> Carrying:
+def carrying_capacity(data: Data, scene: Scene) -> Carrying:
     r"""How well contact forces can carry the object at rest: :math:`W_o \lambda = [-m g; 0]`."""
-    _place_at_start(system)
     weight = np.zeros(6)
-    weight[:3] = -system.scene.object.mass * np.array(system.scene.gravity)
-    W_o = system.buffers.Wo.T  # (6, N)
+    weight[:3] = -scene.object.mass * np.array(scene.gravity)
+    W_o = data.arrays.Wo.T  # (6, N)
     reach = max(float(np.max(np.linalg.norm(W_o[3:], axis=0))), 1e-3)  # [m]
     scale = np.array([1.0] * 3 + [1.0 / reach] * 3)  # moments as forces at that distance
     forces = np.linalg.lstsq(scale[:, None] * W_o, scale * weight, rcond=RANK_TOLERANCE)[0]
@@ -167,12 +170,12 @@ def carrying_capacity(system: System) -> Carrying:
 
 def coming_and_going(system: System) -> list[str]:
     """What comes and goes in a system, counted by what it belongs to."""
-    if system.unilateral is None:
+    unilateral = system.model.unilateral
+    if unilateral is None:
         return []
-    counts = Counter((one.arm, _constraint_words(one)) for one in system.unilateral.constraints)
+    counts = Counter((one.arm, _constraint_words(one)) for one in unilateral.constraints)
     lines = [f"{arm}: {words} ({count})" for (arm, words), count in counts.items()]
-    compliant = system.unilateral.compliant
-    springs = 0 if compliant is None else len(compliant.rows)
+    springs = 0 if unilateral.compliant is None else len(unilateral.compliant.rows)
     return lines + ([f"springs in place of contacts ({springs})"] if springs else [])
 
 
@@ -305,7 +308,7 @@ def _limit_facts(system: System, joint: JointSpec, state: State) -> list[LimitFa
 
 
 def _row_names(system: System, arm: str) -> list[str]:
-    return [contact.name for contact in system.contacts[arm]]
+    return [contact.name for contact in system.model.joints[arm].contacts]
 
 
 def _placement(matrix: np.ndarray) -> tuple[list[float], list[float]]:
@@ -321,10 +324,10 @@ def _carries(scene: Scene) -> bool:
     return weighs and scene.effects.floor is None and (holds or needs_gravity_torque(scene))
 
 
-def _place_at_start(system: System) -> None:
-    """Bring the kinematics of the start into the system's buffers."""
-    system.set_state(0.0, system.initial_state())
-    status = update_kinematics(system.struct())
+def _place_at_start(data: Data, system: System) -> None:
+    """Bring the kinematics of the start into the data."""
+    data.set_state(0.0, system.initial_state())
+    status = update_kinematics(data.struct)
     if status != OK:
-        system.reraise()
-        raise SolverError(failure_text(system, status))
+        data.reraise()
+        raise SolverError(failure_text(data, status))

@@ -1,0 +1,263 @@
+"""System: what a user holds of a compiled scene.
+
+A :class:`System` is thin: the scene, its :class:`multiarm.dynamics.model.Model`, and the start.
+Whoever evaluates borrows a :class:`multiarm.dynamics.model.Data` for that time, so that any number
+of threads may use one system, and a controller may evaluate the very system that it controls.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from multiarm.arms.arm import Arm
+from multiarm.contacts.frames import COMPONENTS, UNITS, JointFrame
+from multiarm.contacts.records import Contact
+from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.state import State
+from multiarm.dynamics.user_callback import ControlFunction, PythonControl
+from multiarm.errors import ModelError
+from multiarm.results.channels import Channel, trajectory_channels
+from multiarm.scene import Scene
+
+
+@dataclass(frozen=True)
+class StartReport:
+    """How the written start was corrected.
+
+    Attributes
+    ----------
+    gaps : dict arm -> float
+        Largest gap of the written start [m].
+    gap_rates : dict arm -> float
+        Largest gap rate of the written start [m/s].
+    gaps_left : dict arm -> float
+        Largest gap of the assembled start [m].
+    joint_change : float
+        Largest change of one joint [rad, m].
+    joint_changes : dict arm -> float
+        The same, arm by arm.
+    object_held : bool
+        Whether the arms closed the gaps without moving the object.
+    object_shift, object_turn : float
+        Displacement [m] and rotation [rad] of the object.
+    at_limit : tuple of str
+        Joints (``arm/joint``) of the assembled start that are at a limit.
+    outside_limits : tuple of str
+        Joints that were written outside their limits, which then do not hold them.
+    velocity_change : float
+        Largest change of a velocity component [m/s, rad/s].
+    object_velocity_change, object_spin_change : float
+        Change of the velocity of the centre of mass [m/s] and of the angular velocity [rad/s].
+    joint_velocity_change : float
+        Largest change of a joint's velocity [rad/s, m/s].
+    energy_lost : float
+        Kinetic energy that the written velocities had more [J].
+
+    :meth:`lines` says it in words.
+    """
+
+    gaps: dict[str, float] = field(default_factory=dict)
+    gap_rates: dict[str, float] = field(default_factory=dict)
+    gaps_left: dict[str, float] = field(default_factory=dict)
+    joint_change: float = 0.0
+    joint_changes: dict[str, float] = field(default_factory=dict)
+    object_held: bool = True
+    object_shift: float = 0.0
+    object_turn: float = 0.0
+    at_limit: tuple[str, ...] = ()
+    outside_limits: tuple[str, ...] = ()
+    velocity_change: float = 0.0
+    object_velocity_change: float = 0.0
+    object_spin_change: float = 0.0
+    joint_velocity_change: float = 0.0
+    energy_lost: float = 0.0
+
+    def lines(self) -> list[str]:
+        """What was corrected, and what a reader should know of the joints' limits."""
+        found = []
+        if self.joint_change > 0.0 or not self.object_held:
+            arms = ", ".join(f"{arm} {change:.3g}" for arm, change in self.joint_changes.items())
+            body = "held"
+            if not self.object_held:
+                body = f"moved by {self.object_shift:.3g} m and {self.object_turn:.3g} rad"
+            found.append(f"joints moved by up to {arms} (rad or m), the object was {body}")
+        if self.velocity_change > 0.0:
+            found.append(
+                f"velocities changed: object {self.object_velocity_change:.3g} m/s and "
+                f"{self.object_spin_change:.3g} rad/s, joints up to "
+                f"{self.joint_velocity_change:.3g} rad/s or m/s; {self.energy_lost:.3g} J were lost"
+            )
+        if self.at_limit:
+            found.append(f"at a limit: {', '.join(self.at_limit)}")
+        if self.outside_limits:
+            found.append(
+                f"written outside its limits, and left there: {', '.join(self.outside_limits)}"
+            )
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A compiled scene.
+
+    Attributes
+    ----------
+    scene : Scene
+    model : Model
+    start_report : StartReport
+        How far the scene's start was from satisfying the joints, and what was corrected.
+    """
+
+    scene: Scene
+    model: Model = field(repr=False)
+    start_report: StartReport = field(repr=False)
+    _start: State = field(repr=False)
+    _free_data: deque[Data] = field(default_factory=deque, repr=False)
+
+    @contextmanager
+    def borrow(self) -> Iterator[Data]:
+        """A Data of the model for exclusive use; in which state it is, is not known."""
+        try:
+            data = self._free_data.pop()
+        except IndexError:
+            data = self.model.data()
+        try:
+            yield data
+        finally:
+            self._free_data.append(data)
+
+    @property
+    def arms(self) -> dict[str, Arm]:
+        """The arms by their names, in the order of the stacked vectors."""
+        return self.model.arms
+
+    @property
+    def arm_names(self) -> tuple[str, ...]:
+        """Names of the arms in the order of the stacked vectors."""
+        return self.model.layout.names
+
+    @property
+    def contacts(self) -> dict[str, list[Contact]]:
+        """Contact records of each arm's joint; the arm's geometry in the tip frame."""
+        return self.model.contacts
+
+    @property
+    def frames(self) -> dict[str, JointFrame]:
+        """Each joint's frame on both bodies, and the motions that it leaves free."""
+        return self.model.frames
+
+    @property
+    def arm_terms(self) -> dict[str, str]:
+        """Who computes the terms of each arm: ``"compiled"`` code or ``"pinocchio"``."""
+        return self.model.backends.by_arm
+
+    @property
+    def not_compiled(self) -> dict[str, str]:
+        """Why an arm stays with Pinocchio although the scene wants compiled ones, by arm."""
+        return self.model.backends.reasons
+
+    @cached_property
+    def channels(self) -> tuple[Channel, ...]:
+        """What a run records."""
+        model = self.model
+        around = model.records[model.layout.surroundings]
+        return trajectory_channels(
+            {name: arm.joint_units for name, arm in model.arms.items()},
+            {name: [contact.name for contact in own] for name, own in model.contacts.items()},
+            {name: {COMPONENTS[k]: UNITS[k] for k in f.free} for name, f in model.frames.items()},
+            model.effects.works,
+            model.contacts_with_states,
+            [record.name for record in around],
+        )
+
+    def initial_state(self) -> State:
+        """The scene's start, on the constraints, as a fresh copy."""
+        return self._start.copy()
+
+    def state(
+        self,
+        object_position=None,
+        object_quaternion_xyzw=None,
+        joint_positions: Mapping[str, np.ndarray] | None = None,
+        object_twist=None,
+        joint_velocities: Mapping[str, np.ndarray] | None = None,
+    ) -> State:
+        """A state from plain arrays; what is not given is taken from the start.
+
+        Nothing is projected: the state may violate the joints.
+
+        Raises
+        ------
+        ModelError
+            An unknown arm, a wrong shape, a number that is not finite, a zero quaternion.
+        """
+        state = self.initial_state()
+        if object_position is not None:
+            state.position[:3] = checked_vector("object_position", object_position, 3)
+        if object_quaternion_xyzw is not None:
+            quaternion = checked_vector("object_quaternion_xyzw", object_quaternion_xyzw, 4)
+            norm = np.linalg.norm(quaternion)
+            if not norm > 1e-12:
+                raise ModelError("object_quaternion_xyzw has length zero")
+            state.position[3:7] = quaternion / norm
+        if object_twist is not None:
+            state.velocity[:6] = checked_vector("object_twist", object_twist, 6)
+        _fill(state.joint_positions, joint_positions, "joint_positions")
+        _fill(state.joint_velocities, joint_velocities, "joint_velocities")
+        return state
+
+    def with_control(self, control: ControlFunction) -> System:
+        """The same system driven by a Python function ``f(t, state) -> {arm: torques}``.
+
+        Arms that the function leaves out get no torque.  It may evaluate systems, this one too.
+        Where many runs go on at once (:func:`multiarm.simulate_many`), all threads call this one
+        function.
+        """
+        python = PythonControl(control)
+        model = replace(
+            self.model.with_constants(control=python.laws, calls_user=True),
+            python_control=python,
+            breakpoints=self.model.effects.breakpoints,
+        )
+        return replace(self, model=model, _free_data=deque())
+
+    def with_solver(self, solver: str) -> System:
+        """The same system solved by ``"node"`` or by the dense reference ``"dense"``."""
+        if solver not in ("node", "dense"):
+            raise ModelError(f"unknown solver {solver!r}; solvers are 'node', 'dense'")
+        dense = solver == "dense"
+        if solver == self.scene.run.solver and self.model.constants.dense == dense:
+            return self
+        run = self.scene.run.model_copy(update={"solver": solver})
+        return replace(
+            self,
+            scene=self.scene.model_copy(update={"run": run}),
+            model=self.model.with_constants(dense=dense),
+            _free_data=deque(),
+        )
+
+
+def _fill(views: Mapping[str, np.ndarray], given: Mapping | None, what: str) -> None:
+    for arm, values in (given or {}).items():
+        if arm not in views:
+            raise ModelError(f"{what}: unknown arm {arm!r}; arms are {', '.join(views)}")
+        views[arm][:] = checked_vector(f"{what}[{arm!r}]", values, views[arm].size)
+
+
+def checked_vector(what: str, values, size: int) -> np.ndarray:
+    """A vector of the right size whose numbers are finite, or a ModelError that says ``what``."""
+    try:
+        vector = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ModelError(f"{what}: expected {size} numbers, got {values!r}") from None
+    if vector.shape != (size,):
+        raise ModelError(f"{what}: expected shape ({size},), got {vector.shape}")
+    if not np.all(np.isfinite(vector)):
+        raise ModelError(f"{what}: a number is not finite: {vector.tolist()}")
+    return vector
