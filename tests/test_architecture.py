@@ -65,7 +65,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "pinocchio": (
         "arms.arm",
-        "arms.pinocchio_groups",
+        "arms.pinocchio_backend",
         "viewer",
         "studies.peers",
         "studies.pinocchio_motion",

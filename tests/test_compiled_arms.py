@@ -16,23 +16,24 @@ from mechanics import PANDA_FINGERS, chain_urdf
 from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm, ArmFiles
-from multiarm.arms.compiled import choice, verification
-from multiarm.arms.compiled.arrays import (
+from multiarm.arms.compiled import verification
+from multiarm.arms.compiled.backend import CompiledBackend
+from multiarm.arms.compiled.kernels import FAR, write_sines
+from multiarm.arms.compiled.tables import (
     ARMATURE,
     AXES,
     CENTRE,
     INERTIA,
     JOINT_WIDTH,
     MASS,
+    MOST_JOINTS,
     NAMED_AXES,
     OFFSET,
     SLIDES,
     TURNS,
+    make_tables,
 )
-from multiarm.arms.compiled.choice import compile_arms
-from multiarm.arms.compiled.group import CompiledArms
-from multiarm.arms.compiled.sines import FAR, write_sines
-from multiarm.arms.compiled.tables import make_tables
+from multiarm.arms.compiled.verification import compile_arms
 from multiarm.arms.terms import ArmStructure, LinkTerms
 from multiarm.errors import ModelError
 from multiarm.scene import available_robots, find_robot, read_urdf
@@ -101,9 +102,9 @@ def compiled(structures, gravity=GRAVITY, order=None):
     first = np.cumsum([0] + [own.masses.size for own in structures])
     tables = make_tables(structures, places, first[:-1].tolist(), gravity)
     tables.wanted[:] = 1
-    copies = CompiledArms(tables, places)
+    copies = CompiledBackend(tables, places, {})
     angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
-    copies.connect(angles, rates, np.zeros((len(structures), 24)))
+    copies.bind(angles, rates, np.zeros((len(structures), 24)))
     return copies, angles, rates, [slice(a, b) for a, b in pairwise(first)]
 
 
@@ -129,7 +130,7 @@ def usable_robots() -> list[tuple[str, str, int]]:
         for link in outline.links:
             kinds = [joint.kind for joint in outline.chain(link) if joint.kind != "fixed"]
             usable = all(kind in ("revolute", "continuous", "prismatic") for kind in kinds)
-            if usable and len(kinds) <= choice.MOST_JOINTS:
+            if usable and len(kinds) <= MOST_JOINTS:
                 best = max(best, (len(kinds), link))
         if best[0]:
             found.append((name, best[1], best[0]))
@@ -405,8 +406,8 @@ def panda():
 
 
 def test_an_arm_that_is_compiled_is_the_arm(panda):
-    found = compile_arms({"panda": panda}, GRAVITY)
-    assert found.places == (0,) and found.reasons == {}
+    found, reasons = compile_arms({"panda": panda}, GRAVITY)
+    assert found.places == (0,) and reasons == {}
 
 
 def one_constant(column: int, by: float):
@@ -437,13 +438,13 @@ def test_every_constant_is_named():
 @pytest.mark.parametrize("column", COLUMNS)
 def test_a_copy_that_is_wrong_is_refused(column, panda, monkeypatch):
     """Whichever of its numbers is off, by a billionth."""
-    monkeypatch.setattr(choice, "make_tables", one_constant(column, 1e-9))
+    monkeypatch.setattr(verification, "make_tables", one_constant(column, 1e-9))
     with pytest.raises(ModelError, match="arm 'panda': its compiled copy is not the arm"):
         compile_arms({"panda": panda}, GRAVITY)
 
 
 def test_the_refusal_names_arm_quantity_size_and_remedy(panda, monkeypatch):
-    monkeypatch.setattr(choice, "make_tables", one_constant(ARMATURE, 0.1))
+    monkeypatch.setattr(verification, "make_tables", one_constant(ARMATURE, 0.1))
     with pytest.raises(ModelError) as caught:
         compile_arms({"panda": panda}, GRAVITY)
     for part in ("arm 'panda'", "the inertia", "e-02 of its largest", "arms: pinocchio"):
@@ -453,7 +454,7 @@ def test_the_refusal_names_arm_quantity_size_and_remedy(panda, monkeypatch):
 @pytest.mark.parametrize("quantity", LinkTerms._fields)
 def test_every_quantity_is_compared(quantity, panda, monkeypatch):
     """A copy whose sweep leaves one number wrong, or none at all, is refused."""
-    terms = CompiledArms.terms
+    terms = CompiledBackend.terms
 
     def spoiled(self, arm):
         found = terms(self, arm)
@@ -461,8 +462,8 @@ def test_every_quantity_is_compared(quantity, panda, monkeypatch):
         values.flat[-1] = np.nan
         return found._replace(**{quantity: values})
 
-    found = compile_arms({"panda": panda}, GRAVITY)
-    monkeypatch.setattr(CompiledArms, "terms", spoiled)
+    found, _ = compile_arms({"panda": panda}, GRAVITY)
+    monkeypatch.setattr(CompiledBackend, "terms", spoiled)
     with pytest.raises(ModelError, match=f"{verification._WORDS[quantity]} differs"):
         verification.verify(found.tables, found.places, {"panda": panda}, LinkTerms._fields)
 
@@ -480,7 +481,7 @@ def test_terms_that_cancel_are_no_reason_to_refuse(kinds, gravity, tmp_path, rng
         base = random_base(rng)
         base[:3, 3] = 3.0 * base[:3, 0]
         arm = arm_of(tmp_path / "chain.urdf", "tip", base)
-        found = compile_arms({"arm": arm}, gravity * base[:3, 2])
+        found, _ = compile_arms({"arm": arm}, gravity * base[:3, 2])
         assert found.places == (0,)
         verification.verify(found.tables, found.places, {"arm": arm}, verification.CORIOLIS)
 
@@ -488,11 +489,11 @@ def test_terms_that_cancel_are_no_reason_to_refuse(kinds, gravity, tmp_path, rng
 def test_more_than_sixteen_joints_stay_with_pinocchio_and_say_so(tmp_path, panda):
     (tmp_path / "chain.urdf").write_text(chain_urdf("xyz" * 5 + "xy"))
     long = arm_of(tmp_path / "chain.urdf", "tip", name="long")
-    found = compile_arms({"long": long, "panda": panda}, GRAVITY)
+    found, reasons = compile_arms({"long": long, "panda": panda}, GRAVITY)
     assert found.places == (1,)
-    assert found.reasons == {"long": "it has 17 joints; at most 16 are compiled"}
-    alone = compile_arms({"long": long}, GRAVITY)
-    assert alone.tables is None and alone.places == ()
+    assert reasons == {"long": "it has 17 joints; at most 16 are compiled"}
+    alone, _ = compile_arms({"long": long}, GRAVITY)
+    assert alone is None
 
 
 def joint_of(model: pin.Model, parent: int, joint) -> int:

@@ -126,6 +126,24 @@ def test_all_methods_run_side_by_side(method, welded_ur5_system):
         assert_same_run(run, ma.simulate(welded_ur5_system, 0.05, state=state, **method))
 
 
+@pytest.mark.parametrize("terms", ["pinocchio", "compiled"])
+def test_variational_runs_side_by_side_have_the_numbers_of_single_runs_after_one_of_them(terms):
+    """The first run makes matrices of Coriolis forces, which no other thread may use."""
+    scene, run = ur5_pair(WELD, {"kind": "ball"}), {"integrator": "variational", "step": 1e-3}
+    system = ma.compile_system(scene, arms=terms)
+    states = random_states(system, 3, size=0.1)
+    expected = [
+        ma.simulate(ma.compile_system(scene, arms=terms), 0.05, state=s, certificate=False, **run)
+        for s in states
+    ]
+    ma.simulate(system, 0.01, certificate=False, **run)
+    found = ma.simulate_many(
+        system, 0.05, states=states, threads=3, progress=None, certificate=False, **run
+    )
+    for one, other in zip(found, expected, strict=True):
+        assert_same_run(one, other)
+
+
 def test_a_controller_in_python_is_asked_by_all(welded_ur5_system):
     system = welded_ur5_system.with_control(beating())
     states = random_states(system, 4)

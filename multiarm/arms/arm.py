@@ -1,6 +1,6 @@
 r"""Robot arms through Pinocchio: from a URDF to inertia, bias, Jacobian and tip motion.
 
-Of the dynamics only this module and :mod:`multiarm.arms.pinocchio_groups` know Pinocchio.  An arm
+In the dynamics only this module and :mod:`multiarm.arms.pinocchio_backend` know Pinocchio.  An arm
 is one reduced model of it: its tool appended, locked joints folded in, its base placed in the
 world.  It obeys
 

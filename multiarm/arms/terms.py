@@ -1,10 +1,12 @@
-"""What arm dynamics hand to the rest: addresses for the kernels, named arrays for people."""
+"""Terms of arm dynamics: where kernels find them, and named arrays of them."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+
+from multiarm.jit.pointers import PythonCallback
 
 # Columns of the table that says where each arm's terms are: addresses of float64 data (inertia M
 # and its stride in numbers, Jacobian, bias, gravity torque; pose, twist and drift of the link that
@@ -36,6 +38,49 @@ class ArmTerms(NamedTuple):
     tip_rotation: np.ndarray
     tip_twist: np.ndarray
     drift: np.ndarray
+
+
+class ArmState(NamedTuple):
+    """What a backend reads of a system, and where it writes the motion of the tips' links.
+
+    angles, rates : (joints,)
+        Positions and velocities of the joints of all arms.
+    q : (numbers,)
+        The same positions as Pinocchio's configuration of its arms.
+    bodies : (arms, 24)
+        Motion of the links that carry the tips, see :mod:`multiarm.contacts.kernel`.
+    """
+
+    angles: np.ndarray
+    rates: np.ndarray
+    q: np.ndarray
+    bodies: np.ndarray
+
+
+class ArmFunctions(NamedTuple):
+    """What updates the terms of arms.
+
+    addresses : dict of str to int
+        Fields of :class:`multiarm.dynamics.arrays.Functions`.
+    callbacks : dict of str to PythonCallback
+        Those that enter Python; empty where all arms are compiled.
+    """
+
+    addresses: dict[str, int]
+    callbacks: dict[str, PythonCallback]
+
+
+class Coriolis(NamedTuple):
+    """Where the arms' matrices of Coriolis forces are, and what updates them.
+
+    calls : int64 (4,)
+        Address of a callback (0: none), and of an entry (0: none) with its struct and size.
+    places : int64 (arms, 2)
+        Addresses and strides.
+    """
+
+    calls: np.ndarray
+    places: np.ndarray
 
 
 class ArmStructure(NamedTuple):

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from multiarm.arms.arm import Arm, ArmFiles
-from multiarm.arms.backends import ArmSupply
+from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.joints import Joint, make_joints, on_link
 from multiarm.assembly.paths import joint_path
 from multiarm.assembly.start import assemble, check_patches, check_unilateral
@@ -220,7 +220,7 @@ def _make_arm(name: str, scene: Scene, resolved: ResolvedArm) -> Arm:
     return arm
 
 
-def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> ArmSupply:
+def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> ArmBackends:
     """Who computes the terms of the arms; shared where ``like`` has the same arms."""
     gravity, with_torque = _gravity(scene), needs_gravity_torque(scene)
     if like is not None and list(robots.shared) == list(scene.arms) == list(like.scene.arms):
@@ -228,7 +228,7 @@ def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> Ar
         same = scene.gravity == theirs.gravity and scene.run.arms == theirs.run.arms
         if same and with_torque == needs_gravity_torque(theirs):
             return like.model.backends
-    return ArmSupply(robots.arms, gravity, with_torque, scene.run.arms == "compiled")
+    return ArmBackends(robots.arms, gravity, with_torque, scene.run.arms == "compiled")
 
 
 def _gravity(scene: Scene) -> np.ndarray:
@@ -319,7 +319,7 @@ def draft_model(
     robots: Robots,
     joints: Mapping[str, Joint],
     rows: Rows,
-    backends: ArmSupply,
+    backends: ArmBackends,
 ) -> Model:
     """Bodies, rows and effects; what depends on the assembled start is still missing."""
     arms, layout, unilateral = robots.arms, rows.layout, rows.unilateral

@@ -241,7 +241,7 @@ def check_unilateral(data: Data, start: State) -> None:
         for unit in data.model.unilateral.constraints
         if gaps[unit.row] < -allowed and not unit.compliant and patch_margin(data, unit) >= 0.0
     ]
-    faults = [_inside(data, unit, -float(gaps[unit.row])) for unit in inside]
+    faults = [_inside(data, constraint, -float(gaps[constraint.row])) for constraint in inside]
     if faults:
         raise SceneError(faults)
 
@@ -252,12 +252,12 @@ def _inside(data: Data, unit: Constraint, depth: float) -> str:
         if unit.arm == SURROUNDINGS:
             where, remedy = f"'{unit.name}' of the object is below the floor", "'object.pose'"
         return f"at the start {where} by {depth:.3g} m; mend {remedy}, or the surfaces"
-    first = data.model.layout.dofs[data.model.arm_names.index(unit.arm)]
-    limit = data.model.records[unit.row]
+    first = data.model.layout.dofs[data.model.arm_names.index(constraint.arm)]
+    limit = data.model.records[constraint.row]
     assert isinstance(limit, JointRow) and limit.bound is not None, "a limit is a joint's"
     at = data.arrays.angles[first + limit.joint]
     end = "below its lower end" if limit.side > 0.0 else "above its upper end"
-    name = f"{unit.arm}/{data.model.joint_name(unit.joint)}"
+    name = f"{constraint.arm}/{data.model.joint_name(constraint.joint)}"
     return (
         f"$.effects.joint_limits: '{name}' starts at {at:.6g}, {end} {limit.bound:.6g}; "
         f"mend the posture, or the range"

@@ -68,7 +68,7 @@ class Constraint:
 
 @dataclass(frozen=True, eq=False)
 class CompliantContacts:
-    """Contacts that are springs and dampers: what their kernel reads and writes.
+    """Contacts that are springs and dampers.
 
     Attributes
     ----------

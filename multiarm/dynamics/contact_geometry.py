@@ -219,8 +219,8 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
 
 def patch_of(model: Model, unit: Constraint) -> np.ndarray | None:
     """Frame and corners of the patch of the surroundings that a contact must be on, (18,)."""
-    record = model.records[unit.row]
-    if unit.arm in model.arms or not isinstance(record, Contact):
+    record = model.records[constraint.row]
+    if constraint.arm in model.arms or not isinstance(record, Contact):
         return None
     patch: Patch | None = record.arm.patch
     if patch is None or record.surface_body != SURFACE_ON_ARM:
@@ -234,9 +234,9 @@ def patch_margin(data: Data, unit: Constraint) -> float:
 
     Infinite where there is no patch.
     """
-    patch = patch_of(data.model, unit)
+    patch = patch_of(data.model, constraint)
     if patch is None:
         return np.inf
-    at = data.arrays.contacts[unit.row, AT : AT + 3]
+    at = data.arrays.contacts[constraint.row, AT : AT + 3]
     place = (at - patch[9:12]) @ patch[:9].reshape(3, 3)
     return float(min(np.min(place - patch[12:15]), np.min(patch[15:] - place)))

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 
-from multiarm.arms.compiled.arrays import energy_of_arms, open_arms
+from multiarm.arms.compiled.tables import energy_of_arms, open_arms
 from multiarm.arms.terms import BIAS_AT, GRAVITY_AT, M_AT, M_STRIDE
 from multiarm.contacts.kernel import (
     GAP,

@@ -20,8 +20,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.arms.backends import ArmSupply, Coriolis
-from multiarm.arms.pinocchio_groups import Ground
+from multiarm.arms.backends import ArmBackends, Ground
+from multiarm.arms.terms import Coriolis
 from multiarm.contacts.frames import JointFrame
 from multiarm.contacts.joint import Joint
 from multiarm.contacts.kernel import RELATIVE_WIDTH
@@ -76,7 +76,7 @@ class Model:
         What the scene says of each arm, once its robot has been looked up.
     joints : dict of str to Joint
         The joints as the scene has them.
-    backends : ArmSupply
+    backends : ArmBackends
         Who computes the terms of each arm; every Data takes a copy.
     layout : Layout
         Where each arm's joints and rows are in stacked vectors.
@@ -113,7 +113,7 @@ class Model:
     arms: dict[str, Arm]
     robots: dict[str, ResolvedArm]
     joints: dict[str, Joint]
-    backends: ArmSupply
+    backends: ArmBackends
     layout: Layout
     contacts: dict[str, list[Contact]]
     records: tuple[Contact | JointRow, ...]

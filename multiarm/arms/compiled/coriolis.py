@@ -22,7 +22,19 @@ not zero, those that act on angular velocities:
 
 from __future__ import annotations
 
-from multiarm.arms.compiled.arrays import (
+from multiarm.arms.compiled.kernels import (
+    load_joints,
+    nothing,
+    outwards,
+    power,
+    put_columns,
+    put_pair,
+    put_vector,
+    symmetric_at,
+    times_inertia,
+    vector_at,
+)
+from multiarm.arms.compiled.tables import (
     COLUMN_RATE,
     FIRST,
     JOINTS,
@@ -34,16 +46,6 @@ from multiarm.arms.compiled.arrays import (
     TURN_WIDTH,
     WIDTH,
     open_arms,
-)
-from multiarm.arms.compiled.sweep import load_joints, outwards, times_inertia
-from multiarm.arms.compiled.vectors import (
-    nothing,
-    power,
-    put_columns,
-    put_pair,
-    put_vector,
-    symmetric_at,
-    vector_at,
 )
 from multiarm.jit.kernels import cfunc, inlined, kernel
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack, transpose_four

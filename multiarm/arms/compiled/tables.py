@@ -1,41 +1,120 @@
-"""From the structure of arms to the tables of their sweeps.
+"""Tables of compiled arms: what is constant, what a sweep reads, what it leaves.
 
-A link's frame is turned so that its joint's axis is z; the axes that its model names are kept
-beside.  The first joint's origin stands for the base: all positions are relative to it.
+A link's frame is turned so that its joint's axis is z; the axes that its model names are kept as
+well.  The first joint's origin stands for the base: all positions are relative to it.
+
+Arms are batched by four, one in each lane of a SIMD pack.  A *block* is as long as the longest of
+its arms.  A shorter one begins later: joints without motion and mass stand before its own.  A lane
+without an arm repeats the first of its block, which does no harm, since it writes the same numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.compiled.arrays import (
-    ARMATURE,
-    AXES,
-    CENTRE,
-    ENERGY,
-    FIRST,
-    INERTIA,
-    JOINT_WIDTH,
-    MASS,
-    NAMED_AXES,
-    OFFSET,
-    PLACES,
-    SLIDES,
-    TERMS,
-    TURNS,
-    WANTED,
-    WIDTH,
-    ArmTables,
-    block_columns,
-)
 from multiarm.arms.terms import ArmStructure
+from multiarm.contacts.kernel import BODY_WIDTH
+from multiarm.jit.kernels import kernel
 from multiarm.jit.simd import LANES
+from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, view
 from multiarm.spatial import skew
 
 # More joints an arm are left to Pinocchio.
 MOST_JOINTS = 16
+
+# Columns of ArmTables.blocks: joints; the first of them among those of all blocks; where the first
+# arm's terms begin; where an arm's Jacobian, bias, gravity torque, potential energy and poses are
+# in them, and how many there are; the four arms' places in the scene.
+JOINTS, FIRST, TERMS, JACOBIAN, BIAS, GRAVITY_TORQUE, ENERGY, POSES, WIDTH, PLACES = range(10)
+BLOCK_COLUMNS = PLACES + LANES
+
+# Constants of a joint, lanes each: axes (by columns) and origin of its frame in the last one's,
+# centre, mass and inertia of its link, whether it turns and whether it slides, inertia of its
+# drive, the link's axes as its model names them (by columns).
+AXES, OFFSET, CENTRE, MASS, INERTIA, TURNS, SLIDES, ARMATURE, NAMED_AXES = (
+    0, 9, 12, 15, 16, 22, 23, 24, 25
+)  # fmt: skip
+JOINT_WIDTH = 34
+# What the outward sweep leaves of a joint, lanes each: its column, its link's inertia about the
+# base (mass, first moment, second moments), the force that moves the link.
+COLUMN, LINK_INERTIA, FORCE, LINK_WIDTH = 0, 6, 16, 22
+# What the sweep for Coriolis forces leaves, lanes each: rate of the column; momentum and matrix of
+# :mod:`multiarm.arms.compiled.coriolis`.
+COLUMN_RATE, MOMENTUM, MATRIX, TURN_WIDTH = 0, 6, 9, 18
+
+# Entries of ArmTables.wanted.
+WITH_GRAVITY_TORQUE, WITH_POSES, WANTED = range(3)
+
+
+class ArmTables(NamedTuple):
+    """Constants of compiled arms; ``J`` joints in all blocks, four lanes each.
+
+    blocks : int64 (b, 13)
+    sources : int64 (4 J,)
+        Each lane's joint in the stacked vectors.
+    joints, energies : int64 (arms,)
+        How many joints each arm has; where its potential energy is among all terms.
+    turns : (4 J,)
+        1 where it turns, else 0.
+    constants : (34 * 4 J,)
+    bases : (b, 12)
+        Positions of the arms' first joints in the world [m], lanes each.
+    gravity : (3,)
+    wanted : int64 (2,)
+        Whether gravity torques and poses of all links are to be written.
+    """
+
+    blocks: Ints2
+    sources: Ints1
+    joints: Ints1
+    energies: Ints1
+    turns: Floats1
+    constants: Floats1
+    bases: Floats2
+    gravity: Floats1
+    wanted: Ints1
+
+
+class ArmArrays(NamedTuple):
+    """The tables, and what a sweep reads and writes.
+
+    angles, rates : (joints,)
+        Positions and velocities of the system's joints.
+    bodies : (24 arms,)
+        Motion of the links that carry the tips, see :mod:`multiarm.contacts.kernel`.
+    angle, rate, sine, cosine : (4 J,)
+        Of every lane's joint.
+    links : (22 * 4 n,), link_turns : (18 * 4 n,), leaves : (4 w,)
+        Scratch of one block: what the outward sweeps leave; its arms' terms and bodies, lanes each.
+    terms, coriolis : (4 w b,)
+        Every arm's terms, see :func:`_block_columns`; matrices of Coriolis forces, where its
+        inertia is among these, by columns.
+    """
+
+    blocks: Ints2
+    sources: Ints1
+    joints: Ints1
+    energies: Ints1
+    turns: Floats1
+    constants: Floats1
+    bases: Floats2
+    gravity: Floats1
+    wanted: Ints1
+    angles: Floats1
+    rates: Floats1
+    bodies: Floats1
+    angle: Floats1
+    rate: Floats1
+    sine: Floats1
+    cosine: Floats1
+    links: Floats1
+    link_turns: Floats1
+    leaves: Floats1
+    terms: Floats1
+    coriolis: Floats1
 
 
 def make_tables(
@@ -60,7 +139,7 @@ def make_tables(
     first = terms = 0
     for arms in _blocks([own.masses.size for own in structures]):
         joints = structures[arms[0]].masses.size
-        block = block_columns(joints)
+        block = _block_columns(joints)
         block[FIRST], block[TERMS] = first, terms
         block[PLACES : PLACES + LANES] = [places[arm] for arm in arms]
         for lane, arm in enumerate(arms[: len(set(arms))]):
@@ -86,13 +165,70 @@ def make_tables(
     )
 
 
-def lane_of(tables: ArmTables, place: int) -> tuple[np.ndarray, int]:
-    """Block and lane of the arm with a number among all arms."""
-    for block in tables.blocks:
-        found = np.flatnonzero(block[PLACES : PLACES + LANES] == place)
-        if found.size:
-            return block, int(found[0])
-    raise AssertionError("an arm that is not compiled has no lane")
+def make_terms(tables: ArmTables) -> np.ndarray:
+    """Allocate for one number of every term of all arms."""
+    return np.zeros(LANES * int(np.sum(tables.blocks[:, WIDTH])))
+
+
+def make_arrays(
+    tables: ArmTables,
+    terms: np.ndarray,
+    coriolis: np.ndarray,
+    angles: np.ndarray,
+    rates: np.ndarray,
+    bodies: np.ndarray,
+) -> ArmArrays:
+    """Allocate the rest; ``angles``, ``rates`` and ``bodies`` are the system's."""
+    joints, longest = tables.sources.size, int(np.max(tables.blocks[:, JOINTS]))
+    width = int(np.max(tables.blocks[:, WIDTH]))
+    lanes = np.zeros((4, joints))
+    return ArmArrays(
+        *tables,
+        angles=angles,
+        rates=rates,
+        bodies=bodies.reshape(-1),
+        angle=lanes[0],
+        rate=lanes[1],
+        sine=lanes[2],
+        cosine=lanes[3],
+        links=np.zeros(LANES * LINK_WIDTH * longest),
+        link_turns=np.zeros(LANES * TURN_WIDTH * longest),
+        leaves=np.zeros(LANES * (width + BODY_WIDTH)),
+        terms=terms,
+        coriolis=coriolis,
+    )
+
+
+open_arms = view(ArmArrays)
+
+
+@kernel
+def energy_of_arms(arms):
+    """Potential energy of all compiled arms [J] at the state of the last sweep."""
+    energy = 0.0
+    for k in range(arms.energies.size):
+        energy += arms.terms[arms.energies[k]]
+    return energy
+
+
+def _block_columns(joints: int) -> np.ndarray:
+    """Columns of a block of so many joints, its ``FIRST``, ``TERMS`` and ``PLACES`` left open.
+
+    The terms of an arm are its inertia (n, n), of which the lower triangle by rows is written;
+    Jacobian (n, 6), a row a joint; bias (n,), gravity torque (n,); potential energy (1,); poses
+    (n, 12), axes by columns and origin.
+    """
+    columns, n = np.zeros(BLOCK_COLUMNS, dtype=np.int64), joints
+    columns[JOINTS], columns[JACOBIAN], columns[BIAS] = n, n * n, n * n + 6 * n
+    columns[GRAVITY_TORQUE], columns[ENERGY] = n * n + 7 * n, n * n + 8 * n
+    columns[POSES] = _rounded_up(n * n + 8 * n + 1)
+    columns[WIDTH] = columns[POSES] + _rounded_up(12 * n)
+    return columns
+
+
+def _rounded_up(count: int) -> int:
+    """The next multiple of the number of lanes."""
+    return -(-count // LANES) * LANES
 
 
 def _blocks(joints: Sequence[int]) -> list[list[int]]:

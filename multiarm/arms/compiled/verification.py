@@ -1,4 +1,4 @@
-"""Is a compiled arm the arm?  Its terms beside Pinocchio's at random states, on every compile.
+"""Which arms are compiled, and their verification: terms against Pinocchio's at random states.
 
 The states are the same for the same arm: its structure is the seed.
 """
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multiarm.arms.compiled.arrays import ArmTables
-from multiarm.arms.compiled.group import CompiledArms
+from multiarm.arms.compiled.backend import CompiledBackend
+from multiarm.arms.compiled.tables import MOST_JOINTS, ArmTables, make_tables
 from multiarm.arms.terms import ArmStructure, LinkTerms
 from multiarm.contacts.kernel import ACCELERATION, BODY_WIDTH, ORIGIN_AT, VELOCITY
 from multiarm.errors import ModelError
@@ -37,6 +37,45 @@ _WORDS = {
 }
 # Where the parts of a quantity begin that have units of their own.
 _PARTS = {"body": (ORIGIN_AT, VELOCITY, ACCELERATION), "poses": (ORIGIN_AT,)}
+
+
+def compile_arms(
+    arms: Mapping[str, Arm], gravity: np.ndarray
+) -> tuple[CompiledBackend | None, dict[str, str]]:
+    """Backend of all arms that can be compiled, verified against Pinocchio.
+
+    Returns
+    -------
+    backend : CompiledBackend or None
+        None where no arm can be compiled.
+    reasons : dict of str to str
+        Why the other arms are not.
+
+    Raises
+    ------
+    ModelError
+        When a compiled arm does not agree with Pinocchio.
+    """
+    found: dict[int, ArmStructure] = {}
+    reasons: dict[str, str] = {}
+    for place, (name, arm) in enumerate(arms.items()):
+        try:
+            found[place] = _structure(arm)
+        except ModelError as reason:
+            reasons[name] = str(reason)
+    if not found:
+        return None, reasons
+    first = np.cumsum([0, *(arm.dof for arm in arms.values())])
+    places = tuple(found)
+    tables = make_tables(list(found.values()), places, [int(first[k]) for k in places], gravity)
+    verify(tables, places, arms)
+    return CompiledBackend(tables, places, arms), reasons
+
+
+def _structure(arm: Arm) -> ArmStructure:
+    if arm.dof > MOST_JOINTS:
+        raise ModelError(f"it has {arm.dof} joints; at most {MOST_JOINTS} are compiled")
+    return arm.structure()
 
 
 def verify(
@@ -64,8 +103,9 @@ def verify(
     """
     first = np.cumsum([0, *(arm.dof for arm in arms.values())])
     angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
-    copies = CompiledArms(tables._replace(wanted=np.ones_like(tables.wanted)), places)
-    copies.connect(angles, rates, np.zeros((len(arms), BODY_WIDTH)))
+    wanted = np.ones_like(tables.wanted)
+    copies = CompiledBackend(tables._replace(wanted=wanted), places, arms)
+    copies.bind(angles, rates, np.zeros((len(arms), BODY_WIDTH)))
     every = [list(arms.values())[place] for place in places]
     structures = [arm.structure() for arm in every]
     states = [_random_states(structure) for structure in structures]

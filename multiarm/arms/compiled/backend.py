@@ -1,17 +1,21 @@
-"""Arms whose terms compiled code computes: their tables, their arrays, where the terms are."""
+"""The compiled backend: arms whose terms batched kernels compute, and where the terms are."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multiarm.arms.compiled.arrays import (
+from multiarm.arms.compiled.coriolis import update_coriolis
+from multiarm.arms.compiled.kernels import update_arms
+from multiarm.arms.compiled.tables import (
     BIAS,
     ENERGY,
     GRAVITY_TORQUE,
     JACOBIAN,
     JOINTS,
+    PLACES,
     POSES,
     TERMS,
     WIDTH,
@@ -21,9 +25,6 @@ from multiarm.arms.compiled.arrays import (
     make_arrays,
     make_terms,
 )
-from multiarm.arms.compiled.coriolis import update_coriolis
-from multiarm.arms.compiled.sweep import update_arms
-from multiarm.arms.compiled.tables import lane_of
 from multiarm.arms.terms import (
     BIAS_AT,
     GRAVITY_AT,
@@ -31,15 +32,25 @@ from multiarm.arms.terms import (
     M_AT,
     M_STRIDE,
     POINTER_WIDTH,
+    ArmFunctions,
+    ArmState,
+    Coriolis,
     LinkTerms,
 )
 from multiarm.contacts.kernel import BODY_WIDTH
 from multiarm.jit.pointers import CFUNC_PROTOTYPE, address_of
+from multiarm.jit.simd import LANES
 from multiarm.jit.structs import make_struct
 
+if TYPE_CHECKING:
+    from multiarm.arms.arm import Arm
 
-class CompiledArms:
+
+class CompiledBackend:
     """Arms of one system that compiled code takes four at a time.
+
+    An :class:`multiarm.arms.backends.ArmBackend`.  Its ``pointers`` have no pose, twist and drift:
+    the motion of the link that carries the tip is in ``Buffers.arms`` when the sweep ends.
 
     Parameters
     ----------
@@ -47,76 +58,74 @@ class CompiledArms:
         Constants, which several systems may share.
     places : sequence of int
         The arms' numbers among all arms of the scene.
-
-    Attributes
-    ----------
-    tables : ArmTables
-    places : tuple of int
-    pointers : int64 ndarray, shape (arms, 8)
-        Where each arm's terms are, see :mod:`multiarm.arms.terms`; valid while this lives.  No
-        pose, twist and drift: the motion of the link that carries the tip is there when the sweep
-        ends.
-    coriolis : int64 ndarray, shape (arms, 2)
-        Addresses and strides of the matrices of Coriolis forces.
+    arms : mapping of str to Arm
+        All arms of the scene, against which the compiled ones are verified.
     """
 
-    def __init__(self, tables: ArmTables, places: Sequence[int]) -> None:
-        self.tables, self.places = tables, tuple(places)
+    def __init__(self, tables: ArmTables, places: Sequence[int], arms: Mapping[str, Arm]) -> None:
+        self.tables, self.places, self._arms = tables, tuple(places), arms
         self._terms, self._coriolis = make_terms(tables), make_terms(tables)
         self._world = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
         self._lanes = [
-            _Lane(*lane_of(tables, place), place, int(joints))
+            _Lane(tables, place, int(joints))
             for place, joints in zip(self.places, tables.joints, strict=True)
         ]
         self.pointers = np.array([self._pointers(lane) for lane in self._lanes])
-        at = self._coriolis.ctypes.data
-        self.coriolis = np.array(
-            [[at + 8 * lane.square, lane.stride] for lane in self._lanes], dtype=np.int64
-        )
 
-    def copy(self) -> CompiledArms:
+    def copy(self) -> CompiledBackend:
         """The same arms with terms of their own: the tables are shared."""
         wanted = self.tables.wanted.copy()  # another system may want more
-        return CompiledArms(self.tables._replace(wanted=wanted), self.places)
+        return CompiledBackend(self.tables._replace(wanted=wanted), self.places, self._arms)
 
-    def connect(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
-        """Let the sweeps read a system's positions and velocities, and write its bodies."""
+    def bind(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
+        """Let the sweeps read positions and velocities of all joints, and write all bodies."""
         self._arrays = make_arrays(self.tables, self._terms, self._coriolis, angles, rates, bodies)
         self._struct = make_struct(self._arrays)
 
-    def addresses(self) -> dict[str, int]:
-        """Address of the compiled function that updates all terms, of its struct, and its size."""
+    def connect(self, state: ArmState, status: Any) -> ArmFunctions:
+        """Compiled function that updates all terms, its struct and size; nothing enters Python."""
+        self.bind(state.angles, state.rates, state.bodies)
         struct = self._struct
-        return {
+        addresses = {
             "arms": address_of(update_arms),
             "arms_struct": struct.ctypes.data,
             "arms_size": struct.size,
         }
+        return ArmFunctions(addresses, {})
+
+    def connect_coriolis(self, status: Any, found: Coriolis) -> None:
+        """Write the places of the matrices, and the function that updates them with its struct.
+
+        Raises
+        ------
+        ModelError
+            When a compiled matrix is not Pinocchio's.
+        """
+        from multiarm.arms.compiled.verification import CORIOLIS, verify
+
+        verify(self.tables, self.places, self._arms, CORIOLIS)
+        at = self._coriolis.ctypes.data
+        for lane in self._lanes:
+            found.places[lane.place] = at + 8 * lane.square, lane.stride
+        found.calls[1:] = address_of(update_coriolis), self._struct.ctypes.data, self._struct.size
 
     def want_gravity_torque(self) -> None:
         """Write gravity torques from now on."""
         self.tables.wanted[WITH_GRAVITY_TORQUE] = 1
 
-    def pose_address(self, arm: int, joint: int) -> int:
-        """Where the pose of a joint of arm number ``arm`` of these is written from now on.
-
-        Joint 0 is the world.
-        """
+    def pose_address(self, place: int, joint: int) -> int:
+        """Where the pose of a joint is written from now on; joint 0 is the world."""
         if joint == 0:
             return self._world.ctypes.data
         self.tables.wanted[WITH_POSES] = 1
-        return self._terms.ctypes.data + 8 * self._lanes[arm].pose(joint - 1)
+        return self._terms.ctypes.data + 8 * self._lanes[self.places.index(place)].pose(joint - 1)
 
     def potential_energy(self) -> float:
         """Potential energy of all links [J] at the last state, zero at the world's origin."""
         return float(np.sum(self._terms[self.tables.energies]))
 
-    def coriolis_call(self) -> tuple[int, int, int]:
-        """Entry that updates the matrices of Coriolis forces, struct and its size."""
-        return address_of(update_coriolis), self._struct.ctypes.data, self._struct.size
-
     def update(self, with_coriolis: bool = False) -> None:
-        """Compute all terms at the system's positions and velocities, from Python."""
+        """Compute all terms at the positions and velocities bound, from Python."""
         for entry in (update_arms, update_coriolis) if with_coriolis else (update_arms,):
             CFUNC_PROTOTYPE(address_of(entry))(
                 self._struct.ctypes.data, self._struct.size, 0.0, 0.0
@@ -150,7 +159,9 @@ class CompiledArms:
 class _Lane:
     """Where the terms of one arm are among all: ``joints`` of its own, matrices of ``stride``."""
 
-    def __init__(self, block: np.ndarray, lane: int, place: int, joints: int) -> None:
+    def __init__(self, tables: ArmTables, place: int, joints: int) -> None:
+        (k, lane), *_ = np.argwhere(tables.blocks[:, PLACES : PLACES + LANES] == place)
+        block = tables.blocks[k]
         self.place, self.joints, self.stride = place, joints, int(block[JOINTS])
         before = self.stride - self.joints  # joints that stand in for missing ones
         at = int(block[TERMS] + lane * block[WIDTH])

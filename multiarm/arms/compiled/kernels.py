@@ -1,4 +1,4 @@
-r"""One sweep out and one back along four arms at once: everything the dynamics need of them.
+r"""Batched RNEA and CRBA: one sweep out and one back along four arms at once.
 
 Every joint turns about, or slides along, the z axis of its own frame.  All vectors are in world
 axes, and moments, velocities and columns are about the arm's base, so that nothing is lost far away
@@ -14,7 +14,7 @@ base being accelerated by minus gravity,
 .. math::
     v_j = v_{j-1} + S_j \dot q_j, \qquad a_j = a_{j-1} + v_{j-1}\times S_j \dot q_j
 
-and each link asks, with ``c`` its centre, for the force
+and each link needs, with ``c`` its centre, the force
 
 .. math::
     f = m\,(a + \alpha\times c + \omega\times(v + \omega\times c)), \qquad
@@ -27,14 +27,14 @@ body (6.2), which gives
     b_j = S_j\cdot f_j, \qquad M_{jk} = S_k\cdot I^c_j S_j \quad (k\le j).
 
 The potential energy follows from mass and first moment of the composite body at the base, and so
-do gravity torques where they are asked for.
+do gravity torques where they are wanted.
 """
 
 from __future__ import annotations
 
 import math
 
-from multiarm.arms.compiled.arrays import (
+from multiarm.arms.compiled.tables import (
     ARMATURE,
     AXES,
     BIAS,
@@ -62,19 +62,6 @@ from multiarm.arms.compiled.arrays import (
     WITH_GRAVITY_TORQUE,
     WITH_POSES,
     open_arms,
-)
-from multiarm.arms.compiled.sines import FAR, write_sines
-from multiarm.arms.compiled.vectors import (
-    everywhere,
-    nothing,
-    power,
-    put_columns,
-    put_pair,
-    put_rows,
-    put_symmetric,
-    put_vector,
-    symmetric_at,
-    vector_at,
 )
 from multiarm.contacts.kernel import ACCELERATION, BODY_WIDTH, ORIGIN_AT, VELOCITY
 from multiarm.jit.kernels import cfunc, inlined, kernel
@@ -105,7 +92,7 @@ def update_arms(address, size, _a, _b):
     for b in range(arms.blocks.shape[0]):
         outwards(arms, b)
         inwards(arms, b)
-        deal_terms(arms, b)
+        transpose_terms(arms, b)
     return 0
 
 
@@ -170,7 +157,7 @@ def put_link_inertia(links, at, body):
 
 @inlined
 def put_force(links, at, body, v, w, a, alpha):
-    """Write the force that a link asks for, and its moment about the base."""
+    """Write the force that moves a link, and its moment about the base."""
     mass, c, inertia = body
     u = add_cross(v, w, c)
     force = scale(mass, add_cross(add_cross(a, alpha, c), w, u))
@@ -273,8 +260,8 @@ def inwards(arms, b):
 
 
 @inlined
-def deal_terms(arms, b):
-    """Copy what belongs to each arm of a block from the lanes to the arm's own place."""
+def transpose_terms(arms, b):
+    """Copy the terms of each arm of a block from the lanes to the arm's own place."""
     block = arms.blocks[b]
     width, at0 = block[WIDTH], block[TERMS]
     at1, at2, at3 = at0 + width, at0 + 2 * width, at0 + 3 * width
@@ -285,3 +272,131 @@ def deal_terms(arms, b):
     for k in range(0, BODY_WIDTH, LANES):
         source = LANES * (width + k)
         transpose_four(arms.leaves, source, arms.bodies, at0 + k, at1 + k, at2 + k, at3 + k)
+
+
+# Sine and cosine of many angles, in one loop that the compiler turns into vector instructions.  The
+# angle is taken to |y| <= pi/4 by subtracting the nearest multiple of pi/2 = P1 + P2 + P3, whose
+# first two parts have so few digits that their products are exact (W.J. Cody, W. Waite, Software
+# Manual for the Elementary Functions, 1980).  There the polynomials of FreeBSD's library
+# (S. Moshier, K.C. Ng; k_sin.c, k_cos.c) are as good as one unit in the last place, given what y
+# was rounded by.
+
+# Angles beyond this need more digits of pi [rad].
+FAR = 1e5
+# Parts of pi/2: 33 digits each, and the rest.
+_P1, _P2, _P3 = 1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21
+_PER_QUARTER = 6.36619772367581382433e-01  # 2/pi
+# Adding and subtracting this rounds to the nearest whole number.
+_ROUND = 6755399441055744.0
+_S1, _S2, _S3 = -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04
+_S4, _S5, _S6 = 2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10
+_C1, _C2, _C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05
+_C4, _C5, _C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11
+
+
+@kernel
+def write_sines(angle, factor, sine, cosine):
+    """Sine and cosine of ``angle * factor``; returns how many are beyond ``FAR`` (or NaN).
+
+    The numbers of those are not to be used.
+    """
+    far = 0
+    for k in range(angle.size):
+        x = angle[k] * factor[k]
+        far += 0 if abs(x) <= FAR else 1
+        quarters = (x * _PER_QUARTER + _ROUND) - _ROUND
+        r = x - quarters * _P1
+        w = quarters * _P2
+        y = r - w
+        rest = (r - y) - w - quarters * _P3
+        r = y + rest
+        rest = (y - r) + rest
+        y = r
+        z = y * y
+        p = _S2 + z * (_S3 + z * (_S4 + z * (_S5 + z * _S6)))
+        s = y - ((z * (0.5 * rest - z * y * p) - rest) - z * y * _S1)
+        p = z * (_C1 + z * (_C2 + z * (_C3 + z * (_C4 + z * (_C5 + z * _C6)))))
+        half = 0.5 * z
+        c = 1.0 - half
+        c = c + (((1.0 - c) - half) + (z * p - y * rest))
+        # quarters modulo four: 0, 1, 2, 3
+        turn = quarters - 4.0 * ((0.25 * quarters - 0.375 + _ROUND) - _ROUND)
+        odd = (turn == 1.0) | (turn == 3.0)
+        a = c if odd else s
+        b = s if odd else c
+        sine[k] = -a if turn >= 2.0 else a
+        cosine[k] = -b if (turn == 1.0) | (turn == 2.0) else b
+    return far
+
+
+# Vectors, rotations and symmetric matrices of four arms at once, in arrays of lanes.
+
+
+@inlined
+def vector_at(array, at):
+    """Three lanes that follow each other."""
+    return load_pack(array, at), load_pack(array, at + LANES), load_pack(array, at + 2 * LANES)
+
+
+@inlined
+def put_vector(array, at, a):
+    """Write three lanes."""
+    store_pack(array, at, a[0])
+    store_pack(array, at + LANES, a[1])
+    store_pack(array, at + 2 * LANES, a[2])
+
+
+@inlined
+def symmetric_at(array, at):
+    """Six lanes that follow each other."""
+    xx, xy, xz = vector_at(array, at)
+    yy, yz, zz = vector_at(array, at + 3 * LANES)
+    return xx, xy, xz, yy, yz, zz
+
+
+@inlined
+def put_symmetric(array, at, A):
+    """Write six lanes."""
+    put_vector(array, at, (A[0], A[1], A[2]))
+    put_vector(array, at + 3 * LANES, (A[3], A[4], A[5]))
+
+
+@inlined
+def put_pair(array, at, a, b):
+    """Write two vectors, one behind the other."""
+    put_vector(array, at, a)
+    put_vector(array, at + 3 * LANES, b)
+
+
+@inlined
+def put_columns(array, at, axes):
+    """Write a rotation column by column."""
+    put_vector(array, at, axes[0])
+    put_vector(array, at + 3 * LANES, axes[1])
+    put_vector(array, at + 6 * LANES, axes[2])
+
+
+@inlined
+def put_rows(array, at, axes):
+    """Write a rotation row by row."""
+    x, y, z = axes
+    put_columns(array, at, ((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])))
+
+
+@inlined
+def nothing():
+    """The vector zero."""
+    zero = broadcast(0.0)
+    return zero, zero, zero
+
+
+@inlined
+def everywhere(a):
+    """A vector of plain numbers, the same for all arms."""
+    return broadcast(a[0]), broadcast(a[1]), broadcast(a[2])
+
+
+@inlined
+def power(linear, angular, force, couple):
+    """``linear . force + angular . couple``."""
+    return dot(linear, force) + dot(angular, couple)
