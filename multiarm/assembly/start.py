@@ -236,21 +236,23 @@ def check_unilateral(data: Data, start: State) -> None:
     if update_kinematics(data.struct) != OK:
         data.reraise()
     allowed, gaps = TOUCHING * scene_size(data), data.arrays.contacts[:, GAP]
-    inside = [
-        unit
-        for unit in data.model.unilateral.constraints
-        if gaps[unit.row] < -allowed and not unit.compliant and patch_margin(data, unit) >= 0.0
-    ]
-    faults = [_inside(data, constraint, -float(gaps[constraint.row])) for constraint in inside]
+    faults = []
+    for constraint in data.model.unilateral.constraints:
+        gap = float(gaps[constraint.row])
+        if gap < -allowed and not constraint.compliant and patch_margin(data, constraint) >= 0.0:
+            faults.append(_inside(data, constraint, -gap))
     if faults:
         raise SceneError(faults)
 
 
-def _inside(data: Data, unit: Constraint, depth: float) -> str:
-    if unit.kind != LIMIT:
-        where, remedy = f"'{unit.arm}/{unit.name}' is inside the arm's surface", "the posture"
-        if unit.arm == SURROUNDINGS:
-            where, remedy = f"'{unit.name}' of the object is below the floor", "'object.pose'"
+def _inside(data: Data, constraint: Constraint, depth: float) -> str:
+    if constraint.kind != LIMIT:
+        where, remedy = (
+            f"'{constraint.arm}/{constraint.name}' is inside the arm's surface",
+            "the posture",
+        )
+        if constraint.arm == SURROUNDINGS:
+            where, remedy = f"'{constraint.name}' of the object is below the floor", "'object.pose'"
         return f"at the start {where} by {depth:.3g} m; mend {remedy}, or the surfaces"
     first = data.model.layout.dofs[data.model.arm_names.index(constraint.arm)]
     limit = data.model.records[constraint.row]

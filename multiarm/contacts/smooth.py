@@ -23,6 +23,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from copy import copy
+from typing import TypeVar
 
 import numpy as np
 
@@ -36,6 +38,8 @@ from multiarm.contacts.differences import (
 from multiarm.errors import ModelError
 
 __all__ = ["ParametricSurface", "SignedDistanceSurface"]
+
+Smooth = TypeVar("Smooth", "SignedDistanceSurface", "ParametricSurface")
 
 # How far the gradient of a signed distance may be from length 1.
 _UNIT_TOLERANCE = 1e-6
@@ -86,6 +90,16 @@ class SignedDistanceSurface:
         if self._of_gradient is not None:
             self._used = [] if hessian is not None else [self._of_gradient]
         self._is_checked = False
+
+    def __copy__(self) -> SignedDistanceSurface:
+        """The same surface with a memory of its own."""
+        other = _shallow(self)
+        other._of_distance, other._of_gradient = copy(self._of_distance), copy(self._of_gradient)
+        replaced = {id(self._of_distance): other._of_distance}
+        if other._of_gradient is not None:
+            replaced[id(self._of_gradient)] = other._of_gradient
+        other._used = [replaced[id(own)] for own in self._used]
+        return other
 
     def closest(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Signed distance [m], its gradient (3,) and its second derivatives (3, 3) at a point.
@@ -200,6 +214,12 @@ class ParametricSurface:
         self._differences.probe(self._low + 0.43 * self._width)
         self._check()
         self._goes_round = self._closed_parameters()
+
+    def __copy__(self) -> ParametricSurface:
+        """The same surface with a memory of its own."""
+        other = _shallow(self)
+        other._differences = copy(self._differences)
+        return other
 
     def grid(self, cells: int) -> np.ndarray:
         """Points of the surface on an even grid of its parameters, (cells + 1, cells + 1, 3).
@@ -374,3 +394,9 @@ class ParametricSurface:
 def _name_of(function: Callable) -> str:
     name = getattr(function, "__qualname__", type(function).__qualname__)
     return f"the surface {name!r}"
+
+
+def _shallow(surface: Smooth) -> Smooth:
+    other = object.__new__(type(surface))
+    vars(other).update(vars(surface))
+    return other

@@ -217,7 +217,7 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
     return contacts[:, AT : AT + 3] + (way * radius)[:, None] * normals, normals
 
 
-def patch_of(model: Model, unit: Constraint) -> np.ndarray | None:
+def patch_of(model: Model, constraint: Constraint) -> np.ndarray | None:
     """Frame and corners of the patch of the surroundings that a contact must be on, (18,)."""
     record = model.records[constraint.row]
     if constraint.arm in model.arms or not isinstance(record, Contact):
@@ -229,7 +229,7 @@ def patch_of(model: Model, unit: Constraint) -> np.ndarray | None:
     return np.concatenate([patch.pose[:3, :3].ravel(), patch.pose[:3, 3], lower, upper])
 
 
-def patch_margin(data: Data, unit: Constraint) -> float:
+def patch_margin(data: Data, constraint: Constraint) -> float:
     """How far inside its patch a contact is at the kinematics in the data [m].
 
     Infinite where there is no patch.
