@@ -141,6 +141,12 @@ def test_a_hull_off_its_centre_of_mass_is_refused_with_the_shift():
     [
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], r"shape\.hull: must be a list of at least four points"),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], r"shape\.hull: .*(plane|flat|volume)"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1e-9]], r"shape\.hull: .*thinner than"),
+        ([1, 2, 3, 4], r"shape\.hull: must be points of three numbers"),
+        (
+            [[0, 0, 0], [1, 0, "x"], [0, 1, 0], [0, 0, 1]],
+            r"hull\[1\]\[2\]: must be a number",
+        ),
         (
             [[0, 0, 0], [1, 0], [0, 1, 0], [0, 0, 1]],
             r"shape\.hull: must be points of three numbers",

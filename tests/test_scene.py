@@ -375,6 +375,7 @@ def test_inertias_that_no_body_has_are_refused(inertia, reason):
         ("arms.left.lock", {"finger": 0}, "$.arms.left.lock.finger: unknown joint 'finger'"),
         ("arms.left.tol", {}, "unknown key 'tol'; did you mean 'tool'?"),
         ("joints.0.kind", "hing", "$.joints[0].kind: unknown joint kind 'hing'; kinds are 'weld'"),
+        ("joints.0.kind", ["weld"], "$.joints[0].kind: unknown joint kind \"['weld']\""),
         ("joints.0.arm", "lefd", "$.joints[0].arm: unknown arm 'lefd'; did you mean 'left'?"),
         ("joints.1.axis", [0, 0, 1], "$.joints[1].axis: unknown key 'axis'; keys are"),
         ("joints.1.size", 0, "$.joints[1].size: must be greater than 0"),

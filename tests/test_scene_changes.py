@@ -13,6 +13,7 @@ from pydantic import BaseModel
 import multiarm as ma
 from multiarm.errors import SceneError
 from multiarm.scene import (
+    RunSpec,
     changed,
     changed_scenes,
     dump_scene,
@@ -142,6 +143,7 @@ def test_naming_one_setting_of_the_steps_replaces_the_choice_of_all(scene):
         changed(scene, {"run.integrator": "rk4", "run.step": 1e-3}), {"run.accuracy": 1e-3}
     ).run
     assert (run.integrator, run.step, run.accuracy.position) == (None, None, 1e-3)
+    assert changed(scene, {"run": {"duration": 2.0}}).run == RunSpec(duration=2.0)
 
 
 def test_parameters_of_own_effects_are_changed_and_checked(monkeypatch):

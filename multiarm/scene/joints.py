@@ -47,6 +47,21 @@ def _around_the_start(limits: tuple[float, float]) -> tuple[float, float]:
 
 
 Limits = Annotated[Range, AfterValidator(_around_the_start)]
+Line = Annotated[
+    Direction,
+    Field(description="Direction of the line through the joint frame's origin, joint frame."),
+]
+Spread = Annotated[
+    Positive,
+    Field(
+        description="How far the contacts are spread [m]; contact forces depend on it, motions do "
+        "not."
+    ),
+]
+TipRadius = Annotated[
+    NonNegative,
+    Field(description="Radius of the spherical fingertip [m]; 0 is a sharp point."),
+]
 
 
 class JointBase(Spec):
@@ -85,16 +100,10 @@ class JointBase(Spec):
 
 
 class WeldJoint(JointBase):
-    """No relative motion: six contacts, 3-2-1, spread over ``size``.
-
-    Attributes
-    ----------
-    size : float
-        How far the contacts are spread [m]; contact forces depend on it, motions do not.
-    """
+    """No relative motion: six contacts, 3-2-1, spread over ``size``."""
 
     kind: Literal["weld"] = "weld"
-    size: Positive = 0.1
+    size: Spread = 0.1
 
 
 class BallJoint(JointBase):
@@ -115,10 +124,6 @@ class RevoluteJoint(JointBase):
 
     Attributes
     ----------
-    axis : 3 numbers
-        Direction of the line through the joint frame's origin, joint frame.
-    size : float
-        How far the contacts are spread [m]; contact forces depend on it, motions do not.
     limits : 2 numbers, optional
         How far it may turn from the start [rad], such as [-1.5, 0]: drawn and reported, not
         enforced.
@@ -127,8 +132,8 @@ class RevoluteJoint(JointBase):
     limited: ClassVar[dict[str, int]] = {"limits": 5}
 
     kind: Literal["revolute"] = "revolute"
-    axis: Direction = _Z
-    size: Positive = 0.1
+    axis: Line = _Z
+    size: Spread = 0.1
     limits: Limits | None = Field(None, description="how far it may turn from the start [rad]")
 
 
@@ -137,10 +142,6 @@ class PrismaticJoint(JointBase):
 
     Attributes
     ----------
-    axis : 3 numbers
-        Direction of the line through the joint frame's origin, joint frame.
-    size : float
-        How far the contacts are spread [m]; contact forces depend on it, motions do not.
     limits : 2 numbers, optional
         How far it may slide from the start [m]: drawn and reported, not enforced.
     """
@@ -148,8 +149,8 @@ class PrismaticJoint(JointBase):
     limited: ClassVar[dict[str, int]] = {"limits": 2}
 
     kind: Literal["prismatic"] = "prismatic"
-    axis: Direction = _Z
-    size: Positive = 0.1
+    axis: Line = _Z
+    size: Spread = 0.1
     limits: Limits | None = Field(None, description="how far it may slide from the start [m]")
 
 
@@ -158,10 +159,6 @@ class CylindricalJoint(JointBase):
 
     Attributes
     ----------
-    axis : 3 numbers
-        Direction of the line through the joint frame's origin, joint frame.
-    size : float
-        How far the contacts are spread [m]; contact forces depend on it, motions do not.
     turn_limits, slide_limits : 2 numbers, optional
         How far it may turn [rad] and slide [m] from the start: drawn and reported, not enforced.
     """
@@ -169,23 +166,17 @@ class CylindricalJoint(JointBase):
     limited: ClassVar[dict[str, int]] = {"slide_limits": 2, "turn_limits": 5}
 
     kind: Literal["cylindrical"] = "cylindrical"
-    axis: Direction = _Z
-    size: Positive = 0.1
+    axis: Line = _Z
+    size: Spread = 0.1
     turn_limits: Limits | None = Field(None, description="how far it may turn from the start [rad]")
     slide_limits: Limits | None = Field(None, description="how far it may slide from the start [m]")
 
 
 class UniversalJoint(JointBase):
-    """Rotation about the x axis fixed to the object and the y axis fixed to the arm.
-
-    Attributes
-    ----------
-    size : float
-        How far the contacts are spread [m]; contact forces depend on it, motions do not.
-    """
+    """Rotation about the x axis fixed to the object and the y axis fixed to the arm."""
 
     kind: Literal["universal"] = "universal"
-    size: Positive = 0.1
+    size: Spread = 0.1
 
 
 class PlanarJoint(JointBase):
@@ -195,13 +186,11 @@ class PlanarJoint(JointBase):
     ----------
     normal : 3 numbers
         Normal of the plane, joint frame.
-    size : float
-        How far the contacts are spread [m]; contact forces depend on it, motions do not.
     """
 
     kind: Literal["planar"] = "planar"
     normal: Direction = _Z
-    size: Positive = 0.1
+    size: Spread = 0.1
 
 
 class PointOnPlaneJoint(JointBase):
@@ -211,13 +200,11 @@ class PointOnPlaneJoint(JointBase):
     ----------
     normal : 3 numbers
         Outward normal of the object's face, joint frame.
-    tip_radius : float
-        Radius of the spherical fingertip [m]; 0 is a sharp point.
     """
 
     kind: Literal["point_on_plane"] = "point_on_plane"
     normal: Direction = _Z
-    tip_radius: NonNegative = 0.0
+    tip_radius: TipRadius = 0.0
 
 
 class PointOnCylinderJoint(JointBase):
@@ -231,15 +218,13 @@ class PointOnCylinderJoint(JointBase):
         Axis of the cylinder, joint frame.
     inside : bool
         The fingertip is inside a bore.
-    tip_radius : float
-        Radius of the spherical fingertip [m]; 0 is a sharp point.
     """
 
     kind: Literal["point_on_cylinder"] = "point_on_cylinder"
     radius: Positive = Field(description="the radius of the cylinder in metres")
     axis: Direction = _Z
     inside: bool = False
-    tip_radius: NonNegative = 0.0
+    tip_radius: TipRadius = 0.0
 
     @model_validator(mode="after")
     def _tip_fits(self) -> Self:
@@ -256,14 +241,12 @@ class PointOnSphereJoint(JointBase):
         Radius of the sphere [m].
     inside : bool
         The fingertip is inside a hollow sphere.
-    tip_radius : float
-        Radius of the spherical fingertip [m]; 0 is a sharp point.
     """
 
     kind: Literal["point_on_sphere"] = "point_on_sphere"
     radius: Positive = Field(description="the radius of the sphere in metres")
     inside: bool = False
-    tip_radius: NonNegative = 0.0
+    tip_radius: TipRadius = 0.0
 
     @model_validator(mode="after")
     def _tip_fits(self) -> Self:
