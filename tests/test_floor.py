@@ -90,7 +90,7 @@ def test_a_mesh_falls_on_its_corners(tmp_path):
     assert trajectory.status == "completed", trajectory.message
     first = happened(trajectory)[0]
     assert first["time"] == pytest.approx(math.sqrt(2 * 0.2 / GRAVITY), abs=1e-9)
-    assert len(ma.compile_system(trajectory.scene).plan.contacts_of("floor")) == 4
+    assert len(ma.compile_system(trajectory.scene).model.unilateral.contacts_of("floor")) == 4
 
 
 def test_a_box_slides_off_a_table_and_falls(tmp_path):

@@ -214,7 +214,7 @@ def test_a_system_that_failed_in_an_effect_works_again():
 def test_an_effect_may_not_evaluate_the_system_that_runs():
     effect_of(lambda _t, _state: ma.evaluate(systems[0]) and ma.Loads())
     systems = [ma.compile_system(RING.replace(effects={"push": {}}))]
-    with pytest.raises(ma.MultiarmError, match="whose arrays are in use"):
+    with pytest.raises(ma.MultiarmError, match="evaluates a system that it is part of"):
         ma.evaluate(systems[0])
 
 
@@ -282,7 +282,7 @@ def test_null_leaves_an_effect_out_as_it_does_ours():
     ma.register_effect(Spring)
     scene = RING.replace(effects={"spring": None, "joint_damping": None})
     assert scene.effects.named == {}
-    assert len(ma.compile_system(scene).pieces.every) == 0
+    assert len(ma.compile_system(scene).model.effects.kernels) == 0
 
 
 def test_a_stored_run_is_looked_at_without_the_effect(tmp_path):
@@ -305,8 +305,8 @@ def test_a_stored_run_is_looked_at_without_the_effect(tmp_path):
 def test_an_installed_effect_is_found_by_its_entry_point(monkeypatch):
     offered([point("spring", f"{__name__}:Spring")], monkeypatch)
     scene = RING.replace(effects={"spring": {"stiffness": 2.0}})
-    (piece,) = ma.compile_system(scene).pieces.every
-    assert piece.name == "spring"
+    (kernel,) = ma.compile_system(scene).model.effects.kernels
+    assert kernel.name == "spring"
 
 
 def test_an_installed_effect_that_no_scene_names_is_not_imported(monkeypatch):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from many_runs import assert_same_run, random_states
 from mechanics import (
-    data_of,
     ur5_pair,
 )
 
@@ -96,7 +95,7 @@ def test_states_and_parameters_go_together_one_of_each_a_run(system, states):
 
 
 def test_a_case_can_be_sent_to_another_process(system, states, expected):
-    (case,) = describe(data_of(system), states[:1], None, None, RUN)
+    (case,) = describe(system, states[:1], None, None, RUN)
     sent = pickle.loads(pickle.dumps(case))
     assert sent.scene == case.scene and sent.number == 1
     there = ma.compile_system(sent.scene)

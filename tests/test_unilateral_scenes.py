@@ -71,7 +71,7 @@ def test_effects_of_pushing_contacts_are_warned_of_where_there_are_none(tmp_path
     for effects in ({"unilateral_contacts": {}}, {"contact_friction": 0.3}):
         scene = ma.Scene(**cart_with_box(tmp_path, effects))
         assert any("adds nothing" in line for line in scene.warnings)
-        assert ma.compile_system(scene).plan is None
+        assert ma.compile_system(scene).model.unilateral is None
 
 
 def test_rolling_contacts_cannot_let_go(tmp_path):

@@ -179,7 +179,7 @@ class Model:
 
     @property
     def joint_units(self) -> list[str]:
-        """Constraint of every joint's coordinate, ``"rad"`` or ``"m"``."""
+        """Unit of every joint's coordinate, ``"rad"`` or ``"m"``."""
         return [unit for arm in self.arms.values() for unit in arm.joint_units.values()]
 
     # --- models of the same bodies --------------------------------------------------------------

@@ -1,8 +1,8 @@
 """System: what a user holds of a compiled scene.
 
-A :class:`System` is thin: the scene, its :class:`multiarm.dynamics.model.Model`, and the start.
-Whoever evaluates borrows a :class:`multiarm.dynamics.model.Data` for that time, so that any number
-of threads may use one system, and a controller may evaluate the very system that it controls.
+A :class:`System` is thin: the scene, its :class:`multiarm.dynamics.model.Model`, and the start.  An
+evaluation borrows a :class:`multiarm.dynamics.model.Data`, so that any number of threads may use
+one system, and a controller may evaluate the very system that it controls.
 """
 
 from __future__ import annotations
@@ -155,6 +155,11 @@ class System:
     def frames(self) -> dict[str, JointFrame]:
         """Each joint's frame on both bodies, and the motions that it leaves free."""
         return self.model.frames
+
+    @property
+    def constraint_count(self) -> int:
+        """Number of contacts of all joints together."""
+        return self.model.layout.contacts
 
     @property
     def arm_terms(self) -> dict[str, str]:

@@ -29,8 +29,8 @@ ControlFunction = Callable[[float, State], Mapping[str, np.ndarray]]
 # No control law: see ``Constants.control``.
 NO_CONTROL = np.zeros((0, 2), dtype=np.int64)
 
-# User functions under way in this thread.
-_running: ContextVar[tuple[Callable, ...]] = ContextVar("running", default=())
+# Owners of the user functions under way in this thread.
+_running: ContextVar[tuple[object, ...]] = ContextVar("running", default=())
 
 # Answers that differ by less than this, relative to the largest of those kept, are the same.
 SAME = 1e-9
@@ -55,6 +55,8 @@ class UserCallback(PythonCallback):
     layout : Layout
     variables : Variables
         Where the state being evaluated is.
+    owner : object
+        What calls it; the function must not evaluate a system that this is part of.
     """
 
     def __init__(
@@ -65,7 +67,9 @@ class UserCallback(PythonCallback):
         out: np.ndarray,
         layout: Layout,
         variables: Variables,
+        owner: object,
     ) -> None:
+        self._owner = owner
         self.function, self.name, self._read = function, name, read
         self._out, self._layout, self._variables = out, layout, variables
         self._count = 0
@@ -107,12 +111,12 @@ class UserCallback(PythonCallback):
 
     def _answer(self, t: float, state: State) -> np.ndarray:
         running = _running.get()
-        if self.function in running:
+        if self._owner in running:
             raise ControlError(
                 f"{self.name} evaluates a system that it is part of, and would be called for ever; "
                 f"let it evaluate one without it, such as `multiarm.compile_system(scene)`"
             )
-        token = _running.set((*running, self.function))
+        token = _running.set((*running, self._owner))
         try:
             answer = self.function(t, state)
         except MultiarmError:
@@ -150,7 +154,9 @@ class PythonControl:
             return _read_torques(torques, layout, t)
 
         out = variables.torque
-        return UserCallback(self.function, "the controller", read, out, layout, variables)
+        function = self.function
+        who = "the controller"
+        return UserCallback(function, who, read, out, layout, variables, owner=function)
 
 
 @cfunc

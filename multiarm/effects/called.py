@@ -55,7 +55,8 @@ def called_kernel(
             return _stacked(name, answer, layout, t)
 
         own_address, own_loads = arrays
-        call = UserCallback(make(), f"the effect {name!r}", read, own_loads, layout, data.arrays)
+        who, variables = f"the effect {name!r}", data.arrays
+        call = UserCallback(make(), who, read, own_loads, layout, variables, owner=make)
         own_address[0] = call.address
         return {f"effects/{name}": call}
 

@@ -64,6 +64,7 @@ def compliance_kernels(springs: CompliantContacts | None) -> list[EffectKernel]:
         data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
         return {}
 
+    # the mode of the contacts sets the last but one, and reads the last (`multiarm.events.modes`)
     arrays = (
         np.zeros(2, dtype=np.int64), springs.owners, springs.stiffness, springs.damping,
         springs.always, np.zeros(len(springs.rows)),
@@ -78,7 +79,3 @@ def compliance_kernels(springs: CompliantContacts | None) -> list[EffectKernel]:
             unilateral=True,
         )
     ]
-
-
-# Places of what acts now and of the forces in the kernel's own arrays.
-ACTIVE, FORCE = 4, 5

@@ -247,4 +247,5 @@ def _callback(function: Callable, name: str, out: np.ndarray, data: Data) -> Use
             )
         return vector
 
-    return UserCallback(function, words, read, out, data.model.layout, data.arrays)
+    layout = data.model.layout
+    return UserCallback(function, words, read, out, layout, data.arrays, owner=function)

@@ -13,7 +13,6 @@ from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.contact_geometry import patch_of
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
-from multiarm.effects.contact_compliance import ACTIVE, FORCE
 from multiarm.events.arrays import (
     CONE_GUARD,
     GAP_GUARD,
@@ -61,8 +60,10 @@ STILL = 0.01
 REST = 1e-9
 
 
-# Names of the effects whose kernels a mode sets.
+# Names of the effects whose kernels a mode sets; places in the arrays of the second one: which
+# springs act, and their forces.
 DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
+ACTIVE, FORCE = 4, 5
 
 # Kind, (a, b, c), parameter and threshold of a guard.
 Guard = tuple[int, tuple[int, int, int], float, float]

@@ -31,10 +31,10 @@ def _source_stamp() -> str:
     was compiled into another one from another file would stay as it was.
     """
     sources = {path: path.read_bytes() for path in sorted(_PACKAGE.rglob("*.py"))}
-    # nothing is compiled from benchmarks into other kernels
+    # nothing is compiled from studies into other kernels
     used = {Path(__file__)}
     for path, text in sources.items():
-        if _KERNEL.search(text) and path.parent.name != "benchmarks":
+        if _KERNEL.search(text) and path.parent.name != "studies":
             imported = (name.decode().replace(".", "/") for name in _IMPORTED.findall(text))
             used |= {path, *(_PACKAGE / f"{name}.py" for name in imported)}
     digest = hashlib.sha256()

@@ -244,7 +244,8 @@ def _view_of_numbers(view, given, c):
     native = c.unbox(kind, struct)
     array = c.context.make_array(kind)(c.context, c.builder, native.value)
     address = c.builder.ptrtoint(array.data, ir.IntType(64))
-    c.context.nrt.decref(c.builder, kind, native.value)  # the caller holds the numbers
+    if c.context.enable_nrt:
+        c.context.nrt.decref(c.builder, kind, native.value)  # the caller holds the numbers
     c.pyapi.decref(struct)
     return NativeValue(address, is_error=native.is_error)
 

@@ -26,8 +26,6 @@ TURNS = 40
 """Bursts of about a millisecond, of every system."""
 BESIDE = {"pinocchio_energy", "coriolis"}
 """Functions in Python that samples or one method call, evaluations never."""
-ITEM = 8
-"""Bytes of a number."""
 
 
 def effects_of_evaluation(system: System, turns: int = TURNS) -> dict[str, EffectFacts]:
@@ -103,10 +101,11 @@ class _Size:
     @classmethod
     def of(cls, system: System) -> _Size:
         data = system.model.data()
-        # some arrays stand in the struct under two names
-        shapes = np.unique(data.struct.reshape(-1, 4), axis=0)[:, 1:]
+        holders = (system.model.constants, data.arrays, data.work, data.coupled, *data.effects)
+        arrays = [a for holder in holders for a in holder if isinstance(a, np.ndarray)]
         return cls(
-            bytes=ITEM * int(shapes.prod(axis=1).sum()),
+            # some arrays have two names
+            bytes=sum({id(array): array.nbytes for array in arrays}.values()),
             states=system.model.effects.states,
             rows=system.model.layout.contacts,
             callbacks=len(data.callbacks.keys() - BESIDE),
