@@ -20,7 +20,6 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app
-from multiarm.cli.progress import RunProgress
 from multiarm.errors import SceneError, TrajectoryError
 from multiarm.problems import HARD_CASES, ring_of_arms
 from multiarm.reports.report import render
@@ -31,6 +30,7 @@ from multiarm.simulation import certified as attempts
 from multiarm.simulation.certificate import SAFETY, compare, growth_rate, judge, rotation_apart
 from multiarm.simulation.certified import INTERRUPTED_WORDS
 from multiarm.studies.honesty import run_trial
+from multiarm.terminal.progress import RunProgress
 
 ROOT = Path(__file__).parents[1]
 SHORT = {"duration": 0.2, "output_step": 0.02}

@@ -21,11 +21,11 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app, check, run
-from multiarm.cli.progress import RunProgress, kernels_are_cached
 from multiarm.cli.run import Integrator, Solver, Stabilization
 from multiarm.errors import ControlError
 from multiarm.scene import RunSpec, StabilizationSpec, dump_scene
 from multiarm.simulation.interrupts import deferred_interrupt
+from multiarm.terminal.progress import RunProgress, kernels_are_cached
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples" / "scenes"
@@ -272,7 +272,7 @@ def test_progress_is_told_in_simulated_time():
 
 def test_kernels_count_as_cached_only_where_they_are(finished, tmp_path):
     assert kernels_are_cached()
-    code = "from multiarm.cli.progress import kernels_are_cached as f; print(f())"
+    code = "from multiarm.terminal.progress import kernels_are_cached as f; print(f())"
     done = subprocess.run(
         [sys.executable, "-c", code],
         env=ENVIRONMENT | {"NUMBA_CACHE_DIR": str(tmp_path)},

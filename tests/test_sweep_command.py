@@ -20,11 +20,11 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app, sweep_progress
-from multiarm.cli.sweep_progress import SweepProgress
 from multiarm.cli.sweep_tables import spread_table, trouble_lines
 from multiarm.sweeps.quantities import measure
 from multiarm.sweeps.result import load_sweep
 from multiarm.sweeps.summary import Failure, SweepSummary
+from multiarm.terminal.progress import SweepProgress
 
 SCENE = SCENES / "two_ur5_box.yaml"
 SWEEP = """

@@ -25,9 +25,9 @@ from multiarm.cli.scaling import scaling
 from multiarm.cli.show import replay, report
 from multiarm.cli.stability import stability
 from multiarm.cli.sweep import sweep
-from multiarm.cli.terminal import print_error, print_warnings
 from multiarm.errors import MultiarmError
 from multiarm.results.files import printable
+from multiarm.terminal.console import print_error, print_warnings
 
 __all__ = ["app", "main"]
 

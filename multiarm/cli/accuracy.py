@@ -12,13 +12,13 @@ from rich.text import Text
 from multiarm.cli.accuracy_tables import decade_table, method_table, point_table
 from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
 from multiarm.cli.options import ARMS, NO_CODE, Arms
-from multiarm.cli.progress import StudyProgress
-from multiarm.cli.terminal import (
+from multiarm.errors import MultiarmError
+from multiarm.terminal.console import (
     output,
     print_error,
     print_written,
 )
-from multiarm.errors import MultiarmError
+from multiarm.terminal.progress import StudyProgress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene

@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.terminal import columns, number
+from multiarm.terminal.console import columns, number
 
 if TYPE_CHECKING:
     from multiarm.studies.work_precision.points import Point

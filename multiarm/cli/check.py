@@ -13,7 +13,7 @@ from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_look_at, write_json
 from multiarm.cli.options import ARMS, CODE, Arms
-from multiarm.cli.terminal import (
+from multiarm.terminal.console import (
     accuracy,
     columns,
     facts,

@@ -11,8 +11,8 @@ from rich.text import Text
 
 from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
 from multiarm.cli.options import ARMS, NO_CODE, Arms
-from multiarm.cli.progress import StudyProgress
-from multiarm.cli.terminal import columns, output, print_written
+from multiarm.terminal.console import columns, output, print_written
+from multiarm.terminal.progress import StudyProgress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from multiarm.cli.terminal import print_loaded, print_warnings
 from multiarm.errors import MultiarmError, TrajectoryError
 from multiarm.results.files import atomic_output, create_empty, temporary_name
+from multiarm.terminal.console import print_loaded, print_warnings
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene

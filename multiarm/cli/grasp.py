@@ -18,16 +18,16 @@ from multiarm.cli.files import (
 )
 from multiarm.cli.grasp_tables import design_facts, judgement_tables
 from multiarm.cli.options import CODE
-from multiarm.cli.progress import PartProgress
-from multiarm.cli.terminal import (
+from multiarm.errors import GraspError, MultiarmError
+from multiarm.results.files import printable, save_figure
+from multiarm.terminal.console import (
     facts,
     messages,
     number,
     output,
     print_written,
 )
-from multiarm.errors import GraspError, MultiarmError
-from multiarm.results.files import printable, save_figure
+from multiarm.terminal.progress import PartProgress
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rich.console import RenderableType
 from rich.text import Text
 
-from multiarm.cli.terminal import columns, facts, number, vector
+from multiarm.terminal.console import columns, facts, number, vector
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp

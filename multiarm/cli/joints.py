@@ -14,8 +14,8 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
-from multiarm.cli.terminal import columns, facts, output
 from multiarm.errors import MultiarmError
+from multiarm.terminal.console import columns, facts, output
 
 if TYPE_CHECKING:
     from multiarm.cli.joint_cards import JointCard, Parameter, SurfaceCard

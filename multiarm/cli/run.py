@@ -11,17 +11,17 @@ import typer
 
 from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.options import ARMS, METHOD, NO_CODE, OF_SCENE, Arms
-from multiarm.cli.progress import RunProgress
 from multiarm.cli.show import serve_until_interrupt
 from multiarm.cli.summary import run_figures, summary_table
-from multiarm.cli.terminal import (
+from multiarm.errors import SceneError
+from multiarm.terminal.console import (
     messages,
     output,
     print_error,
     print_warnings,
     print_written,
 )
-from multiarm.errors import SceneError
+from multiarm.terminal.progress import RunProgress
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import StartReport

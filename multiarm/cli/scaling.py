@@ -14,9 +14,9 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from multiarm.cli.files import check_plot, check_targets, write_json
-from multiarm.cli.progress import StudyProgress
-from multiarm.cli.terminal import output, print_warnings, print_written
 from multiarm.errors import MultiarmError
+from multiarm.terminal.console import output, print_warnings, print_written
+from multiarm.terminal.progress import StudyProgress
 
 if TYPE_CHECKING:
     from multiarm.studies.scaling_tables import Table

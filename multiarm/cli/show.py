@@ -14,8 +14,8 @@ from rich.text import Text
 
 from multiarm.cli.files import check_targets, open_result
 from multiarm.cli.options import CODE
-from multiarm.cli.terminal import messages, print_loaded, print_warnings, print_written
 from multiarm.errors import MultiarmError
+from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory

@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
-from multiarm.cli.progress import StudyProgress
-from multiarm.cli.terminal import columns, number, output, print_error, print_written
+from multiarm.terminal.console import columns, number, output, print_error, print_written
+from multiarm.terminal.progress import StudyProgress
 
 if TYPE_CHECKING:
     from multiarm.problems import HardCase

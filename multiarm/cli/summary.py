@@ -8,8 +8,8 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.terminal import STATUS_STYLES, accuracy, facts, number, vector
 from multiarm.results.event_log import counts, who
+from multiarm.terminal.console import STATUS_STYLES, accuracy, facts, number, vector
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory

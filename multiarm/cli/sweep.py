@@ -10,10 +10,10 @@ from rich.text import Text
 
 from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
 from multiarm.cli.options import METHOD, NO_CODE, OF_SCENE
-from multiarm.cli.sweep_progress import SweepProgress
 from multiarm.cli.sweep_tables import facts_table, spread_table, trouble_lines
-from multiarm.cli.terminal import messages, output, print_error, print_warnings, print_written
 from multiarm.errors import SweepError
+from multiarm.terminal.console import messages, output, print_error, print_warnings, print_written
+from multiarm.terminal.progress import SweepProgress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene

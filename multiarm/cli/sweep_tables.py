@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.terminal import STATUS_STYLES, columns, facts, number
+from multiarm.terminal.console import STATUS_STYLES, columns, facts, number
 
 if TYPE_CHECKING:
     from multiarm.sweeps.summary import SweepSummary

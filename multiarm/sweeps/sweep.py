@@ -113,7 +113,7 @@ def sweep(
     plan = make_plan(scene, over, **{key: v for key, v in asked.items() if v is not None})
     if progress is not True:
         return run_plan(plan, out, workers, dask, progress or None, resume)
-    from multiarm.cli.sweep_progress import SweepProgress as Bar
+    from multiarm.terminal.progress import SweepProgress as Bar
 
     with Bar() as bar:
         return run_plan(plan, out, workers, dask, bar, resume)

@@ -109,7 +109,7 @@ def simulate_many(
     cases = describe(system, states, parameters, out, options)
     if progress is not True:
         return run_cases(cases, system, at_once, progress or None)
-    from multiarm.cli.progress import ManyRunsProgress
+    from multiarm.terminal.progress import ManyRunsProgress
 
     ends = (case.scene.run.duration if duration is None else duration for case in cases)
     with ManyRunsProgress(len(cases), sum(ends)) as bar:

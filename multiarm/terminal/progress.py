@@ -1,8 +1,10 @@
-"""A run as it is watched: a bar in simulated time, which starts anew for every rerun."""
+"""Progress bars of long work: a run, many runs, a sweep, a study, a search."""
 
 from __future__ import annotations
 
+import math
 import time
+from datetime import datetime, timedelta
 from types import TracebackType
 
 from rich.console import Console
@@ -19,16 +21,20 @@ from rich.progress import (
 from rich.text import Text
 from typing_extensions import Self
 
-from multiarm.cli.terminal import messages
+from multiarm.terminal.console import messages
 
 __all__ = [
     "ManyRunsProgress",
     "PartProgress",
     "RunProgress",
     "StudyProgress",
+    "SweepProgress",
     "kernels_are_cached",
     "passing_bar",
 ]
+
+# Where there is no terminal, a sweep prints a line so often [s].
+LINES = 30.0
 
 COMPILING = "compiling kernels (only the first time on this machine)"
 
@@ -44,7 +50,7 @@ def kernels_are_cached(integrator: str | None = None) -> bool:
 
 
 def passing_bar(console: Console, *columns: ProgressColumn, hidden: bool = False) -> Progress:
-    """A bar with words before it and columns behind it, on terminals only; gone in the end."""
+    """A bar with a description and further columns, on terminals only; removed at the end."""
     return Progress(
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False),
@@ -155,7 +161,7 @@ class ManyRunsProgress:
 
 
 class PartProgress:
-    """A bar on a terminal, told the part that is done, 0 to 1, and what is being done."""
+    """A bar on a terminal: the fraction that is done, 0 to 1, and what is being done."""
 
     def __init__(self) -> None:
         self._bar = passing_bar(messages(), TimeElapsedColumn())
@@ -215,6 +221,56 @@ class StudyProgress:
         self._bar.update(self._task, description=text, completed=completed, total=total or None)
 
 
+class SweepProgress:
+    """A bar over the runs of a sweep on a terminal; elsewhere a line now and then.
+
+    Parameters
+    ----------
+    quiet : bool
+        Show nothing.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._console, self._quiet = messages(), quiet
+        done, left = TextColumn("{task.percentage:3.0f} %"), TextColumn("{task.fields[left]}")
+        self._bar = passing_bar(self._console, done, left, hidden=quiet)
+        self._task = self._bar.add_task("preparing", total=None, left="")
+        self._begun: int | None = None
+        self._first: tuple[int, float] | None = None
+        self._printed = -math.inf
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, done: int, total: int, failed: int = 0) -> None:
+        """Show how many runs are done, and how many of them failed."""
+        now = time.monotonic()
+        if self._begun is None:
+            self._begun = done
+        if self._first is None and done > self._begun:
+            self._first = done, now  # what came before was compiled and loaded meanwhile
+        lost = f", {failed} failed" if failed else ""
+        words, left = f"{done} of {total} runs{lost}", self._left(done, total, now)
+        self._bar.update(self._task, description=words, completed=done, total=total, left=left)
+        if self._bar.disable and not self._quiet and (now > self._printed + LINES or done == total):
+            self._printed = now
+            self._console.print(f"{words}{', ' if left else ''}{left}", soft_wrap=True)
+
+    def _left(self, done: int, total: int, now: float) -> str:
+        """How long it will take, at the pace so far, and when it ends."""
+        first, since = self._first or (done, now)
+        if done <= first or done >= total:
+            return ""
+        seconds = (total - done) * (now - since) / (done - first)
+        ends = datetime.now() + timedelta(seconds=seconds)
+        day = "%H:%M:%S" if seconds < 3600 else "%a %d %b %H:%M"
+        return f"about {_span(seconds)} left, ends {ends.strftime(day)}"
+
+
 class _SimulatedTime(ProgressColumn):
     """``3.20 of 5.00 s, 24 x real time``."""
 
@@ -225,3 +281,11 @@ class _SimulatedTime(ProgressColumn):
         rate = task.fields.get("rate")
         pace = "" if rate is None else f", {rate:.3g} x real time"
         return Text(f"{task.completed:.4g} of {task.total:g} s{pace}", "cyan")
+
+
+def _span(seconds: float) -> str:
+    """``40 s``, ``12 min``, ``3 h 20 min``."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    hours, minutes = divmod(round(seconds / 60), 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min"
