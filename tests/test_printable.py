@@ -16,11 +16,12 @@ from sample_run import rows_of
 from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app, terminal
+from multiarm.cli import app
 from multiarm.results.files import printable, printable_texts, save_page
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
 from multiarm.studies.work_precision import page as accuracy_page
+from multiarm.terminal import console as terminal
 
 STEERING = "\x1b[31m\x07\r\x9b2J\x7f\u202e\u2066\u200f\u2028"
 MARKUP = "[red] [/] [/nothing] :smile: [link=x]"
