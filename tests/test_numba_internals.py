@@ -25,10 +25,12 @@ NAMES = [
     ("numba.np.arrayobj", "populate_array"),
 ]
 LIBRARY = [
-    "_finalize_final_module", "_get_module_for_linking", "_optimize_final_module",
-    "add_llvm_module", "enable_object_caching", "finalize", "get_pointer_to_function",
+    "_finalize_final_module", "_get_module_for_linking", "add_llvm_module",
+    "enable_object_caching", "finalize", "get_pointer_to_function",
 ]  # fmt: skip
-LIBRARY_FIELDS = ["_final_module", "_linking_libraries", "_shared_module", "_finalized"]
+CODE_GENERATOR = ["_module_pass_manager"]
+COMPILER = ["compile_extra", "define_pipelines"]
+LIBRARY_FIELDS = ["_codegen", "_final_module", "_linking_libraries", "_shared_module", "_finalized"]
 CACHE_FILE = ["_load_index", "_load_data", "_source_stamp"]
 
 
@@ -47,6 +49,16 @@ def test_a_name_is_still_there(module, name):
 @pytest.mark.parametrize("name", LIBRARY)
 def test_a_code_library_still_has_its_method(name):
     assert callable(getattr(named("numba.core.codegen", "JITCodeLibrary"), name))
+
+
+@pytest.mark.parametrize("name", CODE_GENERATOR)
+def test_a_code_generator_still_has_its_method(name):
+    assert callable(getattr(named("numba.core.codegen", "CPUCodegen"), name))
+
+
+@pytest.mark.parametrize("name", COMPILER)
+def test_a_compiler_still_has_its_method(name):
+    assert callable(getattr(named("numba.core.compiler", "Compiler"), name))
 
 
 @pytest.mark.parametrize("name", LIBRARY_FIELDS)
