@@ -34,7 +34,7 @@ UPWARD = {("sweeps", "cli")}
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
-    "coal": ("contacts.floor", "viewer.shapes"),
+    "coal": ("contacts.unilateral", "viewer.shapes"),
     "dask": ("sweeps.cluster",),
     "distributed": ("sweeps.cluster", "sweeps.sweep"),
     "h5py": ("results.hdf5", "results.row_file", "results.trajectory_file"),
@@ -76,7 +76,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pydrake": ("studies.drake_peer",),
     "rich": ("cli",),
     "scipy": (
-        "contacts.floor",
+        "contacts.unilateral",
         "grasp",
         "events.locating",
         "dynamics.solver.dense",

@@ -11,7 +11,7 @@ from mechanics import data_of
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.contacts.floor import hull_corners
+from multiarm.contacts.unilateral import hull_corners
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.events.instant import Instant
 from multiarm.events.modes import Modes

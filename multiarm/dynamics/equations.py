@@ -26,8 +26,8 @@ from multiarm.contacts.kernel import (
     GAP,
     GAP_BIAS,
     GAP_RATE,
+    write_row,
 )
-from multiarm.contacts.rows import write_row
 from multiarm.dynamics.arrays import (
     CALLBACK_FAILED,
     NOT_FINITE,
