@@ -65,7 +65,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "pinocchio": (
         "arms.arm",
-        "arms.pinocchio_backend",
+        "arms.backends",
         "viewer",
         "studies.peers",
         "studies.pinocchio_motion",
@@ -78,7 +78,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "scipy": (
         "contacts.unilateral",
         "grasp",
-        "events.locating",
+        "events.event_detection",
         "dynamics.solver.dense",
         "assembly.closing",
         "contacts.internal_forces",

@@ -33,6 +33,7 @@ from multiarm.contacts.screws import (
     COUPLE_TOLERANCE,
     RANK_TOLERANCE,
     canonical_basis,
+    chosen_rows,
     column_norms,
     pivots,
     row_scale,
@@ -303,7 +304,7 @@ def _echelon(
 ) -> tuple[np.ndarray, tuple[int, ...]]:
     """Basis with unit rows at the chosen contacts."""
     size = A.shape[1]
-    chosen = pivots(A) if rows is None else _numbers(rows, labels)
+    chosen = pivots(A) if rows is None else chosen_rows(rows, labels, "contacts")
     if len(chosen) != size:
         raise GraspError(
             f"the contacts have {size} internal coordinates, which takes as many of them, not "
@@ -321,19 +322,6 @@ def _echelon(
     if size:
         echelon[list(chosen)] = np.eye(size)  # without rounding
     return echelon, chosen
-
-
-def _numbers(rows: Sequence[int | str], labels: list[str]) -> tuple[int, ...]:
-    numbers: list[int] = []
-    for row in rows:
-        number = labels.index(row) if row in labels else row
-        if isinstance(number, str) or number not in range(len(labels)) or int(number) in numbers:
-            raise GraspError(
-                f"contacts are {', '.join(labels)} or 0 to {len(labels) - 1}, each once; not "
-                f"{', '.join(str(r) for r in rows)}"
-            )
-        numbers.append(int(number))
-    return tuple(numbers)
 
 
 def _advice(A: np.ndarray, labels: list[str]) -> str:

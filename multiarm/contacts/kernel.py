@@ -1,8 +1,8 @@
 r"""From contact records, poses and velocities to W, dW/dt, c and phi: one compiled kernel.
 
-A contact joins a point ``P`` carried by body A with a surface of body B (arm and object, either way
-round).  Everything is written in world axes, as seen by an observer who rides on B.  The motion of
-A relative to B is the same for all contacts of a joint (:func:`relative_motion`):
+A contact joins a point ``P`` of body A with a surface of body B (arm and object, either way round).
+Everything is in world axes, relative to an observer on B.  The motion of A relative to B is the
+same for all contacts of a joint (:func:`relative_motion`):
 
 .. math::
     V_0 &= \dot x_A - \dot x_B - \omega_B \times r_0, \qquad
@@ -275,11 +275,11 @@ def write_row(k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch
                 located,
             )  # fmt: skip
         if codes[k, SURFACE_BODY] == SURFACE_ON_OBJECT:
-            relative_motion(arm, body, scratch)
-            _no_slip(k, normal, -1.0, arm, body, codes, geometry, base, rows[k], scratch)
+            a, b, sign = arm, body, -1.0
         else:
-            relative_motion(body, arm, scratch)
-            _no_slip(k, normal, 1.0, body, arm, codes, geometry, base, rows[k], scratch)
+            a, b, sign = body, arm, 1.0
+        relative_motion(a, b, scratch)
+        _no_slip(k, normal, sign, a, b, codes, geometry, base, rows[k], scratch)
         return
     if kind == JOINT:  # the row belongs to a joint of the arm and has no contact
         for i in range(CONTACT_WIDTH):
@@ -302,7 +302,7 @@ def write_row(k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch
 
 @kernel
 def write_contact(code, geometry, arm, body, shapes, calls, row, scratch, places, located):
-    """Kinematics of one contact of two surfaces, of whatever kind."""
+    """Kinematics of one contact of two surfaces of any kinds."""
     if code[SURFACE_BODY] == SURFACE_ON_OBJECT:
         a, b, sign = arm, body, -1.0
     else:

@@ -31,6 +31,7 @@ from multiarm.contacts.matrices import RelativeMotion
 from multiarm.contacts.screws import (
     RANK_TOLERANCE,
     ScrewSystem,
+    chosen_rows,
     column_norms,
     pivots,
     row_scale,
@@ -143,19 +144,13 @@ def motion_space(
     """
     W = wrench_matrix(W)
     screws = screw_system(W)
-    chosen = pivots(_scaled_null(screws)) if rows is None else _row_numbers(rows)
-    if rows is not None and len(chosen) != 6 - screws.rank:
-        raise GraspError(
-            f"the contacts leave {6 - screws.rank} motions free, which takes as many rows, not "
-            f"{len(chosen)}{_alternatives(screws)}"
-        )
-    selection = Selection(
-        np.eye(6)[list(chosen)],
-        np.zeros((len(chosen), 6)),
-        tuple(COMPONENTS[row] for row in chosen),
-    )
-    others = tuple(row for row in range(6) if row not in chosen)
-    return _space(W, W_dot, screws, selection, (chosen, others))
+    if rows is None:
+        chosen = pivots(_scaled_null(screws))
+    else:
+        chosen = chosen_rows(rows, COMPONENTS, "rows of a twist")
+    labels = tuple(COMPONENTS[row] for row in chosen)
+    selection = Selection(np.eye(6)[list(chosen)], np.zeros((len(chosen), 6)), labels)
+    return _space(W, W_dot, screws, selection, chosen)
 
 
 def motion_space_in_rates(
@@ -172,14 +167,7 @@ def motion_space_in_rates(
         When the rates cannot serve; the message lists rows of the twist that can.
     """
     W = wrench_matrix(W)
-    screws = screw_system(W)
-    count = len(selection.matrix)
-    if count != 6 - screws.rank:
-        raise GraspError(
-            f"the contacts leave {6 - screws.rank} motions free, which takes as many rates, not "
-            f"{count} ({', '.join(selection.labels)}){_alternatives(screws)}"
-        )
-    return _space(W, W_dot, screws, selection, ((), ()))
+    return _space(W, W_dot, screw_system(W), selection, None)
 
 
 def euler_selection(
@@ -267,18 +255,25 @@ def _space(
     W_dot: np.ndarray | None,
     screws: ScrewSystem,
     selection: Selection,
-    split: tuple[tuple[int, ...], tuple[int, ...]],
+    rows: tuple[int, ...] | None,
 ) -> MotionSpace:
-    """``T``, ``T_dot`` for any choice of rates."""
+    """``T``, ``T_dot`` for any rates; ``rows`` are the components of the twist among these."""
+    count, free, labels = len(selection.matrix), 6 - screws.rank, ", ".join(selection.labels)
+    if count != free:
+        raise GraspError(
+            f"the contacts leave {free} motions free, which takes as many "
+            f"{'rates' if rows is None else 'rows'}, not {count} ({labels}){_alternatives(screws)}"
+        )
     smallest = _smallest(selection.matrix, screws)
     if smallest < COORDINATE_TOLERANCE:
         raise GraspError(
-            f"{', '.join(selection.labels)} cannot serve as coordinates of the relative motion: "
-            f"they all stand still along a motion that the contacts leave free"
-            f"{_alternatives(screws)}"
+            f"{labels} cannot serve as coordinates of the relative motion: they are all zero along "
+            f"a motion that the contacts leave free{_alternatives(screws)}"
         )
-    N, (rows, others) = screws.reciprocal, split
+    N = screws.reciprocal
     T = N @ np.linalg.inv(selection.matrix @ N)
+    others = () if rows is None else tuple(row for row in range(6) if row not in rows)
+    rows = rows or ()
     if rows:
         T[list(rows)] = np.eye(len(rows))  # without rounding
     T_dot, mismatch = None, 0.0
@@ -316,19 +311,6 @@ def _smallest(S: np.ndarray, screws: ScrewSystem) -> float:
     size = np.linalg.norm(scaled, axis=1, keepdims=True)
     on_free = scaled / np.where(size > 0.0, size, 1.0) @ _scaled_null(screws)
     return float(np.linalg.svd(on_free, compute_uv=False)[-1])
-
-
-def _row_numbers(rows: Sequence[int | str]) -> tuple[int, ...]:
-    numbers = []
-    for row in rows:
-        number = COMPONENTS.index(row) if row in COMPONENTS else row
-        if isinstance(number, str) or number not in range(6) or int(number) in numbers:
-            raise GraspError(
-                f"rows of a twist are {', '.join(COMPONENTS)} or 0 to 5, each once; "
-                f"not {', '.join(str(r) for r in rows)}"
-            )
-        numbers.append(int(number))
-    return tuple(numbers)
 
 
 def _alternatives(screws: ScrewSystem) -> str:

@@ -28,6 +28,7 @@ multipliers ``lambda`` with ``W lambda = 0`` are the internal forces.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -276,6 +277,20 @@ def column_norms(W: np.ndarray, length: float) -> np.ndarray:
     """Sizes (N,) of wrenches, moments over ``length``; 1 for a zero wrench."""
     norms = np.linalg.norm(row_scale(length)[:, None] * W, axis=0)
     return np.where(norms > 0.0, norms, 1.0)
+
+
+def chosen_rows(rows: Sequence[int | str], names: Sequence[str], what: str) -> tuple[int, ...]:
+    """Numbers of rows given by name or number, each once; ``what`` begins the error message."""
+    numbers: list[int] = []
+    for row in rows:
+        number = names.index(row) if row in names else row
+        if isinstance(number, str) or number not in range(len(names)) or int(number) in numbers:
+            raise GraspError(
+                f"{what} are {', '.join(names)} or 0 to {len(names) - 1}, each once; not "
+                f"{', '.join(str(r) for r in rows)}"
+            )
+        numbers.append(int(number))
+    return tuple(numbers)
 
 
 def wrench_matrix(W: np.ndarray, name: str = "W") -> np.ndarray:

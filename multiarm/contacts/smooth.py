@@ -77,19 +77,18 @@ class SignedDistanceSurface:
         self._of_gradient = None
         if self._given_gradient is not None:
             self._of_gradient = Differences(self._given_gradient, np.full(3, length))
-        self._used = [self._of_distance]
-        if self._of_gradient is not None:
-            self._used = [] if hessian is not None else [self._of_gradient]
         self._is_checked = False
+
+    @property
+    def _used(self) -> list[Differences]:
+        if self._of_gradient is None:
+            return [self._of_distance]
+        return [] if self._given_hessian is not None else [self._of_gradient]
 
     def __copy__(self) -> SignedDistanceSurface:
         """The same surface with its own last contact point."""
         other = _shallow(self)
         other._of_distance, other._of_gradient = copy(self._of_distance), copy(self._of_gradient)
-        replaced = {id(self._of_distance): other._of_distance}
-        if other._of_gradient is not None:
-            replaced[id(self._of_gradient)] = other._of_gradient
-        other._used = [replaced[id(own)] for own in self._used]
         return other
 
     def closest(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Events in words: what changed for whom, where, and how it was before and after."""
+"""Text of events: which constraint changed its state, where, and from what to what."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from multiarm.events.transition import Decision, Hit
 def decision_events(
     modes: Modes, t: float, decision: Decision, before: Choice
 ) -> list[dict[str, Any]]:
-    """Events of one decision; nothing is told of what a run begins with but impacts.
+    """Events of one decision.
 
-    ``before`` has no states at the beginning of a run.
+    ``before`` has no states at the beginning of a run, of which only impacts are events.
     """
     hits, events = {hit.constraint: hit for hit in decision.hits}, []
     for u, constraint in enumerate(modes.unilateral.constraints):
@@ -41,7 +41,7 @@ def decision_events(
 
 
 def _kind(constraint: Constraint, was: int, now: int, hit: Hit | None, rested: bool) -> str:
-    """What happened to a constraint; empty: nothing."""
+    """The kind of event of a constraint; empty for none."""
     if constraint.kind == DRY_JOINT:
         moved, moves = was in (FORWARD, BACKWARD), now in (FORWARD, BACKWARD)
         return "" if moved == moves else "joint slips" if moves else "joint sticks"
@@ -76,7 +76,7 @@ def _event(
         "contact" if constraint.kind == CONTACT else "joint": what,
         "before": {"state": STATE_NAMES[was]},
         "after": {"state": STATE_NAMES[now]},
-        "text": f"{constraint.arm}: {what} {_words(modes, constraint, kind)}",
+        "text": f"{constraint.arm}: {what} {_verb(modes, constraint, kind)}",
     }
     if constraint.kind == CONTACT:
         points, _ = points_and_normals(modes.full, slice(constraint.row, constraint.row + 1))
@@ -92,8 +92,8 @@ def _event(
     return event
 
 
-def _words(modes: Modes, constraint: Constraint, kind: str) -> str:
-    """What happened, of a joint at its limit with the end at which it did."""
+def _verb(modes: Modes, constraint: Constraint, kind: str) -> str:
+    """The event as a verb; of a joint limit with the end of the range."""
     if constraint.kind != LIMIT:
         return kind.removeprefix("joint ")
     record = modes.full.model.records[constraint.row]
