@@ -5,10 +5,6 @@ Jacobian and the motion of the tip's link at fixed addresses, where kernels find
 table (:mod:`multiarm.arms.terms`).  There are two: Pinocchio, called back in Python, and batched
 RNEA and CRBA in compiled code (:mod:`multiarm.arms.compiled`).  A system may have arms of both.
 
-Both backends have ``places``, the numbers of their arms among all arms of the scene, and
-``pointers``, the rows of the table for these, which are valid while the backend lives; and the
-methods ``copy``, ``connect``, ``connect_coriolis``, ``pose_address`` and ``potential_energy``.
-
 Of Pinocchio two calls, ``crba`` in the world convention and ``nonLinearEffects``, compute all that
 a group of arms in one model needs.  The kernels read it where Pinocchio keeps it: nothing is
 copied and no Python object is made inside a step.
@@ -55,7 +51,7 @@ class ArmBackends:
     reasons : dict of str to str
         Why an arm stays with Pinocchio although ``compiled`` is set.
     pointers : int64 ndarray, shape (arms, 8)
-        Table of all arms.
+        The table of :mod:`multiarm.arms.terms`; valid while this lives.
     q_slots : int64 ndarray, shape (joints,)
         Index of each joint in Pinocchio's configuration; -1 for those of compiled arms.
     configuration : int
@@ -69,57 +65,44 @@ class ArmBackends:
         with_gravity_torque: bool,
         compiled: bool = False,
     ) -> None:
-        self._arms = dict(arms)
-        self._backends: list[PinocchioBackend | CompiledBackend] = []
+        self._compiled: CompiledBackend | None = None
+        self._groups: list[ArmGroup] = []
         self._coriolis: tuple[Coriolis, PythonCallback | None] | None = None
         self.reasons: dict[str, str] = {}
         self.by_arm = dict.fromkeys(arms, "pinocchio")
         if compiled:
-            self._compile(gravity, with_gravity_torque)
-        rest = {k: arms[name] for k, name in enumerate(arms) if self.by_arm[name] == "pinocchio"}
-        first_joints = np.cumsum([0, *(arm.dof for arm in arms.values())])
-        pinocchio = PinocchioBackend(rest, first_joints, gravity, with_gravity_torque)
-        self._backends.append(pinocchio)
-        self.q_slots, self.configuration = pinocchio.q_slots, pinocchio.configuration
-        self.pointers = self._all_pointers()
-
-    def _compile(self, gravity: np.ndarray, with_gravity_torque: bool) -> None:
-        backend, self.reasons = compile_arms(self._arms, gravity)
+            self._compiled, self.reasons = compile_arms(arms, gravity)
         for name, reason in self.reasons.items():
             warnings.warn(f"arm '{name}' stays with Pinocchio: {reason}", stacklevel=2)
-        if backend is not None:
-            names = list(self._arms)
-            self.by_arm |= {names[place]: "compiled" for place in backend.places}
+        names, every = list(arms), list(arms.values())
+        if self._compiled is not None:
+            self.by_arm |= {names[place]: "compiled" for place in self._compiled.places}
             if with_gravity_torque:
-                backend.want_gravity_torque()
-            self._backends.append(backend)
+                self._compiled.want_gravity_torque()
+        first_joints = np.cumsum([0, *(arm.dof for arm in every)])
+        self.q_slots = np.full(first_joints[-1], -1, dtype=np.int64)
+        self.configuration = 0
+        rest = [k for k, name in enumerate(names) if self.by_arm[name] == "pinocchio"]
+        for places in _neighbours(rest):
+            start = int(first_joints[places[0]]), self.configuration
+            own = [every[place] for place in places]
+            group = ArmGroup(own, places[0], start, gravity, with_gravity_torque)
+            self._groups.append(group)
+            self.q_slots[group.joints] = group.q_slots + self.configuration
+            self.configuration += group.model.nq
+        self.pointers = self._table()
 
     def copy(self) -> ArmBackends:
         """The same arms with their own terms; models and tables are shared."""
         other = copy(self)
-        other._backends = [backend.copy() for backend in self._backends]
+        other._compiled = None if self._compiled is None else self._compiled.copy()
+        other._groups = [group.copy() for group in self._groups]
         other._coriolis = None
-        other.pointers = other._all_pointers()
+        other.pointers = other._table()
         return other
 
-    def _all_pointers(self) -> np.ndarray:
-        pointers = np.zeros((len(self._arms), POINTER_WIDTH), dtype=np.int64)
-        for backend in self._backends:
-            pointers[list(backend.places)] = backend.pointers
-        return pointers
-
-    def pose_address(self, arm: int, joint: int) -> int:
-        """Address of the pose of a joint of an arm: rotation by columns, origin."""
-        own = next(backend for backend in self._backends if arm in backend.places)
-        return own.pose_address(arm, joint)
-
     def connect(
-        self,
-        angles: np.ndarray,
-        rates: np.ndarray,
-        q: np.ndarray,
-        bodies: np.ndarray,
-        status: Any,
+        self, angles: np.ndarray, rates: np.ndarray, q: np.ndarray, bodies: np.ndarray, status: Any
     ) -> ArmFunctions:
         """Let all arms read positions and velocities, and write the motion of their last links.
 
@@ -130,21 +113,22 @@ class ArmBackends:
         status : Numbers
             ``failed`` is set when Pinocchio raises, ``potential_energy`` where that is wanted.
         """
-        state, made = ArmState(angles, rates, q, bodies), ArmFunctions({}, {})
-        for backend in self._backends:
-            addresses, callbacks = backend.connect(state, status)
-            made.addresses.update(addresses)
-            made.callbacks.update(callbacks)
-        return made
-
-    def potential_energy(self) -> float:
-        """Potential energy of all arms [J] at the state evaluated last, zero at the origin."""
-        return sum(backend.potential_energy() for backend in self._backends)
+        self._state = ArmState(angles, rates, q, bodies)
+        addresses = {} if self._compiled is None else self._compiled.connect(self._state)
+        callbacks: dict[str, PythonCallback] = {}
+        if self._groups:
+            updates = [group.bind(self._state) for group in self._groups]
+            callbacks["pinocchio"] = PythonCallback(_all_of(updates), status)
+            if any(np.any(group.model.gravity.linear) for group in self._groups):
+                energy = PythonCallback(self._energy_update(status), status)
+                callbacks["pinocchio_energy"] = energy
+        addresses |= {name: call.address for name, call in callbacks.items()}
+        return ArmFunctions(addresses, callbacks)
 
     def coriolis(self, status: Any) -> tuple[Coriolis, PythonCallback | None]:
-        """Addresses of the matrices of Coriolis forces and of the function that updates them.
+        """Addresses of the matrices of Coriolis forces and of the functions that update them.
 
-        The second result is the callback among these, if there is one.
+        The second result is Pinocchio's callback among these; None where all arms are compiled.
 
         Raises
         ------
@@ -152,11 +136,45 @@ class ArmBackends:
             When a compiled matrix is not Pinocchio's.
         """
         if self._coriolis is None:
-            count = len(self._arms)
-            found = Coriolis(np.zeros(4, dtype=np.int64), np.zeros((count, 2), dtype=np.int64))
-            calls = [backend.connect_coriolis(status, found) for backend in self._backends]
-            self._coriolis = found, next((call for call in calls if call is not None), None)
+            places = np.zeros((len(self.by_arm), 2), dtype=np.int64)
+            found, call = Coriolis(np.zeros(4, dtype=np.int64), places), None
+            if self._compiled is not None:
+                self._compiled.connect_coriolis(found)
+            if self._groups:
+                updates = [group.bind_coriolis(self._state, places) for group in self._groups]
+                call = PythonCallback(_all_of(updates), status)
+                found.calls[0] = call.address
+            self._coriolis = found, call
         return self._coriolis
+
+    def pose_address(self, arm: int, joint: int) -> int:
+        """Address of the pose of a joint of an arm (0: the world): rotation by columns, origin."""
+        if self._compiled is not None and arm in self._compiled.places:
+            return self._compiled.pose_address(arm, joint)
+        group = next(group for group in reversed(self._groups) if group.place <= arm)
+        return group.pose_address(arm - group.place, joint)
+
+    def potential_energy(self) -> float:
+        """Potential energy of all arms [J] at the state evaluated last, zero at the origin."""
+        compiled = 0.0 if self._compiled is None else self._compiled.potential_energy()
+        return compiled + self._energy_of_groups()
+
+    def _energy_of_groups(self) -> float:
+        return sum(group.potential_energy(self._state) for group in self._groups)
+
+    def _energy_update(self, status: Any) -> Callable[[], None]:
+        def update() -> None:
+            status.potential_energy = self._energy_of_groups()
+
+        return update
+
+    def _table(self) -> np.ndarray:
+        pointers = np.zeros((len(self.by_arm), POINTER_WIDTH), dtype=np.int64)
+        if self._compiled is not None:
+            pointers[list(self._compiled.places)] = self._compiled.pointers
+        for group in self._groups:
+            pointers[group.place : group.place + len(group.pointers)] = group.pointers
+        return pointers
 
 
 class Ground:
@@ -172,117 +190,6 @@ class Ground:
         at = [array.ctypes.data for array in (still, pose, still, drift)]
         # inertia and its stride, Jacobian, bias, gravity: none; pose, twist, drift
         self.pointers = np.array([at[0], 1, at[0], at[0], at[0], *at[1:]], dtype=np.int64)
-
-
-class PinocchioBackend:
-    """Arms that Pinocchio computes, in groups of neighbours.
-
-    Parameters
-    ----------
-    arms : mapping of int to Arm
-        By their numbers among all arms of the scene, increasing.
-    first_joints : ndarray, shape (all arms + 1,)
-        First joint of each arm in the stacked vectors.
-    gravity : ndarray, shape (3,)
-    with_gravity_torque : bool
-
-    Attributes
-    ----------
-    q_slots, configuration
-        As of :class:`ArmBackends`.
-    """
-
-    def __init__(
-        self,
-        arms: Mapping[int, Arm],
-        first_joints: np.ndarray,
-        gravity: np.ndarray,
-        with_gravity_torque: bool,
-    ) -> None:
-        self.places = tuple(arms)
-        self.q_slots = np.full(first_joints[-1], -1, dtype=np.int64)
-        self.configuration = 0
-        self._groups: list[ArmGroup] = []
-        for places in _neighbours(self.places):
-            start = int(first_joints[places[0]]), self.configuration
-            own = [arms[place] for place in places]
-            group = ArmGroup(own, places[0], start, gravity, with_gravity_torque)
-            self._groups.append(group)
-            self.q_slots[group.joints] = group.q_slots + self.configuration
-            self.configuration += group.model.nq
-        self.pointers = self._all_pointers()
-
-    def copy(self) -> PinocchioBackend:
-        """The same arms with their own terms; the models are shared."""
-        other = copy(self)
-        other._groups = [group.copy() for group in self._groups]
-        other.pointers = other._all_pointers()
-        return other
-
-    def connect(self, state: ArmState, status: Any) -> ArmFunctions:
-        """Callbacks that update terms and potential energy; none without arms."""
-        self._state = state
-        callbacks: dict[str, PythonCallback] = {}
-        if self._groups:
-            updates = [group.bind(state) for group in self._groups]
-            callbacks["pinocchio"] = PythonCallback(_all_of(updates), status)
-            if any(np.any(group.model.gravity.linear) for group in self._groups):
-                energy = PythonCallback(self._energy_update(status), status)
-                callbacks["pinocchio_energy"] = energy
-        return ArmFunctions({name: call.address for name, call in callbacks.items()}, callbacks)
-
-    def connect_coriolis(self, status: Any, found: Coriolis) -> PythonCallback | None:
-        """Write the places of the matrices; the callback that updates them, None without arms."""
-        updates = []
-        for group in self._groups:
-            update, at = group.bind_coriolis(self._state)
-            updates.append(update)
-            found.places[group.place : group.place + len(at)] = at
-        if not updates:
-            return None
-        call = PythonCallback(_all_of(updates), status)
-        found.calls[0] = call.address
-        return call
-
-    def pose_address(self, place: int, joint: int) -> int:
-        """Address of the pose of a joint of an arm; joint 0 is the world."""
-        group = next(group for group in reversed(self._groups) if group.place <= place)
-        return group.pose_address(place - group.place, joint)
-
-    def potential_energy(self) -> float:
-        """Potential energy of all links [J], zero at the world's origin."""
-        return sum(group.potential_energy(self._state) for group in self._groups)
-
-    def _all_pointers(self) -> np.ndarray:
-        groups = [group.pointers for group in self._groups]
-        return np.concatenate(groups) if groups else np.zeros((0, POINTER_WIDTH), dtype=np.int64)
-
-    def _energy_update(self, status: Any) -> Callable[[], None]:
-        def update() -> None:
-            status.potential_energy = self.potential_energy()
-
-        return update
-
-
-def _neighbours(places: Sequence[int]) -> Iterator[list[int]]:
-    """Runs of at most ``ARMS_PER_GROUP`` consecutive numbers, as even as possible."""
-    runs = np.split(np.array(places, dtype=int), np.flatnonzero(np.diff(places) != 1) + 1)
-    for run in runs:
-        count = -(-len(run) // ARMS_PER_GROUP)
-        bounds = np.linspace(0, len(run), count + 1).round().astype(int)
-        for a, b in pairwise(bounds):
-            yield run[a:b].tolist()
-
-
-def _all_of(updates: list[Callable[[], None]]) -> Callable[[], None]:
-    if len(updates) == 1:
-        return updates[0]
-
-    def update_all() -> None:
-        for update in updates:
-            update()
-
-    return update_all
 
 
 class ArmGroup:
@@ -351,11 +258,8 @@ class ArmGroup:
 
         return update_with_gravity_torque if self._with_gravity_torque else update
 
-    def bind_coriolis(self, state: ArmState) -> tuple[Callable[[], None], np.ndarray]:
-        """Function that updates the matrices of Coriolis forces, and their addresses and strides.
-
-        The latter are int64 (arms, 2); the rate of the inertia is ``C + C^T``.
-        """
+    def bind_coriolis(self, state: ArmState, places: np.ndarray) -> Callable[[], None]:
+        """Function that updates the matrices of Coriolis forces; writes their ``places``."""
         model, data, n = self.model, self.model.createData(), self.model.nv
         q, v = state.q[self.numbers], state.rates[self.joints]
         run = pin.computeCoriolisMatrix
@@ -366,9 +270,9 @@ class ArmGroup:
         update()
         at = _address(data.C)
         _require_layout(sorted(data.C.strides) == [8, 8 * n] or n == 1, "C is not stored densely")
-        first_dof = self._first_dof[:-1]
-        places = np.stack([at + 8 * (n + 1) * first_dof, np.full_like(first_dof, n)], axis=1)
-        return update, places
+        first_dof, own = self._first_dof[:-1], slice(self.place, self.place + len(self.pointers))
+        places[own, 0], places[own, 1] = at + 8 * (n + 1) * first_dof, n
+        return update
 
     def pose_address(self, arm: int, joint: int) -> int:
         """Address of the pose of a joint of the group's arm number ``arm``; see ``POSE_AT``."""
@@ -418,3 +322,24 @@ def _require_layout(condition: bool, what: str) -> None:
             f"this build of Pinocchio ({pin.__version__}) stores its data differently ({what}); "
             f"install pin 4.x from PyPI"
         )
+
+
+def _neighbours(places: Sequence[int]) -> Iterator[list[int]]:
+    """Runs of at most ``ARMS_PER_GROUP`` consecutive numbers, as even as possible."""
+    runs = np.split(np.array(places, dtype=int), np.flatnonzero(np.diff(places) != 1) + 1)
+    for run in runs:
+        count = -(-len(run) // ARMS_PER_GROUP)
+        bounds = np.linspace(0, len(run), count + 1).round().astype(int)
+        for a, b in pairwise(bounds):
+            yield run[a:b].tolist()
+
+
+def _all_of(updates: list[Callable[[], None]]) -> Callable[[], None]:
+    if len(updates) == 1:
+        return updates[0]
+
+    def update_all() -> None:
+        for update in updates:
+            update()
+
+    return update_all

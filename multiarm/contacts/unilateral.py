@@ -51,6 +51,8 @@ class Constraint:
         Of limits and dry joints: index in the stacked vectors; else -1.
     compliant : bool
         The contact is a spring that only pushes; its row is never active.
+    lag : float
+        Of compliant contacts: damping over stiffness [s].
     """
 
     kind: str
@@ -63,6 +65,7 @@ class Constraint:
     bound: float = 0.0
     joint: int = -1
     compliant: bool = False
+    lag: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +93,6 @@ class CompliantContacts:
     def number(self, row: int) -> int:
         """Number of the contact in a row."""
         return int(np.searchsorted(self.rows, row))
-
-    @property
-    def lags(self) -> np.ndarray:
-        """Damping over stiffness [s], shape (s,)."""
-        return self.damping / self.stiffness
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +270,8 @@ class _Rows:
         elif own.stiffness > 0.0:
             self.compliant.append((row, len(self.records) - 1, own, not contact.pushes_only))
             if contact.pushes_only:  # one that also pulls is always active
-                self._constrain(CONTACT, contact, row, compliant=True)
+                lag = own.damping / own.stiffness
+                self._constrain(CONTACT, contact, row, compliant=True, lag=lag)
         elif own.mu is None:
             self._constrain(CONTACT, contact, row, restitution=own.restitution)
         else:

@@ -68,14 +68,12 @@ def pressed_constraints(modes: Modes, before: Choice, fired: Set[int]) -> set[in
     One whose guard has just ``fired`` is at zero and changes its state.  ``before`` has no states
     at the beginning of a run.
     """
-    unilateral, pressed = modes.unilateral, set()
-    for u, constraint in enumerate(unilateral.constraints):
+    pressed = set()
+    for u, constraint in enumerate(modes.unilateral.constraints):
         if not constraint.compliant:
             continue
-        assert unilateral.compliant is not None, "a compliant contact is a spring"
         gap, rate = modes.full.arrays.contacts[constraint.row, [GAP, GAP_RATE]]
-        lag = unilateral.compliant.lags[unilateral.compliant.number(constraint.row)]
-        length = spring_length(gap, rate, lag)
+        length = spring_length(gap, rate, constraint.lag)
         pushes = length < 0.0
         if abs(length) <= GAP_THRESHOLD:
             started = bool(before.states)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint, UnilateralConstraints
+from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint
 from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.contact_geometry import patch_of
 from multiarm.dynamics.model import Data
@@ -122,13 +122,6 @@ class Mode:
         self.arrays.prestress[:] = [forces.get(int(row), 0.0) for row in self.arrays.held]
         self.arrays.stressed[0] = 1
 
-    def set_directions(
-        self, directions: dict[int, np.ndarray], constraints: tuple[Constraint, ...]
-    ) -> None:
-        """Set the directions of slip, by number of the constraint."""
-        for s, u in enumerate(self.choice.sliding(constraints)):
-            self.arrays.direction[s] = directions[u]
-
 
 class Modes:
     """The modes of one Data, built on demand.
@@ -174,8 +167,9 @@ class Modes:
     def enter(self, choice: Choice, directions: dict[int, np.ndarray]) -> Mode:
         """The mode of a choice, with directions of slip, at its beginning."""
         mode = self.mode(choice)
-        mode.set_directions(directions, self.unilateral.constraints)
         arrays = mode.arrays
+        for s, u in enumerate(choice.sliding(self.unilateral.constraints)):
+            arrays.direction[s] = directions[u]
         arrays.armed[:] = arrays.muted[:] = arrays.stressed[:] = 0
         arrays.least[:] = np.inf
         set_constraint_forces(self.full, choice)
@@ -208,10 +202,11 @@ class Modes:
         return Mode(choice, held, arrays, (aside, struct, reactions, self.closed, full))
 
     def _arrays(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> ModeArrays:
-        constraints, full, springs = (
-            self.unilateral.constraints,
-            self.full,
-            self.unilateral.compliant,
+        constraints, full = self.unilateral.constraints, self.full
+        springs, effects = self.unilateral.compliant, full.model.effects
+        # of sliding friction; without the effect, a power that stays zero
+        slot = effects.slot(
+            "contact_friction" if "contact_friction" in effects.works else "impacts"
         )
         place = {int(row): k for k, row in enumerate(rows)}
         slides = np.zeros((len(sliding), SLIDE_WIDTH), dtype=np.int64)
@@ -223,7 +218,9 @@ class Modes:
             patch = patch_of(full.model, constraint)
             found = _guards(u, constraint, choice, place, sliding, self.slow)
             if constraint.compliant:
-                found = [_spring_guard(self.unilateral, constraint, choice.states[u])]
+                sign = 1 if choice.states[u] == OPEN else -1
+                row, lag = constraint.row, constraint.lag
+                found = [Guard(SPRING_GUARD, row, lag, GAP_THRESHOLD, c=sign)]
             elif patch is not None:
                 found = _patch_guards(u, constraint, choice, found)
             for guard in found:
@@ -244,7 +241,7 @@ class Modes:
             turning=np.zeros((len(sliding), 2)),
             speed=np.zeros(len(sliding)),
             slow=np.array([self.slow]),
-            slots=np.array([_friction_slot(full)], dtype=np.int64),
+            slots=np.array([slot], dtype=np.int64),
             states=np.array(states, dtype=float),
             guards=np.array(guards, dtype=np.int64).reshape(-1, GUARD_WIDTH),
             levels=np.array(levels).reshape(-1, LEVEL_WIDTH),
@@ -273,13 +270,6 @@ def _select(full: Data, rows: Sequence[int] | np.ndarray) -> Data:
     for own, source in full.model.pairs(chosen, model.constants):
         data.arrays.places[own] = full.arrays.places[source]
     return data
-
-
-def _friction_slot(full: Data) -> int:
-    """Index of the power of sliding friction; without the effect, one that stays zero."""
-    effects = full.model.effects
-    has_it = "contact_friction" in effects.works
-    return effects.slot("contact_friction" if has_it else "impacts")
 
 
 def set_constraint_forces(full: Data, choice: Choice) -> None:
@@ -341,13 +331,6 @@ def _guards(
         kind, levels = (ONSET_GUARD, (still, 0.0)) if at_bound else (SLIP_GUARD, (0.0, still))
         guards.append(Guard(kind, sliding.index(u), *levels))
     return guards
-
-
-def _spring_guard(unilateral: UnilateralConstraints, constraint: Constraint, state: int) -> Guard:
-    """The guard of a compliant contact that only pushes."""
-    assert unilateral.compliant is not None, "a compliant contact is a spring"
-    lag = float(unilateral.compliant.lags[unilateral.compliant.number(constraint.row)])
-    return Guard(SPRING_GUARD, constraint.row, lag, GAP_THRESHOLD, c=1 if state == OPEN else -1)
 
 
 def _patch_guards(

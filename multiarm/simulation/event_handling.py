@@ -29,7 +29,6 @@ from multiarm.events.event_detection import (
     pressed_constraints,
     touching_constraints,
 )
-from multiarm.events.event_text import decision_events
 from multiarm.events.kernels import (
     CONSTRAINT,
     GUARD_KIND,
@@ -41,7 +40,7 @@ from multiarm.events.kernels import (
     start_guards,
 )
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
-from multiarm.events.transition import Decision, Transition
+from multiarm.events.transition import Decision, Transition, decision_events
 from multiarm.integration.projection import project
 from multiarm.integration.stepper import begin_chart, evaluate_slope, step_struct
 from multiarm.integration.time_loop import gains

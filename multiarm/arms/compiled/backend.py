@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -40,7 +39,6 @@ from multiarm.arms.terms import (
     M_AT,
     M_STRIDE,
     POINTER_WIDTH,
-    ArmFunctions,
     ArmState,
     ArmStructure,
     Coriolis,
@@ -139,18 +137,17 @@ class CompiledBackend:
         self._work = make_work(self.tables, angles, rates, bodies, self._terms, self._coriolis)
         self._struct = make_struct([*self.tables, *self._work])
 
-    def connect(self, state: ArmState, status: Any) -> ArmFunctions:
-        """Compiled function that updates all terms, its struct and size; nothing enters Python."""
+    def connect(self, state: ArmState) -> dict[str, int]:
+        """Addresses of the function that updates all terms and of its struct, and its size."""
         self.bind(state.angles, state.rates, state.bodies)
         struct = self._struct
-        addresses = {
+        return {
             "arms": address_of(update_arms),
             "arms_struct": struct.ctypes.data,
             "arms_size": struct.size,
         }
-        return ArmFunctions(addresses, {})
 
-    def connect_coriolis(self, status: Any, found: Coriolis) -> None:
+    def connect_coriolis(self, found: Coriolis) -> None:
         """Write the places of the matrices, and the function that updates them with its struct.
 
         Raises
