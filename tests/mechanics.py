@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH
+from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, write_row
 from multiarm.contacts.matrices import contact_matrices
 from multiarm.contacts.records import (
     CONE,
@@ -29,8 +29,7 @@ from multiarm.contacts.records import (
     TORUS,
     pack,
 )
-from multiarm.contacts.rows import write_row
-from multiarm.contacts.surfaces import answering
+from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.dynamics.arrays import Status
 from multiarm.jit.pointers import PythonCallback
 from multiarm.scene import parse_scene
@@ -277,7 +276,7 @@ def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
     rows, parts = np.zeros((n, CONTACT_WIDTH)), np.zeros((len(table.codes) - n, CONTACT_WIDTH))
     scratch, located = np.zeros(29), np.zeros((len(table.shapes), 3))
     places = np.zeros_like(located)
-    answer = PythonCallback(answering(table.functions, scratch[15:]), Status())
+    answer = PythonCallback(user_surface_callback(table.functions, scratch[15:]), Status())
     for k in range(n):
         if table.codes[k, KIND] == PAIR:
             places[table.codes[k, LINK]] = near[k]

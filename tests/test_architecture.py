@@ -31,7 +31,7 @@ ROOMS = (
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
-    "coal": ("contacts.floor", "viewer.shapes"),
+    "coal": ("contacts.unilateral", "viewer.shapes"),
     "dask": ("sweeps.cluster",),
     "distributed": ("sweeps.cluster", "sweeps.sweep"),
     "h5py": ("results.hdf5", "results.row_file", "results.trajectory_file"),
@@ -62,7 +62,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "pinocchio": (
         "arms.arm",
-        "arms.pinocchio_backend",
+        "arms.backends",
         "viewer",
         "studies.peers",
         "studies.pinocchio_motion",
@@ -73,9 +73,9 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pydrake": ("studies.drake_peer",),
     "rich": ("cli", "terminal"),
     "scipy": (
-        "contacts.floor",
+        "contacts.unilateral",
         "grasp",
-        "events.locating",
+        "events.event_detection",
         "dynamics.solver.dense",
         "assembly.closing",
         "contacts.internal_forces",

@@ -190,7 +190,10 @@ def nowhere(p):
     ("surface", "words"),
     [
         ({"distance": twice_the_distance}, ("twice_the_distance", "not a signed distance", "= 2")),
-        ({"distance": height, "gradient": sideways}, ("gradient", "height", "disagrees", "mend")),
+        (
+            {"distance": height, "gradient": sideways},
+            ("gradient", "height", "disagrees", "correct"),
+        ),
         (
             {"parametrisation": pinched, "u": [-1, 1], "v": [-1, 1]},
             ("pinched", "parameters", "choose others"),

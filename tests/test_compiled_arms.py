@@ -16,8 +16,8 @@ from mechanics import PANDA_FINGERS, chain_urdf
 from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm, ArmFiles
-from multiarm.arms.compiled import verification
-from multiarm.arms.compiled.backend import CompiledBackend
+from multiarm.arms.compiled import backend as compiled_backend
+from multiarm.arms.compiled.backend import CompiledBackend, compile_arms
 from multiarm.arms.compiled.kernels import FAR, write_sines
 from multiarm.arms.compiled.tables import (
     ARMATURE,
@@ -27,13 +27,12 @@ from multiarm.arms.compiled.tables import (
     JOINT_WIDTH,
     MASS,
     MOST_JOINTS,
-    NAMED_AXES,
     OFFSET,
     SLIDES,
     TURNS,
+    URDF_AXES,
     make_tables,
 )
-from multiarm.arms.compiled.verification import compile_arms
 from multiarm.arms.terms import ArmStructure, LinkTerms
 from multiarm.errors import ModelError
 from multiarm.scene import available_robots, find_robot, read_urdf
@@ -427,7 +426,7 @@ def one_constant(column: int, by: float):
 
 COLUMNS = [
     *range(AXES, AXES + 9), *range(OFFSET, OFFSET + 3), *range(CENTRE, CENTRE + 3), MASS,
-    *range(INERTIA, INERTIA + 6), TURNS, SLIDES, ARMATURE, *range(NAMED_AXES, NAMED_AXES + 9),
+    *range(INERTIA, INERTIA + 6), TURNS, SLIDES, ARMATURE, *range(URDF_AXES, URDF_AXES + 9),
 ]  # fmt: skip
 
 
@@ -438,13 +437,13 @@ def test_every_constant_is_named():
 @pytest.mark.parametrize("column", COLUMNS)
 def test_a_copy_that_is_wrong_is_refused(column, panda, monkeypatch):
     """Whichever of its numbers is off, by a billionth."""
-    monkeypatch.setattr(verification, "make_tables", one_constant(column, 1e-9))
+    monkeypatch.setattr(compiled_backend, "make_tables", one_constant(column, 1e-9))
     with pytest.raises(ModelError, match="arm 'panda': its compiled copy is not the arm"):
         compile_arms({"panda": panda}, GRAVITY)
 
 
 def test_the_refusal_names_arm_quantity_size_and_remedy(panda, monkeypatch):
-    monkeypatch.setattr(verification, "make_tables", one_constant(ARMATURE, 0.1))
+    monkeypatch.setattr(compiled_backend, "make_tables", one_constant(ARMATURE, 0.1))
     with pytest.raises(ModelError) as caught:
         compile_arms({"panda": panda}, GRAVITY)
     for part in ("arm 'panda'", "the inertia", "e-02 of its largest", "arms: pinocchio"):
@@ -464,8 +463,8 @@ def test_every_quantity_is_compared(quantity, panda, monkeypatch):
 
     found, _ = compile_arms({"panda": panda}, GRAVITY)
     monkeypatch.setattr(CompiledBackend, "terms", spoiled)
-    with pytest.raises(ModelError, match=f"{verification._WORDS[quantity]} differs"):
-        verification.verify(found.tables, found.places, {"panda": panda}, LinkTerms._fields)
+    with pytest.raises(ModelError, match=f"{compiled_backend._WORDS[quantity]} differs"):
+        compiled_backend.verify(found.tables, found.places, {"panda": panda}, LinkTerms._fields)
 
 
 @pytest.mark.parametrize("kinds", ["z", "w", "zzz", "uvw", "Zw", "Z" * 16])
@@ -483,7 +482,7 @@ def test_terms_that_cancel_are_no_reason_to_refuse(kinds, gravity, tmp_path, rng
         arm = arm_of(tmp_path / "chain.urdf", "tip", base)
         found, _ = compile_arms({"arm": arm}, gravity * base[:3, 2])
         assert found.places == (0,)
-        verification.verify(found.tables, found.places, {"arm": arm}, verification.CORIOLIS)
+        compiled_backend.verify(found.tables, found.places, {"arm": arm}, compiled_backend.CORIOLIS)
 
 
 def test_more_than_sixteen_joints_stay_with_pinocchio_and_say_so(tmp_path, panda):
@@ -520,12 +519,12 @@ def test_what_no_table_describes_is_said_in_words(panda):
         unusual(panda, (0, hinge), (1, hinge), (1, hinge)).structure()
     short = unusual(panda, (0, hinge), (1, hinge))
     short.tip_joint = 1
-    with pytest.raises(ModelError, match="joints follow behind its tip"):
+    with pytest.raises(ModelError, match="joints follow after its tip"):
         short.structure()
 
 
 def test_states_of_the_verification_are_the_arms_own(panda):
-    draws = [verification._random_states(panda.structure()) for _ in range(2)]
+    draws = [compiled_backend._random_states(panda.structure()) for _ in range(2)]
     np.testing.assert_array_equal(draws[0], draws[1])
     assert np.max(np.abs(draws[0][0])) <= np.pi and np.max(np.abs(draws[0][1])) <= 3.0
     assert np.min(np.std(draws[0], axis=1)) > 0.3

@@ -24,7 +24,7 @@ from mechanics import (
 from test_cli import figures, multiarm
 
 import multiarm as ma
-from multiarm.arms.compiled import verification
+from multiarm.arms.compiled import backend as compiled_backend
 from multiarm.errors import ModelError, SceneError
 from multiarm.jit.pointers import PythonCallback
 from multiarm.problems import ring_of_arms
@@ -281,7 +281,7 @@ def mixed(request, monkeypatch):
     """Function ``scene, control -> system``, in which arms of more joints stay with Pinocchio."""
 
     def build(scene, control=None):
-        monkeypatch.setattr(verification, "MOST_JOINTS", request.param)
+        monkeypatch.setattr(compiled_backend, "MOST_JOINTS", request.param)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return ma.compile_system(scene, control, arms="compiled")
@@ -308,7 +308,7 @@ def test_mixed_systems_move_alike_with_other_methods(method, mixed):
 @pytest.mark.parametrize("compiled_ones", [(), (0,), (1,), (2,), (0, 2), (0, 1), (1, 2)])
 def test_any_arm_may_be_the_one_that_stays(compiled_ones, monkeypatch, rng):
     """Groups of Pinocchio's have neighbours only; their places are those of the scene."""
-    structure, numbers = verification._structure, {"left": 0, "middle": 1, "right": 2}
+    structure, numbers = compiled_backend._structure, {"left": 0, "middle": 1, "right": 2}
 
     def some(arm):
         if numbers[arm.name] not in compiled_ones:
@@ -317,7 +317,7 @@ def test_any_arm_may_be_the_one_that_stays(compiled_ones, monkeypatch, rng):
 
     scene = three_kinds(effects=EFFECTS["loads"], control={"kind": "gravity_compensation"})
     whole = ma.compile_system(scene)
-    monkeypatch.setattr(verification, "_structure", some)
+    monkeypatch.setattr(compiled_backend, "_structure", some)
     with pytest.warns(UserWarning, match="stays with Pinocchio: it was told so"):
         system = ma.compile_system(scene, arms="compiled")
     assert [k for k, w in enumerate(system.arm_terms.values()) if w == "compiled"] == list(
@@ -334,7 +334,7 @@ def test_any_arm_may_be_the_one_that_stays(compiled_ones, monkeypatch, rng):
 
 
 def test_an_arm_that_stays_says_so(monkeypatch):
-    monkeypatch.setattr(verification, "MOST_JOINTS", 6)
+    monkeypatch.setattr(compiled_backend, "MOST_JOINTS", 6)
     reason = "it has 7 joints; at most 6 are compiled"
     with pytest.warns(UserWarning, match=f"arm 'middle' stays with Pinocchio: {reason}") as told:
         system = ma.compile_system(three_kinds(), arms="compiled")
@@ -388,7 +388,7 @@ def test_run_and_check_take_the_choice(tmp_path):
 
 
 def test_check_says_why_an_arm_stays(tmp_path, monkeypatch):
-    monkeypatch.setattr(verification, "MOST_JOINTS", 5)
+    monkeypatch.setattr(compiled_backend, "MOST_JOINTS", 5)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         result = multiarm("check", SCENES / "two_ur5_box.yaml", "--arms", "compiled")
@@ -397,14 +397,14 @@ def test_check_says_why_an_arm_stays(tmp_path, monkeypatch):
 
 
 def test_a_copy_that_is_not_the_arm_ends_the_compilation(monkeypatch):
-    make = verification.make_tables
+    make = compiled_backend.make_tables
 
     def wrong(*arguments):
         tables = make(*arguments)
         tables.constants[tables.constants.size // 2] += 0.1
         return tables
 
-    monkeypatch.setattr(verification, "make_tables", wrong)
+    monkeypatch.setattr(compiled_backend, "make_tables", wrong)
     with pytest.raises(ModelError, match="arms: pinocchio"):
         ma.compile_system(pair(), arms="compiled")
 

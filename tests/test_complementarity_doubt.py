@@ -8,8 +8,8 @@ from laws import box, frictions, pushes, random_rows, violation
 
 from multiarm.events.complementarity import Bounded, ContactMode, Friction, Sliding, Verdict, solve
 from multiarm.events.complementarity.problem import build
+from multiarm.events.complementarity.solution import Motion, all_solutions, judge
 from multiarm.events.complementarity.solvers import newton
-from multiarm.events.complementarity.uniqueness import Motion, all_solutions, judge
 
 
 def rod(theta):

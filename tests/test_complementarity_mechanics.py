@@ -17,7 +17,7 @@ from multiarm.events.complementarity import (
     Verdict,
     solve,
 )
-from multiarm.events.impact import energy_added
+from multiarm.events.transition import energy_added
 
 G = 9.81  # [m/s^2]
 EXACT = 1e-12

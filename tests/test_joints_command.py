@@ -18,8 +18,8 @@ from multiarm.cli.joint_cards import (
     joint_models,
     surface_cards,
 )
-from multiarm.contacts.catalogue import CATALOGUE, FREE
-from multiarm.contacts.joint_motions import free_motions, seen_from
+from multiarm.contacts.catalogue import CATALOGUE
+from multiarm.contacts.screws import free_motions, wrenches_in_frame
 from multiarm.scene import ContactSpec, Geometry, parse_scene
 
 KINDS = sorted(CATALOGUE)
@@ -96,13 +96,13 @@ def test_free_motions_are_those_of_the_textbook(kind, cards):
     assert cards[kind].free == FREE_MOTIONS[kind]
 
 
-@pytest.mark.parametrize("kind", sorted(k for k, free in FREE.items() if free is not None))
+@pytest.mark.parametrize("kind", sorted(k for k, own in CATALOGUE.items() if own.free is not None))
 def test_recorded_coordinates_are_the_free_motions(kind, cards):
     told = " ".join(cards[kind].free)
     slides, turns = (re.search(f"{verb} ([xyz, and]+)", told) for verb in ("along", "about"))
     found = [k for k, axis in enumerate("xyz") if slides and axis in slides[1].replace("and", "")]
     found += [k for k, axis in enumerate("xyz", 3) if turns and axis in turns[1].replace("and", "")]
-    assert tuple(found) == FREE[kind]
+    assert tuple(found) == CATALOGUE[kind].free
 
 
 def test_a_fingertip_on_a_round_face_slides_across_its_normal(cards):
@@ -121,19 +121,19 @@ def test_free_motions_are_found_in_any_frame_and_unit(rng):
     assert free_motions(hinge).words() == ["turn about z"]
     frame, turn = np.eye(4), np.linalg.qr(rng.standard_normal((3, 3)))[0]
     frame[:3, :3], frame[:3, 3] = turn * np.linalg.det(turn), [1.0, -2.0, 0.5]
-    moved = seen_from(np.linalg.inv(frame), hinge @ rng.standard_normal((5, 5)))
-    back = seen_from(frame, moved) * 10.0 ** rng.uniform(-6, 6, 5)
+    moved = wrenches_in_frame(np.linalg.inv(frame), hinge @ rng.standard_normal((5, 5)))
+    back = wrenches_in_frame(frame, moved) * 10.0 ** rng.uniform(-6, 6, 5)
     assert free_motions(back).words() == ["turn about z"]
     doubled = free_motions(np.column_stack([hinge, 3.0 * hinge[:, 1]]))
     assert doubled.rank == 5
-    assert doubled.untouched.tolist() == [True, False, True, True, True, False]
+    assert doubled.independent.tolist() == [True, False, True, True, True, False]
 
 
 def test_a_force_through_a_frame_has_no_moment_in_it(rng):
     frame, force = np.eye(4), rng.standard_normal(3)
     frame[:3, :3] = np.eye(3)[[1, 2, 0]]
     frame[:3, 3] = at = np.array([1.0, -2.0, 0.5])
-    seen = seen_from(frame, np.concatenate([force, np.cross(at, force)])[:, None])[:, 0]
+    seen = wrenches_in_frame(frame, np.concatenate([force, np.cross(at, force)])[:, None])[:, 0]
     np.testing.assert_allclose(seen, [*(frame[:3, :3].T @ force), 0, 0, 0], atol=1e-15)
 
 

@@ -47,7 +47,7 @@ class Counting:
 def pinocchio_calls(monkeypatch):
     """Function ``scene, count -> calls``: Pinocchio's functions in so many evaluations."""
     counting = Counting()
-    monkeypatch.setattr("multiarm.arms.pinocchio_backend.pin", counting)
+    monkeypatch.setattr("multiarm.arms.backends.pin", counting)
 
     def calls(scene: ma.Scene, count: int) -> Counter[str]:
         system = ma.compile_system(scene)

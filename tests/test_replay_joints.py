@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from test_replay import POSE, SEEK, browser, shown, view  # noqa: F401 (fixtures)
 
 import multiarm as ma
-from multiarm.contacts.joint_motions import axis_travel
+from multiarm.contacts.joint import axis_travel
 from multiarm.scene import parse_scene
 from multiarm.viewer import replay
 from multiarm.viewer.drawing import draw

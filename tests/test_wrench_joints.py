@@ -24,7 +24,7 @@ from mechanics import (
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.contacts.catalogue import FREE, joint_contacts, joint_frame
+from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame
 from multiarm.contacts.records import Contact, plane, point
 from multiarm.scene import (
     BallJoint,
@@ -213,7 +213,7 @@ def test_rows_of_a_wrench_joint_are_its_wrenches_at_the_start(carried_by):
 # --- the catalogue: exactly the finite motions that it promises -----------------------------------
 
 AXIS = (0.3, -0.5, 0.9)
-CATALOGUE = [
+NAMED = [
     WeldJoint(arm="a"),
     BallJoint(arm="a"),
     RevoluteJoint(arm="a", axis=AXIS, size=0.2),
@@ -239,11 +239,11 @@ def free_pose(kind: str, free, values) -> np.ndarray:
     return pose(R.as_matrix(), slide)
 
 
-@pytest.mark.parametrize("joint", CATALOGUE, ids=lambda joint: joint.kind)
+@pytest.mark.parametrize("joint", NAMED, ids=lambda joint: joint.kind)
 def test_a_joint_allows_its_own_finite_motions_and_nothing_else(joint, rng):
     """Gaps stay closed along whole turns and metres; the rows hold everything else everywhere."""
     joint = joint.model_copy(update={"at_tip": Pose(xyz=(0.1, -0.2, 0.3), rpy=(0.4, -0.8, 1.2))})
-    X_OJ, free = random_pose(rng), FREE[joint.kind]
+    X_OJ, free = random_pose(rng), CATALOGUE[joint.kind].free
     contacts = joint_contacts(joint, X_OJ)
     on_tip, on_object = joint_frame(joint, X_OJ)
     ranges = [1.5 if k < 3 or joint.kind == "universal" else math.pi for k in free]

@@ -1,8 +1,7 @@
 r"""Robot arms through Pinocchio: from a URDF to inertia, bias, Jacobian and tip motion.
 
-In the dynamics only this module and :mod:`multiarm.arms.pinocchio_backend` know Pinocchio.  An arm
-is one reduced model of it: its tool appended, locked joints folded in, its base placed in the
-world.  It obeys
+An arm is one reduced Pinocchio model: its tool appended, locked joints removed, its base placed in
+the world.  It obeys
 
 .. math:: M(q)\,\ddot q + b(q, \dot q) = \tau + J^T f_m
 
@@ -21,15 +20,12 @@ import pinocchio as pin
 from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms
 from multiarm.errors import ModelError
 
-# No joint moves the contacts by less than this part of what another one may.
-LEAST_LEVER = 0.1
-
 
 @dataclass(frozen=True)
 class ArmFiles:
-    """Where an arm comes from: URDFs, folders of their meshes, mounting and locked joints.
+    """URDFs of an arm and its tool, folders of their meshes, mounting and locked joints.
 
-    A tool that has no file is given by the text of its URDF.
+    ``tool_urdf`` is a path, or the text of a URDF.
     """
 
     urdf: Path
@@ -50,8 +46,8 @@ class Arm:
     ----------
     name : str
     model : pinocchio.Model
-        Tool appended, locked joints folded in, base placed; joints keep their URDF names.  Its
-        ``armature`` is the inertia of the drives as seen from the joints, part of M.
+        Tool appended, locked joints removed, base placed; joints keep their URDF names.  Its
+        ``armature`` is the inertia of the drives reflected to the joints, part of M.
     joint_names : tuple of str
         Movable joints from base to tip; all joint vectors are in this order, one number a joint
         (an angle in rad also for continuous joints, metres for prismatic ones).
@@ -76,7 +72,12 @@ class Arm:
         self.name = name
         self.files = files
         self.color = color
-        self.model = _build_model(name, files)
+        try:
+            self.model, _ = _assemble(name, files, visuals=False)
+        except ValueError as error:  # such as a joint and a link of one name
+            raise ModelError(
+                f"arm '{name}': Pinocchio cannot put {files.urdf} together: {error}"
+            ) from error
         if rotor_inertia is not None:
             self.model.armature = rotor_inertia  # `crba` adds it to the diagonal of M
         self.dof = self.model.nv
@@ -120,39 +121,26 @@ class Arm:
         return np.array(parts)
 
     def levers(self, place: np.ndarray) -> np.ndarray:
-        """How far a unit turn of each joint may move the contacts, at most, shape (n,) [m].
+        """Longest lever arm of each joint on the contacts, shape (n,) [m]; 1 for prismatic ones.
 
-        The length of the chain from the joint to ``place`` (3,), where the contacts are in the
-        tip's frame [m], or ``LEAST_LEVER`` of the longest; 1 for joints that slide.
+        The length of the chain from the joint to the contacts at ``place`` (3,) in the tip's frame
+        [m], and no less than a tenth of the longest.
         """
         ends = [X.translation for X in self.model.jointPlacements.tolist()[2:]]
         ends.append(self.tip_translation + self.tip_rotation @ place)
         chain = np.cumsum(np.linalg.norm(ends, axis=1)[::-1])[::-1]
-        chain = np.maximum(chain, LEAST_LEVER * chain[0]) if chain[0] > 0.0 else np.ones(self.dof)
+        chain = np.maximum(chain, 0.1 * chain[0]) if chain[0] > 0.0 else np.ones(self.dof)
         slides = [self.joint_units[joint] == "m" for joint in self.joint_names]
         return np.where(slides, 1.0, chain)
 
     def link(self, name: str) -> tuple[int, np.ndarray, np.ndarray]:
-        """Number of the joint that carries a link; the link's frame in that joint's frame.
-
-        Rotation (3, 3) and origin (3,) [m].
-        """
+        """Joint that carries a link; the link's rotation and origin [m] in its frame."""
         frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.BODY)]
         place = frame.placement
         return frame.parentJoint, place.rotation.copy(), place.translation.copy()
 
     def terms(self, angles: np.ndarray, velocity: np.ndarray) -> ArmTerms:
-        """Everything the dynamics need of this arm at one state, as copies.
-
-        Parameters
-        ----------
-        angles, velocity : array-like, shape (n,)
-            Joint positions [rad or m] and velocities.
-
-        Returns
-        -------
-        ArmTerms
-        """
+        """Terms of the equations of motion at joint positions [rad or m] and velocities, (n,)."""
         q, v = self.configuration(angles), np.array(velocity, dtype=float)
         model, data = self.model, self.model.createData()
         inertia = pin.crba(model, data, q, pin.Convention.WORLD)
@@ -183,7 +171,7 @@ class Arm:
         return np.array([*joints, data.oMf[self.tip_frame_id].translation])
 
     def _frames(self, angles: np.ndarray) -> pin.Data:
-        """Poses of all joints and frames; an arm itself is never written."""
+        """Poses of all joints and frames."""
         data = self.model.createData()
         pin.framesForwardKinematics(self.model, data, self.configuration(angles))
         return data
@@ -203,7 +191,7 @@ class Arm:
         Raises
         ------
         ModelError
-            When it is not a chain of turning and sliding joints that ends at the tip.
+            When it is not a chain of revolute and prismatic joints that ends at the tip.
         """
         model = self.model
         links, moves = range(1, model.njoints), np.array([_motion(j) for j in model.joints[1:]])
@@ -214,7 +202,7 @@ class Arm:
         if list(model.parents[1:]) != list(range(model.njoints - 1)):
             raise ModelError("it has branches")
         if self.tip_joint != model.njoints - 1:
-            raise ModelError("joints follow behind its tip")
+            raise ModelError("joints follow after its tip")
         return ArmStructure(
             slides=slides,
             axes=np.where(slides[:, None], moves[:, :3], moves[:, 3:]),
@@ -229,7 +217,7 @@ class Arm:
     def reference(
         self, angles: np.ndarray, rates: np.ndarray, gravity: np.ndarray
     ) -> list[LinkTerms]:
-        """What Pinocchio finds at some states, as copies.
+        """Pinocchio's terms at some states, as copies.
 
         Parameters
         ----------
@@ -239,7 +227,7 @@ class Arm:
         """
         model, near = self.model.copy(), self.model.copy()
         model.gravity.linear = np.array(gravity)
-        # Coriolis matrices are computed about the world's origin, where digits may be lost
+        # Coriolis matrices are computed about the world's origin and lose digits far from it
         near.jointPlacements[1].translation = np.zeros(3)
         data = model.createData(), near.createData()
         found = []
@@ -251,7 +239,7 @@ class Arm:
 
     def visual_model(self) -> pin.GeometryModel:
         """The URDF's visual geometry, placed consistently with :attr:`model`."""
-        return _build_visuals(self.name, self.files)
+        return _assemble(self.name, self.files, visuals=True)[1]
 
 
 def _motion(joint: pin.JointModel) -> np.ndarray:
@@ -308,23 +296,8 @@ def _from_urdf(name: str, urdf: Path | str) -> pin.Model:
         raise ModelError(f"arm '{name}': Pinocchio cannot read {urdf}: {error}") from error
 
 
-def _build_model(name: str, files: ArmFiles) -> pin.Model:
-    try:
-        model, _ = _assemble(name, files, visuals=False)
-    except ValueError as error:  # such as a joint and a link of one name
-        raise ModelError(
-            f"arm '{name}': Pinocchio cannot put {files.urdf} together: {error}"
-        ) from error
-    return model
-
-
-def _build_visuals(name: str, files: ArmFiles) -> pin.GeometryModel:
-    _, geometry = _assemble(name, files, visuals=True)
-    return geometry
-
-
 def _assemble(name: str, files: ArmFiles, visuals: bool) -> tuple[pin.Model, pin.GeometryModel]:
-    """Robot, tool, locked joints, base: the model and (when asked for) its visual geometry."""
+    """Robot, tool, locked joints, base: the model and (for ``visuals``) its visual geometry."""
     model = _from_urdf(name, files.urdf)
     geometry = _geometry(model, files.urdf, files.package_dirs, visuals)
     if files.tool_urdf is not None:

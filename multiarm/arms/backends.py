@@ -1,60 +1,35 @@
 """Arm-dynamics backends: what computes the terms of each arm of a system.
 
-A backend reads positions and velocities of its arms from given arrays and leaves inertia, bias,
+A backend reads positions and velocities of its arms from given arrays and writes inertia, bias,
 Jacobian and the motion of the tip's link at fixed addresses, where kernels find them through a
-table (:mod:`multiarm.arms.terms`).  There are two: Pinocchio, called back in Python
-(:mod:`multiarm.arms.pinocchio_backend`), and batched RNEA and CRBA in compiled code
-(:mod:`multiarm.arms.compiled`).  A system may have arms of both.
+table (:mod:`multiarm.arms.terms`).  There are two: Pinocchio, called back in Python, and batched
+RNEA and CRBA in compiled code (:mod:`multiarm.arms.compiled`).  A system may have arms of both.
+
+Of Pinocchio two calls, ``crba`` in the world convention and ``nonLinearEffects``, compute all that
+a group of arms in one model needs.  The kernels read it where Pinocchio keeps it: nothing is
+copied and no Python object is made inside a step.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
-from typing import Any, Protocol
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
-from multiarm.arms.arm import Arm
-from multiarm.arms.pinocchio_backend import PinocchioBackend
+from multiarm.arms.arm import Arm, named_with_prefix
+from multiarm.arms.compiled.backend import CompiledBackend, compile_arms
 from multiarm.arms.terms import POINTER_WIDTH, ArmFunctions, ArmState, Coriolis
+from multiarm.errors import ModelError
 from multiarm.jit.pointers import PythonCallback
 
-
-class ArmBackend(Protocol):
-    """Computes the terms of some of a system's arms.
-
-    Attributes
-    ----------
-    places : tuple of int
-        Numbers of its arms among all arms of the scene.
-    pointers : int64 ndarray, shape (its arms, 8)
-        Where each arm's terms are, see :mod:`multiarm.arms.terms`; valid while the backend lives.
-    """
-
-    places: tuple[int, ...]
-    pointers: np.ndarray
-
-    def copy(self) -> ArmBackend:
-        """The same arms with terms of their own: constants are shared."""
-        ...
-
-    def connect(self, state: ArmState, status: Any) -> ArmFunctions:
-        """What updates the terms at a state; see :meth:`ArmBackends.connect`."""
-        ...
-
-    def connect_coriolis(self, status: Any, found: Coriolis) -> PythonCallback | None:
-        """Write where the matrices of Coriolis forces are, and what updates them."""
-        ...
-
-    def pose_address(self, place: int, joint: int) -> int:
-        """Where the pose of a joint of arm number ``place`` of the scene is: axes, origin."""
-        ...
-
-    def potential_energy(self) -> float:
-        """Potential energy of its arms [J] at the state evaluated last, zero at the origin."""
-        ...
+# More arms in a model mean fewer calls, but a larger and mostly empty inertia matrix: the cost per
+# arm is flat around eight.
+ARMS_PER_GROUP = 8
 
 
 class ArmBackends:
@@ -67,20 +42,20 @@ class ArmBackends:
     with_gravity_torque : bool
         Whether the control needs the gravity torques.
     compiled : bool
-        Whether arms that can be are compiled; they are then verified against Pinocchio's.
+        Compile the arms for which that is possible, verified against Pinocchio's.
 
     Attributes
     ----------
     by_arm : dict of str to str
         ``"compiled"`` or ``"pinocchio"``.
     reasons : dict of str to str
-        Why an arm stays with Pinocchio although compiled ones were wanted.
+        Why an arm stays with Pinocchio although ``compiled`` is set.
     pointers : int64 ndarray, shape (arms, 8)
-        Where each arm's terms are, see :mod:`multiarm.arms.terms`; valid while this lives.
+        The table of :mod:`multiarm.arms.terms`; valid while this lives.
     q_slots : int64 ndarray, shape (joints,)
-        Place of each joint in Pinocchio's configuration; -1 for those of compiled arms.
+        Index of each joint in Pinocchio's configuration; -1 for those of compiled arms.
     configuration : int
-        Numbers in that configuration.
+        Size of that configuration.
     """
 
     def __init__(
@@ -90,60 +65,44 @@ class ArmBackends:
         with_gravity_torque: bool,
         compiled: bool = False,
     ) -> None:
-        self._arms = dict(arms)
-        self._backends: list[ArmBackend] = []
+        self._compiled: CompiledBackend | None = None
+        self._groups: list[ArmGroup] = []
         self._coriolis: tuple[Coriolis, PythonCallback | None] | None = None
         self.reasons: dict[str, str] = {}
         self.by_arm = dict.fromkeys(arms, "pinocchio")
         if compiled:
-            self._compile(gravity, with_gravity_torque)
-        rest = {k: arms[name] for k, name in enumerate(arms) if self.by_arm[name] == "pinocchio"}
-        first_joints = np.cumsum([0, *(arm.dof for arm in arms.values())])
-        pinocchio = PinocchioBackend(rest, first_joints, gravity, with_gravity_torque)
-        self._backends.append(pinocchio)
-        self.q_slots, self.configuration = pinocchio.q_slots, pinocchio.configuration
-        self.pointers = self._all_pointers()
-
-    def _compile(self, gravity: np.ndarray, with_gravity_torque: bool) -> None:
-        """Take the arms that can be compiled."""
-        from multiarm.arms.compiled.verification import compile_arms
-
-        backend, self.reasons = compile_arms(self._arms, gravity)
+            self._compiled, self.reasons = compile_arms(arms, gravity)
         for name, reason in self.reasons.items():
             warnings.warn(f"arm '{name}' stays with Pinocchio: {reason}", stacklevel=2)
-        if backend is not None:
-            names = list(self._arms)
-            self.by_arm |= {names[place]: "compiled" for place in backend.places}
+        names, every = list(arms), list(arms.values())
+        if self._compiled is not None:
+            self.by_arm |= {names[place]: "compiled" for place in self._compiled.places}
             if with_gravity_torque:
-                backend.want_gravity_torque()
-            self._backends.append(backend)
+                self._compiled.want_gravity_torque()
+        first_joints = np.cumsum([0, *(arm.dof for arm in every)])
+        self.q_slots = np.full(first_joints[-1], -1, dtype=np.int64)
+        self.configuration = 0
+        rest = [k for k, name in enumerate(names) if self.by_arm[name] == "pinocchio"]
+        for places in _neighbours(rest):
+            start = int(first_joints[places[0]]), self.configuration
+            own = [every[place] for place in places]
+            group = ArmGroup(own, places[0], start, gravity, with_gravity_torque)
+            self._groups.append(group)
+            self.q_slots[group.joints] = group.q_slots + self.configuration
+            self.configuration += group.model.nq
+        self.pointers = self._table()
 
     def copy(self) -> ArmBackends:
-        """The same arms with terms of their own: models and tables are shared."""
+        """The same arms with their own terms; models and tables are shared."""
         other = copy(self)
-        other._backends = [backend.copy() for backend in self._backends]
+        other._compiled = None if self._compiled is None else self._compiled.copy()
+        other._groups = [group.copy() for group in self._groups]
         other._coriolis = None
-        other.pointers = other._all_pointers()
+        other.pointers = other._table()
         return other
 
-    def _all_pointers(self) -> np.ndarray:
-        pointers = np.zeros((len(self._arms), POINTER_WIDTH), dtype=np.int64)
-        for backend in self._backends:
-            pointers[list(backend.places)] = backend.pointers
-        return pointers
-
-    def pose_address(self, arm: int, joint: int) -> int:
-        """Where the pose of a joint of an arm is: rotation by columns, origin."""
-        own = next(backend for backend in self._backends if arm in backend.places)
-        return own.pose_address(arm, joint)
-
     def connect(
-        self,
-        angles: np.ndarray,
-        rates: np.ndarray,
-        q: np.ndarray,
-        bodies: np.ndarray,
-        status: Any,
+        self, angles: np.ndarray, rates: np.ndarray, q: np.ndarray, bodies: np.ndarray, status: Any
     ) -> ArmFunctions:
         """Let all arms read positions and velocities, and write the motion of their last links.
 
@@ -154,19 +113,22 @@ class ArmBackends:
         status : Numbers
             ``failed`` is set when Pinocchio raises, ``potential_energy`` where that is wanted.
         """
-        state, made = ArmState(angles, rates, q, bodies), ArmFunctions({}, {})
-        for backend in self._backends:
-            addresses, callbacks = backend.connect(state, status)
-            made.addresses.update(addresses)
-            made.callbacks.update(callbacks)
-        return made
-
-    def potential_energy(self) -> float:
-        """Potential energy of all arms [J] at the state evaluated last, zero at the origin."""
-        return sum(backend.potential_energy() for backend in self._backends)
+        self._state = ArmState(angles, rates, q, bodies)
+        addresses = {} if self._compiled is None else self._compiled.connect(self._state)
+        callbacks: dict[str, PythonCallback] = {}
+        if self._groups:
+            updates = [group.bind(self._state) for group in self._groups]
+            callbacks["pinocchio"] = PythonCallback(_all_of(updates), status)
+            if any(np.any(group.model.gravity.linear) for group in self._groups):
+                energy = PythonCallback(self._energy_update(status), status)
+                callbacks["pinocchio_energy"] = energy
+        addresses |= {name: call.address for name, call in callbacks.items()}
+        return ArmFunctions(addresses, callbacks)
 
     def coriolis(self, status: Any) -> tuple[Coriolis, PythonCallback | None]:
-        """What updates the matrices of Coriolis forces, and where they are; the callback in it.
+        """Addresses of the matrices of Coriolis forces and of the functions that update them.
+
+        The second result is Pinocchio's callback among these; None where all arms are compiled.
 
         Raises
         ------
@@ -174,11 +136,45 @@ class ArmBackends:
             When a compiled matrix is not Pinocchio's.
         """
         if self._coriolis is None:
-            count = len(self._arms)
-            found = Coriolis(np.zeros(4, dtype=np.int64), np.zeros((count, 2), dtype=np.int64))
-            calls = [backend.connect_coriolis(status, found) for backend in self._backends]
-            self._coriolis = found, next((call for call in calls if call is not None), None)
+            places = np.zeros((len(self.by_arm), 2), dtype=np.int64)
+            found, call = Coriolis(np.zeros(4, dtype=np.int64), places), None
+            if self._compiled is not None:
+                self._compiled.connect_coriolis(found)
+            if self._groups:
+                updates = [group.bind_coriolis(self._state, places) for group in self._groups]
+                call = PythonCallback(_all_of(updates), status)
+                found.calls[0] = call.address
+            self._coriolis = found, call
         return self._coriolis
+
+    def pose_address(self, arm: int, joint: int) -> int:
+        """Address of the pose of a joint of an arm (0: the world): rotation by columns, origin."""
+        if self._compiled is not None and arm in self._compiled.places:
+            return self._compiled.pose_address(arm, joint)
+        group = next(group for group in reversed(self._groups) if group.place <= arm)
+        return group.pose_address(arm - group.place, joint)
+
+    def potential_energy(self) -> float:
+        """Potential energy of all arms [J] at the state evaluated last, zero at the origin."""
+        compiled = 0.0 if self._compiled is None else self._compiled.potential_energy()
+        return compiled + self._energy_of_groups()
+
+    def _energy_of_groups(self) -> float:
+        return sum(group.potential_energy(self._state) for group in self._groups)
+
+    def _energy_update(self, status: Any) -> Callable[[], None]:
+        def update() -> None:
+            status.potential_energy = self._energy_of_groups()
+
+        return update
+
+    def _table(self) -> np.ndarray:
+        pointers = np.zeros((len(self.by_arm), POINTER_WIDTH), dtype=np.int64)
+        if self._compiled is not None:
+            pointers[list(self._compiled.places)] = self._compiled.pointers
+        for group in self._groups:
+            pointers[group.place : group.place + len(group.pointers)] = group.pointers
+        return pointers
 
 
 class Ground:
@@ -194,3 +190,156 @@ class Ground:
         at = [array.ctypes.data for array in (still, pose, still, drift)]
         # inertia and its stride, Jacobian, bias, gravity: none; pose, twist, drift
         self.pointers = np.array([at[0], 1, at[0], at[0], at[0], *at[1:]], dtype=np.int64)
+
+
+class ArmGroup:
+    """Neighbouring arms in one Pinocchio model.
+
+    Attributes
+    ----------
+    place : int
+        Number of its first arm among all.
+    joints, numbers : slice
+        Its joints in the stacked vectors, and its part of Pinocchio's configuration.
+    pointers : int64 ndarray, shape (arms, 8)
+        Rows of the table of :mod:`multiarm.arms.terms`.
+    """
+
+    def __init__(
+        self,
+        arms: list[Arm],
+        place: int,
+        start: tuple[int, int],
+        gravity: np.ndarray,
+        with_gravity_torque: bool,
+    ) -> None:
+        model = pin.Model()
+        for arm in arms:
+            model = pin.appendModel(model, named_with_prefix(arm), 0, pin.SE3.Identity())
+        model.gravity.linear = gravity
+        model.armature = np.concatenate([arm.model.armature for arm in arms])  # not appended
+        self.model, self.data = model, model.createData()
+        self.place = place
+        self.joints = slice(start[0], start[0] + model.nv)
+        self.numbers = slice(start[1], start[1] + model.nq)
+        first_dof = np.cumsum([0] + [arm.dof for arm in arms])
+        self.q_slots = np.array([j.idx_q for j in model.joints[1:]], dtype=np.int64)
+        if not np.array_equal([j.idx_v for j in model.joints[1:]], np.arange(model.nv)):
+            raise ModelError("Pinocchio did not number the joints of several arms in order")
+        self.pointers = np.zeros((len(arms), POINTER_WIDTH), dtype=np.int64)
+        self._first_dof = first_dof
+        self._tips = [int(d) + arm.tip_joint for arm, d in zip(arms, first_dof, strict=False)]
+        self._fill_pointers()
+        self._with_gravity_torque = with_gravity_torque
+
+    def copy(self) -> ArmGroup:
+        """The same arms with their own terms; the model is shared."""
+        other = copy(self)
+        other.data, other.pointers = self.model.createData(), np.zeros_like(self.pointers)
+        other._fill_pointers()
+        return other
+
+    def bind(self, state: ArmState) -> Callable[[], None]:
+        """Function without arguments that updates all terms from positions and velocities."""
+        model, data = self.model, self.data
+        q, v = state.q[self.numbers], state.rates[self.joints]
+        crba, bias, world = pin.crba, pin.nonLinearEffects, pin.Convention.WORLD
+        gravity_torque = pin.computeGeneralizedGravity
+
+        def update() -> None:
+            crba(model, data, q, world)
+            bias(model, data, q, v)
+
+        def update_with_gravity_torque() -> None:
+            # first, because it overwrites data.a_gf, whose values must be those of nonLinearEffects
+            gravity_torque(model, data, q)
+            crba(model, data, q, world)
+            bias(model, data, q, v)
+
+        return update_with_gravity_torque if self._with_gravity_torque else update
+
+    def bind_coriolis(self, state: ArmState, places: np.ndarray) -> Callable[[], None]:
+        """Function that updates the matrices of Coriolis forces; writes their ``places``."""
+        model, data, n = self.model, self.model.createData(), self.model.nv
+        q, v = state.q[self.numbers], state.rates[self.joints]
+        run = pin.computeCoriolisMatrix
+
+        def update() -> None:
+            run(model, data, q, v)
+
+        update()
+        at = _address(data.C)
+        _require_layout(sorted(data.C.strides) == [8, 8 * n] or n == 1, "C is not stored densely")
+        first_dof, own = self._first_dof[:-1], slice(self.place, self.place + len(self.pointers))
+        places[own, 0], places[own, 1] = at + 8 * (n + 1) * first_dof, n
+        return update
+
+    def pose_address(self, arm: int, joint: int) -> int:
+        """Address of the pose of a joint of the group's arm number ``arm``; see ``POSE_AT``."""
+        return _address(self.data.oMi[int(self._first_dof[arm]) + joint].rotation)
+
+    def potential_energy(self, state: ArmState) -> float:
+        """Potential energy of all links [J], zero at the world's origin."""
+        return pin.computePotentialEnergy(self.model, self.data, state.q[self.numbers])
+
+    def _fill_pointers(self) -> None:
+        """Read addresses once; check the memory layout that the kernels rely on."""
+        model, data, n = self.model, self.data, self.model.nv
+        q, v = pin.neutral(model), np.zeros(n)
+        pin.crba(model, data, q, pin.Convention.WORLD)
+        pin.nonLinearEffects(model, data, q, v)
+        pin.computeGeneralizedGravity(model, data, q)
+        _require_layout(data.M.strides == (8, 8 * n) or n == 1, "M is not stored by columns")
+        J = data.J
+        _require_layout(J.size == 6 * n and J.strides[0] == 8, "J is not stored by columns")
+        for row, (d, tip) in enumerate(zip(self._first_dof[:-1], self._tips, strict=True)):
+            d = int(d)
+            pose, twist, drift = data.oMi[tip], data.v[tip], data.a_gf[tip]
+            at = _address(pose.rotation)
+            _require_layout(_address(pose.translation) == at + 72, "SE3 is not [R, p]")
+            for motion in (twist, drift):
+                near = _address(motion.angular) == _address(motion.linear) + 24
+                _require_layout(near, "Motion is not [linear, angular]")
+            self.pointers[row] = (
+                _address(data.M) + 8 * (d * n + d),
+                n,
+                _address(J) + 8 * 6 * d,
+                _address(data.nle) + 8 * d,
+                _address(data.g) + 8 * d,
+                at,
+                _address(twist.linear),
+                _address(drift.linear),
+            )
+
+
+def _address(array: np.ndarray) -> int:
+    return array.__array_interface__["data"][0]
+
+
+def _require_layout(condition: bool, what: str) -> None:
+    if not condition:
+        raise ModelError(
+            f"this build of Pinocchio ({pin.__version__}) stores its data differently ({what}); "
+            f"install pin 4.x from PyPI"
+        )
+
+
+def _neighbours(places: Sequence[int]) -> Iterator[list[int]]:
+    """Runs of at most ``ARMS_PER_GROUP`` consecutive numbers, as even as possible."""
+    runs = np.split(np.array(places, dtype=int), np.flatnonzero(np.diff(places) != 1) + 1)
+    for run in runs:
+        count = -(-len(run) // ARMS_PER_GROUP)
+        bounds = np.linspace(0, len(run), count + 1).round().astype(int)
+        for a, b in pairwise(bounds):
+            yield run[a:b].tolist()
+
+
+def _all_of(updates: list[Callable[[], None]]) -> Callable[[], None]:
+    if len(updates) == 1:
+        return updates[0]
+
+    def update_all() -> None:
+        for update in updates:
+            update()
+
+    return update_all

@@ -1,4 +1,4 @@
-"""Terms of arm dynamics: where kernels find them, and named arrays of them."""
+"""Terms of arm dynamics: the table of their addresses for kernels, and named arrays of them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 
 from multiarm.jit.pointers import PythonCallback
 
-# Columns of the table that says where each arm's terms are: addresses of float64 data (inertia M
-# and its stride in numbers, Jacobian, bias, gravity torque; pose, twist and drift of the link that
-# carries the tip, as Pinocchio keeps them; 0 where compiled code has written its motion already).
+# Columns of the table of addresses of each arm's float64 terms: inertia M and its stride in
+# numbers, Jacobian, bias, gravity torque; pose, twist and drift of the link that carries the tip,
+# in Pinocchio's layout (0 for compiled arms, which write its motion into ``ArmState.bodies``).
 M_AT, M_STRIDE, J_AT, BIAS_AT, GRAVITY_AT, POSE_AT, TWIST_AT, DRIFT_AT, POINTER_WIDTH = range(9)
 
 
@@ -41,7 +41,7 @@ class ArmTerms(NamedTuple):
 
 
 class ArmState(NamedTuple):
-    """What a backend reads of a system, and where it writes the motion of the tips' links.
+    """Inputs of a backend, and the array for the motion of the tips' links.
 
     angles, rates : (joints,)
         Positions and velocities of the joints of all arms.
@@ -58,7 +58,7 @@ class ArmState(NamedTuple):
 
 
 class ArmFunctions(NamedTuple):
-    """What updates the terms of arms.
+    """Functions that update the terms of arms.
 
     addresses : dict of str to int
         Fields of :class:`multiarm.dynamics.arrays.Functions`.
@@ -71,10 +71,10 @@ class ArmFunctions(NamedTuple):
 
 
 class Coriolis(NamedTuple):
-    """Where the arms' matrices of Coriolis forces are, and what updates them.
+    """Addresses of the arms' matrices of Coriolis forces and of the functions that update them.
 
     calls : int64 (4,)
-        Address of a callback (0: none), and of an entry (0: none) with its struct and size.
+        Address of a callback (0: none), and of a compiled function (0: none), its struct and size.
     places : int64 (arms, 2)
         Addresses and strides.
     """
@@ -84,19 +84,19 @@ class Coriolis(NamedTuple):
 
 
 class ArmStructure(NamedTuple):
-    """What an arm is made of: a chain of ``n`` joints, each with the link that it moves.
+    """Structure of an arm: a chain of ``n`` joints, each with the link that it moves.
 
     slides : bool (n,)
-        Whether the joint slides; the others turn.
+        Prismatic joints; the others are revolute.
     axes : (n, 3)
         Unit vector of the joint's motion, in its own frame.
     rotations, translations : (n, 3, 3), (n, 3)
-        The joint's frame at zero in that of the joint before, of the first in the world [m].
+        The joint's frame at zero in that of the joint before; of the first in the world [m].
     masses, centres, inertias : (n,), (n, 3), (n, 3, 3)
         Of the link [kg], its centre of mass [m] and inertia about it [kg m^2], in the joint's
         frame.
     armature : (n,)
-        Inertia of the drive as seen from the joint [kg m^2 or kg].
+        Inertia of the drive reflected to the joint [kg m^2 or kg].
     """
 
     slides: np.ndarray
@@ -110,7 +110,7 @@ class ArmStructure(NamedTuple):
 
 
 class LinkTerms(NamedTuple):
-    r"""One arm at one state, as the time loop reads it.
+    r"""One arm at one state, as the time loop uses it.
 
     inertia : (n, n)
         Of the joints.

@@ -17,8 +17,8 @@ from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.joints import Joint, make_joints, on_link
 from multiarm.assembly.paths import joint_path
 from multiarm.assembly.start import assemble, check_patches, check_unilateral
-from multiarm.contacts.catalogue import FREE
-from multiarm.contacts.frames import FRAME_WIDTH, JointFrame
+from multiarm.contacts.catalogue import CATALOGUE
+from multiarm.contacts.joint import FRAME_WIDTH, JointFrame
 from multiarm.contacts.records import ContactTable, pack
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
 from multiarm.control.laws import ControlProgram, JointPath, control_program, needs_gravity_torque
@@ -449,7 +449,7 @@ def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame
     closed, frames = data.with_contacts_closed(), {}
     for joint in scene.joints:
         frame = closed.model.frames[joint.arm]
-        if FREE[joint.kind] is None:
+        if CATALOGUE[joint.kind].free is None:
             frame = replace(frame, free=free_components(closed, joint.arm, start))
         frames[joint.arm] = frame
     return {name: frames[name] for name in closed.model.arm_names}

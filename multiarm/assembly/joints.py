@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.contacts.catalogue import FREE, joint_contacts, joint_frame, surface_offset
-from multiarm.contacts.frames import JointFrame
-from multiarm.contacts.joint import Joint
+from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame, surface_offset
+from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.contacts.records import Contact
 from multiarm.errors import ModelError
 from multiarm.scene import ResolvedArm, Scene
@@ -44,7 +43,7 @@ def on_link(arm: Arm, contacts: list) -> list:
 def _joint(joint: Any, scene: Scene, arm: Arm, posture: np.ndarray) -> Joint:
     pose = _joint_pose(joint, scene, arm, posture)
     on_tip, on_object = joint_frame(joint, pose)
-    frame = JointFrame(on_tip, on_object, FREE[joint.kind] or ())
+    frame = JointFrame(on_tip, on_object, CATALOGUE[joint.kind].free or ())
     return Joint(_contacts(joint, pose), frame, joint.free_limits)
 
 

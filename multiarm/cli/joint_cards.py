@@ -19,7 +19,6 @@ import numpy as np
 import yaml
 
 from multiarm.contacts.catalogue import joint_contacts, joint_frame, surface_offset
-from multiarm.contacts.joint_motions import free_motions, seen_from
 from multiarm.contacts.records import (
     CONE,
     CYLINDER,
@@ -33,6 +32,7 @@ from multiarm.contacts.records import (
     Surface,
     basis,
 )
+from multiarm.contacts.screws import free_motions, wrenches_in_frame
 from multiarm.scene import ContactSpec, Geometry, JointBase, JointSpec
 
 # Kind of joint: what it resembles in daily life and does; what a scene has after its kind.
@@ -262,7 +262,7 @@ def _joint_card(kind: str, model: type[JointBase]) -> JointCard:
     contacts = joint_contacts(joint, on_object)
     frame = joint_frame(joint, on_object)[1]
     rows = np.column_stack([_row(contact) for contact in contacts])  # (6, N)
-    motions = free_motions(seen_from(frame, rows))
+    motions = free_motions(wrenches_in_frame(frame, rows))
     shared = JointBase.model_fields
     return JointCard(
         kind=kind,

@@ -1,12 +1,12 @@
-r"""Functions of the user's: their values, told clearly when they are wrong, and their derivatives.
+r"""Numerical differentiation of user functions, and checks of what they return.
 
-Derivatives that are not given are found by complex numbers where a function takes them, else by
-central differences.  A first derivative is then free of errors of differences,
+Derivatives that are not given are computed with complex numbers where a function accepts them, else
+by central differences.  The first derivative is then free of cancellation,
 
 .. math:: f'(x) = \operatorname{Im} f(x + i h) / h + O(h^2), \qquad h = 10^{-30},
 
 (W. Squire and G. Trapp, Using complex variables to estimate derivatives, SIAM Review 40, 1998), and
-a second one is a mean over 8 places around x, which lie mirrored to the real axis in pairs,
+a second one is a mean over 8 points around x, conjugate in pairs,
 
 .. math:: f''(x) = \frac{1}{2\rho^2} \sum_{k=1}^4
           \operatorname{Re}\left(f(x + \rho e^{i\theta_k}) e^{-2 i \theta_k}\right) + O(\rho^8),
@@ -27,87 +27,62 @@ import numpy as np
 
 from multiarm.errors import USER_FAULTS, ModelError
 
-__all__ = [
-    "Differences",
-    "UserFunction",
-    "check_agreement",
-    "check_certainty",
-    "checked",
-    "shown",
-]
-
 UserFunction = Callable[[np.ndarray], np.ndarray]
 
 # Central differences of order 8, and the mean over a circle; steps and radius are fractions of the
-# length on which a function bends.  Rounding errors weigh more in a second derivative.
+# function's length scale.  Rounding errors weigh more in a second derivative.
 _FIRST, _FIRST_STEP = (4 / 5, -1 / 5, 4 / 105, -1 / 280), 0.02
 _SECOND, _CENTRE, _SECOND_STEP = (8 / 5, -1 / 5, 8 / 315, -1 / 560), -205 / 72, 0.03
 _COMPLEX_STEP = 1e-30
 _CIRCLE, _RADIUS = np.exp(1j * np.pi * np.array([1, 3, 5, 7]) / 8), 0.04
 _MEAN = _CIRCLE**-2 / (2.0 * _RADIUS**2)
-# Complex steps and differences agree to this fraction where a function takes complex numbers as it
-# should; one that takes an absolute value on the way does not.
-_COMPLEX_AGREEMENT = 1e-6
-# How far a contact goes, in units of the length, before this is looked at again.
-_PROBE_AGAIN = 0.25
-# How far given derivatives may be from differences, relative to the largest there may be.
-_AGREEMENT = 1e-5
-# How far differences of half the step may be from those used.
-_UNCERTAINTY = 1e-7
 _PROBING = threading.Lock()
 
 
 def checked(
     function: Callable, name: str, role: str, shape: tuple[int, ...], spread: bool = False
 ) -> UserFunction:
-    """The function, with a clear error for everything that it should not return.
+    """The function, with a clear error for every unusable result.
 
     Parameters
     ----------
     function : callable
         Of an array, or of its entries one by one (``spread``).
     name, role : str
-        How messages call it: ``the <role> of <name>``.
+        Messages say ``the <role> of <name>``.
     shape : tuple of int
-        What it must return; ``()``: one number.
+        Of its result; ``()``: one number.
     """
     return partial(_evaluated, function, f"the {role} of {name}", shape, spread)
 
 
 def shown(x: np.ndarray) -> str:
-    """Numbers as they stand in a message."""
+    """Numbers for a message."""
     return np.array2string(np.asarray(x), precision=6, separator=", ")
 
 
 def check_agreement(name: str, role: str, of: str, x: np.ndarray, error: float) -> None:
-    """Refuse given derivatives that are not those of the function.
+    """Raise a ModelError for given derivatives that are not those of the function.
 
-    Raises
-    ------
-    ModelError
+    ``error`` is relative to the largest derivative there may be.
     """
-    if not error <= _AGREEMENT:
+    if not error <= 1e-5:
         raise ModelError(
             f"the {role} of {name} disagrees with differences of its {of} by {error:.1e} "
-            f"(relative) at {shown(x)}; mend it or leave it out (differences need a 'length' near "
-            "the smallest radius of curvature)"
+            f"(relative) at {shown(x)}; correct it or leave it out (differences need a 'length' "
+            "near the smallest radius of curvature)"
         )
 
 
 def check_certainty(
     name: str, differences: Differences, derivative: UserFunction, x: np.ndarray, scale: float
 ) -> None:
-    """Refuse derivatives that change when the steps of the differences are halved.
-
-    Raises
-    ------
-    ModelError
-    """
+    """Raise a ModelError where halving the steps of the differences changes the derivatives."""
     coarse = derivative(x)
     differences.lengths *= 0.5
     error = float(np.max(np.abs(derivative(x) - coarse))) / scale
     differences.lengths *= 2.0
-    if not error <= _UNCERTAINTY:
+    if not error <= 1e-7:
         raise ModelError(
             f"differences of {name} are uncertain by {error:.1e} (relative) at {shown(x)}; set "
             "'length' to its smallest radius of curvature, or give its derivatives; it must be "
@@ -121,9 +96,9 @@ class Differences:
     Parameters
     ----------
     function : callable, (n,) -> (m,)
-        Takes an array, of complex numbers only if it can.
+        Of an array, which may be complex if the function accepts it.
     lengths : array-like, shape (n,)
-        How far each variable goes until the function bends; steps are a fraction of it.
+        Length scale of the function in each variable; steps are a fraction of it.
     """
 
     def __init__(self, function: UserFunction, lengths: np.ndarray) -> None:
@@ -133,50 +108,49 @@ class Differences:
         self._probed_at: np.ndarray | None = None
 
     def probe(self, x: np.ndarray) -> None:
-        """Find out, at a point (n,), whether the function takes complex numbers."""
+        """Determine, at a point (n,), whether the function accepts complex numbers."""
         self.takes_complex = False
         first, second = self._first(x), self._second(x)
         self.takes_complex = True
-        # filters of warnings are one for all threads
+        # all threads share the warning filters
         with _PROBING, warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
                 errors = self._first(x) - first, self._second(x) - second
-            except USER_FAULTS:  # whatever a function does with numbers it was not made for
+            except USER_FAULTS:  # the function was not written for complex numbers
                 self.takes_complex = False
                 return
         lengths = self.lengths.reshape(-1, *(1,) * (first.ndim - 1))
         size = np.max(np.abs(first) * lengths)
         wrong = np.max(np.abs(errors[0]) * lengths)
         wrong += np.max(np.abs(errors[1]) * np.multiply.outer(self.lengths, lengths))
-        self.takes_complex = bool(wrong <= _COMPLEX_AGREEMENT * size)
+        # one that takes an absolute value on the way does not agree with differences
+        self.takes_complex = bool(wrong <= 1e-6 * size)
 
     def follow(self, x: np.ndarray) -> None:
-        """Probe again where the contact has come far from the last probe.
+        """Probe again a quarter of the length scale away from the last probe.
 
-        A function may take an absolute value in a branch of its own.
+        The function may have branches, one of which takes an absolute value.
         """
         at = self._probed_at
-        if at is None or (
-            self.takes_complex and np.max(np.abs(x - at) / self.lengths) > _PROBE_AGAIN
-        ):
+        if at is None or (self.takes_complex and np.max(np.abs(x - at) / self.lengths) > 0.25):
             self.probe(x)
             self._probed_at = np.array(x)
 
     def forget(self) -> None:
-        """Probe anew, wherever the next contact is."""
+        """Probe again at the next point."""
         self._probed_at = None
 
     def first(self, x: np.ndarray) -> np.ndarray:
         """Derivatives by each variable, shape (n, m)."""
-        return self._carefully(self._first, x)
+        return self._derive(self._first, x)
 
     def second(self, x: np.ndarray) -> np.ndarray:
         """Second derivatives, shape (n, n, m)."""
-        return self._carefully(self._second, x)
+        return self._derive(self._second, x)
 
-    def _carefully(self, derive: UserFunction, x: np.ndarray) -> np.ndarray:
-        """Derive; where the function loses complex numbers, without them."""
+    def _derive(self, derive: UserFunction, x: np.ndarray) -> np.ndarray:
+        """Without complex numbers where the function turns out to drop imaginary parts."""
         try:
             return derive(x)
         except _RealError:
@@ -228,7 +202,7 @@ class Differences:
 
 
 class _RealError(TypeError):
-    """A function was given complex numbers and answered with real ones."""
+    """A function returned real values for complex arguments."""
 
 
 def _complex(values: np.ndarray) -> np.ndarray:
@@ -244,7 +218,8 @@ def _evaluated(
         value = np.asarray(function(*x) if spread else function(x))
     except USER_FAULTS as error:
         raise ModelError(
-            f"{subject} failed at {_place(x)}: {type(error).__name__}: {error}; mend the function"
+            f"{subject} failed at {_place(x)}: {type(error).__name__}: {error}; "
+            "correct the function"
         ) from error
     if value.size == 1 and shape == ():
         value = value.reshape(())
@@ -258,7 +233,7 @@ def _evaluated(
 
 
 def _place(x: np.ndarray) -> str:
-    """The place as the user knows it: the imaginary parts are there to differentiate."""
+    """A point for a message; imaginary parts serve differentiation only."""
     if not np.iscomplexobj(x):
         return shown(x)
     return f"{shown(np.real(x))} (called with complex numbers, which differentiate it)"

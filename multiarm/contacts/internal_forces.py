@@ -1,11 +1,11 @@
-r"""Internal forces: what contacts can exert on the object without moving it.
+r"""Internal forces: contact forces that do not move the object.
 
 The contacts of all arms together push the object with ``W_o lambda``.  With more contacts than the
-rank of ``W_o`` the same wrench is exerted by many forces (thesis, 3.4 and 3.7.3):
+rank of ``W_o`` many forces exert the same wrench (thesis, 3.4 and 3.7.3):
 
 .. math:: \lambda = W_o^+ f_o + A_o \mu_I, \qquad W_o A_o = 0 .
 
-The first part *moves* the object and is the smallest that does; the second part only *squeezes* it.
+The first part, of minimum norm, *moves* the object; the second part only *squeezes* it.
 ``W_o`` is about the object's centre of mass, in object axes: ``f_o`` is a force [N] and a moment
 [N m] there.  A multiplier ``lambda_j`` is the force of contact j [N], positive where it pushes; of
 a row that is a couple it is a moment in units of that row.
@@ -18,8 +18,8 @@ The basis ``A_o`` is a choice, and with it the meaning of the coordinates ``mu_I
 * ``echelon``: as many rows as columns are unit rows; a coordinate is the deviation of one contact
   force from the smallest: ``mu_I,j = lambda_j - (W_o^+ f_o)_j``.
 
-"Smallest" is meant in the multipliers as they are, the plain pseudo-inverse.  With a ``length`` it
-is meant in newtons: a contact counts with its force, a couple with its moment over that lever arm.
+The norm is that of the multipliers as they are, for the plain pseudo-inverse.  With a ``length`` it
+is in newtons: a contact counts with its force, a couple with its moment over that lever arm.
 """
 
 from __future__ import annotations
@@ -32,11 +32,12 @@ import numpy as np
 from multiarm.contacts.screws import (
     COUPLE_TOLERANCE,
     RANK_TOLERANCE,
+    canonical_basis,
+    chosen_rows,
     column_norms,
     pivots,
     row_scale,
     screw_system,
-    settled,
     wrench_matrix,
 )
 from multiarm.errors import GraspError
@@ -44,20 +45,16 @@ from multiarm.errors import GraspError
 FORMS = ("orthonormal", "nonnegative", "echelon")
 # A combination presses all contacts when the weakest has this part of the strongest.
 PRESSING_TOLERANCE = 1e-7
-# Unit rows are refused when the other forces would be more than 1 / this of the coordinates.
-UNIT_ROW_TOLERANCE = 1e-6
-# A wrench is carried when what is left of it is below this part of it (moments over lever arms).
-CARRIED_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
 class InternalForces:
-    """A basis of the contact forces that do not move the object.
+    """A basis of the internal forces.
 
     Attributes
     ----------
     basis : ndarray, shape (N, N - rank)
-        ``A_o``: one column a combination of contact forces, ``W_o A_o = 0``.
+        ``A_o``, with ``W_o A_o = 0``.
     rank : int
         Rank of ``W_o``; with 6 the contacts hold the object fully.
     rows : tuple of int
@@ -84,11 +81,11 @@ class Decomposition:
     Attributes
     ----------
     moving : ndarray, shape (N,)
-        The smallest forces with the same resultant, ``W_o^+ f_o`` [N].
+        The minimum-norm forces with the same resultant, ``W_o^+ f_o`` [N].
     squeezing : ndarray, shape (N,)
         The rest, ``A_o mu_I`` [N].
     coordinates : ndarray, shape (N - rank,)
-        ``mu_I`` in the basis asked for.
+        ``mu_I``.
     wrench : ndarray, shape (6,)
         Resultant ``f_o`` on the object: force [N] and moment [N m] about the centre of mass, object
         axes.
@@ -152,7 +149,7 @@ def distribute(
     basis: InternalForces | None = None,
     length: float | None = None,
 ) -> np.ndarray:
-    """Contact forces ``W_o^+ f_o + A_o mu_I`` that push the object with a given wrench, (N,) [N].
+    """Contact forces ``W_o^+ f_o + A_o mu_I`` with a given resultant wrench, (N,) [N].
 
     Parameters
     ----------
@@ -163,7 +160,7 @@ def distribute(
     internal : array-like, shape (N - rank,), optional
         ``mu_I``; none when left out.
     basis : InternalForces, optional
-        What ``internal`` means; the orthonormal form when left out.
+        Of the coordinates ``internal``; the orthonormal form when left out.
     length : float, optional
         Measure the forces in newtons, couples over this lever arm [m]; left out: as they are.
 
@@ -180,13 +177,13 @@ def distribute(
     scaled = scale[:, None] * W_o / norms
     some = np.linalg.lstsq(scaled, scale * wrench, rcond=RANK_TOLERANCE)[0] / norms
     missing = wrench - W_o @ some
-    if np.linalg.norm(scale * missing) > CARRIED_TOLERANCE * np.linalg.norm(scale * wrench):
+    if np.linalg.norm(scale * missing) > 1e-9 * np.linalg.norm(scale * wrench):
         raise GraspError(
             f"the contacts cannot exert this wrench on the object: {_six(missing)} (force [N], "
             f"moment [N m] about the centre of mass, object axes) is left over; their rank is "
             f"{screws.rank} of 6"
         )
-    force = _smallest(W_o, screws.dependencies, some, length)
+    force = _minimum_norm(W_o, screws.dependencies, some, length)
     if internal is None:
         return force
     A = basis or internal_forces(W_o)
@@ -215,7 +212,7 @@ def decompose(
     forces : array-like, shape (N,)
         Contact forces [N], positive pushes.
     basis : InternalForces, optional
-        What the coordinates mean; the orthonormal form when left out.
+        Of the coordinates; the orthonormal form when left out.
     length : float, optional
         As in :func:`distribute`.
 
@@ -228,16 +225,16 @@ def decompose(
     if forces.shape != (W_o.shape[1],):
         raise GraspError(f"W_o has {W_o.shape[1]} contacts, the forces have shape {forces.shape}")
     A = basis or internal_forces(W_o)
-    moving = _smallest(W_o, A.basis, forces, length)
+    moving = _minimum_norm(W_o, A.basis, forces, length)
     squeezing = forces - moving
     mu_I = np.linalg.lstsq(A.basis, squeezing, rcond=None)[0]
     return Decomposition(moving, squeezing, mu_I, W_o @ forces)
 
 
-def _smallest(
+def _minimum_norm(
     W_o: np.ndarray, null: np.ndarray, force: np.ndarray, length: float | None
 ) -> np.ndarray:
-    """The smallest forces with the same resultant: without their part in the null space."""
+    """Minimum-norm forces with the same resultant: without their part in the null space."""
     metric = np.ones(force.size)
     if length is not None:
         push, turn = np.linalg.norm(W_o[:3], axis=0), np.linalg.norm(W_o[3:], axis=0) / length
@@ -247,16 +244,16 @@ def _smallest(
 
 
 def _nonnegative(A: np.ndarray, labels: list[str]) -> np.ndarray:
-    """Basis without negative entries: a column that presses all contacts, others next to it."""
+    """Basis without negative entries: a column that presses all contacts, and others plus it."""
     if A.shape[1] == 0:
         raise GraspError(
             f"the forces of {', '.join(labels)} are determined by what they do to the object: "
             f"there are no internal forces that could press; add contacts"
         )
-    pressing = _evenest(A, labels)
+    pressing = _pressing(A, labels)
     others = A - np.outer(pressing, pressing @ A) / (pressing @ pressing)
-    # what is left of the basis beside `pressing`, one column fewer
-    others = settled(np.linalg.svd(others)[0][:, : A.shape[1] - 1])
+    # the basis without its part along `pressing`, one column fewer
+    others = canonical_basis(np.linalg.svd(others)[0][:, : A.shape[1] - 1])
     columns = [pressing]
     for column in others.T:
         # as little of the pressing column as keeps every contact from pulling
@@ -265,10 +262,10 @@ def _nonnegative(A: np.ndarray, labels: list[str]) -> np.ndarray:
     return np.column_stack([column / np.max(column) for column in columns])
 
 
-def _evenest(A: np.ndarray, labels: list[str]) -> np.ndarray:
-    """Internal force that presses all contacts: the one nearest to equal forces, if that does.
+def _pressing(A: np.ndarray, labels: list[str]) -> np.ndarray:
+    """Internal force that presses all contacts: the one nearest to equal forces, if it does.
 
-    Otherwise the one whose weakest contact is pressed most, by linear programming.
+    Otherwise the one that maximises the smallest contact force, by linear programming.
     """
     even = A @ A.sum(axis=0)
     if np.min(even) > PRESSING_TOLERANCE * np.max(np.abs(even)):
@@ -307,7 +304,7 @@ def _echelon(
 ) -> tuple[np.ndarray, tuple[int, ...]]:
     """Basis with unit rows at the chosen contacts."""
     size = A.shape[1]
-    chosen = pivots(A) if rows is None else _numbers(rows, labels)
+    chosen = pivots(A) if rows is None else chosen_rows(rows, labels, "contacts")
     if len(chosen) != size:
         raise GraspError(
             f"the contacts have {size} internal coordinates, which takes as many of them, not "
@@ -315,7 +312,7 @@ def _echelon(
         )
     block = A[list(chosen)]
     smallest = np.linalg.svd(block, compute_uv=False)[-1] if size else 1.0
-    if smallest < UNIT_ROW_TOLERANCE:
+    if smallest < 1e-6:  # other forces would be up to 1e6 times the coordinates
         raise GraspError(
             f"the forces of {', '.join(labels[j] for j in chosen)} cannot be coordinates of the "
             f"internal forces: there are internal forces in which none of them changes"
@@ -327,21 +324,8 @@ def _echelon(
     return echelon, chosen
 
 
-def _numbers(rows: Sequence[int | str], labels: list[str]) -> tuple[int, ...]:
-    numbers: list[int] = []
-    for row in rows:
-        number = labels.index(row) if row in labels else row
-        if isinstance(number, str) or number not in range(len(labels)) or int(number) in numbers:
-            raise GraspError(
-                f"contacts are {', '.join(labels)} or 0 to {len(labels) - 1}, each once; not "
-                f"{', '.join(str(r) for r in rows)}"
-            )
-        numbers.append(int(number))
-    return tuple(numbers)
-
-
 def _advice(A: np.ndarray, labels: list[str]) -> str:
-    """End of a message: contacts that can serve."""
+    """End of a message: contacts whose forces can be coordinates."""
     if A.shape[1] == 0:
         return "; the contacts have no internal forces"
     return f"; {' + '.join(labels[j] for j in pivots(A))} can"

@@ -1,14 +1,29 @@
-r"""The contact matrices W_m and W_o with their rates, for people: in the bodies' own axes.
+r"""Contact matrices with their rates, for analysis, and the motion of a gripper.
 
 .. math:: W = \begin{bmatrix} e \\ p\times e\end{bmatrix}, \qquad
    \dot W = \begin{bmatrix}\dot e\\ \dot p\times e + p\times\dot e\end{bmatrix}
 
 component by component in each body's axes, about its own origin (thesis, 3.14 - 3.19).  The time
 loop needs none of this: it works in world axes with ``c``, which holds what ``dW/dt`` would give.
+
+*The gripper relative to the object* (thesis, 3.5 and 3.6).  With ``x`` the gripper's origin in
+object axes, ``r = R_o x`` and the relative twist ``v = [x'; omega]`` in object axes, the gripper's
+twist and acceleration in the world are
+
+.. math::
+    v_m &= \begin{bmatrix} \dot x_o + \omega_o \times r \\ \omega_o \end{bmatrix} + H_o v, \\
+    \dot v_m &= \begin{bmatrix} \ddot x_o + \dot\omega_o \times r
+          + \omega_o \times (\omega_o \times r) \\ \dot\omega_o \end{bmatrix} + H_o \dot v
+          + \begin{bmatrix} 2\,\omega_o \times R_o \dot x \\ \omega_o \times R_o \omega
+          \end{bmatrix},
+
+``H_o`` turning object axes into world axes.  ``v'`` is the rate of the components of ``v``:
+``T alpha' + T' alpha``.  Even a welded gripper has an acceleration bias, the centripetal one.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -62,14 +77,7 @@ class ContactTerms(NamedTuple):
 
 
 class ContactMatrices(NamedTuple):
-    """Columns of W and of its rate, one a row of the table, in the body's own axes.
-
-    W_m, W_o : (6, N)
-        Wrenches on the gripper (about its frame's origin) and on the object (about the centre of
-        mass) for a unit push.
-    W_m_dot, W_o_dot : (6, N)
-        Their rates, component by component.
-    """
+    """The first four fields of :class:`ContactTerms`, for some rows of a table."""
 
     W_m: np.ndarray
     W_o: np.ndarray
@@ -93,8 +101,9 @@ def contact_matrices(
     codes : int64 (N + P, 4), geometry : (N + P, 13)
         The table, see :class:`multiarm.contacts.records.ContactTable`.
     rows : (N + P, 18)
-        Kinematics of its rows and, behind them, of the parts of combined rows.
+        Kinematics of its rows, followed by those of the parts of combined rows.
     wanted : int (k,)
+        Numbers of the rows.
     link, body : (24,)
         Kinematics of the link that carries the arm's geometry, and of the object.
     tip : (24,)
@@ -102,8 +111,8 @@ def contact_matrices(
     """
     wrenches = np.empty((len(codes), 4, 6))
     for on_object, surface in ((True, body), (False, link)):
-        mine = (codes[:, SURFACE_BODY] == SURFACE_ON_OBJECT) == on_object
-        wrenches[mine] = _simple(rows[mine], on_object, surface, body, tip)
+        mask = (codes[:, SURFACE_BODY] == SURFACE_ON_OBJECT) == on_object
+        wrenches[mask] = _uncombined(rows[mask], on_object, surface, body, tip)
     result = wrenches[wanted]
     for place, row in enumerate(wanted):
         if codes[row, KIND] == COMBINED:
@@ -114,7 +123,7 @@ def contact_matrices(
     return ContactMatrices(*(np.ascontiguousarray(result[:, k].T) for k in range(4)))
 
 
-def _simple(
+def _uncombined(
     rows: np.ndarray, on_object: bool, surface: np.ndarray, body: np.ndarray, tip: np.ndarray
 ) -> np.ndarray:
     """W_m, W_o and their rates of rows that are no combinations, shape (k, 4, 6)."""
@@ -134,3 +143,98 @@ def _simple(
         out[:, column] = np.hstack([f, np.cross(p, f)])
         out[:, column + 2] = np.hstack([f_dot, np.cross(p_dot, f) + np.cross(p, f_dot)])
     return out
+
+
+@dataclass(frozen=True)
+class RelativeMotion:
+    """Pose and twist of a gripper relative to the object, in object axes.
+
+    Attributes
+    ----------
+    rotation : ndarray, shape (3, 3)
+        Turns components in gripper axes into object axes.
+    translation : ndarray, shape (3,)
+        The gripper's origin seen from the object's [m].
+    twist : ndarray, shape (6,)
+        Rate of ``translation`` [m/s] and relative angular velocity [rad/s].
+    """
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    twist: np.ndarray
+
+
+def seen_from_object(
+    X_WO: np.ndarray, twist_O: np.ndarray, X_WT: np.ndarray, twist_T: np.ndarray
+) -> RelativeMotion:
+    """The gripper's motion relative to the object.
+
+    Parameters
+    ----------
+    X_WO, X_WT : ndarray, shape (4, 4)
+        Poses of object and gripper in the world.
+    twist_O, twist_T : ndarray, shape (6,)
+        Velocities of their origins and angular velocities, world axes.
+    """
+    R_WO = X_WO[:3, :3]
+    r = X_WT[:3, 3] - X_WO[:3, 3]
+    velocity = twist_T[:3] - twist_O[:3] - np.cross(twist_O[3:], r)
+    omega = twist_T[3:] - twist_O[3:]
+    return RelativeMotion(
+        rotation=R_WO.T @ X_WT[:3, :3],
+        translation=R_WO.T @ r,
+        twist=np.concatenate([R_WO.T @ velocity, R_WO.T @ omega]),
+    )
+
+
+def relative_wrenches(
+    terms: ContactTerms, relative: RelativeMotion
+) -> tuple[np.ndarray, np.ndarray]:
+    """``W_m^o`` and its rate, both (6, N): wrenches on the gripper about its origin, object axes.
+
+    ``W_m^o = blkdiag(R, R) W_m``, columns ``[-e_o; e_o x (p_o - x)]`` for contacts.
+    """
+    R, omega = relative.rotation, relative.twist[3:]
+    W = _turned(R, terms.W_m)
+    spin = np.vstack([np.cross(omega, W[:3], axisb=0).T, np.cross(omega, W[3:], axisb=0).T])
+    return W, _turned(R, terms.W_m_dot) + spin
+
+
+def gripper_twist(
+    object_rotation: np.ndarray, object_twist: np.ndarray, relative: RelativeMotion
+) -> np.ndarray:
+    """Twist of the gripper in world axes, shape (6,) (thesis, 3.5).
+
+    ``object_rotation`` (3, 3) turns object axes into world axes; ``object_twist`` is in these.
+    """
+    arm = object_rotation @ relative.translation
+    carried = object_twist.astype(float)
+    carried[:3] += np.cross(object_twist[3:], arm)
+    return carried + _turned(object_rotation, relative.twist)
+
+
+def gripper_acceleration(
+    object_rotation: np.ndarray,
+    object_twist: np.ndarray,
+    object_acceleration: np.ndarray,
+    relative: RelativeMotion,
+    relative_acceleration: np.ndarray,
+) -> np.ndarray:
+    """Acceleration of the gripper (classical, world axes), shape (6,) (thesis, 3.6).
+
+    The object's acceleration is classical too, in world axes; ``relative_acceleration`` is the rate
+    of the components of the relative twist, ``T alpha' + T' alpha``.
+    """
+    omega, alpha = object_twist[3:], object_acceleration[3:]
+    arm = object_rotation @ relative.translation
+    sliding = _turned(object_rotation, relative.twist)
+    carried = object_acceleration.astype(float)
+    carried[:3] += np.cross(alpha, arm) + np.cross(omega, np.cross(omega, arm))
+    carried[:3] += 2.0 * np.cross(omega, sliding[:3])
+    carried[3:] += np.cross(omega, sliding[3:])
+    return carried + _turned(object_rotation, relative_acceleration)
+
+
+def _turned(R: np.ndarray, screws: np.ndarray) -> np.ndarray:
+    """Twists or wrenches (6, ...) in the axes that ``R`` turns to."""
+    return np.concatenate([R @ screws[:3], R @ screws[3:]])

@@ -1,19 +1,21 @@
 r"""Motion space of a joint: which motions it leaves free, and the coordinates of these motions.
 
-The contacts of an arm bind the motion of the gripper relative to the object, in object axes and at
-the gripper's origin: ``W^T v = 0`` with ``W = W_m^o``, columns ``[-e_o; e_o x (p_o - x)]``
-(thesis, 3.21).  ``T`` spans what is left (3.20):
+The contacts of an arm constrain the motion of the gripper relative to the object, in object axes
+and at the gripper's origin: ``W^T v = 0`` with ``W = W_m^o``, columns ``[-e_o; e_o x (p_o - x)]``
+(thesis, 3.21).  ``T`` spans the free motions (3.20):
 
 .. math:: v = T \alpha, \qquad W^T T = 0, \qquad S\, T = I .
 
-*What the rates alpha mean is a choice*, made by a matrix ``S`` with ``alpha = S v``: rows of the
-twist (``S`` has rows of the identity), or any of :mod:`multiarm.contacts.coordinates`.  From any
-basis ``N`` of the null space, and any solution ``D`` of ``W^T D = -(dW/dt)^T T``,
+*The rates alpha are a choice*, made by a matrix ``S`` with ``alpha = S v`` (thesis, 3.8.1): rows of
+the identity, for components of the twist; rows of ``[0, E^-1]``, for rates of Euler angles with
+``omega = E theta'``; or components at the joint's own centre along its own axes, such as the angle
+of a hinge, whatever the gripper's origin does meanwhile.  From any basis ``N`` of the null space,
+and any solution ``D`` of ``W^T D = -(dW/dt)^T T``,
 
 .. math:: T = N (S N)^{-1}, \qquad \dot T = D - T (S D + \dot S\, T) .
 
 The choice is a good one when ``S N`` is well conditioned, and impossible when it is singular:
-along some free motion all of the chosen coordinates then stand still.
+along some free motion all of the chosen rates are then zero.
 """
 
 from __future__ import annotations
@@ -24,10 +26,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.contacts.coordinates import COORDINATE_TOLERANCE, ROW_NAMES, Selection
+from multiarm.contacts.joint import COMPONENTS, JointFrame
+from multiarm.contacts.matrices import RelativeMotion
 from multiarm.contacts.screws import (
     RANK_TOLERANCE,
     ScrewSystem,
+    chosen_rows,
     column_norms,
     pivots,
     row_scale,
@@ -35,14 +39,36 @@ from multiarm.contacts.screws import (
     wrench_matrix,
 )
 from multiarm.errors import GraspError
+from multiarm.spatial import skew
+
+# Rates whose smallest singular value on the free motions is below this cannot be coordinates.
+COORDINATE_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Rates ``alpha = S v`` of a relative twist.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (m, 6)
+        ``S``; ``v = [velocity of the gripper's origin; angular velocity]``, object axes.
+    rate : ndarray, shape (m, 6)
+        ``dS/dt``.
+    labels : tuple of str
+        Names of the rates, for messages.
+    """
+
+    matrix: np.ndarray
+    rate: np.ndarray
+    labels: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class MotionSpace:
-    """The free motions ``v = T alpha`` of a gripper relative to the object.
+    """The free motions ``v = T alpha``, twists of the gripper's frame relative to the object.
 
-    Twists are of the gripper's frame relative to the object: velocity of the gripper's origin
-    [m/s] and angular velocity [rad/s], both in object axes.
+    Velocity of the gripper's origin [m/s] and angular velocity [rad/s], both in object axes.
 
     Attributes
     ----------
@@ -51,10 +77,9 @@ class MotionSpace:
     T_dot : ndarray, shape (6, m), or None
         Its rate; None when the rate of ``W`` was not given.
     selection : Selection
-        What ``alpha`` is.
+        The rates ``alpha``.
     rows, others : tuple of int
-        The rows of the twist that are ``alpha``, and the rest; both empty when ``alpha`` is not
-        made of rows.
+        The components of the twist that are ``alpha``, and the rest; both empty for other rates.
     rank : int
         Number of independent wrenches.
     condition : float
@@ -88,7 +113,7 @@ class MotionSpace:
         Raises
         ------
         GraspError
-            When ``T_dot`` was not asked for.
+            Without ``T_dot``.
         """
         if self.T_dot is None:
             raise GraspError("the motion space has no rate: give it the rate of W (`W_dot`)")
@@ -109,9 +134,8 @@ def motion_space(
     W_dot : ndarray, shape (6, N), optional
         Their rates, component by component.
     rows : sequence of int or str, optional
-        Which components of the twist are ``alpha``: 0 to 5, or slide x, slide y,
-        slide z, turn x, turn y, turn z.
-        Left out: those that condition the choice best, found by pivoting.
+        Which components of the twist are ``alpha``: 0 to 5, or slide x, ..., turn z.  Left out:
+        well-conditioned ones, found by pivoting.
 
     Raises
     ------
@@ -120,19 +144,13 @@ def motion_space(
     """
     W = wrench_matrix(W)
     screws = screw_system(W)
-    chosen = pivots(_scaled_null(screws)) if rows is None else _row_numbers(rows)
-    if rows is not None and len(chosen) != 6 - screws.rank:
-        raise GraspError(
-            f"the contacts leave {6 - screws.rank} motions free, which takes as many rows, not "
-            f"{len(chosen)}{_alternatives(screws)}"
-        )
-    selection = Selection(
-        np.eye(6)[list(chosen)],
-        np.zeros((len(chosen), 6)),
-        tuple(ROW_NAMES[row] for row in chosen),
-    )
-    others = tuple(row for row in range(6) if row not in chosen)
-    return _space(W, W_dot, screws, selection, (chosen, others))
+    if rows is None:
+        chosen = pivots(_scaled_null(screws))
+    else:
+        chosen = chosen_rows(rows, COMPONENTS, "rows of a twist")
+    labels = tuple(COMPONENTS[row] for row in chosen)
+    selection = Selection(np.eye(6)[list(chosen)], np.zeros((len(chosen), 6)), labels)
+    return _space(W, W_dot, screws, selection, chosen)
 
 
 def motion_space_in_rates(
@@ -140,8 +158,8 @@ def motion_space_in_rates(
 ) -> MotionSpace:
     """Motion space with any linear rates ``alpha = S v`` of the relative twist.
 
-    Parameters are those of :func:`motion_space`; see
-    :mod:`multiarm.contacts.coordinates` for choices of ``S``.
+    Parameters are those of :func:`motion_space`; see :func:`euler_selection` and
+    :func:`joint_selection` for choices of ``S``.
 
     Raises
     ------
@@ -149,14 +167,87 @@ def motion_space_in_rates(
         When the rates cannot serve; the message lists rows of the twist that can.
     """
     W = wrench_matrix(W)
-    screws = screw_system(W)
-    count = len(selection.matrix)
-    if count != 6 - screws.rank:
+    return _space(W, W_dot, screw_system(W), selection, None)
+
+
+def euler_selection(
+    angles: np.ndarray,
+    rates: np.ndarray | None = None,
+    sequence: str = "zxz",
+    chosen: Sequence[int] = (0, 1),
+) -> Selection:
+    r"""Rates of Euler angles as ``alpha``.
+
+    The gripper's orientation in the object is ``R = R_1(theta_1) R_2(theta_2) R_3(theta_3)`` about
+    the axes of the sequence, so that ``omega = E theta'`` and ``theta' = E^{-1} omega``.
+
+    Parameters
+    ----------
+    angles, rates : ndarray, shape (3,)
+        ``theta`` [rad] and ``theta'`` [rad/s]; ``T_dot`` needs the latter.
+    sequence : str
+        Three letters of x, y, z, neighbours different.
+    chosen : sequence of int
+        Which of the three rates are ``alpha``.
+
+    Raises
+    ------
+    GraspError
+        At the singular orientation of the angles.
+    """
+    E, E_dot = euler_rates(angles, np.zeros(3) if rates is None else rates, sequence)
+    if not np.linalg.cond(E) < 1.0 / COORDINATE_TOLERANCE:
         raise GraspError(
-            f"the contacts leave {6 - screws.rank} motions free, which takes as many rates, not "
-            f"{count} ({', '.join(selection.labels)}){_alternatives(screws)}"
+            f"the Euler angles {sequence} have no rates at {np.asarray(angles).tolist()} rad: two "
+            f"of their axes coincide; take another sequence"
         )
-    return _space(W, W_dot, screws, selection, ((), ()))
+    inverse = np.linalg.inv(E)
+    matrix, rate = np.zeros((3, 6)), np.zeros((3, 6))
+    matrix[:, 3:], rate[:, 3:] = inverse, -inverse @ E_dot @ inverse
+    picked = list(chosen)
+    labels = tuple(f"Euler angle {k + 1} of {sequence}" for k in picked)
+    return Selection(matrix[picked], rate[picked], labels)
+
+
+def euler_rates(
+    angles: np.ndarray, rates: np.ndarray, sequence: str = "zxz"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix ``E`` with ``omega = E theta'`` and its rate, both of shape (3, 3).
+
+    Column k is the axis of turn k in the axes of the fixed body.
+    """
+    valid = len(sequence) == 3 and set(sequence) <= set("xyz")
+    if not valid or any(a == b for a, b in itertools.pairwise(sequence)):
+        raise GraspError(
+            f"Euler angles turn about three of x, y, z, no two neighbours alike (zxz, zxy, ...), "
+            f"not {sequence!r}"
+        )
+    E, E_dot = np.zeros((3, 3)), np.zeros((3, 3))
+    turned, omega = np.eye(3), np.zeros(3)
+    for k, (letter, angle, rate) in enumerate(zip(sequence, angles, rates, strict=True)):
+        number = "xyz".index(letter)
+        # this axis turns with the rotations before it
+        E[:, k] = turned[:, number]
+        E_dot[:, k] = np.cross(omega, E[:, k])
+        omega = omega + rate * E[:, k]
+        turned = turned @ _turn(number, angle)
+    return E, E_dot
+
+
+def joint_selection(frame: JointFrame, relative: RelativeMotion) -> Selection:
+    """The free components of a joint, at its own origin and along its own axes, as ``alpha``.
+
+    With ``r = R x_J`` from the gripper's origin to the joint's, the latter moves with
+    ``v + omega x r``; the joint's axes are fixed in the object.
+    """
+    axes = frame.on_object[:3, :3]
+    arm = relative.rotation @ frame.on_tip[:3, 3]
+    matrix, rate = np.zeros((6, 6)), np.zeros((6, 6))
+    matrix[:3, :3] = matrix[3:, 3:] = axes.T
+    matrix[:3, 3:] = -axes.T @ skew(arm)
+    rate[:3, 3:] = -axes.T @ skew(np.cross(relative.twist[3:], arm))
+    free = list(frame.free)
+    return Selection(matrix[free], rate[free], tuple(f"{k} of the joint" for k in frame.labels))
 
 
 def _space(
@@ -164,18 +255,25 @@ def _space(
     W_dot: np.ndarray | None,
     screws: ScrewSystem,
     selection: Selection,
-    split: tuple[tuple[int, ...], tuple[int, ...]],
+    rows: tuple[int, ...] | None,
 ) -> MotionSpace:
-    """``T``, ``T_dot`` for any choice of rates."""
+    """``T``, ``T_dot`` for any rates; ``rows`` are the components of the twist among these."""
+    count, free, labels = len(selection.matrix), 6 - screws.rank, ", ".join(selection.labels)
+    if count != free:
+        raise GraspError(
+            f"the contacts leave {free} motions free, which takes as many "
+            f"{'rates' if rows is None else 'rows'}, not {count} ({labels}){_alternatives(screws)}"
+        )
     smallest = _smallest(selection.matrix, screws)
     if smallest < COORDINATE_TOLERANCE:
         raise GraspError(
-            f"{', '.join(selection.labels)} cannot serve as coordinates of the relative motion: "
-            f"they all stand still along a motion that the contacts leave free"
-            f"{_alternatives(screws)}"
+            f"{labels} cannot serve as coordinates of the relative motion: they are all zero along "
+            f"a motion that the contacts leave free{_alternatives(screws)}"
         )
-    N, (rows, others) = screws.reciprocal, split
+    N = screws.reciprocal
     T = N @ np.linalg.inv(selection.matrix @ N)
+    others = () if rows is None else tuple(row for row in range(6) if row not in rows)
+    rows = rows or ()
     if rows:
         T[list(rows)] = np.eye(len(rows))  # without rounding
     T_dot, mismatch = None, 0.0
@@ -188,7 +286,7 @@ def _space(
 def _rate(
     W: np.ndarray, W_dot: np.ndarray, T: np.ndarray, selection: Selection, length: float
 ) -> tuple[np.ndarray, float]:
-    """``T_dot`` and what it leaves over of ``W^T T_dot = -W_dot^T T`` (scaled)."""
+    """``T_dot``, and the largest residual of ``W^T T_dot = -W_dot^T T`` (scaled)."""
     if W_dot.shape != W.shape:
         raise GraspError(f"W_dot has the shape {W_dot.shape}, W {W.shape}")
     scale, norms = row_scale(length), column_norms(W, length)
@@ -215,21 +313,8 @@ def _smallest(S: np.ndarray, screws: ScrewSystem) -> float:
     return float(np.linalg.svd(on_free, compute_uv=False)[-1])
 
 
-def _row_numbers(rows: Sequence[int | str]) -> tuple[int, ...]:
-    numbers = []
-    for row in rows:
-        number = ROW_NAMES.index(row) if row in ROW_NAMES else row
-        if isinstance(number, str) or number not in range(6) or int(number) in numbers:
-            raise GraspError(
-                f"rows of a twist are {', '.join(ROW_NAMES)} or 0 to 5, each once; "
-                f"not {', '.join(str(r) for r in rows)}"
-            )
-        numbers.append(int(number))
-    return tuple(numbers)
-
-
 def _alternatives(screws: ScrewSystem) -> str:
-    """End of a message: rows that can serve, the best first."""
+    """End of a message: components that can be coordinates, the best first."""
     free = 6 - screws.rank
     if free == 0:
         return "; none can: they leave nothing free"
@@ -239,6 +324,16 @@ def _alternatives(screws: ScrewSystem) -> str:
     ]
     # sorted by rounded grade, so that equals stay in the order of the rows
     good = [g for g in sorted(graded, key=lambda g: -round(g[0], 6)) if g[0] > COORDINATE_TOLERANCE]
-    texts = [" + ".join(ROW_NAMES[row] for row in rows) for _, rows in good]
+    texts = [" + ".join(COMPONENTS[row] for row in rows) for _, rows in good]
     more = f" (and {len(texts) - 6} more)" if len(texts) > 6 else ""
     return f"; rows that can, the best first: {', '.join(texts[:6])}{more}"
+
+
+def _turn(axis: int, angle: float) -> np.ndarray:
+    """Rotation about a coordinate axis."""
+    c, s = np.cos(angle), np.sin(angle)
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    R = np.eye(3)
+    R[j, j] = R[k, k] = c
+    R[j, k], R[k, j] = -s, s
+    return R

@@ -1,21 +1,21 @@
 r"""A joint is data: records of frictionless point contacts, and the tables that the kernel reads.
 
 A contact is two surfaces, one on the arm and one on the object, that touch in a point.  A sharp
-point is a sphere of radius 0, a fingertip one of positive radius.  Each surface is written in the
+point is a sphere of radius 0, a fingertip one of positive radius.  Each surface is given in the
 frame of the body that carries it: the arm's in the tip frame, the object's in the object frame.
 Its normal is the outward normal of its body; a hollow surface (``inside``) is touched from within.
 
-A *row* of W is one contact's normal force.  Two further kinds of row cover every joint there is:
+A *row* of W is one contact's normal force.  Three further kinds of row cover every joint:
 
-* *combinations*: a contact times a factor, or the difference of two contacts times a factor, which
+* *combined rows*: a contact times a factor, or the difference of two contacts times a factor, which
   can be any wrench (thesis, appendix C);
 * *tangents*: no slip at a contact along one of two directions of the tangent plane; such a row
   constrains velocities only, it has no position function (nonholonomic; thesis, 3.9.2);
 * *joint rows*: one joint of an arm, at a limit of its range or held by its friction; the object
   takes no part in them.
 
-Everything the dynamics need (W, dW/dt, c, phi) follows from the records in one kernel, see
-:mod:`multiarm.contacts.kernel`.
+Everything the dynamics need (W, dW/dt, c, phi) follows from the records in one kernel
+(:mod:`multiarm.contacts.kernel`).
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ Vector = np.ndarray | tuple[float, float, float] | list[float]
 
 
 class SmoothShape(Protocol):
-    """A smooth surface of the user's, in the frame of the surface."""
+    """A user-defined smooth surface, in its own frame."""
 
     def closest(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Signed distance [m], its gradient (3,) and its second derivatives (3, 3) at a point."""
         ...
 
     def reset(self) -> None:
-        """Forget where the contact was."""
+        """Forget the last contact point."""
         ...
 
 
@@ -70,7 +70,7 @@ class Patch:
     pose: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     def excess(self, point: np.ndarray) -> float:
-        """How far a point (body's frame) is outside [m]; negative: inside."""
+        """Distance of a point (body's frame) outside of the box [m]; negative inside."""
         p = self.pose[:3, :3].T @ (point - self.pose[:3, 3])
         return float(np.max(np.maximum(self.lower - p, p - self.upper)))
 
@@ -94,7 +94,7 @@ class Surface:
     inside : bool
         The surface is hollow and touched from inside.
     function : SmoothShape, optional
-        What computes a ``SMOOTH`` surface.
+        Of a ``SMOOTH`` surface.
     patch : Patch, optional
         The part of it that exists.
     """
@@ -109,11 +109,11 @@ class Surface:
 
     @property
     def is_tip(self) -> bool:
-        """Whether it is a point or a solid sphere: what can touch any surface."""
+        """Whether it is a point or a solid sphere, which can touch any surface."""
         return self.kind == SPHERE and not self.inside
 
     def moved(self, rotation: np.ndarray, translation: np.ndarray) -> Surface:
-        """The surface in another frame: its points go ``p -> rotation p + translation``."""
+        """The surface in another frame: ``p -> rotation p + translation``."""
         patch = self.patch
         if patch is not None:
             pose = np.eye(4)
@@ -173,7 +173,7 @@ def smooth(
     axes: np.ndarray | None = None,
     inside: bool = False,
 ) -> Surface:
-    """A surface of the user's, computed by ``function`` in a frame of its own."""
+    """A user-defined surface, computed by ``function`` in its own frame."""
     axes = np.eye(3) if axes is None else np.array(axes, dtype=float)
     return Surface(SMOOTH, _array(origin), axes, inside=inside, function=function)
 
@@ -194,9 +194,9 @@ class Contact:
     weight : float
         Factor of the row.
     minus : Contact, optional
-        A contact whose row is taken off before the factor is applied.
+        A contact whose row is subtracted before the factor is applied.
     pushes_only : bool
-        The contact stands for a real one that cannot pull: when it does, the result says so.
+        The real contact cannot pull; a pulling force is reported.
     """
 
     name: str
@@ -210,12 +210,12 @@ class Contact:
     def mapped(
         self, on_arm: Callable[[Surface], Surface], on_object: Callable[[Surface], Surface]
     ) -> Contact:
-        """The same contact with both surfaces put through a function each."""
+        """The same contact with a function applied to each surface."""
         minus = None if self.minus is None else self.minus.mapped(on_arm, on_object)
         return replace(self, arm=on_arm(self.arm), object=on_object(self.object), minus=minus)
 
     def moved_on_arm(self, rotation: np.ndarray, translation: np.ndarray) -> Contact:
-        """The same contact with the arm's geometry re-expressed: ``p -> rotation p + translation``.
+        """The contact with the arm's geometry in another frame: ``p -> rotation p + translation``.
 
         Used to store it in the frame of the joint that carries the tip.
         """
@@ -245,7 +245,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class JointRow:
-    """One row of W that belongs to a joint of an arm and not to the object.
+    """One row of W that belongs to a joint of an arm; the object takes no part.
 
     Attributes
     ----------
@@ -256,7 +256,7 @@ class JointRow:
     side : float
         1: the force moves the joint forward, the gap is ``q - bound``; -1: backward, ``bound - q``.
     bound : float or None
-        Where the gap is zero [rad, m]; None: the row holds velocities only.
+        Position of zero gap [rad, m]; None: the row constrains velocities only.
     """
 
     name: str
@@ -267,7 +267,7 @@ class JointRow:
     pushes_only: bool = False
 
     def moved_on_arm(self, rotation: np.ndarray, translation: np.ndarray) -> JointRow:
-        """The same row: it knows no frame."""
+        """The same row, which has no geometry."""
         return self
 
 
@@ -275,18 +275,18 @@ class ContactTable(NamedTuple):
     """Records packed for the kernel.
 
     codes : int64 (N + P, 4)
-        One row each of W, arm after arm, then the P parts of the combined rows.  Kind; the body
-        that carries the guiding surface; ``LINK``: first row in ``shapes`` (curved, pair), number
-        of the tangent, first part (combined), or number of the joint; number of parts.  A tangent
-        whose normal row does not stand before it has that row's place among the parts in place of
-        their number.
+        The N rows of W, arm after arm, then the P parts of the combined rows.  Columns: kind; the
+        body that carries the guiding surface; ``LINK``: first row in ``shapes`` (curved, pair),
+        number of the tangent, first part (combined), or number of the joint; number of parts.  A
+        tangent that does not follow its normal row has a copy of it among the parts, whose number
+        is in the last column.
     geometry : float64 (N + P, 13)
         Tip's centre (3); the guide's origin (3), axis (3), radius, side (+1 outer, -1 hollow); tip
-        radius; weight.  A tangent has in place of axis and origin two directions of the guide's
-        body, across the first of which (near its poles: the second) the first tangent lies.
+        radius; weight.  Of a tangent, axis and origin are two directions of the guide's body: the
+        first tangent is orthogonal to the first one (near its poles: to the second).
     shapes : float64 (S, 18)
-        Surfaces that need more than that: kind, axes (9, row by row), origin (3), sizes (3), side,
-        number of the user's function.  A pair has two, the guide first.
+        All other surfaces: kind, axes (9, row by row), origin (3), sizes (3), side, number of the
+        user function.  A pair has two, the guide first.
     functions : list of SmoothShape
     """
 
@@ -314,7 +314,7 @@ def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
             parts += pieces
         elif contact.tangent:
             place = 0
-            if not _stands_before(contact, contacts, k):
+            if not _follows_its_normal(contact, contacts, k):
                 place = len(contacts) + len(parts)
                 parts.append(replace(contact, tangent=0))
             codes.append([TANGENT, contact.surface_body, contact.tangent, place])
@@ -332,8 +332,7 @@ def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
     )
 
 
-def _stands_before(tangent: Contact, contacts: Sequence[Contact | JointRow], k: int) -> bool:
-    """Whether the normal row of the tangent at place ``k`` is where its number says."""
+def _follows_its_normal(tangent: Contact, contacts: Sequence[Contact | JointRow], k: int) -> bool:
     normal = contacts[k - tangent.tangent] if k >= tangent.tangent else None
     return (
         isinstance(normal, Contact)
@@ -343,7 +342,7 @@ def _stands_before(tangent: Contact, contacts: Sequence[Contact | JointRow], k: 
 
 
 def _same(a: Surface, b: Surface) -> bool:
-    """Whether two surfaces are one, written twice."""
+    """Whether two records describe one surface."""
     return a is b or (
         (a.kind, a.sizes, a.inside, a.function) == (b.kind, b.sizes, b.inside, b.function)
         and np.array_equal(a.origin, b.origin)
@@ -374,7 +373,7 @@ def _geometry_row(contact: Contact | JointRow) -> np.ndarray:
     row[ORIGIN : ORIGIN + 3] = guide.origin
     row[AXIS : AXIS + 3] = guide.axes[:, 2]
     if contact.tangent:
-        # two directions for the first tangent to lie across; of a plane the normal will not do
+        # two directions orthogonal to the first tangent; a plane's normal cannot be one
         first, other = (0, 1) if guide.kind == PLANE else (2, 0)
         row[AXIS : AXIS + 3], row[ORIGIN : ORIGIN + 3] = guide.axes[:, first], guide.axes[:, other]
     row[RADIUS] = guide.sizes[0]

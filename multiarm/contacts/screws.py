@@ -1,4 +1,4 @@
-r"""Screws: a wrench as a push and a pull, and what a set of wrenches spans and leaves free.
+r"""Screws: wrenches as one or two contact forces; span and null spaces of a set of wrenches.
 
 A frictionless point contact exerts a wrench of zero pitch, ``[e; p x e]``.  Every wrench
 ``[f; m]`` is a multiple of one, or of the difference of two (thesis, appendix C):
@@ -16,37 +16,32 @@ so that two contacts are enough for any constraint of a joint.  With ``u`` a uni
 Here ``u`` is across ``m`` too.  The equations for ``a_1, a_2`` (of least norm) then stay regular as
 ``psi`` goes to zero, and a couple is the limit: ``e_1 = e_2``.
 
-There are many such pairs.  All of them exert the same wrench, but contacts on two bodies that move
-stay where they are on the bodies: *the choice of the pair decides the finite motion of the joint*.
-The pair chosen here is a function of the wrench alone, symmetrical about the origin for a couple.
+Many such pairs exert the same wrench.  But contacts are fixed to their bodies, and *the choice of
+the pair decides the finite motion of the joint*.  The pair chosen here is a function of the wrench
+alone, symmetrical about the origin for a couple.
 
 The wrenches of a joint, columns of ``W``, have two null spaces, found together by
 :func:`screw_system`: twists ``t`` with ``W^T t = 0`` are the motions that the joint leaves free,
-multipliers with ``W lambda = 0`` the forces that move nothing.
+multipliers ``lambda`` with ``W lambda = 0`` are the internal forces.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from multiarm.errors import GraspError
 
-# A force this small beside its moment (over `length`) is taken for zero: the wrench is a couple.
+# A force this small relative to its moment (over `length`) is zero: the wrench is a couple.
 COUPLE_TOLERANCE = 1e-12
-# A moment along the force this small beside force and moment is taken for zero: one contact will
-# do.  Both also bound what is left out, relative to the wrench.
-PITCH_TOLERANCE = 1e-12
 # Singular values of a scaled wrench matrix below this fraction of the largest count as zero.
 RANK_TOLERANCE = 1e-9
-# Lever arms are compared with no less than this [m], so that rounding errors of the moments of
-# wrenches through the origin are not taken for moments.
+# Smallest lever arm by which moments are scaled [m]: the moments of wrenches through the origin are
+# rounding errors.
 SHORTEST_LEVER = 1e-3
-# Sizes that differ by less than this part of the largest are equal: rounding, which changes with
-# the processor, does not choose between them.
-EQUAL = 1e-6
 
 
 @dataclass(frozen=True)
@@ -97,7 +92,11 @@ def zero_pitch(wrench: np.ndarray, psi: float = math.pi / 6, length: float = 1.0
     GraspError
         When the wrench is zero, not finite, or an argument is out of range.
     """
-    values = _six_numbers(wrench)
+    values = np.asarray(wrench, dtype=float)
+    if values.shape != (6,) or not np.all(np.isfinite(values)):
+        raise GraspError(
+            f"a wrench is six finite numbers [fx, fy, fz, mx, my, mz], not {values.tolist()}"
+        )
     if not 0.0 < psi < math.pi / 2 or not 0.0 < length < math.inf:
         raise GraspError(
             f"a wrench is split with 0 < psi < pi / 2 and a length > 0, not psi = {psi:g} rad and "
@@ -113,49 +112,14 @@ def zero_pitch(wrench: np.ndarray, psi: float = math.pi / 6, length: float = 1.0
         gamma, e = moment, _across(m / np.linalg.norm(m))
         arm = np.cross(e, m) / (2.0 * gamma)
         return ZeroPitch(scale * gamma, e, arm, e, -arm)
-    if abs(f @ m) <= PITCH_TOLERANCE * force * length * max(force, moment):
+    if abs(f @ m) <= 1e-12 * force * length * max(force, moment):  # zero pitch: one contact
         return ZeroPitch(scale * force, f / force, np.cross(f, m) / force**2)
     return _pair(f, m, max(force / (2.0 * math.sin(psi)), moment), scale)
 
 
-def _pair(f: np.ndarray, m: np.ndarray, gamma: float, scale: float) -> ZeroPitch:
-    """The two contacts of a wrench with pitch, for a given factor."""
-    force = float(np.linalg.norm(f))
-    along = f / force
-    sine = force / (2.0 * gamma)
-    cosine = math.sqrt((1.0 - sine) * (1.0 + sine))
-    u = _across(along, m)
-    w = np.cross(along, u)
-    m_along, m_u, m_w = (m @ along) / gamma, (m @ u) / gamma, (m @ w) / gamma
-    difference, total = m_along / cosine, -m_u / sine
-    a_1 = (total + difference) / 2.0 * (cosine * along - sine * u) + m_w / 2.0 * w
-    a_2 = (total - difference) / 2.0 * (cosine * along + sine * u) - m_w / 2.0 * w
-    e_1, e_2 = cosine * u + sine * along, cosine * u - sine * along
-    return ZeroPitch(scale * gamma, e_1, np.cross(e_1, a_1), e_2, np.cross(e_2, a_2))
-
-
-def _across(axis: np.ndarray, other: np.ndarray | None = None) -> np.ndarray:
-    """Unit vector across a unit vector, and across another vector unless the two are parallel."""
-    u = np.zeros(3) if other is None else np.cross(axis, other)
-    if other is None or not np.linalg.norm(u) > 1e-12 * np.linalg.norm(other):
-        u = np.cross(axis, np.eye(3)[first_largest(1.0 - np.abs(axis))])
-    u = u / np.linalg.norm(u)
-    u = u - (u @ axis) * axis
-    return u / np.linalg.norm(u)
-
-
-def _six_numbers(wrench: np.ndarray) -> np.ndarray:
-    values = np.asarray(wrench, dtype=float)
-    if values.shape != (6,) or not np.all(np.isfinite(values)):
-        raise GraspError(
-            f"a wrench is six finite numbers [fx, fy, fz, mx, my, mz], not {values.tolist()}"
-        )
-    return values
-
-
 @dataclass(frozen=True)
 class ScrewSystem:
-    """What wrenches ``W`` (6, N) span and leave free.
+    """Rank and null spaces of wrenches ``W`` (6, N).
 
     Attributes
     ----------
@@ -164,7 +128,7 @@ class ScrewSystem:
     reciprocal : ndarray, shape (6, 6 - rank)
         Twists on which no wrench does work; columns ``t`` orthonormal as ``[v; length omega]``.
     dependencies : ndarray, shape (N, N - rank)
-        Orthonormal columns ``lambda`` with ``W lambda = 0``, as `settled` makes them.
+        Orthonormal columns ``lambda`` with ``W lambda = 0``, in canonical form.
     singular : ndarray, shape (min(6, N),)
         Singular values on which the rank was decided, relative to the largest.
     length : float
@@ -198,14 +162,76 @@ def screw_system(W: np.ndarray) -> ScrewSystem:
     rank = int(np.sum(singular > RANK_TOLERANCE))
     dependencies, _ = np.linalg.qr(right[rank:].T / norms[:, None])
     reciprocal = scale[:, None] * left[:, rank:]
-    return ScrewSystem(rank, reciprocal, settled(dependencies), singular, length)
+    return ScrewSystem(rank, reciprocal, canonical_basis(dependencies), singular, length)
+
+
+@dataclass(frozen=True)
+class FreeMotions:
+    """The motions that the rows of a joint leave free, in the axes of its frame.
+
+    Translations along and rotations about single axes of the frame are named; motions along several
+    axes at once, as those of the corner of a block among four fingertips, are counted.
+
+    Attributes
+    ----------
+    rank : int
+        How many rows are independent.
+    pure : tuple of int
+        Components that are free by themselves: slides along x, y, z, turns about x, y, z.
+    coupled : int
+        How many further independent motions there are, each along several axes at once.
+    independent : ndarray of bool, shape (N,)
+        Rows that no other rows can replace.
+    """
+
+    rank: int
+    pure: tuple[int, ...]
+    coupled: int
+    independent: np.ndarray
+
+    def words(self) -> list[str]:
+        """The motions, such as ``slide along x and y``, ``turn about z``."""
+        words = []
+        for motion, first in (("slide along", 0), ("turn about", 3)):
+            axes = [axis for k, axis in enumerate("xyz", first) if k in self.pure]
+            if axes:
+                listed = " and ".join(filter(None, [", ".join(axes[:-1]), axes[-1]]))
+                words.append(f"{motion} {listed}")
+        if self.coupled:
+            words.append(f"{self.coupled} {'more ' * bool(words)}along several axes at once")
+        return words
+
+
+def free_motions(W: np.ndarray) -> FreeMotions:
+    """Relative velocities ``v`` with ``W^T v = 0``.
+
+    Parameters
+    ----------
+    W : ndarray, shape (6, N), N > 0
+        Wrenches, force first, about the joint frame's origin in its axes; any scale.
+    """
+    system = screw_system(W / column_norms(W, lever_arm(W)))
+    motions = np.repeat([1.0, system.length], 3)[:, None] * system.reciprocal  # orthonormal
+    violation = np.linalg.norm(np.eye(6) - motions @ motions.T, axis=0)  # of each axis alone
+    pure = tuple(int(k) for k in np.flatnonzero(violation < 1e-6))
+    independent = np.linalg.norm(system.dependencies, axis=1) < 1e-7
+    return FreeMotions(system.rank, pure, 6 - system.rank - len(pure), independent)
+
+
+def wrenches_in_frame(frame: np.ndarray, wrenches: np.ndarray) -> np.ndarray:
+    """Wrenches (6, N), force first, about another frame's origin, in its axes.
+
+    ``frame``, shape (4, 4), is the pose of that frame in the one in which they are given.
+    """
+    to_frame = frame[:3, :3].T
+    moments = wrenches[3:].T - np.cross(frame[:3, 3], wrenches[:3].T)
+    return np.vstack([to_frame @ wrenches[:3], to_frame @ moments.T])
 
 
 def pivots(basis: np.ndarray) -> tuple[int, ...]:
-    """As many rows of orthonormal columns (n, m) as columns, far from dependent; in order.
+    """As many rows of orthonormal columns (n, m) as columns, far from dependent, increasing.
 
-    They are found one after the other: the row that is longest beside those before (QR with
-    pivoting).
+    Found by QR with pivoting: the row with the largest part orthogonal to those before.
     """
     left, chosen = basis.copy(), []
     for _ in range(basis.shape[1]):
@@ -219,11 +245,12 @@ def pivots(basis: np.ndarray) -> tuple[int, ...]:
 
 def first_largest(sizes: np.ndarray) -> int:
     """The first of the numbers that are as large as the largest (positive) but for rounding."""
-    return int(np.argmax(sizes > (1.0 - EQUAL) * np.max(sizes)))
+    # within 1e-6: rounding, which changes with the processor, must not choose between equals
+    return int(np.argmax(sizes > (1.0 - 1e-6) * np.max(sizes)))
 
 
-def settled(basis: np.ndarray) -> np.ndarray:
-    """The orthonormal columns (n, m) that span the same space whatever basis of it is given.
+def canonical_basis(basis: np.ndarray) -> np.ndarray:
+    """The canonical orthonormal basis (n, m) of the space that a basis spans.
 
     A singular value decomposition leaves the basis of a null space to rounding.  Here the rows of
     `pivots` are triangular, with a positive diagonal.
@@ -252,6 +279,20 @@ def column_norms(W: np.ndarray, length: float) -> np.ndarray:
     return np.where(norms > 0.0, norms, 1.0)
 
 
+def chosen_rows(rows: Sequence[int | str], names: Sequence[str], what: str) -> tuple[int, ...]:
+    """Numbers of rows given by name or number, each once; ``what`` begins the error message."""
+    numbers: list[int] = []
+    for row in rows:
+        number = names.index(row) if row in names else row
+        if isinstance(number, str) or number not in range(len(names)) or int(number) in numbers:
+            raise GraspError(
+                f"{what} are {', '.join(names)} or 0 to {len(names) - 1}, each once; not "
+                f"{', '.join(str(r) for r in rows)}"
+            )
+        numbers.append(int(number))
+    return tuple(numbers)
+
+
 def wrench_matrix(W: np.ndarray, name: str = "W") -> np.ndarray:
     """The matrix as floats, its shape (6, N) and its numbers checked."""
     W = np.asarray(W, dtype=float)
@@ -261,3 +302,29 @@ def wrench_matrix(W: np.ndarray, name: str = "W") -> np.ndarray:
         column = int(np.argmin(np.all(np.isfinite(W), axis=0)))
         raise GraspError(f"{name}: column {column} is not finite")
     return W
+
+
+def _pair(f: np.ndarray, m: np.ndarray, gamma: float, scale: float) -> ZeroPitch:
+    """The two contacts of a wrench with pitch, for a given factor."""
+    force = float(np.linalg.norm(f))
+    along = f / force
+    sine = force / (2.0 * gamma)
+    cosine = math.sqrt((1.0 - sine) * (1.0 + sine))
+    u = _across(along, m)
+    w = np.cross(along, u)
+    m_along, m_u, m_w = (m @ along) / gamma, (m @ u) / gamma, (m @ w) / gamma
+    difference, total = m_along / cosine, -m_u / sine
+    a_1 = (total + difference) / 2.0 * (cosine * along - sine * u) + m_w / 2.0 * w
+    a_2 = (total - difference) / 2.0 * (cosine * along + sine * u) - m_w / 2.0 * w
+    e_1, e_2 = cosine * u + sine * along, cosine * u - sine * along
+    return ZeroPitch(scale * gamma, e_1, np.cross(e_1, a_1), e_2, np.cross(e_2, a_2))
+
+
+def _across(axis: np.ndarray, other: np.ndarray | None = None) -> np.ndarray:
+    """Unit vector across a unit vector, and across another vector unless the two are parallel."""
+    u = np.zeros(3) if other is None else np.cross(axis, other)
+    if other is None or not np.linalg.norm(u) > 1e-12 * np.linalg.norm(other):
+        u = np.cross(axis, np.eye(3)[first_largest(1.0 - np.abs(axis))])
+    u = u / np.linalg.norm(u)
+    u = u - (u @ axis) * axis
+    return u / np.linalg.norm(u)

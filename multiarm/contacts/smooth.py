@@ -1,22 +1,22 @@
-r"""Smooth surfaces of the user's: a signed distance, or a parametrisation.
+r"""User-defined smooth surfaces: a signed distance, or a parametrisation.
 
-The kernel asks one question about a surface (:class:`multiarm.contacts.records.SmoothShape`): at a
-point :math:`y`, what are the signed distance :math:`s` (positive outside of the body), its gradient
-:math:`n` (the unit normal) and its second derivatives :math:`H` (how the normal turns)?
+The kernel needs of a surface (:class:`multiarm.contacts.records.SmoothShape`) at a point :math:`y`
+the signed distance :math:`s` (positive outside of the body), its gradient :math:`n` (the unit
+normal) and its second derivatives :math:`H`.
 
-A signed distance answers it itself.  On a parametrised surface :math:`x(u, v)` the foot of the
-normal through :math:`y` is found by Newton's method on
+On a parametrised surface :math:`x(u, v)` the foot of the normal through :math:`y` is found by
+Newton's method, starting at the last foot, on
 
-.. math:: (y - x)\cdot x_u = (y - x)\cdot x_v = 0
+.. math:: (y - x)\cdot x_u = (y - x)\cdot x_v = 0 .
 
-from where it was at the last call.  With :math:`J = [x_u\; x_v]`, the fundamental forms
+  With :math:`J = [x_u\; x_v]`, the fundamental forms
 :math:`I = J^T J` and :math:`\mathit{II}_{ab} = n \cdot x_{ab}`, and
 :math:`n = \pm x_u\times x_v/|x_u\times x_v|`,
 
 .. math:: s = n\cdot(y - x), \qquad H = -J I^{-1}\mathit{II}\, (I - s \mathit{II})^{-1} J^T .
 
-Derivatives that are not given are found by differences (:mod:`multiarm.contacts.differences`);
-those that are given are compared with differences once.
+Derivatives that are not given are computed numerically (:mod:`multiarm.contacts.differences`);
+those that are given are compared with numerical ones once.
 """
 
 from __future__ import annotations
@@ -37,33 +37,24 @@ from multiarm.contacts.differences import (
 )
 from multiarm.errors import ModelError
 
-__all__ = ["ParametricSurface", "SignedDistanceSurface"]
-
 Smooth = TypeVar("Smooth", "SignedDistanceSurface", "ParametricSurface")
-
-# How far the gradient of a signed distance may be from length 1.
-_UNIT_TOLERANCE = 1e-6
-# |dx/du x dx/dv| below this fraction of its usual size is zero: the surface has no normal there.
-_SMALLEST_AREA = 1e-9
-# Newton's method has found the foot when it moves less than this fraction of the surface's size.
-_CONVERGED = 1e-13
 
 
 class SignedDistanceSurface:
-    """A surface whose signed distance is known.
+    """A surface given by its signed distance.
 
     Parameters
     ----------
     distance : callable, f(p) -> float
         Signed distance [m] of a point p (3,) from the surface, positive outside of the body.  It
-        must be the distance itself wherever a tip's centre comes, not some other function that
-        vanishes on the surface.
+        must be the distance itself everywhere, not some other function that vanishes on the
+        surface.
     gradient, hessian : callable, optional
         g(p) -> (3,) and h(p) -> (3, 3).
     length : float
         Smallest radius of curvature [m], roughly.
     name : str, optional
-        How messages call the surface.
+        For messages.
     """
 
     def __init__(
@@ -86,19 +77,18 @@ class SignedDistanceSurface:
         self._of_gradient = None
         if self._given_gradient is not None:
             self._of_gradient = Differences(self._given_gradient, np.full(3, length))
-        self._used = [self._of_distance]
-        if self._of_gradient is not None:
-            self._used = [] if hessian is not None else [self._of_gradient]
         self._is_checked = False
 
+    @property
+    def _used(self) -> list[Differences]:
+        if self._of_gradient is None:
+            return [self._of_distance]
+        return [] if self._given_hessian is not None else [self._of_gradient]
+
     def __copy__(self) -> SignedDistanceSurface:
-        """The same surface with a memory of its own."""
+        """The same surface with its own last contact point."""
         other = _shallow(self)
         other._of_distance, other._of_gradient = copy(self._of_distance), copy(self._of_gradient)
-        replaced = {id(self._of_distance): other._of_distance}
-        if other._of_gradient is not None:
-            replaced[id(self._of_gradient)] = other._of_gradient
-        other._used = [replaced[id(own)] for own in self._used]
         return other
 
     def closest(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -107,7 +97,7 @@ class SignedDistanceSurface:
         Raises
         ------
         ModelError
-            When a function fails, is not finite, or is not what it is said to be.
+            When a function fails, is not finite, or is not a signed distance.
         """
         point = np.array(point, dtype=float)
         distance = float(self._distance(point))
@@ -117,7 +107,7 @@ class SignedDistanceSurface:
             differences.follow(point)
         gradient = self._gradient(point)
         size = float(np.linalg.norm(gradient))
-        if not abs(size - 1.0) <= _UNIT_TOLERANCE:
+        if not abs(size - 1.0) <= 1e-6:
             raise ModelError(
                 f"{self.name} is not a signed distance: |gradient| = {size:.6g} at {shown(point)}, "
                 "which must be 1 wherever the contact goes; give the distance itself, or a "
@@ -126,7 +116,7 @@ class SignedDistanceSurface:
         return distance, gradient, self._hessian(point)
 
     def reset(self) -> None:
-        """Forget where the functions were found to take complex numbers."""
+        """Check again whether the functions accept complex numbers."""
         for differences in self._used:
             differences.forget()
 
@@ -160,23 +150,23 @@ class SignedDistanceSurface:
 
 
 class ParametricSurface:
-    """A surface that is given by a parametrisation.
+    """A surface given by a parametrisation.
 
     Parameters
     ----------
     parametrisation : callable, x(u, v) -> (3,)
         Points of the surface [m].  It is also called a little beyond the ranges.
     u, v : pair of float
-        Ranges of the parameters.  Where both ends of a range are the same line (a full turn), the
-        parameter goes round.
+        Ranges of the parameters.  A parameter is periodic where both ends of its range are the same
+        line.
     derivatives : callable, optional
         d(u, v) -> (5, 3): the rows x_u, x_v, x_uu, x_uv, x_vv.
     flip : bool
-        ``x_u x x_v`` points into the body, not out of it.
+        ``x_u x x_v`` points into the body.
     length : float
         Smallest radius of curvature [m], roughly.
     name : str, optional
-        How messages call the surface.
+        For messages.
 
     Raises
     ------
@@ -213,10 +203,10 @@ class ParametricSurface:
         self._differences = Differences(self._x, lengths)
         self._differences.probe(self._low + 0.43 * self._width)
         self._check()
-        self._goes_round = self._closed_parameters()
+        self._periodic = self._periodic_parameters()
 
     def __copy__(self) -> ParametricSurface:
-        """The same surface with a memory of its own."""
+        """The same surface with its own last contact point."""
         other = _shallow(self)
         other._differences = copy(self._differences)
         return other
@@ -246,7 +236,7 @@ class ParametricSurface:
         r, rows = point - self._x(foot), self._derivatives(foot)
         normal = np.cross(rows[0], rows[1])
         area = math.sqrt(normal @ normal)
-        if not area > _SMALLEST_AREA * self._stretch[0] * self._stretch[1]:
+        if not area > 1e-9 * self._stretch[0] * self._stretch[1]:
             raise ModelError(
                 f"{self.name} has no normal at u = {foot[0]:.6g}, v = {foot[1]:.6g}: dx/du x dx/dv "
                 "is zero; keep the contact away from there or choose other parameters"
@@ -260,7 +250,7 @@ class ParametricSurface:
         return distance, normal, H
 
     def reset(self) -> None:
-        """Forget where the contact was: the next one is looked for on the whole surface."""
+        """Search the next foot on the whole surface."""
         self._foot = self._second = None
         self._differences.forget()
 
@@ -279,7 +269,7 @@ class ParametricSurface:
         )
 
     def _starts(self, point: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
-        """Where the foot was with the second derivatives there, then the nearest of the grid."""
+        """The last foot with the second derivatives there, then the nearest points of the grid."""
         if self._foot is not None:
             yield self._foot, self._second
         nearest = np.argsort(np.sum((self._points - point) ** 2, axis=1))[:4]
@@ -291,7 +281,7 @@ class ParametricSurface:
     ) -> np.ndarray | None:
         """The nearest point of the surface near ``w``, or None where there is none.
 
-        Second derivatives (3, 3) from nearby serve as well as those found anew at every step.
+        Given second derivatives (3, 3) from nearby, those at each step are not computed.
         """
         r = point - self._x(w)
         for _ in range(40):
@@ -311,7 +301,7 @@ class ParametricSurface:
             step = np.array([c * g - b * h, a * h - b * g]) / (a * c - b * b)
             step /= max(1.0, np.max(np.abs(step) / (0.2 * self._width)))
             moved = math.sqrt(step @ form @ step)
-            if moved <= _CONVERGED * self._scale:
+            if moved <= 1e-13 * self._scale:
                 return self._kept_near(w + step) if is_minimum else None
             ahead = self._kept_near(w + step)
             r_ahead = point - self._x(ahead)
@@ -325,10 +315,10 @@ class ParametricSurface:
         return None
 
     def _kept_near(self, w: np.ndarray) -> np.ndarray:
-        """The parameters, not far beyond their ranges; one that goes round, within its range."""
+        """The parameters clipped near their ranges; periodic ones wrapped into theirs."""
         turns = np.floor((w - self._low) / self._width)
         near = np.clip(w, self._low - 0.05 * self._width, self._high + 0.05 * self._width)
-        return np.where(self._goes_round, w - turns * self._width, near)
+        return np.where(self._periodic, w - turns * self._width, near)
 
     def _is_in_range(self, w: np.ndarray) -> bool:
         beyond = np.maximum(self._low - w, w - self._high)
@@ -348,7 +338,7 @@ class ParametricSurface:
         return cells, np.array([self._x(w) for w in cells])
 
     def _typical_stretch(self) -> np.ndarray:
-        """How far the surface goes per unit of each parameter [m], between cells of the grid."""
+        """Mean length of ``x_u`` and ``x_v`` [m per unit], between cells of the grid."""
         count = round(np.sqrt(len(self._points)))
         points = self._points.reshape(count, count, 3)
         sizes = [np.linalg.norm(np.diff(points, axis=axis), axis=2).mean() for axis in (0, 1)]
@@ -375,9 +365,9 @@ class ParametricSurface:
                 error = float(np.max(np.abs(found - self._by_differences(w) / scales))) / size
                 check_agreement(self.name, "derivatives", "parametrisation", w, error)
 
-    def _closed_parameters(self) -> np.ndarray:
-        """Which of the two parameters go round: both ends are the same line, smoothly."""
-        closed = []
+    def _periodic_parameters(self) -> np.ndarray:
+        """Which of the two parameters join both ends of their range smoothly."""
+        periodic = []
         for axis in (0, 1):
             gaps = []
             for fraction in (0.13, 0.37, 0.71):
@@ -387,8 +377,8 @@ class ParametricSurface:
                 gap = np.abs(self._x(low) - self._x(high)) / self._scale
                 kink = np.abs(self._derivatives(low) - self._derivatives(high))[axis]
                 gaps += [np.max(gap), np.max(kink) / self._stretch[axis]]
-            closed.append(max(gaps) < 1e-6)
-        return np.array(closed)
+            periodic.append(max(gaps) < 1e-6)
+        return np.array(periodic)
 
 
 def _name_of(function: Callable) -> str:

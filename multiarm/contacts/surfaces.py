@@ -1,16 +1,16 @@
-r"""The signed distance of every built-in surface, with its first and second derivatives, compiled.
+r"""Signed distances of all surfaces, with first and second derivatives, compiled.
 
-A surface is known by its signed distance :math:`s(p)`: positive outside, negative inside the solid
-body.  Its gradient is the outward unit normal :math:`n` at the foot of ``p`` on the surface, and
+A surface is represented by its signed distance :math:`s(p)`: positive outside, negative inside the
+solid body.  Its gradient is the outward unit normal :math:`n` at the foot of ``p``, and
 
 .. math:: \nabla^2 s = S\,(I + s\,S)^{-1}
 
 with the shape operator ``S`` at that foot (for a sphere of radius r: ``(I - n n^T) / (r + s)``).
-Contacts need nothing else, see :mod:`multiarm.contacts.kernel`: a fingertip's gap is the distance
-at its centre less its radius, the gap of two surfaces is the stationary value of the sum of their
+Contacts need nothing else (:mod:`multiarm.contacts.kernel`): a fingertip's gap is the distance at
+its centre less its radius, the gap of two surfaces is the stationary value of the sum of their
 distances.
 
-Here a surface stands in its own frame: a plane is ``z = 0`` with normal ``z``; sphere and ellipsoid
+Each surface has its own frame: a plane is ``z = 0`` with normal ``z``; sphere and ellipsoid
 are centred; cylinder, torus and cone are about the z axis, the cone's apex at the origin and its
 opening along z.
 """
@@ -58,30 +58,29 @@ from multiarm.jit.vectors import (
     vec,
 )
 
-# Entries of a query: number of the user's function and the place where it is asked (surface's own
-# frame), then the answer: signed distance, gradient, second derivatives (xx, xy, xz, yy, yz, zz).
+# Entries of a query: number of the user function and the point (surface's own frame), then the
+# results: signed distance, gradient, second derivatives (xx, xy, xz, yy, yz, zz).
 FUNCTION, PLACE, DISTANCE, GRADIENT, SECOND, QUERY_WIDTH = 0, 1, 4, 5, 8, 14
 
-_NEWTON_STEPS = 100
 _FLAT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def answering(functions: list[SmoothShape], query: np.ndarray) -> Callable[[], None]:
-    """Function that answers the kernel's queries about the user's surfaces, for a callback."""
+def user_surface_callback(functions: list[SmoothShape], query: np.ndarray) -> Callable[[], None]:
+    """Function that evaluates the user surfaces at the kernel's queries."""
     upper = np.triu_indices(3)
 
-    def answer() -> None:
+    def evaluate() -> None:
         surface = functions[int(query[FUNCTION])]
         distance, gradient, second = surface.closest(query[PLACE : PLACE + 3].copy())
         query[DISTANCE] = distance
         query[GRADIENT : GRADIENT + 3] = gradient
         query[SECOND : SECOND + 6] = second[upper]
 
-    return answer
+    return evaluate
 
 
 @inlined
-def _answer(query, s, n, H):
+def _write_result(query, s, n, H):
     query[DISTANCE] = s
     put(query, GRADIENT, n)
     put_symmetric(query, SECOND, H)
@@ -95,9 +94,9 @@ def _isotropic(k, n):
 
 @kernel
 def local_distance(shape, query, function_call):
-    """Answer the query at ``query[PLACE:]`` for the surface ``shape`` (18,) in its own frame.
+    """Evaluate the surface ``shape`` (18,) at ``query[PLACE:]``, in its own frame.
 
-    Where there is no normal (on an axis, at a centre) the answer is not finite.
+    Where there is no normal (on an axis, at a centre) the result is not finite.
     """
     kind = int(shape[SHAPE_KIND])
     y, (a, b, c) = vec(query, PLACE), vec(shape, SHAPE_SIZES)
@@ -105,25 +104,27 @@ def local_distance(shape, query, function_call):
     r0, r1 = (y[0] / radial, y[1] / radial) if radial > 0.0 else (math.nan, math.nan)
     around = (-r1, r0, 0.0)
     if kind == PLANE:
-        _answer(query, height, (0.0, 0.0, 1.0), _FLAT)
+        _write_result(query, height, (0.0, 0.0, 1.0), _FLAT)
     elif kind == SPHERE:
         distance = norm(y)
         n = scale(1.0 / distance, y)
-        _answer(query, distance - a, n, _isotropic(1.0 / distance, n))
+        _write_result(query, distance - a, n, _isotropic(1.0 / distance, n))
     elif kind == CYLINDER:
-        _answer(query, radial - a, (r0, r1, 0.0), add_outer(_FLAT, 1.0 / radial, around))
+        _write_result(query, radial - a, (r0, r1, 0.0), add_outer(_FLAT, 1.0 / radial, around))
     elif kind == CONE:
-        # behind the apex no part of the cone is near
-        there = radial * a + height * b > 0.0
+        # outside of the polar cone of the apex
+        regular = radial * a + height * b > 0.0
         H = add_outer(_FLAT, b / radial, around)
-        _answer(query, radial * b - height * a if there else math.nan, (b * r0, b * r1, -a), H)
+        _write_result(
+            query, radial * b - height * a if regular else math.nan, (b * r0, b * r1, -a), H
+        )
     elif kind == TORUS:
         out = radial - a
         distance = math.sqrt(out * out + height * height)
         cosine, sine = out / distance, height / distance
         H = add_outer(_FLAT, 1.0 / distance, (-sine * r0, -sine * r1, cosine))
         H = add_outer(H, cosine / radial, around)
-        _answer(query, distance - b, (cosine * r0, cosine * r1, sine), H)
+        _write_result(query, distance - b, (cosine * r0, cosine * r1, sine), H)
     elif kind == ELLIPSOID:
         _ellipsoid(query, y, a, b, c)
     else:
@@ -133,22 +134,22 @@ def local_distance(shape, query, function_call):
 
 @inlined
 def _ratio(numerator, denominator):
-    """Their ratio; 0 over anything is 0: a zero coordinate has no part, wherever its pole is."""
+    """Their ratio, where 0 / 0 is 0: a zero coordinate has no part in the sum."""
     return numerator / denominator if numerator != 0.0 else 0.0
 
 
 @inlined
 def _ratios(a, b):
-    """Ratios of the components of two vectors."""
+    """Component by component."""
     return _ratio(a[0], b[0]), _ratio(a[1], b[1]), _ratio(a[2], b[2])
 
 
 @inlined
 def _ellipsoid(query, y, a, b, c):
-    r"""Foot ``x_i = a_i^2 y_i / (t + a_i^2)`` of a place ``y``, where ``t`` is the largest root of
+    r"""Foot ``x_i = a_i^2 y_i / (t + a_i^2)`` of a point ``y``, where ``t`` is the largest root of
     ``sum (a_i y_i / (t + a_i^2))^2 = 1`` (D. Eberly, Distance from a Point to an Ellipsoid, 2013).
 
-    The left side falls and is convex right of its last pole: Newton's method from a place left of
+    The left side decreases and is convex right of its last pole: Newton's method from the left of
     the root never oversteps it.
     """
     # the unknown is e = t + the least a_i^2, so that nothing cancels near the planes of symmetry
@@ -159,22 +160,22 @@ def _ellipsoid(query, y, a, b, c):
     e = max(0.0, max(abs(ay[0]) - A, max(abs(ay[1]) - B, abs(ay[2]) - C)))
     if (y[0] / a) ** 2 + (y[1] / b) ** 2 + (y[2] / c) ** 2 >= 1.0:
         e = max(e, least)
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(100):
         poles = (e + A, e + B, e + C)
         u = _ratios(ay, poles)
         step = 0.5 * (dot(u, u) - 1.0) / dot(u, _ratios(u, poles))
         e += step
         if not abs(step) > 4e-16 * e:
             break
-    # gradient of F / 2 = (sum x_i^2 / a_i^2 - 1) / 2 at the foot, and its length; on the middle of
-    # the inside there is no nearest point
+    # gradient of F / 2 = (sum x_i^2 / a_i^2 - 1) / 2 at the foot, and its length; the centre has no
+    # unique foot
     g, t = _ratios(y, (e + A, e + B, e + C)), (e - least if e > 0.0 else math.nan)
     length = norm(g)
     n = scale(1.0 / length, g)
     # S = P diag(1 / a_i^2) P / length, P = I - n n^T; then the offset by s = t length
     d = (1.0 / (a * a * length), 1.0 / (b * b * length), 1.0 / (c * c * length))
     m = (d[0] * n[0], d[1] * n[1], d[2] * n[2])
-    _answer(query, t * length, n, _offset(t * length, _projected(d, m, n), n))
+    _write_result(query, t * length, n, _offset(t * length, _projected(d, m, n), n))
 
 
 @inlined
@@ -209,10 +210,10 @@ def _offset(s, S, n):
 
 @kernel
 def world_distance(shape, body, d, query, function_call):
-    """Answer at ``query[DISTANCE:]`` for a surface on a body, world axes; its hollow side counts.
+    """Evaluate a surface on a body into ``query[DISTANCE:]``, world axes, hollow side included.
 
-    ``body`` (24,) is a row of body kinematics, ``d`` the place seen from the body's origin, a tuple
-    in world axes [m].
+    ``body`` (24,) is a row of body kinematics, ``d`` the point relative to the body's origin, a
+    tuple in world axes [m].
     """
     Q, side = rotation(shape, SHAPE_AXES), shape[SHAPE_SIDE]
     R = compose(rotation(body, 0), Q)
@@ -220,7 +221,7 @@ def world_distance(shape, body, d, query, function_call):
     local_distance(shape, query, function_call)
     n = scale(side, rotate(R, vec(query, GRADIENT)))
     H = rotate_symmetric(R, symmetric(query, SECOND))
-    _answer(query, side * query[DISTANCE], n, H)
+    _write_result(query, side * query[DISTANCE], n, H)
     if side < 0.0:
         for i in range(SECOND, QUERY_WIDTH):
             query[i] = -query[i]

@@ -1,11 +1,10 @@
 """Unilateral constraints of a scene: contacts that can open, joint stops, dry friction at rest.
 
-A *constraint* here is active at some times only: a contact that can only push (with its two
+A *unilateral constraint* is active at some times only: a contact that can only push (with its two
 tangents, if it has friction), a joint at an end of its range, a joint that dry friction holds at
 rest.  Compliant contacts are springs and dampers: their rows are measured, never active.  All other
-rows are *bilateral*.  This module says from the scene's effects which constraints there are and
-which rows of W they have; which of them are active at a time is the business of
-:mod:`multiarm.events`.
+rows are *bilateral*.  This module derives the constraints and their rows of W from the scene's
+effects; :mod:`multiarm.events` decides which of them are active at a time.
 
 Rows are in the order of the stacked vectors: arm by arm its contacts, each followed by its
 tangents, then its joints; last the contacts of the object with the floor.
@@ -15,25 +14,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.floor import floor_contacts
-from multiarm.contacts.records import Contact, JointRow
+from multiarm.contacts.records import Contact, JointRow, Patch, plane, sphere
 from multiarm.errors import SceneError
-from multiarm.scene import Scene
-from multiarm.scene.effects import SomeContacts
+from multiarm.scene import Mesh, Scene, Shape
+from multiarm.scene.effects import FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown
 
 CONTACT, LIMIT, DRY_JOINT = "contact", "limit", "joint friction"
+# Owner of the contacts of the object with its surroundings.
 SURROUNDINGS = "floor"
-"""Owner of the contacts of the object with its surroundings."""
 
 
 @dataclass(frozen=True)
 class Constraint:
-    """One constraint that is active at some times only.
+    """One unilateral constraint.
 
     Attributes
     ----------
@@ -49,9 +48,11 @@ class Constraint:
     bound : float
         Largest torque of dry friction [N m] or force [N].
     joint : int
-        Of limits and dry joints: place in the stacked vectors; else -1.
+        Of limits and dry joints: index in the stacked vectors; else -1.
     compliant : bool
-        The contact is a spring that only pushes, and its row is never active.
+        The contact is a spring that only pushes; its row is never active.
+    lag : float
+        Of compliant contacts: damping over stiffness [s].
     """
 
     kind: str
@@ -64,6 +65,7 @@ class Constraint:
     bound: float = 0.0
     joint: int = -1
     compliant: bool = False
+    lag: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,7 @@ class CompliantContacts:
     stiffness, damping : ndarray, shape (s,)
         [N/m, N s/m]
     always : int64 (s,)
-        1 for those that also pull; one that only pushes acts while it is pressed in.
+        1 for those that also pull; the others act while they are compressed.
     """
 
     rows: np.ndarray
@@ -92,15 +94,10 @@ class CompliantContacts:
         """Number of the contact in a row."""
         return int(np.searchsorted(self.rows, row))
 
-    @property
-    def lags(self) -> np.ndarray:
-        """Damping over stiffness [s], shape (s,)."""
-        return self.damping / self.stiffness
-
 
 @dataclass(frozen=True, eq=False)
 class UnilateralConstraints:
-    """The rows of a scene, and which of them are active at some times only.
+    """All rows of a scene, and its unilateral constraints.
 
     Attributes
     ----------
@@ -109,9 +106,9 @@ class UnilateralConstraints:
     constraints : tuple of Constraint
         In the order of their rows.
     model : tuple of int
-        Rows of the scene without effects, with which controllers reckon.
+        Rows of the scene without effects, which are the controllers' model.
     assembled : tuple of int
-        Rows on which the start is assembled: those of the model that begin closed.
+        Rows of the model that are closed at the start, which is projected on them.
     bilateral : tuple of int
         Rows that are active at all times.
     compliant : CompliantContacts or None
@@ -140,7 +137,7 @@ def unilateral_constraints(
     limits: Mapping[str, Mapping[str, tuple[float, float]]],
     dry: Mapping[str, np.ndarray] | None,
 ) -> UnilateralConstraints | None:
-    """The unilateral constraints of a scene, and all its rows; None where all are bilateral.
+    """The unilateral constraints and all rows of a scene; None where all rows are bilateral.
 
     Parameters
     ----------
@@ -155,7 +152,8 @@ def unilateral_constraints(
     Raises
     ------
     SceneError
-        Naming contacts that do not exist, or that cannot do what the effect is about.
+        Naming contacts that do not exist, or to which an effect does not apply; or when the points
+        of the object that can touch the floor are unknown.
     """
     parameters = _contact_parameters(scene, contacts)
     rows, first = _Rows(), 0
@@ -187,28 +185,58 @@ def unilateral_constraints(
     )
 
 
-@dataclass(frozen=True)
-class _Parameters:
-    """How a contact behaves that is not bilateral.
+def floor_contacts(spec: FloorSpec, shape: Shape) -> list[Contact]:
+    """Contacts of an object of this shape with the floor.
 
-    Attributes
-    ----------
-    mu : float or None
-        Coefficient of friction; None: it has no tangents.
-    restitution : float
-        Newton's, between 0 and 1.
-    stiffness, damping : float
-        Of a compliant contact [N/m, N s/m]; stiffness 0: it is rigid.
+    Raises
+    ------
+    SceneError
+        When the points that can touch it are unknown.
     """
+    pose = spec.at.matrix()
+    ground = plane(pose[:3, 3], pose[:3, 2])
+    if spec.size is not None:
+        half = 0.5 * np.array([*spec.size, np.inf])
+        ground = replace(ground, patch=Patch(-half, half, pose))
+    return [
+        Contact(name, ground, sphere(point, radius), pushes_only=True)
+        for name, point, radius in _touching_points(spec, shape)
+    ]
 
-    mu: float | None = None
-    restitution: float = 0.0
-    stiffness: float = 0.0
-    damping: float = 0.0
+
+def hull_corners(points: np.ndarray) -> np.ndarray:
+    """Corners of the convex hull of points, shape (n, 3), without those on its faces and edges.
+
+    Raises
+    ------
+    SceneError
+        When the points lie in a plane.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        raise _unknown_points("the mesh is flat", "on both of its sides") from None
+    corners = []
+    for vertex in hull.vertices:
+        normals = hull.equations[np.any(hull.simplices == vertex, axis=1), :3]
+        if np.linalg.svd(normals, compute_uv=False)[-1] > 1e-6:  # three faces that differ
+            corners.append(points[vertex])
+    return np.array(corners)
+
+
+class _Parameters(NamedTuple):
+    """Parameters of a contact that is not bilateral."""
+
+    mu: float | None = None  # coefficient of friction; None: it has no tangents
+    restitution: float = 0.0  # Newton's, between 0 and 1
+    stiffness: float = 0.0  # of a compliant contact [N/m]; 0: it is rigid
+    damping: float = 0.0  # [N s/m]
 
 
 class _Rows:
-    """The rows of a scene, added in order, owner by owner."""
+    """Builder of the rows of a scene, in order, owner by owner."""
 
     def __init__(self) -> None:
         self.owner = ""
@@ -220,7 +248,7 @@ class _Rows:
         self.count = 0
 
     def start(self, owner: str) -> None:
-        """All rows that follow are those of this arm, or of the surroundings."""
+        """Begin the rows of an arm, or of the surroundings."""
         self.owner = owner
         self.records[owner] = []
 
@@ -233,7 +261,7 @@ class _Rows:
         self.constraints.append(Constraint(kind, self.owner, record.name, row, **more))
 
     def add_contact(self, contact: Contact, own: _Parameters | None) -> None:
-        """A contact, bilateral without parameters of its own."""
+        """A contact, bilateral without parameters."""
         row = self._add(contact)
         if self.owner != SURROUNDINGS:
             self.model.append(row)
@@ -241,8 +269,9 @@ class _Rows:
             self.bilateral.append(row)
         elif own.stiffness > 0.0:
             self.compliant.append((row, len(self.records) - 1, own, not contact.pushes_only))
-            if contact.pushes_only:  # a spring that also pulls acts at all times
-                self._constrain(CONTACT, contact, row, compliant=True)
+            if contact.pushes_only:  # one that also pulls is always active
+                lag = own.damping / own.stiffness
+                self._constrain(CONTACT, contact, row, compliant=True, lag=lag)
         elif own.mu is None:
             self._constrain(CONTACT, contact, row, restitution=own.restitution)
         else:
@@ -317,16 +346,24 @@ def _contact_parameters(
             if unilateral is not None and contact.pushes_only and _named(unilateral, arm, contact):
                 one = _Parameters(restitution=unilateral.restitution)
             if friction is not None and contact.pushes_only and _named(friction, arm, contact):
-                one = replace(one or _Parameters(), mu=friction.mu)
+                one = (one or _Parameters())._replace(mu=friction.mu)
             if compliance is not None and not contact.tangent and _named(compliance, arm, contact):
                 if one is not None and one.mu is not None:
-                    faults.append(_compliant_with_friction(arm, contact))
+                    faults.append(
+                        f"$.effects.contact_compliance: contact '{arm}/{contact.name}' is one of "
+                        f"contact_friction, which needs a rigid contact; name the contacts of each "
+                        f"with 'contacts'"
+                    )
                 one = _Parameters(stiffness=compliance.stiffness, damping=compliance.damping)
             if one is None:
                 continue
             found[arm][k] = one
             if k + 1 < len(own) and own[k + 1].tangent:
-                faults.append(_rolls(arm, contact))
+                faults.append(
+                    f"$.effects: contact '{arm}/{contact.name}' rolls ('rolling: true'): it cannot "
+                    f"let go, slide or give way; leave it out of 'contacts' of the effect, or give "
+                    f"it friction and no 'rolling'"
+                )
     if faults:
         raise SceneError(list(dict.fromkeys(faults)))
     return found
@@ -340,7 +377,7 @@ def _named(spec: SomeContacts, arm: str, contact: Contact) -> bool:
 def _name_faults(
     effect: str, spec: SomeContacts, contacts: Mapping[str, list[Contact]], pushing: bool
 ) -> Iterator[str]:
-    """Names of ``contacts`` that no contact has which can only push, where that is required."""
+    """Names that are no contact, or none that can only push (``pushing``)."""
     known = {
         f"{arm}/{contact.name}": contact.pushes_only or not pushing
         for arm, own in contacts.items()
@@ -362,16 +399,53 @@ def _name_faults(
             )
 
 
-def _rolls(arm: str, contact: Contact) -> str:
-    return (
-        f"$.effects: contact '{arm}/{contact.name}' rolls ('rolling: true'): it cannot let go, "
-        f"slide or give way; leave it out of 'contacts' of the effect, or give it friction and "
-        f"no 'rolling'"
-    )
+def _touching_points(spec: FloorSpec, shape: Shape) -> list[tuple[str, np.ndarray, float]]:
+    """Name, position in the object frame and radius of all points that can touch the floor."""
+    if spec.points is not None:
+        return [(f"point {k + 1}", np.array(point), 0.0) for k, point in enumerate(spec.points)]
+    if shape.sphere is not None:
+        return [("ball", np.zeros(3), float(shape.sphere))]
+    if shape.box is not None:
+        half = 0.5 * np.array(shape.box)
+        corners = [np.array(signs) * half for signs in product((-1.0, 1.0), repeat=3)]
+        return _named_corners(corners)
+    if shape.hull is not None:
+        return _named_corners(list(hull_corners(np.array(shape.hull))))
+    if shape.mesh is not None:
+        return _named_corners(list(_mesh_corners(shape.mesh)))
+    raise _unknown_points("a cylinder has no corners", "such as eight or more around each rim")
 
 
-def _compliant_with_friction(arm: str, contact: Contact) -> str:
-    return (
-        f"$.effects.contact_compliance: contact '{arm}/{contact.name}' is one of contact_friction, "
-        f"which needs a rigid contact; name the contacts of each with 'contacts'"
+def _named_corners(corners: list[np.ndarray]) -> list[tuple[str, np.ndarray, float]]:
+    return [(f"corner {k + 1}", corner, 0.0) for k, corner in enumerate(corners)]
+
+
+def _mesh_corners(mesh: Mesh) -> np.ndarray:
+    """Corners of the convex hull of a mesh, object frame [m], shape (n, 3)."""
+    import coal
+
+    if not mesh.file.is_file():
+        raise _unknown_points(f"there is no mesh at {mesh.file}", "or correct the path")
+    try:
+        loaded = coal.MeshLoader().load(str(mesh.file), np.asarray(mesh.scale, float))
+        vertices = np.array(loaded.vertices(), dtype=float).reshape(-1, 3)
+    except (ValueError, RuntimeError) as error:
+        raise _unknown_points(
+            f"{mesh.file} cannot be read ({error})", "or repair the file"
+        ) from None
+    corners = hull_corners(vertices)
+    if len(corners) > 64:  # every corner is a contact; a hull with more is a rounded body
+        raise _unknown_points(
+            f"the hull of {mesh.file.name} has {len(corners)} corners, which is too many",
+            "at most 64",
+        )
+    return corners
+
+
+def _unknown_points(reason: str, such: str) -> SceneError:
+    return SceneError(
+        [
+            f"$.effects.floor: {reason}; name the points of the object that can touch the floor "
+            f"with 'points: [[x, y, z], ...]' in the object frame, {such}"
+        ]
     )

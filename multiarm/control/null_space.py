@@ -3,7 +3,7 @@ r"""Keeping an arm at its place on the object, in the motions that its joint lea
 Frictionless fingertips slide, hinges turn: nothing but the arm itself holds them where they are.
 The joint frame on the arm shall follow the one on the object like a body on springs: with the shift
 :math:`x` and the rotation vector :math:`\theta` from the object's frame to the arm's
-(:mod:`multiarm.contacts.frames`), in axes of the object's joint frame,
+(:mod:`multiarm.contacts.joint`), in axes of the object's joint frame,
 
 .. math:: \ddot x = -k x - \delta \dot x, \qquad \dot\omega = -k\,\theta - \delta\,\omega .
 
@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.arms.terms import J_AT
-from multiarm.contacts.frames import ON_LINK, ON_OBJECT, write_relative
+from multiarm.contacts.joint import ON_LINK, ON_OBJECT, write_relative
 from multiarm.contacts.kernel import ACCELERATION, ORIGIN_AT, SPIN, SPIN_RATE
 from multiarm.control.force_distribution import solve_semidefinite
 from multiarm.dynamics.solver.regular import factor_in_place

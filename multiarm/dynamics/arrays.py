@@ -49,7 +49,7 @@ class Constants(NamedTuple):
     codes, geometry, shapes
         The contact table; the arms' geometry in the frame of the joint that carries the tip.
     frames : (n, 24)
-        Joint frames of every arm, see :mod:`multiarm.contacts.frames`.
+        Joint frames of every arm, see :mod:`multiarm.contacts.joint`.
     free_bounds : int64 (n + 1,), free : int64 (m, 2)
         Which components of the relative motion in those frames are recorded, arm after arm: of
         the rates, of the coordinates.

@@ -11,11 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.contacts.coordinates import joint_selection
-from multiarm.contacts.gripper import RelativeMotion, relative_wrenches, seen_from_object
 from multiarm.contacts.internal_forces import InternalForces, decompose, internal_forces
-from multiarm.contacts.matrices import ContactTerms
-from multiarm.contacts.motion_space import MotionSpace, motion_space, motion_space_in_rates
+from multiarm.contacts.matrices import (
+    ContactTerms,
+    RelativeMotion,
+    relative_wrenches,
+    seen_from_object,
+)
+from multiarm.contacts.motion_space import (
+    MotionSpace,
+    joint_selection,
+    motion_space,
+    motion_space_in_rates,
+)
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.state import State
 from multiarm.errors import ModelError

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.contacts.kernel import AT, NORMAL, RELATIVE_WIDTH
+from multiarm.contacts.kernel import AT, LINE_CONTACT, NORMAL, RELATIVE_WIDTH, locate_pair
 from multiarm.contacts.records import (
     CURVED,
     CYLINDER,
@@ -24,7 +24,6 @@ from multiarm.contacts.records import (
     Contact,
     Patch,
 )
-from multiarm.contacts.rows import LINE_CONTACT, locate_pair
 from multiarm.contacts.screws import first_largest
 from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
 from multiarm.contacts.unilateral import Constraint

@@ -20,14 +20,14 @@ from __future__ import annotations
 
 import math
 
-from multiarm.arms.compiled.tables import energy_of_arms, open_arms
+from multiarm.arms.compiled.tables import energy_of_arms
 from multiarm.arms.terms import BIAS_AT, GRAVITY_AT, M_AT, M_STRIDE
 from multiarm.contacts.kernel import (
     GAP,
     GAP_BIAS,
     GAP_RATE,
+    write_row,
 )
-from multiarm.contacts.rows import write_row
 from multiarm.dynamics.arrays import (
     CALLBACK_FAILED,
     NOT_FINITE,
@@ -368,7 +368,7 @@ def potential_energy(model, data):
         energy -= model.object_mass * model.gravity[k] * data.position[k]
     if functions.arms != 0:
         arms = struct_at(functions.arms_struct, functions.arms_size)
-        energy += energy_of_arms(open_arms(arms))
+        energy += energy_of_arms(arms)
     if functions.pinocchio_energy != 0:
         call_python(functions.pinocchio_energy)
         energy += data.status.potential_energy

@@ -7,7 +7,7 @@ The motion is given by the object's acceleration and by the rates of the relativ
 .. math::
     \dot v_m = G\dot v_o + G_1 v_o + H_o T\dot\alpha + (H_o\dot T + G_2 H_o T)\,\alpha
 
-(:func:`multiarm.contacts.gripper.gripper_acceleration`), the joints with
+(:func:`multiarm.contacts.matrices.gripper_acceleration`), the joints with
 :math:`J\ddot q = \dot v_m - \dot J\dot q`, and the contacts must carry
 
 .. math:: W_o\lambda = I_o\dot v_o + h_o, \qquad \lambda = W_o^+ f_o + A_o\mu_I .
@@ -28,8 +28,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.contacts.gripper import gripper_acceleration, relative_wrenches
 from multiarm.contacts.internal_forces import InternalForces, distribute
+from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_analysis import relative_motion_of
 from multiarm.dynamics.dense_callback import read_inertia

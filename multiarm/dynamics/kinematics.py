@@ -21,9 +21,9 @@ from multiarm.contacts.kernel import (
     SPIN,
     SPIN_RATE,
     VELOCITY,
+    write_rows,
 )
 from multiarm.contacts.records import COMBINED, KIND, RADIUS, SIDE, WEIGHT
-from multiarm.contacts.rows import write_rows
 from multiarm.jit.kernels import inlined
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack

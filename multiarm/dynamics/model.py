@@ -22,8 +22,7 @@ import numpy as np
 from multiarm.arms.arm import Arm
 from multiarm.arms.backends import ArmBackends, Ground
 from multiarm.arms.terms import Coriolis
-from multiarm.contacts.frames import JointFrame
-from multiarm.contacts.joint import Joint
+from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.contacts.kernel import RELATIVE_WIDTH
 from multiarm.contacts.records import (
     COUNT,
@@ -38,7 +37,7 @@ from multiarm.contacts.records import (
     SmoothShape,
     pack,
 )
-from multiarm.contacts.surfaces import answering
+from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints
 from multiarm.dynamics.arrays import (
     CALLBACK_FAILED,
@@ -374,7 +373,7 @@ class Data:
         self._add_callback("dense", PythonCallback(dense, b.status))
         self.surfaces = [self._surfaces[id(surface)] for surface in model.surfaces]
         if self.surfaces:
-            answer = answering(self.surfaces, b.query[RELATIVE_WIDTH:])
+            answer = user_surface_callback(self.surfaces, b.query[RELATIVE_WIDTH:])
             self._add_callback("surface", PythonCallback(answer, b.status))
         self._struct = self._make_struct()
 

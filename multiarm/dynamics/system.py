@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.contacts.frames import COMPONENTS, UNITS, JointFrame
+from multiarm.contacts.joint import COMPONENTS, UNITS, JointFrame
 from multiarm.contacts.records import Contact
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State

@@ -1,10 +1,9 @@
-"""Evaluations of any scene, also of those with unilateral contacts.
+"""Evaluations of any scene, with or without unilateral contacts.
 
-The model of a scene with unilateral contacts has all rows that can ever be closed, and is never
-solved as it is: which contacts push, slide, stick or open at a state follows from the state, as it
-does at the beginning of a run, but without impacts.  The equations of that mode are solved by
-:func:`multiarm.dynamics.evaluation.evaluate`; its results are then spread to all rows, and put into
-the equations with the friction forces.
+The model of a scene with unilateral contacts has all rows that can be closed, and is never solved
+as it is: the mode of a state is determined as at the beginning of a run, but without impacts.
+:func:`multiarm.dynamics.evaluation.evaluate` solves the equations of that mode; its results are
+then scattered to all rows, and the residuals of the equations are those with the friction forces.
 """
 
 from __future__ import annotations
@@ -31,13 +30,12 @@ from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
-from multiarm.events.arrays import HELD, TANGENT_OF_ALL, THRESHOLD
-from multiarm.events.beginning import touching_constraints
-from multiarm.events.kernels import start_guards
+from multiarm.events.event_detection import touching_constraints
+from multiarm.events.kernels import HELD, TANGENT_OF_ALL, THRESHOLD, start_guards
 from multiarm.events.modes import STATE_NAMES, Mode, Modes
 from multiarm.events.transition import Transition
 
-# Slip slower than this has hardly a direction of its own [m/s].
+# Speed below which the direction of slip is smoothed [m/s].
 SLOW = 1e-9
 
 
@@ -55,13 +53,12 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     t : float
         Time, for the control [s].
     state : State, optional
-        The start when left out.  It is taken as it is: nothing is projected, and contacts that hit
-        something do not bounce.
+        The start when left out.  It is evaluated as it is, without projection or impacts.
 
     Raises
     ------
     SolverError
-        When an inertia is not positive definite, or nothing meets the laws of the contacts.
+        When an inertia is not positive definite, or no motion obeys the contact laws.
     ControlError
         When a Python controller returns something unusable.
     """
@@ -75,14 +72,14 @@ def evaluate_data(data: Data, t: float, state: State) -> Evaluation:
     if data.model.unilateral is None:
         return evaluation.evaluate(data, t, state)
     mode = mode_at(data, t, state)
-    return _spread(modes_of(data, SLOW), mode, t, state)
+    return _scattered(modes_of(data, SLOW), mode, t, state)
 
 
 def mode_at(data: Data, t: float, state: State) -> Mode:
-    """The mode of a state, evaluated there; valid until the next one is wanted."""
+    """The mode of a state, evaluated there; valid until the next call."""
     modes = modes_of(data, SLOW)
-    touching, beside, _ = touching_constraints(modes, t, state)
-    decision = Transition(modes, touching, 0.0, beside=beside).stay()
+    touching, off_patch, _ = touching_constraints(modes, t, state)
+    decision = Transition(modes, touching, 0.0, off_patch=off_patch).decide(with_impacts=False)
     if decision.trouble:
         raise SolverError(decision.trouble)
     mode = modes.enter(decision.choice, decision.directions)
@@ -90,18 +87,18 @@ def mode_at(data: Data, t: float, state: State) -> Mode:
         mode.data.reraise()
     start_guards(mode.data.struct)
     if np.any(mode.arrays.values < -mode.arrays.levels[:, THRESHOLD]):
-        mode.set_prestress(decision.forces)  # least forces do not obey the laws, but others do
+        mode.set_prestress(decision.forces)  # minimum-norm forces do not obey the laws
     return mode
 
 
 def modes_of(data: Data, slow: float) -> Modes:
-    """The modes of a Data, made when they are first wanted."""
+    """The modes of a Data, cached in it."""
     if ("modes", slow) not in data.cache:
         data.cache["modes", slow] = Modes(data, slow)
     return data.cache["modes", slow]
 
 
-def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
+def _scattered(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
     """The evaluation of a mode, in the rows of the whole system."""
     full, closed = modes.full, modes.full.with_contacts_closed()
     own = evaluation.evaluate(mode.data, t, state)
@@ -129,7 +126,7 @@ def _spread(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
 
 
 def _all_forces(full: Data, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
-    """Forces of all rows [N], and which of them are determined."""
+    """Forces of all rows [N], and which of them are unique."""
     count = full.model.layout.contacts
     forces, unique = np.zeros(count), np.ones(count, dtype=bool)
     arrays, own = mode.arrays, mode.data.arrays.force
@@ -159,14 +156,14 @@ def _columns(full: Data) -> np.ndarray:
 
 
 def _residuals(full: Data, mode: Mode, forces: np.ndarray, constraint: float) -> Residuals:
-    """Put forces of all rows into the equations of motion."""
+    """Residuals of the equations of motion with the forces of all rows."""
     b, work = mode.data.arrays, full.work
     if evaluate_state(mode.data.struct, 0.0, 0.0) != OK:
         mode.data.reraise()
     q_o, qdd, h, h_o = b.q_o.copy(), b.qdd.copy(), b.h.copy(), b.h_o.copy()
     update_kinematics(full.struct)
     pushing = forces.copy()
-    pushing[mode.arrays.springs] = 0.0  # effects have their part in h and h_o
+    pushing[mode.arrays.springs] = 0.0  # these are in h and h_o already
     arm = 0.0
     for i in range(len(full.model.arm_names)):
         d = slice(work.dofs[i], work.dofs[i + 1])

@@ -1,6 +1,6 @@
-r"""The compiled parts of a mode: control on the whole model, sliding friction, guards.
+r"""The compiled part of a mode: its arrays, sliding friction, guards.
 
-*Sliding.*  A contact that slides pushes along its normal and drags along its slip: with the slip
+*Sliding.*  A sliding contact has a normal force, and friction against its slip: with the slip
 velocity :math:`s = |s|\,d` in its two tangents, the force on them is :math:`-\mu\lambda_n d`, so
 that its columns of the reaction matrices are
 
@@ -9,29 +9,34 @@ that its columns of the reaction matrices are
 of object and arm alike, while its constraint stays along the normal (thesis, footnote to 4.9).  Its
 power is :math:`-\mu\lambda_n |s|`.
 
-*Redundant contacts.*  Forces that the motion leaves open are of least norm, which may pull or leave
-the cones of friction, where others that make the same motion do not.  Then the mode begins with
-forces :math:`\lambda_0` that obey the laws, and :math:`\lambda = \lambda_0 + \delta` with
-:math:`\delta` of least norm.
-
-Where slip comes to rest the direction of :math:`s` turns round.  Within a step the force must be
-smooth nevertheless, so that the step ends beyond that point as if nothing were there, and the time
-can be found: the direction taken is the one of :math:`\pm s` that is nearer to the last step's,
-:math:`d_0`.  And where slip begins, velocities across it die out at the rate :math:`\mu a_n / |s|`,
-which no method could follow.  With :math:`s = a d_0 + p`, p across :math:`d_0`, and a speed
-:math:`s_0` that belongs to the accuracy of the run, the direction is therefore that of
+Where slip comes to rest the direction of :math:`s` reverses.  Within a step the force must be
+smooth, so that the step can pass that point and the time be located: of :math:`\pm s` the one
+nearer to the last step's direction :math:`d_0` is taken.  Where slip begins, velocities orthogonal
+to it decay at the rate :math:`\mu a_n / |s|`, which no method can follow.  With
+:math:`s = a d_0 + p`, p orthogonal to :math:`d_0`, and a speed :math:`s_0` that depends on the
+accuracy of the run, the direction is therefore that of
 
 .. math:: \sqrt{a^2 + s_0^2}\; d_0 + \frac{a}{\sqrt{a^2 + s_0^2}}\; p ,
 
-which is :math:`\pm s` but for speeds near :math:`s_0`.  The force has its full size at any speed.
+which is :math:`\pm s` except for speeds near :math:`s_0`.  The force has full size at any speed.
+
+*Redundant contacts.*  Minimum-norm forces may pull or leave the friction cones where other forces
+of the same motion do not.  The mode then begins with forces :math:`\lambda_0` that obey the contact
+laws, and :math:`\lambda = \lambda_0 + \delta` with :math:`\delta` of minimum norm.
+
+*Guards* are functions that are positive as long as the mode holds.  They are checked at the end of
+every step; those of forces also at its stages, and those of gaps by a cubic between its ends.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from multiarm.contacts.kernel import AT, GAP, GAP_RATE
-from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_coupled, open_system
+from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_coupled, open_data, open_system
 from multiarm.dynamics.equations import (
     add_torques,
     applied_forces,
@@ -48,44 +53,111 @@ from multiarm.dynamics.solver.reaction_coupling import RANK as REACTION_RANK
 from multiarm.dynamics.solver.reaction_coupling import ROWS as REACTION_ROWS
 from multiarm.dynamics.solver.reaction_elimination import eliminate_with_reactions
 from multiarm.dynamics.solver.reaction_solution import solve_for_reactions
+from multiarm.dynamics.solver.reactions import ReactionWork
 from multiarm.dynamics.solver.regular import IMBALANCE_BOUND
 from multiarm.dynamics.solver_monitor import note_solution, watch_solver
-from multiarm.events.arrays import (
-    ARM,
-    CONE_GUARD,
-    DIPPED,
-    FIRED,
-    GAP_GUARD,
-    GUARD_KIND,
-    HELD,
-    HOLD_GUARD,
-    LIFT_GUARD,
-    ONSET_GUARD,
-    PARAMETER,
-    PATCH_GUARD,
-    PUSH_GUARD,
-    QUIET,
-    RATE_GUARD,
-    REST_GUARD,
-    SLIP_GUARD,
-    SPRING_GUARD,
-    TANGENT_AT,
-    TANGENT_OF_ALL,
-    THRESHOLD,
-    A,
-    B,
-    C,
-    open_mode,
-    open_reactions,
-)
 from multiarm.jit.kernels import cfunc, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
-from multiarm.jit.structs import struct_at
+from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, make_struct, struct_at, view
+
+# Columns of ModeArrays.slides: held row, its arm, first tangent among the tangents' rows, and among
+# all rows.
+HELD, ARM, TANGENT_AT, TANGENT_OF_ALL, SLIDE_WIDTH = range(5)
+
+# Kinds of guards, and the meaning of their numbers a, b, c and parameter.
+GAP_GUARD = 0  # gap of row a of all rows [m]
+PUSH_GUARD = 1  # force of held row a [N]
+CONE_GUARD = 2  # parameter (mu) times force of held row a, minus that of rows b, c (-1: none) [N]
+SLIP_GUARD = 3  # speed of slide a along its direction [m/s]
+RATE_GUARD = 4  # speed of joint a times the parameter [rad/s, m/s]
+HOLD_GUARD = 5  # parameter, minus the magnitude of the force of held row a [N m, N]
+REST_GUARD = 6  # gap of row a of all rows, plus the parameter (largest gap at contact) [m]
+PATCH_GUARD = 7  # c times the distance of the contact of row a from the edge of its patch [m]
+LIFT_GUARD = 8  # parameter (largest gap at contact), minus the gap of row a of all rows [m]
+ONSET_GUARD = 9  # parameter (largest speed at rest), minus the speed of slide a [m/s]
+SPRING_GUARD = 10  # c times the extension of the spring in row a, see spring_length [m]
+# Columns of ModeArrays.guards and .levels.
+GUARD_KIND, A, B, C, CONSTRAINT, GUARD_WIDTH = range(6)
+PARAMETER, THRESHOLD, LEVEL_WIDTH = range(3)
+# Result of a guard for a step: no event, a sign change, perhaps two sign changes.
+QUIET, FIRED, DIPPED = range(3)
+
+
+class ModeArrays(NamedTuple):
+    """Arrays of one mode.
+
+    held : int64 (m,)
+        The held rows, among all rows.
+    slides : int64 (s, 4), slide_mu : (s,), direction, turning : (s, 2), speed : (s,)
+        Sliding contacts: rows, coefficients of friction, direction of slip at the end of the last
+        step and at the state evaluated last, and the speed along it [m/s].
+    slow : (1,)
+        The speed ``s_0`` [m/s].
+    slots : int64 (1,)
+        Index of the power of sliding friction in ``data.power``.
+    states : (u,)
+        State of every contact, as it is recorded.
+    guards : int64 (g, 5), levels : (g, 2)
+        Kind, a, b, c, constraint; parameter, and the value above which a guard that was at zero
+        when the mode began counts as positive.
+    values, before, rates, least : (g,)
+        Values at the state evaluated last and at the end of the last step, rate of a gap then,
+        least value in the stages since.
+    armed, found : int64 (g,)
+        Whether it has been positive in this mode; its result for the last step.
+    muted : int64 (1,)
+        1: the current step ends at an event that has been located.
+    span : (2,)
+        Begin and end of the last step [s].
+    patches : (g, 18)
+        Of patch guards: frame of the patch (rotation row by row, origin) in its body, and corners.
+    Wr : (m, 6)
+        The object's rows of the reaction matrices.
+    prestress : (m,), stressed : int64 (1,)
+        The forces ``lambda_0``, and whether there are any.
+    springs : int64 (s,), spring_force : (s,)
+        Compliant contacts: their rows among all, and their forces.
+    """
+
+    held: Ints1
+    slides: Ints2
+    slide_mu: Floats1
+    direction: Floats2
+    turning: Floats2
+    speed: Floats1
+    slow: Floats1
+    slots: Ints1
+    states: Floats1
+    guards: Ints2
+    levels: Floats2
+    values: Floats1
+    before: Floats1
+    rates: Floats1
+    least: Floats1
+    armed: Ints1
+    found: Ints1
+    muted: Ints1
+    span: Floats1
+    patches: Floats2
+    Wr: Floats2
+    prestress: Floats1
+    stressed: Ints1
+    springs: Ints1
+    spring_force: Floats1
+
+
+def mode_struct(arrays: ModeArrays, reactions: ReactionWork | None) -> np.ndarray:
+    """Struct of a mode; :func:`open_mode` and :func:`open_reactions` are its inverse."""
+    return make_struct([*arrays, *(reactions or ())])
+
+
+# Views of a mode's struct: its own arrays, and those of the node algorithm with friction.
+open_mode, open_reactions = view(ModeArrays), view(ReactionWork, len(ModeArrays._fields))
 
 
 @cfunc
 def forces_by_model(address, size, alpha, beta):
-    """Right-hand sides of a mode; its control reckons with all contacts of the model."""
+    """Right-hand sides of a mode; its control uses the model with all contacts."""
     model, data, work = open_system(struct_at(address, size))
     mode = open_mode(struct_at(data.modes.guards, 0))
     data.power[mode.slots[0]] = 0.0
@@ -107,7 +179,7 @@ def forces_by_model(address, size, alpha, beta):
 
 @cfunc
 def solve_held(address, size, _a, _b):
-    """Solve a mode in which nothing slides, and note how near its guards come to zero."""
+    """Solve a mode without sliding contacts, and update the least values of its guards."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
     mode = open_mode(struct_at(data.modes.guards, 0))
@@ -115,14 +187,14 @@ def solve_held(address, size, _a, _b):
         add_prestress(mode, data.Wo, work.Y, data, work)
     status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
     if mode.stressed[0] != 0:
-        add_forces(mode, data)
-    note_least(data)
+        restore_forces(mode, data)
+    update_least(data)
     return status
 
 
 @kernel
 def add_prestress(mode, on_object, on_arms, data, work):
-    """Add what the forces of ``mode.prestress`` do to the right-hand sides."""
+    """Add the generalised forces of ``mode.prestress`` to the right-hand sides."""
     for i in range(work.dofs.size - 1):
         d0, first = work.dofs[i], work.rows[i]
         for k in range(first, work.rows[i + 1]):
@@ -134,15 +206,15 @@ def add_prestress(mode, on_object, on_arms, data, work):
 
 
 @kernel
-def add_forces(mode, data):
-    """Add the forces of ``mode.prestress`` to those that were solved for."""
+def restore_forces(mode, data):
+    """Add the forces of ``mode.prestress`` to the solution."""
     for k in range(data.force.size):
         data.force[k] += mode.prestress[k]
 
 
 @cfunc
 def solve_sliding(address, size, _a, _b):
-    """Solve a mode in which contacts slide."""
+    """Solve a mode with sliding contacts."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     own = struct_at(data.modes.guards, 0)
@@ -173,13 +245,13 @@ def solve_sliding(address, size, _a, _b):
             coupled.status.rank = reactions.counts[REACTION_RANK]
             coupled.status.margin = math.inf
     if mode.stressed[0] != 0:
-        add_forces(mode, data)
+        restore_forces(mode, data)
     power = 0.0
     for s in range(mode.slides.shape[0]):
         power -= mode.slide_mu[s] * data.force[mode.slides[s, HELD]] * mode.speed[s]
     data.power[mode.slots[0]] = power
     data.power[data.power.size - 1] += power
-    note_least(data)
+    update_least(data)
     return OK
 
 
@@ -224,7 +296,7 @@ def write_reactions(data, work, mode, reactions):
 
 @kernel
 def write_direction(s, mode, first, second):
-    """Direction of slip now, of the two that are possible the one nearer to the last step's."""
+    """Direction of slip from its two components, near to the last step's."""
     d0, d1, slow = mode.direction[s, 0], mode.direction[s, 1], mode.slow[0]
     along = first * d0 + second * d1
     p0, p1 = first - along * d0, second - along * d1
@@ -237,9 +309,9 @@ def write_direction(s, mode, first, second):
 
 
 @cfunc
-def show_forces(address, size, _t, _b):
-    """Write the forces of all rows, and what every contact does, into ``data.shown``."""
-    _, data, _ = open_system(struct_at(address, size))
+def record_forces(address, size, _t, _b):
+    """Write the forces of all rows and the state of every contact into ``data.shown``."""
+    data = open_data(struct_at(address, size))
     mode = open_mode(struct_at(data.modes.guards, 0))
     shown = data.shown
     shown[:] = 0.0
@@ -259,7 +331,7 @@ def show_forces(address, size, _t, _b):
 
 @kernel
 def force_guard(g, mode, data):
-    """Value of a guard that is about forces."""
+    """Value of a force guard."""
     kind, a = mode.guards[g, GUARD_KIND], mode.guards[g, A]
     parameter, force = mode.levels[g, PARAMETER], data.force
     if kind == PUSH_GUARD:
@@ -274,30 +346,30 @@ def force_guard(g, mode, data):
 
 
 @kernel
-def is_about_forces(kind):
-    """Whether a guard is about forces."""
+def is_force_guard(kind):
+    """Whether the value of a guard depends on forces."""
     return kind in (PUSH_GUARD, HOLD_GUARD, CONE_GUARD)
 
 
 @kernel
-def is_about_a_gap(g, mode):
-    """Whether a guard is about an open contact."""
+def is_gap_guard(g, mode):
+    """Whether a guard is the gap of an open contact."""
     kind = mode.guards[g, GUARD_KIND]
     return kind == GAP_GUARD or (kind == SPRING_GUARD and mode.guards[g, C] > 0)
 
 
 @kernel
-def note_least(data):
-    """Note the least values of guards about forces in the stages of a step."""
+def update_least(data):
+    """Update the least values of force guards at a stage of a step."""
     mode = open_mode(struct_at(data.modes.guards, 0))
     for g in range(mode.guards.shape[0]):
-        if is_about_forces(mode.guards[g, GUARD_KIND]):
+        if is_force_guard(mode.guards[g, GUARD_KIND]):
             mode.least[g] = min(mode.least[g], force_guard(g, mode, data))
 
 
 @kernel
 def patch_guard(g, mode, contact):
-    """How far inside its patch a contact of the surroundings is [m]."""
+    """Distance of a contact of the surroundings inside its patch [m]."""
     patch, inside = mode.patches[g], math.inf
     for j in range(3):
         x = 0.0
@@ -309,91 +381,92 @@ def patch_guard(g, mode, contact):
 
 @inlined
 def spring_length(gap, rate, lag):
-    """Length beyond rest of a spring and damper that only push; they do where it is negative [m].
+    """Extension of a spring and damper that only push [m]; they push where it is negative.
 
-    They push while they are pressed in and their force ``-k (gap + lag rate)`` is positive, with
+    They push while they are compressed and their force ``-k (gap + lag rate)`` is positive, with
     ``lag`` the damping over the stiffness ``k`` [s].
     """
     return max(gap, gap + lag * rate)
 
 
 @kernel
-def guard_value(g, mode, data, everything):
-    """Value of a guard at the state evaluated last; ``everything`` are the data of all rows."""
+def guard_value(g, mode, data, full):
+    """Value of a guard at the state evaluated last; ``full`` are the data of all rows."""
     kind, a, parameter = mode.guards[g, GUARD_KIND], mode.guards[g, A], mode.levels[g, PARAMETER]
     if kind == GAP_GUARD:
-        return everything.contacts[a, GAP]
+        return full.contacts[a, GAP]
     if kind == REST_GUARD:
-        return parameter + everything.contacts[a, GAP]
+        return parameter + full.contacts[a, GAP]
     if kind == LIFT_GUARD:
-        return parameter - everything.contacts[a, GAP]
+        return parameter - full.contacts[a, GAP]
     if kind == SLIP_GUARD:
         t = mode.slides[a, TANGENT_OF_ALL]
-        first, second = everything.contacts[t, GAP_RATE], everything.contacts[t + 1, GAP_RATE]
+        first, second = full.contacts[t, GAP_RATE], full.contacts[t + 1, GAP_RATE]
         return first * mode.direction[a, 0] + second * mode.direction[a, 1]
     if kind == ONSET_GUARD:
         t = mode.slides[a, TANGENT_OF_ALL]
-        first, second = everything.contacts[t, GAP_RATE], everything.contacts[t + 1, GAP_RATE]
+        first, second = full.contacts[t, GAP_RATE], full.contacts[t + 1, GAP_RATE]
         return parameter - math.sqrt(first * first + second * second)
     if kind == RATE_GUARD:
         return parameter * data.v[a]
     if kind == SPRING_GUARD:
-        row = everything.contacts[a]
+        row = full.contacts[a]
         return mode.guards[g, C] * spring_length(row[GAP], row[GAP_RATE], parameter)
     if kind == PATCH_GUARD:
-        return mode.guards[g, C] * patch_guard(g, mode, everything.contacts[a])
+        return mode.guards[g, C] * patch_guard(g, mode, full.contacts[a])
     return force_guard(g, mode, data)
 
 
 @cfunc
 def write_guards(address, size, _a, _b):
-    """:func:`value_guards` for callers that know its address."""
-    return value_guards(address, size)
+    """Write the values of all guards at the state evaluated last."""
+    data = open_data(struct_at(address, size))
+    write_values(open_mode(struct_at(data.modes.guards, 0)), data)
+    return CALLBACK_FAILED if data.status.failed else OK
 
 
 @kernel
-def value_guards(address, size):
-    """Write the values of all guards at the state evaluated last."""
-    _, data, _ = open_system(struct_at(address, size))
-    mode = open_mode(struct_at(data.modes.guards, 0))
-    update_rows(struct_at(data.modes.full, 0))
-    _, everything, _ = open_system(struct_at(data.modes.full, 0))
+def write_values(mode, data):
+    """Kinematics of all rows, and the values of all guards."""
+    struct = struct_at(data.modes.full, 0)
+    update_rows(struct)
+    full = open_data(struct)
     for g in range(mode.guards.shape[0]):
-        mode.values[g] = guard_value(g, mode, data, everything)
-    return CALLBACK_FAILED if data.status.failed else OK
+        mode.values[g] = guard_value(g, mode, data, full)
 
 
 @cfunc
 def check_guards(address, size, begin, end):
-    """Look at all guards at the end of a step; not ``OK`` when one has something to tell."""
-    _, data, _ = open_system(struct_at(address, size))
+    """Check all guards at the end of a step; ``FIRED`` when one of them reports an event."""
+    data = open_data(struct_at(address, size))
     mode = open_mode(struct_at(data.modes.guards, 0))
-    if value_guards(address, size) != OK:
-        return OK  # the flag is up: the loop will notice
-    _, everything, _ = open_system(struct_at(data.modes.full, 0))
+    write_values(mode, data)
+    if data.status.failed:
+        return OK  # the time loop checks the flag
+    full = open_data(struct_at(data.modes.full, 0))
     mode.span[0], mode.span[1] = begin, end
     events = 0
     for g in range(mode.guards.shape[0]):
-        mode.found[g] = judge_guard(g, mode, everything, end - begin)
+        mode.found[g] = judge_guard(g, mode, full, end - begin)
         events += 1 if mode.found[g] != QUIET else 0
     if events > 0 and mode.muted[0] == 0:
         return FIRED
     mode.muted[0] = 0
-    accept_guards(mode, everything)
+    accept_guards(mode, full)
     return OK
 
 
 @kernel
-def judge_guard(g, mode, everything, h):
-    """Whether a guard changed its sign in a step of length ``h``, once or perhaps twice."""
+def judge_guard(g, mode, full, h):
+    """Result of a guard for a step of length ``h``."""
     now, least, kind = mode.values[g], mode.levels[g, THRESHOLD], mode.guards[g, GUARD_KIND]
     if now < (0.0 if mode.armed[g] != 0 else -least):
         return FIRED
-    if is_about_forces(kind):
+    if is_force_guard(kind):
         return DIPPED if mode.least[g] < -least else QUIET
-    if is_about_a_gap(g, mode) and mode.armed[g] != 0:
+    if is_gap_guard(g, mode) and mode.armed[g] != 0:
         # a cubic through both ends and their rates has a minimum below zero
-        end = everything.contacts[mode.guards[g, A]]
+        end = full.contacts[mode.guards[g, A]]
         before, gap, rate = mode.before[g], end[GAP], end[GAP_RATE]
         if mode.rates[g] < 0.0 < rate and dips(before, mode.rates[g], gap, rate, h):
             return DIPPED
@@ -402,7 +475,7 @@ def judge_guard(g, mode, everything, h):
 
 @kernel
 def dips(p, m, q, n, h):
-    """Whether the cubic from ``p`` with slope ``m`` to ``q`` with slope ``n`` goes near zero."""
+    """Whether the cubic from ``p`` with slope ``m`` to ``q`` with slope ``n`` gets near zero."""
     # its derivative is m + 2 b x + 3 a x^2 with x from 0 to 1
     m, n = m * h, n * h
     a, b = 2.0 * (p - q) + m + n, 3.0 * (q - p) - 2.0 * m - n
@@ -417,31 +490,28 @@ def dips(p, m, q, n, h):
 
 
 @kernel
-def accept_guards(mode, everything):
+def accept_guards(mode, full):
     """Make the end of a step the beginning of the next one."""
     for g in range(mode.guards.shape[0]):
         mode.before[g] = mode.values[g]
         mode.least[g] = math.inf
-        if is_about_a_gap(g, mode):
-            mode.rates[g] = everything.contacts[mode.guards[g, A], GAP_RATE]
+        if is_gap_guard(g, mode):
+            mode.rates[g] = full.contacts[mode.guards[g, A], GAP_RATE]
         if mode.values[g] > mode.levels[g, THRESHOLD]:
             mode.armed[g] = 1
     for s in range(mode.slides.shape[0]):
         t = mode.slides[s, TANGENT_OF_ALL]
-        first, second = everything.contacts[t, GAP_RATE], everything.contacts[t + 1, GAP_RATE]
+        first, second = full.contacts[t, GAP_RATE], full.contacts[t + 1, GAP_RATE]
         write_direction(s, mode, first, second)
         mode.direction[s, 0], mode.direction[s, 1] = mode.turning[s, 0], mode.turning[s, 1]
 
 
 @kernel
 def start_guards(struct):
-    """Take the state evaluated last as the end of a step: its guards, and how it was solved."""
+    """Initialise the guards and the solver monitor at the state evaluated last."""
     note_solution(struct)
     watch_solver(struct)
-    _, data, _ = open_system(struct)
+    data = open_data(struct)
     mode = open_mode(struct_at(data.modes.guards, 0))
-    update_rows(struct_at(data.modes.full, 0))
-    _, everything, _ = open_system(struct_at(data.modes.full, 0))
-    for g in range(mode.guards.shape[0]):
-        mode.values[g] = guard_value(g, mode, data, everything)
-    accept_guards(mode, everything)
+    write_values(mode, data)
+    accept_guards(mode, open_data(struct_at(data.modes.full, 0)))

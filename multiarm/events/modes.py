@@ -1,19 +1,20 @@
-"""A mode: the system with the rows that are held now, its sliding contacts and its guards."""
+"""Modes: a system with its active rows, sliding contacts and guards."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint, UnilateralConstraints
+from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, Constraint
 from multiarm.dynamics.arrays import ModeStructs
 from multiarm.dynamics.contact_geometry import patch_of
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work
-from multiarm.events.arrays import (
+from multiarm.events.kernels import (
     CONE_GUARD,
     GAP_GUARD,
     GUARD_WIDTH,
@@ -29,67 +30,67 @@ from multiarm.events.arrays import (
     SLIP_GUARD,
     SPRING_GUARD,
     ModeArrays,
-    mode_struct,
-)
-from multiarm.events.kernels import (
     check_guards,
     forces_by_model,
-    show_forces,
+    mode_struct,
+    record_forces,
     solve_held,
     solve_sliding,
 )
 from multiarm.jit.pointers import address_of
 from multiarm.results.channels import OPEN, RESTING, SLIDING, STICKING, TOUCHING
 
-# Beside the states that are recorded (:mod:`multiarm.results.channels`): joints that move against
-# dry friction; contacts whose friction is at its bound although they do not slip, because others
-# keep them from it.
+# States in addition to those that are recorded (:mod:`multiarm.results.channels`): joints that move
+# against dry friction; contacts whose friction is at its bound, which others keep from slipping.
 FORWARD, BACKWARD, AT_BOUND = 5, 6, 7
 STATE_NAMES = {
     OPEN: "open", TOUCHING: "touching", SLIDING: "sliding", STICKING: "sticking",
     RESTING: "resting", FORWARD: "moving", BACKWARD: "moving", AT_BOUND: "sticking",
 }  # fmt: skip
 
-# A guard that is at zero when a mode begins counts as positive above so much: gaps [m], speeds
-# [m/s, rad/s], and forces as a part of the largest one.
+# Thresholds above which a guard that was at zero when the mode began counts as positive: gaps [m],
+# speeds [m/s, rad/s], and forces as a part of the largest one.
 GAP_THRESHOLD, SPEED_THRESHOLD, FORCE_THRESHOLD = 1e-10, 2e-8, 1e-9
-# A slip is at rest below this part of what is slow; a contact at the bound of friction that is
-# faster has begun to slip.
-STILL = 0.01
-# Contacts that touch without force may sink in or lift by so much before they are looked at [m].
+# Largest gap or penetration of contacts that touch without force [m].
 REST = 1e-9
 
-
-# Names of the effects whose kernels a mode sets; places in the arrays of the second one: which
-# springs act, and their forces.
+# Effects whose arrays a mode writes; indices of the second one's: active springs, their forces.
 DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
 ACTIVE, FORCE = 4, 5
 
-# Kind, (a, b, c), parameter and threshold of a guard.
-Guard = tuple[int, tuple[int, int, int], float, float]
+
+class Guard(NamedTuple):
+    """A guard of one constraint, see :mod:`multiarm.events.kernels`."""
+
+    kind: int
+    a: int
+    parameter: float = 0.0
+    threshold: float = 0.0
+    b: int = -1
+    c: int = -1
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Which constraints do what.
+    """The states of all constraints, which identify a mode.
 
     Attributes
     ----------
     states : tuple of int
-        By constraint, ``OPEN`` to ``BACKWARD``.
+        By constraint, ``OPEN`` to ``AT_BOUND``.
     rows : tuple of int
-        Rows of constraints that are held, increasing.
-    beside, below : frozenset of int
-        Open constraints that are beside their patch, or below it, see :mod:`multiarm.events.edges`.
+        Their held rows, increasing.
+    off_patch, below_patch : frozenset of int
+        Open constraints off their patch, or below it, see :mod:`multiarm.events.event_detection`.
     """
 
     states: tuple[int, ...]
     rows: tuple[int, ...]
-    beside: frozenset[int] = frozenset()
-    below: frozenset[int] = frozenset()
+    off_patch: frozenset[int] = frozenset()
+    below_patch: frozenset[int] = frozenset()
 
     def sliding(self, constraints: tuple[Constraint, ...]) -> list[int]:
-        """Numbers of the constraints that slide with their normal row held."""
+        """Numbers of the sliding constraints with a held normal row."""
         return [
             u
             for u, constraint in enumerate(constraints)
@@ -107,37 +108,30 @@ class Mode:
     ----------
     choice : Choice
     data : Data
-        With the rows held now; its forces, guards and sliding are those of the mode.
+        With the held rows; its forces, guards and sliding contacts are those of the mode.
     arrays : ModeArrays
     """
 
     choice: Choice
     data: Data
     arrays: ModeArrays
-    _kept: tuple[object, ...]  # what kernels reach by its address
+    _kept: tuple[object, ...]  # objects that kernels access by address
 
     def set_prestress(self, forces: dict[int, float]) -> None:
-        """Let the forces of the mode be those nearest to these, given by their rows among all."""
+        """Set the forces, by row, to which those of the mode are nearest."""
         self.arrays.prestress[:] = [forces.get(int(row), 0.0) for row in self.arrays.held]
         self.arrays.stressed[0] = 1
 
-    def set_directions(
-        self, directions: dict[int, np.ndarray], constraints: tuple[Constraint, ...]
-    ) -> None:
-        """Set the directions of slip, by number of the constraint."""
-        for s, u in enumerate(self.choice.sliding(constraints)):
-            self.arrays.direction[s] = directions[u]
-
 
 class Modes:
-    """All modes that the runs of one Data have come to.
+    """The modes of one Data, built on demand.
 
     Attributes
     ----------
     full : Data
         With all rows.
     slow : float
-        Slip slower than this has hardly a direction of its own [m/s].
+        Speed below which the direction of slip is smoothed [m/s].
     closed, bare : Data
         With all contacts of the joints closed; with every unilateral constraint open.
     """
@@ -161,20 +155,21 @@ class Modes:
         return self._loose.data
 
     @cached_property
-    def _loose(self) -> Mode:  # kept whole: kernels reach its arrays by their addresses
+    def _loose(self) -> Mode:  # kept whole: kernels access its arrays by address
         return self._make(self._open, ())
 
     def mode(self, choice: Choice) -> Mode:
-        """The mode of a choice, made when it is first asked for."""
+        """The mode of a choice."""
         if choice not in self._made:
             self._made[choice] = self._make(choice, self.unilateral.bilateral)
         return self._made[choice]
 
     def enter(self, choice: Choice, directions: dict[int, np.ndarray]) -> Mode:
-        """The mode of a choice, ready to be simulated in."""
+        """The mode of a choice, with directions of slip, at its beginning."""
         mode = self.mode(choice)
-        mode.set_directions(directions, self.unilateral.constraints)
         arrays = mode.arrays
+        for s, u in enumerate(choice.sliding(self.unilateral.constraints)):
+            arrays.direction[s] = directions[u]
         arrays.armed[:] = arrays.muted[:] = arrays.stressed[:] = 0
         arrays.least[:] = np.inf
         set_constraint_forces(self.full, choice)
@@ -200,17 +195,18 @@ class Modes:
         functions = held.arrays.functions
         functions.forces = address_of(forces_by_model)
         functions.solve = address_of(solve_sliding if sliding else solve_held)
-        functions.contact_forces = address_of(show_forces)
+        functions.contact_forces = address_of(record_forces)
         functions.guards = address_of(check_guards)
         if reactions is not None:
             held.replace_dense_solver((arrays.Wr, reactions.Yr))
         return Mode(choice, held, arrays, (aside, struct, reactions, self.closed, full))
 
     def _arrays(self, choice: Choice, rows: np.ndarray, sliding: list[int]) -> ModeArrays:
-        constraints, full, springs = (
-            self.unilateral.constraints,
-            self.full,
-            self.unilateral.compliant,
+        constraints, full = self.unilateral.constraints, self.full
+        springs, effects = self.unilateral.compliant, full.model.effects
+        # of sliding friction; without the effect, a power that stays zero
+        slot = effects.slot(
+            "contact_friction" if "contact_friction" in effects.works else "impacts"
         )
         place = {int(row): k for k, row in enumerate(rows)}
         slides = np.zeros((len(sliding), SLIDE_WIDTH), dtype=np.int64)
@@ -222,13 +218,15 @@ class Modes:
             patch = patch_of(full.model, constraint)
             found = _guards(u, constraint, choice, place, sliding, self.slow)
             if constraint.compliant:
-                found = [_spring_guard(self.unilateral, constraint, choice.states[u])]
+                sign = 1 if choice.states[u] == OPEN else -1
+                row, lag = constraint.row, constraint.lag
+                found = [Guard(SPRING_GUARD, row, lag, GAP_THRESHOLD, c=sign)]
             elif patch is not None:
-                found = _at_a_patch(u, constraint, choice, found)
-            for kind, abc, parameter, threshold in found:
-                guards.append([kind, *abc, u])
-                levels.append([parameter, threshold])
-                patches.append(patch if kind == PATCH_GUARD else np.zeros(18))
+                found = _patch_guards(u, constraint, choice, found)
+            for guard in found:
+                guards.append([guard.kind, guard.a, guard.b, guard.c, u])
+                levels.append([guard.parameter, guard.threshold])
+                patches.append(patch if guard.kind == PATCH_GUARD else np.zeros(18))
         g = len(guards)
         states = [
             STICKING if state == AT_BOUND else state
@@ -243,7 +241,7 @@ class Modes:
             turning=np.zeros((len(sliding), 2)),
             speed=np.zeros(len(sliding)),
             slow=np.array([self.slow]),
-            slots=np.array([_friction_slot(full)], dtype=np.int64),
+            slots=np.array([slot], dtype=np.int64),
             states=np.array(states, dtype=float),
             guards=np.array(guards, dtype=np.int64).reshape(-1, GUARD_WIDTH),
             levels=np.array(levels).reshape(-1, LEVEL_WIDTH),
@@ -265,7 +263,7 @@ class Modes:
 
 
 def _select(full: Data, rows: Sequence[int] | np.ndarray) -> Data:
-    """Data with some of the rows; contacts of two surfaces are where those of ``full`` are."""
+    """Data with some of the rows, at the contact points of two surfaces of ``full``."""
     chosen = np.array(rows, dtype=np.int64)
     model = replace(full.model.select(chosen), unilateral=None)
     data = full.view(model)
@@ -274,17 +272,8 @@ def _select(full: Data, rows: Sequence[int] | np.ndarray) -> Data:
     return data
 
 
-def _friction_slot(full: Data) -> int:
-    """Place of the power of sliding friction; without it one where nothing is ever written."""
-    effects = full.model.effects
-    has_it = "contact_friction" in effects.works
-    return effects.slot("contact_friction" if has_it else "impacts")
-
-
 def set_constraint_forces(full: Data, choice: Choice) -> None:
-    """Torques of dry friction of the joints that move, zero of those that are held; which springs
-    push.
-    """
+    """Set the dry friction of moving joints (zero of held ones), and which springs are active."""
     unilateral = full.model.unilateral
     assert unilateral is not None
     dry = [constraint for constraint in unilateral.constraints if constraint.kind == DRY_JOINT]
@@ -301,7 +290,7 @@ def set_constraint_forces(full: Data, choice: Choice) -> None:
 
 
 def _reactions(held: Data) -> ReactionWork:
-    """Arrays of the node algorithm with friction, which share with ``held`` what others read."""
+    """Arrays of the node algorithm with friction, some of which are those of ``held``."""
     layout, work = held.model.layout, held.work
     sizes = np.diff(layout.dofs).tolist(), np.diff(layout.rows).tolist()
     return make_reaction_work(*sizes)._replace(
@@ -317,54 +306,41 @@ def _guards(
     sliding: list[int],
     slow: float,
 ) -> list[Guard]:
-    """Kind, (a, b, c), parameter and threshold of the guards of one constraint."""
+    """The guards of one constraint without a patch; ``place`` maps rows to held rows."""
+    # what a slip that has just come to rest may have left; faster contacts at the bound slip
+    still = max(SPEED_THRESHOLD, 0.01 * slow)
     state = choice.states[u]
     row = place.get(constraint.row, -1)
     if constraint.kind == DRY_JOINT:
         if state in (FORWARD, BACKWARD):
             sign = 1.0 if state == FORWARD else -1.0
-            return [(RATE_GUARD, (constraint.joint, -1, -1), sign, _still(slow))]
+            return [Guard(RATE_GUARD, constraint.joint, sign, still)]
         limit = FORCE_THRESHOLD * constraint.bound
-        return [(HOLD_GUARD, (row, -1, -1), constraint.bound, limit)] if row >= 0 else []
+        return [Guard(HOLD_GUARD, row, constraint.bound, limit)] if row >= 0 else []
     if state == OPEN:
-        return [(GAP_GUARD, (constraint.row, -1, -1), 0.0, GAP_THRESHOLD)]
+        return [Guard(GAP_GUARD, constraint.row, threshold=GAP_THRESHOLD)]
     if row < 0:
-        place_of_all = (constraint.row, -1, -1)
-        return [(REST_GUARD, place_of_all, REST, 0.0), (LIFT_GUARD, place_of_all, REST, 0.0)]
-    guards = [(PUSH_GUARD, (row, -1, -1), 0.0, FORCE_THRESHOLD)]
+        return [Guard(kind, constraint.row, REST) for kind in (REST_GUARD, LIFT_GUARD)]
+    guards = [Guard(PUSH_GUARD, row, threshold=FORCE_THRESHOLD)]
     if state == STICKING:
         tangents = [place.get(t, -1) for t in constraint.tangents]
         if max(tangents) >= 0:
-            guards.append(
-                (CONE_GUARD, (row, tangents[0], tangents[1]), constraint.mu, FORCE_THRESHOLD)
-            )
+            guards.append(Guard(CONE_GUARD, row, constraint.mu, FORCE_THRESHOLD, *tangents))
     if u in sliding:
-        place_of_slide = (sliding.index(u), -1, -1)
-        if state == AT_BOUND:
-            guards.append((ONSET_GUARD, place_of_slide, _still(slow), 0.0))
-        else:
-            guards.append((SLIP_GUARD, place_of_slide, 0.0, _still(slow)))
+        at_bound = state == AT_BOUND
+        kind, levels = (ONSET_GUARD, (still, 0.0)) if at_bound else (SLIP_GUARD, (0.0, still))
+        guards.append(Guard(kind, sliding.index(u), *levels))
     return guards
 
 
-def _still(slow: float) -> float:
-    """Speed that a slip which has just come to rest may have left."""
-    return max(SPEED_THRESHOLD, STILL * slow)
-
-
-def _spring_guard(unilateral: UnilateralConstraints, constraint: Constraint, state: int) -> Guard:
-    """The guard of a compliant contact that only pushes."""
-    assert unilateral.compliant is not None, "a compliant contact is a spring"
-    lag = float(unilateral.compliant.lags[unilateral.compliant.number(constraint.row)])
-    return SPRING_GUARD, (constraint.row, -1, 1 if state == OPEN else -1), lag, GAP_THRESHOLD
-
-
-def _at_a_patch(u: int, constraint: Constraint, choice: Choice, guards: list[Guard]) -> list[Guard]:
-    """The guards of a contact that is on its patch, over it, beside it or below it."""
-    sign = -1 if u in choice.beside else 1
-    edge = PATCH_GUARD, (constraint.row, -1, sign), 0.0, GAP_THRESHOLD
-    if u in choice.beside:
+def _patch_guards(
+    u: int, constraint: Constraint, choice: Choice, guards: list[Guard]
+) -> list[Guard]:
+    """The guards of a contact that is on its patch, over it, off it or below it."""
+    off = u in choice.off_patch
+    edge = Guard(PATCH_GUARD, constraint.row, threshold=GAP_THRESHOLD, c=-1 if off else 1)
+    if off:
         return [edge]
-    if u in choice.below:  # a spring without damping: its length is the gap
-        return [edge, (SPRING_GUARD, (constraint.row, -1, -1), 0.0, GAP_THRESHOLD)]
+    if u in choice.below_patch:  # a spring without damping: its extension is the gap
+        return [edge, Guard(SPRING_GUARD, constraint.row, threshold=GAP_THRESHOLD, c=-1)]
     return [*guards, edge]

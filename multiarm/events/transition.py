@@ -1,29 +1,41 @@
-r"""What comes after an event: impacts, and then what each constraint does from now on.
+r"""Transitions between modes: impacts, and then the contact mode of each constraint.
 
 Both are complementarity problems (:mod:`multiarm.events.complementarity`) in the rows of the
-constraints that touch.  With the bilateral rows held, and no force on the others, a unit force on
-row k gives row j the rate :math:`D_{jk}`, which the node algorithm supplies a column at a time.
-Then
+constraints that touch, :math:`y = D x + b` (:mod:`multiarm.events.row_dynamics`): of forces and
+accelerations, and at impacts of impulses and velocities.
 
-.. math:: y = D x + b
+*Impacts.*  A contact that closes with the rate :math:`v_n^-` gets :math:`y_n = v_n^+ + e\,v_n^-` in
+place of its rate (Newton's law of restitution), and friction opposes the slip after the impact
+(J.J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988).  Where Newton's
+law together with friction would add energy, restitution is reduced until it does not.
 
-relates forces ``x`` to accelerations ``y`` (``b``: the accelerations without these forces), and
-impulses to velocities after an impact (:mod:`multiarm.events.impact`).
+The result is a :class:`Decision`, of which :func:`decision_events` makes the text of events.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from multiarm.contacts.kernel import GAP
-from multiarm.contacts.unilateral import DRY_JOINT
-from multiarm.events.complementarity import Bounded, ContactMode, Solution, Verdict, solve
-from multiarm.events.edges import below_constraints
-from multiarm.events.impact import Hit, Impact
-from multiarm.events.instant import can_slip, is_free, law_of, leans_on_others
+from multiarm.contacts.records import JointRow
+from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
+from multiarm.dynamics.contact_geometry import points_and_normals
+from multiarm.errors import SolverError
+from multiarm.events.complementarity import (
+    Bounded,
+    ContactLaw,
+    ContactMode,
+    Friction,
+    Push,
+    Sliding,
+    Solution,
+    Verdict,
+    solve,
+)
+from multiarm.events.event_detection import below_patch_constraints
 from multiarm.events.modes import (
     AT_BOUND,
     BACKWARD,
@@ -31,19 +43,17 @@ from multiarm.events.modes import (
     OPEN,
     RESTING,
     SLIDING,
+    STATE_NAMES,
     STICKING,
     TOUCHING,
     Choice,
     Modes,
     set_constraint_forces,
 )
+from multiarm.events.row_dynamics import RowDynamics, can_move, depends_on_held_rows
 
-# Accelerations below this are roundings [m/s^2, rad/s^2].
+# Accelerations below this are rounding errors [m/s^2, rad/s^2].
 NO_ACCELERATION = 1e-10
-# Forces below this part of the largest have fallen to zero.
-NO_FORCE = 1e-7
-# Accelerations that differ by less than this part of the largest are the same.
-SAME = 1e-6
 
 _STATES = {
     ContactMode.OPEN: OPEN,
@@ -59,25 +69,45 @@ _STATES = {
 
 
 @dataclass(frozen=True)
+class Hit:
+    """An impact of one constraint.
+
+    Attributes
+    ----------
+    constraint : int
+    before, after : float
+        Rates of its gap [m/s, rad/s].
+    impulse : float
+        [N s, N m s]
+    """
+
+    constraint: int
+    before: float
+    after: float
+    impulse: float
+
+
+@dataclass(frozen=True)
 class Decision:
-    """What comes next.
+    """Result of a transition.
 
     Attributes
     ----------
     choice : Choice
+        The next mode.
     directions : dict
-        Unit vectors of the slip of the constraints that slide, by their numbers.
+        Unit vectors of the slip of sliding constraints, by their numbers.
     forces : dict
-        Forces that obey the laws, by row [N, N m].
+        Forces that obey the contact laws, by row [N, N m].
     residual : float
         Largest residual of the complementarity problems that were solved, dimensionless.
     trouble : str
-        What is the matter when there is no motion, or more than one; else empty.
+        Why there is no motion, or more than one; else empty.
     hits : tuple of Hit
     energy : float
-        Kinetic energy that the impact added [J], never positive beyond roundings.
+        Kinetic energy that the impact added [J], positive by rounding only.
     rested : tuple of int
-        Units whose endless bouncing was ended.
+        Constraints whose bouncing was ended.
     """
 
     choice: Choice
@@ -87,27 +117,29 @@ class Decision:
     trouble: str = ""
     hits: tuple[Hit, ...] = ()
     energy: float = 0.0
-    rested: tuple[int, ...] = field(default=())
+    rested: tuple[int, ...] = ()
 
 
-class Transition(Impact):
-    """Decides at one instant; the state is in the data, and its velocities may be changed.
+class Transition:
+    """The transition at the state in the data, whose velocities an impact changes.
 
     Parameters
     ----------
     modes : Modes
     touching : set of int
-        Units that touch: contacts and limits whose gaps are closed, compliant contacts that push.
+        Constraints that touch: contacts and limits with closed gaps, compliant contacts that push.
     rest_height : float
-        Bounces lower than this are no longer followed [m, rad].
+        Bounces lower than this are not simulated [m, rad].
     at_rest : mapping, optional
-        Speeds up to which constraints whose slip has just come to rest count as such [m/s, rad/s].
+        By constraint whose slip has just come to rest: speeds up to which it is at rest
+        [m/s, rad/s].
     unloaded : set of int
-        Units whose force has just fallen to zero: free to go, they go.
-    beside : set of int
-        Units whose contacts are beside their patch, see :mod:`multiarm.events.edges`.
+        Constraints whose force has just become zero: they open if they can.
+    off_patch : set of int
+        Constraints beyond the edge of their patch, see
+        :func:`~multiarm.events.event_detection.off_patch_constraints`.
     ahead : float
-        Accelerations are those so much later [s].  At the very instant at which a bound is reached
+        Accelerations are taken so much later [s].  At the very instant at which a bound is reached
         both sides of it are solutions; a little later only one is.
     """
 
@@ -118,34 +150,115 @@ class Transition(Impact):
         rest_height: float,
         at_rest: Mapping[int, float] | None = None,
         unloaded: Set[int] = frozenset(),
-        beside: Set[int] = frozenset(),
+        off_patch: Set[int] = frozenset(),
         ahead: float = 0.0,
     ):
-        pushing = {u for u in touching if modes.unilateral.constraints[u].compliant}
-        super().__init__(modes, sorted(touching - pushing - beside), rest_height, ahead)
-        self._pressed, self._at_rest = pushing, at_rest or {}
-        self._unloaded, self._beside = unloaded, frozenset(beside)
+        self._modes, self._constraints, self._ahead = modes, modes.unilateral.constraints, ahead
+        self._rows = RowDynamics(modes)
+        self._pressed = {u for u in touching if self._constraints[u].compliant}
+        self._touching = sorted(touching - self._pressed - off_patch)
+        self._rest_height, self._at_rest = rest_height, at_rest or {}
+        self._unloaded, self._off_patch = unloaded, frozenset(off_patch)
+        self._residual = 0.0
 
-    def decide(self) -> Decision:
-        """Impacts, then the choice."""
-        self._update()
-        hits, energy, rested = self._impact()
+    def decide(self, with_impacts: bool = True) -> Decision:
+        """Impacts, unless they are left out, then the contact modes."""
+        self._rows.update()
+        hits, energy, rested = self._impact() if with_impacts else ([], 0.0, [])
         if hits:
-            self._update()
-        choice, directions, forces, trouble = self._choose()
+            self._rows.update()
+        choice, directions, forces, trouble = self._contact_modes()
         return Decision(
             choice, directions, forces, self._residual, trouble, tuple(hits), energy, tuple(rested)
         )
 
-    def stay(self) -> Decision:
-        """The choice alone: nothing bounces, whatever it hits."""
-        self._update()
-        choice, directions, forces, trouble = self._choose()
-        return Decision(choice, directions, forces, self._residual, trouble)
+    # --- impacts ----------------------------------------------------------------------------------
 
-    def _choose(self) -> tuple[Choice, dict[int, np.ndarray], dict[int, float], str]:
-        """The mode of each constraint from now on, directions of slip, forces, and any trouble."""
-        constraints, rates, rest = self._constraints, self._rates().copy(), self._rest_rate()
+    def _impact(self) -> tuple[list[Hit], float, list[int]]:
+        """Change the velocities at an impact: hits, energy added, contacts put to rest."""
+        constraints, rates, rest = self._constraints, self._rows.rates.copy(), self._rows.rest_rate
+        involved = [u for u in self._touching if constraints[u].kind != DRY_JOINT]
+        if not any(rates[constraints[u].row] < -rest for u in involved):
+            return [], 0.0, []
+        rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
+        response, moved = self._rows.response(self._rows.jacobian(rows), self._modes.bare)
+        before = rates[rows]
+        hit = {u for u in involved if rates[constraints[u].row] < -rest}
+        elastic = {u: constraints[u].restitution for u in hit}
+        solution, after = self._collide(involved, rows, response, before, elastic, set())
+        rested: set[int] = set()
+        while low := self._too_low(involved, rows, before, after) - rested:
+            rested |= low
+            elastic = {u: e for u, e in elastic.items() if u not in rested}
+            solution, after = self._collide(involved, rows, response, before, elastic, rested - hit)
+        change = moved @ solution.forces
+        arrays = self._modes.full.arrays
+        arrays.twist[:] += change[:6]
+        arrays.v[:] += change[6:]
+        hits = [
+            Hit(u, float(rates[constraints[u].row]), float(after[k]), float(solution.forces[k]))
+            for u, k in ((u, rows.index(constraints[u].row)) for u in hit)
+        ]
+        return hits, energy_added(solution.forces, before, after), sorted(rested & hit)
+
+    def _collide(
+        self,
+        involved: list[int],
+        rows: list[int],
+        response: np.ndarray,
+        before: np.ndarray,
+        elastic: dict[int, float],
+        resting: set[int],
+    ) -> tuple[Solution, np.ndarray]:
+        """Impulses and rates afterwards; ``resting`` constraints do not open."""
+        at: dict[int, int] = {row: k for k, row in enumerate(rows)}
+        laws: list[ContactLaw] = []
+        for u in involved:
+            constraint = self._constraints[u]
+            if u in resting:
+                laws.append(Bounded(at[constraint.row], -np.inf, np.inf))
+                laws += [Bounded(at[t], 0.0, 0.0) for t in constraint.tangents]
+            else:
+                laws.append(_law(constraint, at, None))
+        share = 1.0
+        for _ in range(40):  # halvings of restitution while it would add energy
+            shifted = before.copy()
+            for u, e in elastic.items():
+                k = at[self._constraints[u].row]
+                shifted[k] += share * e * before[k]
+            solution = solve(response, shifted, laws)
+            after = before + response @ solution.forces
+            reached = 0.5 * abs(before) @ abs(solution.forces)
+            if energy_added(solution.forces, before, after) <= 1e-12 * reached:
+                break
+            share *= 0.5
+        self._residual = max(self._residual, solution.residual)
+        # a small residual is a solution: velocities are projected on the contacts afterwards
+        if solution.verdict is Verdict.NONE and not solution.residual < 1e-6:
+            raise SolverError(f"no velocities follow the impact: {solution.message}")
+        return solution, after
+
+    def _too_low(
+        self, involved: list[int], rows: list[int], before: np.ndarray, after: np.ndarray
+    ) -> set[int]:
+        """Constraints whose bounce would be lower than ``rest_height``."""
+        rest = self._rows.rest_rate
+        places = {u: rows.index(self._constraints[u].row) for u in involved}
+        bouncing = [u for u, k in places.items() if before[k] <= rest < after[k]]
+        if not bouncing:
+            return set()
+        acceleration = self._free([self._constraints[u].row for u in bouncing])
+        low = set()
+        for u, back in zip(bouncing, acceleration, strict=True):
+            if back < 0.0 and 0.5 * after[places[u]] ** 2 / -back < self._rest_height:
+                low.add(u)
+        return low
+
+    # --- contact modes ----------------------------------------------------------------------------
+
+    def _contact_modes(self) -> tuple[Choice, dict[int, np.ndarray], dict[int, float], str]:
+        """Next mode, directions of slip, forces, and why there are none."""
+        constraints, rates, rest = self._constraints, self._rows.rates.copy(), self._rows.rest_rate
         states = [OPEN] * len(constraints)
         involved, slips = [], {}
         for u, constraint in enumerate(constraints):
@@ -165,9 +278,9 @@ class Transition(Impact):
         moving = tuple(OPEN if u in involved else state for u, state in enumerate(states))
         set_constraint_forces(self._modes.full, Choice(moving, ()))
         if not involved:
-            return self._chosen(states, ()), {}, {}, ""
+            return self._choice(states, ()), {}, {}, ""
         rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
-        solution, response = self._share(involved, rows, slips)
+        solution, response = self._solve(involved, rows, slips)
         at = {row: k for k, row in enumerate(rows)}
         self._residual = max(self._residual, solution.residual)
         directions = dict(slips)
@@ -176,24 +289,23 @@ class Transition(Impact):
             if states[u] in (SLIDING, AT_BOUND) and u not in directions:
                 directions[u] = solution.directions[k]
         for u in involved:
-            if states[u] == AT_BOUND and can_slip(
-                response,
-                [at[t] for t in constraints[u].tangents],
-                directions[u],
-                list(solution.active_rows),
-            ):
-                states[u] = SLIDING
+            if states[u] == AT_BOUND:
+                slip = np.zeros(len(response))
+                slip[[at[t] for t in constraints[u].tangents]] = directions[u]
+                if can_move(response, slip, list(solution.active_rows)):
+                    states[u] = SLIDING
         dropped = self._drop_unloaded(involved, rows, states, solution, response)
         active = [k for k in solution.active_rows if k < len(rows) and k not in dropped]
         held = tuple(sorted(rows[k] for k in active))
         normal = [at[constraints[u].row] for u in involved]
         every = [*rows, *self._modes.unilateral.bilateral]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
-        return self._chosen(states, held), directions, forces, _trouble(solution, normal)
+        return self._choice(states, held), directions, forces, _trouble(solution, normal)
 
-    def _chosen(self, states: list[int], held: tuple[int, ...]) -> Choice:
-        below = below_constraints(self._modes, self._beside.union(self._touching))
-        return Choice(tuple(states), held, self._beside, below)
+    def _choice(self, states: list[int], held: tuple[int, ...]) -> Choice:
+        others = self._off_patch.union(self._touching)
+        below = below_patch_constraints(self._modes.full, others)
+        return Choice(tuple(states), held, self._off_patch, below)
 
     def _drop_unloaded(
         self,
@@ -203,79 +315,171 @@ class Transition(Impact):
         solution: Solution,
         response: np.ndarray,
     ) -> set[int]:
-        """Where a force has just fallen to zero, let go of all that bear none; their rows' numbers.
+        """Where a force has just become zero, release all unloaded constraints; their rows.
 
-        Those that others do not keep where they are open at once.
+        Those that other rows do not keep closed are open.
         """
         at = {row: k for k, row in enumerate(rows)}
         dropped: set[int] = set()
-        none = NO_FORCE * np.max(np.abs(solution.forces), initial=0.0)
-        gone = [
+        none = 1e-7 * np.max(np.abs(solution.forces), initial=0.0)
+        released = [
             u
             for u in involved
             if self._constraints[u].kind != DRY_JOINT
             and states[u] != OPEN
             and solution.forces[at[self._constraints[u].row]] <= none
         ]
-        if not self._unloaded & set(gone):
+        if not self._unloaded & set(released):
             return dropped
-        for u in gone:
+        for u in released:
             constraint = self._constraints[u]
             dropped |= {at[row] for row in (constraint.row, *constraint.tangents)}
-        for u in gone:
-            rest = [k for k in solution.active_rows if k not in dropped]
-            states[u] = OPEN if is_free(response, at[self._constraints[u].row], rest) else RESTING
+        for u in released:
+            held = [k for k in solution.active_rows if k not in dropped]
+            normal = np.eye(len(response))[at[self._constraints[u].row]]
+            states[u] = OPEN if can_move(response, normal, held) else RESTING
         return dropped
 
-    def _share(
+    def _solve(
         self, involved: list[int], rows: list[int], slips: dict[int, np.ndarray]
     ) -> tuple[Solution, np.ndarray]:
-        """Forces and modes of the constraints, and the response to all rows of the problem.
+        """Forces and modes of the constraints, and the response of the rows of the problem.
 
-        Rows that are always held may follow those of the constraints.
+        Where minimum-norm forces depend on the bilateral rows too, these follow the given rows.
         """
         constraints, at = self._constraints, {row: k for k, row in enumerate(rows)}
-        laws = [law_of(constraints[u], at, slips.get(u)) for u in involved]
-        matrix = self._matrix(rows)
-        free = self._free_accelerations(rows, self._bare)
-        response, _ = self._response(matrix, self._bare)
-        bare = self._modes.unilateral.bilateral
-        if bare and leans_on_others(response, matrix):
-            # which forces are smallest depends on the rows that are always held too
-            every = [*rows, *bare]
-            laws += [Bounded(len(rows) + k, -np.inf, np.inf) for k in range(len(bare))]
-            free = self._free_accelerations(every, self._modes.loose)
-            response, _ = self._response(self._matrix(every), self._modes.loose)
+        laws = [_law(constraints[u], at, slips.get(u)) for u in involved]
+        jacobian = self._rows.jacobian(rows)
+        free = self._free(rows)
+        response, _ = self._rows.response(jacobian, self._modes.bare)
+        bilateral = self._modes.unilateral.bilateral
+        if bilateral and depends_on_held_rows(response, jacobian):
+            every, loose = [*rows, *bilateral], self._modes.loose
+            laws += [Bounded(len(rows) + k, -np.inf, np.inf) for k in range(len(bilateral))]
+            free = self._rows.free_accelerations(every, loose, self._ahead)
+            response, _ = self._rows.response(self._rows.jacobian(every), loose)
         free[np.abs(free) < NO_ACCELERATION] = 0.0
         return solve(response, free, laws), response
 
+    def _free(self, rows: list[int]) -> np.ndarray:
+        return self._rows.free_accelerations(rows, self._modes.bare, self._ahead)
+
+
+def decision_events(
+    modes: Modes, t: float, decision: Decision, before: Choice
+) -> list[dict[str, Any]]:
+    """Events of one decision.
+
+    ``before`` has no states at the beginning of a run, of which only impacts are events.
+    """
+    hits, events = {hit.constraint: hit for hit in decision.hits}, []
+    for u, constraint in enumerate(modes.unilateral.constraints):
+        now = decision.choice.states[u]
+        was = before.states[u] if before.states else now
+        kind = _kind(constraint, was, now, hits.get(u), u in decision.rested)
+        if kind:
+            events.append(_event(modes, t, constraint, kind, was, now, hits.get(u)))
+    return events
+
+
+def energy_added(impulse: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
+    """Kinetic energy that impulses add [J]: their product with the mean rates."""
+    return 0.5 * float(impulse @ (before + after))
+
+
+def _law(constraint: Constraint, at: dict[int, int], slip: np.ndarray | None) -> ContactLaw:
+    """The law of a constraint; ``at`` maps its rows to those of the problem."""
+    if constraint.kind == DRY_JOINT:
+        return Bounded(at[constraint.row], -constraint.bound, constraint.bound)
+    if not constraint.tangents:
+        return Push(at[constraint.row])
+    first, second = (at[t] for t in constraint.tangents)
+    if slip is None:
+        return Friction(at[constraint.row], (first, second), constraint.mu)
+    return Sliding(
+        at[constraint.row], (first, second), constraint.mu, (float(slip[0]), float(slip[1]))
+    )
+
 
 def _trouble(solution: Solution, normal: list[int]) -> str:
-    """Why there is no motion to go on with; empty: there is.
+    """Why the motion cannot continue; empty when it can.
 
     Several motions that agree in the accelerations of all gaps differ in how contacts share the
-    load; the one with the smallest forces is as good as any.  Where they do not, one contact opens
-    in one of them and pushes in the other.
+    load; the one with the smallest forces is taken.  Where they do not, one contact opens in one of
+    them and pushes in the other.
     """
     if solution.verdict is Verdict.NONE:
         return solution.message
     if solution.verdict is not Verdict.SEVERAL:
         return ""
     rates = solution.rates[normal]
-    size = SAME * max(np.max(np.abs(solution.rates)), NO_ACCELERATION)
+    size = 1e-6 * max(np.max(np.abs(solution.rates)), NO_ACCELERATION)
     for other in solution.alternatives:
         if np.max(np.abs(other.rates[normal] - rates), initial=0.0) > size:
             return solution.message
     return ""
 
 
-def closed_constraints(modes: Modes, tolerance: float) -> set[int]:
-    """Contacts and limits whose gaps are closed at the state in the data."""
-    gaps = modes.full.arrays.contacts[:, GAP]
-    return {
-        u
-        for u, constraint in enumerate(modes.unilateral.constraints)
-        if constraint.kind != DRY_JOINT
-        and not constraint.compliant
-        and abs(gaps[constraint.row]) <= tolerance
+# --- event text -----------------------------------------------------------------------------------
+
+
+def _kind(constraint: Constraint, was: int, now: int, hit: Hit | None, rested: bool) -> str:
+    """The kind of event of a constraint; empty for none."""
+    if constraint.kind == DRY_JOINT:
+        moved, moves = was in (FORWARD, BACKWARD), now in (FORWARD, BACKWARD)
+        return "" if moved == moves else "joint slips" if moves else "joint sticks"
+    if hit is not None and now == OPEN:
+        return "bounces"
+    if rested:
+        return "comes to rest"
+    if (was == OPEN) != (now == OPEN):
+        if constraint.kind == LIMIT:
+            return "leaves its limit" if now == OPEN else "reaches its limit"
+        return "lets go" if now == OPEN else "touches"
+    if hit is not None:
+        return "touches"
+    was, now = (STICKING if state == AT_BOUND else state for state in (was, now))
+    if was in (SLIDING, STICKING) and now in (SLIDING, STICKING) and was != now:
+        return "slides" if now == SLIDING else "sticks"
+    return ""
+
+
+def _event(
+    modes: Modes, t: float, constraint: Constraint, kind: str, was: int, now: int, hit: Hit | None
+) -> dict[str, Any]:
+    what = (
+        constraint.name
+        if constraint.kind == CONTACT
+        else modes.full.model.joint_name(constraint.joint)
+    )
+    event: dict[str, Any] = {
+        "time": float(t),
+        "kind": kind,
+        "arm": constraint.arm,
+        "contact" if constraint.kind == CONTACT else "joint": what,
+        "before": {"state": STATE_NAMES[was]},
+        "after": {"state": STATE_NAMES[now]},
+        "text": f"{constraint.arm}: {what} {_verb(modes, constraint, kind)}",
     }
+    if constraint.kind == CONTACT:
+        points, _ = points_and_normals(modes.full, slice(constraint.row, constraint.row + 1))
+        event["where"] = points[0].tolist()
+    if hit is not None:
+        turns = (
+            constraint.kind != CONTACT and modes.full.model.joint_units[constraint.joint] == "rad"
+        )
+        unit_of_rate = "rad_s" if turns else "m_s"
+        event["before"][f"gap_rate_{unit_of_rate}"] = hit.before
+        event["after"][f"gap_rate_{unit_of_rate}"] = hit.after
+        event["after"]["impulse"] = hit.impulse
+    return event
+
+
+def _verb(modes: Modes, constraint: Constraint, kind: str) -> str:
+    """The event as a verb; of a joint limit with the end of the range."""
+    if constraint.kind != LIMIT:
+        return kind.removeprefix("joint ")
+    record = modes.full.model.records[constraint.row]
+    assert isinstance(record, JointRow), "a limit is a joint's"
+    end = "its lower limit" if record.side > 0.0 else "its upper limit"
+    return f"bounces off {end}" if kind == "bounces" else kind.replace("its limit", end)

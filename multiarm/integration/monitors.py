@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.contacts.frames import COMPONENTS
+from multiarm.contacts.joint import COMPONENTS
 from multiarm.contacts.kernel import AT, NORMAL
 from multiarm.contacts.records import SURFACE_BODY, SURFACE_ON_OBJECT, TIP_RADIUS, Contact, Patch
 from multiarm.dynamics.arrays import open_system

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from multiarm.contacts.frames import SINGLE_TURN, write_relative
+from multiarm.contacts.joint import SINGLE_TURN, write_relative
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.equations import kinetic_energy, largest, potential_energy

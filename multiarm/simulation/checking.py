@@ -19,7 +19,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from multiarm.contacts.joint_motions import axis_travel, free_motions, limits_of, seen_from
+from multiarm.contacts.joint import axis_travel, limits_of
+from multiarm.contacts.screws import free_motions, wrenches_in_frame
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.control.laws import needs_gravity_torque
 from multiarm.dynamics.arrays import OK
@@ -272,14 +273,14 @@ def _model_name(spec: ArmSpec | ToolSpec) -> str:
 
 def _joint_facts(system: System, joint: JointSpec, terms: ContactTerms) -> JointFacts:
     frame, names = system.frames[joint.arm], _row_names(system, joint.arm)
-    motions = free_motions(seen_from(frame.on_object, terms.W_o))
+    motions = free_motions(wrenches_in_frame(frame.on_object, terms.W_o))
     return JointFacts(
         arm=joint.arm,
         kind=joint.kind,
         name=joint.name,
         rows=names,
         rank=motions.rank,
-        redundant_rows=[n for n, own in zip(names, motions.untouched, strict=True) if not own],
+        redundant_rows=[n for n, own in zip(names, motions.independent, strict=True) if not own],
         free_motions=motions.words(),
         coordinates=list(frame.labels),
         limits=_limit_facts(system, joint, system.initial_state()),

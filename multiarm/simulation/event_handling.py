@@ -21,7 +21,15 @@ from multiarm.dynamics.equations import evaluate_state, update_kinematics, updat
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError, SolverError
-from multiarm.events.arrays import (
+from multiarm.events.event_detection import (
+    GuardValues,
+    closed_constraints,
+    first_event,
+    off_patch_constraints,
+    pressed_constraints,
+    touching_constraints,
+)
+from multiarm.events.kernels import (
     CONSTRAINT,
     GUARD_KIND,
     PATCH_GUARD,
@@ -29,16 +37,10 @@ from multiarm.events.arrays import (
     RATE_GUARD,
     SLIP_GUARD,
     THRESHOLD,
+    start_guards,
 )
-from multiarm.events.beginning import touching_constraints
-from multiarm.events.edges import beside_constraints
-from multiarm.events.kernels import start_guards
-from multiarm.events.locating import first_event
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
-from multiarm.events.probing import Probe
-from multiarm.events.springs import pressed_constraints
-from multiarm.events.telling import decision_events
-from multiarm.events.transition import Decision, Transition, closed_constraints
+from multiarm.events.transition import Decision, Transition, decision_events
 from multiarm.integration.projection import project
 from multiarm.integration.stepper import begin_chart, evaluate_slope, step_struct
 from multiarm.integration.time_loop import gains
@@ -153,7 +155,7 @@ class EventHandler:
         arrays, t = self.mode.arrays, run.clock.t
         begin, end = arrays.span
         struct, method = run.data.struct, run.stepping.method
-        probe = Probe(struct, step_struct(method, run.stepping.step), self.mode, begin, end)
+        probe = GuardValues(struct, step_struct(method, run.stepping.step), self.mode, begin, end)
         theta, guards = first_event(probe, arrays.found.copy(), arrays.levels[:, THRESHOLD])
         arrays.least[:] = np.inf
         arrays.muted[0] = 1
@@ -180,7 +182,7 @@ class EventHandler:
             self._touching(pending),
             self._at_rest(pending),
             {int(g[CONSTRAINT]) for g in guards if g[GUARD_KIND] == PUSH_GUARD},
-            beside_constraints(
+            off_patch_constraints(
                 self.modes,
                 before,
                 {int(g[CONSTRAINT]) for g in guards if g[GUARD_KIND] == PATCH_GUARD},

@@ -1,7 +1,7 @@
 """The cost of one row of W, for every kind of surface and of row.
 
 Timed is the very function that an evaluation calls for the contacts of an arm
-(:func:`multiarm.contacts.rows.write_rows`), on tables of many rows of one kind between two moving
+(:func:`multiarm.contacts.kernel.write_rows`), on tables of many rows of one kind between two moving
 bodies, in interleaved bursts of which the fastest counts.
 """
 
@@ -14,7 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, RELATIVE_WIDTH
+from multiarm.contacts.kernel import (
+    BODY_WIDTH,
+    CONTACT_WIDTH,
+    RELATIVE_WIDTH,
+    write_row,
+    write_rows,
+)
 from multiarm.contacts.records import (
     CYLINDER,
     KIND,
@@ -29,9 +35,8 @@ from multiarm.contacts.records import (
     sphere,
     torus,
 )
-from multiarm.contacts.rows import write_row, write_rows
 from multiarm.contacts.smooth import SignedDistanceSurface
-from multiarm.contacts.surfaces import QUERY_WIDTH, answering
+from multiarm.contacts.surfaces import QUERY_WIDTH, user_surface_callback
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
 
@@ -103,7 +108,7 @@ class _Burst:
         shapes = len(self._table.shapes)
         self._places = np.tile([0.47, 0.01, 0.01], (shapes, 1))
         self._located = np.zeros((shapes, 3))
-        answer = answering(self._table.functions, self._scratch[RELATIVE_WIDTH:])
+        answer = user_surface_callback(self._table.functions, self._scratch[RELATIVE_WIDTH:])
         self._call = PythonCallback(answer, np.zeros(1, dtype=np.int64))
         self._repeats = 1
         self.time()

@@ -1,6 +1,6 @@
 """From the joints of a scene to the hinges of a film: which have an axis, and where it is.
 
-A joint's frame has the axis as its z axis (:class:`multiarm.contacts.frames.JointFrame`).  Turn and
+A joint's frame has the axis as its z axis (:class:`multiarm.contacts.joint.JointFrame`).  Turn and
 slide are read off the poses of object and tip, so that they are what the picture shows.
 """
 
@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from multiarm.contacts.joint_motions import axis_travel, limits_of
+from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.viewer.film import Dial, HingeTracks, rotations
 
 if TYPE_CHECKING:
-    from multiarm.contacts.frames import JointFrame
+    from multiarm.contacts.joint import JointFrame
     from multiarm.dynamics.system import System
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import JointSpec

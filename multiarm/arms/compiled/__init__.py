@@ -2,6 +2,6 @@
 
 An arm's structure (:meth:`multiarm.arms.arm.Arm.structure`) is packed into tables
 (:mod:`.tables`), which the kernels (:mod:`.kernels`, :mod:`.coriolis`) read for all arms of all
-scenes, four arms in one SIMD pack.  Nothing is compiled for a scene.  Before a compiled arm is used
-it is compared with Pinocchio (:mod:`.verification`); arms that no table describes stay there.
+scenes, four arms in one SIMD pack.  Nothing is compiled for a scene.  Arms that no table describes
+stay with Pinocchio.
 """

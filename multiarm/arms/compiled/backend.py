@@ -1,12 +1,17 @@
-"""The compiled backend: arms whose terms batched kernels compute, and where the terms are."""
+"""The compiled backend: arms whose terms batched kernels compute, verified against Pinocchio.
+
+Every compiled arm is compared with Pinocchio at random states before it is used.  The states are
+the same for the same arm: its structure is the seed.
+"""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from multiarm.arms.arm import Arm
 from multiarm.arms.compiled.coriolis import update_coriolis
 from multiarm.arms.compiled.kernels import update_arms
 from multiarm.arms.compiled.tables import (
@@ -15,6 +20,7 @@ from multiarm.arms.compiled.tables import (
     GRAVITY_TORQUE,
     JACOBIAN,
     JOINTS,
+    MOST_JOINTS,
     PLACES,
     POSES,
     TERMS,
@@ -22,8 +28,9 @@ from multiarm.arms.compiled.tables import (
     WITH_GRAVITY_TORQUE,
     WITH_POSES,
     ArmTables,
-    make_arrays,
+    make_tables,
     make_terms,
+    make_work,
 )
 from multiarm.arms.terms import (
     BIAS_AT,
@@ -32,25 +39,73 @@ from multiarm.arms.terms import (
     M_AT,
     M_STRIDE,
     POINTER_WIDTH,
-    ArmFunctions,
     ArmState,
+    ArmStructure,
     Coriolis,
     LinkTerms,
 )
-from multiarm.contacts.kernel import BODY_WIDTH
+from multiarm.contacts.kernel import ACCELERATION, BODY_WIDTH, ORIGIN_AT, VELOCITY
+from multiarm.errors import ModelError
 from multiarm.jit.pointers import CFUNC_PROTOTYPE, address_of
 from multiarm.jit.simd import LANES
 from multiarm.jit.structs import make_struct
 
-if TYPE_CHECKING:
-    from multiarm.arms.arm import Arm
+# Number of random states; bounds of positions [rad, m] and velocities [rad/s, m/s].
+STATES, LARGEST_POSITION, LARGEST_VELOCITY = 8, np.pi, 3.0
+CORIOLIS = ("coriolis",)
+EVERY_EVALUATION = tuple(name for name in LinkTerms._fields if name not in CORIOLIS)
+_WORDS = {
+    "inertia": "the inertia",
+    "jacobian": "the Jacobian",
+    "bias": "the bias force",
+    "gravity_torque": "the gravity torque",
+    "poses": "the pose of a link",
+    "body": "the motion of the tip's link",
+    "energy": "the potential energy",
+    "coriolis": "the matrix of Coriolis forces",
+}
+# Where parts of a quantity begin that have other units.
+_PARTS = {"body": (ORIGIN_AT, VELOCITY, ACCELERATION), "poses": (ORIGIN_AT,)}
+
+
+def compile_arms(
+    arms: Mapping[str, Arm], gravity: np.ndarray
+) -> tuple[CompiledBackend | None, dict[str, str]]:
+    """Backend of all arms that can be compiled, verified against Pinocchio.
+
+    Returns
+    -------
+    backend : CompiledBackend or None
+        None where no arm can be compiled.
+    reasons : dict of str to str
+        Why each other arm is not.
+
+    Raises
+    ------
+    ModelError
+        When a compiled arm does not agree with Pinocchio.
+    """
+    found: dict[int, ArmStructure] = {}
+    reasons: dict[str, str] = {}
+    for place, (name, arm) in enumerate(arms.items()):
+        try:
+            found[place] = _structure(arm)
+        except ModelError as reason:
+            reasons[name] = str(reason)
+    if not found:
+        return None, reasons
+    first = np.cumsum([0, *(arm.dof for arm in arms.values())])
+    places = tuple(found)
+    tables = make_tables(list(found.values()), places, [int(first[k]) for k in places], gravity)
+    verify(tables, places, arms)
+    return CompiledBackend(tables, places, arms), reasons
 
 
 class CompiledBackend:
-    """Arms of one system that compiled code takes four at a time.
+    """Arms of one system in compiled code, four at a time; see :mod:`multiarm.arms.backends`.
 
-    An :class:`multiarm.arms.backends.ArmBackend`.  Its ``pointers`` have no pose, twist and drift:
-    the motion of the link that carries the tip is in ``Buffers.arms`` when the sweep ends.
+    Its ``pointers`` have no pose, twist and drift: the sweep writes the motion of the link that
+    carries the tip into ``ArmState.bodies``.
 
     Parameters
     ----------
@@ -73,27 +128,26 @@ class CompiledBackend:
         self.pointers = np.array([self._pointers(lane) for lane in self._lanes])
 
     def copy(self) -> CompiledBackend:
-        """The same arms with terms of their own: the tables are shared."""
-        wanted = self.tables.wanted.copy()  # another system may want more
+        """The same arms with their own terms; the constants are shared."""
+        wanted = self.tables.wanted.copy()  # flags of one system
         return CompiledBackend(self.tables._replace(wanted=wanted), self.places, self._arms)
 
     def bind(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
         """Let the sweeps read positions and velocities of all joints, and write all bodies."""
-        self._arrays = make_arrays(self.tables, self._terms, self._coriolis, angles, rates, bodies)
-        self._struct = make_struct(self._arrays)
+        self._work = make_work(self.tables, angles, rates, bodies, self._terms, self._coriolis)
+        self._struct = make_struct([*self.tables, *self._work])
 
-    def connect(self, state: ArmState, status: Any) -> ArmFunctions:
-        """Compiled function that updates all terms, its struct and size; nothing enters Python."""
+    def connect(self, state: ArmState) -> dict[str, int]:
+        """Addresses of the function that updates all terms and of its struct, and its size."""
         self.bind(state.angles, state.rates, state.bodies)
         struct = self._struct
-        addresses = {
+        return {
             "arms": address_of(update_arms),
             "arms_struct": struct.ctypes.data,
             "arms_size": struct.size,
         }
-        return ArmFunctions(addresses, {})
 
-    def connect_coriolis(self, status: Any, found: Coriolis) -> None:
+    def connect_coriolis(self, found: Coriolis) -> None:
         """Write the places of the matrices, and the function that updates them with its struct.
 
         Raises
@@ -101,8 +155,6 @@ class CompiledBackend:
         ModelError
             When a compiled matrix is not Pinocchio's.
         """
-        from multiarm.arms.compiled.verification import CORIOLIS, verify
-
         verify(self.tables, self.places, self._arms, CORIOLIS)
         at = self._coriolis.ctypes.data
         for lane in self._lanes:
@@ -110,11 +162,11 @@ class CompiledBackend:
         found.calls[1:] = address_of(update_coriolis), self._struct.ctypes.data, self._struct.size
 
     def want_gravity_torque(self) -> None:
-        """Write gravity torques from now on."""
+        """Write gravity torques too."""
         self.tables.wanted[WITH_GRAVITY_TORQUE] = 1
 
     def pose_address(self, place: int, joint: int) -> int:
-        """Where the pose of a joint is written from now on; joint 0 is the world."""
+        """Address of the pose of a joint, which is written from now on; joint 0 is the world."""
         if joint == 0:
             return self._world.ctypes.data
         self.tables.wanted[WITH_POSES] = 1
@@ -132,7 +184,7 @@ class CompiledBackend:
             )
 
     def terms(self, arm: int) -> LinkTerms:
-        """The terms of arm number ``arm`` of these as they were computed last, as copies."""
+        """Copies of the last terms of arm number ``arm`` of these."""
         lane, terms = self._lanes[arm], self._terms
         n = lane.joints
         lower = np.tril(_square(terms, lane.square, lane.stride, n))
@@ -143,7 +195,7 @@ class CompiledBackend:
             bias=terms[lane.bias : lane.bias + n].copy(),
             gravity_torque=terms[lane.gravity_torque : lane.gravity_torque + n].copy(),
             poses=terms[lane.pose(0) : lane.pose(n)].reshape(n, 12).copy(),
-            body=self._arrays.bodies.reshape(-1, BODY_WIDTH)[lane.place].copy(),
+            body=self._work.bodies.reshape(-1, BODY_WIDTH)[lane.place].copy(),
             energy=terms[lane.energy : lane.energy + 1].copy(),
             coriolis=_square(self._coriolis, lane.square, lane.stride, n).T.copy(),
         )
@@ -156,14 +208,58 @@ class CompiledBackend:
         return places
 
 
+def verify(
+    tables: ArmTables,
+    places: Sequence[int],
+    arms: Mapping[str, Arm],
+    quantities: Sequence[str] = EVERY_EVALUATION,
+) -> None:
+    """Compare compiled arms with Pinocchio's.
+
+    ``places`` are the numbers of the compiled arms among all ``arms`` of the scene, ``quantities``
+    fields of :class:`multiarm.arms.terms.LinkTerms`.
+
+    Raises
+    ------
+    ModelError
+        Naming the arm, the quantity, the difference and the remedy.
+    """
+    first = np.cumsum([0, *(arm.dof for arm in arms.values())])
+    angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
+    wanted = np.ones_like(tables.wanted)
+    copies = CompiledBackend(tables._replace(wanted=wanted), places, arms)
+    copies.bind(angles, rates, np.zeros((len(arms), BODY_WIDTH)))
+    every = [list(arms.values())[place] for place in places]
+    structures = [arm.structure() for arm in every]
+    states = [_random_states(structure) for structure in structures]
+    found: list[list[LinkTerms]] = [[] for _ in every]
+    for number in range(STATES):
+        for place, (q, v) in zip(places, states, strict=True):
+            angles[first[place] : first[place + 1]] = q[number]
+            rates[first[place] : first[place + 1]] = v[number]
+        copies.update(with_coriolis=CORIOLIS[0] in quantities)
+        for k, own in enumerate(found):
+            own.append(copies.terms(k))
+    for arm, structure, (q, v), own in zip(every, structures, states, found, strict=True):
+        expected = _stacked(arm.reference(q, v, tables.gravity))
+        floors = _floors(structure, expected, tables.gravity)
+        _compare(arm.name, _stacked(own), expected, {name: floors[name] for name in quantities})
+
+
+def _structure(arm: Arm) -> ArmStructure:
+    if arm.dof > MOST_JOINTS:
+        raise ModelError(f"it has {arm.dof} joints; at most {MOST_JOINTS} are compiled")
+    return arm.structure()
+
+
 class _Lane:
-    """Where the terms of one arm are among all: ``joints`` of its own, matrices of ``stride``."""
+    """Offsets of the terms of one arm, with ``joints`` joints and matrices of ``stride`` rows."""
 
     def __init__(self, tables: ArmTables, place: int, joints: int) -> None:
         (k, lane), *_ = np.argwhere(tables.blocks[:, PLACES : PLACES + LANES] == place)
         block = tables.blocks[k]
         self.place, self.joints, self.stride = place, joints, int(block[JOINTS])
-        before = self.stride - self.joints  # joints that stand in for missing ones
+        before = self.stride - self.joints  # padding
         at = int(block[TERMS] + lane * block[WIDTH])
         self.square = at + before * (self.stride + 1)
         self.jacobian = at + int(block[JACOBIAN]) + 6 * before
@@ -173,10 +269,62 @@ class _Lane:
         self._poses = at + int(block[POSES]) + 12 * before
 
     def pose(self, link: int) -> int:
-        """Place of the pose of one of the arm's links, counted from 0."""
+        """Offset of the pose of one of the arm's links, counted from 0."""
         return self._poses + 12 * link
 
 
 def _square(numbers: np.ndarray, at: int, stride: int, size: int) -> np.ndarray:
-    """View of the (size, size) matrix at one place, its rows so many numbers apart."""
+    """View of the (size, size) matrix at an offset, with ``stride`` numbers a row."""
     return np.lib.stride_tricks.as_strided(numbers[at:], (size, size), (8 * stride, 8))
+
+
+def _random_states(arm: ArmStructure) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities of an arm, each (8, n)."""
+    seed = zlib.crc32(b"".join(part.tobytes() for part in arm))
+    draw = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, STATES, arm.masses.size))
+    return LARGEST_POSITION * draw[0], LARGEST_VELOCITY * draw[1]
+
+
+def _stacked(states: Sequence[LinkTerms]) -> LinkTerms:
+    """The terms at all states, which are the first axis."""
+    return LinkTerms(*(np.stack(values) for values in zip(*states, strict=True)))
+
+
+def _floors(arm: ArmStructure, terms: LinkTerms, gravity: np.ndarray) -> dict[str, float]:
+    """Magnitude of the summands of each quantity, which may cancel."""
+    mass, weight = float(np.sum(arm.masses)), float(np.linalg.norm(gravity))
+    inertia, away = (float(np.max(np.abs(x))) for x in (terms.inertia, terms.poses[..., 9:]))
+    held = weight * np.sqrt(mass * inertia)  # m g r, with m r^2 among the inertias
+    return {
+        "inertia": inertia,
+        "jacobian": 1.0,
+        "bias": held + LARGEST_VELOCITY**2 * inertia,
+        "gravity_torque": held,
+        "poses": 1.0,
+        "body": 1.0,
+        "energy": held + mass * weight * away,
+        "coriolis": LARGEST_VELOCITY * inertia,
+    }
+
+
+def _compare(arm: str, found: LinkTerms, expected: LinkTerms, floors: Mapping[str, float]) -> None:
+    """Raise an error for the first quantity that differs, relative to its largest entry."""
+    for name, floor in floors.items():
+        own, other = getattr(found, name), getattr(expected, name)
+        cuts = _PARTS.get(name, ())
+        parts = zip(np.split(own, cuts, axis=-1), np.split(other, cuts, axis=-1), strict=True)
+        for part in parts:
+            size = _difference(*part, floor)
+            if not size <= 1e-11:
+                raise ModelError(
+                    f"arm '{arm}': its compiled copy is not the arm: {_WORDS[name]} differs from "
+                    f"Pinocchio's by {size:.1e} of its largest entry, at most 1e-11 is "
+                    f"allowed; let Pinocchio compute the arms (`run: {{arms: pinocchio}}`)"
+                )
+
+
+def _difference(found: np.ndarray, expected: np.ndarray, floor: float) -> float:
+    """Largest difference over the largest entry, or over a larger ``floor``."""
+    largest = float(np.max(np.abs(found - expected)))
+    scale = max(float(np.max(np.abs(expected))), floor)
+    return largest / scale if scale > 0.0 else largest

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from multiarm.arms.compiled.kernels import (
     load_joints,
-    nothing,
     outwards,
     power,
     put_columns,
@@ -33,6 +32,7 @@ from multiarm.arms.compiled.kernels import (
     symmetric_at,
     times_inertia,
     vector_at,
+    zero_vector,
 )
 from multiarm.arms.compiled.tables import (
     COLUMN_RATE,
@@ -66,30 +66,30 @@ from multiarm.jit.vectors import (
 @cfunc
 def update_coriolis(address, size, _a, _b):
     """Write the matrices of Coriolis forces of compiled arms, column by column."""
-    arms = open_arms(struct_at(address, size))
-    load_joints(arms)
-    for b in range(arms.blocks.shape[0]):
-        outwards(arms, b)
-        turns_outwards(arms, b)
-        coriolis_inwards(arms, b)
-        block = arms.blocks[b]
+    tables, work = open_arms(struct_at(address, size))
+    load_joints(tables, work)
+    for b in range(tables.blocks.shape[0]):
+        outwards(tables, work, b)
+        rates_outwards(tables, work, b)
+        coriolis_inwards(tables, work, b)
+        block = tables.blocks[b]
         at0, width = block[TERMS], block[WIDTH]
         at1, at2, at3 = at0 + width, at0 + 2 * width, at0 + 3 * width
         for k in range(0, block[JOINTS] * block[JOINTS], LANES):
             transpose_four(
-                arms.leaves, LANES * k, arms.coriolis, at0 + k, at1 + k, at2 + k, at3 + k
+                work.leaves, LANES * k, work.coriolis, at0 + k, at1 + k, at2 + k, at3 + k
             )
     return 0
 
 
 @kernel
-def turns_outwards(arms, b):
+def rates_outwards(tables, work, b):
     """Rates of the columns, and ``h`` and ``B`` of every link of one block."""
-    links, out = arms.links, arms.link_turns
-    v = w = nothing()
-    for k in range(arms.blocks[b, JOINTS]):
+    links, out = work.links, work.link_turns
+    v = w = zero_vector()
+    for k in range(tables.blocks[b, JOINTS]):
         link, at = LANES * LINK_WIDTH * k, LANES * TURN_WIDTH * k
-        rate = load_pack(arms.rate, LANES * (arms.blocks[b, FIRST] + k))
+        rate = load_pack(work.rate, LANES * (tables.blocks[b, FIRST] + k))
         linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
         v, w = add_scaled(v, rate, linear), add_scaled(w, rate, angular)
         linear = add_cross(cross(w, linear), v, angular)
@@ -130,10 +130,10 @@ def turning_matrix(c, inertia, v, w):
 
 
 @kernel
-def coriolis_inwards(arms, b):
-    """Matrices of one block, all columns of lanes, into ``leaves``."""
-    links, turns, leaves, n = arms.links, arms.link_turns, arms.leaves, arms.blocks[b, JOINTS]
-    zero, mass, moment, h = nothing(), broadcast(0.0), nothing(), nothing()
+def coriolis_inwards(tables, work, b):
+    """Matrices of one block into ``leaves``."""
+    links, turns, leaves, n = work.links, work.link_turns, work.leaves, tables.blocks[b, JOINTS]
+    zero, mass, moment, h = zero_vector(), broadcast(0.0), zero_vector(), zero_vector()
     second, B = zero + zero, (zero, zero, zero)
     for j in range(n - 1, -1, -1):
         link, turn = LANES * LINK_WIDTH * j, LANES * TURN_WIDTH * j
@@ -147,7 +147,7 @@ def coriolis_inwards(arms, b):
         B = x, y, add(B[2], vector_at(turns, at + 6 * LANES))
         linear, angular = vector_at(links, link), vector_at(links, link + 3 * LANES)
         force, couple = times_inertia(mass, moment, second, linear, angular)
-        # what the transpose of B makes of the column: a couple
+        # the transpose of B times the column, a couple
         own = add_cross((dot(x, angular), dot(y, angular), dot(B[2], angular)), h, linear)
         rate = vector_at(turns, turn), vector_at(turns, turn + 3 * LANES)
         f, c = times_inertia(mass, moment, second, rate[0], rate[1])

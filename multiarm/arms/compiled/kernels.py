@@ -1,8 +1,8 @@
-r"""Batched RNEA and CRBA: one sweep out and one back along four arms at once.
+r"""Batched RNEA and CRBA: one outward and one inward sweep along four arms at once.
 
-Every joint turns about, or slides along, the z axis of its own frame.  All vectors are in world
-axes, and moments, velocities and columns are about the arm's base, so that nothing is lost far away
-from the world's origin.  With ``z`` and ``p`` axis and origin of a joint its column is
+Every joint rotates about, or slides along, the z axis of its own frame.  All vectors are in world
+axes; moments, velocities and columns are about the arm's base, so that no digits are lost far from
+the world's origin.  With ``z`` and ``p`` axis and origin of a joint its column is
 
 .. math::
     S_j = \begin{bmatrix} p\times z\\ z\end{bmatrix} \text{ (turning)}, \qquad
@@ -20,14 +20,13 @@ and each link needs, with ``c`` its centre, the force
     f = m\,(a + \alpha\times c + \omega\times(v + \omega\times c)), \qquad
     n = I\alpha + \omega\times I\omega + c\times f .
 
-Inwards the forces of all links beyond a joint add up, and their inertias to that of one composite
-body (6.2), which gives
+Inwards the forces of all links beyond a joint are summed, and their inertias to that of one
+composite body (6.2), which gives
 
 .. math::
     b_j = S_j\cdot f_j, \qquad M_{jk} = S_k\cdot I^c_j S_j \quad (k\le j).
 
-The potential energy follows from mass and first moment of the composite body at the base, and so
-do gravity torques where they are wanted.
+Potential energy and gravity torques follow from mass and first moment of the composite bodies.
 """
 
 from __future__ import annotations
@@ -51,13 +50,13 @@ from multiarm.arms.compiled.tables import (
     LINK_INERTIA,
     LINK_WIDTH,
     MASS,
-    NAMED_AXES,
     OFFSET,
     PLACES,
     POSES,
     SLIDES,
     TERMS,
     TURNS,
+    URDF_AXES,
     WIDTH,
     WITH_GRAVITY_TORQUE,
     WITH_POSES,
@@ -86,40 +85,40 @@ from multiarm.jit.vectors import (
 
 @cfunc
 def update_arms(address, size, _a, _b):
-    """Write all terms of compiled arms and the motion of the links that carry their tips."""
-    arms = open_arms(struct_at(address, size))
-    load_joints(arms)
-    for b in range(arms.blocks.shape[0]):
-        outwards(arms, b)
-        inwards(arms, b)
-        transpose_terms(arms, b)
+    """Write all terms of compiled arms, and the motion of the links that carry their tips."""
+    tables, work = open_arms(struct_at(address, size))
+    load_joints(tables, work)
+    for b in range(tables.blocks.shape[0]):
+        outwards(tables, work, b)
+        inwards(tables, work, b)
+        transpose_terms(tables, work, b)
     return 0
 
 
 @kernel
-def load_joints(arms):
+def load_joints(tables, work):
     """Positions and velocities of every lane's joint, sine and cosine of its angle."""
-    for k in range(arms.sources.size):
-        joint = arms.sources[k]
-        arms.angle[k] = arms.angles[joint]
-        arms.rate[k] = arms.rates[joint]
-    if write_sines(arms.angle, arms.turns, arms.sine, arms.cosine) > 0:
-        for k in range(arms.sources.size):
-            angle = arms.angle[k] * arms.turns[k]
+    for k in range(tables.sources.size):
+        joint = tables.sources[k]
+        work.angle[k] = work.angles[joint]
+        work.rate[k] = work.rates[joint]
+    if write_sines(work.angle, tables.turns, work.sine, work.cosine) > 0:
+        for k in range(tables.sources.size):
+            angle = work.angle[k] * tables.turns[k]
             if not abs(angle) <= FAR:
-                arms.sine[k], arms.cosine[k] = math.sin(angle), math.cos(angle)
+                work.sine[k], work.cosine[k] = math.sin(angle), math.cos(angle)
 
 
 @inlined
-def place_joint(arms, joint, at, axes, p):
-    """Axes and origin of a joint's frame from those of the last one's."""
-    constants = arms.constants
-    sine, cosine = load_pack(arms.sine, joint), load_pack(arms.cosine, joint)
+def place_joint(tables, work, joint, at, axes, p):
+    """Axes and origin of a joint's frame from those of the joint before."""
+    constants = tables.constants
+    sine, cosine = load_pack(work.sine, joint), load_pack(work.cosine, joint)
     p = add_rotated(p, axes, vector_at(constants, at + LANES * OFFSET))
     x = rotate(axes, vector_at(constants, at + LANES * AXES))
     y = rotate(axes, vector_at(constants, at + LANES * (AXES + 3)))
     z = rotate(axes, vector_at(constants, at + LANES * (AXES + 6)))
-    p = add_scaled(p, load_pack(constants, at + LANES * SLIDES) * load_pack(arms.angle, joint), z)
+    p = add_scaled(p, load_pack(constants, at + LANES * SLIDES) * load_pack(work.angle, joint), z)
     backwards = broadcast(0.0) - sine
     axes = add_scaled(scale(cosine, x), sine, y), add_scaled(scale(cosine, y), backwards, x), z
     return axes, p
@@ -167,22 +166,22 @@ def put_force(links, at, body, v, w, a, alpha):
 
 
 @kernel
-def outwards(arms, b):
+def outwards(tables, work, b):
     """Columns, inertias and forces of the links of one block; Jacobians, poses and bodies."""
-    constants, links, leaves, block = arms.constants, arms.links, arms.leaves, arms.blocks[b]
-    zero, gravity = nothing(), everywhere(arms.gravity)
+    constants, links, leaves, block = tables.constants, work.links, work.leaves, tables.blocks[b]
+    zero, gravity = zero_vector(), broadcast_vector(tables.gravity)
     one, none = broadcast(1.0), broadcast(0.0)
     axes, origin = (
         ((one, none, none), (none, one, none), (none, none, one)),
-        vector_at(arms.bases[b], 0),
+        vector_at(tables.bases[b], 0),
     )
     p = v = w = alpha = zero
     a = sub(zero, gravity)
     joint, link = LANES * block[FIRST], 0
     at, jacobian, pose = JOINT_WIDTH * joint, LANES * block[JACOBIAN], LANES * block[POSES]
     for _ in range(block[JOINTS]):
-        rate = load_pack(arms.rate, joint)
-        axes, p = place_joint(arms, joint, at, axes, p)
+        rate = load_pack(work.rate, joint)
+        axes, p = place_joint(tables, work, joint, at, axes, p)
         linear, angular = column(constants, at, axes[2], p)
         put_pair(links, link + LANES * COLUMN, linear, angular)
         put_pair(leaves, jacobian, add_cross(linear, origin, angular), angular)
@@ -193,13 +192,13 @@ def outwards(arms, b):
         body = link_inertia(constants, at, axes, p)
         put_force(links, link + LANES * FORCE, body, v, w, a, alpha)
         put_link_inertia(links, link + LANES * LINK_INERTIA, body)
-        if arms.wanted[WITH_POSES] != 0:
-            put_columns(leaves, pose, named_axes(constants, at, axes))
+        if tables.wanted[WITH_POSES] != 0:
+            put_columns(leaves, pose, urdf_axes(constants, at, axes))
             put_vector(leaves, pose + LANES * ORIGIN_AT, add(p, origin))
         at, link, joint = at + LANES * JOINT_WIDTH, link + LANES * LINK_WIDTH, joint + LANES
         jacobian, pose = jacobian + 6 * LANES, pose + 12 * LANES
     body = LANES * block[WIDTH]
-    put_rows(leaves, body, named_axes(constants, at - LANES * JOINT_WIDTH, axes))
+    put_rows(leaves, body, urdf_axes(constants, at - LANES * JOINT_WIDTH, axes))
     put_vector(leaves, body + LANES * ORIGIN_AT, add(p, origin))
     u = add_cross(v, w, p)
     put_pair(leaves, body + LANES * VELOCITY, u, w)
@@ -208,9 +207,9 @@ def outwards(arms, b):
 
 
 @inlined
-def named_axes(constants, at, axes):
-    """Axes of a link as its model names them."""
-    at += LANES * NAMED_AXES
+def urdf_axes(constants, at, axes):
+    """Axes of a link in its URDF."""
+    at += LANES * URDF_AXES
     x, y = vector_at(constants, at), vector_at(constants, at + 3 * LANES)
     z = vector_at(constants, at + 6 * LANES)
     return rotate(axes, x), rotate(axes, y), rotate(axes, z)
@@ -224,10 +223,10 @@ def times_inertia(mass, moment, second, linear, angular):
 
 
 @kernel
-def inwards(arms, b):
-    """Bias, inertia and energy of the arms of one block; gravity torques where they are wanted."""
-    constants, links, leaves, block = arms.constants, arms.links, arms.leaves, arms.blocks[b]
-    n, zero, gravity = block[JOINTS], nothing(), everywhere(arms.gravity)
+def inwards(tables, work, b):
+    """Bias, inertia and energy of the arms of one block; gravity torques if wanted."""
+    constants, links, leaves, block = tables.constants, work.links, work.leaves, tables.blocks[b]
+    n, zero, gravity = block[JOINTS], zero_vector(), broadcast_vector(tables.gravity)
     mass, moment, force, couple = broadcast(0.0), zero, zero, zero
     second = zero + zero
     for j in range(n - 1, -1, -1):
@@ -250,36 +249,37 @@ def inwards(arms, b):
             store_pack(leaves, row + LANES * k, power(other[0], other[1], f, c))
         drive = load_pack(constants, LANES * (JOINT_WIDTH * (block[FIRST] + j) + ARMATURE))
         store_pack(leaves, row + LANES * j, power(linear, angular, f, c) + drive)
-        if arms.wanted[WITH_GRAVITY_TORQUE] != 0:
+        if tables.wanted[WITH_GRAVITY_TORQUE] != 0:
             weight = scale(mass, gravity), cross(moment, gravity)
             held = broadcast(0.0) - power(linear, angular, weight[0], weight[1])
             store_pack(leaves, LANES * (block[GRAVITY_TORQUE] + j), held)
-    moment = add_scaled(moment, mass, vector_at(arms.bases[b], 0))
+    moment = add_scaled(moment, mass, vector_at(tables.bases[b], 0))
     energy = broadcast(0.0) - dot(moment, gravity)
     store_pack(leaves, LANES * block[ENERGY], energy)
 
 
 @inlined
-def transpose_terms(arms, b):
-    """Copy the terms of each arm of a block from the lanes to the arm's own place."""
-    block = arms.blocks[b]
+def transpose_terms(tables, work, b):
+    """Copy the terms of each arm of a block from the lanes to the arm's own array."""
+    block = tables.blocks[b]
     width, at0 = block[WIDTH], block[TERMS]
     at1, at2, at3 = at0 + width, at0 + 2 * width, at0 + 3 * width
-    for k in range(0, width if arms.wanted[WITH_POSES] != 0 else block[POSES], LANES):
-        transpose_four(arms.leaves, LANES * k, arms.terms, at0 + k, at1 + k, at2 + k, at3 + k)
+    for k in range(0, width if tables.wanted[WITH_POSES] != 0 else block[POSES], LANES):
+        transpose_four(work.leaves, LANES * k, work.terms, at0 + k, at1 + k, at2 + k, at3 + k)
     at0, at1 = BODY_WIDTH * block[PLACES], BODY_WIDTH * block[PLACES + 1]
     at2, at3 = BODY_WIDTH * block[PLACES + 2], BODY_WIDTH * block[PLACES + 3]
     for k in range(0, BODY_WIDTH, LANES):
         source = LANES * (width + k)
-        transpose_four(arms.leaves, source, arms.bodies, at0 + k, at1 + k, at2 + k, at3 + k)
+        transpose_four(work.leaves, source, work.bodies, at0 + k, at1 + k, at2 + k, at3 + k)
 
 
-# Sine and cosine of many angles, in one loop that the compiler turns into vector instructions.  The
-# angle is taken to |y| <= pi/4 by subtracting the nearest multiple of pi/2 = P1 + P2 + P3, whose
-# first two parts have so few digits that their products are exact (W.J. Cody, W. Waite, Software
+# --- vectorised sine and cosine ------------------------------------------------------------------
+#
+# The angle is reduced to |y| <= pi/4 by subtracting the nearest multiple of pi/2 = P1 + P2 + P3,
+# whose first two parts are so short that their products are exact (W.J. Cody, W. Waite, Software
 # Manual for the Elementary Functions, 1980).  There the polynomials of FreeBSD's library
-# (S. Moshier, K.C. Ng; k_sin.c, k_cos.c) are as good as one unit in the last place, given what y
-# was rounded by.
+# (S. Moshier, K.C. Ng; k_sin.c, k_cos.c) are accurate to one unit in the last place, given the
+# rounding error of y.
 
 # Angles beyond this need more digits of pi [rad].
 FAR = 1e5
@@ -296,9 +296,9 @@ _C4, _C5, _C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.1359
 
 @kernel
 def write_sines(angle, factor, sine, cosine):
-    """Sine and cosine of ``angle * factor``; returns how many are beyond ``FAR`` (or NaN).
+    """Sine and cosine of ``angle * factor``; returns how many angles are beyond ``FAR`` (or NaN).
 
-    The numbers of those are not to be used.
+    Their results are invalid.
     """
     far = 0
     for k in range(angle.size):
@@ -329,18 +329,18 @@ def write_sines(angle, factor, sine, cosine):
     return far
 
 
-# Vectors, rotations and symmetric matrices of four arms at once, in arrays of lanes.
+# --- vectors and matrices of four arms at once ---------------------------------------------------
 
 
 @inlined
 def vector_at(array, at):
-    """Three lanes that follow each other."""
+    """Vector in three consecutive lanes."""
     return load_pack(array, at), load_pack(array, at + LANES), load_pack(array, at + 2 * LANES)
 
 
 @inlined
 def put_vector(array, at, a):
-    """Write three lanes."""
+    """Write a vector."""
     store_pack(array, at, a[0])
     store_pack(array, at + LANES, a[1])
     store_pack(array, at + 2 * LANES, a[2])
@@ -348,7 +348,7 @@ def put_vector(array, at, a):
 
 @inlined
 def symmetric_at(array, at):
-    """Six lanes that follow each other."""
+    """Symmetric matrix in six consecutive lanes."""
     xx, xy, xz = vector_at(array, at)
     yy, yz, zz = vector_at(array, at + 3 * LANES)
     return xx, xy, xz, yy, yz, zz
@@ -356,14 +356,14 @@ def symmetric_at(array, at):
 
 @inlined
 def put_symmetric(array, at, A):
-    """Write six lanes."""
+    """Write a symmetric matrix."""
     put_vector(array, at, (A[0], A[1], A[2]))
     put_vector(array, at + 3 * LANES, (A[3], A[4], A[5]))
 
 
 @inlined
 def put_pair(array, at, a, b):
-    """Write two vectors, one behind the other."""
+    """Write two vectors, one after the other."""
     put_vector(array, at, a)
     put_vector(array, at + 3 * LANES, b)
 
@@ -384,15 +384,15 @@ def put_rows(array, at, axes):
 
 
 @inlined
-def nothing():
+def zero_vector():
     """The vector zero."""
     zero = broadcast(0.0)
     return zero, zero, zero
 
 
 @inlined
-def everywhere(a):
-    """A vector of plain numbers, the same for all arms."""
+def broadcast_vector(a):
+    """A vector of plain numbers in all lanes."""
     return broadcast(a[0]), broadcast(a[1]), broadcast(a[2])
 
 

@@ -1,11 +1,11 @@
-"""Tables of compiled arms: what is constant, what a sweep reads, what it leaves.
+"""Constants and workspace of compiled arms.
 
-A link's frame is turned so that its joint's axis is z; the axes that its model names are kept as
-well.  The first joint's origin stands for the base: all positions are relative to it.
+A link's frame is rotated so that its joint's axis is z; the axes of its URDF are kept as well.  The
+first joint's origin is the base, to which all positions are relative.
 
 Arms are batched by four, one in each lane of a SIMD pack.  A *block* is as long as the longest of
-its arms.  A shorter one begins later: joints without motion and mass stand before its own.  A lane
-without an arm repeats the first of its block, which does no harm, since it writes the same numbers.
+its arms; shorter ones are padded at the base with joints without motion and mass.  A lane without
+an arm repeats the first arm of its block, and writes the same numbers to the same place.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ import numpy as np
 
 from multiarm.arms.terms import ArmStructure
 from multiarm.contacts.kernel import BODY_WIDTH
-from multiarm.jit.kernels import kernel
+from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.simd import LANES
 from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, view
 from multiarm.spatial import skew
 
-# More joints an arm are left to Pinocchio.
+# Arms with more joints are left to Pinocchio.
 MOST_JOINTS = 16
 
-# Columns of ArmTables.blocks: joints; the first of them among those of all blocks; where the first
-# arm's terms begin; where an arm's Jacobian, bias, gravity torque, potential energy and poses are
-# in them, and how many there are; the four arms' places in the scene.
+# Columns of ArmTables.blocks: number of joints; first joint among those of all blocks; offset of
+# the first arm's terms; offsets of Jacobian, bias, gravity torque, potential energy and poses in an
+# arm's terms, and their size; the four arms' numbers in the scene.
 JOINTS, FIRST, TERMS, JACOBIAN, BIAS, GRAVITY_TORQUE, ENERGY, POSES, WIDTH, PLACES = range(10)
 BLOCK_COLUMNS = PLACES + LANES
 
-# Constants of a joint, lanes each: axes (by columns) and origin of its frame in the last one's,
-# centre, mass and inertia of its link, whether it turns and whether it slides, inertia of its
-# drive, the link's axes as its model names them (by columns).
-AXES, OFFSET, CENTRE, MASS, INERTIA, TURNS, SLIDES, ARMATURE, NAMED_AXES = (
+# Constants of a joint, lanes each: axes (by columns) and origin of its frame in that of the joint
+# before, centre, mass and inertia of its link, whether it turns and whether it slides, inertia of
+# its drive, the link's URDF axes (by columns).
+AXES, OFFSET, CENTRE, MASS, INERTIA, TURNS, SLIDES, ARMATURE, URDF_AXES = (
     0, 9, 12, 15, 16, 22, 23, 24, 25
 )  # fmt: skip
 JOINT_WIDTH = 34
-# What the outward sweep leaves of a joint, lanes each: its column, its link's inertia about the
+# Results of the outward sweep for a joint, lanes each: its column, its link's inertia about the
 # base (mass, first moment, second moments), the force that moves the link.
 COLUMN, LINK_INERTIA, FORCE, LINK_WIDTH = 0, 6, 16, 22
-# What the sweep for Coriolis forces leaves, lanes each: rate of the column; momentum and matrix of
-# :mod:`multiarm.arms.compiled.coriolis`.
+# Results of the outward sweep for Coriolis forces, lanes each: rate of the column; momentum and
+# matrix of :mod:`multiarm.arms.compiled.coriolis`.
 COLUMN_RATE, MOMENTUM, MATRIX, TURN_WIDTH = 0, 6, 9, 18
 
 # Entries of ArmTables.wanted.
@@ -56,15 +56,15 @@ class ArmTables(NamedTuple):
     sources : int64 (4 J,)
         Each lane's joint in the stacked vectors.
     joints, energies : int64 (arms,)
-        How many joints each arm has; where its potential energy is among all terms.
+        Number of joints of each arm; offset of its potential energy in all terms.
     turns : (4 J,)
-        1 where it turns, else 0.
+        1 for revolute joints, else 0.
     constants : (34 * 4 J,)
     bases : (b, 12)
         Positions of the arms' first joints in the world [m], lanes each.
     gravity : (3,)
     wanted : int64 (2,)
-        Whether gravity torques and poses of all links are to be written.
+        Flags: write gravity torques, write poses of all links.
     """
 
     blocks: Ints2
@@ -78,8 +78,8 @@ class ArmTables(NamedTuple):
     wanted: Ints1
 
 
-class ArmArrays(NamedTuple):
-    """The tables, and what a sweep reads and writes.
+class ArmWork(NamedTuple):
+    """State and workspace of compiled arms.
 
     angles, rates : (joints,)
         Positions and velocities of the system's joints.
@@ -88,21 +88,12 @@ class ArmArrays(NamedTuple):
     angle, rate, sine, cosine : (4 J,)
         Of every lane's joint.
     links : (22 * 4 n,), link_turns : (18 * 4 n,), leaves : (4 w,)
-        Scratch of one block: what the outward sweeps leave; its arms' terms and bodies, lanes each.
+        Scratch of one block: results of the outward sweeps; its arms' terms and bodies, lanes each.
     terms, coriolis : (4 w b,)
-        Every arm's terms, see :func:`_block_columns`; matrices of Coriolis forces, where its
-        inertia is among these, by columns.
+        Every arm's terms, see :func:`_block_columns`; matrices of Coriolis forces by columns, at
+        the offsets of the inertias.
     """
 
-    blocks: Ints2
-    sources: Ints1
-    joints: Ints1
-    energies: Ints1
-    turns: Floats1
-    constants: Floats1
-    bases: Floats2
-    gravity: Floats1
-    wanted: Ints1
     angles: Floats1
     rates: Floats1
     bodies: Floats1
@@ -115,6 +106,25 @@ class ArmArrays(NamedTuple):
     leaves: Floats1
     terms: Floats1
     coriolis: Floats1
+
+
+_open_tables, _open_work = view(ArmTables), view(ArmWork, len(ArmTables._fields))
+
+
+@inlined
+def open_arms(struct):
+    """Views ``tables, work`` of the struct of compiled arms."""
+    return _open_tables(struct), _open_work(struct)
+
+
+@kernel
+def energy_of_arms(struct):
+    """Potential energy of all compiled arms [J] at the state of the last sweep."""
+    tables, work = open_arms(struct)
+    energy = 0.0
+    for k in range(tables.energies.size):
+        energy += work.terms[tables.energies[k]]
+    return energy
 
 
 def make_tables(
@@ -131,7 +141,7 @@ def make_tables(
     places : sequence of int
         Each arm's number among all arms of the scene.
     first_joints : sequence of int
-        Where its joints begin in the stacked vectors.
+        Its first joint in the stacked vectors.
     gravity : ndarray, shape (3,)
     """
     blocks, sources, constants, bases = [], [], [], []
@@ -166,24 +176,18 @@ def make_tables(
 
 
 def make_terms(tables: ArmTables) -> np.ndarray:
-    """Allocate for one number of every term of all arms."""
+    """Allocate one number for every term of all arms."""
     return np.zeros(LANES * int(np.sum(tables.blocks[:, WIDTH])))
 
 
-def make_arrays(
-    tables: ArmTables,
-    terms: np.ndarray,
-    coriolis: np.ndarray,
-    angles: np.ndarray,
-    rates: np.ndarray,
-    bodies: np.ndarray,
-) -> ArmArrays:
-    """Allocate the rest; ``angles``, ``rates`` and ``bodies`` are the system's."""
-    joints, longest = tables.sources.size, int(np.max(tables.blocks[:, JOINTS]))
-    width = int(np.max(tables.blocks[:, WIDTH]))
-    lanes = np.zeros((4, joints))
-    return ArmArrays(
-        *tables,
+def make_work(
+    tables: ArmTables, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray,
+    terms: np.ndarray, coriolis: np.ndarray,
+) -> ArmWork:  # fmt: skip
+    """Allocate the workspace; the other arrays are given."""
+    longest, width = (int(np.max(tables.blocks[:, column])) for column in (JOINTS, WIDTH))
+    lanes = np.zeros((4, tables.sources.size))
+    return ArmWork(
         angles=angles,
         rates=rates,
         bodies=bodies.reshape(-1),
@@ -199,20 +203,8 @@ def make_arrays(
     )
 
 
-open_arms = view(ArmArrays)
-
-
-@kernel
-def energy_of_arms(arms):
-    """Potential energy of all compiled arms [J] at the state of the last sweep."""
-    energy = 0.0
-    for k in range(arms.energies.size):
-        energy += arms.terms[arms.energies[k]]
-    return energy
-
-
 def _block_columns(joints: int) -> np.ndarray:
-    """Columns of a block of so many joints, its ``FIRST``, ``TERMS`` and ``PLACES`` left open.
+    """Columns of a block of ``joints`` joints, except ``FIRST``, ``TERMS`` and ``PLACES``.
 
     The terms of an arm are its inertia (n, n), of which the lower triangle by rows is written;
     Jacobian (n, 6), a row a joint; bias (n,), gravity torque (n,); potential energy (1,); poses
@@ -232,22 +224,22 @@ def _rounded_up(count: int) -> int:
 
 
 def _blocks(joints: Sequence[int]) -> list[list[int]]:
-    """Four arms at a time, those with most joints first; the first fills what is left over."""
+    """Four arms each, those with most joints first; the first of a block fills its free lanes."""
     order = sorted(range(len(joints)), key=lambda arm: -joints[arm])
     blocks = [order[k : k + LANES] for k in range(0, len(order), LANES)]
     return [block + [block[0]] * (LANES - len(block)) for block in blocks]
 
 
 def _sources(joints: Sequence[int], first_joints: Sequence[int]) -> np.ndarray:
-    """Joints of a block's lanes in the stacked vectors; those that stand before read the first."""
+    """Joints of a block's lanes in the stacked vectors; padding reads an arm's first joint."""
     own = np.arange(joints[0])[:, None] - (joints[0] - np.array(joints))
     return (np.maximum(own, 0) + np.array(first_joints)).ravel().astype(np.int64)
 
 
 def _packed(arm: ArmStructure, joints: int) -> np.ndarray:
-    """Constants of one lane, shape (joints, 34), joints without motion and mass before its own."""
+    """Constants of one lane, shape (joints, 34), padded with joints without motion and mass."""
     packed = np.zeros((joints, JOINT_WIDTH))
-    packed[:, [AXES, AXES + 4, AXES + 8, NAMED_AXES, NAMED_AXES + 4, NAMED_AXES + 8]] = 1.0
+    packed[:, [AXES, AXES + 4, AXES + 8, URDF_AXES, URDF_AXES + 4, URDF_AXES + 8]] = 1.0
     before = np.eye(3)
     for k, row in enumerate(packed[joints - arm.masses.size :]):
         turned = _turned_to_z(arm.axes[k])
@@ -259,7 +251,7 @@ def _packed(arm: ArmStructure, joints: int) -> np.ndarray:
         row[MASS], row[ARMATURE] = arm.masses[k], arm.armature[k]
         row[INERTIA : INERTIA + 6] = inertia[np.triu_indices(3)]
         row[TURNS], row[SLIDES] = not arm.slides[k], arm.slides[k]
-        row[NAMED_AXES : NAMED_AXES + 9] = turned.ravel()
+        row[URDF_AXES : URDF_AXES + 9] = turned.ravel()
         before = turned
     return packed
 

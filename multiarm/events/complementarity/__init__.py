@@ -1,8 +1,7 @@
 r"""Which contacts push, slide, stick or open: the complementarity problem of one instant.
 
-Between two events a fixed set of rows is active and the motion is smooth. At an event this package
-decides which contact mode every unilateral constraint has from then on: :func:`solve` takes the
-response of the rows, their free rates and contact laws
+At an event this package determines the contact mode of every unilateral constraint: :func:`solve`
+takes the response of the rows, their free rates and contact laws
 (:mod:`multiarm.events.complementarity.problem`), and returns a :class:`Solution` that certifies
 itself by its residual and verdict. An impact is the same problem, with impulses for forces and
 velocities for accelerations.
@@ -10,7 +9,7 @@ velocities for accelerations.
 Without friction the problem is convex and is solved by pivoting, in finitely many steps, singular D
 included. With friction Newton's method on the exact cones finds the modes
 (:mod:`~multiarm.events.complementarity.solvers`). Where a solution need not exist, or need not be
-the only one (Painleve), all modes are tried (:mod:`~multiarm.events.complementarity.uniqueness`).
+the only one (Painleve), all modes are tried (:mod:`~multiarm.events.complementarity.solution`).
 Nothing is regularised. Where the forces are not determined, those of minimum norm that obey the
 laws are taken, which also gives the active set
 (:mod:`~multiarm.events.complementarity.active_set`).

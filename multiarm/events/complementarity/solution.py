@@ -1,37 +1,74 @@
-"""From a response and contact laws to what happens: forces, modes, active rows, and how sure."""
+r"""The solution of a contact problem: forces, modes, active rows, and how many motions there are.
+
+**What the response proves.** With sliding friction the response G of the independent forces is not
+symmetric. The rates :math:`w = G z + g` of a solution are unique for all g exactly when G is
+*column adequate*:
+
+.. math:: z_i (G z)_i \le 0 \;\text{for all } i \quad\Rightarrow\quad G z = 0,
+
+that is, no principal minor is negative, and where one is zero, the columns concerned are dependent
+as a whole (Cottle, Pang, Stone, theorems 3.4.4 and 3.4.6). Contacts that share a load have such
+zeros; they do no harm. Regular and adequate is a P-matrix, for which a solution always exists. A
+sliding rod whose :math:`D_{nn} - \mu D_{nt} \cdot s` is negative breaks this (Painleve 1895): it
+has no solution when the contact is being closed, and two when it is not.
+
+A contact at zero slip may begin to slip in any direction. For two solutions, with differences dz
+and dw = G dz, the laws give
+
+.. math:: dz^T G\, dz \le \sum_k \mu_k |dz_{n,k}| \, |G_{t,k}\, dz|
+
+(the friction disk has its radius from the normal force). So the motion is unique when the symmetric
+part of G exceeds :math:`\sum_k (\mu_k/2) (\epsilon e_n e_n^T + G_t^T G_t/\epsilon)` for some
+:math:`\epsilon`. This is sufficient only: contacts that share a load never satisfy it.
+
+**All modes tried.** Where friction may leave no solution or several, a handful of laws is decided
+by enumeration: every law in every mode, the linear equations of the modes, the residual of their
+solution. Without contacts at zero slip the list is complete: forces that are not determined by
+their modes can be moved to a bound, which is another choice of modes. The directions in which a
+contact at zero slip may begin to slip start from a ring of eight and are refined by Newton's
+method: what is found so are solutions, that there are no others is not proven.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import combinations, product
+from math import comb, prod
 
 import numpy as np
 
 from multiarm.events.complementarity.active_set import ActiveSet, active_set, modes_of
 from multiarm.events.complementarity.problem import (
+    CONSISTENT,
     MARGIN,
+    RANK,
     ROUNDING,
     ContactLaw,
     ContactMode,
     Problem,
     build,
+    matrix_rank,
+    rank_of,
 )
-from multiarm.events.complementarity.solvers import iterate, solve_box
-from multiarm.events.complementarity.uniqueness import Motion, all_solutions, few, judge
+from multiarm.events.complementarity.solvers import iterate, newton, solve_box
+
+# Directions in which a contact at zero slip may begin to slip.
+RING = [np.array([np.cos(a), np.sin(a)]) for a in np.arange(8) * (np.pi / 4.0)]
 
 
 class Verdict(str, Enum):
     """How many motions there are."""
 
     UNIQUE = "unique"
-    """One, proven: there is no friction, or its response is adequate, or all modes were tried."""
+    """One, proven: no friction, or an adequate response, or all modes were tried."""
     FOUND = "found"
-    """At least one; that there is no other was neither proven nor is there a sign against it."""
+    """At least one; others are neither excluded nor indicated."""
     SEVERAL = "not unique"
     """Several: the one with the smallest forces is given, the others are the alternatives."""
     NONE = "none"
-    """None, or none was found; what is given is the nearest to one, and the message says which."""
+    """None, or none was found, as the message says; the result is the nearest to one."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +82,7 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Solution:
-    """Forces and rates of all rows, and what each law does from now on.
+    """Forces and rates of all rows, and the mode of each law from now on.
 
     Attributes
     ----------
@@ -73,7 +110,7 @@ class Solution:
     alternatives : tuple of Alternative
         Other motions, when there are several.
     message : str
-        The name of the trouble, and where; empty when there is none.
+        Why there is no unique motion or active set; empty otherwise.
     """
 
     forces: np.ndarray
@@ -89,7 +126,7 @@ class Solution:
 
 
 def solve(response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]) -> Solution:
-    """Which contacts push, slide, stick or open.
+    """Solve a contact problem.
 
     Parameters
     ----------
@@ -133,8 +170,52 @@ def solve(response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]) ->
     )
 
 
+class Motion(Enum):
+    """How many motions are possible."""
+
+    UNIQUE = "at most one"
+    UNKNOWN = "nothing is known"
+    DOUBTFUL = "none or several are possible for some free rates"
+
+
+def judge(problem: Problem) -> Motion:
+    """How many motions a problem can have, by its response alone."""
+    if problem.convex:
+        return Motion.UNIQUE
+    if not problem.cones:
+        return _judge_linear(problem.G, problem)
+    G, tangents = problem.G, []
+    for n, cone in problem.cones.items():
+        tangents += [n + 1, n + 2]
+        # slipping in its worst direction the contact would be pulled in by its own friction
+        if G[n, n] <= cone.mu * np.hypot(*G[n, cone.tangents]) + RANK:
+            return Motion.DOUBTFUL
+    if len(problem.cones) < len(problem.laws):
+        others = np.setdiff1d(np.arange(problem.g.size), tangents)
+        if _judge_linear(G[np.ix_(others, others)]) == Motion.DOUBTFUL:
+            return Motion.DOUBTFUL
+    return Motion.UNIQUE if _dominates_friction(problem) else Motion.UNKNOWN
+
+
+def all_solutions(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]:
+    """Known solutions and those found: one for each motion, smallest forces first."""
+    found = list(known)
+    for modes in product(*(_linear_modes(problem, k) for k in problem.columns)):
+        A, c = np.vstack([mode[0] for mode in modes]), np.concatenate([mode[1] for mode in modes])
+        z = np.linalg.lstsq(A, c, rcond=RANK)[0]
+        if any(guessed for _, _, guessed in modes):
+            z = newton(problem, z)
+        # where forces can grow without changing the rates of their own laws, there is a family
+        for other in [z, *_along_family(problem, z)]:
+            if problem.residual(other) <= 10.0 * ROUNDING and not any(
+                _same_motion(problem, other, one) for one in found
+            ):
+                found.append(other)
+    return sorted(found, key=lambda z: float(z @ z))
+
+
 def _solutions(problem: Problem) -> tuple[list[np.ndarray], Verdict, str]:
-    """Solutions, the one to take first (without any, the nearest); verdict and message."""
+    """Solutions, the best one first (without any, the nearest point); verdict and message."""
     if problem.convex:
         found, contradiction = solve_box(problem.G, problem.g, problem.lower, problem.upper)
         if found is not None and problem.residual(found) <= MARGIN:
@@ -147,7 +228,7 @@ def _solutions(problem: Problem) -> tuple[list[np.ndarray], Verdict, str]:
     solved = problem.residual(z) <= ROUNDING
     if solved and motion != Motion.DOUBTFUL:
         return [z], Verdict.UNIQUE if motion == Motion.UNIQUE else Verdict.FOUND, ""
-    if few(problem):
+    if _few_modes(problem):
         return _all_tried(problem, z, solved)
     if solved:
         message = "friction is so strong that other solutions may exist (Painleve); too many to try"
@@ -175,3 +256,87 @@ def _alternative(problem: Problem, z: np.ndarray) -> Alternative:
     x = problem.E @ z
     modes = tuple(mode for mode, _ in modes_of(problem, z))
     return Alternative(x, problem.D @ x + problem.b, modes)
+
+
+def _judge_linear(G: np.ndarray, problem: Problem | None = None) -> Motion:
+    """:func:`judge` for a response without contacts at zero slip."""
+    n = G.shape[0]
+    if np.linalg.eigvalsh(G + G.T)[0] > RANK:
+        return Motion.UNIQUE
+    for size in range(1, n + 1):
+        if comb(n, size) > 500:
+            return Motion.UNKNOWN
+        index = np.array(list(combinations(range(n), size)))
+        minors = np.linalg.det(G[index[:, :, None], index[:, None, :]])
+        if any(matrix_rank(G[:, columns]) == size for columns in index[minors <= RANK]):
+            return Motion.DOUBTFUL
+    # rates of rows without a law of their own (tangents) must follow from those with one
+    if problem is None or matrix_rank(G) == matrix_rank(
+        problem.scale[:, None] * problem.D @ problem.E
+    ):
+        return Motion.UNIQUE
+    return Motion.DOUBTFUL
+
+
+def _dominates_friction(problem: Problem) -> bool:
+    G = problem.G
+    for weight in (0.5, 1.0, 2.0):
+        form = (G + G.T) / 2.0
+        for n, cone in problem.cones.items():
+            form[n, n] -= 0.5 * cone.mu * weight
+            form -= (0.5 * cone.mu / weight) * G[cone.tangents].T @ G[cone.tangents]
+        if np.linalg.eigvalsh(form)[0] > RANK:
+            return True
+    return False
+
+
+def _few_modes(problem: Problem) -> bool:
+    """Whether all modes can be tried."""
+    if len(problem.laws) > 8:
+        return False
+    return prod(len(_linear_modes(problem, k)) for k in problem.columns) <= 300
+
+
+def _same_motion(problem: Problem, one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two solutions have the same rates in all rows."""
+    apart = problem.scale * (problem.D @ (problem.E @ (one - other)))
+    size = max(problem.size(one), problem.size(other))
+    return bool(np.max(np.abs(apart), initial=0.0) <= CONSISTENT * size)
+
+
+def _linear_modes(problem: Problem, k: int) -> list[tuple[np.ndarray, np.ndarray, bool]]:
+    """Rows of ``A z = c`` of a law in each mode, and whether its direction of slip is a guess.
+
+    ``k`` is the first column of the law.
+    """
+    cone, identity = problem.cones.get(k), np.eye(problem.g.size)
+    columns = [k] if cone is None else [k, k + 1, k + 2]
+    none = np.zeros(len(columns) - 1)
+    modes: list[tuple[np.ndarray, np.ndarray, bool]] = [
+        (identity[columns], np.array([bound, *none]), False)
+        for bound in (problem.lower[k], problem.upper[k])
+        if np.isfinite(bound)
+    ]
+    if cone is None or cone.mu > 0.0:  # closed, sticking
+        modes.append((problem.G[columns], -problem.g[columns], False))
+    if cone is not None:
+        for direction in RING if cone.mu > 0.0 else RING[:1]:
+            tied = identity[cone.tangents] - cone.mu * np.outer(direction, identity[k])
+            A = np.vstack([problem.G[k], tied])
+            modes.append((A, np.array([-problem.g[k], *none]), cone.mu > 0.0))
+    return modes
+
+
+def _along_family(problem: Problem, z: np.ndarray) -> list[np.ndarray]:
+    """Forces near a solution that leave the rates of their own laws as they are."""
+    size = problem.size(z)
+    touching = np.flatnonzero(np.abs(problem.G @ z + problem.g) <= ROUNDING * size)
+    if problem.cones or touching.size == 0:
+        return []
+    _, values, right = np.linalg.svd(problem.G[np.ix_(touching, touching)])
+    block = right[rank_of(values) :].T
+    null = np.zeros((z.size, block.shape[1]))
+    null[touching] = block
+    # with all rates zero, forces have no scale of their own
+    step = 0.1 * size or 1.0
+    return [z + sign * step * v for v in null.T for sign in (1.0, -1.0)]

@@ -1,0 +1,148 @@
+r"""Response of the rows of a mode to forces at one instant.
+
+With some rows held, and no force on the others, a unit force on row k gives row j the rate
+:math:`D_{jk}` (the Delassus operator :math:`J M^{-1} J^T`); the node algorithm supplies a column at
+a time.  Forces ``x`` and accelerations ``y``, or impulses and velocities, are then related by
+
+.. math:: y = D x + b .
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.dense_callback import read_inertia
+from multiarm.dynamics.equations import (
+    evaluate_state,
+    solve_constrained,
+    update_kinematics,
+    update_rows,
+)
+from multiarm.dynamics.model import Data
+from multiarm.errors import SolverError
+from multiarm.events.modes import Modes
+from multiarm.spatial import retract
+
+# Rows whose scaled response has smaller eigenvalues are dependent.
+DEPENDENT = 1e-7
+
+
+class RowDynamics:
+    """Rates and responses of all rows at the state in the data."""
+
+    def __init__(self, modes: Modes) -> None:
+        self.bare, self.full = modes.bare, modes.full
+
+    def update(self) -> None:
+        """Kinematics of all rows."""
+        _require(update_kinematics(self.bare.struct), self.bare)
+        update_rows(self.full.struct)
+
+    @property
+    def rates(self) -> np.ndarray:
+        """Rates of all gaps [m/s, rad/s]."""
+        return self.full.arrays.contacts[:, GAP_RATE]
+
+    @property
+    def rest_rate(self) -> float:
+        """Rates below this are rest [m/s, rad/s]."""
+        arrays = self.full.arrays
+        fastest = max(np.max(np.abs(arrays.twist)), np.max(np.abs(arrays.v), initial=0.0))
+        return 1e-9 * (1.0 + float(fastest))
+
+    def jacobian(self, rows: list[int]) -> np.ndarray:
+        """Rows of ``[W_o^T, W^T]``, shape (len(rows), 6 + n)."""
+        full = self.full
+        layout, matrix = full.model.layout, np.zeros((len(rows), 6 + full.model.layout.joints))
+        for k, row in enumerate(rows):
+            i = int(np.searchsorted(layout.rows, row, side="right")) - 1
+            matrix[k, :6] = full.arrays.Wo[row]
+            d0, d1 = layout.dofs[i], layout.dofs[i + 1]
+            matrix[k, 6 + d0 : 6 + d1] = full.work.Y[i, : d1 - d0, row - layout.rows[i]]
+        return matrix
+
+    def response(self, jacobian: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
+        """``D`` with the rows of ``data`` held, and the motion due to each unit force, by columns.
+
+        Rows that the held ones keep from moving have no response.
+        """
+        motions = [_motion_due_to(data, row) for row in jacobian]
+        moved = np.array(motions).T.reshape(jacobian.shape[1], jacobian.shape[0])
+        response = jacobian @ moved
+        response = 0.5 * (response + response.T)
+        # what the held rows leave of the mobility is rounding
+        fixed = np.diag(response) <= 1e-12 * self.mobility(jacobian)
+        response[fixed] = response[:, fixed] = 0.0
+        return response, moved
+
+    def mobility(self, jacobian: np.ndarray) -> np.ndarray:
+        """Rate of each row due to a unit force on it without held rows, shape (len(jacobian),)."""
+        full = self.full
+        bodies = [full.arrays.inertia]
+        for i, name in enumerate(full.model.arm_names):
+            bodies.append(read_inertia(full.arrays.pointers[i], full.model.arms[name].dof))
+        total, first = np.zeros(len(jacobian)), 0
+        for inertia in bodies:
+            own = jacobian[:, first : first + len(inertia)].T
+            total += np.sum(own * np.linalg.solve(inertia, own), axis=0)
+            first += len(inertia)
+        return total
+
+    def free_accelerations(self, rows: list[int], data: Data, ahead: float) -> np.ndarray:
+        """Accelerations of gaps with the rows of ``data`` held, a time ``ahead`` [s] later.
+
+        There is no force on the other rows.
+        """
+        b = data.arrays
+        kept = b.time.now, b.position.copy(), b.angles.copy()
+        if ahead > 0.0:
+            b.time.now += ahead
+            b.position[:3] += ahead * b.twist[:3]
+            b.position[3:] = retract(b.position[3:], ahead * b.twist[3:])
+            b.angles[:] += ahead * b.v
+        _require(evaluate_state(data.struct, 0.0, 0.0), data)
+        motion = np.concatenate([b.q_o, b.qdd])
+        update_rows(self.full.struct)
+        free = self.jacobian(rows) @ motion + self.full.arrays.contacts[rows, GAP_BIAS]
+        if ahead > 0.0:
+            b.time.now, b.position[:], b.angles[:] = kept
+            self.update()
+        return free
+
+
+def can_move(response: np.ndarray, along: np.ndarray, held: list[int]) -> bool:
+    """Whether the combination ``along`` of rows can move while other rows are held."""
+    moved = response @ along
+    own, across = along @ moved, moved[held]
+    through = across @ np.linalg.lstsq(response[np.ix_(held, held)], across, rcond=1e-10)[0]
+    return bool(own - through > 1e-6 * own)
+
+
+def depends_on_held_rows(response: np.ndarray, jacobian: np.ndarray) -> bool:
+    """Whether some forces of the rows move nothing only because held rows resist them."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(response), np.finfo(float).tiny))
+    fixed = np.diag(response) <= DEPENDENT**2 * np.max(np.diag(response), initial=0.0)
+    if np.any(fixed):
+        return True
+    values, vectors = np.linalg.eigh(scale[:, None] * response * scale)
+    idle = scale[:, None] * vectors[:, values < DEPENDENT * values[-1]]
+    left = np.abs(jacobian.T @ idle)
+    reach = np.abs(jacobian.T) @ np.abs(idle)
+    return bool(np.any(left > DEPENDENT * np.max(reach, initial=0.0)))
+
+
+def _motion_due_to(data: Data, force: np.ndarray) -> np.ndarray:
+    """Accelerations (velocities) of object and joints due to forces (impulses), (6 + n,)."""
+    b = data.arrays
+    _require(update_kinematics(data.struct), data)
+    b.h_o[:], b.h[:], b.c[:] = force[:6], force[6:], 0.0
+    _require(solve_constrained(data.struct), data)
+    return np.concatenate([b.q_o, b.qdd])
+
+
+def _require(status: int, data: Data) -> None:
+    if status != OK:
+        data.reraise()
+        raise SolverError(f"the motion at an event could not be evaluated (status {status})")
