@@ -22,7 +22,7 @@ import multiarm as ma
 from multiarm.assembly.velocities import project_velocity
 from multiarm.dynamics.arrays import OK, open_system
 from multiarm.dynamics.equations import evaluate_state
-from multiarm.dynamics.solver.regular import COUPLED_BELOW
+from multiarm.dynamics.solver.node import COUPLED_BELOW
 from multiarm.dynamics.solver_monitor import (
     LOST,
     MOST_ROUNDED_RESIDUAL,

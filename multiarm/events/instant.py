@@ -11,13 +11,13 @@ import numpy as np
 from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT, Constraint
 from multiarm.dynamics.arrays import OK
-from multiarm.dynamics.dense_callback import read_inertia
 from multiarm.dynamics.equations import (
     evaluate_state,
     solve_constrained,
     update_kinematics,
     update_rows,
 )
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.errors import SolverError
 from multiarm.events.complementarity import Bounded, ContactLaw, Friction, Push, Sliding
