@@ -323,7 +323,7 @@ def test_trouble_of_the_controller_on_the_way_ends_the_run_with_what_there_is(
         free_block_system, duration=0.1, integrator="rk4", step=1e-3, output_step=1e-3, control=late
     )
     assert trajectory.status == "failed"
-    reason = {"raises": "LookupError: no gains any more", "wrong shape": "shape (5,)",
+    reason = {"raises": "LookupError: no gains any more", "wrong shape": "got (5,)",
               "nan": "not finite"}[trouble]  # fmt: skip
     assert reason in trajectory.message and "t = 0.04" in trajectory.message
     assert 0.045 < trajectory.time[-1] < 0.0501

@@ -196,7 +196,7 @@ def test_rotors_of_arms_in_several_pinocchio_models_stay_with_their_arms(monkeyp
     scene = ur5_pair({"kind": "weld"}, {"kind": "ball"})
     system = ma.compile_system(scene.replace(effects={"rotor_inertia": {"right": 0.7}}))
     plain = ma.compile_system(scene)
-    from multiarm.dynamics.dense_callback import read_inertia
+    from multiarm.dynamics.kinematics import read_inertia
 
     for s in (system, plain):
         ma.evaluate(s)

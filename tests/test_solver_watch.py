@@ -247,7 +247,7 @@ def test_constraints_that_contradict_each_other_end_the_run_with_what_to_do(sett
     assert no_acceleration or "could not be projected back onto the joints" in message
     assert "t = " in message and "take smaller steps" in message
     if no_acceleration:
-        assert "contradict each other" in message and "or mend contacts" in message
+        assert "contradict each other" in message and "or remove redundant contacts" in message
     # all data so far, and none that is no solution
     assert len(trajectory) >= 1 and trajectory.time[-1] < 0.02
     if "accuracy" in settings:

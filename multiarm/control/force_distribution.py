@@ -48,23 +48,6 @@ def static_forces(Wo, weight, force):
 
 
 @allocating
-def add_wrench_forces(Wo, wrench, rotation, force):
-    """Add the forces of least norm that put a wrench, given in object axes (6,), on the object.
-
-    ``Wo`` (m, 6) has the rows of one arm's contacts in world axes, ``rotation`` (9,) turns the
-    object's components into the world's, row by row.
-    """
-    world, part = np.zeros(6), np.zeros(Wo.shape[0])
-    for i in range(3):
-        for j in range(3):
-            world[i] += rotation[3 * i + j] * wrench[j]
-            world[3 + i] += rotation[3 * i + j] * wrench[3 + j]
-    static_forces(Wo, world, part)
-    for k in range(part.size):
-        force[k] += part[k]
-
-
-@allocating
 def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
     r"""Write the contact forces that put ``wrench`` on the object, with internal forces.
 
@@ -85,8 +68,14 @@ def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
     for i in range(rows.size - 1):
         own = pressing[6 * i : 6 * i + 6]
         if np.any(own != 0.0):
-            r0, r1 = rows[i], rows[i + 1]
-            add_wrench_forces(Wo[r0:r1], own, rotation, desired[r0:r1])
+            r0, r1, world = rows[i], rows[i + 1], np.zeros(6)
+            for a in range(3):
+                for b in range(3):
+                    world[a] += rotation[3 * a + b] * own[b]
+                    world[3 + a] += rotation[3 * a + b] * own[3 + b]
+            static_forces(Wo[r0:r1], world, force[r0:r1])
+            for k in range(r0, r1):
+                desired[k] += force[k]
     rest = wrench.copy()
     for k in range(desired.size):
         for i in range(6):

@@ -52,30 +52,18 @@ from multiarm.scene.control import (
 
 
 class JointPath(NamedTuple):
-    """Joint positions along a path.
+    """Joint positions along a path."""
 
-    bounds : (S + 1,)
-        Times of the waypoints [s].
-    coefficients : (S, n, width)
-        Chebyshev series of every segment and joint [rad, m].
-    """
-
-    bounds: np.ndarray
-    coefficients: np.ndarray
+    bounds: np.ndarray  # (S + 1,) times of the waypoints [s]
+    coefficients: np.ndarray  # (S, n, width) Chebyshev series of every segment and joint [rad, m]
 
 
 class ControlProgram(NamedTuple):
-    """The control laws of a scene.
+    """The control laws of a scene."""
 
-    laws : int64 (k, 2), parameters : float64
-        See :class:`multiarm.dynamics.arrays.Constants`.
-    breakpoints : float64
-        Times at which the torques are not smooth [s].
-    """
-
-    laws: np.ndarray
-    parameters: np.ndarray
-    breakpoints: np.ndarray
+    laws: np.ndarray  # ``Constants.control``
+    parameters: np.ndarray  # ``Constants.parameters``
+    breakpoints: np.ndarray  # times at which the torques are not smooth [s]
 
 
 def needs_gravity_torque(scene: Scene) -> bool:

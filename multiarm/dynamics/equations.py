@@ -58,6 +58,7 @@ AT_REST = 1e-9
 def evaluate_state(struct, alpha, beta):
     """Accelerations and contact forces at the state in ``data``; returns a status.
 
+    Calls :func:`kinematics`, :func:`right_hand_sides` and :func:`solve`, or what replaces them.
     Reads ``time, position, angles, twist, v``; writes everything else.  ``alpha`` [1/s] and
     ``beta`` [1/s] are the gains of the drift feedback (0: none).
     """
@@ -93,7 +94,7 @@ def solve_constrained(struct):
 
 @cfunc
 def kinematics(address, size, _a, _b):
-    """See :func:`update_kinematics`."""
+    """Compute what :func:`update_kinematics` describes."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     arm_terms(model, data)
@@ -196,7 +197,7 @@ def drift_terms(data, alpha, beta):
 
 @cfunc
 def solve(address, size, _a, _b):
-    """See :func:`solve_constrained`."""
+    """Solve as :func:`solve_constrained` describes: four arms at a time, else arm by arm."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     if model.dense:

@@ -5,29 +5,28 @@ its equation, its compiled kernel, and ``build(spec, context)``, which returns t
 evaluation calls (:mod:`multiarm.dynamics.effect_kernels`).  An effect that a scene does not name is
 not imported, has no array, and is not called.
 
-Packages with effects of their own build them from the names below.
+Packages with user-defined effects build them from the names below.  They are imported at their
+first use, so that defining an effect does not load the compiler.
 """
 
 from __future__ import annotations
 
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.effect_kernels import (
-    ACTUATOR,
-    APPLIED,
-    PASSIVE,
-    POWER,
-    STATE,
-    EffectKernel,
-)
-from multiarm.effects.building import BuildContext
+from importlib import import_module
+from typing import Any
 
-__all__ = [
-    "ACTUATOR",
-    "APPLIED",
-    "PASSIVE",
-    "POWER",
-    "STATE",
-    "BuildContext",
-    "EffectKernel",
-    "open_system",
-]
+_HOMES = {
+    **dict.fromkeys(
+        ("ACTUATOR", "APPLIED", "PASSIVE", "POWER", "STATE", "EffectKernel"),
+        "dynamics.effect_kernels",
+    ),
+    "BuildContext": "effects.building",
+    "open_system": "dynamics.arrays",
+}
+
+__all__ = [*_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'multiarm.effects' has no attribute {name!r}")
+    return getattr(import_module(f"multiarm.{_HOMES[name]}"), name)

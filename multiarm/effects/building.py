@@ -11,33 +11,32 @@ import numpy as np
 
 from multiarm.arms.arm import Arm
 from multiarm.contacts.unilateral import DRY_JOINT, UnilateralConstraints
-from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, EffectProgram
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.callbacks import UserCallback
+from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel, EffectProgram
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import Layout
 from multiarm.errors import ModelError
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.pointers import call_python
+from multiarm.jit.structs import floats1, ints1, struct_at
 from multiarm.scene import JointOutline, Scene, joint_vector
 from multiarm.scene.effects import WITH_EVENTS
 from multiarm.scene.registry import find_effect
 
 
 class Link(NamedTuple):
-    """A link of an arm on which an effect acts.
+    """A link of an arm on which an effect acts."""
 
-    number : int
-        Index in ``Variables.link_poses`` of the address of its joint's pose: 12 numbers, rotation
-        by columns, origin.
-    arm : int
-        The arm's number; ``Variables.pointers[arm, J_AT]`` is the address of its Jacobian (columns
-        of 6, world axes, about the world's origin).
-    first, joints : int
-        The arm's first joint among all, and the number of joints that carry the link.
-    rotation, translation : (3, 3), (3,)
-        The link's frame in the frame of the joint that carries it.
-    """
-
+    # index in ``Variables.link_poses`` of the address of its joint's pose: 12 numbers, rotation by
+    # columns, origin
     number: int
+    # the arm's number; ``Variables.pointers[arm, J_AT]`` is the address of its Jacobian (columns of
+    # 6, world axes, about the world's origin)
     arm: int
-    first: int
-    joints: int
+    first: int  # the arm's first joint among all
+    joints: int  # number of joints that carry the link
+    # the link's frame in the frame of the joint that carries it, (3, 3) and (3,)
     rotation: np.ndarray
     translation: np.ndarray
 
@@ -124,6 +123,48 @@ def unilateral_kernels(unilateral: UnilateralConstraints | None, joints: int) ->
     return kernels
 
 
+@cfunc
+def add_loads(address, size, at, _t):
+    """Own arrays: address of the function; its result, wrench and torques."""
+    struct = struct_at(address, size)
+    _, data, _ = open_system(struct)
+    slots, function = ints1(struct, int(at)), ints1(struct, int(at) + 1)
+    loads, power = floats1(struct, int(at) + 2), 0.0
+    if data.status.failed:
+        return 0  # another function failed
+    call_python(function[0])
+    for k in range(6):
+        data.h_o[k] += loads[k]
+        power += loads[k] * data.twist[k]
+    for j in range(data.h.size):
+        data.h[j] += loads[6 + j]
+        power += loads[6 + j] * data.v[j]
+    data.power[slots[POWER]] = power
+    return 0
+
+
+def forces_kernel(
+    name: str, make: Callable[[], Callable], read: Callable[[Any], np.ndarray], layout: Layout
+) -> EffectKernel:
+    """The kernel of an effect whose forces a Python function ``f(t, state)`` computes.
+
+    ``make`` returns the function; it is called once for every Data.  ``read`` returns the result of
+    the function as wrench and joint torques, shape (6 + n,).
+    """
+    address, loads = np.zeros(1, dtype=np.int64), np.zeros(6 + layout.joints)
+
+    def connect(data: Data, arrays: Arrays) -> dict[str, UserCallback]:
+        own_address, own_loads = arrays
+        who = f"the effect {name!r}"
+        call = UserCallback(make(), who, read, own_loads, layout, data.arrays, owner=make)
+        own_address[0] = call.address
+        return {f"effects/{name}": call}
+
+    return EffectKernel(
+        name, add_loads, APPLIED, (address, loads), connect=connect, calls_user=True
+    )
+
+
 def joint_numbers(
     values: Any,
     outlines: Mapping[str, Sequence[JointOutline]],
@@ -138,7 +179,7 @@ def joint_numbers(
     for name, joints in outlines.items():
         own = values.get(name) if isinstance(values, Mapping) else values
         if isinstance(own, str):
-            assert from_urdf is not None, "a text stands for the robot's own numbers"
+            assert from_urdf is not None, "a text means the numbers of the URDF"
             found[name] = np.array([from_urdf(joint) for joint in joints])
         else:
             found[name] = joint_vector(own, [joint.name for joint in joints], default)

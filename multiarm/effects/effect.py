@@ -24,25 +24,21 @@ error estimates.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.callbacks import UserCallback
-from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import Layout, State, checked_vector, fill_by_arm
-from multiarm.effects.building import BuildContext
 from multiarm.errors import ControlError
-from multiarm.jit.kernels import cfunc
-from multiarm.jit.pointers import call_python
-from multiarm.jit.structs import floats1, ints1, struct_at
 from multiarm.scene.registry import OwnSpec
+
+if TYPE_CHECKING:
+    from multiarm.dynamics.effect_kernels import EffectKernel
+    from multiarm.effects.building import BuildContext
 
 
 @dataclass(frozen=True)
@@ -91,7 +87,10 @@ class Effect:
 
         A compiled kernel in its place costs no more than its arithmetic.
         """
-        return [forces_kernel(self.name, lambda: self._copy().forces, context.layout)]
+        from multiarm.effects.building import forces_kernel
+
+        read = partial(_stacked, self.name, context.layout)
+        return [forces_kernel(self.name, lambda: self._copy().forces, read, context.layout)]
 
     def _copy(self) -> Effect:
         """Another instance, with the attributes that ``build`` has added to this one."""
@@ -111,50 +110,7 @@ class Effect:
         return ""
 
 
-@cfunc
-def add_loads(address, size, at, _t):
-    """Own arrays: address of the function; its result, wrench and torques."""
-    struct = struct_at(address, size)
-    _, data, _ = open_system(struct)
-    slots, function = ints1(struct, int(at)), ints1(struct, int(at) + 1)
-    loads, power = floats1(struct, int(at) + 2), 0.0
-    if data.status.failed:
-        return 0  # another function failed
-    call_python(function[0])
-    for k in range(6):
-        data.h_o[k] += loads[k]
-        power += loads[k] * data.twist[k]
-    for j in range(data.h.size):
-        data.h[j] += loads[6 + j]
-        power += loads[6 + j] * data.v[j]
-    data.power[slots[POWER]] = power
-    return 0
-
-
-def forces_kernel(
-    name: str, make: Callable[[], Callable[[float, State], Loads]], layout: Layout
-) -> EffectKernel:
-    """The kernel of an effect whose forces a Python function computes.
-
-    ``make`` returns the function; it is called once for every Data.
-    """
-    address, loads = np.zeros(1, dtype=np.int64), np.zeros(6 + layout.joints)
-
-    def connect(data: Data, arrays: Arrays) -> dict[str, UserCallback]:
-        own_address, own_loads = arrays
-        call = UserCallback(
-            make(), f"the effect {name!r}", partial(_stacked, name, layout=layout),
-            own_loads, layout, data.arrays, owner=make,
-        )  # fmt: skip
-        own_address[0] = call.address
-        return {f"effects/{name}": call}
-
-    return EffectKernel(
-        name, add_loads, APPLIED, (address, loads), connect=connect, calls_user=True
-    )
-
-
-def _stacked(name: str, found: object, layout: Layout) -> np.ndarray:
+def _stacked(name: str, layout: Layout, found: object) -> np.ndarray:
     """Wrench and torques of all joints, shape (6 + n,)."""
     who = f"the effect {name!r}"
     if not isinstance(found, Loads):

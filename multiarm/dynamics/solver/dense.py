@@ -182,18 +182,11 @@ def _reciprocal_norms(matrix: np.ndarray) -> np.ndarray:
 
 
 class NullSpace(NamedTuple):
-    """Null space of a matrix, its rank decided by a relative tolerance.
+    """Null space of a matrix (m, n), its rank decided by a relative tolerance."""
 
-    basis : (n, n - rank)
-        Orthonormal columns.
-    rank : int
-    singular : (min(m, n),)
-        Singular values relative to the largest, descending.
-    """
-
-    basis: np.ndarray
+    basis: np.ndarray  # (n, n - rank) orthonormal columns
     rank: int
-    singular: np.ndarray
+    singular: np.ndarray  # (min(m, n),) singular values relative to the largest, descending
 
     @property
     def untouched(self) -> np.ndarray:
