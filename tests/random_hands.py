@@ -14,7 +14,7 @@ from random_systems import Box, System, decades, draw_tilt, turned, unit
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.dynamics.dense_callback import read_inertia
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.solver.dense import NodeSolution
 
 FAR = 1000.0  # [m]

@@ -39,13 +39,12 @@ from test_singular import solve_exactly as eliminate
 
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.dense import NodeSolution, solve_dense
-from multiarm.dynamics.solver.reaction_coupling import FREE
-from multiarm.dynamics.solver.reaction_coupling import RANK as REACTION_RANK
-from multiarm.dynamics.solver.reaction_coupling import ROWS as REACTION_ROWS
-from multiarm.dynamics.solver.reaction_elimination import eliminate_with_reactions
-from multiarm.dynamics.solver.reaction_solution import solve_for_reactions
-from multiarm.dynamics.solver.reactions import make_reaction_work
-from multiarm.dynamics.solver.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
+from multiarm.dynamics.solver.node import ELIMINATED, IMBALANCE_BOUND, eliminate_arms, make_work
+from multiarm.dynamics.solver.reactions import (
+    eliminate_with_reactions,
+    make_reaction_work,
+    solve_for_reactions,
+)
 from multiarm.dynamics.solver.singular import (
     IMMOVABLE_BY_OBJECT,
     PART_TOLERANCE,
@@ -55,7 +54,6 @@ from multiarm.dynamics.solver.singular import (
     make_coupled,
     solve_coupled,
 )
-from multiarm.dynamics.solver.work import make_work
 
 # Singular values of rows of unit pushes: between these there is more than one right answer, ...
 BAND = (1e-12, 1e-5)
@@ -169,9 +167,9 @@ def solve_by_reactions(system: System) -> NodeSolution:
         solve_for_reactions(work, Wo, Wr, *loads)
         if balanced(system, loads):
             break
-    counts, size = work.counts, loads.c.size
-    rank = size - int(counts[REACTION_ROWS] - counts[REACTION_RANK])
-    loose = np.linalg.norm(work.free[: counts[FREE], :size], axis=0)
+    status, size = work.status, loads.c.size
+    rank = size - (status.rows - status.rank)
+    loose = np.linalg.norm(work.null_force[: status.null_forces, :size], axis=0)
     return _solution(work, loads, rank, loose < PART_TOLERANCE)
 
 

@@ -19,7 +19,8 @@ from mechanics import (
 )
 
 import multiarm as ma
-from multiarm.control.torques import pack_path, path_point, static_forces
+from multiarm.control.force_distribution import static_forces
+from multiarm.control.laws import pack_path, path_point
 from multiarm.errors import ControlError
 
 WELDS = ({"kind": "weld"}, {"kind": "weld"})
@@ -277,13 +278,13 @@ def test_arms_that_a_controller_leaves_out_get_no_torque(free_block_system):
 
 
 BAD = {
-    "returned list; return a dict": lambda t, s: [1.0],
-    "returned NoneType; return a dict": lambda t, s: None,
+    "expected a dict arm -> numbers, got list": lambda t, s: [1.0],
+    "expected a dict arm -> numbers, got NoneType": lambda t, s: None,
     r"unknown arm 'three'; arms are one, two": lambda t, s: {"three": np.zeros(6)},
-    r"shape \(5,\) for arm 'one', expected \(6,\)": lambda t, s: {"one": np.zeros(5)},
-    r"shape \(\) for arm 'one'": lambda t, s: {"one": 3.0},
-    "torque that is not finite for arm 'two'": lambda t, s: {"two": [np.nan] * 6},
-    "are not numbers": lambda t, s: {"one": ["a"] * 6},
+    r"torques\['one'\]: expected shape \(6,\), got \(5,\)": lambda t, s: {"one": np.zeros(5)},
+    r"torques\['one'\]: expected shape \(6,\), got \(\)": lambda t, s: {"one": 3.0},
+    r"torques\['two'\]: a number is not finite.*t = 0 s": lambda t, s: {"two": [np.nan] * 6},
+    r"torques\['one'\]: expected 6 numbers": lambda t, s: {"one": ["a"] * 6},
 }
 
 
@@ -322,7 +323,7 @@ def test_trouble_of_the_controller_on_the_way_ends_the_run_with_what_there_is(
         free_block_system, duration=0.1, integrator="rk4", step=1e-3, output_step=1e-3, control=late
     )
     assert trajectory.status == "failed"
-    reason = {"raises": "LookupError: no gains any more", "wrong shape": "shape (5,)",
+    reason = {"raises": "LookupError: no gains any more", "wrong shape": "got (5,)",
               "nan": "not finite"}[trouble]  # fmt: skip
     assert reason in trajectory.message and "t = 0.04" in trajectory.message
     assert 0.045 < trajectory.time[-1] < 0.0501

@@ -16,15 +16,15 @@ from test_dynamics import two_arm_block_twice
 
 import multiarm as ma
 from multiarm.dynamics.arrays import OK
-from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.evaluation import contact_terms
-from multiarm.dynamics.rank_diagnosis import (
+from multiarm.dynamics.contact_geometry import contact_terms
+from multiarm.dynamics.diagnosis import (
     LITTLE,
     LONGEST,
     describe,
     lost_directions,
     lost_motions,
 )
+from multiarm.dynamics.equations import update_kinematics
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
 STRETCHED = [0.2, -1.0, 0.0, -0.7, -1.3, 0.4]  # a UR5's elbow

@@ -13,7 +13,7 @@ from mechanics import (
 
 import multiarm as ma
 from multiarm.assembly.linkage import projection_tolerance, scene_size
-from multiarm.control.torques import static_forces
+from multiarm.control.force_distribution import static_forces
 from multiarm.dynamics.equations import largest
 from multiarm.errors import ControlError, ModelError
 from multiarm.integration.stepper import error_estimate, make_method, make_step

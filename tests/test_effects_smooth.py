@@ -196,7 +196,7 @@ def test_rotors_of_arms_in_several_pinocchio_models_stay_with_their_arms(monkeyp
     scene = ur5_pair({"kind": "weld"}, {"kind": "ball"})
     system = ma.compile_system(scene.replace(effects={"rotor_inertia": {"right": 0.7}}))
     plain = ma.compile_system(scene)
-    from multiarm.dynamics.dense_callback import read_inertia
+    from multiarm.dynamics.kinematics import read_inertia
 
     for s in (system, plain):
         ma.evaluate(s)
@@ -422,4 +422,4 @@ def test_effects_that_are_not_named_are_not_imported():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.rpartition(".")[2] for name in done.stdout.split()}
-    assert loaded == {"building", "context", "joint_damping"}
+    assert loaded == {"building", "joint_damping"}

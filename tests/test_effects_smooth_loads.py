@@ -439,10 +439,13 @@ def with_function(carried, function):
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
-        ([1.0, 2.0], r"function of external_wrenches\[0\] returned shape \(2,\); return 6 numbers"),
-        (None, "returned"),
-        ("north", "returned no numbers: 'north'"),
-        ([0, 0, 0, 0, 0, math.nan], "not finite at t = 0 s"),
+        (
+            [1.0, 2.0],
+            r"external_wrenches\[0\], force and torque: expected shape \(6,\)",
+        ),
+        (None, "expected shape"),
+        ("north", "expected 6 numbers, got 'north'"),
+        ([0, 0, 0, 0, 0, math.nan], r"not finite.* \(at t = 0 s\)"),
     ],
 )
 def test_unusable_answers_are_told(carried, answer, message):

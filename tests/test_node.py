@@ -12,15 +12,15 @@ from mechanics import EPS, WORKED
 
 from multiarm.dynamics.solver.batched import largest_free_rate, solve_batched
 from multiarm.dynamics.solver.dense import solve_dense
-from multiarm.dynamics.solver.regular import (
+from multiarm.dynamics.solver.node import (
     COUPLED_BELOW,
     DEFICIENT,
     ELIMINATED,
     NO_INERTIA,
     eliminate_arms,
+    make_work,
 )
 from multiarm.dynamics.solver.singular import couple, make_coupled, solve_coupled
-from multiarm.dynamics.solver.work import make_work
 
 seeds = st.integers(0, 2**32 - 1)
 shapes = st.lists(

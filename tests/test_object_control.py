@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.assembly.velocities import project_velocity
-from multiarm.control.force_distribution import solve_semidefinite
 from multiarm.control.object_control import add_arm_forces, write_spring_wrench
+from multiarm.dynamics.solver.factors import solve_semidefinite
 from multiarm.errors import ControlError, SceneError
 
 WELD, HINGE = {"kind": "weld"}, {"kind": "revolute"}

@@ -164,12 +164,15 @@ def test_an_effect_cannot_change_the_state_that_it_is_shown():
     [
         (lambda t, s: 1 / 0, "the effect 'push' raised ZeroDivisionError: division by zero"),
         (lambda t, s: None, "the effect 'push' returned NoneType; return multiarm.Loads(...)"),
-        (lambda t, s: ma.Loads([1.0, 2.0]), "object_wrench must have shape (6,), got (2,)"),
-        (lambda t, s: ma.Loads(["a"] * 6), "object_wrench must be 6 numbers, got"),
-        (lambda t, s: ma.Loads([np.nan] * 6), "object_wrench is not finite at t = 0 s"),
+        (lambda t, s: ma.Loads([1.0, 2.0]), "object_wrench: expected shape (6,), got (2,)"),
+        (lambda t, s: ma.Loads(["a"] * 6), "object_wrench: expected 6 numbers, got"),
+        (lambda t, s: ma.Loads([np.nan] * 6), "object_wrench: a number is not finite"),
         (lambda t, s: ma.Loads(joint_torques={"rigth": [0.0]}), "unknown arm 'rigth'; arms are"),
-        (lambda t, s: ma.Loads(joint_torques={"arm0": [0.0]}), "['arm0'] must have shape (6,)"),
-        (lambda t, s: ma.Loads(joint_torques=[0.0]), "joint_torques must be a dict arm -> torques"),
+        (lambda t, s: ma.Loads(joint_torques={"arm0": [0.0]}), "['arm0']: expected shape (6,)"),
+        (
+            lambda t, s: ma.Loads(joint_torques=[0.0]),
+            "joint_torques: expected a dict arm",
+        ),
     ],
 )
 def test_what_an_effect_must_not_return_is_one_clear_error(function, message):

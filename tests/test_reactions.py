@@ -15,11 +15,72 @@ from hypothesis import strategies as st
 from mechanics import EPS, WORKED
 from test_node import random_system, solve_by_node, stacked, worked_system
 
-from multiarm.dynamics.solver.dense import solve_dense
+from multiarm.dynamics.solver.dense import NodeSolution, solve_dense
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_lu, solve_lu_transposed
-from multiarm.dynamics.solver.reaction_coupling import ROWS
-from multiarm.dynamics.solver.reaction_elimination import eliminate_with_reactions
-from multiarm.dynamics.solver.reactions import make_reaction_work, solve_with_reactions
+from multiarm.dynamics.solver.node import IMBALANCE_BOUND
+from multiarm.dynamics.solver.reaction_coupling import PART_TOLERANCE
+from multiarm.dynamics.solver.reactions import (
+    eliminate_with_reactions,
+    make_reaction_work,
+    solve_for_reactions,
+)
+
+
+def solve_with_reactions(
+    M_o: np.ndarray,
+    h_o: np.ndarray,
+    M: list[np.ndarray],
+    h: list[np.ndarray],
+    W_o: list[np.ndarray],
+    W: list[np.ndarray],
+    c: list[np.ndarray],
+    reaction_o: list[np.ndarray] | None = None,
+    reaction: list[np.ndarray] | None = None,
+) -> NodeSolution:
+    """Solve the constrained system by the node algorithm.
+
+    Parameters and result are those of :func:`multiarm.dynamics.solver.dense.solve_dense`.
+
+    Raises
+    ------
+    ValueError
+        When an inertia matrix is not positive definite, or a number is not finite.
+    """
+    dofs, rows = [len(m) for m in M], [w.shape[1] for w in W]
+    reaction = W if reaction is None else reaction
+    work = make_reaction_work(dofs, rows)
+    Wo = np.ascontiguousarray(np.hstack(W_o).T, dtype=float)
+    Wr = Wo if reaction_o is None else np.ascontiguousarray(np.hstack(reaction_o).T, dtype=float)
+    loads = np.array(h_o, float), np.concatenate(h).astype(float), np.concatenate(c).astype(float)
+    q_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
+    for couple_all in (False, True):
+        for i, (inertia, own, forces) in enumerate(zip(M, W, reaction, strict=True)):
+            work.L[i, : dofs[i], : dofs[i]] = inertia
+            work.Y[i, : dofs[i], : rows[i]] = own
+            work.Yr[i, : dofs[i], : rows[i]] = forces
+        failed = eliminate_with_reactions(work, Wo, Wr, np.array(M_o, float), couple_all)
+        if failed >= 0:
+            part = "the object" if failed == len(M) else f"arm {failed + 1}"
+            raise ValueError(
+                f"{part}: the inertia matrix is not positive definite, or a number is not finite"
+            )
+        residual = solve_for_reactions(work, Wo, Wr, *loads, q_o, q, force)
+        left = np.abs(np.array(M_o) @ q_o - h_o - Wr.T @ force)
+        if np.all(left <= IMBALANCE_BOUND * (np.abs(h_o) + np.abs(Wr).T @ np.abs(force))):
+            break
+    status, bounds = work.status, np.cumsum(rows)[:-1]
+    free = work.null_force[: status.null_forces, : len(force)]
+    return NodeSolution(
+        object_acceleration=q_o,
+        joint_accelerations=np.split(q, np.cumsum(dofs)[:-1]),
+        contact_forces=np.split(force, bounds),
+        unique=np.split(np.linalg.norm(free, axis=0) < PART_TOLERANCE, bounds),
+        rank=len(force) - (status.rows - status.rank),
+        motion_unique=not status.motions,
+        loose_arms=tuple(np.flatnonzero(work.undetermined).tolist()),
+        residual=float(residual),
+    )
+
 
 SOLVERS = [solve_with_reactions, solve_dense]
 
@@ -249,7 +310,7 @@ def coupled_rows(system):
         work.Y[i, : dofs[i], : rows[i]] = work.Yr[i, : dofs[i], : rows[i]] = W
     Wo = np.ascontiguousarray(np.hstack(system.W_o).T)
     assert eliminate_with_reactions(work, Wo, Wo, system.M_o) == -1
-    return work.counts[ROWS]
+    return work.status.rows
 
 
 # --- friction ------------------------------------------------------------------------------------

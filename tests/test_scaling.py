@@ -16,10 +16,8 @@ from typer.testing import CliRunner
 import multiarm as ma
 from multiarm.cli import app
 from multiarm.dynamics.solver import batched
-from multiarm.dynamics.solver import tables as group_tables
 from multiarm.dynamics.solver.dense import solve_dense
-from multiarm.dynamics.solver.regular import ELIMINATED
-from multiarm.dynamics.solver.work import FIRST_ARM, START, make_work
+from multiarm.dynamics.solver.node import ELIMINATED, FIRST_ARM, START, make_work
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.simd import LANES
 from multiarm.scene.run import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
@@ -199,12 +197,11 @@ def one_arm_a_group(n, d, N):
 @pytest.mark.parametrize(("n", "d", "N"), [(1, 6, 1), (2, 6, 1), (4, 6, 1), (3, 4, 3), (2, 7, 6)])
 def test_node_operations_are_those_that_the_time_loop_performs(monkeypatch, rng, n, d, N):
     """The very kernels, run as plain Python on numbers that count, in one lane."""
-    for module in (batched, group_tables):
-        for name, thing in list(vars(module).items()):
-            if isinstance(thing, Kernel):
-                monkeypatch.setattr(module, name, thing.py_func)
-            if name in ONE_LANE:
-                monkeypatch.setattr(module, name, ONE_LANE[name])
+    for name, thing in list(vars(batched).items()):
+        if isinstance(thing, Kernel):
+            monkeypatch.setattr(batched, name, thing.py_func)
+        if name in ONE_LANE:
+            monkeypatch.setattr(batched, name, ONE_LANE[name])
     s = random_coefficients(rng, n, d, N)
     work = one_arm_a_group(n, d, N)
     work = work._replace(

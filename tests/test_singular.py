@@ -33,14 +33,19 @@ from test_node import random_system, seeds, stacked, worked_system
 
 import multiarm as ma
 from multiarm.dynamics.solver.batched import solve_batched
-from multiarm.dynamics.solver.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, eliminate_arms
+from multiarm.dynamics.solver.node import (
+    COUPLED_BELOW,
+    DEFICIENT,
+    ELIMINATED,
+    eliminate_arms,
+    make_work,
+)
 from multiarm.dynamics.solver.singular import (
     couple,
     loose_rows,
     make_coupled,
     solve_coupled,
 )
-from multiarm.dynamics.solver.work import make_work
 from multiarm.problems.postures import STRETCHED
 
 DIGITS = 60

@@ -22,7 +22,7 @@ import multiarm as ma
 from multiarm.assembly.velocities import project_velocity
 from multiarm.dynamics.arrays import OK, open_system
 from multiarm.dynamics.equations import evaluate_state
-from multiarm.dynamics.solver.regular import COUPLED_BELOW
+from multiarm.dynamics.solver.node import COUPLED_BELOW
 from multiarm.dynamics.solver_monitor import (
     LOST,
     MOST_ROUNDED_RESIDUAL,
@@ -247,7 +247,7 @@ def test_constraints_that_contradict_each_other_end_the_run_with_what_to_do(sett
     assert no_acceleration or "could not be projected back onto the joints" in message
     assert "t = " in message and "take smaller steps" in message
     if no_acceleration:
-        assert "contradict each other" in message and "or mend contacts" in message
+        assert "contradict each other" in message and "or remove redundant contacts" in message
     # all data so far, and none that is no solution
     assert len(trajectory) >= 1 and trajectory.time[-1] < 0.02
     if "accuracy" in settings:

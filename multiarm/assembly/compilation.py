@@ -23,6 +23,7 @@ from multiarm.contacts.records import ContactTable, pack
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
 from multiarm.control.laws import ControlProgram, JointPath, control_program, needs_gravity_torque
 from multiarm.dynamics.arrays import Constants
+from multiarm.dynamics.callbacks import NO_CONTROL, ControlFunction
 from multiarm.dynamics.contact_geometry import free_components, locate_pairs
 from multiarm.dynamics.equations import (
     kinematics,
@@ -34,9 +35,12 @@ from multiarm.dynamics.equations import (
 from multiarm.dynamics.model import Data, Model, with_effects, with_rows
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import StartReport, System
-from multiarm.dynamics.user_callback import NO_CONTROL, ControlFunction
-from multiarm.effects.building import effect_program
-from multiarm.effects.context import BuildContext, joint_numbers
+from multiarm.effects.building import (
+    BuildContext,
+    effect_program,
+    joint_numbers,
+    unilateral_kernels,
+)
 from multiarm.errors import ModelError
 from multiarm.integration.monitors import WATCH_WIDTH, make_watches
 from multiarm.integration.near_singular import evaluate_near_singular
@@ -325,7 +329,7 @@ def draft_model(
     arms, layout, unilateral = robots.arms, rows.layout, rows.unilateral
     outlines = {name: own.joints for name, own in robots.resolved.items()}
     context = BuildContext(scene, arms, layout, outlines)
-    effects = effect_program(context, _unilateral_kernels(unilateral, layout.joints))
+    effects = effect_program(context, unilateral_kernels(unilateral, layout.joints))
     monitored = rows.on_links if unilateral is None else {name: [] for name in arms}
     limits = {name: joint.limits for name, joint in joints.items()}
     levers = [arms[name].levers(joints[name].frame.on_tip[:3, 3]) for name in arms]
@@ -373,16 +377,6 @@ def draft_model(
         pair_places=np.zeros((len(rows.table.shapes), 3)),
         unilateral=unilateral,
     )
-
-
-def _unilateral_kernels(unilateral: UnilateralConstraints | None, joints: int) -> list:
-    """What unilateral contacts add to an evaluation; not even imported elsewhere."""
-    if unilateral is None:
-        return []
-    from multiarm.effects.contact_compliance import compliance_kernels
-    from multiarm.effects.dry_friction import unilateral_kernels
-
-    return [*unilateral_kernels(unilateral, joints), *compliance_kernels(unilateral.compliant)]
 
 
 def finished_model(

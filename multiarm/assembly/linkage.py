@@ -26,8 +26,8 @@ import numpy as np
 from multiarm.contacts.kernel import GAP
 from multiarm.contacts.records import KIND, TANGENT
 from multiarm.dynamics.arrays import OK
-from multiarm.dynamics.dense_callback import read_inertia
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.spatial import difference, retract

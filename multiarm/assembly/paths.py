@@ -11,7 +11,7 @@ from multiarm.assembly.linkage import Linkage, projection_tolerance
 from multiarm.assembly.refusals import joint_names
 from multiarm.contacts.kernel import GAP
 from multiarm.control.laws import JointPath
-from multiarm.control.object_laws import pose_of, route
+from multiarm.control.object_control import pose_of, route
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data

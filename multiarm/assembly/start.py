@@ -31,8 +31,8 @@ from multiarm.contacts.records import JointRow
 from multiarm.contacts.unilateral import LIMIT, SURROUNDINGS, Constraint
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
+from multiarm.dynamics.diagnosis import lost_contact
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.evaluation import lost_contact
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport

@@ -17,8 +17,8 @@ from multiarm.assembly.linkage import Linkage
 from multiarm.contacts.kernel import GAP_RATE
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import place_state
+from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.evaluation import failure_text
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System

@@ -1,31 +1,44 @@
-"""The scene's control, turned into the program that the kernels run."""
+r"""Control laws: from the control of a scene to compiled functions and their numbers.
+
+A control program is a list of laws: the address of a compiled function that adds its torques to
+``torque``, and the offset of its numbers among the parameters.  Only the laws that a scene names
+are compiled; a scene without control has an empty program.
+
+* *harmonic*: :math:`\tau_j = \tau_{0j} + A_j \sin(2\pi f t + \psi_j)`; constant torques have no A.
+* *gravity compensation*: the torques that hold the whole system at rest,
+  :math:`\tau_i = g_i(q_i) - W_i\lambda_i`, with the contact forces of least norm that carry the
+  object, :math:`W_o\lambda = [-m g; 0]` (thesis, 3.4 and 3.10 at rest).
+* *joint PD*: :math:`\tau = K_p (q_r(t) - q) + K_d (\dot q_r(t) - \dot q)`; the reference is a point
+  or a path of Chebyshev segments, smooth inside each segment.
+* *computed torque* and *object impedance* move the object, see
+  :mod:`multiarm.control.object_control`.
+* *Python*: a user function, see :mod:`multiarm.dynamics.callbacks`.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.control.object_laws import object_law
-from multiarm.control.torques import (
+from multiarm.control.force_distribution import static_forces
+from multiarm.control.object_control import (
     computed_torque,
-    gravity_compensation,
-    harmonic,
-    joint_pd,
     object_impedance,
-    pack_harmonic,
-    pack_path,
-    write_holding_torque,
+    object_law,
+    take_contact_forces,
 )
-from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.arrays import OK, open_system
+from multiarm.dynamics.callbacks import NO_CONTROL
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
-from multiarm.dynamics.user_callback import NO_CONTROL
-from multiarm.jit.kernels import Kernel
+from multiarm.jit.kernels import Kernel, cfunc, clear, kernel
 from multiarm.jit.pointers import address_of
+from multiarm.jit.structs import struct_at
 from multiarm.scene import Scene, gain_vector
 from multiarm.scene.control import (
     ComputedTorqueControl,
@@ -39,30 +52,18 @@ from multiarm.scene.control import (
 
 
 class JointPath(NamedTuple):
-    """Joint positions along a path.
+    """Joint positions along a path."""
 
-    bounds : (S + 1,)
-        Times of the waypoints [s].
-    coefficients : (S, n, width)
-        Chebyshev series of every segment and joint [rad, m].
-    """
-
-    bounds: np.ndarray
-    coefficients: np.ndarray
+    bounds: np.ndarray  # (S + 1,) times of the waypoints [s]
+    coefficients: np.ndarray  # (S, n, width) Chebyshev series of every segment and joint [rad, m]
 
 
 class ControlProgram(NamedTuple):
-    """The control laws of a scene.
+    """The control laws of a scene."""
 
-    laws : int64 (k, 2), parameters : float64
-        See :class:`multiarm.dynamics.arrays.Constants`.
-    breakpoints : float64
-        Times at which the torques are not smooth [s].
-    """
-
-    laws: np.ndarray
-    parameters: np.ndarray
-    breakpoints: np.ndarray
+    laws: np.ndarray  # ``Constants.control``
+    parameters: np.ndarray  # ``Constants.parameters``
+    breakpoints: np.ndarray  # times at which the torques are not smooth [s]
 
 
 def needs_gravity_torque(scene: Scene) -> bool:
@@ -92,7 +93,7 @@ def control_program(
     Raises
     ------
     ControlError
-        When the contacts cannot do what the control wants of them.
+        When the contacts cannot have the forces that the control commands.
     """
     none = np.zeros(0)
     match scene.control:
@@ -144,7 +145,7 @@ def _joint_pd(
 
 
 def holding_torque(data: Data, start: State) -> np.ndarray:
-    """Constant joint torques that hold the whole system still at its start, shape (n,)."""
+    """Constant joint torques that hold the system at rest at its start, shape (n,)."""
     gravity, b = data.model.constants.gravity, data.arrays
     if not np.any(gravity):
         return np.zeros(data.model.layout.joints)
@@ -173,3 +174,106 @@ def _stacked(values, arms: dict[str, Arm]) -> np.ndarray:
 def _laws(*laws: Kernel) -> np.ndarray:
     """Addresses of control laws, whose numbers begin at 0."""
     return np.array([(address_of(law), 0) for law in laws], dtype=np.int64).reshape(-1, 2)
+
+
+def pack_harmonic(
+    frequency: float, constant: np.ndarray, amplitude: np.ndarray, phase: np.ndarray
+) -> np.ndarray:
+    """Parameters of :func:`add_harmonic`."""
+    columns = [constant, amplitude * np.cos(phase), amplitude * np.sin(phase)]
+    return np.concatenate([[frequency], np.column_stack(columns).ravel()])
+
+
+def pack_path(bounds: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Parameters of :func:`path_point` from ``bounds`` (S + 1,), ``coefficients`` (S, n, width)."""
+    return np.concatenate(
+        [[coefficients.shape[0], coefficients.shape[2]], bounds, coefficients.ravel()]
+    )
+
+
+# --- kernels -------------------------------------------------------------------------------------
+
+
+@cfunc
+def harmonic(address, size, place, t):
+    """Numbers: frequency [Hz], then for every joint ``tau_0, A cos psi, A sin psi``."""
+    model, data, _ = open_system(struct_at(address, size))
+    parameters, at = model.parameters, int(place)
+    angle = 2.0 * math.pi * parameters[at] * t
+    sine, cosine = math.sin(angle), math.cos(angle)
+    for j in range(data.torque.size):
+        k = at + 1 + 3 * j
+        data.torque[j] += parameters[k] + parameters[k + 1] * sine + parameters[k + 2] * cosine
+    return 0
+
+
+@cfunc
+def joint_pd(address, size, place, t):
+    """Numbers: stiffness and damping of every joint, then the path."""
+    model, data, _ = open_system(struct_at(address, size))
+    parameters, at, n = model.parameters, int(place), data.torque.size
+    for j in range(n):
+        reference, rate = path_point(t, parameters, at + 2 * n, n, j)
+        data.torque[j] += parameters[at + j] * (reference - data.angles[j])
+        data.torque[j] += parameters[at + n + j] * (rate - data.v[j])
+    return 0
+
+
+@kernel
+def path_point(t, parameters, at, joints, joint):
+    """Reference of one joint and its rate at time ``t``; before and after the path it rests.
+
+    ``parameters[at:]``: number of segments, coefficients a joint, the segments' bounds, then the
+    Chebyshev coefficients [segment, joint, coefficient], summed by Clenshaw's recurrence.
+    """
+    segments, width = int(parameters[at]), int(parameters[at + 1])
+    bounds = at + 2
+    table = bounds + segments + 1
+    s = 0
+    while s < segments - 1 and t >= parameters[bounds + s + 1]:
+        s += 1
+    begin, end = parameters[bounds + s], parameters[bounds + s + 1]
+    moving = begin <= t <= end
+    x = 2.0 * (min(max(t, begin), end) - begin) / (end - begin) - 1.0
+    first = table + (s * joints + joint) * width
+    # Clenshaw for the value (b) and for its derivative with respect to x (d)
+    b1 = b2 = d1 = d2 = 0.0
+    for k in range(width - 1, 0, -1):
+        d0 = 2.0 * b1 + 2.0 * x * d1 - d2
+        b0 = parameters[first + k] + 2.0 * x * b1 - b2
+        b2, b1, d2, d1 = b1, b0, d1, d0
+    value = parameters[first] + x * b1 - b2
+    slope = b1 + x * d1 - d2
+    return value, slope * 2.0 / (end - begin) if moving else 0.0
+
+
+@cfunc
+def gravity_compensation(address, size, _place, _t):
+    """See :func:`add_gravity_compensation`."""
+    model, data, work = open_system(struct_at(address, size))
+    add_gravity_compensation(model, data, work, data.torque)
+    return 0
+
+
+@kernel
+def add_gravity_compensation(model, data, work, torque):
+    """Add the torques that hold arms and object at rest, see the module's text."""
+    weight = data.weight
+    for k in range(3):
+        weight[k] = -model.object_mass * model.gravity[k]
+        weight[3 + k] = 0.0
+    static_forces(data.Wo, weight, data.static_force)
+    for j in range(torque.size):
+        torque[j] += data.gravity_torque[j]
+    take_contact_forces(data, work, torque)
+
+
+@kernel
+def write_holding_torque(struct):
+    """Write the torques that hold the configuration in ``data`` into ``data.torque``.
+
+    Needs its kinematics and ``gravity_torque`` in ``data``.
+    """
+    model, data, work = open_system(struct)
+    clear(data.torque)
+    add_gravity_compensation(model, data, work, data.torque)

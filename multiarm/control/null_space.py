@@ -1,7 +1,7 @@
-r"""Keeping an arm at its place on the object, in the motions that its joint leaves free.
+r"""Null-space control: an arm holds its pose on the object in the free motions of its joint.
 
-Frictionless fingertips slide, hinges turn: nothing but the arm itself holds them where they are.
-The joint frame on the arm shall follow the one on the object like a body on springs: with the shift
+Frictionless fingertips slide and hinges turn; only the arm itself can keep them in place.  The
+joint frame on the arm follows the one on the object as if on springs: with the displacement
 :math:`x` and the rotation vector :math:`\theta` from the object's frame to the arm's
 (:mod:`multiarm.contacts.joint`), in axes of the object's joint frame,
 
@@ -14,8 +14,8 @@ With the object's acceleration this is the acceleration of the joint frame on th
            + 2\,\omega_o \times R_J\dot x + R_J\ddot x, \\
     \dot\omega_M &= \dot\omega_o + \omega_o \times R_J\omega + R_J\dot\omega
 
-(thesis, 3.6; ``j`` from the object's centre of mass to the frame), and of all joint accelerations
-that have it those are taken that are nearest to the preferred ones in the metric of the inertia.
+(thesis, 3.6; ``j`` from the object's centre of mass to the frame).  The joint accelerations are
+those with this property that are nearest to the preferred ones in the metric of the inertia.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ import numpy as np
 from multiarm.arms.terms import J_AT
 from multiarm.contacts.joint import ON_LINK, ON_OBJECT, write_relative
 from multiarm.contacts.kernel import ACCELERATION, ORIGIN_AT, SPIN, SPIN_RATE
-from multiarm.control.force_distribution import solve_semidefinite
-from multiarm.dynamics.solver.regular import factor_in_place
+from multiarm.dynamics.solver.factors import factor_cholesky, forward_columns, solve_semidefinite
 from multiarm.jit.kernels import allocating
 from multiarm.jit.structs import floats_at
 from multiarm.jit.vectors import (
@@ -64,12 +63,10 @@ def nearest_accelerations(inertia, W, preferred, target, result):
     for a in range(m):
         for j in range(n):
             rest[a] -= Y[j, a] * preferred[j]
-    factor_in_place(L, n)
+    factor_cholesky(L, n)
+    forward_columns(L, Y, n, m)
     for j in range(n):
         for a in range(m):
-            for k in range(j):
-                Y[j, a] -= L[j, k] * Y[k, a]
-            Y[j, a] *= L[j, j]
             for b in range(a + 1):
                 K[a, b] += Y[j, a] * Y[j, b]
     for a in range(m):
@@ -91,17 +88,16 @@ def nearest_accelerations(inertia, W, preferred, target, result):
 
 
 @allocating
-def keep_place(i, stiffness, rate, along, model, data, work, preferred):
-    """Change the preferred accelerations (n,) of arm ``i`` to those that keep its place.
+def hold_pose(i, stiffness, rate, along, model, data, work, preferred):
+    """Change the preferred accelerations (n,) of arm ``i`` to those that hold its pose.
 
     Parameters
     ----------
     stiffness, rate : float
         ``k`` [1/s^2] and ``delta`` [1/s].
     along : bool
-        Whether the object has the acceleration in ``data.q_o`` and everything that moves is
-        accounted for; else the law lets velocities have their own effect, and asks for the
-        springs' part alone.
+        Feedforward of the object's acceleration in ``data.q_o`` and of all velocity terms; else
+        the accelerations are those of the springs and dampers alone.
     """
     n = work.dofs[i + 1] - work.dofs[i]
     frame, link, body = model.frames[i], data.arms[i], data.body
@@ -120,7 +116,7 @@ def keep_place(i, stiffness, rate, along, model, data, work, preferred):
         inner = add_scaled(cross(omega, j), 2.0, shift_rate)
         a = add_cross(add_cross(add(a, a_o), alpha_o, j), omega, inner)
         alpha = add_cross(add(alpha, alpha_o), omega, turn_rate)
-        # less what the link does by itself, without joint accelerations
+        # less the acceleration of the link without joint accelerations
         omega_m, alpha_m = vec(link, SPIN), vec(link, SPIN_RATE)
         own = add_cross(vec(link, ACCELERATION), alpha_m, m)
         a = sub(a, add_cross(own, omega_m, cross(omega_m, m)))

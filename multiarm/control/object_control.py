@@ -1,72 +1,287 @@
 r"""Control laws that move the object: inverse dynamics along a path, and an impedance.
 
-Both decide on a wrench ``w`` on the object, let the contacts share it
-(:mod:`multiarm.control.force_distribution`), and turn the contact forces :math:`\lambda` into joint
+Both command a wrench ``w`` on the object, distribute it over the contacts
+(:mod:`multiarm.control.force_distribution`), and map the contact forces :math:`\lambda` to joint
 torques.
 
 * *Computed torque* commands the object's acceleration
-  :math:`\dot v_o = a_r + D(v_r - v_o) + K e`, where ``e`` is the shift and the shortest turn to the
-  reference.  The wrench is :math:`w = I_o\dot v_o + h_o`, and
+  :math:`\dot v_o = a_r + D(v_r - v_o) + K e`, where ``e`` is the displacement and the rotation
+  vector to the reference.  The wrench is :math:`w = I_o\dot v_o + h_o`, and
 
   .. math:: \tau_i = M_i\ddot q_i + b_i - W_i\lambda_i, \qquad
             W_i^T\ddot q_i = c_i - W_{oi}^T\dot v_o
 
   (thesis, 3.10 in joint space).  Of all joint accelerations that the object's motion allows, the
-  nearest to :math:`-\delta\dot q_i` in the metric of :math:`M_i` is taken, which lets free motions
-  (a hinge that turns, an elbow that floats) die out at the rate :math:`\delta`.
+  law takes the nearest to :math:`-\delta\dot q_i` in the metric of :math:`M_i`, which damps free
+  motions (a hinge that turns, an elbow that floats) at the rate :math:`\delta`.
 
-* *Object impedance* holds the object by a spring and a damper; what is moved is the inertia of
-  object and arms together: :math:`w = K e + D(v_r - v_o) - m g`,
+* *Object impedance* holds the object by a spring and a damper, without changing the inertia of
+  object and arms: :math:`w = K e + D(v_r - v_o) - m g`,
   :math:`\tau_i = g_i - W_i\lambda_i - \delta M_i P_i\dot q_i` with :math:`P_i` the projection on
-  the arm's free motions.  The spring has the energy :math:`\tfrac12 e^T K e` also in large turns
-  and with a stiffness of its own about each axis, so that the law is passive while its reference
-  rests: the turn ``theta`` to the reference has the rate :math:`-J_r^{-1}(\theta)\,\omega`, hence
-  the moment :math:`J_r^{-T}(\theta) K\theta`.
+  the arm's free motions.  The spring has the energy :math:`\tfrac12 e^T K e` also for large
+  rotations and with a different stiffness about each axis, so that the law is passive while its
+  reference rests: the rotation vector ``theta`` to the reference has the rate
+  :math:`-J_r^{-1}(\theta)\,\omega`, hence the moment :math:`J_r^{-T}(\theta) K\theta`.
 
-With a stiffness of the free motions the arms are held at their places on the object instead
+With a stiffness of the free motions the arms hold their poses on the object instead
 (:mod:`multiarm.control.null_space`).
 
+A squeeze consists of internal forces.  Where all contacts are fingertips, which can only push, it
+is a combination of pushing forces (thesis, 3.7.3) with the given mean.  Bilateral joints hold both
+ways; there every arm presses towards the middle of all grips.
+
 Numbers of a law, from ``at``: stiffness (6), damping (6), rate and stiffness of the free motions,
-whether there are internal forces; if so, wanted forces of all contacts and a wanted wrench of every
-arm on the object; then the path.
+whether there are internal forces; if so, desired forces of all contacts and a desired wrench of
+every arm on the object; then the path.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
 
+from multiarm.contacts.internal_forces import internal_forces
 from multiarm.contacts.kernel import GAP_BIAS
 from multiarm.control.force_distribution import share_load, static_forces
-from multiarm.control.null_space import keep_place, nearest_accelerations
-from multiarm.jit.kernels import allocating, kernel
-from multiarm.spatial import difference, retract_into, write_chart_rate
+from multiarm.control.null_space import hold_pose, nearest_accelerations
+from multiarm.dynamics.arrays import OK, open_system
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.model import Data, Model
+from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.state import State
+from multiarm.errors import ControlError, GraspError
+from multiarm.jit.kernels import allocating, cfunc, kernel
+from multiarm.jit.structs import struct_at
+from multiarm.scene import Pose
+from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl, Waypoint
+from multiarm.spatial import (
+    difference,
+    matrix_to_quaternion,
+    retract_into,
+    skew,
+    write_chart_rate,
+)
 
+ObjectControl = ComputedTorqueControl | ObjectImpedanceControl
+
+# Offsets of the numbers of a law.
 STIFFNESS, DAMPING, FREE_RATE, FREE_STIFFNESS, SQUEEZES, LAW_WIDTH = 0, 6, 12, 13, 14, 15
-# Of a segment of a path: first position, displacement, first quaternion, turn.
+# Width of a segment of a path, see :func:`packed_path`.
 SEGMENT_WIDTH = 13
 
 
-def pack_object_path(
-    bounds: np.ndarray, positions: np.ndarray, quaternions: np.ndarray, turns: np.ndarray
-) -> np.ndarray:
-    """Parameters of :func:`write_reference`.
+def pose_of(state: State) -> Pose:
+    """Pose of the object in a state."""
+    return Pose(
+        xyz=state.object_position.tolist(), quaternion_xyzw=state.object_quaternion_xyzw.tolist()
+    )
 
-    Parameters
-    ----------
-    bounds : ndarray, shape (S + 1,)
-        Times of the waypoints [s].
-    positions, quaternions : ndarray, shapes (S + 1, 3) and (S + 1, 4)
-        Of the object at the waypoints.
-    turns : ndarray, shape (S, 3)
-        Rotation vectors from waypoint to waypoint, world axes [rad].
+
+def route(start: State, path: Sequence[Waypoint]) -> tuple[list[float], list[np.ndarray]]:
+    """Times and poses (4, 4) of a path; one that does not begin at time 0 begins at the start."""
+    times = [waypoint.time for waypoint in path]
+    poses = [waypoint.matrix() for waypoint in path]
+    if times[0] > 0.0:
+        times.insert(0, 0.0)
+        poses.insert(0, pose_of(start).matrix())
+    return times, poses
+
+
+def object_law(data: Data, start: State, control: ObjectControl) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters of a law, and the times of its waypoints.
+
+    Raises
+    ------
+    ControlError
+        When the contacts cannot put every wrench on the object, or cannot have the internal forces
+        of the scene.
     """
+    data.set_state(0.0, start)
+    if update_kinematics(data.struct) != OK:
+        data.reraise()
+    Wo = data.arrays.Wo.copy()
+    _require_hold(Wo, control.kind)
+    gains = [*control.stiffness.vector(), *control.damping.vector()]
+    gains += [control.relative_damping, control.relative_stiffness]
+    offsets, pressing = _desired_forces(data, control, Wo)
+    squeezes = bool(np.any(offsets) or np.any(pressing))
+    inner = [offsets, pressing.ravel()] if squeezes else []
+    at_rest = Waypoint(time=1.0, **pose_of(start).model_dump())
+    times, poses = route(start, control.path or (at_rest,))
+    path = packed_path(times, poses)
+    numbers = np.concatenate([gains, [float(squeezes)], *inner, path])
+    return numbers, np.array(times) if control.path else np.zeros(0)
+
+
+def packed_path(times: Sequence[float], poses: Sequence[np.ndarray]) -> np.ndarray:
+    """Parameters of :func:`write_reference` for poses (4, 4) at times [s].
+
+    Number of segments, times, and for each segment first position, displacement, first quaternion,
+    and rotation vector to the next pose (world axes).
+    """
+    quaternions = np.array(
+        [matrix_to_quaternion(np.ascontiguousarray(pose[:3, :3])) for pose in poses]
+    )
+    turns = np.array([difference(a, b) for a, b in pairwise(quaternions)])
+    positions = np.array([pose[:3, 3] for pose in poses])
     table = np.hstack([positions[:-1], np.diff(positions, axis=0), quaternions[:-1], turns])
-    return np.concatenate([[len(turns)], bounds, table.ravel()])
+    return np.concatenate([[len(turns)], times, table.ravel()])
+
+
+def _require_hold(Wo: np.ndarray, kind: str) -> None:
+    lever = max(float(np.max(np.linalg.norm(Wo[:, 3:], axis=1))), 1e-12)
+    rank = null_space(Wo / np.array([1.0, 1.0, 1.0, lever, lever, lever])).rank
+    if rank < 6:
+        raise ControlError(
+            f"control: {kind} needs contacts that can put every force and moment on the object, "
+            f"but all {len(Wo)} together span only {rank} of 6 directions: the object can turn or "
+            f"slide in them freely; add an arm, or join one with fewer free motions"
+        )
+
+
+def _desired_forces(
+    data: Data, control: ObjectControl, Wo: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Desired forces of all contacts (N,), and a wrench of every arm (n, 6) in object axes."""
+    model, offsets = data.model, np.zeros(len(Wo))
+    pressing = np.zeros((len(model.arm_names), 6))
+    own = model.layout.split_contacts(offsets)
+    for arm, forces in (control.internal_forces or {}).items():
+        if len(forces) != own[arm].size:
+            names = ", ".join(contact.name for contact in model.contacts[arm])
+            raise ControlError(
+                f"control.internal_forces.{arm}: {len(forces)} forces for {own[arm].size} "
+                f"contacts; give one each: {names}"
+            )
+        own[arm][:] = forces
+    lost = np.linalg.norm(np.linalg.pinv(Wo.T) @ (Wo.T @ offsets))
+    if np.any(offsets) and lost > (1.0 - 1e-6) * np.linalg.norm(offsets):
+        raise ControlError(
+            "control.internal_forces: these forces only move the object, nothing of them is "
+            "internal; name contacts that press against each other, or use `squeeze`"
+        )
+    if control.squeeze:
+        contacts = [(arm, contact) for arm, own in model.contacts.items() for contact in own]
+        if all(contact.pushes_only for _, contact in contacts):
+            labels = [f"{arm}: {contact.name}" for arm, contact in contacts]
+            offsets += control.squeeze * _pushing(Wo, labels)
+        else:
+            pressing += control.squeeze * _towards_the_middle(model)
+            _require_pressing(data, Wo, pressing)
+    return offsets, pressing
+
+
+def _require_pressing(data: Data, Wo: np.ndarray, pressing: np.ndarray) -> None:
+    """Raise an error for a squeeze along a joint's free motion (more than 1 % of the force)."""
+    model, R = data.model, data.arrays.body[:9].reshape(3, 3)
+    rows = model.layout.rows
+    for i, arm in enumerate(model.arm_names):
+        own = Wo[rows[i] : rows[i + 1]]
+        desired = np.concatenate([R @ pressing[i, :3], R @ pressing[i, 3:]])
+        found = own.T @ np.linalg.lstsq(own.T, desired, rcond=None)[0]
+        if np.linalg.norm((found - desired)[:3]) > 0.01 * np.linalg.norm(desired[:3]):
+            raise ControlError(
+                f"control.squeeze: the joint of arm '{arm}' cannot press towards the middle of all "
+                f"grips, it gives way there; use `internal_forces` or a joint that holds"
+            )
+
+
+def _pushing(Wo: np.ndarray, names: list[str]) -> np.ndarray:
+    """Internal forces of fingertips (N,): all push, as evenly as they can, 1 N in the mean."""
+    try:
+        forces = internal_forces(Wo.T, form="nonnegative", names=names).basis[:, 0]
+    except GraspError as error:
+        raise ControlError(f"control.squeeze: {error}") from None
+    return forces / np.mean(forces)
+
+
+def _towards_the_middle(model: Model) -> np.ndarray:
+    """Wrenches (n, 6) of the arms on the object, object axes, that are in balance.
+
+    Each is a force of 1 N (in the mean over the arms) at the origin of the arm's joint frame,
+    towards the middle of all of them as nearly as the balance of forces and moments allows.
+    """
+    grips = np.array([frame.on_object[:3, 3] for frame in model.frames.values()])
+    inward = np.mean(grips, axis=0) - grips
+    distance = np.linalg.norm(inward, axis=1)
+    if not np.all(distance > 1e-9):
+        raise ControlError(
+            "control.squeeze: the arms do not hold the object from different sides, so that they "
+            "cannot press against each other; leave `squeeze` out or join them elsewhere"
+        )
+    inward /= distance[:, None]
+    balance = np.zeros((6, 3 * len(grips)))
+    for k, grip in enumerate(grips):
+        balance[:3, 3 * k : 3 * k + 3] = np.eye(3)
+        balance[3:, 3 * k : 3 * k + 3] = skew(grip)
+    wish = inward.ravel()
+    forces = (wish - np.linalg.pinv(balance) @ (balance @ wish)).reshape(-1, 3)
+    mean = np.mean(np.sum(forces * inward, axis=1))
+    if not mean > 1e-6:
+        raise ControlError(
+            "control.squeeze: forces towards the middle of all grips cannot be in balance; use "
+            "`internal_forces`"
+        )
+    forces /= mean
+    return np.hstack([forces, np.cross(grips, forces)])
+
+
+# --- kernels -------------------------------------------------------------------------------------
+
+
+@cfunc
+def computed_torque(address, size, place, t):
+    """Add the torques of computed torque; ``place`` is that of its numbers.
+
+    Until the equations of motion are solved ``data.q_o, qdd, c`` hold the commanded values.
+    """
+    model, data, work = open_system(struct_at(address, size))
+    parameters, at, torque = model.parameters, int(place), data.torque
+    desired, wrench = data.q_o, data.weight
+    path = path_offset(parameters, at, work)
+    write_object_acceleration(t, parameters, at, path, data.position, data.twist, desired)
+    for a in range(6):
+        wrench[a] = -data.h_o[a]
+        for b in range(6):
+            wrench[a] += data.inertia[a, b] * desired[b]
+    write_contact_forces(parameters, at, data, work)
+    # the law carries the bias and what the joints do by themselves, which is all of h so far
+    for j in range(torque.size):
+        torque[j] -= data.h[j]
+    for k in range(data.c.size):
+        data.c[k] = -data.contacts[k, GAP_BIAS]
+        for a in range(6):
+            data.c[k] -= data.Wo[k, a] * desired[a]
+    add_motion_forces(parameters, at, True, model, data, work, torque)
+    take_contact_forces(data, work, torque)
+    return 0
+
+
+@cfunc
+def object_impedance(address, size, place, t):
+    """Add the torques of the object impedance; ``place`` is that of its numbers."""
+    model, data, work = open_system(struct_at(address, size))
+    parameters, at, torque = model.parameters, int(place), data.torque
+    wrench = data.weight
+    path = path_offset(parameters, at, work)
+    write_spring_wrench(t, parameters, at, path, data.position, data.twist, wrench)
+    for k in range(3):
+        wrench[k] -= model.object_mass * model.gravity[k]
+    write_contact_forces(parameters, at, data, work)
+    for j in range(torque.size):
+        torque[j] += data.gravity_torque[j]
+    for k in range(data.c.size):
+        data.c[k] = 0.0
+    add_motion_forces(parameters, at, False, model, data, work, torque)
+    take_contact_forces(data, work, torque)
+    return 0
 
 
 @allocating
 def write_reference(t, parameters, at, pose, twist, acceleration):
-    """Write where the object should be at ``t``: pose (7,), twist (6,), acceleration (6,).
+    """Write the reference of the object at ``t``: pose (7,), twist (6,), acceleration (6,).
 
     From one waypoint to the next it moves along a line and about a fixed axis, from rest to rest,
     by the quintic law of time; before the first and after the last it rests.
@@ -91,15 +306,15 @@ def write_reference(t, parameters, at, pose, twist, acceleration):
 
 
 @allocating
-def write_object_acceleration(t, parameters, at, path, position, velocity, wanted):
-    """Write the object's acceleration that computed torque commands into ``wanted`` (6,)."""
+def write_object_acceleration(t, parameters, at, path, position, velocity, desired):
+    """Write the object's acceleration that computed torque commands into ``desired`` (6,)."""
     pose, twist, error = np.empty(7), np.empty(6), np.empty(6)
-    write_reference(t, parameters, path, pose, twist, wanted)
+    write_reference(t, parameters, path, pose, twist, desired)
     error[:3] = pose[:3] - position[:3]
     error[3:] = difference(position[3:7], pose[3:7])
     for k in range(6):
-        wanted[k] += parameters[at + DAMPING + k] * (twist[k] - velocity[k])
-        wanted[k] += parameters[at + STIFFNESS + k] * error[k]
+        desired[k] += parameters[at + DAMPING + k] * (twist[k] - velocity[k])
+        desired[k] += parameters[at + STIFFNESS + k] * error[k]
 
 
 @allocating
@@ -132,7 +347,7 @@ def add_arm_forces(inertia, W, preferred, target, torque):
 
 @kernel
 def path_offset(parameters, at, work):
-    """Where a law's path begins among its numbers."""
+    """Offset of a law's path among its numbers."""
     if parameters[at + SQUEEZES] == 0.0:
         return at + LAW_WIDTH
     arms = work.rows.size - 1
@@ -141,7 +356,7 @@ def path_offset(parameters, at, work):
 
 @kernel
 def write_contact_forces(parameters, at, data, work):
-    """Let the contacts share ``data.weight`` as the law wants; writes ``static_force``."""
+    """Distribute ``data.weight`` over the contacts; writes ``data.static_force``."""
     weight, Wo, force = data.weight, data.Wo, data.static_force
     if parameters[at + SQUEEZES] == 0.0:
         static_forces(Wo, weight, force)
@@ -156,9 +371,9 @@ def write_contact_forces(parameters, at, data, work):
 
 @kernel
 def add_motion_forces(parameters, at, along, model, data, work, torque):
-    """Add ``M q''`` of all arms: targets in ``data.c``, free motions die out or are held.
+    """Add ``M q''`` of all arms: targets in ``data.c``, free motions are damped or held.
 
-    ``along`` as in :func:`multiarm.control.null_space.keep_place`.
+    ``along`` as in :func:`multiarm.control.null_space.hold_pose`.
     """
     rate, stiffness = parameters[at + FREE_RATE], parameters[at + FREE_STIFFNESS]
     for j in range(data.v.size):
@@ -167,58 +382,16 @@ def add_motion_forces(parameters, at, along, model, data, work, torque):
         d0, d1 = work.dofs[i], work.dofs[i + 1]
         r0, r1 = work.rows[i], work.rows[i + 1]
         if stiffness > 0.0:
-            keep_place(i, stiffness, rate, along, model, data, work, data.qdd[d0:d1])
+            hold_pose(i, stiffness, rate, along, model, data, work, data.qdd[d0:d1])
         add_arm_forces(work.L[i], work.Y[i], data.qdd[d0:d1], data.c[r0:r1], torque[d0:d1])
 
 
 @kernel
 def take_contact_forces(data, work, torque):
-    """Take ``W lambda`` of the contact forces in ``data.static_force`` off the torques."""
+    """Subtract ``W lambda`` of the contact forces in ``data.static_force`` from the torques."""
     force = data.static_force
     for i in range(work.rows.size - 1):
         d0, r0 = work.dofs[i], work.rows[i]
         for j in range(work.dofs[i + 1] - d0):
             for a in range(work.rows[i + 1] - r0):
                 torque[d0 + j] -= work.Y[i, j, a] * force[r0 + a]
-
-
-@kernel
-def add_computed_torque(t, parameters, at, model, data, work, torque):
-    """Add the torques of computed torque, see the module's text.
-
-    Until the equations of motion are solved ``data.q_o, qdd, c`` hold what the law wants.
-    """
-    wanted, wrench = data.q_o, data.weight
-    path = path_offset(parameters, at, work)
-    write_object_acceleration(t, parameters, at, path, data.position, data.twist, wanted)
-    for a in range(6):
-        wrench[a] = -data.h_o[a]
-        for b in range(6):
-            wrench[a] += data.inertia[a, b] * wanted[b]
-    write_contact_forces(parameters, at, data, work)
-    # the law carries the bias and what the joints do by themselves, which is all of h so far
-    for j in range(torque.size):
-        torque[j] -= data.h[j]
-    for k in range(data.c.size):
-        data.c[k] = -data.contacts[k, GAP_BIAS]
-        for a in range(6):
-            data.c[k] -= data.Wo[k, a] * wanted[a]
-    add_motion_forces(parameters, at, True, model, data, work, torque)
-    take_contact_forces(data, work, torque)
-
-
-@kernel
-def add_object_impedance(t, parameters, at, model, data, work, torque):
-    """Add the torques of the object impedance, see the module's text."""
-    wrench = data.weight
-    path = path_offset(parameters, at, work)
-    write_spring_wrench(t, parameters, at, path, data.position, data.twist, wrench)
-    for k in range(3):
-        wrench[k] -= model.object_mass * model.gravity[k]
-    write_contact_forces(parameters, at, data, work)
-    for j in range(torque.size):
-        torque[j] += data.gravity_torque[j]
-    for k in range(data.c.size):
-        data.c[k] = 0.0
-    add_motion_forces(parameters, at, False, model, data, work, torque)
-    take_contact_forces(data, work, torque)

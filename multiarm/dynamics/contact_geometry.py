@@ -1,14 +1,30 @@
-"""Where contacts are at a state: contacts of two surfaces, points and normals, wrenches of a joint.
+"""Geometry of the contacts at a state: where they are, their normals, wrenches and matrices.
 
-The contact of two surfaces is found by Newton's method, which begins where the contact was; at a
-start, and where that fails, it begins in many places.
+Contacts of two surfaces are located by Newton's method from where they were last.  At a start, and
+where that fails, the method is started from many points.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from multiarm.contacts.kernel import AT, LINE_CONTACT, NORMAL, RELATIVE_WIDTH, locate_pair
+from multiarm.contacts.kernel import (
+    AT,
+    BODY_WIDTH,
+    GAP,
+    GAP_BIAS,
+    GAP_RATE,
+    LINE_CONTACT,
+    NORMAL,
+    RELATIVE_WIDTH,
+    locate_pair,
+)
+from multiarm.contacts.matrices import (
+    ContactTerms,
+    RelativeMotion,
+    contact_matrices,
+    seen_from_object,
+)
 from multiarm.contacts.records import (
     CURVED,
     CYLINDER,
@@ -32,51 +48,14 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data, Evaluated, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
-from multiarm.errors import SceneError
-
-# Directions in which a contact of two surfaces is looked for.
-_GUESSES = 60
-
-
-def locate_pairs(data: Data, start: State) -> np.ndarray:
-    """Where two surfaces touch, for every such contact: ``places`` of the kernel, (S, 3).
-
-    Newton's method begins in many places; of what it finds, the contact with the smallest gap is
-    the one meant, since at the start surfaces touch.
-
-    Raises
-    ------
-    SceneError
-        When two surfaces have no common normal near each other, or touch along a line.
-    """
-    places = np.zeros_like(data.arrays.places)
-    pairs = np.flatnonzero(data.model.constants.codes[:, KIND] == PAIR)
-    if not pairs.size:
-        return places
-    data.set_state(0.0, start)
-    update_kinematics(data.struct)
-    data.forgive()  # what is not located yet may well have failed
-    faults = []
-    for row in map(int, pairs):
-        arm, contact = data.model.owner(row)
-        found = _locate(data, row, arm)
-        if found is None:
-            faults.append(
-                f"arm '{arm}': the two surfaces of '{contact.name}' have no common normal line, or "
-                f"touch along a line and not in a point; mend their placement, or use several "
-                f"contacts with spherical tips"
-            )
-        else:
-            places[data.model.constants.codes[row, LINK]] = found
-    if faults:
-        raise SceneError(faults)
-    return places
+from multiarm.errors import ModelError, SceneError
+from multiarm.spatial import quaternion_to_matrix
 
 
 def place_state(data: Data, t: float, state: State) -> None:
-    """Write a state into the arrays, and find its contacts of two surfaces.
+    """Write a state into the arrays, and locate its contacts of two surfaces.
 
-    They are looked for near where they were at the start, and everywhere if that fails.
+    Newton's method starts from the contacts of the start, and where that fails from many points.
     """
     data.set_state(t, state)
     if not (data.model.constants.codes[:, KIND] == PAIR).any():
@@ -90,13 +69,170 @@ def place_state(data: Data, t: float, state: State) -> None:
     data.arrays.places[:] = places
 
 
+def locate_pairs(data: Data, start: State) -> np.ndarray:
+    """Where two surfaces touch, for every such contact: ``places`` of the kernel, (S, 3).
+
+    Newton's method is started from many points.  Of the solutions, the one with the smallest gap
+    counts, since surfaces touch at the start.
+
+    Raises
+    ------
+    SceneError
+        When two surfaces have no common normal near each other, or touch along a line.
+    """
+    places = np.zeros_like(data.arrays.places)
+    pairs = np.flatnonzero(data.model.constants.codes[:, KIND] == PAIR)
+    if not pairs.size:
+        return places
+    data.set_state(0.0, start)
+    update_kinematics(data.struct)
+    data.forgive()  # contacts that are not located yet may have failed
+    faults = []
+    for row in map(int, pairs):
+        arm, contact = data.model.owner(row)
+        found = _locate(data, row, arm)
+        if found is None:
+            faults.append(
+                f"arm '{arm}': the two surfaces of '{contact.name}' have no common normal line, or "
+                f"touch along a line and not in a point; correct their placement, or use several "
+                f"contacts with spherical tips"
+            )
+        else:
+            places[data.model.constants.codes[row, LINK]] = found
+    if faults:
+        raise SceneError(faults)
+    return places
+
+
+def contact_places(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] and normals into the object of all rows, world axes, shapes (N, 3).
+
+    Rows of all arms, then those of the surroundings: see ``Layout``.  Nothing is solved.
+
+    Raises
+    ------
+    SolverError
+        When a user-defined surface fails.
+    """
+    place_state(data, 0.0, state)
+    if update_kinematics(data.struct) != OK:
+        data.reraise()
+    return points_and_normals(data, slice(None))
+
+
+def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Contact points [m] and normals into the object of some rows, world axes, shapes (k, 3).
+
+    At the kinematics in the data.
+    """
+    constants, contacts = data.model.constants, data.arrays.contacts[rows]
+    normals = contacts[:, NORMAL : NORMAL + 3].copy()
+    codes, geometry = constants.codes[: data.model.layout.contacts], constants.geometry
+    tips = np.isin(codes[rows, KIND], (PLANE, SPHERE, CYLINDER, CURVED))
+    radius = geometry[: data.model.layout.contacts][rows, TIP_RADIUS] * tips
+    # from the tip's centre to its contact point: along the normal if the arm has the tip
+    way = np.where(codes[rows, SURFACE_BODY] == SURFACE_ON_OBJECT, 1.0, -1.0)
+    return contacts[:, AT : AT + 3] + (way * radius)[:, None] * normals, normals
+
+
+def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
+    """Contact matrices of every arm at the kinematics in the data."""
+    b, constants = data.arrays, data.model.constants
+    every_row = np.vstack([b.contacts, b.parts])
+    terms = {}
+    for i, name in enumerate(data.model.arm_names):
+        rows = slice(data.model.layout.rows[i], data.model.layout.rows[i + 1])
+        matrices = contact_matrices(
+            constants.codes, constants.geometry, every_row, np.arange(rows.start, rows.stop),
+            b.arms[i], b.body, _tip_kinematics(data, name, b.arms[i]),
+        )  # fmt: skip
+        contacts = b.contacts[rows]
+        points, normals = points_and_normals(data, rows)
+        terms[name] = ContactTerms(
+            *matrices,
+            c=-contacts[:, GAP_BIAS],
+            phi=contacts[:, GAP].copy(),
+            phi_dot=contacts[:, GAP_RATE].copy(),
+            points=points,
+            normals=normals,
+        )
+    return terms
+
+
+def constraint_matrix(data: Evaluated) -> np.ndarray:
+    """Stacked constraint matrix ``[W_o; W]`` at the kinematics in the data, (6 + n, N).
+
+    Columns and rows are scaled so that its singular values can be compared: joint and object
+    coordinates by the square root of their inertia, contacts to unit length.
+    """
+    b, work = data.arrays, data.work
+    matrix = np.zeros((6 + data.model.layout.joints, data.model.layout.contacts))
+    scale = np.empty(6 + data.model.layout.joints)
+    matrix[:6] = b.Wo.T
+    scale[:6] = np.sqrt(np.diag(b.inertia))
+    for i in range(len(data.model.arm_names)):
+        d = slice(work.dofs[i], work.dofs[i + 1])
+        r = slice(work.rows[i], work.rows[i + 1])
+        n = d.stop - d.start
+        matrix[6 + d.start : 6 + d.stop, r] = work.Y[i, :n, : r.stop - r.start]
+        scale[6 + d.start : 6 + d.stop] = np.sqrt(np.diag(work.L[i])[:n])
+    matrix /= scale[:, None]
+    return matrix / np.linalg.norm(matrix, axis=0)
+
+
+def relative_motion(model: Model, state: State, arm: str) -> RelativeMotion:
+    """Pose and twist of an arm's tip frame relative to the object, in object axes.
+
+    Raises
+    ------
+    ModelError
+        For an unknown arm.
+    """
+    if arm not in model.arms:
+        raise ModelError(f"unknown arm {arm!r}; arms are {', '.join(model.arm_names)}")
+    tip = model.arms[arm].terms(state.joint_positions[arm], state.joint_velocities[arm])
+    X_WO, X_WT = np.eye(4), np.eye(4)
+    X_WO[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw.copy())
+    X_WO[:3, 3] = state.object_position
+    X_WT[:3, :3], X_WT[:3, 3] = tip.tip_rotation, tip.tip_position
+    return seen_from_object(X_WO, state.object_twist, X_WT, tip.tip_twist)
+
+
+def joint_wrenches(data: Evaluated, arm: str) -> np.ndarray:
+    """Rows ``[e; (p - x) x e / size]`` of a joint at the kinematics in the data.
+
+    Shape (N, 6), in the axes of the object's joint frame about the arm's, each of unit length;
+    moments are measured at the longest lever arm [m].  Rows that belong to the arm's own joints
+    have none, and are left out.
+    """
+    i = data.model.arm_names.index(arm)
+    body, x = data.arrays.body, joint_origin(data, arm)
+    R = body[:9].reshape(3, 3) @ data.model.frames[arm].on_object[:3, :3]
+    rows = data.arrays.Wo[data.model.layout.rows[i] : data.model.layout.rows[i + 1]]
+    rows = rows[np.any(rows != 0.0, axis=1)]
+    force = rows[:, :3]
+    moment = rows[:, 3:] - np.cross(x - body[9:12], force)
+    size = float(np.max(np.linalg.norm(moment, axis=1), initial=0.0)) or 1.0
+    wrenches = np.hstack([force @ R, moment @ R / size])
+    return wrenches / np.linalg.norm(wrenches, axis=1)[:, None]
+
+
+def joint_origin(data: Evaluated, arm: str) -> np.ndarray:
+    """Origin of a joint's frame on the arm, world axes, shape (3,) [m]."""
+    tip, link = data.model.arms[arm], data.arrays.arms[data.model.arm_names.index(arm)]
+    at = tip.tip_rotation @ data.model.frames[arm].on_tip[:3, 3] + tip.tip_translation
+    return link[9:12] + link[:9].reshape(3, 3) @ at
+
+
 def free_components(data: Data, arm: str, start: State) -> tuple[int, ...]:
     """Components of the relative twist that the joint of an arm leaves free, at the start.
 
-    They are those of the joint frame in which the null space of the joint's rows has the largest
-    parts, chosen one after the other (pivoting); turns are measured at the joint's own size.
+    They are the components of the joint frame with the largest parts in the null space of the
+    joint's rows (with pivoting); rotations are scaled by the joint's size.
     """
-    _kinematics(data, start)
+    data.set_state(0.0, start)
+    if update_kinematics(data.struct) != OK:
+        data.reraise()
     wrenches = joint_wrenches(data, arm)
     space = null_space(wrenches).basis  # (6, m)
     chosen: list[int] = []
@@ -110,33 +246,29 @@ def free_components(data: Data, arm: str, start: State) -> tuple[int, ...]:
     return tuple(sorted(chosen))
 
 
-def joint_wrenches(data: Evaluated, arm: str) -> np.ndarray:
-    """Rows ``[e; (p - x) x e / size]`` of a joint at the kinematics in the data.
+def patch_of(model: Model, constraint: Constraint) -> np.ndarray | None:
+    """Frame and corners of the patch of the surroundings that a contact must be on, (18,)."""
+    record = model.records[constraint.row]
+    if constraint.arm in model.arms or not isinstance(record, Contact):
+        return None
+    patch: Patch | None = record.arm.patch
+    if patch is None or record.surface_body != SURFACE_ON_ARM:
+        return None
+    lower, upper = (np.clip(c, -1e300, 1e300) for c in (patch.lower, patch.upper))
+    return np.concatenate([patch.pose[:3, :3].ravel(), patch.pose[:3, 3], lower, upper])
 
-    Shape (N, 6), in the axes of the object's joint frame about the arm's, each of unit length;
-    moments are measured at the longest lever arm [m].  Rows that belong to the arm's own joints
-    have none, and are left out.
+
+def patch_margin(data: Data, constraint: Constraint) -> float:
+    """How far inside its patch a contact is at the kinematics in the data [m].
+
+    Infinite where there is no patch.
     """
-    i = data.model.arm_names.index(arm)
-    arrays, frame = data.arrays, data.model.frames[arm]
-    body, link = arrays.body, arrays.arms[i]
-    R = body[:9].reshape(3, 3) @ frame.on_object[:3, :3]
-    tip = data.model.arms[arm]
-    at = tip.tip_rotation @ frame.on_tip[:3, 3] + tip.tip_translation
-    x = link[9:12] + link[:9].reshape(3, 3) @ at
-    rows = arrays.Wo[data.model.layout.rows[i] : data.model.layout.rows[i + 1]]
-    rows = rows[np.any(rows != 0.0, axis=1)]
-    force = rows[:, :3]
-    moment = rows[:, 3:] - np.cross(x - body[9:12], force)
-    size = float(np.max(np.linalg.norm(moment, axis=1), initial=0.0)) or 1.0
-    wrenches = np.hstack([force @ R, moment @ R / size])
-    return wrenches / np.linalg.norm(wrenches, axis=1)[:, None]
-
-
-def _kinematics(data: Data, state: State) -> None:
-    data.set_state(0.0, state)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    patch = patch_of(data.model, constraint)
+    if patch is None:
+        return np.inf
+    at = data.arrays.contacts[constraint.row, AT : AT + 3]
+    place = (at - patch[9:12]) @ patch[:9].reshape(3, 3)
+    return float(min(np.min(place - patch[12:15]), np.min(patch[15:] - place)))
 
 
 def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:
@@ -192,50 +324,27 @@ def _guesses(data: Data, arm: str, row: int, b: np.ndarray) -> np.ndarray:
     ]
     sizes = [abs(s) for surface in (contact.arm, contact.object) for s in surface.sizes if s]
     reach = max([*sizes, 1e-3])
-    # points spread evenly over a sphere (Fibonacci's spiral)
-    k = np.arange(_GUESSES) + 0.5
-    height, turn = 1.0 - 2.0 * k / _GUESSES, np.pi * (1.0 + 5.0**0.5) * k
+    # points evenly distributed over a sphere (Fibonacci's spiral)
+    count = 60
+    k = np.arange(count) + 0.5
+    height, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + 5.0**0.5) * k
     flat = np.sqrt(1.0 - height**2)
     around = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
     world = np.vstack([np.vstack([c, c + 1e-3 * reach, c + reach * around]) for c in centres])
     return (world - b[9:12]) @ b[:9].reshape(3, 3)
 
 
-def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-    """Contact points [m] and normals into the object of some rows, world axes, shapes (k, 3).
-
-    At the kinematics in the data.
-    """
-    constants, contacts = data.model.constants, data.arrays.contacts[rows]
-    normals = contacts[:, NORMAL : NORMAL + 3].copy()
-    codes, geometry = constants.codes[: data.model.layout.contacts], constants.geometry
-    tips = np.isin(codes[rows, KIND], (PLANE, SPHERE, CYLINDER, CURVED))
-    radius = geometry[: data.model.layout.contacts][rows, TIP_RADIUS] * tips
-    # from the tip's centre to its contact point: along the normal if the arm has the tip
-    way = np.where(codes[rows, SURFACE_BODY] == SURFACE_ON_OBJECT, 1.0, -1.0)
-    return contacts[:, AT : AT + 3] + (way * radius)[:, None] * normals, normals
-
-
-def patch_of(model: Model, constraint: Constraint) -> np.ndarray | None:
-    """Frame and corners of the patch of the surroundings that a contact must be on, (18,)."""
-    record = model.records[constraint.row]
-    if constraint.arm in model.arms or not isinstance(record, Contact):
-        return None
-    patch: Patch | None = record.arm.patch
-    if patch is None or record.surface_body != SURFACE_ON_ARM:
-        return None
-    lower, upper = (np.clip(c, -1e300, 1e300) for c in (patch.lower, patch.upper))
-    return np.concatenate([patch.pose[:3, :3].ravel(), patch.pose[:3, 3], lower, upper])
-
-
-def patch_margin(data: Data, constraint: Constraint) -> float:
-    """How far inside its patch a contact is at the kinematics in the data [m].
-
-    Infinite where there is no patch.
-    """
-    patch = patch_of(data.model, constraint)
-    if patch is None:
-        return np.inf
-    at = data.arrays.contacts[constraint.row, AT : AT + 3]
-    place = (at - patch[9:12]) @ patch[:9].reshape(3, 3)
-    return float(min(np.min(place - patch[12:15]), np.min(patch[15:] - place)))
+def _tip_kinematics(data: Evaluated, name: str, link: np.ndarray) -> np.ndarray:
+    """Kinematics of the tip frame from those of the link it is fixed to, a row of 24."""
+    arm = data.model.arms[name]
+    tip = np.zeros(BODY_WIDTH)
+    rotation = link[:9].reshape(3, 3)
+    offset = rotation @ arm.tip_translation
+    omega, alpha = link[15:18], link[21:24]
+    tip[:9] = (rotation @ arm.tip_rotation).ravel()
+    tip[9:12] = link[9:12] + offset
+    tip[12:15] = link[12:15] + np.cross(omega, offset)
+    tip[15:18] = omega
+    tip[18:21] = link[18:21] + np.cross(alpha, offset) + np.cross(omega, np.cross(omega, offset))
+    tip[21:24] = alpha
+    return tip

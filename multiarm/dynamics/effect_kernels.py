@@ -1,15 +1,15 @@
-r"""Effects as an evaluation sees them: kernels that are called by address, one after the other.
+r"""Kernels of effects, which an evaluation calls by address, one after the other.
 
 An evaluation forms the right-hand sides ``h`` of the arms and ``h_o`` of the object in this order:
 
 1. ``h = -b``: the arms' bias forces; ``h_o``: weight and gyroscopic moment of the object;
-2. *passive* kernels add what the joints do by themselves (friction): controllers that know the
-   model find it in ``h`` and compensate it;
+2. *passive* kernels add passive forces of the joints (friction), which model-based controllers
+   compensate;
 3. the control writes ``torque``; *actuator* kernels change it (limits, lag); then it is added;
-4. *applied* kernels add external loads (wrenches, drag), which no controller knows.
+4. *applied* kernels add external loads (wrenches, drag), which controllers do not compensate.
 
-A kernel reads and writes the arrays in the system's struct, its own after all others.  A scene that
-names no effect has an empty list here, and nothing is called.
+A kernel reads and writes the arrays in the system's struct, at whose end are its own.  A scene
+without effects has an empty list of kernels.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from multiarm.jit.pointers import GuardedCall, address_of
 
 PASSIVE, ACTUATOR, APPLIED = range(3)
 
-# Entries of a kernel's first array: place of its power in ``Variables.power``, and of its first
+# Entries of a kernel's first array: index of its power in ``Variables.power``, and of its first
 # state in ``Variables.inner``.
 POWER, STATE = range(2)
 
@@ -42,34 +42,34 @@ class EffectKernel:
         Of the effect, as in the scene.
     kernel : compiled function or None
         Decorated with :func:`multiarm.jit.kernels.cfunc`, called with address and size of the
-        system's struct, the place ``at`` of its first array there (a float), and the time [s].
+        system's struct, the index ``at`` of its first array there (a float), and the time [s].
         That first array, int64 (2,), holds ``POWER`` and ``STATE``; ``arrays`` follow it.  None:
-        something else does the work that is recorded under this name.
+        another function writes the power that is recorded under this name.
     phase : int
         ``PASSIVE``, ``ACTUATOR`` or ``APPLIED``.
     arrays : tuple of ndarray
         Contiguous float64 or int64: values at the start of a run.  Every
-        :class:`multiarm.dynamics.data.Data` has its own copies.
+        :class:`multiarm.dynamics.model.Data` has its own copies.
     works : bool
         The kernel writes its power [W] to ``data.power[slots[POWER]]`` at every call.
     states : int
-        How many states of its own it has: it reads ``data.inner`` from ``slots[STATE]`` on, and
-        writes their rates to ``data.inner_rate``.
+        Number of its states: it reads ``data.inner`` from ``slots[STATE]`` on, and writes their
+        rates to ``data.inner_rate``.
     start : callable, optional
         ``start(arrays) -> (states,)``: these states at the start of a run, which has been
         evaluated with these arrays.  Zero when left out.
     breakpoints : ndarray
         Times at which the effect is not smooth [s]; steps end there.
     connect : callable, optional
-        ``connect(data, arrays) -> {name: callback}``, called once a Data exists: Python functions
-        that the kernel calls; it writes their addresses into the arrays.
+        ``connect(data, arrays) -> {name: callback}``, called for every Data: Python functions that
+        the kernel calls; it writes their addresses into the arrays.
     calls_user : bool
-        User functions are among these.
+        Whether these are user functions.
     unilateral : bool
         Belongs to unilateral contacts: not called where all contacts of the joints are closed.
     watched : tuple of (int, int)
-        Which of ``arrays``, and which joint's entry there, is a margin: while it is positive, the
-        joint's drive is saturated, and the result's events say from when to when.
+        Indices of an array among ``arrays`` and of a joint: this entry is a margin, which is
+        positive while the joint's drive is saturated.  The beginning and the end are events.
     """
 
     name: str
@@ -88,57 +88,52 @@ class EffectKernel:
 
 @dataclass(frozen=True)
 class EffectProgram:
-    """The kernels of all effects of a scene, in the order in which they are called.
-
-    Attributes
-    ----------
-    kernels : tuple of EffectKernel
-    """
+    """The kernels of all effects of a scene, in the order in which they are called."""
 
     kernels: tuple[EffectKernel, ...] = ()
 
     @classmethod
     def of(cls, kernels: Sequence[EffectKernel]) -> EffectProgram:
-        """Put kernels in the order of their phases."""
+        """Sort kernels by their phases."""
         return cls(tuple(sorted(kernels, key=lambda own: own.phase)))
 
     def with_contacts_closed(self) -> EffectProgram:
-        """The same arrays and works, without the kernels of unilateral contacts."""
+        """The same arrays and powers, without calling the kernels of unilateral contacts."""
         own = (replace(k, kernel=None) if k.unilateral else k for k in self.kernels)
         return EffectProgram(tuple(own))
 
     @property
     def works(self) -> tuple[str, ...]:
-        """Names of those that do work, in the order of ``Variables.power``."""
+        """Names of the effects that do work, in the order of ``Variables.power``."""
         return tuple(own.name for own in self.kernels if own.works)
 
     def slot(self, name: str) -> int:
-        """Place of an effect's power in ``Variables.power``, and of its work among the works."""
+        """Index of an effect in ``Variables.power`` and ``works``."""
         return self.works.index(name)
 
     @property
     def states(self) -> int:
-        """Number of states of their own."""
+        """Number of states of all effects."""
         return sum(own.states for own in self.kernels)
 
     @property
     def with_states(self) -> tuple[str, ...]:
-        """Names of those that have states of their own."""
+        """Names of the effects with states."""
         return tuple(own.name for own in self.kernels if own.states)
 
     @property
     def breakpoints(self) -> np.ndarray:
-        """Times at which one of them is not smooth, increasing."""
+        """Times at which an effect is not smooth, increasing."""
         return np.unique(np.concatenate([np.zeros(0), *(own.breakpoints for own in self.kernels)]))
 
     @property
     def calls_user(self) -> bool:
-        """Whether some kernel calls user functions."""
+        """Whether a kernel calls user functions."""
         return any(own.calls_user for own in self.kernels)
 
     @property
     def watched(self) -> list[tuple[int, int]]:
-        """Margins to monitor: place of the array in the struct, joint."""
+        """Margins to monitor: index of the array in the struct, joint."""
         places = zip(self.kernels, self._places(), strict=True)
         return [(at + 1 + k, joint) for own, at in places for k, joint in own.watched]
 
@@ -152,7 +147,7 @@ class EffectProgram:
         return made
 
     def program(self) -> tuple[np.ndarray, list[int]]:
-        """``Constants.effects``, and where each phase ends there."""
+        """``Constants.effects``, and the end of each phase there."""
         called = [(own, at) for own, at in zip(self.kernels, self._places(), strict=True)]
         called = [(own, at) for own, at in called if own.kernel is not None]
         rows = [[address_of(own.kernel), at] for own, at in called]
@@ -160,6 +155,6 @@ class EffectProgram:
         return np.array(rows, dtype=np.int64).reshape(-1, 2), ends
 
     def _places(self) -> list[int]:
-        """Place of each kernel's first array in the system's struct."""
+        """Index of each kernel's first array in the system's struct."""
         sizes = [1 + len(own.arrays) for own in self.kernels]
         return [OWN_ARRAYS + sum(sizes[:k]) for k in range(len(sizes))]

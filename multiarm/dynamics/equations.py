@@ -1,19 +1,21 @@
 r"""The equations of motion of a compiled scene, evaluated in compiled code.
 
-One evaluation is: compiled code or Pinocchio (one callback) updates the terms of all arms and the
-motion of their last links, then come for every arm its contact rows and the elimination of the node
-algorithm, then the object's 6 by 6 system and the accelerations.  Data flow, all in world axes:
+.. math::
+    M_i \ddot q_i = h_i + W_i \lambda_i, \qquad
+    M_o \dot v_o = h_o + \sum_i W_{oi} \lambda_i, \qquad
+    W_{oi}^T \dot v_o + W_i^T \ddot q_i = c_i
+
+(thesis, 4.9; arms ``i``, object ``o``, contact forces :math:`\lambda`).  An evaluation has three
+parts, all in world axes:
 
 .. code-block:: text
 
-    positions, velocities -> arms      -> M, b, J, link motion --+
-                          -> object     -> pose, inertia, bias --+-> contacts -> W_o, W, c, phi
-                          -> control, effects -> h                              |
-                                         accelerations, contact forces <- node <+
+    kinematics        positions, velocities -> M, b, J of arms and object -> W_o, W, c, phi
+    right_hand_sides  control, effects -> h, c
+    solve             node algorithm -> accelerations, contact forces
 
-The arrays are those of :mod:`multiarm.dynamics.arrays`.  The three parts (kinematics, forces,
-solution) are called by address, so that each is compiled once, and other solutions can stand in for
-one, as those of scenes with unilateral contacts do.
+The arrays are those of :mod:`multiarm.dynamics.arrays`.  The parts are called by address.  So each
+is compiled once, and scenes with unilateral contacts can replace the solution.
 """
 
 from __future__ import annotations
@@ -45,20 +47,58 @@ from multiarm.dynamics.kinematics import (
 )
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.factors import norm
-from multiarm.dynamics.solver.regular import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
+from multiarm.dynamics.solver.node import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
 from multiarm.dynamics.solver.singular import couple, solve_coupled
 from multiarm.jit.kernels import cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import broadcast, load_pack, store_pack
 from multiarm.jit.structs import floats_at, struct_at
 
-# Accelerations below this are no scale for what is left of an equation [m/s^2].
+# Smallest scale of accelerations that residuals are compared with [m/s^2].
 AT_REST = 1e-9
+
+
+@kernel
+def evaluate_state(struct, alpha, beta):
+    """Accelerations and contact forces at the state in ``data``; returns a status.
+
+    Calls :func:`kinematics`, :func:`right_hand_sides` and :func:`solve`, or what replaces them.
+    Reads ``time, position, angles, twist, v``; writes everything else.  ``alpha`` [1/s] and
+    ``beta`` [1/s] are the gains of the drift feedback (0: none).
+    """
+    functions = open_data(struct).functions
+    status = call_cfunc(functions.kinematics, struct, 0.0, 0.0)
+    if status == OK:
+        status = call_cfunc(functions.forces, struct, alpha, beta)
+    if status == OK:
+        status = call_cfunc(functions.solve, struct, 0.0, 0.0)
+    return status
+
+
+@kernel
+def update_kinematics(struct):
+    """Terms of arms and object, and all contact rows, at the state in ``data``.
+
+    Writes ``W`` to ``work.Y`` and the inertias to ``work.L``, as the elimination needs them.
+    Returns ``OK`` or ``CALLBACK_FAILED``.
+    """
+    return call_cfunc(open_data(struct).functions.kinematics, struct, 0.0, 0.0)
+
+
+@kernel
+def solve_constrained(struct):
+    """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``data``.
+
+    Contact forces act along their normals, without friction, as projections need.  Call
+    :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``, or the number of the arm
+    (the number of arms: of the object) whose inertia is not positive definite.
+    """
+    return call_cfunc(open_data(struct).functions.project, struct, 0.0, 0.0)
 
 
 @cfunc
 def kinematics(address, size, _a, _b):
-    """See :func:`update_kinematics`."""
+    """Compute what :func:`update_kinematics` describes."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     arm_terms(model, data)
@@ -76,10 +116,9 @@ def kinematics(address, size, _a, _b):
 
 @cfunc
 def right_hand_sides(address, size, alpha, beta):
-    """Forces ``h`` from bias, control and effects, and ``c`` with feedback on the drift.
+    """Forces ``h, h_o`` from bias, control and effects, and ``c`` with feedback on the drift.
 
-    ``c = -phi''|_0 - 2 alpha phi' - beta^2 phi`` (thesis, 4.3 and Example 4.2).  Returns ``OK`` or
-    ``CALLBACK_FAILED``.
+    Returns ``OK`` or ``CALLBACK_FAILED``.
     """
     model, data, work = open_system(struct_at(address, size))
     passive_forces(address, size, model, data, work)
@@ -94,8 +133,29 @@ def right_hand_sides(address, size, alpha, beta):
 
 
 @inlined
+def passive_forces(address, size, model, data, work):
+    """``h = -b`` and the passive effects of the joints."""
+    for i in range(data.pointers.shape[0]):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        bias = floats_at(data.pointers[i, BIAS_AT], d)
+        for j in range(d):
+            data.h[d0 + j] = -bias[j]
+    call_effects(0, model.passive_end, address, size, model, data)
+
+
+@inlined
+def load_gravity_torque(data, work):
+    """Copy the joints' gravity forces, which backends compute only for control that needs them."""
+    for i in range(data.pointers.shape[0]):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        g = floats_at(data.pointers[i, GRAVITY_AT], d)
+        for j in range(d):
+            data.gravity_torque[d0 + j] = g[j]
+
+
+@inlined
 def control_torques(address, size, model, data):
-    """Let the control laws write ``data.torque`` of the system with this struct."""
+    """Let the control laws write ``data.torque``."""
     clear(data.torque)
     for k in range(model.control.shape[0]):
         law, at = model.control[k, 0], float(model.control[k, 1])
@@ -103,22 +163,9 @@ def control_torques(address, size, model, data):
 
 
 @inlined
-def passive_forces(address, size, model, data, work):
-    """``h = -b``, and what the joints do by themselves."""
-    for i in range(data.pointers.shape[0]):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        bias = floats_at(data.pointers[i, BIAS_AT], d)
-        for j in range(d):
-            data.h[d0 + j] = -bias[j]
-    for k in range(model.passive_end):
-        call_effect(model.effects[k], address, size, data)
-
-
-@inlined
 def add_torques(address, size, model, data):
-    """Add the control's torques, as the actuators pass them on; returns their power [W]."""
-    for k in range(model.passive_end, model.actuator_end):
-        call_effect(model.effects[k], address, size, data)
+    """Add the control torques, changed by the actuators, to ``h``; returns their power [W]."""
+    call_effects(model.passive_end, model.actuator_end, address, size, model, data)
     power = 0.0
     for j in range(data.h.size):
         data.h[j] += data.torque[j]
@@ -128,9 +175,8 @@ def add_torques(address, size, model, data):
 
 @inlined
 def applied_forces(address, size, model, data, power):
-    """Add what comes from outside, and write the power of all: the control's is ``power`` [W]."""
-    for k in range(model.actuator_end, model.applied_end):
-        call_effect(model.effects[k], address, size, data)
+    """Add the external loads, and write the total power; ``power`` [W] is that of the control."""
+    call_effects(model.actuator_end, model.applied_end, address, size, model, data)
     last = data.power.size - 1
     for k in range(last):
         power += data.power[k]
@@ -138,32 +184,24 @@ def applied_forces(address, size, model, data, power):
 
 
 @inlined
+def call_effects(first, end, address, size, model, data):
+    """Call the effects of one phase, rows ``first`` to ``end`` of ``Constants.effects``."""
+    for k in range(first, end):
+        effect = model.effects[k]
+        call_cfunc(effect[0], struct_at(address, size), float(effect[1]), data.time.now)
+
+
+@inlined
 def drift_terms(data, alpha, beta):
-    """``c``, with feedback on the drift."""
+    """``c = -phi''|_0 - 2 alpha phi' - beta^2 phi`` (thesis, 4.3 and Example 4.2)."""
     for k in range(data.c.size):
         row = data.contacts[k]
         data.c[k] = -(row[GAP_BIAS] + 2.0 * alpha * row[GAP_RATE] + beta * beta * row[GAP])
 
 
-@inlined
-def call_effect(effect, address, size, data):
-    """Let one effect add its part; ``effect`` is its row of ``Plant.effects``."""
-    call_cfunc(effect[0], struct_at(address, size), float(effect[1]), data.time.now)
-
-
-@inlined
-def load_gravity_torque(data, work):
-    """Copy the joints' gravity forces, which are computed only for control that needs them."""
-    for i in range(data.pointers.shape[0]):
-        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
-        g = floats_at(data.pointers[i, GRAVITY_AT], d)
-        for j in range(d):
-            data.gravity_torque[d0 + j] = g[j]
-
-
 @cfunc
 def solve(address, size, _a, _b):
-    """See :func:`solve_constrained`."""
+    """Solve as :func:`solve_constrained` describes: four arms at a time, else arm by arm."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     if model.dense:
@@ -185,14 +223,14 @@ def solve(address, size, _a, _b):
 
 @inlined
 def imbalance(data, work, Wo):
-    """What is left of ``M_o q_o = h_o + W_o force``, relative to the largest force in it.
+    """Residual of ``M_o q_o = h_o + W_o force``, relative to the largest force in it.
 
     ``Wo`` (N, 6) are the rows along which the forces act.  Moments are compared with moments, or
     with that force at the object's radius of gyration.  Zero where it is clearly less than
     ``IMBALANCE_BOUND``; NaN where the solution is not finite.
     """
     inertia, h_o, q_o, m = data.inertia, data.h_o, data.q_o, data.inertia[0, 0]
-    total = work.packs  # scratch: the solution has been handed out
+    total = work.packs  # scratch: the solution has been copied
     front, back = load_pack(h_o, 0), load_pack(h_o, 2)  # six numbers, two of them twice
     for a in range(data.force.size):
         force = broadcast(data.force[a])
@@ -217,7 +255,7 @@ def imbalance(data, work, Wo):
 
 @kernel
 def relative_imbalance(data, Wo, forces, moments):
-    """Sums of what is left of forces [N] and moments [N m] relative to the largest ones in play."""
+    """Residuals of forces [N] and moments [N m] relative to the largest terms."""
     inertia = data.inertia
     radius = math.sqrt((inertia[3, 3] + inertia[4, 4] + inertia[5, 5]) / inertia[0, 0])
     push = max(AT_REST * inertia[0, 0], norm(data.h_o[:3], 3))
@@ -234,8 +272,8 @@ def relative_imbalance(data, Wo, forces, moments):
 def solve_deficient(address, size, decompose_all, _b):
     """Solve a system with deficient arms, arm by arm; returns a status.
 
-    Where that leaves too much of the object's equation, or when ``decompose_all`` is not zero, no
-    arm is eliminated as a whole.
+    Where the residual of the object's equation is too large, or when ``decompose_all`` is not zero,
+    no arm is eliminated as a whole.
     """
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
@@ -246,25 +284,6 @@ def solve_deficient(address, size, decompose_all, _b):
     if decompose_all != 0.0 or coupled.status.arms == data.pointers.shape[0]:
         return status
     return solve_again(struct)
-
-
-@kernel
-def solve_again(struct):
-    """Solve the equations at hand once more, no arm eliminated as a whole; returns a status."""
-    status = renew_kinematics(struct)
-    if status != OK:
-        return status
-    return call_cfunc(open_data(struct).functions.coupled, struct, 1.0, 0.0)
-
-
-@kernel
-def renew_kinematics(struct):
-    """Compute the kinematics again that an elimination has overwritten; returns a status."""
-    h_o = open_data(struct).h_o  # kinematics alone leave out the external loads
-    s0, s1, s2, s3, s4, s5 = h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5]
-    status = update_kinematics(struct)
-    h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5] = s0, s1, s2, s3, s4, s5
-    return status
 
 
 @kernel
@@ -282,6 +301,34 @@ def solve_by_arms(data, work, coupled, decompose_all):
     return OK
 
 
+@kernel
+def solve_again(struct):
+    """Solve the same equations again without eliminating any arm as a whole; returns a status."""
+    status = renew_kinematics(struct)
+    if status != OK:
+        return status
+    return call_cfunc(open_data(struct).functions.coupled, struct, 1.0, 0.0)
+
+
+@kernel
+def renew_kinematics(struct):
+    """Recompute the kinematics that an elimination has overwritten; returns a status."""
+    h_o = open_data(struct).h_o  # the kinematics alone would remove the external loads
+    s0, s1, s2, s3, s4, s5 = h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5]
+    status = update_kinematics(struct)
+    h_o[0], h_o[1], h_o[2], h_o[3], h_o[4], h_o[5] = s0, s1, s2, s3, s4, s5
+    return status
+
+
+@kernel
+def update_rows(struct):
+    """Contact rows alone; the motion of the bodies is that of a Data which shares it."""
+    model, data, work = open_system(struct)
+    for i in range(data.pointers.shape[0]):
+        arm_rows(i, struct, model, data, work)
+    write_joint_rows(model, data, work)
+
+
 @cfunc
 def write_general_row(address, size, row, arm):
     """Write a row of an arm that is not a tip on a plane, a sphere or a cylinder."""
@@ -294,55 +341,8 @@ def write_general_row(address, size, row, arm):
 
 
 @kernel
-def update_kinematics(struct):
-    """The arms' terms, the object's, and all contact rows at the state in ``data``.
-
-    Leaves W in ``work.Y`` and the inertias in ``work.L``, ready for the elimination.  Returns
-    ``OK`` or ``CALLBACK_FAILED``.
-    """
-    return call_cfunc(open_data(struct).functions.kinematics, struct, 0.0, 0.0)
-
-
-@kernel
-def update_rows(struct):
-    """Contact rows alone, of a system that shares its bodies' motion with one that has it."""
-    model, data, work = open_system(struct)
-    for i in range(data.pointers.shape[0]):
-        arm_rows(i, struct, model, data, work)
-    write_joint_rows(model, data, work)
-
-
-@kernel
-def solve_constrained(struct):
-    """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``data``.
-
-    Contacts push along their normals, as impulses that close gaps do; friction takes part in
-    evaluations only.  Needs :func:`update_kinematics` before.  Returns ``OK``, ``CALLBACK_FAILED``,
-    or the number of the arm (the number of arms: of the object) whose inertia is not positive
-    definite.
-    """
-    return call_cfunc(open_data(struct).functions.project, struct, 0.0, 0.0)
-
-
-@kernel
-def evaluate_state(struct, alpha, beta):
-    """Accelerations and contact forces at the state in ``data``; returns a status.
-
-    Reads ``time, position, angles, twist, v``; writes everything else.  ``alpha`` [1/s] and
-    ``beta`` [1/s] are the gains of the drift feedback (0: none).
-    """
-    functions = open_data(struct).functions
-    status = call_cfunc(functions.kinematics, struct, 0.0, 0.0)
-    if status == OK:
-        status = call_cfunc(functions.forces, struct, alpha, beta)
-    if status == OK:
-        status = call_cfunc(functions.solve, struct, 0.0, 0.0)
-    return status
-
-
-@kernel
 def kinetic_energy(data, work):
-    """Kinetic energy of arms and object [J] at the state evaluated last."""
+    """Kinetic energy of arms and object [J] at the last evaluated state."""
     energy = 0.0
     for i in range(data.pointers.shape[0]):
         d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
@@ -362,7 +362,7 @@ def kinetic_energy(data, work):
 
 @kernel
 def potential_energy(model, data):
-    """Potential energy of arms and object [J] at the state evaluated last, zero at the origin."""
+    """Potential energy of arms and object [J] at the last evaluated state, zero at the origin."""
     functions, energy = data.functions, 0.0
     for k in range(3):
         energy -= model.object_mass * model.gravity[k] * data.position[k]

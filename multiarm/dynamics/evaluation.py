@@ -1,7 +1,8 @@
-"""Accelerations and contact forces at one state, with their own proof.
+"""Accelerations and contact forces at one state, with their residuals.
 
-:func:`evaluate` is one evaluation as the time loop performs it, opened up for people: named
-results, contact matrices, and the residuals of all three equations: a result certifies itself.
+:func:`evaluate` performs one evaluation of the time loop
+(:func:`multiarm.dynamics.equations.evaluate_state`) and returns its results by name, with contact
+matrices and the residuals of all three equations, by which a result certifies itself.
 """
 
 from __future__ import annotations
@@ -13,28 +14,35 @@ from typing import TypeVar
 
 import numpy as np
 
-from multiarm.contacts.internal_forces import InternalForces
-from multiarm.contacts.kernel import BODY_WIDTH, GAP, GAP_BIAS, GAP_RATE
-from multiarm.contacts.matrices import ContactTerms, contact_matrices
-from multiarm.contacts.motion_space import MotionSpace
+from multiarm.contacts.internal_forces import InternalForces, decompose, internal_forces
+from multiarm.contacts.matrices import ContactTerms, relative_wrenches
+from multiarm.contacts.motion_space import (
+    MotionSpace,
+    joint_selection,
+    motion_space,
+    motion_space_in_rates,
+)
 from multiarm.contacts.records import Contact
 from multiarm.contacts.unilateral import SURROUNDINGS
-from multiarm.dynamics.arrays import CONTRADICTION, NOT_FINITE, OK, PROJECTION_FAILED, Variables
-from multiarm.dynamics.contact_analysis import (
-    ForceDecomposition,
-    force_decomposition_of,
-    internal_forces_of,
-    motion_space_of,
-    relative_rates_of,
+from multiarm.dynamics.arrays import OK, Variables
+from multiarm.dynamics.contact_geometry import (
+    constraint_matrix,
+    contact_terms,
+    place_state,
+    points_and_normals,
+    relative_motion,
 )
-from multiarm.dynamics.contact_geometry import place_state, points_and_normals
-from multiarm.dynamics.equations import evaluate_state, update_kinematics
-from multiarm.dynamics.model import Data, Evaluated
-from multiarm.dynamics.rank_diagnosis import lost_motions
+from multiarm.dynamics.diagnosis import (
+    contradiction_text,
+    failure_text,
+    lost_contact_text,
+    lost_motions,
+)
+from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
-from multiarm.dynamics.solver.regular import NO_INERTIA
+from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.singular import PART_TOLERANCE, CoupledWork, loose_rows
-from multiarm.dynamics.solver.work import NodeWork
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import SolverError
@@ -45,7 +53,7 @@ Arrays = TypeVar("Arrays", Variables, NodeWork, CoupledWork)
 
 @dataclass(frozen=True)
 class Residuals:
-    """What is left over when the result is put back into the equations (largest magnitude).
+    """Residuals of the equations of motion (largest magnitudes).
 
     Attributes
     ----------
@@ -62,24 +70,18 @@ class Residuals:
     constraint: float
 
 
-# Variables that are copied for what is computed later: for all evaluations, and where some arm
-# could not be eliminated as a whole, or the dense solver was used.
+# Variables that a snapshot copies: always, and where some arm could not be eliminated as a whole or
+# the dense solver was used.
 _MOTION = ("arms", "body", "contacts", "parts", "Wo")
 _COORDINATES = ("angles", "inertia")
 
 
 class Snapshot:
-    """Copies of what an evaluation left in a Data, for results that are computed later.
+    """Copies of the arrays of a Data after an evaluation, for results that are computed later.
 
-    It is read like the Data itself, as before the arms were eliminated.  Of a ``regular`` one, in
-    which all arms were eliminated as a whole, only motion and contacts are copied.
-
-    Attributes
-    ----------
-    model : Model
-    arrays, work, coupled : Variables, NodeWork, CoupledWork
-        Arrays that are not copied go on to other states.
-    regular : bool
+    It has the attributes of the Data, with the matrices before the elimination.  Of a ``regular``
+    one, in which all arms were eliminated as a whole, only motion and contacts are copied; the
+    other arrays are shared with the Data, which other evaluations overwrite.
     """
 
     def __init__(self, data: Data) -> None:
@@ -96,13 +98,39 @@ def _copied(arrays: Arrays, names: Sequence[str]) -> Arrays:
     return arrays._replace(**{name: getattr(arrays, name).copy() for name in names})
 
 
+@dataclass(frozen=True)
+class ForceDecomposition:
+    """Contact forces as what moves the object and what squeezes it.
+
+    Attributes
+    ----------
+    moving : mapping arm -> ndarray, shape (N_i,)
+        The smallest contact forces with the same resultant [N].
+    squeezing : mapping arm -> ndarray, shape (N_i,)
+        The rest, which does not move the object [N].
+    internal : InternalForces
+        Basis ``A_o`` over all contacts, arm after arm.
+    coordinates : ndarray, shape (k,)
+        ``mu_I`` in that basis.
+    wrench : ndarray, shape (6,)
+        Resultant of the contact forces: force [N] and moment [N m] about the object's centre of
+        mass, in object axes.
+    """
+
+    moving: Mapping[str, np.ndarray]
+    squeezing: Mapping[str, np.ndarray]
+    internal: InternalForces
+    coordinates: np.ndarray
+    wrench: np.ndarray
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
     """Result of one evaluation.
 
-    It stays as it is, whatever the system is used for afterwards.  What takes longer than the
-    evaluation itself is computed when it is first asked for: what the contacts look like, which
-    forces are unique, and ``lost_motions``.
+    Later evaluations do not change it.  Results that take longer than the evaluation itself are
+    computed at their first use: geometry of the contacts, which forces are unique, and
+    ``lost_motions``.
 
     Attributes
     ----------
@@ -111,15 +139,15 @@ class Evaluation:
     object_acceleration : ndarray, shape (6,)
         Acceleration of the centre of mass (classical) and angular acceleration, world axes.
     joint_accelerations, joint_torques : mapping arm -> ndarray, shape (n_i,)
-        [rad/s^2, m/s^2]; torques of the drives [N m, N]: what the control wants, or what their
-        limits and lag leave of it.
+        [rad/s^2, m/s^2]; torques of the drives [N m, N]: those of the control, after limits and
+        lag.
     contact_forces : mapping arm -> ndarray, shape (N_i,)
         Magnitudes [N]; positive pushes the object along ``contact_normals``.
     position_residual, velocity_residual : float
         Largest gap [m] and gap rate [m/s].
     residuals : Residuals
     conditioning : mapping arm -> float
-        Smallest relative pivot of ``K = W^T M^-1 W``: how far the arm is from a singular posture
+        Smallest relative pivot of ``K = W^T M^-1 W``: distance of the arm from a singular posture
         (1 at best, 0 at worst; empty with the dense solver).
     rank : int
         Independent constraints.
@@ -127,10 +155,10 @@ class Evaluation:
         Arms that could not be eliminated as a whole: along some of their joint's directions they
         hardly move, or not at all.
     message : str
-        Empty when accelerations and forces solve the equations; else what is left over and why.
+        Empty when accelerations and forces solve the equations; else the residual and its reason.
     contact_states : mapping arm -> tuple of str
-        Of contacts that come and go: what each does ("open", "touching", "sticking", ...).  Those
-        with a floor are named ``floor``, here and among forces, wrenches, points and normals.
+        Of unilateral contacts: the state of each ("open", "touching", "sticking", ...).  Contacts
+        with a floor have the key ``floor``, here and among forces, wrenches, points and normals.
     """
 
     time: float
@@ -147,8 +175,8 @@ class Evaluation:
     coupled_arms: tuple[str, ...]
     message: str
     contact_states: Mapping[str, tuple[str, ...]]
-    _held: Snapshot  # of the contacts that joints hold
-    _all: Snapshot  # of all rows that have forces: others where contacts come and go
+    _held: Snapshot  # of the contacts of the joints, all closed
+    _all: Snapshot  # of all rows that can have forces
     _unique: Callable[[], np.ndarray]
     _lost_motions: Callable[[], Mapping[str, tuple[str, ...]]]
     _joint_forces: Mapping[str, np.ndarray]
@@ -176,7 +204,7 @@ class Evaluation:
     def contact_normals(self) -> Mapping[str, np.ndarray]:
         """Constraint normals into the object, world axes, arm -> ndarray, shape (N_i, 3).
 
-        Of rows of friction, the tangents.
+        For rows of friction the tangents.
         """
         return rows_by_owner(self._all.model.layout, self._points_and_normals[1])
 
@@ -191,12 +219,12 @@ class Evaluation:
 
     @cached_property
     def lost_motions(self) -> Mapping[str, tuple[str, ...]]:
-        """What the ``coupled_arms`` cannot do, in words, arm -> tuple of str."""
+        """Motions that the ``coupled_arms`` have lost, in words, arm -> tuple of str."""
         return self._lost_motions()
 
     @cached_property
     def wrenches(self) -> Mapping[str, np.ndarray]:
-        """What the contact forces of each arm add up to on the object, arm -> ndarray, shape (6,).
+        """Resultant of the contact forces of each arm on the object, arm -> ndarray, shape (6,).
 
         Force [N] and moment [N m] about the object's centre of mass, world axes, with friction.
         """
@@ -255,36 +283,63 @@ class Evaluation:
         GraspError
             When these rates cannot be coordinates; the message lists rows that can.
         """
-        return motion_space_of(self._held.model, self.state, self.contact_terms, arm, rows)
+        model = self._held.model
+        relative = relative_motion(model, self.state, arm)
+        W, W_dot = relative_wrenches(self.contact_terms[arm], relative)
+        if rows is not None:
+            return motion_space(W, W_dot, rows)
+        return motion_space_in_rates(W, joint_selection(model.frames[arm], relative), W_dot)
 
     def relative_rates(self, arm: str) -> np.ndarray:
         """Rates ``alpha`` of the free components of an arm's joint, along its own axes, shape (m,).
 
-        [m/s, rad/s]; ``data.model.frames[arm].labels`` says which they are.
+        [m/s, rad/s]; ``system.frames[arm].labels`` names them.
         """
-        return relative_rates_of(self._held.model, self.state, arm)
+        model = self._held.model
+        relative = relative_motion(model, self.state, arm)
+        return joint_selection(model.frames[arm], relative).matrix @ relative.twist
 
     def internal_forces(
         self, form: str = "orthonormal", rows: Sequence[int | str] | None = None
     ) -> InternalForces:
         """Contact forces that do not move the object: basis ``A_o`` (thesis, 3.7.3).
 
-        One row a contact, arm after arm.  ``form`` is ``orthonormal``, ``nonnegative`` or
-        ``echelon``; see :func:`multiarm.contacts.internal_forces.internal_forces`.
+        One row a contact, arm after arm, named ``arm/contact``.  ``form`` is ``orthonormal``,
+        ``nonnegative`` or ``echelon``; see
+        :func:`multiarm.contacts.internal_forces.internal_forces`.
         """
-        return internal_forces_of(self._held.model, self.contact_terms, form, rows)
+        names = [
+            f"{arm}/{contact.name}"
+            for arm, contacts in self._held.model.contacts.items()
+            for contact in contacts
+        ]
+        return internal_forces(self._W_o, form, rows, names)
 
     def force_decomposition(
         self, internal: InternalForces | None = None, length: float | None = None
     ) -> ForceDecomposition:
         """Contact forces as those that move the object and those that only squeeze it [N].
 
-        The resultant is about the centre of mass, in object axes [N, N m].  ``internal`` is the
-        basis of its coordinates ``mu_I``, orthonormal when left out.  Friction has no part in it.
+        Friction is left out.  ``internal`` is the basis of the coordinates, orthonormal when left
+        out.  With ``length``, forces are measured in newtons and couples over this lever arm [m];
+        else multipliers as they are.
         """
-        return force_decomposition_of(
-            self._held.model, self.contact_terms, self._joint_forces, internal, length
+        internal = internal or self.internal_forces()
+        stacked = np.concatenate([self._joint_forces[arm] for arm in self.contact_terms])
+        parts = decompose(self._W_o, stacked, internal, length)
+        layout = self._held.model.layout
+        return ForceDecomposition(
+            moving=layout.split_contacts(parts.moving),
+            squeezing=layout.split_contacts(parts.squeezing),
+            internal=internal,
+            coordinates=parts.coordinates,
+            wrench=parts.wrench,
         )
+
+    @property
+    def _W_o(self) -> np.ndarray:
+        """``W_o`` of all contacts of the joints, (6, N)."""
+        return np.hstack([terms.W_o for terms in self.contact_terms.values()])
 
 
 def evaluate(data: Data, t: float, state: State) -> Evaluation:
@@ -296,8 +351,8 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
     t : float
         Time, for the control [s].
     state : State
-        Taken as it is: nothing is projected.  Effects that have states of their own, such as
-        lagging drives, are as at the start of a run.
+        It is not projected onto the joints.  Effects with states, such as lagging drives, have
+        those of the start of a run.
 
     Raises
     ------
@@ -318,7 +373,7 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
     if status != OK:
         try:
             data.reraise()
-        except SolverError as error:  # of the dense solver, which knows numbers only
+        except SolverError as error:  # from the dense solver, which has no names
             raise SolverError(lost_contact_text(data) or str(error)) from error
         raise SolverError(failure_text(data, status))
     arm, on_object, constraint, gap, gap_rate, solved = found.tolist()
@@ -341,7 +396,7 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         },
         rank=b.status.rank,
         coupled_arms=coupled,
-        message="" if solved else _contradiction_text(data),
+        message="" if solved else contradiction_text(data),
         contact_states={},
         _held=snapshot,
         _all=snapshot,
@@ -356,73 +411,6 @@ def rows_by_owner(layout: Layout, values: Rows) -> dict[str, Rows]:
     bounds, around = layout.rows, values[layout.surroundings]
     found = {arm: values[bounds[i] : bounds[i + 1]] for i, arm in enumerate(layout.names)}
     return {**found, SURROUNDINGS: around} if len(around) else found
-
-
-def failure_text(data: Data, status: int) -> str:
-    """What a status of the compiled code means, with the remedy."""
-    names = data.model.arm_names
-    lost = lost_contact_text(data)
-    if lost:
-        return lost
-    if 0 <= status < len(names) and data.work.pivot[status] == NO_INERTIA:
-        return (
-            f"the inertia matrix of arm '{names[status]}' is not positive definite: a joint moves "
-            f"links without mass or inertia; give them some in the URDF, or lock the joint"
-        )
-    if status == len(names):
-        return (
-            "the object's node matrix is not positive definite; check the object's mass and "
-            "inertia and that all numbers of the state are finite"
-        )
-    if status == PROJECTION_FAILED:
-        return (
-            "the state could not be projected back onto the joints; take smaller steps (a smaller "
-            "`accuracy` or `step`), or look for a motion that the joints cannot follow"
-        )
-    if status == CONTRADICTION:
-        return _contradiction_text(data)
-    if status == NOT_FINITE:
-        return "the state is not finite; take smaller steps, or check the controller"
-    return f"the evaluation failed (status {status})"
-
-
-def _contradiction_text(data: Data) -> str:
-    residual = float(data.arrays.status.residual)
-    if data.arrays.status.imbalance >= residual:
-        return (
-            f"the contact forces do not balance the object (relative residual {residual:.2g}): too "
-            f"few digits determine them next to a posture in which arms cannot move; start "
-            f"elsewhere, or use `solver: dense`"
-        )
-    return (
-        f"no acceleration meets all constraints (relative residual {residual:.2g}): some of them "
-        f"contradict each other, or the chains have come to where they lose a direction with a "
-        f"velocity that fits none of the ways on, and the motion is undetermined; take smaller "
-        f"steps, start elsewhere, or mend contacts that say the same twice"
-    )
-
-
-_FIND_CONTACT = (
-    "look where the motion takes it, take smaller steps, or choose a surface that goes on there"
-)
-
-
-def lost_contact_text(data: Data) -> str:
-    """What to say when a contact has no normal at the state in the data; else nothing."""
-    b = data.arrays
-    lost = np.flatnonzero(~np.isfinite(b.contacts).all(axis=1))
-    if not lost.size or not (np.isfinite(b.position).all() and np.isfinite(b.angles).all()):
-        return ""
-    return f"{lost_contact(data, int(lost[0]))}; {_FIND_CONTACT}"
-
-
-def lost_contact(data: Data, row: int) -> str:
-    """Say that a contact has no normal at the state in the data."""
-    arm, contact = data.model.owner(row)
-    return (
-        f"contact '{contact.name}' of arm '{arm}' has no normal where it is: an axis, a centre, an "
-        f"apex or the end of a surface was reached, or two surfaces lost each other"
-    )
 
 
 def _coupled_arms(data: Data) -> tuple[str, ...]:
@@ -440,88 +428,9 @@ def _lost_motions(snapshot: Snapshot, arms: Sequence[str]) -> dict[str, tuple[st
 
 
 def _unique_forces(snapshot: Snapshot) -> np.ndarray:
-    """Which contact forces are determined: all, when every arm's elimination succeeded."""
+    """Which contact forces are determined: all, when every arm was eliminated as a whole."""
     if snapshot.regular:
         return np.ones(snapshot.model.layout.contacts, dtype=bool)
     if snapshot.model.constants.dense:
         return null_space(constraint_matrix(snapshot)).untouched
     return loose_rows(snapshot.work, snapshot.coupled) < PART_TOLERANCE
-
-
-def constraint_matrix(data: Evaluated) -> np.ndarray:
-    """Stacked constraint matrix ``[W_o; W]`` at the kinematics in the data, (6 + n, N).
-
-    Columns and rows are scaled so that its singular values can be compared: joint and object
-    coordinates by the square root of their inertia, contacts to unit length.
-    """
-    b, work = data.arrays, data.work
-    matrix = np.zeros((6 + data.model.layout.joints, data.model.layout.contacts))
-    scale = np.empty(6 + data.model.layout.joints)
-    matrix[:6] = b.Wo.T
-    scale[:6] = np.sqrt(np.diag(b.inertia))
-    for i in range(len(data.model.arm_names)):
-        d = slice(work.dofs[i], work.dofs[i + 1])
-        r = slice(work.rows[i], work.rows[i + 1])
-        n = d.stop - d.start
-        matrix[6 + d.start : 6 + d.stop, r] = work.Y[i, :n, : r.stop - r.start]
-        scale[6 + d.start : 6 + d.stop] = np.sqrt(np.diag(work.L[i])[:n])
-    matrix /= scale[:, None]
-    return matrix / np.linalg.norm(matrix, axis=0)
-
-
-def contact_places(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Points [m] and normals into the object of all rows, world axes, shapes (N, 3).
-
-    Rows of all arms, then those of the surroundings: see ``Layout``.  Nothing is solved.
-
-    Raises
-    ------
-    SolverError
-        When a surface of the user's own fails.
-    """
-    place_state(data, 0.0, state)
-    status = update_kinematics(data.struct)
-    if status != OK:
-        data.reraise()
-        raise SolverError(failure_text(data, status))
-    return points_and_normals(data, slice(None))
-
-
-def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
-    """Contact matrices of every arm at the kinematics in the data."""
-    b, constants = data.arrays, data.model.constants
-    every_row = np.vstack([b.contacts, b.parts])
-    terms = {}
-    for i, name in enumerate(data.model.arm_names):
-        rows = slice(data.model.layout.rows[i], data.model.layout.rows[i + 1])
-        matrices = contact_matrices(
-            constants.codes, constants.geometry, every_row, np.arange(rows.start, rows.stop),
-            b.arms[i], b.body, _tip_kinematics(data, name, b.arms[i]),
-        )  # fmt: skip
-        contacts = b.contacts[rows]
-        points, normals = points_and_normals(data, rows)
-        terms[name] = ContactTerms(
-            *matrices,
-            c=-contacts[:, GAP_BIAS],
-            phi=contacts[:, GAP].copy(),
-            phi_dot=contacts[:, GAP_RATE].copy(),
-            points=points,
-            normals=normals,
-        )
-    return terms
-
-
-def _tip_kinematics(data: Evaluated, name: str, link: np.ndarray) -> np.ndarray:
-    """Kinematics of the tip frame from those of the link it is fixed to, a row of 24."""
-    arm = data.model.arms[name]
-    tip = np.zeros(BODY_WIDTH)
-    rotation = link[:9].reshape(3, 3)
-    offset = rotation @ arm.tip_translation
-    omega, alpha = link[15:18], link[21:24]
-    tip[:9] = (rotation @ arm.tip_rotation).ravel()
-    tip[9:12] = link[9:12] + offset
-    tip[12:15] = link[12:15] + np.cross(omega, offset)
-    tip[15:18] = omega
-    tip[18:21] = link[18:21] + np.cross(alpha, offset) + np.cross(omega, np.cross(omega, offset))
-    tip[21:24] = alpha
-    return tip

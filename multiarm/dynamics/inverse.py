@@ -1,8 +1,8 @@
-r"""Inverse dynamics: the joint torques for a wanted motion and wanted internal forces.
+r"""Inverse dynamics: the joint torques for a desired motion and desired internal forces.
 
-The motion is given by the object's acceleration and by the rates of the relative rates
-:math:`\alpha` that the joints leave free.  With the motion space T of its joint (thesis, 3.5 -
-3.8), each gripper accelerates with
+The motion is given by the object's acceleration and by :math:`\dot\alpha`, with the rates
+:math:`\alpha` of the free motions of the joints.  With the motion space T of its joint (thesis,
+3.5 - 3.8), each gripper accelerates with
 
 .. math::
     \dot v_m = G\dot v_o + G_1 v_o + H_o T\dot\alpha + (H_o\dot T + G_2 H_o T)\,\alpha
@@ -12,10 +12,10 @@ The motion is given by the object's acceleration and by the rates of the relativ
 
 .. math:: W_o\lambda = I_o\dot v_o + h_o, \qquad \lambda = W_o^+ f_o + A_o\mu_I .
 
-Then :math:`\tau = M\ddot q + b - W\lambda`, less what the effects do by themselves: the thesis's
-(3.10) in joint space, where it also holds for arms of more or fewer than six joints and in singular
-postures.  An arm with joints to spare moves, of all ways that there are, in the one nearest to a
-posture acceleration, in the metric of its kinetic energy.
+Then :math:`\tau = M\ddot q + b - W\lambda`, less the torques of the effects: (3.10) of the thesis
+in joint space, where it also holds for arms with more or fewer than six joints and in singular
+postures.  A redundant arm has the accelerations nearest to a posture acceleration, in the metric of
+its kinetic energy.
 
 Reference: S.Y. Ho, Analysis and Design of Multi-Arm Robotic Systems Manipulating Large Objects,
 CUHK 1995, section 3.10.
@@ -31,38 +31,33 @@ import numpy as np
 from multiarm.contacts.internal_forces import InternalForces, distribute
 from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
 from multiarm.dynamics.arrays import OK
-from multiarm.dynamics.contact_analysis import relative_motion_of
-from multiarm.dynamics.dense_callback import read_inertia
+from multiarm.dynamics.callbacks import NO_CONTROL
+from multiarm.dynamics.contact_geometry import relative_motion
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data, Model
-from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System, checked_vector
-from multiarm.dynamics.user_callback import NO_CONTROL
+from multiarm.dynamics.state import State, checked_vector
+from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, SolverError
 from multiarm.spatial import quaternion_to_matrix
-
-# Singular values of an arm's scaled Jacobian below this fraction of the largest count as zero.
-RANK_TOLERANCE = 1e-10
-# What is left of a wanted motion or wrench, relative to it, when it counts as impossible.
-IMPOSSIBLE = 1e-7
 
 
 @dataclass(frozen=True)
 class InverseDynamics:
-    """Torques for a wanted motion.
+    """Torques for a desired motion.
 
     Attributes
     ----------
     torques : mapping arm -> ndarray, shape (n_i,)
         [N m, N]
     contact_forces : mapping arm -> ndarray, shape (N_i,)
-        Magnitudes that go with them [N]; positive pushes the object.
+        The resulting magnitudes [N]; positive pushes the object.
     joint_accelerations : mapping arm -> ndarray, shape (n_i,)
         [rad/s^2, m/s^2]
     residuals : Residuals
-        The result put into the equations of motion.  The residual of the constraints does not use
-        the motion space: it also tells a state that is not on the joints.
+        Of the equations of motion.  The residual of the constraints does not use the motion space:
+        it is also large at a state that violates the joints.
     """
 
     torques: Mapping[str, np.ndarray]
@@ -81,79 +76,84 @@ def inverse_dynamics(
     basis: str | InternalForces = "orthonormal",
     posture_acceleration: Mapping[str, np.ndarray] | None = None,
 ) -> InverseDynamics:
-    """Joint torques with which the system moves as wanted (thesis, 3.10).
+    """Joint torques for a desired motion of the system (thesis, 3.10).
 
     Parameters
     ----------
     system : System
-        Its control is left out of account, its effects (joint damping, ...) are compensated.
-        Unilateral contacts of the joints are closed, those with a floor are open.
+        Its control is ignored, its effects (joint damping, ...) are compensated.  Unilateral
+        contacts of the joints are closed, those with a floor are open.
     state : State
         On the constraints, positions and velocities.
     object_acceleration : array-like, shape (6,)
         Of the centre of mass (classical) and angular, world axes [m/s^2, rad/s^2].
     relative_acceleration : mapping arm -> array-like (m_i,) or None, optional
-        Rates of the arm's relative rates, in the order of ``system.frames[arm].free``
-        [m/s^2, rad/s^2]; ``None`` leaves them to the arm.  Arms that are not named: zero.
+        Rates of ``alpha``, in the order of ``system.frames[arm].free`` [m/s^2, rad/s^2]; ``None``
+        leaves the relative motion undetermined.  Arms that are left out: zero.
     internal_forces : array-like, shape (k,), optional
         Coordinates of the internal forces in ``basis`` [N]; none when left out.
     t : float
         Time [s].
     basis : "orthonormal", "nonnegative", "echelon" or InternalForces
-        What the coordinates mean, see :mod:`multiarm.contacts.internal_forces`.
+        Basis of the coordinates, see :mod:`multiarm.contacts.internal_forces`.
     posture_acceleration : mapping arm -> array-like (n_i,), optional
-        What arms with joints to spare come as near to as they can; zero when left out.
+        Preferred joint accelerations of redundant arms; zero when left out.
 
     Raises
     ------
     SolverError
-        When an arm cannot move as wanted.
+        When an arm cannot have the desired motion.
     GraspError
-        When the contacts cannot put the wanted wrench on the object, there is no basis of the
-        wanted form, or the internal forces do not fit it.
+        When the contacts cannot put the desired wrench on the object, there is no basis of the
+        desired form, or the internal forces do not fit it.
     ModelError
         For an unknown arm or a wrong shape.
     """
-    wanted = checked_vector("object_acceleration", object_acceleration, 6)
+    desired = checked_vector("object_acceleration", object_acceleration, 6)
     relative = _relative_accelerations(system.model, relative_acceleration or {})
     posture = _posture_accelerations(system.model, posture_acceleration or {})
     with system.borrow() as own:
         data = _uncontrolled(own)
         ev = evaluate(data, t, state)
-        return _solve(data, ev, wanted, relative, posture, internal_forces, basis)
+        return _solve(data, ev, desired, relative, posture, internal_forces, basis)
 
 
 def _solve(
     data: Data,
     ev: Evaluation,
-    wanted: np.ndarray,
+    desired: np.ndarray,
     relative: Mapping[str, np.ndarray | None],
     posture: Mapping[str, np.ndarray],
     internal_forces: np.ndarray | None,
     basis: str | InternalForces,
 ) -> InverseDynamics:
-    """Torques for a wanted motion, at a state that has just been evaluated."""
+    """Torques for a desired motion, at a state that has just been evaluated."""
     b, layout = data.arrays, data.model.layout
     free, h_o, c = b.h.copy(), b.h_o.copy(), b.c.copy()
     if update_kinematics(data.struct) != OK:
         data.reraise()
-    force = _contact_forces(ev, b.inertia @ wanted - h_o, internal_forces, basis)
+    force = _contact_forces(ev, b.inertia @ desired - h_o, internal_forces, basis)
     qdd, torque, faults = np.zeros(layout.joints), np.zeros(layout.joints), []
     residuals = np.zeros(2)
     for i, name in enumerate(layout.names):
         d, r = (slice(at[i], at[i + 1]) for at in (layout.dofs, layout.rows))
-        M, W = read_inertia(b.pointers[i], d.stop - d.start), _own_W(data, i)
-        A, a = _wanted_motion(data.model, name, ev, wanted, relative[name])
+        M = read_inertia(b.pointers[i], d.stop - d.start)
+        W = data.work.Y[i, : d.stop - d.start, : r.stop - r.start]
+        A, a = _desired_motion(data.model, name, ev, desired, relative[name])
         qdd[d], left = _nearest(M, A, a, posture[name])
-        if left > IMPOSSIBLE * (1.0 + np.max(np.abs(a), initial=0.0)):
+        if left > 1e-7 * (1.0 + np.max(np.abs(a), initial=0.0)):
             faults.append(f"arm '{name}' ({len(M)} joints) misses it by {left:.3g} m/s^2, rad/s^2")
         torque[d] = M @ qdd[d] - free[d] - W @ force[r]
         balance = M @ qdd[d] - free[d] - torque[d] - W @ force[r]
-        gap = b.Wo[r] @ wanted + W.T @ qdd[d] - c[r]
+        gap = b.Wo[r] @ desired + W.T @ qdd[d] - c[r]
         residuals = np.maximum(residuals, [np.max(np.abs(balance)), np.max(np.abs(gap))])
     if faults:
-        raise SolverError(_impossible(faults))
-    on_object = b.inertia @ wanted - h_o - b.Wo.T @ force
+        raise SolverError(
+            "the wanted motion is not possible: " + "; ".join(faults) + "; leave the relative "
+            "motion of such an arm free (`relative_acceleration={arm: None}`), or ask for another "
+            "motion"
+        )
+    on_object = b.inertia @ desired - h_o - b.Wo.T @ force
     return InverseDynamics(
         torques=layout.split_joints(torque),
         contact_forces=layout.split_contacts(force),
@@ -164,7 +164,7 @@ def _solve(
     )
 
 
-def _wanted_motion(
+def _desired_motion(
     model: Model,
     name: str,
     ev: Evaluation,
@@ -175,7 +175,7 @@ def _wanted_motion(
     state = ev.state
     arm = model.arms[name].terms(state.joint_positions[name], state.joint_velocities[name])
     R = quaternion_to_matrix(state.object_quaternion_xyzw)
-    relative, space = relative_motion_of(model, state, name), ev.motion_space(name)
+    relative, space = relative_motion(model, state, name), ev.motion_space(name)
     alpha = space.rates(relative.twist)
     alpha_dot = np.zeros(alpha.size) if rates is None else rates
     vdot = gripper_acceleration(
@@ -196,19 +196,13 @@ def _uncontrolled(data: Data) -> Data:
     return closed.view(closed.model.with_constants(control=NO_CONTROL, dense=True))
 
 
-def _own_W(data: Data, i: int) -> np.ndarray:
-    """Constraint matrix (n_i, N_i) of arm ``i`` at the kinematics in the buffers."""
-    work = data.work
-    return work.Y[i, : work.dofs[i + 1] - work.dofs[i], : work.rows[i + 1] - work.rows[i]].copy()
-
-
 def _contact_forces(
     ev: Evaluation,
     wrench: np.ndarray,
     coordinates: np.ndarray | None,
     basis: str | InternalForces,
 ) -> np.ndarray:
-    """Contact forces (N,) for a wrench on the object, world axes, and wanted internal forces."""
+    """Contact forces (N,) for a wrench on the object, world axes, and internal forces."""
     W_o = np.hstack([terms.W_o for terms in ev.contact_terms.values()])
     R = quaternion_to_matrix(ev.state.object_quaternion_xyzw)
     form = ev.internal_forces(basis) if isinstance(basis, str) else basis
@@ -219,27 +213,20 @@ def _contact_forces(
 def _nearest(
     M: np.ndarray, A: np.ndarray, a: np.ndarray, preferred: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Joint accelerations with ``A q'' = a`` nearest to ``preferred``, and what is left over."""
+    """Joint accelerations with ``A q'' = a`` nearest to ``preferred``, and the residual."""
     L = np.linalg.cholesky(M)
     B = np.linalg.solve(L, A.T).T
     size = np.linalg.norm(B, axis=1)
     scale = 1.0 / np.where(size > 0.0, size, 1.0)
-    y = np.linalg.lstsq(scale[:, None] * B, scale * (a - A @ preferred), rcond=RANK_TOLERANCE)[0]
+    y = np.linalg.lstsq(scale[:, None] * B, scale * (a - A @ preferred), rcond=1e-10)[0]
     qdd = preferred + np.linalg.solve(L.T, y)
     return qdd, float(np.max(np.abs(A @ qdd - a), initial=0.0))
-
-
-def _impossible(faults: list[str]) -> str:
-    return (
-        "the wanted motion is not possible: " + "; ".join(faults) + "; leave the relative motion "
-        "of such an arm free (`relative_acceleration={arm: None}`), or ask for another motion"
-    )
 
 
 def _relative_accelerations(
     model: Model, given: Mapping[str, np.ndarray | None]
 ) -> dict[str, np.ndarray | None]:
-    """The wanted rates of the relative rates of every arm; None: left to the arm."""
+    """The desired rates of ``alpha`` of every arm; None: undetermined."""
     _require_arms(model, "relative_acceleration", given)
     rates: dict[str, np.ndarray | None] = {}
     for arm, frame in model.frames.items():

@@ -1,11 +1,12 @@
 r"""From joint positions and the object's pose to motions, inertias and the rows of W.
 
-The terms of all arms come first, and with them the motion of the links that carry their tips; then
-the object's; then every arm's contacts.  What is written is in :mod:`multiarm.dynamics.arrays`; all
-of it is in world axes.
+First the terms of all arms, with the motion of the links that carry their tips; then the object's;
+then every arm's contacts.  The results are in :mod:`multiarm.dynamics.arrays`, in world axes.
 """
 
 from __future__ import annotations
+
+import ctypes
 
 import numpy as np
 
@@ -102,7 +103,7 @@ def object_terms(model, data):
 def link_motion(pointers, gravity, row):
     """Motion of the link that carries an arm's tip, in world axes, from Pinocchio's own arrays.
 
-    Pinocchio gives twist and spatial acceleration in link axes, the latter with gravity taken off;
+    Pinocchio gives twist and spatial acceleration in link axes, the latter minus gravity;
     the classical acceleration of the origin is ``a + omega x v``.
     """
     pose = floats_at(pointers[POSE_AT], 12)
@@ -153,14 +154,14 @@ def arm_rows(i, struct, model, data, work):
         return
     k = 0
     while k < m:
-        k = min(k, m - LANES)  # the last four may be among those before
+        k = min(k, m - LANES)  # the last four may overlap those before
         write_columns(i, k, d, J, wrench, work)
         k += LANES
 
 
 @inlined
 def write_columns(i, k, d, J, wrench, work):
-    """Four columns of ``W``, contacts ``k`` to ``k + 3``, side by side."""
+    """Four columns of ``W``, contacts ``k`` to ``k + 3``, in SIMD packs."""
     N, Y = wrench.shape[1], work.Y
     w0, w1, w2 = load_pack(wrench, k), load_pack(wrench, N + k), load_pack(wrench, 2 * N + k)
     w3, w4, w5 = (
@@ -201,3 +202,15 @@ def load_inertia(i, data, work):
     for a in range(d):
         for b in range(a + 1):
             L[a, b] = M[a * stride + b]
+
+
+def read_inertia(pointers: np.ndarray, n: int) -> np.ndarray:
+    """A copy of an arm's inertia, symmetric, shape (n, n); ``pointers`` of the arm."""
+    if n == 0:  # the surroundings
+        return np.zeros((0, 0))
+    stride = int(pointers[M_STRIDE])
+    size = (n - 1) * stride + n
+    numbers = (ctypes.c_double * size).from_address(int(pointers[M_AT]))
+    flat = np.frombuffer(memoryview(numbers), dtype=float)
+    lower = np.lib.stride_tricks.as_strided(flat, (n, n), (8 * stride, 8))
+    return np.tril(lower) + np.tril(lower, -1).T

@@ -1,12 +1,13 @@
-"""Model and Data: what is constant of a compiled scene, and what its evaluations read and write.
+"""Model and Data: the constants of a compiled scene, and the variables of its evaluations.
 
-A :class:`Model` is never written after it has been built, so that any number of threads share it.
-The rows of a model may be selected: a scene with unilateral contacts has all rows that can ever be
-closed, and is simulated with those that are (:meth:`Model.select`).
+A :class:`Model` does not change after it has been built, so that any number of threads share it.
+The model of a scene with unilateral contacts has all rows that can ever be closed; simulations use
+models with the closed ones (:meth:`Model.select`).
 
-One :class:`Data` serves one thread; :meth:`Model.data` makes one.  Compiled code sees it as a
-struct (:mod:`multiarm.dynamics.arrays`) together with the constants of its model.  What the code
-calls in Python (Pinocchio, user functions, the dense solver) are callbacks of the Data.
+Each thread needs its own :class:`Data`, which :meth:`Model.data` makes.  For compiled code, a
+struct (:mod:`multiarm.dynamics.arrays`) contains its arrays and the constants of its model.  Python
+functions that the code calls (Pinocchio, user functions, the dense solver) are callbacks of the
+Data.
 """
 
 from __future__ import annotations
@@ -51,12 +52,11 @@ from multiarm.dynamics.arrays import (
     row_variables,
     system_struct,
 )
-from multiarm.dynamics.dense_callback import dense_call
+from multiarm.dynamics.callbacks import PythonControl, UserCallback, dense_solver
 from multiarm.dynamics.effect_kernels import EffectProgram
+from multiarm.dynamics.solver.node import NodeWork, make_work
 from multiarm.dynamics.solver.singular import CoupledWork, make_coupled
-from multiarm.dynamics.solver.work import NodeWork, make_work
 from multiarm.dynamics.state import Layout, State
-from multiarm.dynamics.user_callback import PythonControl, UserCallback
 from multiarm.errors import ModelError
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
@@ -66,71 +66,36 @@ from multiarm.scene import ResolvedArm
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Constants of a compiled scene.
-
-    Attributes
-    ----------
-    arms : dict of str to Arm
-    robots : dict of str to ResolvedArm
-        What the scene says of each arm, once its robot has been looked up.
-    joints : dict of str to Joint
-        The joints as the scene has them.
-    backends : ArmBackends
-        Who computes the terms of each arm; every Data takes a copy.
-    layout : Layout
-        Where each arm's joints and rows are in stacked vectors.
-    contacts : dict of str to list of Contact
-        Records of each arm's rows; the arm's geometry in the tip frame.
-    records : tuple of Contact or JointRow
-        All rows of W, the arms' geometry in the frame of the link that carries the tip.
-    surfaces : tuple of SmoothShape
-        User-defined surfaces; every Data takes copies.
-    frames : dict of str to JointFrame
-        Each joint's frame on both bodies, and the motions that it leaves free.
-    constants : Constants
-        What kernels read.
-    effects : EffectProgram
-        What the scene's effects add to an evaluation.
-    links : tuple of (int, int)
-        Arm and joint of every link that an effect acts on.
-    levers : tuple of ndarray
-        See :func:`multiarm.dynamics.solver.work.make_work`.
-    functions, lazy_functions : mapping of str to Kernel
-        The compiled functions in :class:`multiarm.dynamics.arrays.Functions`; the lazy ones are
-        compiled when they are first called.
-    breakpoints : ndarray
-        Times at which control or effects are not smooth; steps end there [s].
-    pair_places : ndarray, shape (S, 3)
-        Where the contacts of two surfaces are at the start, see ``Variables.places``.
-    python_control : PythonControl or None
-        A controller in Python, which has taken the place of the scene's control.
-    unilateral : UnilateralConstraints or None
-        Which rows can open, slide and stick.  Such a model has all rows that can ever be closed,
-        and is never solved as it is.
-    """
+    """Constants of a compiled scene."""
 
     arms: dict[str, Arm]
-    robots: dict[str, ResolvedArm]
+    robots: dict[str, ResolvedArm]  # each arm of the scene with its robot
     joints: dict[str, Joint]
-    backends: ArmBackends
+    backends: ArmBackends  # they compute the terms of the arms; every Data takes a copy
     layout: Layout
-    contacts: dict[str, list[Contact]]
+    contacts: dict[str, list[Contact]]  # of each arm; the arm's geometry in the tip frame
+    # all rows of W, the arms' geometry in the frame of the link that carries the tip
     records: tuple[Contact | JointRow, ...]
-    surfaces: tuple[SmoothShape, ...]
-    frames: dict[str, JointFrame]
-    constants: Constants
+    surfaces: tuple[SmoothShape, ...]  # user-defined surfaces; every Data takes copies
+    frames: dict[str, JointFrame]  # each joint's frame on both bodies, and its free motions
+    constants: Constants  # for kernels
     effects: EffectProgram
-    links: tuple[tuple[int, int], ...]
-    levers: tuple[np.ndarray, ...]
+    links: tuple[tuple[int, int], ...]  # arm and joint of every link that an effect acts on
+    levers: tuple[np.ndarray, ...]  # ``NodeWork.levers`` of each arm
+    # the compiled functions in ``Functions``; the lazy ones are compiled at their first call
     functions: Mapping[str, Kernel]
     lazy_functions: Mapping[str, Kernel]
+    # times at which control or effects are not smooth, so that steps end there [s]
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    # ``Variables.places`` at the start, (S, 3)
     pair_places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    python_control: PythonControl | None = None
+    python_control: PythonControl | None = None  # in place of the scene's control
+    # Which rows can open, slide and stick.  Such a model has all rows that can ever be closed; only
+    # models with selected rows are solved.
     unilateral: UnilateralConstraints | None = None
 
     def data(self) -> Data:
-        """What evaluations of this model read and write; one for every thread."""
+        """Variables of evaluations; each thread needs its own."""
         return Data(self)
 
     # --- names ----------------------------------------------------------------------------------
@@ -152,7 +117,7 @@ class Model:
 
     @property
     def calls_python(self) -> bool:
-        """Whether every evaluation enters Python, where one thread works at a time."""
+        """Whether every evaluation calls Python, which runs one thread at a time."""
         pinocchio = any(backend == "pinocchio" for backend in self.backends.by_arm.values())
         return bool(self.calls_user or self.surfaces or self.constants.dense or pinocchio)
 
@@ -172,7 +137,7 @@ class Model:
         return self.arm_names[i], self.records[row]
 
     def joint_name(self, joint: int) -> str:
-        """Name of a joint, given by its place in the stacked vectors."""
+        """Name of a joint, given by its index in the stacked vectors."""
         i = int(np.searchsorted(self.layout.dofs, joint, side="right")) - 1
         return self.arms[self.arm_names[i]].joint_names[joint - self.layout.dofs[i]]
 
@@ -184,18 +149,14 @@ class Model:
     # --- models of the same bodies --------------------------------------------------------------
 
     def with_constants(self, **changes: Any) -> Model:
-        """The same model with other constants that kernels read."""
+        """The same model with other constants for kernels."""
         return replace(self, constants=self.constants._replace(**changes))
 
-    def with_solver(self, solver: str) -> Model:
-        """The same model solved by ``"node"`` or by the dense reference ``"dense"``."""
-        return self.with_constants(dense=solver == "dense")
-
     def with_contacts_closed(self) -> Model:
-        """The same model with all contacts of its joints closed, as if they could not open.
+        """The same model with all contacts of its joints closed, as bilateral constraints.
 
-        Friction, compliance, joint stops and the surroundings are not in it; joints with dry
-        friction move freely.  Without unilateral contacts it is the model itself.
+        It is without friction, compliance, joint stops and surroundings; joints with dry friction
+        move freely.  Without unilateral contacts it is the model itself.
         """
         if self.unilateral is None:
             return self
@@ -272,7 +233,7 @@ def with_effects(constants: Constants, effects: EffectProgram) -> Constants:
 
 
 class Evaluated(Protocol):
-    """What results of an evaluation are read from: a Data, or copies of its arrays."""
+    """Results of an evaluation: a Data, or copies of its arrays."""
 
     model: Model
     arrays: Variables
@@ -281,22 +242,22 @@ class Evaluated(Protocol):
 
 
 class Data:
-    """What the evaluations of a model read and write.
+    """Variables of the evaluations of a model, for one thread.
 
     Attributes
     ----------
     model : Model
     arrays : Variables
     work, coupled : NodeWork, CoupledWork
-        Workspace of the node algorithm, and of its system with deficient arms.
+        Workspace of the node algorithm, and of its coupled system.
     effects : list of tuple of ndarray
         Arrays of every effect kernel, the slots first.
     callbacks : dict of str to GuardedCall
-        What compiled code calls in Python.
+        Python functions that compiled code calls.
     surfaces : list of SmoothShape
         User-defined surfaces.
     cache : dict
-        What others keep together with these arrays.
+        Objects of other packages that live as long as these arrays.
     """
 
     model: Model
@@ -338,10 +299,10 @@ class Data:
     def view(self, model: Model) -> Data:
         """Data of a model with the same bodies and effects, which shares state and bodies' motion.
 
-        What has an entry for every row is its own where the model has other rows.
+        Where the model has other rows, it has its own arrays with an entry for every row.
         """
         other = copy(self)
-        other._base = self  # kernels reach its arrays by their addresses
+        other._base = self  # keeps alive the arrays whose addresses are in the struct
         other.model, other.cache, other.callbacks = model, {}, dict(self.callbacks)
         arrays = self.arrays._replace(functions=self.arrays.functions.copy())
         same_rows = model.constants.codes is self.model.constants.codes
@@ -365,11 +326,11 @@ class Data:
         return self.cache["closed"]
 
     def _connect_rows(self) -> None:
-        """Workspace, surfaces and dense solver for the rows of the model."""
+        """Make workspace, surfaces and dense solver for the rows of the model."""
         model, b = self.model, self.arrays
         sizes = np.diff(model.layout.dofs).tolist(), np.diff(model.layout.rows).tolist()
         self.work, self.coupled = make_work(*sizes, model.levers), make_coupled(*sizes)
-        dense = dense_call(b, self.work)
+        dense = dense_solver(b, self.work)
         self._add_callback("dense", PythonCallback(dense, b.status))
         self.surfaces = [self._surfaces[id(surface)] for surface in model.surfaces]
         if self.surfaces:
@@ -405,13 +366,13 @@ class Data:
             setattr(self.arrays.functions, name, address)
 
     def replace_arrays(self, **changes: Any) -> None:
-        """Use other arrays in place of some of its own."""
+        """Replace some of the arrays."""
         self.arrays = self.arrays._replace(**changes)
         self._struct = self._make_struct()
 
     def replace_dense_solver(self, reactions: tuple[np.ndarray, np.ndarray]) -> None:
-        """Let the dense solver have forces act along other rows, see :func:`dense_call`."""
-        dense = dense_call(self.arrays, self.work, reactions)
+        """Let the dense solver use other directions of the forces, see :func:`dense_solver`."""
+        dense = dense_solver(self.arrays, self.work, reactions)
         self._add_callback("dense", PythonCallback(dense, self.arrays.status))
 
     @property
@@ -420,7 +381,7 @@ class Data:
         return self._struct
 
     def effect(self, name: str) -> tuple[np.ndarray, ...]:
-        """Arrays of an effect's kernel, without the slots; of several of one name, of the first."""
+        """Arrays of an effect's first kernel, without the slots."""
         kernels = zip(self.model.effects.kernels, self.effects, strict=True)
         return next(arrays[1:] for kernel, arrays in kernels if kernel.name == name)
 
@@ -432,7 +393,7 @@ class Data:
     # --- state ----------------------------------------------------------------------------------
 
     def set_state(self, t: float, state: State) -> None:
-        """Begin at a state: nothing is known of any other one.
+        """Start at a state; all memory of other states is deleted.
 
         Raises
         ------
@@ -447,7 +408,7 @@ class Data:
         b = self.arrays
         b.time.now, b.time.latest = t, np.inf
         self.move_to(state)
-        b.torque[:] = 0.0  # another control may have left its torques here
+        b.torque[:] = 0.0  # those of another control
         b.inner[:] = b.inner_rate[:] = 0.0
         b.places[:] = self.model.pair_places
         b.coordinates[:] = np.nan
@@ -462,7 +423,7 @@ class Data:
             surface.reset()
 
     def move_to(self, state: State) -> None:
-        """Write positions and velocities; what is known of the state before is kept."""
+        """Write positions and velocities; memory of the previous state is kept."""
         b = self.arrays
         b.position[:], b.angles[:] = state.position[:7], state.position[7:]
         b.twist[:], b.v[:] = state.velocity[:6], state.velocity[6:]
@@ -477,7 +438,7 @@ class Data:
         )
 
     def effect_states(self) -> np.ndarray:
-        """The effects' own states at the start of a run, which has just been evaluated."""
+        """States of the effects at the start of a run, which has just been evaluated."""
         parts = [np.zeros(0)]
         for kernel, (_, *arrays) in zip(self.model.effects.kernels, self.effects, strict=True):
             if kernel.start is not None:
@@ -495,10 +456,7 @@ class Data:
         return -constants.object_mass * height + self._backends.potential_energy()
 
     def coriolis(self) -> Coriolis:
-        """What updates the arms' matrices of Coriolis forces, and where they are.
-
-        Valid while this lives; they are made once.
-        """
+        """The arms' Coriolis matrices, and the functions that update them."""
         found, call = self._backends.coriolis(self.arrays.status)
         if call is not None:
             self.callbacks["coriolis"] = call
@@ -507,13 +465,13 @@ class Data:
     # --- exceptions in callbacks ----------------------------------------------------------------
 
     def reraise(self) -> None:
-        """Raise the exception that a callback ran into, and clear the flag."""
+        """Raise the exception of a callback, and clear the flag."""
         self.arrays.status.failed = False
         for call in self.callbacks.values():
             call.reraise()
 
     def forgive(self) -> None:
-        """Forget the exception that a callback ran into, and clear the flag."""
+        """Ignore the exception of a callback, and clear the flag."""
         self.arrays.status.failed = False
         for call in self.callbacks.values():
             call.error = None

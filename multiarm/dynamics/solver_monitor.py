@@ -1,15 +1,15 @@
-"""How the equations were solved at the end of every step, and what changed since the step before.
+"""Monitor of the solver: rank and residual at the end of every step, and their changes.
 
-Three numbers are written down: the rank of the constraints, how many arms went through the coupled
-system (:mod:`multiarm.dynamics.solver.singular`), and the largest constraint residual relative to
-the largest term of its equations.  Where that is above ``RESIDUAL_BOUND``, the equations are solved
-once more with every arm decomposed; if that does not help, the step is refused.  The object's
-equation was treated likewise when it was solved (:func:`multiarm.dynamics.equations.imbalance`).
+Three numbers are recorded: the rank of the constraints, the number of arms in the coupled system
+(:mod:`multiarm.dynamics.solver.singular`), and the largest constraint residual relative to the
+largest term of its equations.  Where the residual is above ``RESIDUAL_BOUND``, the equations are
+solved again with every arm decomposed; if it stays too large, the step is rejected.  The object's
+equation is treated likewise when it is solved (:func:`multiarm.dynamics.equations.imbalance`).
 
-An arm that is not eliminated as a whole *loses a direction* when it can move along it, for the same
-force, by less than ``LOST`` of what it moves along its best one; it has it again some way after it
-is eliminated as a whole.  A step may also jump over a singular posture; then
-the determinant of the arm's square ``W`` has changed its sign.
+An arm that is not eliminated as a whole *loses a direction* when, for the same force, it moves
+along it by less than ``LOST`` of the motion along its best one.  It regains the direction at a
+larger ratio (hysteresis).  A step may also jump over a singular posture; then the determinant of
+the arm's square ``W`` has changed its sign.
 """
 
 from __future__ import annotations
@@ -26,28 +26,26 @@ from multiarm.dynamics.equations import (
     solve_again,
 )
 from multiarm.dynamics.solver.batched import largest_free_rate
-from multiarm.dynamics.solver.regular import COUPLED_BELOW
+from multiarm.dynamics.solver.node import COUPLED_BELOW
 from multiarm.jit.kernels import inlined, kernel
 
-# Constraint residual, relative to the largest term of its equation, that is still a solution.
+# Largest constraint residual of a solution, relative to the largest term of its equation.
 RESIDUAL_BOUND = 1e-5
-# What roundings of gaps make of it: so much over the square of the distance from a loss of rank,
-# and at most.
-ROUNDED_RESIDUAL, MOST_ROUNDED_RESIDUAL = 1e-13, 1e-3
-# A direction with a sigma below this fraction of the arm's largest is lost; it is there again at
-# REGAINED times as much.
+# Largest residual by rounding errors of gaps near a loss of rank.
+MOST_ROUNDED_RESIDUAL = 1e-3
+# A direction with a sigma below this fraction of the arm's largest is lost, and regained at
+# REGAINED times this fraction.
 LOST, REGAINED = 1e-3, 2.0
 
 
 @kernel
 def evaluate_and_check(struct, found):
-    """Evaluate the state in ``data``, and put the result back into the equations.
+    """Evaluate the state in ``data``, and insert the result into the equations.
 
-    Writes into ``found`` (6,) what is left over of the arms' equations, of the object's and of the
-    constraints (largest magnitudes, see :class:`multiarm.dynamics.evaluation.Residuals`), the
-    largest gap [m] and gap rate [m/s], and whether the result counts as a solution.  The matrices
-    in ``work`` are not factored afterwards.  Returns a status, as
-    :func:`multiarm.dynamics.equations.evaluate_state`.
+    Writes into ``found`` (6,) the residuals of arms, object and constraints
+    (:class:`multiarm.dynamics.evaluation.Residuals`), the largest gap [m] and gap rate [m/s], and
+    whether the result is a solution.  The matrices in ``work`` are not factored afterwards.
+    Returns the status of :func:`multiarm.dynamics.equations.evaluate_state`.
     """
     status = evaluate_state(struct, 0.0, 0.0)
     if status != OK:
@@ -112,14 +110,16 @@ def larger(worst, left):
 def note_solution(struct):
     """Write rank, coupled arms and residual of the last solution into ``data.status``.
 
-    A solution that is not believable is replaced by the one with every arm decomposed.
+    Where the residual is too large, the equations are solved again with every arm decomposed.
     """
     model, data, work = open_system(struct)
     coupled = open_coupled(struct)
     status, arms = data.status, data.pointers.shape[0]
     status.residual = residual_of_all(model, data, work)
     solved = believable(struct, status.residual)
-    if not solved and can_be_repeated(model, data) and coupled.status.arms < arms:
+    # only the node algorithm without friction can be repeated
+    repeatable = not model.dense and data.functions.solve == data.functions.project
+    if not solved and repeatable and coupled.status.arms < arms:
         if solve_again(struct) != OK:
             status.imbalance = math.nan
         status.residual = residual_of_all(model, data, work)
@@ -128,12 +128,6 @@ def note_solution(struct):
         status.rank = data.force.size
         if coupled.status.arms > 0:
             status.rank += coupled.status.rank - coupled.status.unknowns
-
-
-@inlined
-def can_be_repeated(model, data):
-    """Whether the node algorithm alone made the solution, without friction or forces of a mode."""
-    return not model.dense and data.functions.solve == data.functions.project
 
 
 @inlined
@@ -147,8 +141,8 @@ def residual_of_all(model, data, work):
 def constraint_residual(model, data, work):
     """Largest ``|W_o^T q_o + W^T q - c|`` relative to the largest term in any of these rows.
 
-    Terms are those that cancel there: ``c``, the accelerations, and those without contact forces.
-    After an elimination arm by arm ``work.Y`` holds ``L^-1 W`` and ``work.L`` the factor, so that
+    Terms are ``c``, the accelerations, and the accelerations without contact forces.  After
+    an elimination arm by arm ``work.Y`` holds ``L^-1 W`` and ``work.L`` the factor, so that
     ``W^T q = Y^T (L^T q)``; else ``W`` is still in ``work.Y``.
     """
     factored = work.factored[0] != 0
@@ -185,14 +179,14 @@ def constraint_residual(model, data, work):
 def believable(struct, residual):
     """Whether a relative residual is that of a solution.
 
-    Near a loss of rank the roundings of a gap, magnified twice, are part of it: there the state is
-    only so near to the motion that it is on.
+    Near a loss of rank, rounding errors of the gaps are magnified by the square of the distance
+    from it.
     """
     coupled = open_coupled(struct)
     if coupled.status.arms == 0:
         return residual <= RESIDUAL_BOUND
     margin = coupled.status.margin
-    rounded = min(MOST_ROUNDED_RESIDUAL, ROUNDED_RESIDUAL / (margin * margin))
+    rounded = min(MOST_ROUNDED_RESIDUAL, 1e-13 / (margin * margin))
     return residual <= max(RESIDUAL_BOUND, rounded)
 
 
@@ -207,7 +201,7 @@ def free_acceleration(data):
 
 @kernel
 def watch_solver(struct):
-    """Compare with the step before; returns the number of changes, for Python to put into words."""
+    """Compare with the previous step; returns the number of changes."""
     model, data, work = open_system(struct)
     changes = 0
     rank = data.status.rank
@@ -239,7 +233,7 @@ def watch_solver(struct):
 
 @kernel
 def lost_directions(i, before, work, coupled):
-    """How many directions a deficient arm has lost, with some play to either side."""
+    """Number of lost directions of a deficient arm, with hysteresis."""
     fewest = most = 0
     for a in range(work.rows[i], work.rows[i + 1]):
         share = coupled.sigma[a] / coupled.scale[i] if coupled.scale[i] > 0.0 else 0.0

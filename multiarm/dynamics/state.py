@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+
+from multiarm.errors import ModelError, MultiarmError
 
 
 @dataclass(frozen=True)
 class Layout:
     """Where each arm's joints (``dofs``) and contacts (``rows``) are in stacked vectors.
 
-    Contacts of the object with its surroundings come last: those of an arm without joints that has
-    no name.
+    Contacts of the object with its surroundings come last, as those of an arm without joints and
+    name.
     """
 
     names: tuple[str, ...]
@@ -37,7 +40,7 @@ class Layout:
         return slice(self.rows[len(self.names)], self.rows[-1])
 
     def same_joints(self, other: Layout) -> bool:
-        """Whether states of the two are made alike; their contacts may differ."""
+        """Whether the joints are the same; the contacts may differ."""
         return (self.names, self.dofs) == (other.names, other.dofs)
 
     def split_joints(self, vector: np.ndarray) -> dict[str, np.ndarray]:
@@ -101,3 +104,33 @@ class State:
     def copy(self) -> State:
         """An independent copy."""
         return State(self.position.copy(), self.velocity.copy(), self.layout)
+
+
+def checked_vector(
+    what: str, values: Any, size: int, error: type[MultiarmError] = ModelError
+) -> np.ndarray:
+    """A new vector of a given size with finite numbers, or an error that names ``what``."""
+    try:
+        vector = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise error(f"{what}: expected {size} numbers, got {values!r}") from None
+    if vector.shape != (size,):
+        raise error(f"{what}: expected shape ({size},), got {vector.shape}")
+    if not np.all(np.isfinite(vector)):
+        raise error(f"{what}: a number is not finite: {vector.tolist()}")
+    return vector
+
+
+def fill_by_arm(
+    what: str,
+    views: Mapping[str, np.ndarray],
+    given: Any,
+    error: type[MultiarmError] = ModelError,
+) -> None:
+    """Write ``given``, a mapping arm -> numbers, into the ``views`` of some or all arms."""
+    if not isinstance(given, Mapping):
+        raise error(f"{what}: expected a dict arm -> numbers, got {type(given).__name__}")
+    for arm, values in given.items():
+        if arm not in views:
+            raise error(f"{what}: unknown arm {arm!r}; arms are {', '.join(views)}")
+        views[arm][:] = checked_vector(f"{what}[{arm!r}]", values, views[arm].size, error)

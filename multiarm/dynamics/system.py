@@ -1,8 +1,7 @@
-"""System: what a user holds of a compiled scene.
+"""A compiled scene for its user: the scene, its Model, and the start.
 
-A :class:`System` is thin: the scene, its :class:`multiarm.dynamics.model.Model`, and the start.  An
-evaluation borrows a :class:`multiarm.dynamics.model.Data`, so that any number of threads may use
-one system, and a controller may evaluate the very system that it controls.
+An evaluation borrows a :class:`multiarm.dynamics.model.Data` of the
+:class:`multiarm.dynamics.model.Model`, so that any number of threads can use one :class:`System`.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ import numpy as np
 from multiarm.arms.arm import Arm
 from multiarm.contacts.joint import COMPONENTS, UNITS, JointFrame
 from multiarm.contacts.records import Contact
+from multiarm.dynamics.callbacks import ControlFunction, PythonControl
 from multiarm.dynamics.model import Data, Model
-from multiarm.dynamics.state import State
-from multiarm.dynamics.user_callback import ControlFunction, PythonControl
+from multiarm.dynamics.state import State, checked_vector, fill_by_arm
 from multiarm.errors import ModelError
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.scene import Scene
@@ -28,58 +27,26 @@ from multiarm.scene import Scene
 
 @dataclass(frozen=True)
 class StartReport:
-    """How the written start was corrected.
+    """How the given start was corrected; all mappings are by arm."""
 
-    Attributes
-    ----------
-    gaps : dict arm -> float
-        Largest gap of the written start [m].
-    gap_rates : dict arm -> float
-        Largest gap rate of the written start [m/s].
-    gaps_left : dict arm -> float
-        Largest gap of the assembled start [m].
-    joint_change : float
-        Largest change of one joint [rad, m].
-    joint_changes : dict arm -> float
-        The same, arm by arm.
-    object_held : bool
-        Whether the arms closed the gaps without moving the object.
-    object_shift, object_turn : float
-        Displacement [m] and rotation [rad] of the object.
-    at_limit : tuple of str
-        Joints (``arm/joint``) of the assembled start that are at a limit.
-    outside_limits : tuple of str
-        Joints that were written outside their limits, which then do not hold them.
-    velocity_change : float
-        Largest change of a velocity component [m/s, rad/s].
-    object_velocity_change, object_spin_change : float
-        Change of the velocity of the centre of mass [m/s] and of the angular velocity [rad/s].
-    joint_velocity_change : float
-        Largest change of a joint's velocity [rad/s, m/s].
-    energy_lost : float
-        Kinetic energy that the written velocities had more [J].
-
-    :meth:`lines` says it in words.
-    """
-
-    gaps: dict[str, float] = field(default_factory=dict)
-    gap_rates: dict[str, float] = field(default_factory=dict)
-    gaps_left: dict[str, float] = field(default_factory=dict)
-    joint_change: float = 0.0
-    joint_changes: dict[str, float] = field(default_factory=dict)
-    object_held: bool = True
-    object_shift: float = 0.0
-    object_turn: float = 0.0
-    at_limit: tuple[str, ...] = ()
-    outside_limits: tuple[str, ...] = ()
-    velocity_change: float = 0.0
-    object_velocity_change: float = 0.0
-    object_spin_change: float = 0.0
-    joint_velocity_change: float = 0.0
-    energy_lost: float = 0.0
+    gaps: dict[str, float] = field(default_factory=dict)  # largest gap of the given start [m]
+    gap_rates: dict[str, float] = field(default_factory=dict)  # largest gap rate [m/s]
+    gaps_left: dict[str, float] = field(default_factory=dict)  # of the assembled start [m]
+    joint_change: float = 0.0  # largest change of a joint [rad, m]
+    joint_changes: dict[str, float] = field(default_factory=dict)  # the same by arm
+    object_held: bool = True  # whether the arms closed the gaps without moving the object
+    object_shift: float = 0.0  # displacement of the object [m]
+    object_turn: float = 0.0  # rotation of the object [rad]
+    at_limit: tuple[str, ...] = ()  # joints (arm/joint) of the assembled start at a limit
+    outside_limits: tuple[str, ...] = ()  # joints outside their limits, which are not enforced
+    velocity_change: float = 0.0  # largest change of a velocity component [m/s, rad/s]
+    object_velocity_change: float = 0.0  # of the centre of mass [m/s]
+    object_spin_change: float = 0.0  # of the angular velocity [rad/s]
+    joint_velocity_change: float = 0.0  # largest change of a joint's velocity [rad/s, m/s]
+    energy_lost: float = 0.0  # decrease of the kinetic energy by the correction [J]
 
     def lines(self) -> list[str]:
-        """What was corrected, and what a reader should know of the joints' limits."""
+        """The corrections, and joints at or outside limits, in words."""
         found = []
         if self.joint_change > 0.0 or not self.object_held:
             arms = ", ".join(f"{arm} {change:.3g}" for arm, change in self.joint_changes.items())
@@ -111,7 +78,7 @@ class System:
     scene : Scene
     model : Model
     start_report : StartReport
-        How far the scene's start was from satisfying the joints, and what was corrected.
+        How the scene's start violated the joints, and how it was corrected.
     """
 
     scene: Scene
@@ -122,7 +89,7 @@ class System:
 
     @contextmanager
     def borrow(self) -> Iterator[Data]:
-        """A Data of the model for exclusive use; in which state it is, is not known."""
+        """A Data of the model for exclusive use, in an unspecified state."""
         try:
             data = self._free_data.pop()
         except IndexError:
@@ -133,7 +100,7 @@ class System:
             self.keep(data)
 
     def keep(self, data: Data) -> None:
-        """Take a Data of the model that nobody uses, to be borrowed."""
+        """Accept an unused Data of the model, which can then be borrowed."""
         self._free_data.append(data)
 
     @property
@@ -163,17 +130,17 @@ class System:
 
     @property
     def arm_terms(self) -> dict[str, str]:
-        """Who computes the terms of each arm: ``"compiled"`` code or ``"pinocchio"``."""
+        """Backend of each arm's terms: ``"compiled"`` code or ``"pinocchio"``."""
         return self.model.backends.by_arm
 
     @property
     def not_compiled(self) -> dict[str, str]:
-        """Why an arm stays with Pinocchio although the scene wants compiled ones, by arm."""
+        """Why arms use Pinocchio although the scene selects compiled ones, by arm."""
         return self.model.backends.reasons
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """What a run records."""
+        """The recorded quantities of a run."""
         model = self.model
         around = model.records[model.layout.surroundings]
         return trajectory_channels(
@@ -197,9 +164,9 @@ class System:
         object_twist=None,
         joint_velocities: Mapping[str, np.ndarray] | None = None,
     ) -> State:
-        """A state from plain arrays; what is not given is taken from the start.
+        """A state from plain arrays; those left out are taken from the start.
 
-        Nothing is projected: the state may violate the joints.
+        The state is not projected and may violate the joints.
 
         Raises
         ------
@@ -217,15 +184,15 @@ class System:
             state.position[3:7] = quaternion / norm
         if object_twist is not None:
             state.velocity[:6] = checked_vector("object_twist", object_twist, 6)
-        _fill(state.joint_positions, joint_positions, "joint_positions")
-        _fill(state.joint_velocities, joint_velocities, "joint_velocities")
+        fill_by_arm("joint_positions", state.joint_positions, joint_positions or {})
+        fill_by_arm("joint_velocities", state.joint_velocities, joint_velocities or {})
         return state
 
     def with_control(self, control: ControlFunction) -> System:
         """The same system driven by a Python function ``f(t, state) -> {arm: torques}``.
 
-        Arms that the function leaves out get no torque.  It may evaluate systems, this one too.
-        Where many runs go on at once (:func:`multiarm.simulate_many`), all threads call this one
+        Arms that the function leaves out have no torque.  It may evaluate systems without this
+        control, such as this one.  In :func:`multiarm.simulate_many` all threads call the same
         function.
         """
         python = PythonControl(control)
@@ -249,23 +216,3 @@ class System:
             scene=self.scene.model_copy(update={"run": run}),
             model=self.model.with_constants(dense=dense),
         )
-
-
-def _fill(views: Mapping[str, np.ndarray], given: Mapping | None, what: str) -> None:
-    for arm, values in (given or {}).items():
-        if arm not in views:
-            raise ModelError(f"{what}: unknown arm {arm!r}; arms are {', '.join(views)}")
-        views[arm][:] = checked_vector(f"{what}[{arm!r}]", values, views[arm].size)
-
-
-def checked_vector(what: str, values, size: int) -> np.ndarray:
-    """A vector of the right size whose numbers are finite, or a ModelError that says ``what``."""
-    try:
-        vector = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(f"{what}: expected {size} numbers, got {values!r}") from None
-    if vector.shape != (size,):
-        raise ModelError(f"{what}: expected shape ({size},), got {vector.shape}")
-    if not np.all(np.isfinite(vector)):
-        raise ModelError(f"{what}: a number is not finite: {vector.tolist()}")
-    return vector

@@ -1,49 +1,29 @@
 """Optional effects: each file one effect; a scene runs only those that it names.
 
 ``multiarm/effects/<name>.py`` holds what ``effects: {<name>: ...}`` of a scene adds to the model:
-its equation, its compiled kernel, and ``build(spec, context)``, which returns the kernels that the
-evaluation calls (:mod:`multiarm.dynamics.effect_kernels`).  What a scene does not name is not
-imported, has no array, and is not called.
+its equation, its compiled kernel, and ``build(spec, context)``, which returns the kernels that an
+evaluation calls (:mod:`multiarm.dynamics.effect_kernels`).  An effect that a scene does not name is
+not imported, has no array, and is not called.
 
-The names below are what effects in other packages are built from.
+Packages with user-defined effects build them from the names below.  They are imported at their
+first use, so that defining an effect does not load the compiler.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from multiarm.dynamics.arrays import open_system
-    from multiarm.dynamics.effect_kernels import (
-        ACTUATOR,
-        APPLIED,
-        PASSIVE,
-        POWER,
-        STATE,
-        EffectKernel,
-    )
-    from multiarm.effects.context import BuildContext
+from typing import Any
 
 _HOMES = {
     **dict.fromkeys(
         ("ACTUATOR", "APPLIED", "PASSIVE", "POWER", "STATE", "EffectKernel"),
         "dynamics.effect_kernels",
     ),
-    "BuildContext": "effects.context",
+    "BuildContext": "effects.building",
     "open_system": "dynamics.arrays",
 }
 
-__all__ = [
-    "ACTUATOR",
-    "APPLIED",
-    "PASSIVE",
-    "POWER",
-    "STATE",
-    "BuildContext",
-    "EffectKernel",
-    "open_system",
-]
+__all__ = [*_HOMES]
 
 
 def __getattr__(name: str) -> Any:

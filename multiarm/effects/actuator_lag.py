@@ -1,7 +1,7 @@
-r"""Drives that follow the command with a delay: :math:`T_j \dot\tau_j = \tau^*_j - \tau_j`.
+r"""First-order lag of the drives: :math:`T_j \dot\tau_j = \tau^*_j - \tau_j`.
 
 Each lagging joint has one state of its own, the torque that acts [N m, N].  The command is what the
-control asks for, within ``torque_limits``.  The torque that acts does the control's work.
+control commands, within ``torque_limits``.  The torque that acts does the control's work.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.effect_kernels import ACTUATOR, STATE, Arrays, EffectKernel
-from multiarm.effects.context import BuildContext
+from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 
@@ -33,7 +33,7 @@ def lag_torques(address, size, at, _t):
 
 
 def build(spec, context: BuildContext) -> list[EffectKernel]:
-    """The piece of a system whose drives lag; joints without a time constant follow at once."""
+    """The kernel of lagging drives; joints without a time constant follow at once."""
     constants = context.stacked(spec.time_constant)
     lagging = np.flatnonzero(constants).astype(np.int64)
     commands = np.zeros(lagging.size)

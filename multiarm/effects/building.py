@@ -1,20 +1,96 @@
-"""From the effects that a scene names to their kernels."""
+"""Building the effects of a scene: from its parameters to compiled kernels and their arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
-from multiarm.dynamics.effect_kernels import EffectKernel, EffectProgram
-from multiarm.effects.context import BuildContext
+import numpy as np
+
+from multiarm.arms.arm import Arm
+from multiarm.contacts.unilateral import DRY_JOINT, UnilateralConstraints
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.callbacks import UserCallback
+from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel, EffectProgram
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.state import Layout
 from multiarm.errors import ModelError
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.pointers import call_python
+from multiarm.jit.structs import floats1, ints1, struct_at
+from multiarm.scene import JointOutline, Scene, joint_vector
 from multiarm.scene.effects import WITH_EVENTS
 from multiarm.scene.registry import find_effect
 
 
+class Link(NamedTuple):
+    """A link of an arm on which an effect acts."""
+
+    # index in ``Variables.link_poses`` of the address of its joint's pose: 12 numbers, rotation by
+    # columns, origin
+    number: int
+    # the arm's number; ``Variables.pointers[arm, J_AT]`` is the address of its Jacobian (columns of
+    # 6, world axes, about the world's origin)
+    arm: int
+    first: int  # the arm's first joint among all
+    joints: int  # number of joints that carry the link
+    # the link's frame in the frame of the joint that carries it, (3, 3) and (3,)
+    rotation: np.ndarray
+    translation: np.ndarray
+
+
+@dataclass(frozen=True)
+class BuildContext:
+    """The system for which an effect is built.
+
+    Attributes
+    ----------
+    scene : Scene
+    arms : dict of str to Arm
+    layout : Layout
+        Where each arm's joints and contacts are in stacked vectors.
+    outlines : dict of str to tuple of JointOutline
+        Each arm's joints as its URDF has them.
+    links : list of (int, int)
+        Arm and joint of every link that some effect acts on.
+    """
+
+    scene: Scene
+    arms: dict[str, Arm]
+    layout: Layout
+    outlines: dict[str, tuple[JointOutline, ...]]
+    links: list[tuple[int, int]] = field(default_factory=list)
+
+    def stacked(
+        self,
+        values: Any,
+        from_urdf: Callable[[JointOutline], float] | None = None,
+        default: float = 0.0,
+    ) -> np.ndarray:
+        """One number for every joint of all arms; see :func:`joint_numbers`."""
+        return np.concatenate(
+            list(joint_numbers(values, self.outlines, from_urdf, default).values())
+        )
+
+    def link(self, arm: str, name: str) -> Link:
+        """A link of an arm; its pose will be computed at every evaluation."""
+        joint, rotation, translation = self.arms[arm].link(name)
+        number = self.layout.names.index(arm)
+        self.links.append((number, joint))
+        return Link(
+            number=len(self.links) - 1,
+            arm=number,
+            first=self.layout.dofs[number],
+            joints=joint,
+            rotation=rotation,
+            translation=translation,
+        )
+
+
 def effect_program(context: BuildContext, further: Sequence[EffectKernel] = ()) -> EffectProgram:
-    """The kernels of the effects that the scene names, and further ones; no other is imported."""
+    """The kernels of the effects that the scene names, and further ones."""
     kernels = [*further]
     for name, spec in context.scene.effects.named.items():
         if name in WITH_EVENTS:
@@ -24,6 +100,90 @@ def effect_program(context: BuildContext, further: Sequence[EffectKernel] = ()) 
         else:
             kernels += _user_kernels(name, spec, context)
     return EffectProgram.of(kernels)
+
+
+def unilateral_kernels(unilateral: UnilateralConstraints | None, joints: int) -> list[EffectKernel]:
+    """The kernels of unilateral contacts, and of dry friction in ``joints`` joints.
+
+    Impacts and sliding friction have no kernel: other functions write their work.
+    """
+    if unilateral is None:
+        return []
+    kernels = [EffectKernel("impacts", None, APPLIED)]
+    if any(constraint.tangents for constraint in unilateral.constraints):
+        kernels.append(EffectKernel("contact_friction", None, APPLIED))
+    if any(constraint.kind == DRY_JOINT for constraint in unilateral.constraints):
+        from multiarm.effects.joint_friction import coulomb_kernel
+
+        kernels.append(coulomb_kernel(joints))
+    if unilateral.compliant is not None:
+        from multiarm.effects.contact_compliance import compliance_kernel
+
+        kernels.append(compliance_kernel(unilateral.compliant))
+    return kernels
+
+
+@cfunc
+def add_loads(address, size, at, _t):
+    """Own arrays: address of the function; its result, wrench and torques."""
+    struct = struct_at(address, size)
+    _, data, _ = open_system(struct)
+    slots, function = ints1(struct, int(at)), ints1(struct, int(at) + 1)
+    loads, power = floats1(struct, int(at) + 2), 0.0
+    if data.status.failed:
+        return 0  # another function failed
+    call_python(function[0])
+    for k in range(6):
+        data.h_o[k] += loads[k]
+        power += loads[k] * data.twist[k]
+    for j in range(data.h.size):
+        data.h[j] += loads[6 + j]
+        power += loads[6 + j] * data.v[j]
+    data.power[slots[POWER]] = power
+    return 0
+
+
+def forces_kernel(
+    name: str, make: Callable[[], Callable], read: Callable[[Any], np.ndarray], layout: Layout
+) -> EffectKernel:
+    """The kernel of an effect whose forces a Python function ``f(t, state)`` computes.
+
+    ``make`` returns the function; it is called once for every Data.  ``read`` returns the result of
+    the function as wrench and joint torques, shape (6 + n,).
+    """
+    address, loads = np.zeros(1, dtype=np.int64), np.zeros(6 + layout.joints)
+
+    def connect(data: Data, arrays: Arrays) -> dict[str, UserCallback]:
+        own_address, own_loads = arrays
+        who = f"the effect {name!r}"
+        call = UserCallback(make(), who, read, own_loads, layout, data.arrays, owner=make)
+        own_address[0] = call.address
+        return {f"effects/{name}": call}
+
+    return EffectKernel(
+        name, add_loads, APPLIED, (address, loads), connect=connect, calls_user=True
+    )
+
+
+def joint_numbers(
+    values: Any,
+    outlines: Mapping[str, Sequence[JointOutline]],
+    from_urdf: Callable[[JointOutline], float] | None = None,
+    default: float = 0.0,
+) -> dict[str, np.ndarray]:
+    """One number for every joint, by arm, from a scene's number, list or table.
+
+    ``from_urdf`` gives the number for the text ``urdf``; joints without a name have the default.
+    """
+    found = {}
+    for name, joints in outlines.items():
+        own = values.get(name) if isinstance(values, Mapping) else values
+        if isinstance(own, str):
+            assert from_urdf is not None, "a text means the numbers of the URDF"
+            found[name] = np.array([from_urdf(joint) for joint in joints])
+        else:
+            found[name] = joint_vector(own, [joint.name for joint in joints], default)
+    return found
 
 
 def _user_kernels(name: str, spec: Any, context: BuildContext) -> list[EffectKernel]:

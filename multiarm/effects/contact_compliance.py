@@ -1,14 +1,15 @@
-r"""Contacts that give way: a spring and a damper in place of a constraint.
+r"""Compliant contacts: a spring and a damper in place of a constraint.
 
 The contact force is a function of the gap :math:`\varphi` and its rate,
 
 .. math:: \lambda = -(k\,\varphi + d\,\dot\varphi),
 
 on the object along the contact's wrench, :math:`W_o\lambda`, and on the arm :math:`W\lambda`; its
-power is :math:`\lambda\dot\varphi`.  It is determined however many contacts there are.  A contact
-that can only push does so while it is pressed in (:math:`\varphi < 0`) and the force is positive;
-both ends of pushing are events, at which steps end, so that no step sees the kink.  The model:
-K.L. Johnson, Contact Mechanics, Cambridge 1985, linearised about a load.
+power is :math:`\lambda\dot\varphi`.  The forces are unique for any number of contacts.
+
+A unilateral contact pushes while :math:`\varphi < 0` and the force is positive; the start and the
+end of pushing are events, at which steps end, so that no step contains the kink.  The model: K.L.
+Johnson, Contact Mechanics, Cambridge 1985, linearised about a load.
 """
 
 from __future__ import annotations
@@ -53,10 +54,8 @@ def add_contact_compliance(address, size, at, _t):
     return 0
 
 
-def compliance_kernels(springs: CompliantContacts | None) -> list[EffectKernel]:
+def compliance_kernel(springs: CompliantContacts) -> EffectKernel:
     """The kernel of a scene with compliant contacts."""
-    if springs is None:
-        return []
 
     def connect(data: Data, arrays: Arrays) -> dict:
         rows = data.view(data.model.select(springs.rows))
@@ -64,18 +63,16 @@ def compliance_kernels(springs: CompliantContacts | None) -> list[EffectKernel]:
         data.cache["contact_compliance"] = rows  # the kernel reaches it by its address
         return {}
 
-    # the mode of the contacts sets the last but one, and reads the last (`multiarm.events.modes`)
+    # the mode of the contacts writes the last but one, and reads the last (`multiarm.events.modes`)
     arrays = (
         np.zeros(2, dtype=np.int64), springs.owners, springs.stiffness, springs.damping,
         springs.always, np.zeros(len(springs.rows)),
     )  # fmt: skip
-    return [
-        EffectKernel(
-            "contact_compliance",
-            add_contact_compliance,
-            APPLIED,
-            arrays,
-            connect=connect,
-            unilateral=True,
-        )
-    ]
+    return EffectKernel(
+        "contact_compliance",
+        add_contact_compliance,
+        APPLIED,
+        arrays,
+        connect=connect,
+        unilateral=True,
+    )

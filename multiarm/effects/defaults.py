@@ -1,7 +1,7 @@
-r"""Usual parameters of each effect, for whoever wonders what it would change.
+r"""Typical parameters of each effect, to estimate its influence on a scene.
 
-They are guesses that anybody would make first: what the robots' URDF files say, the object's own
-size in air, a floor right below it.  A scene of one's own needs numbers of one's own.
+They are first guesses: the values of the robots' URDF files, air drag of the object's size, a floor
+just below the object.  They do not replace measured parameters.
 """
 
 from __future__ import annotations
@@ -14,24 +14,15 @@ import numpy as np
 from multiarm.scene import Scene, Shape
 from multiarm.scene.registry import find_effect, own_effect_names
 
-BLUNT = 1.0
-"""Drag coefficient of a blunt body."""
-MOTOR_INERTIA = 0.1
-"""Of a rotor behind its gear, at the joint [kg m^2, kg]."""
-FRICTION = 0.3
-"""Coulomb's coefficient, of dry metal."""
-LAG = 0.01
-"""Time constant of a drive [s]."""
-
 
 def defaults(scene: Scene) -> dict[str, Any]:
-    """Name -> parameters, as a scene has them, of all effects that have usual ones.
+    """Name -> parameters, as in a scene, of all effects that have typical ones.
 
-    Effects of one's own are among them that have a class attribute ``default``.
+    Of user-defined effects, those with a class attribute ``default``.
     """
     own = {name: getattr(find_effect(name), "default", None) for name in own_effect_names()}
     known = type(scene.effects).model_fields
-    found = {name: make(scene) for name, make in _USUAL.items() if name in known}
+    found = {name: make(scene) for name, make in _TYPICAL.items() if name in known}
     return {name: value for name, value in {**found, **own}.items() if value is not None}
 
 
@@ -41,7 +32,7 @@ def _air(scene: Scene) -> Mapping[str, Any] | None:
     if half is None:
         return None
     x, y, z = (2.0 * half).tolist()
-    return {"area": [y * z, z * x, x * y], "coefficient": BLUNT}
+    return {"area": [y * z, z * x, x * y], "coefficient": 1.0}
 
 
 def _below(scene: Scene) -> Mapping[str, Any] | None:
@@ -71,16 +62,16 @@ def _half_size(shape: Shape) -> np.ndarray | None:
     return None
 
 
-_USUAL: dict[str, Callable[[Scene], Any]] = {
+_TYPICAL: dict[str, Callable[[Scene], Any]] = {
     "joint_damping": lambda _: "urdf",
     "joint_friction": lambda _: "urdf",
-    "rotor_inertia": lambda _: MOTOR_INERTIA,
+    "rotor_inertia": lambda _: 0.1,  # at the joint [kg m^2, kg]
     "torque_limits": lambda _: "urdf",
-    "actuator_lag": lambda _: LAG,
+    "actuator_lag": lambda _: 0.01,  # time constant of a drive [s]
     "drag": _air,
     "unilateral_contacts": lambda _: {},
-    "contact_friction": lambda _: FRICTION,
+    "contact_friction": lambda _: 0.3,  # Coulomb's coefficient of dry metal
     "joint_limits": lambda _: "urdf",
     "floor": _below,
 }
-# Wrenches from outside have no usual parameters.
+# External wrenches have no typical parameters.

@@ -20,7 +20,7 @@ import numpy as np
 from multiarm.contacts.kernel import SPIN, VELOCITY
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.effect_kernels import APPLIED, POWER, EffectKernel
-from multiarm.effects.context import BuildContext
+from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 
@@ -51,7 +51,7 @@ def add_drag(address, size, at, _t):
     return 0
 
 
-def build(spec, _site: BuildContext) -> list[EffectKernel]:
-    """The piece of a system whose object moves through a medium."""
+def build(spec, _context: BuildContext) -> list[EffectKernel]:
+    """The kernel of an object that moves through a medium."""
     own = np.array([*spec.linear, *spec.per_axis(), *spec.angular, *spec.wind])
     return [EffectKernel("drag", add_drag, APPLIED, (own,))]

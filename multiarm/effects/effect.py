@@ -1,4 +1,4 @@
-r"""An effect of one's own: a name, parameters, and the forces it adds to the equations of motion.
+r"""User-defined effects: a name, parameters, and the forces they add to the equations of motion.
 
 .. code-block:: python
 
@@ -14,37 +14,36 @@ r"""An effect of one's own: a name, parameters, and the forces it adds to the eq
 
     ma.register_effect(Spring)  # or an entry point of its package, group "multiarm.effects"
 
-A scene then has ``effects: {spring: {stiffness: 200}}``.  ``forces`` is called back at every
-evaluation, some microseconds each.  An effect that shall not leave compiled code defines ``build``
-in its place, see :mod:`multiarm.dynamics.effect_kernels`.
+A scene then has ``effects: {spring: {stiffness: 200}}``.  ``forces`` is called at every evaluation,
+some microseconds each.  To stay in compiled code, an effect defines ``build`` instead, see
+:mod:`multiarm.dynamics.effect_kernels`.
 
-The forces must be smooth functions of time and state: a method of high order sees jumps only by
-what they do to its errors.
+The forces must be smooth functions of time and state: the integrator notices jumps only by its
+error estimates.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from multiarm.dynamics.state import Layout, State, checked_vector, fill_by_arm
+from multiarm.errors import ControlError
 from multiarm.scene.registry import OwnSpec
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from multiarm.dynamics.effect_kernels import EffectKernel
-    from multiarm.dynamics.state import State
-    from multiarm.effects.context import BuildContext
-
-__all__ = ["Effect", "Loads"]
+    from multiarm.effects.building import BuildContext
 
 
 @dataclass(frozen=True)
 class Loads:
-    """What an effect adds to the equations of motion at one moment; what is left out is zero.
+    """Forces of an effect at one time; those left out are zero.
 
     Attributes
     ----------
@@ -59,22 +58,18 @@ class Loads:
 
 
 class Effect:
-    """Base class of effects of one's own; define ``name``, ``Spec``, and ``forces`` or ``build``.
+    """Base class of user-defined effects; define ``name``, ``Spec``, and ``forces`` or ``build``.
 
-    Parameters
-    ----------
-    spec : Spec
-        The validated parameters.
-
-    Every thread has an instance for itself.
+    Every thread has its own instance.
 
     Attributes
     ----------
     name : str
-        Under which scenes have it; the name of its work in a trajectory.
+        Key of the effect in scenes, and of its work in trajectories.
     Spec : type
-        Pydantic model of its parameters: what stands under the name in a scene.
+        Pydantic model of the parameters under this key.
     spec : Spec
+        The validated parameters.
     """
 
     name: ClassVar[str] = ""
@@ -84,27 +79,28 @@ class Effect:
         self.spec = spec
 
     def forces(self, t: float, state: State) -> Loads:
-        """The forces at a time [s] and a state; a function of these two alone."""
+        """The forces at a time [s] and a state, and of nothing else."""
         raise NotImplementedError
 
     def build(self, context: BuildContext) -> list[EffectKernel]:
         """The kernels and arrays of this effect in a system; by default one that calls ``forces``.
 
-        A kernel calls nothing in Python, and an evaluation costs what its arithmetic costs.
+        A compiled kernel in its place costs no more than its arithmetic.
         """
-        from multiarm.effects.called import called_kernel
+        from multiarm.effects.building import forces_kernel
 
-        return [called_kernel(self.name, lambda: self._again().forces, context.layout)]
+        read = partial(_stacked, self.name, context.layout)
+        return [forces_kernel(self.name, lambda: self._copy().forces, read, context.layout)]
 
-    def _again(self) -> Effect:
-        """Another instance, with what ``build`` has added to this one."""
+    def _copy(self) -> Effect:
+        """Another instance, with the attributes that ``build`` has added to this one."""
         other = type(self)(self.spec)
         other.__dict__ |= {k: v for k, v in vars(self).items() if k not in vars(other)}
         return other
 
     @classmethod
     def lacks(cls) -> str:
-        """What the class lacks to be an effect, in words; empty when it is one."""
+        """What the class lacks to be an effect, in words; empty when nothing is missing."""
         if not isinstance(cls.name, str) or not cls.name.isidentifier():
             return f"'name' must be a word that a scene can have as a key, it is {cls.name!r}"
         if not isinstance(cls.Spec, type) or not hasattr(cls.Spec, "model_validate"):
@@ -112,3 +108,15 @@ class Effect:
         if cls.forces is Effect.forces and cls.build is Effect.build:
             return "it defines neither 'forces' nor 'build'"
         return ""
+
+
+def _stacked(name: str, layout: Layout, found: object) -> np.ndarray:
+    """Wrench and torques of all joints, shape (6 + n,)."""
+    who = f"the effect {name!r}"
+    if not isinstance(found, Loads):
+        raise ControlError(f"{who} returned {type(found).__name__}; return multiarm.Loads(...)")
+    loads = np.zeros(6 + layout.joints)
+    loads[:6] = checked_vector(f"{who}: object_wrench", found.object_wrench, 6, ControlError)
+    views = layout.split_joints(loads[6:])
+    fill_by_arm(f"{who}: joint_torques", views, found.joint_torques, ControlError)
+    return loads

@@ -1,4 +1,4 @@
-r"""Forces and torques from outside, on the object or on links of the arms.
+r"""External forces and torques on the object or on links of the arms.
 
 A force ``f`` and a torque ``m`` at a point ``p``, in world axes, add to the right-hand sides
 
@@ -8,11 +8,11 @@ A force ``f`` and a torque ``m`` at a point ``p``, in world axes, add to the rig
     h_j \mathrel{+}= J_j^T \begin{bmatrix} f \\ m + p\times f \end{bmatrix}
 
 for the joints ``j`` that carry the link, ``J`` being the arm's Jacobian about the world's origin.
-Pinocchio has the pose of every joint after any evaluation; a compiled arm writes them when a link
-is asked for.
+Pinocchio has the pose of every joint after each evaluation; a compiled arm writes those of the
+links in use.
 
-Over time a wrench is constant, or times :math:`\sin(2\pi f t + \psi)`, or there from ``begin`` to
-``end``, or a table, or what a function returns.  Tables are interpolated by cubics with a
+A wrench is constant, or times :math:`\sin(2\pi f t + \psi)`, or a pulse from ``begin`` to ``end``,
+or a table over time, or the result of a function.  Tables are interpolated by cubics with a
 continuous slope that do not overshoot (F.N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5,
 1984).  Steps end at the rows of tables and at the ends of pulses.
 """
@@ -27,10 +27,11 @@ import numpy as np
 from multiarm.arms.terms import J_AT
 from multiarm.contacts.kernel import SPIN, VELOCITY
 from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.callbacks import UserCallback
 from multiarm.dynamics.effect_kernels import APPLIED, POWER, Arrays, EffectKernel
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.user_callback import UserCallback
-from multiarm.effects.context import BuildContext
+from multiarm.dynamics.state import checked_vector
+from multiarm.effects.building import BuildContext
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, kernel
 from multiarm.jit.pointers import call_python
@@ -49,9 +50,9 @@ from multiarm.jit.vectors import (
 )
 from multiarm.scene import read_wrench_table
 
-# Courses over time.
+# Time dependence.
 CONSTANT, SINUSOID, PULSE, TABLE, FUNCTION = range(5)
-# Columns of the table of integers: course; whether on a link; whether in body axes; the link and
+# Columns of the table of integers: time dependence; whether on a link; in body axes; the link and
 # its arm; the arm's first joint, how many carry the link; address of a function or first row of a
 # table, and how many.
 COURSE, ON_LINK, IN_BODY, LINK, ARM, FIRST, JOINTS, SOURCE, ROWS, INTEGERS = range(10)
@@ -155,7 +156,7 @@ def apply_wrench(which, wrench, lever, data):
 
 
 def build(spec, context: BuildContext) -> list[EffectKernel]:
-    """The piece of a system on which wrenches from outside act; functions have been loaded."""
+    """The kernel of external wrenches; their functions have been loaded."""
     count = len(spec)
     integers, numbers = np.zeros((count, INTEGERS), dtype=np.int64), np.zeros((count, NUMBERS))
     wrenches, rows, times = np.zeros((count, 6)), np.zeros((0, ROW)), [np.zeros(0)]
@@ -201,7 +202,7 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
 
 
 def _place(wrench, context: BuildContext, integers: np.ndarray, numbers: np.ndarray) -> None:
-    """Write what a wrench acts on, and where."""
+    """Write the body and the point of a wrench."""
     rotation, point = np.eye(3), np.array(wrench.at)
     if wrench.target is not None:
         link = context.link(*wrench.target)
@@ -232,20 +233,8 @@ def _callback(function: Callable, name: str, out: np.ndarray, data: Data) -> Use
     """A function ``f(t, state)`` that writes force and torque."""
     words = f"the function of {name}"
 
-    def read(answer: object, t: float) -> np.ndarray:
-        try:
-            vector = np.array(answer, dtype=float)
-        except (TypeError, ValueError):
-            raise ControlError(f"{words} returned no numbers: {answer!r}") from None
-        if vector.shape != (6,):
-            raise ControlError(
-                f"{words} returned shape {vector.shape}; return 6 numbers, force and torque"
-            )
-        if not np.all(np.isfinite(vector)):
-            raise ControlError(
-                f"{words} returned a number that is not finite at t = {t:.6g} s: {vector.tolist()}"
-            )
-        return vector
+    def read(result: object) -> np.ndarray:
+        return checked_vector(f"{words}, force and torque", result, 6, ControlError)
 
     layout = data.model.layout
     return UserCallback(function, words, read, out, layout, data.arrays, owner=function)

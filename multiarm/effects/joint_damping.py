@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.effect_kernels import PASSIVE, POWER, EffectKernel
-from multiarm.effects.context import BuildContext
+from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, ints1, struct_at
 from multiarm.scene import damping_of
@@ -26,6 +26,6 @@ def add_joint_damping(address, size, at, _t):
 
 
 def build(spec, context: BuildContext) -> list[EffectKernel]:
-    """The piece of a system with viscous friction."""
+    """The kernel of viscous friction."""
     damping = context.stacked(spec, damping_of)
     return [EffectKernel("joint_damping", add_joint_damping, PASSIVE, (damping,))]

@@ -1,6 +1,6 @@
 r"""Inertia of the drives: :math:`M_{jj} \to M_{jj} + n_j^2 J_j` [kg m^2, kg].
 
-A rotor of inertia ``J`` behind a gear of ratio ``n`` turns ``n`` times as fast as its joint, and
+A rotor of inertia ``J`` with a gear of ratio ``n`` turns ``n`` times as fast as its joint, and
 its kinetic energy is :math:`\tfrac12 n^2 J \dot q^2`.  The gyroscopic moments of rotors whose axes
 are turned by the arm are left out, as usual for large gear ratios (M.W. Spong, J. Dyn. Sys. Meas.
 Control 109, 1987; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, 9.6).
@@ -14,12 +14,12 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.dynamics.effect_kernels import EffectKernel
-from multiarm.effects.context import BuildContext
+from multiarm.effects.building import BuildContext
 from multiarm.scene import gain_vector
 
 
-def build(_spec, _site: BuildContext) -> list[EffectKernel]:
-    """No piece."""
+def build(_spec, _context: BuildContext) -> list[EffectKernel]:
+    """No kernel."""
     return []
 
 

@@ -1,8 +1,8 @@
 r"""Limits of the drives: :math:`\tau_j = \max(-l_j, \min(l_j, \tau^*_j))` of the command [N m, N].
 
-The limits act on what the control asks for, before the drives' lag.  They do no work of their own:
-what is left of the torque does the control's work.  When a drive comes to its limit, and when it is
-within it again, the events of the result say so.
+The limits act on the command of the control, before the drives' lag.  They do no work: the limited
+torque does the work of the control.  The events of a result say when a drive reaches its limit and
+when it leaves it.
 """
 
 from __future__ import annotations
@@ -13,13 +13,10 @@ import numpy as np
 
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.effect_kernels import ACTUATOR, EffectKernel
-from multiarm.effects.context import BuildContext
+from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.structs import floats1, struct_at
 from multiarm.scene import effort_limit_of
-
-# A command that exceeds its limit by less than this fraction of it does so by rounding.
-ROUNDED = 1e-9
 
 
 @cfunc
@@ -30,15 +27,15 @@ def limit_torques(address, size, at, _t):
     limits, margins = floats1(struct, int(at) + 1), floats1(struct, int(at) + 2)
     torque = data.torque
     for j in range(torque.size):
-        wanted = abs(torque[j])
-        margins[j] = wanted - (1.0 + ROUNDED) * limits[j]
-        if wanted > limits[j]:
+        command = abs(torque[j])
+        margins[j] = command - (1.0 + 1e-9) * limits[j]  # less is a rounding error
+        if command > limits[j]:
             torque[j] = math.copysign(limits[j], torque[j])
     return 0
 
 
 def build(spec, context: BuildContext) -> list[EffectKernel]:
-    """The piece of a system whose drives are limited."""
+    """The kernel of limited drives."""
     limits = context.stacked(spec, effort_limit_of, default=math.inf)
     margins = np.full_like(limits, -math.inf)
     watched = tuple((1, int(j)) for j in np.flatnonzero(np.isfinite(limits)))

@@ -15,16 +15,10 @@ import numpy as np
 from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.arrays import OK
-from multiarm.dynamics.dense_callback import read_inertia
+from multiarm.dynamics.contact_geometry import constraint_matrix, contact_places
 from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
-from multiarm.dynamics.evaluation import (
-    Evaluation,
-    Residuals,
-    Snapshot,
-    constraint_matrix,
-    contact_places,
-    rows_by_owner,
-)
+from multiarm.dynamics.evaluation import Evaluation, Residuals, Snapshot, rows_by_owner
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State

@@ -49,12 +49,12 @@ from multiarm.dynamics.equations import (
     update_rows,
 )
 from multiarm.dynamics.kinematics import arm_rows, load_inertia
-from multiarm.dynamics.solver.reaction_coupling import RANK as REACTION_RANK
-from multiarm.dynamics.solver.reaction_coupling import ROWS as REACTION_ROWS
-from multiarm.dynamics.solver.reaction_elimination import eliminate_with_reactions
-from multiarm.dynamics.solver.reaction_solution import solve_for_reactions
-from multiarm.dynamics.solver.reactions import ReactionWork
-from multiarm.dynamics.solver.regular import IMBALANCE_BOUND
+from multiarm.dynamics.solver.node import IMBALANCE_BOUND
+from multiarm.dynamics.solver.reactions import (
+    ReactionWork,
+    eliminate_with_reactions,
+    solve_for_reactions,
+)
 from multiarm.dynamics.solver_monitor import note_solution, watch_solver
 from multiarm.jit.kernels import cfunc, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
@@ -238,11 +238,11 @@ def solve_sliding(address, size, _a, _b):
                 status = solve_reactions(data, work, mode, reactions, True)
         if status != OK:
             return status
-        lacking = reactions.counts[REACTION_ROWS] - reactions.counts[REACTION_RANK]
+        lacking = reactions.status.rows - reactions.status.rank
         if lacking > 0:
             coupled.status.arms = 1
-            coupled.status.unknowns = reactions.counts[REACTION_ROWS]
-            coupled.status.rank = reactions.counts[REACTION_RANK]
+            coupled.status.unknowns = reactions.status.rows
+            coupled.status.rank = reactions.status.rank
             coupled.status.margin = math.inf
     if mode.stressed[0] != 0:
         restore_forces(mode, data)

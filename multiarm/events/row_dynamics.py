@@ -13,13 +13,13 @@ import numpy as np
 
 from multiarm.contacts.kernel import GAP_BIAS, GAP_RATE
 from multiarm.dynamics.arrays import OK
-from multiarm.dynamics.dense_callback import read_inertia
 from multiarm.dynamics.equations import (
     evaluate_state,
     solve_constrained,
     update_kinematics,
     update_rows,
 )
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.errors import SolverError
 from multiarm.events.modes import Modes

@@ -24,14 +24,10 @@ from multiarm.contacts.screws import free_motions, wrenches_in_frame
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.control.laws import needs_gravity_torque
 from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.contact_geometry import constraint_matrix, contact_terms
+from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.evaluation import (
-    ContactTerms,
-    Evaluation,
-    constraint_matrix,
-    contact_terms,
-    failure_text,
-)
+from multiarm.dynamics.evaluation import ContactTerms, Evaluation
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
 from multiarm.dynamics.state import State

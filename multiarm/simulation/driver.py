@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.dynamics.arrays import CALLBACK_FAILED, NOT_FINITE
-from multiarm.dynamics.evaluation import failure_text, lost_contact_text
+from multiarm.dynamics.diagnosis import failure_text, lost_contact_text
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System

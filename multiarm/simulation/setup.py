@@ -11,7 +11,7 @@ from multiarm.assembly.linkage import projection_tolerance, scene_size
 from multiarm.assembly.start import project_start
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import place_state
-from multiarm.dynamics.evaluation import failure_text
+from multiarm.dynamics.diagnosis import failure_text
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.dynamics.user_callback import ControlFunction
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.dynamics.dense_callback import read_inertia
+from multiarm.dynamics.diagnosis import describe, lost_motions
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.rank_diagnosis import describe, lost_motions
 from multiarm.dynamics.state import State
 from multiarm.results.event_log import EventLog
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.contacts.kernel import GAP
-from multiarm.control.torques import harmonic
-from multiarm.dynamics.dense_callback import read_inertia
+from multiarm.control.laws import harmonic
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.jit.pointers import address_of

@@ -7,8 +7,7 @@ import numpy as np
 from multiarm.dynamics.arrays import OK, open_data
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.batched import solve_batched
-from multiarm.dynamics.solver.regular import ELIMINATED
-from multiarm.dynamics.solver.work import make_work
+from multiarm.dynamics.solver.node import ELIMINATED, make_work
 from multiarm.errors import SolverError
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_cfunc

@@ -23,7 +23,7 @@ from multiarm.contacts.records import (
     Surface,
 )
 from multiarm.contacts.smooth import ParametricSurface
-from multiarm.dynamics.evaluation import contact_places
+from multiarm.dynamics.contact_geometry import contact_places
 from multiarm.results.channels import OPEN
 from multiarm.viewer.film import Body
 from multiarm.viewer.mesh import Mesh

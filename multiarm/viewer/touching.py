@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multiarm.contacts.records import Contact
-from multiarm.dynamics.evaluation import contact_places
+from multiarm.dynamics.contact_geometry import contact_places
 from multiarm.results.channels import TOUCHING, channels_of
 from multiarm.viewer.film import ContactTracks
 

@@ -1,9 +1,9 @@
-r"""The node algorithm on four arms at a time: the same elimination, without roots.
+r"""The node algorithm on four arms at a time: the same elimination, without square roots.
 
-The arms do not know of each other until their shares of the node matrix are added up.  So four of
-them are packed into the processor's vector registers (:mod:`multiarm.jit.simd`) and eliminated by
-the same instructions.  An arm's equations (:mod:`multiarm.dynamics.solver.regular`), with
-:math:`\mu = -\lambda`, are one symmetric table
+The arms are independent of each other until their contributions to the node matrix are summed.  So
+four of them are packed into the processor's vector registers (:mod:`multiarm.jit.simd`) and
+eliminated by the same instructions.  The equations of an arm
+(:mod:`multiarm.dynamics.solver.node`), with :math:`\mu = -\lambda`, are one symmetric table
 
 .. math::
     \begin{bmatrix} M & W & h & 0 \\ W^T & 0 & c & W_o^T \end{bmatrix}, \qquad
@@ -11,35 +11,38 @@ the same instructions.  An arm's equations (:mod:`multiarm.dynamics.solver.regul
     \begin{bmatrix} q \\ \mu \end{bmatrix} =
     \begin{bmatrix} h \\ c \end{bmatrix} - \begin{bmatrix} 0 \\ W_o^T \end{bmatrix} q_o
 
-and are eliminated row by row (Gauss; Crout's order), with the joints' pivots
-:math:`p > 0` first and then the contacts', which are negative: after the joints :math:`-K` stands
-where the zeros were.  With :math:`u` the rows that result,
+They are eliminated row by row (Gauss; Crout's order): first the joints, with pivots :math:`p > 0`,
+then the contacts, with negative pivots, since the elimination of the joints turns the zero block
+into :math:`-K`.  With :math:`u` the resulting rows,
 
 .. math::
     u_{ik} = a_{ik} - \sum_{j<i} \frac{u_{ji}}{p_j}\, u_{jk}, \qquad p_i = u_{ii}, \qquad
     S = M_o - \sum_{\text{contacts}} \frac{1}{p_j}\, u_{jo}^T u_{jo},
 
-which is :math:`Y, G, Z` with the roots of the pivots left out: a root takes as long as thirty
-products.  Accelerations and forces follow from the last row to the first.  ``M`` and ``W`` stay
-where they are, in ``work.L`` and ``work.Y``.
+which are :math:`Y, G, Z` without the square roots of the pivots: a root takes as long as thirty
+products.  Back substitution gives accelerations and forces.  ``M`` and ``W`` are not overwritten in
+``work.L`` and ``work.Y``.
 
-Arms of fewer joints or contacts than their neighbours are filled up: joints of inertia 1 that
-touch nothing, contacts of an enormous mobility that push nothing.  These change no number of the
-arm, whatever its neighbours are.
+A table has one row for each joint and each contact, and one for the solution.  Its columns are the
+joints, the contacts, the right-hand side, and the object's six directions.  Arms with fewer joints
+or contacts than others of their group are padded by decoupled joints of inertia 1, and by contacts
+of enormous mobility without force.  Padding changes no number of the arm.
 """
 
 from __future__ import annotations
 
 import math
 
-from multiarm.dynamics.solver.regular import COUPLED_BELOW, DEFICIENT, ELIMINATED, MOBILITY_WEIGHT
-from multiarm.dynamics.solver.tables import fill_table, hand_out
-from multiarm.dynamics.solver.work import (
+from multiarm.dynamics.solver.node import (
     CONTACTS,
     COUNT,
+    COUPLED_BELOW,
+    DEFICIENT,
+    ELIMINATED,
     FACTORS_AT,
     FIRST_ARM,
     JOINTS,
+    MOBILITY_WEIGHT,
     NODE_AT,
     NODE_WIDTH,
     OBJECT_AT,
@@ -50,6 +53,7 @@ from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.simd import (
     LANES,
     broadcast,
+    gather_pack,
     load_pack,
     min_positive,
     minimum,
@@ -59,136 +63,76 @@ from multiarm.jit.simd import (
 
 
 @inlined
-def reduce_pivot(lanes, start, stride, i, low, high, pivot):
-    """Take rows ``low`` to ``high`` off the pivot of row ``i``, and note by how much of each."""
-    at = start + LANES * i + low * stride
-    diagonal = start + low * (stride + LANES)
-    for j in range(low, high):
-        u = load_pack(lanes, at)
-        factor = u * load_pack(lanes, diagonal)
-        store_pack(lanes, FACTORS_AT + LANES * j, factor)
-        pivot = pivot - factor * u
-        at += stride
-        diagonal += stride + LANES
-    return pivot
+def solve_batched(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
+    """Eliminate the whole system and solve it for one right-hand side.
 
+    Parameters
+    ----------
+    work : NodeWork
+        With the arms' inertias in ``L`` and their ``W`` in ``Y``, which are not overwritten.
+    Wo : (N, 6), object_inertia : (6, 6)
+        The object's rows, arms stacked, and its inertia; world axes.
+    h_o : (6,), h : (sum of joints,), c : (N,)
+        Right-hand sides, arms stacked.
+    q_o : (6,), q : (sum of joints,), force : (N,), written
+        Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
 
-@inlined
-def reduce_columns(lanes, start, stride, row, low, high, first, last):
-    """Take rows ``low`` to ``high`` off columns ``first`` to ``last`` of the row at ``row``.
-
-    How much of each row is at ``FACTORS_AT``.
+    Returns
+    -------
+    int
+        ``ELIMINATED``; or ``DEFICIENT`` when a pivot is below ``COUPLED_BELOW``, so that too many
+        digits would be lost, or an inertia is not positive definite: then nothing is solved, and
+        the arms must be eliminated one by one.  The pivots are in ``work.pivot``.
     """
-    k = first
-    while k + 4 <= last:
-        at = row + LANES * k
-        s0, s1 = load_pack(lanes, at), load_pack(lanes, at + LANES)
-        s2, s3 = load_pack(lanes, at + 2 * LANES), load_pack(lanes, at + 3 * LANES)
-        other = start + LANES * k + low * stride
-        for j in range(low, high):
-            factor = load_pack(lanes, FACTORS_AT + LANES * j)
-            s0 = s0 - factor * load_pack(lanes, other)
-            s1 = s1 - factor * load_pack(lanes, other + LANES)
-            s2 = s2 - factor * load_pack(lanes, other + 2 * LANES)
-            s3 = s3 - factor * load_pack(lanes, other + 3 * LANES)
-            other += stride
-        store_pack(lanes, at, s0)
-        store_pack(lanes, at + LANES, s1)
-        store_pack(lanes, at + 2 * LANES, s2)
-        store_pack(lanes, at + 3 * LANES, s3)
-        k += 4
-    while k < last:
-        at = row + LANES * k
-        s = load_pack(lanes, at)
-        other = start + LANES * k + low * stride
-        for j in range(low, high):
-            s = s - load_pack(lanes, FACTORS_AT + LANES * j) * load_pack(lanes, other)
-            other += stride
-        store_pack(lanes, at, s)
-        k += 1
-
-
-@inlined
-def eliminate_group(group, work, stiffness):
-    """Eliminate the joints and contacts of four arms; ``stiffness`` is a row of ``work.stiffness``.
-
-    Returns the smallest pivot of the inertias or its inverse, 0 where an inertia fails, and how far
-    each arm is from being singular, as :func:`multiarm.dynamics.solver.regular.eliminate_arm` does.
-    """
-    d, m, start, stride = group[JOINTS], group[CONTACTS], group[START], LANES * group[WIDTH]
-    lanes, one, zero = work.packs, broadcast(1.0), broadcast(0.0)
-    inertia, relative = one, one
-    stiffest, weakest = broadcast(math.inf), broadcast(math.inf)
-    right, row = d + m, start
-    for i in range(d):
-        pivot = reduce_pivot(lanes, start, stride, i, 0, i, load_pack(lanes, row + LANES * i))
-        inverse = one / pivot
-        inertia = min_positive(min_positive(inertia, pivot), inverse)
-        stiffest = minimum(stiffest, pivot * load_pack(stiffness, LANES * i))
-        store_pack(lanes, row + LANES * i, inverse)
-        reduce_columns(lanes, start, stride, row, 0, i, i + 1, right + 1)
-        row += stride
-    for i in range(d, right):
-        diagonal = reduce_pivot(lanes, start, stride, i, 0, d, load_pack(lanes, row + LANES * i))
-        pivot = reduce_pivot(lanes, start, stride, i, d, i, diagonal)
-        relative = min_positive(relative, pivot / diagonal)
-        weakest = minimum(weakest, zero - diagonal)
-        store_pack(lanes, row + LANES * i, one / pivot)
-        reduce_columns(lanes, start, stride, row, 0, i, i + 1, right + 1)
-        reduce_columns(lanes, start, stride, row, d, i, right + 1, right + 7)
-        row += stride
-    mobile = weakest * stiffest * broadcast(MOBILITY_WEIGHT)  # the diagonal of K over the mobility
-    return inertia, min_positive(relative, mobile)
-
-
-@inlined
-def add_group(group, work, share):
-    """Add the shares of four eliminated arms to the node matrix: ``share`` is 1, 0 of no arm."""
-    d, start, stride = group[JOINTS], group[START], LANES * group[WIDTH]
-    lanes, right = work.packs, group[JOINTS] + group[CONTACTS]
+    packs, n = work.packs, work.dofs.size - 1
+    if not least_pivot(work, Wo, h, c) > COUPLED_BELOW:
+        return DEFICIENT
+    work.pivot[n] = solve_node(work, object_inertia, h_o, q_o)
+    # arms that are stiff in some directions leave no digits of the object's inertia in the others
+    if not work.pivot[n] > COUPLED_BELOW:
+        return DEFICIENT
     for k in range(6):
-        at = start + d * stride + LANES * (right + 1 + k)
-        diagonal = start + d * (stride + LANES)
-        for j in range(d, right):
-            factor = load_pack(lanes, at) * (load_pack(lanes, diagonal) * share)
-            store_pack(lanes, FACTORS_AT + LANES * j, factor)
-            at += stride
-            diagonal += stride + LANES
-        row = NODE_AT + LANES * (NODE_WIDTH * k - right)  # the table's right column comes first
-        reduce_columns(lanes, start, stride, row, d, right, right, right + 2 + k)
+        store_pack(packs, OBJECT_AT + LANES * k, broadcast(q_o[k]))
+    for g in range(work.groups.shape[0]):
+        substitute_group(work.groups[g], work)
+        scatter_unknowns(work.groups[g], work, q, force)
+    return ELIMINATED
 
 
 @inlined
-def substitute_group(group, work):
-    """Unknowns of four eliminated arms, from the last row to the first, into the row behind."""
-    d, m, start, stride = group[JOINTS], group[CONTACTS], group[START], LANES * group[WIDTH]
-    lanes = work.packs
-    right = d + m
-    x = start + right * stride  # a row of its own behind the table
-    row = start + right * stride
-    for i in range(right - 1, -1, -1):
-        row -= stride
-        at = row + LANES * right
-        s = load_pack(lanes, at)
-        if i >= d:
-            for k in range(6):
-                at += LANES
-                s = s - load_pack(lanes, at) * load_pack(lanes, OBJECT_AT + LANES * k)
-        for k in range(right - 1, i, -1):
-            s = s - load_pack(lanes, row + LANES * k) * load_pack(lanes, x + LANES * k)
-        store_pack(lanes, x + LANES * i, s * load_pack(lanes, row + LANES * i))
+def least_pivot(work, Wo, h, c):
+    """Eliminate all arms, four at a time; returns the smallest ``NodeWork.pivot``.
+
+    It is 0 where an inertia is not positive definite, and where there are no groups since some arm
+    is always deficient.
+    """
+    packs, least = work.packs, 1.0 if work.groups.shape[0] > 0 else 0.0
+    for k in range(6 * NODE_WIDTH):
+        store_pack(packs, NODE_AT + LANES * k, broadcast(0.0))
+    for g in range(work.groups.shape[0]):
+        group, present = work.groups[g], work.present[g]
+        fill_table(group, work, Wo, h, c, work.places[g], present)
+        inertia, relative = eliminate_group(group, work, work.stiffness[g])
+        add_group(group, work, load_pack(present, present.size - LANES))
+        store_pack(packs, OBJECT_AT, inertia)
+        store_pack(packs, OBJECT_AT + LANES, relative)
+        for lane in range(group[COUNT]):
+            pivot = packs[OBJECT_AT + LANES + lane]
+            work.pivot[group[FIRST_ARM + lane]] = pivot
+            least = min(least, pivot if packs[OBJECT_AT + lane] > 0.0 else 0.0)
+    return least
 
 
 @inlined
 def solve_node(work, object_inertia, h_o, q_o):
-    """Add up the arms' shares and solve for the object; returns the smallest relative pivot."""
-    lanes, S = work.packs, work.S
+    """Sum over the arms and solve for the object; returns the smallest relative pivot."""
+    packs, S = work.packs, work.S
     for k in range(6):
         at = NODE_AT + LANES * NODE_WIDTH * k
-        q_o[k] = h_o[k] + sum_pack(load_pack(lanes, at))
+        q_o[k] = h_o[k] + sum_pack(load_pack(packs, at))
         for l in range(k + 1):  # noqa: E741
             at += LANES
-            S[k, l] = object_inertia[k, l] + sum_pack(load_pack(lanes, at))
+            S[k, l] = object_inertia[k, l] + sum_pack(load_pack(packs, at))
     smallest = 1.0
     for j in range(6):
         diagonal = S[j, j]
@@ -219,69 +163,206 @@ def solve_node(work, object_inertia, h_o, q_o):
 
 
 @inlined
-def solve_batched(work, Wo, object_inertia, h_o, h, c, q_o, q, force):
-    """Eliminate the whole system and solve it for one right-hand side.
+def eliminate_group(group, work, stiffness):
+    """Eliminate the joints and contacts of four arms; ``stiffness`` is a row of ``work.stiffness``.
 
-    Parameters
-    ----------
-    work : NodeWork
-        With the arms' inertias in ``L`` and their ``W`` in ``Y``, which stay there.
-    Wo : (N, 6), object_inertia : (6, 6)
-        The object's rows, arms stacked, and its inertia; world axes.
-    h_o : (6,), h : (sum of joints,), c : (N,)
-        Right-hand sides, arms stacked.
-    q_o : (6,), q : (sum of joints,), force : (N,), written
-        Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
-
-    Returns
-    -------
-    int
-        ``ELIMINATED``; or ``DEFICIENT`` when a pivot is below ``COUPLED_BELOW``, so that too many
-        digits would be lost, or an inertia fails: then nothing is solved, and the arms are to be
-        looked at one by one.  The pivots are left in ``work.pivot``.
+    Returns the smallest pivot of each inertia or its inverse, 0 where an inertia is not positive
+    definite, and ``NodeWork.pivot`` of each arm.
     """
-    lanes, n = work.packs, work.dofs.size - 1
-    if not least_pivot(work, Wo, h, c) > COUPLED_BELOW:
-        return DEFICIENT
-    work.pivot[n] = solve_node(work, object_inertia, h_o, q_o)
-    # arms that hold the object stiffly in some directions drown its inertia in the others
-    if not work.pivot[n] > COUPLED_BELOW:
-        return DEFICIENT
-    for k in range(6):
-        store_pack(lanes, OBJECT_AT + LANES * k, broadcast(q_o[k]))
-    for g in range(work.groups.shape[0]):
-        substitute_group(work.groups[g], work)
-        hand_out(work.groups[g], work, q, force)
-    return ELIMINATED
+    d, m, start, stride = group[JOINTS], group[CONTACTS], group[START], LANES * group[WIDTH]
+    packs, one, zero = work.packs, broadcast(1.0), broadcast(0.0)
+    inertia, relative = one, one
+    stiffest, weakest = broadcast(math.inf), broadcast(math.inf)
+    right, row = d + m, start
+    for i in range(d):
+        pivot = reduce_pivot(packs, start, stride, i, 0, i, load_pack(packs, row + LANES * i))
+        inverse = one / pivot
+        inertia = min_positive(min_positive(inertia, pivot), inverse)
+        stiffest = minimum(stiffest, pivot * load_pack(stiffness, LANES * i))
+        store_pack(packs, row + LANES * i, inverse)
+        reduce_columns(packs, start, stride, row, 0, i, i + 1, right + 1)
+        row += stride
+    for i in range(d, right):
+        diagonal = reduce_pivot(packs, start, stride, i, 0, d, load_pack(packs, row + LANES * i))
+        pivot = reduce_pivot(packs, start, stride, i, d, i, diagonal)
+        relative = min_positive(relative, pivot / diagonal)
+        weakest = minimum(weakest, zero - diagonal)
+        store_pack(packs, row + LANES * i, one / pivot)
+        reduce_columns(packs, start, stride, row, 0, i, i + 1, right + 1)
+        reduce_columns(packs, start, stride, row, d, i, right + 1, right + 7)
+        row += stride
+    mobile = weakest * stiffest * broadcast(MOBILITY_WEIGHT)  # the diagonal of K over the mobility
+    return inertia, min_positive(relative, mobile)
 
 
 @inlined
-def least_pivot(work, Wo, h, c):
-    """Eliminate all arms, four at a time; returns how far they are from being singular.
+def reduce_pivot(packs, start, stride, i, low, high, pivot):
+    """Subtract rows ``low`` to ``high`` from the pivot of row ``i``; factors to ``FACTORS_AT``."""
+    at = start + LANES * i + low * stride
+    diagonal = start + low * (stride + LANES)
+    for j in range(low, high):
+        u = load_pack(packs, at)
+        factor = u * load_pack(packs, diagonal)
+        store_pack(packs, FACTORS_AT + LANES * j, factor)
+        pivot = pivot - factor * u
+        at += stride
+        diagonal += stride + LANES
+    return pivot
 
-    That is 0 where an inertia fails, or where no arm is looked at since one is always deficient.
+
+@inlined
+def reduce_columns(packs, start, stride, row, low, high, first, last):
+    """Subtract rows ``low`` to ``high`` from columns ``first`` to ``last`` of the row at ``row``.
+
+    The factors of the rows are at ``FACTORS_AT``.
     """
-    lanes, least = work.packs, 1.0 if work.groups.shape[0] > 0 else 0.0
-    for k in range(6 * NODE_WIDTH):
-        store_pack(lanes, NODE_AT + LANES * k, broadcast(0.0))
-    for g in range(work.groups.shape[0]):
-        group, present = work.groups[g], work.present[g]
-        fill_table(group, work, Wo, h, c, work.places[g], present)
-        inertia, relative = eliminate_group(group, work, work.stiffness[g])
-        add_group(group, work, load_pack(present, present.size - LANES))
-        store_pack(lanes, OBJECT_AT, inertia)
-        store_pack(lanes, OBJECT_AT + LANES, relative)
-        for lane in range(group[COUNT]):
-            pivot = lanes[OBJECT_AT + LANES + lane]
-            work.pivot[group[FIRST_ARM + lane]] = pivot
-            least = min(least, pivot if lanes[OBJECT_AT + lane] > 0.0 else 0.0)
-    return least
+    k = first
+    while k + 4 <= last:
+        at = row + LANES * k
+        s0, s1 = load_pack(packs, at), load_pack(packs, at + LANES)
+        s2, s3 = load_pack(packs, at + 2 * LANES), load_pack(packs, at + 3 * LANES)
+        other = start + LANES * k + low * stride
+        for j in range(low, high):
+            factor = load_pack(packs, FACTORS_AT + LANES * j)
+            s0 = s0 - factor * load_pack(packs, other)
+            s1 = s1 - factor * load_pack(packs, other + LANES)
+            s2 = s2 - factor * load_pack(packs, other + 2 * LANES)
+            s3 = s3 - factor * load_pack(packs, other + 3 * LANES)
+            other += stride
+        store_pack(packs, at, s0)
+        store_pack(packs, at + LANES, s1)
+        store_pack(packs, at + 2 * LANES, s2)
+        store_pack(packs, at + 3 * LANES, s3)
+        k += 4
+    while k < last:
+        at = row + LANES * k
+        s = load_pack(packs, at)
+        other = start + LANES * k + low * stride
+        for j in range(low, high):
+            s = s - load_pack(packs, FACTORS_AT + LANES * j) * load_pack(packs, other)
+            other += stride
+        store_pack(packs, at, s)
+        k += 1
+
+
+@inlined
+def add_group(group, work, share):
+    """Add four eliminated arms to the node matrix; ``share`` is 1 for arms, 0 for padding."""
+    d, start, stride = group[JOINTS], group[START], LANES * group[WIDTH]
+    packs, right = work.packs, group[JOINTS] + group[CONTACTS]
+    for k in range(6):
+        at = start + d * stride + LANES * (right + 1 + k)
+        diagonal = start + d * (stride + LANES)
+        for j in range(d, right):
+            factor = load_pack(packs, at) * (load_pack(packs, diagonal) * share)
+            store_pack(packs, FACTORS_AT + LANES * j, factor)
+            at += stride
+            diagonal += stride + LANES
+        row = NODE_AT + LANES * (NODE_WIDTH * k - right)  # the table's right column comes first
+        reduce_columns(packs, start, stride, row, d, right, right, right + 2 + k)
+
+
+@inlined
+def substitute_group(group, work):
+    """Back substitution for four arms; writes the unknowns into the row after the table."""
+    d, m, start, stride = group[JOINTS], group[CONTACTS], group[START], LANES * group[WIDTH]
+    packs = work.packs
+    right = d + m
+    x = row = start + right * stride
+    for i in range(right - 1, -1, -1):
+        row -= stride
+        at = row + LANES * right
+        s = load_pack(packs, at)
+        if i >= d:
+            for k in range(6):
+                at += LANES
+                s = s - load_pack(packs, at) * load_pack(packs, OBJECT_AT + LANES * k)
+        for k in range(right - 1, i, -1):
+            s = s - load_pack(packs, row + LANES * k) * load_pack(packs, x + LANES * k)
+        store_pack(packs, x + LANES * i, s * load_pack(packs, row + LANES * i))
+
+
+@inlined
+def fill_table(group, work, Wo, h, c, places, present):
+    """Write the equations of four arms into their table.
+
+    ``group, places, present`` are rows of ``work.groups``, ``work.places``, ``work.present``.
+    """
+    fill_joint_rows(group, work, h, places)
+    fill_contact_rows(group, work, Wo, c, places[LANES * work.L.shape[1] :], present)
+
+
+@inlined
+def fill_joint_rows(group, work, h, places):
+    """Write ``M``, ``W`` and ``h`` of four arms into their table."""
+    d, m, stride = group[JOINTS], group[CONTACTS], LANES * group[WIDTH]
+    L, Y, packs = work.L, work.Y, work.packs
+    most, columns = Y.shape[1], Y.shape[2]
+    a0, a1 = most * group[FIRST_ARM], most * group[FIRST_ARM + 1]
+    a2, a3 = most * group[FIRST_ARM + 2], most * group[FIRST_ARM + 3]
+    row = group[START]
+    for j in range(d):
+        at = row + LANES * j
+        for k in range(j, d):
+            o = k * most + j
+            value = gather_pack(L, a0 * most + o, a1 * most + o, a2 * most + o, a3 * most + o)
+            store_pack(packs, at, value)
+            at += LANES
+        for o in range(j * columns, j * columns + m):
+            y0, y1, y2, y3 = a0 * columns + o, a1 * columns + o, a2 * columns + o, a3 * columns + o
+            store_pack(packs, at, gather_pack(Y, y0, y1, y2, y3))
+            at += LANES
+        p = places[LANES * j : LANES * j + LANES]
+        store_pack(packs, at, gather_pack(h, p[0], p[1], p[2], p[3]))
+        row += stride
+
+
+@inlined
+def fill_contact_rows(group, work, Wo, c, places, present):
+    """Write ``c`` and ``W_o^T`` of four arms into their table, and zeros for ``K``."""
+    d, m = group[JOINTS], group[CONTACTS]
+    packs, row = work.packs, group[START] + LANES * d * group[WIDTH]
+    zero, one = broadcast(0.0), broadcast(1.0)
+    padding = broadcast(1e100)  # mobility [1/kg]: no arm has as much, and its square is finite
+    for a in range(m):
+        held = load_pack(present, LANES * a)
+        at = row + LANES * (d + a)
+        store_pack(packs, at, (held - one) * padding)
+        for _ in range(a + 1, m):
+            at += LANES
+            store_pack(packs, at, zero)
+        at += LANES
+        p = places[LANES * a : LANES * a + LANES]
+        store_pack(packs, at, gather_pack(c, p[0], p[1], p[2], p[3]))
+        w0, w1, w2, w3 = 6 * p[0], 6 * p[1], 6 * p[2], 6 * p[3]
+        for k in range(6):
+            at += LANES
+            store_pack(packs, at, held * gather_pack(Wo, w0 + k, w1 + k, w2 + k, w3 + k))
+        row += LANES * group[WIDTH]
+
+
+@inlined
+def scatter_unknowns(group, work, q, force):
+    """Copy the unknowns of four arms into the stacked vectors."""
+    d, right = group[JOINTS], group[JOINTS] + group[CONTACTS]
+    x = group[START] + LANES * right * group[WIDTH]
+    packs = work.packs
+    for lane in range(group[COUNT]):
+        i = group[FIRST_ARM + lane]
+        at = x + lane
+        for j in range(work.dofs[i], work.dofs[i + 1]):
+            q[j] = packs[at]
+            at += LANES
+        at = x + LANES * d + lane
+        for a in range(work.rows[i], work.rows[i + 1]):
+            force[a] = -packs[at]
+            at += LANES
 
 
 @kernel
 def largest_free_rate(work):
-    """Largest ``|W^T M^-1 h|`` of the last solution: what the contacts would do without forces."""
-    lanes, largest = work.packs, 0.0
+    """Largest ``|W^T M^-1 h|`` of the last solution: contact accelerations without forces."""
+    packs, largest = work.packs, 0.0
     for g in range(work.groups.shape[0]):
         group = work.groups[g]
         d, right = group[JOINTS], group[JOINTS] + group[CONTACTS]
@@ -290,7 +371,7 @@ def largest_free_rate(work):
                 rate = 0.0
                 for j in range(d):
                     at = of_arm + LANES * group[WIDTH] * j
-                    u = lanes[at + LANES * a]
-                    rate += u * lanes[at + LANES * j] * lanes[at + LANES * right]
+                    u = packs[at + LANES * a]
+                    rate += u * packs[at + LANES * j] * packs[at + LANES * right]
                 largest = max(largest, abs(rate))
     return largest

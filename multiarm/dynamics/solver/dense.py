@@ -7,12 +7,12 @@ r"""Independent reference: the whole constrained system as one dense matrix, in 
 with the stacked constraint matrix ``W`` and reaction matrix ``W~`` (equal without friction; thesis,
 4.9).  Its cost is cubic in the number of arms; it shares no code with the node algorithm.
 
-A singular matrix is taken apart by its singular values.  A null vector from the right is a
-combination of contact forces that no constraint sees, with the motion that it causes: the forces
-returned are of least norm [N], and when that motion is not zero, which takes friction, the
-equations do not determine the motion, and the result says so.  A null vector from the left is a
-combination of constraints that no contact force can serve: where they contradict each other, the
-right-hand side ``c`` is mended by the least change [m/s^2].
+A singular matrix is solved by its singular value decomposition.  A right null vector is a
+combination of contact forces without effect on the constraints, with the motion that it causes: the
+returned forces are of least norm [N].  When that motion is not zero, which takes friction, the
+equations do not determine the motion, and the result says so.  A left null vector is a combination
+of constraints that no contact force affects: where they contradict each other, the least change
+[m/s^2] of the right-hand side ``c`` removes the contradiction.
 """
 
 from __future__ import annotations
@@ -27,40 +27,21 @@ RANK_TOLERANCE = 1e-9
 SYSTEM_TOLERANCE = 1e-12
 # Unknowns with a smaller part in every null vector are determined.
 PART_TOLERANCE = 1e-7
-# A null vector whose motion is smaller than this part of it moves nothing.  Where the constraints
-# are dependent up to rounding only, a motion of the square root of SYSTEM_TOLERANCE is left.
-MOTION_TOLERANCE = 1e-5
 
 
 class NodeSolution(NamedTuple):
-    """Solution of the constrained system for one right-hand side.
+    """Solution of the constrained system for one right-hand side."""
 
-    object_acceleration : (6,)
-        World axes, classical.
-    joint_accelerations : list of (n_i,)
-    contact_forces : list of (N_i,)
-        Physical magnitudes, positive = pushing (the thesis's ``mu`` with the sign turned).
-    unique : list of bool (N_i,)
-        Which contact forces the equations determine.
-    rank : int
-        Rank of the stacked constraint matrix.
-    motion_unique : bool
-        Whether the equations determine the accelerations.  Only friction can make them fail to,
-        when contact forces that no constraint sees move the system.
-    loose_arms : tuple of int
-        Arms whose contact forces take part in what is not determined of the motion.
-    residual : float
-        Largest constraint residual relative to the largest of its terms; beyond rounding where
-        the constraints contradict each other.
-    """
-
-    object_acceleration: np.ndarray
-    joint_accelerations: list[np.ndarray]
-    contact_forces: list[np.ndarray]
-    unique: list[np.ndarray]
-    rank: int
-    motion_unique: bool = True
+    object_acceleration: np.ndarray  # (6,) world axes, classical
+    joint_accelerations: list[np.ndarray]  # (n_i,)
+    contact_forces: list[np.ndarray]  # (N_i,) positive = pushing, the thesis's -mu
+    unique: list[np.ndarray]  # (N_i,) which contact forces the equations determine
+    rank: int  # of the stacked constraint matrix
+    motion_unique: bool = True  # whether the accelerations are unique; may fail with friction only
+    # arms whose contact forces take part in the undetermined motion
     loose_arms: tuple[int, ...] = ()
+    # largest constraint residual relative to the largest of its terms; beyond rounding where the
+    # constraints contradict each other
     residual: float = 0.0
 
 
@@ -75,7 +56,7 @@ def solve_dense(
     reaction_o: list[np.ndarray] | None = None,
     reaction: list[np.ndarray] | None = None,
 ) -> NodeSolution:
-    """Solve the constrained system at once.
+    """Solve the constrained system as one dense matrix.
 
     Parameters
     ----------
@@ -86,18 +67,14 @@ def solve_dense(
     W_o, W, c : lists of (6, N_i), (n_i, N_i), (N_i,)
         Constraints ``W_o^T q_o + W_i^T q_i = c_i``.
     reaction_o, reaction : lists like W_o, W, optional
-        Where the contact forces act when that differs from the constraints (friction).
-
-    Returns
-    -------
-    NodeSolution
-        Forces are physical, positive = pushing.
+        Matrices of the contact forces where these differ from the constraints (friction).
     """
-    inertia = _block_diagonal([M_o, *M])
-    constraint = _stack(W_o, W)
-    reactions = constraint
+    from scipy.linalg import block_diag
+
+    inertia = block_diag(M_o, *M)
+    constraint = reactions = np.vstack([np.hstack(W_o), block_diag(*W)])
     if reaction is not None and reaction_o is not None:
-        reactions = _stack(reaction_o, reaction)
+        reactions = np.vstack([np.hstack(reaction_o), block_diag(*reaction)])
     size, count = constraint.shape
     matrix = np.zeros((size + count, size + count))
     matrix[:size, :size] = inertia
@@ -126,7 +103,11 @@ def solve_dense(
         unique=np.split(unique, bounds),
         rank=rank,
         motion_unique=not loose.size,
-        loose_arms=_arms_of(np.linalg.norm(loose, axis=1) > PART_TOLERANCE, bounds),
+        loose_arms=tuple(
+            i
+            for i, own in enumerate(np.split(loose, bounds))
+            if np.any(np.linalg.norm(own, axis=1) > PART_TOLERANCE)
+        ),
         residual=_residual([M_o, *M], constraint, right, x),
     )
 
@@ -134,12 +115,12 @@ def solve_dense(
 def _solve_singular(
     scaled: np.ndarray, right: np.ndarray, rows: np.ndarray, columns: np.ndarray, size: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solution by singular values, and the null vectors from the right, scaled, as columns."""
+    """Solution by singular values, and the scaled right null vectors as columns."""
     u, singular, vt = np.linalg.svd(scaled)
     rank = int(np.sum(singular > SYSTEM_TOLERANCE * singular[0]))
-    unserved, free = rows[:, None] * u[:, rank:], vt[rank:].T
+    left, free = rows[:, None] * u[:, rank:], vt[rank:].T
     right = right.copy()
-    right[size:] -= np.linalg.lstsq(unserved[size:].T, unserved.T @ right, rcond=None)[0]
+    right[size:] -= np.linalg.lstsq(left[size:].T, left.T @ right, rcond=None)[0]
     x = columns * (vt[:rank].T @ ((u[:, :rank].T @ (rows * right)) / singular[:rank]))
     # the least norm is meant in newtons, not in scaled units
     loose = columns[:, None] * free
@@ -162,20 +143,16 @@ def _solve_regular(matrix: np.ndarray, right: np.ndarray) -> np.ndarray | None:
 def _moving(free: np.ndarray, size: int) -> np.ndarray:
     """Force parts (N, k) of those combinations of null vectors that move the system."""
     _, motion, vt = np.linalg.svd(free[:size], full_matrices=False)
-    return free[size:] @ vt[motion > MOTION_TOLERANCE].T
-
-
-def _arms_of(contacts: np.ndarray, bounds: np.ndarray) -> tuple[int, ...]:
-    """Numbers of the arms that have one of the marked contacts."""
-    return tuple(i for i, own in enumerate(np.split(contacts, bounds)) if np.any(own))
+    # constraints that are dependent up to rounding leave motions of sqrt(SYSTEM_TOLERANCE)
+    return free[size:] @ vt[motion > 1e-5].T
 
 
 def _residual(
     inertias: list[np.ndarray], constraint: np.ndarray, right: np.ndarray, x: np.ndarray
 ) -> float:
-    """Largest ``W^T q - c`` relative to the largest of the terms that should cancel there.
+    """Largest ``W^T q - c`` relative to the largest of its terms.
 
-    These are c and, of object and arms, the parts without contact forces and due to them.
+    Terms are ``c`` and the accelerations of object and arms without and by contact forces.
     """
     size = sum(len(inertia) for inertia in inertias)
     bounds = np.cumsum([len(inertia) for inertia in inertias])[:-1]
@@ -204,37 +181,16 @@ def _reciprocal_norms(matrix: np.ndarray) -> np.ndarray:
     return 1.0 / np.where(norms > 0.0, norms, 1.0)
 
 
-def _stack(W_o: list[np.ndarray], W: list[np.ndarray]) -> np.ndarray:
-    """Stacked matrix (6 + sum n_i, sum N_i): the object's rows above the arms' blocks."""
-    return np.vstack([np.hstack(W_o), _block_diagonal(W)])
-
-
-def _block_diagonal(blocks: list[np.ndarray]) -> np.ndarray:
-    out = np.zeros((sum(b.shape[0] for b in blocks), sum(b.shape[1] for b in blocks)))
-    row = column = 0
-    for block in blocks:
-        out[row : row + block.shape[0], column : column + block.shape[1]] = block
-        row, column = row + block.shape[0], column + block.shape[1]
-    return out
-
-
 class NullSpace(NamedTuple):
-    """Null space of a matrix, its rank decided by a relative tolerance.
+    """Null space of a matrix (m, n), its rank decided by a relative tolerance."""
 
-    basis : (n, n - rank)
-        Orthonormal columns.
-    rank : int
-    singular : (min(m, n),)
-        Singular values relative to the largest, descending.
-    """
-
-    basis: np.ndarray
+    basis: np.ndarray  # (n, n - rank) orthonormal columns
     rank: int
-    singular: np.ndarray
+    singular: np.ndarray  # (min(m, n),) singular values relative to the largest, descending
 
     @property
     def untouched(self) -> np.ndarray:
-        """Which unknowns have no part in the null space, i.e. are determined, shape (n,)."""
+        """Which unknowns have no part in the null space: they are determined, shape (n,)."""
         return np.linalg.norm(self.basis, axis=1) < PART_TOLERANCE
 
 

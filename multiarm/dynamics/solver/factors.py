@@ -1,8 +1,8 @@
-r"""Factors of small matrices in compiled code: LU with pivoting, singular values.
+r"""Factorizations of small matrices: Cholesky, LU with pivoting, singular values.
 
-The singular values come from one-sided Jacobi rotations: vectors are turned in pairs until all are
-orthogonal, and their lengths are the singular values.  They are accurate even where they are small,
-and vectors that depend on the others end as zeros, which is how a rank shows.
+Singular values come from one-sided Jacobi rotations (M. R. Hestenes, J. SIAM 6, 1958): rows are
+rotated in pairs until all are orthogonal; their lengths are the singular values.  Small ones are
+accurate too, and rows that depend on the others end as zeros, which shows the rank.
 """
 
 from __future__ import annotations
@@ -11,14 +11,101 @@ import math
 
 import numpy as np
 
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.kernels import allocating, inlined, kernel
 
 _EPS = float(np.finfo(float).eps)
-# Rows count as orthogonal when the cosine between them is below this: what the sums of their
-# products are rounded by.
+# Rows count as orthogonal when the cosine of their angle is below this: the rounding of the sums of
+# products.
 ORTHOGONAL = 64.0 * _EPS
-# Sweeps over all pairs of rows; six to ten are usual.
-MOST_SWEEPS = 60
+
+
+@kernel
+def factor_cholesky(A, n):
+    """Cholesky factor of ``A[:n, :n]`` into its lower triangle, the diagonal inverted.
+
+    Returns the smallest pivot relative to its diagonal entry; the factor is usable only when that
+    is positive (and not NaN).
+    """
+    smallest = 1.0
+    for j in range(n):
+        diagonal = A[j, j]
+        if not diagonal > 0.0:
+            return 0.0
+        pivot = diagonal
+        for k in range(j):
+            pivot -= A[j, k] * A[j, k]
+        relative = pivot / diagonal
+        if not relative > 0.0:
+            return relative if relative < 0.0 else 0.0
+        smallest = min(smallest, relative)
+        inverse = 1.0 / math.sqrt(pivot)
+        A[j, j] = inverse
+        for i in range(j + 1, n):
+            s = A[i, j]
+            for k in range(j):
+                s -= A[i, k] * A[j, k]
+            A[i, j] = s * inverse
+    return smallest
+
+
+@inlined
+def forward_columns(L, Y, n, m):
+    """Write ``L^-1 Y`` into ``Y`` (n, m), with the factor of :func:`factor_cholesky`."""
+    for j in range(n):
+        for k in range(j):
+            factor = L[j, k]
+            for a in range(m):
+                Y[j, a] -= factor * Y[k, a]
+        inverse = L[j, j]
+        for a in range(m):
+            Y[j, a] *= inverse
+
+
+@allocating
+def solve_semidefinite(A, b, x):
+    """Solve ``A x = b`` for a symmetric, positive semidefinite matrix (n, n); returns its rank.
+
+    Cholesky's method with diagonal pivoting.  It stops at pivots below 1e-12 of the largest
+    diagonal entry; the unknowns of the remaining pivots are zero (a basic solution, exact whenever
+    there is one).  Rows should be scaled so that the diagonal entries can be compared.  ``A`` is
+    destroyed, ``x`` (n,) is written.
+    """
+    n = b.size
+    L, y, order = np.zeros((n, n)), np.zeros(n), np.arange(n)
+    largest = 0.0
+    for i in range(n):
+        largest = max(largest, A[i, i])
+    rank = n
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if A[order[i], order[i]] > A[order[best], order[best]]:
+                best = i
+        order[k], order[best] = order[best], order[k]
+        p = order[k]
+        if not A[p, p] > 1e-12 * largest:
+            rank = k
+            break
+        L[p, k] = math.sqrt(A[p, p])
+        for i in range(k + 1, n):
+            L[order[i], k] = A[order[i], p] / L[p, k]
+        for i in range(k + 1, n):
+            for j in range(k + 1, n):
+                A[order[i], order[j]] -= L[order[i], k] * L[order[j], k]
+    x[:] = 0.0
+    for k in range(rank):
+        p = order[k]
+        y[k] = b[p]
+        for j in range(k):
+            y[k] -= L[p, j] * y[j]
+        y[k] /= L[p, k]
+    for k in range(rank - 1, -1, -1):
+        p = order[k]
+        s = y[k]
+        for i in range(k + 1, rank):
+            s -= L[order[i], k] * x[order[i]]
+        x[p] = s / L[p, k]
+    return rank
 
 
 @kernel
@@ -112,15 +199,14 @@ def decompose(A, n, m, V, singular):
 def orthogonalize(A, count, length, follow, width):
     """Rotate the first ``count`` rows of ``A`` against each other until they are orthogonal.
 
-    The rows of ``follow`` (``width`` numbers each) are rotated along; one-sided Jacobi method
-    (M. R. Hestenes, J. SIAM 6, 1958), which finds small singular values as exactly as large ones.
+    The rows of ``follow`` (``width`` numbers each) are rotated along.
     """
     total = 0.0
     for i in range(count):
         for k in range(length):
             total += A[i, k] * A[i, k]
     floor = _EPS * _EPS * total  # shorter rows are roundings of zeros
-    for _ in range(MOST_SWEEPS):
+    for _ in range(60):  # sweeps over all pairs of rows; six to ten are usual
         settled = True
         for i in range(count - 1):
             for j in range(i + 1, count):

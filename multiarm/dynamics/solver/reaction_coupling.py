@@ -1,4 +1,4 @@
-r"""Arms that are solved together with the object, when reactions differ from constraints.
+r"""Arms that are solved together with the object, when contact forces have other directions.
 
 With the other arms eliminated, the contact forces of these arms obey (thesis, 4.2, the system
 ``F mu = d``; :math:`\lambda = -\mu`, tildes throughout)
@@ -16,12 +16,12 @@ friction) it is :math:`G^T P \tilde G` with
     = \tilde U \tilde\Sigma \tilde V^T, \quad
     P = \begin{bmatrix} L_s^T S^{-1} L_s & 0 \\ 0 & I \end{bmatrix}
 
-(columns scaled to unit length).  The three ways of being singular then stand apart:
+(columns scaled to unit length).  There are three ways of being singular, which this separates:
 
 - ``G`` has null vectors: constraints depend on each other;
 - ``G~`` has null vectors: forces balance each other and move nothing;
-- the *core* :math:`U^T P \tilde U`, which is the identity without friction, has: forces move the
-  system in a way that no constraint sees (Painleve's case), and the motion is not unique.
+- the *core* :math:`U^T P \tilde U`, which is the identity without friction, has null vectors:
+  forces move the system without effect on any constraint (Painleve), and the motion is not unique.
 
 Without friction the condition of ``F`` is that of ``G`` squared; here it is that of ``G``.
 """
@@ -31,51 +31,45 @@ from __future__ import annotations
 import math
 
 from multiarm.dynamics.solver.factors import decompose, solve_lu, solve_lu_transposed
-from multiarm.dynamics.solver.regular import node_backward, node_forward
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.dynamics.solver.node import node_backward, node_forward
+from multiarm.jit.kernels import clear, inlined, kernel
 
-# Singular values of G below this fraction of the largest count as zero.
-RANK_TOLERANCE = 1e-6
 # Singular values of the core (of the order of 1) below this count as zero.
 CORE_TOLERANCE = 1e-9
-# A null vector has a part in a contact force when it is larger than this.
+# A contact force is part of a null vector when its entry is larger than this.
 PART_TOLERANCE = 1e-7
-
-# Entries of ReactionWork.counts.
-ROWS, LENGTH, RANK, REACTION_RANK, CORE_RANK, FREE, UNSERVED, MOVING, COUNTS = range(9)
 
 
 @kernel
-def couple(work, Wo, Wr):
+def decompose_coupled(work, Wo, Wr):
     """Decompose the coupled system; False when a number is not finite."""
-    counts = work.counts
-    for k in range(FREE, COUNTS):
-        counts[k] = 0
-    for i in range(work.loose.size):
-        work.loose[i] = 0
-    _gather(work, Wo, Wr)
-    rows, length = counts[ROWS], counts[LENGTH]
+    status = work.status
+    status.null_forces = status.null_constraints = status.motions = 0
+    for i in range(work.undetermined.size):
+        work.undetermined[i] = 0
+    write_columns(work, Wo, Wr)
+    rows, length = status.rows, status.length
     if not decompose(work.U, rows, length, work.V, work.sigma):
         return False
     if not decompose(work.Ur, rows, length, work.Vr, work.sigma_r):
         return False
-    counts[RANK] = _rank(work.sigma, rows)
-    counts[REACTION_RANK] = _rank(work.sigma_r, rows)
-    _form_core(work)
-    if not decompose(work.core, counts[REACTION_RANK], counts[RANK], work.core_V, work.core_sigma):
+    status.rank = rank_of(work.sigma, rows)
+    status.reaction_rank = rank_of(work.sigma_r, rows)
+    form_core(work)
+    if not decompose(work.core, status.reaction_rank, status.rank, work.core_V, work.core_sigma):
         return False
-    counts[CORE_RANK] = 0
+    status.core_rank = 0
     least = CORE_TOLERANCE * max(1.0, work.core_sigma[0])
-    for k in range(min(counts[RANK], counts[REACTION_RANK])):
+    for k in range(min(status.rank, status.reaction_rank)):
         if work.core_sigma[k] > least:
-            counts[CORE_RANK] += 1
-    _collect_free(work, Wo, Wr)
-    return _collect_unserved(work, Wo, Wr)
+            status.core_rank += 1
+    find_null_forces(work, Wo, Wr)
+    return find_null_constraints(work, Wo, Wr)
 
 
 @inlined
-def _gather(work, Wo, Wr):
-    """Columns of G and G~, scaled to unit length (zeros stay)."""
+def write_columns(work, Wo, Wr):
+    """Columns of G and G~, scaled to unit length (columns of zeros are not scaled)."""
     row, length = 0, 6
     for i in range(work.coupled.size):
         if work.coupled[i] == 0:
@@ -84,9 +78,8 @@ def _gather(work, Wo, Wr):
         first = work.rows[i]
         for a in range(work.rows[i + 1] - first):
             work.place[row] = first + a
-            for k in range(work.U.shape[1]):
-                work.U[row, k] = 0.0
-                work.Ur[row, k] = 0.0
+            clear(work.U[row])
+            clear(work.Ur[row])
             for k in range(6):
                 work.U[row, k] = Wo[first + a, k]
                 work.Ur[row, k] = Wr[first + a, k]
@@ -97,14 +90,14 @@ def _gather(work, Wo, Wr):
                 work.Ur[row, length + j] = work.Yr[i, j, a]
             row += 1
         length += d
-    work.counts[ROWS], work.counts[LENGTH] = row, length
+    work.status.rows, work.status.length = row, length
     for k in range(row):
-        work.scale[k] = _to_unit(work.U[k], length)
-        work.scale_r[k] = _to_unit(work.Ur[k], length)
+        work.scale[k] = normalize(work.U[k], length)
+        work.scale_r[k] = normalize(work.Ur[k], length)
 
 
 @kernel
-def _to_unit(x, n):
+def normalize(x, n):
     """Scale a vector to unit length; the factor."""
     square = 0.0
     for i in range(n):
@@ -118,18 +111,19 @@ def _to_unit(x, n):
 
 
 @inlined
-def _rank(sigma, n):
+def rank_of(sigma, n):
+    """Number of singular values above 1e-6 of the largest."""
     rank = 0
     for k in range(n):
-        if sigma[k] > RANK_TOLERANCE * sigma[0]:
+        if sigma[k] > 1e-6 * sigma[0]:
             rank += 1
     return rank
 
 
 @inlined
-def _form_core(work):
+def form_core(work):
     """Write ``U^T P U~`` by columns, and its transpose."""
-    rank, reaction_rank = work.counts[RANK], work.counts[REACTION_RANK]
+    rank, reaction_rank = work.status.rank, work.status.reaction_rank
     x = work.six
     for j in range(reaction_rank):
         for k in range(6):
@@ -139,81 +133,81 @@ def _form_core(work):
             s = 0.0
             for k in range(6):
                 s += work.U[i, k] * x[k]
-            for k in range(6, work.counts[LENGTH]):
+            for k in range(6, work.status.length):
                 s += work.U[i, k] * work.Ur[j, k]
             work.core[j, i] = s
             work.core_left[i, j] = s
 
 
 @inlined
-def _collect_free(work, Wo, Wr):
-    """Forces that no constraint sees, orthonormal in newtons, each with the object's motion."""
-    counts, free = work.counts, work.free
-    rows, total = counts[ROWS], Wo.shape[0]
-    for k in range(counts[REACTION_RANK], rows):
-        _begin(free[counts[FREE]])
+def find_null_forces(work, Wo, Wr):
+    """Forces without effect on the constraints, orthonormal in newtons, and the object's motion."""
+    status, vectors = work.status, work.null_force
+    rows, total = status.rows, Wo.shape[0]
+    for k in range(status.reaction_rank, rows):
+        clear(vectors[status.null_forces])
         for a in range(rows):
-            free[counts[FREE], work.place[a]] = work.scale_r[a] * work.Vr[k, a]
-        counts[FREE] += 1
-    for k in range(counts[CORE_RANK], counts[REACTION_RANK]):
-        vector = free[counts[FREE]]
-        _begin(vector)
-        for j in range(counts[REACTION_RANK]):
+            vectors[status.null_forces, work.place[a]] = work.scale_r[a] * work.Vr[k, a]
+        status.null_forces += 1
+    for k in range(status.core_rank, status.reaction_rank):
+        vector = vectors[status.null_forces]
+        clear(vector)
+        for j in range(status.reaction_rank):
             part = work.core_V[k, j] / work.sigma_r[j]
             for a in range(rows):
                 vector[work.place[a]] += part * work.scale_r[a] * work.Vr[j, a]
         x = work.six
-        _on_object(work, Wr, vector, x)
-        object_motion(work, x)
+        object_wrench(work, Wr, vector, x)
+        solve_object(work, x)
         for k6 in range(6):
             vector[total + k6] = x[k6]
-        _extend(work, Wo, x, vector, False)
-        _to_unit_force(vector, total)
-        for i in range(work.loose.size):
+        extend_to_regular_arms(work, Wo, x, vector, False)
+        normalize_forces(vector, total)
+        for i in range(work.undetermined.size):
             for a in range(work.rows[i], work.rows[i + 1]):
                 if abs(vector[a]) > PART_TOLERANCE:
-                    work.loose[i] = 1
-        counts[FREE] += 1
-        counts[MOVING] += 1
-    _orthonormalise(free, counts[FREE], total)
+                    work.undetermined[i] = 1
+        status.null_forces += 1
+        status.motions += 1
+    orthonormalize(vectors, status.null_forces, total)
 
 
 @inlined
-def _collect_unserved(work, Wo, Wr):
-    """Combinations of constraints that no contact force serves, orthonormal."""
-    counts, unserved = work.counts, work.unserved
-    rows, total = counts[ROWS], Wo.shape[0]
-    for k in range(counts[RANK], rows):
-        _begin(unserved[counts[UNSERVED]])
+def find_null_constraints(work, Wo, Wr):
+    """Combinations of constraints that no contact force affects, orthonormal."""
+    status, vectors = work.status, work.null_constraint
+    rows, total = status.rows, Wo.shape[0]
+    for k in range(status.rank, rows):
+        clear(vectors[status.null_constraints])
         for a in range(rows):
-            unserved[counts[UNSERVED], work.place[a]] = work.scale[a] * work.V[k, a]
-        counts[UNSERVED] += 1
-    if counts[CORE_RANK] < counts[RANK]:
+            vectors[status.null_constraints, work.place[a]] = work.scale[a] * work.V[k, a]
+        status.null_constraints += 1
+    if status.core_rank < status.rank:
         # right singular vectors of the transposed core: those of the core from the left
         if not decompose(
-            work.core_left, counts[RANK], counts[REACTION_RANK], work.core_left_V, work.z
+            work.core_left, status.rank, status.reaction_rank, work.core_left_V, work.z
         ):
             return False
-        for k in range(counts[CORE_RANK], counts[RANK]):
-            vector = unserved[counts[UNSERVED]]
-            _begin(vector)
-            for j in range(counts[RANK]):
+        for k in range(status.core_rank, status.rank):
+            vector = vectors[status.null_constraints]
+            clear(vector)
+            for j in range(status.rank):
                 part = work.core_left_V[k, j] / work.sigma[j]
                 for a in range(rows):
                     vector[work.place[a]] += part * work.scale[a] * work.V[j, a]
             x = work.six
-            _on_object(work, Wo, vector, x)
+            object_wrench(work, Wo, vector, x)
             node_forward(work.Ls, x)
             solve_lu_transposed(work.node, 6, work.node_pivots, x)
             node_backward(work.Ls, x)
-            _extend(work, Wr, x, vector, True)
-            counts[UNSERVED] += 1
-    _orthonormalise(unserved, counts[UNSERVED], total)
+            extend_to_regular_arms(work, Wr, x, vector, True)
+            status.null_constraints += 1
+    orthonormalize(vectors, status.null_constraints, total)
     return True
 
 
 @kernel
-def object_motion(work, x):
+def solve_object(work, x):
     """Solve with the node matrix ``S`` of the arms that are not coupled, in place."""
     node_forward(work.Ls, x)
     solve_lu(work.node, 6, work.node_pivots, x)
@@ -221,7 +215,7 @@ def object_motion(work, x):
 
 
 @kernel
-def over_arm(i, work, x, transposed):
+def solve_arm(i, work, x, transposed):
     """Solve with ``K_i`` of an arm that is not coupled (or with its transpose), in place."""
     first = work.rows[i]
     m = work.rows[i + 1] - first
@@ -240,25 +234,19 @@ def over_arm(i, work, x, transposed):
 
 
 @inlined
-def _begin(vector):
-    for k in range(vector.size):
-        vector[k] = 0.0
-
-
-@inlined
-def _on_object(work, Wo, force, x):
-    """Wrench of the coupled arms' entries of ``force`` on the object."""
+def object_wrench(work, Wo, force, x):
+    """Wrench of the coupled arms' entries of ``force`` on the object, into ``x``."""
     for k in range(6):
         x[k] = 0.0
-    for a in range(work.counts[ROWS]):
+    for a in range(work.status.rows):
         row = work.place[a]
         for k in range(6):
             x[k] += Wo[row, k] * force[row]
 
 
 @inlined
-def _extend(work, Wo, x, vector, transposed):
-    """Forces of the other arms that keep their own constraints when the object moves by ``x``."""
+def extend_to_regular_arms(work, Wo, x, vector, transposed):
+    """Forces with which the other arms keep their constraints when the object moves by ``x``."""
     u = work.contacts
     for i in range(work.coupled.size):
         if work.coupled[i] != 0:
@@ -270,29 +258,29 @@ def _extend(work, Wo, x, vector, transposed):
             for k in range(6):
                 s -= Wo[first + a, k] * x[k]
             u[a] = s
-        over_arm(i, work, u, transposed)
+        solve_arm(i, work, u, transposed)
         for a in range(m):
             vector[first + a] = u[a]
 
 
 @inlined
-def _to_unit_force(vector, total):
-    """Scale forces (and the motion behind them) to unit length of the forces."""
-    factor = _to_unit(vector, total)
+def normalize_forces(vector, total):
+    """Scale forces, and the motion that they cause, to unit length of the forces."""
+    factor = normalize(vector, total)
     for k in range(total, vector.size):
         vector[k] *= factor
 
 
 @inlined
-def _orthonormalise(vectors, count, total):
-    """Gram and Schmidt, twice, by the first ``total`` entries; the rest follows."""
+def orthonormalize(vectors, count, total):
+    """Gram-Schmidt, twice, by the first ``total`` entries; the others are scaled alike."""
     for k in range(count):
         for _ in range(2):
-            _to_unit_force(vectors[k], total)
+            normalize_forces(vectors[k], total)
             for j in range(k):
                 s = 0.0
                 for a in range(total):
                     s += vectors[k, a] * vectors[j, a]
                 for a in range(vectors.shape[1]):
                     vectors[k, a] -= s * vectors[j, a]
-        _to_unit_force(vectors[k], total)
+        normalize_forces(vectors[k], total)

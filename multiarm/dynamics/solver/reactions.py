@@ -1,4 +1,4 @@
-r"""The node algorithm where contact forces act along other directions than the constraints.
+r"""The node algorithm with friction: contact forces have other directions than the constraints.
 
 Sliding friction turns the force of a contact away from its normal, while the constraint stays along
 the normal: the *reaction matrices* :math:`\tilde W` differ from the constraint matrices ``W``
@@ -10,8 +10,8 @@ the normal: the *reaction matrices* :math:`\tilde W` differ from the constraint 
     W_{oi}^T q_o + W_i^T q_i = c_i
 
 With :math:`M_i = L_i L_i^T`, :math:`Y_i = L_i^{-1} W_i`, :math:`\tilde Y_i = L_i^{-1} \tilde W_i`,
-the elimination is that of :mod:`multiarm.dynamics.solver.regular` with matrices that are not
-symmetric, which LU factors with pivoting take the place of Cholesky's:
+the elimination is that of :mod:`multiarm.dynamics.solver.node` with matrices that are not
+symmetric, and LU factors with pivoting instead of Cholesky's:
 
 .. math::
     K_i = Y_i^T \tilde Y_i, \qquad S = M_o + \sum_i \tilde W_{oi} K_i^{-1} W_{oi}^T, \qquad
@@ -20,114 +20,111 @@ symmetric, which LU factors with pivoting take the place of Cholesky's:
 
 with :math:`z_i = c_i - Y_i^T L_i^{-1} h_i`.  Arms whose ``K_i`` is singular, or nearly so, are
 solved together with the object (:mod:`multiarm.dynamics.solver.reaction_coupling`); if ``S`` is,
-all arms are. The cost grows linearly with the number of the other arms.
+all arms are.  The cost grows linearly with the number of the other arms.
 
-With friction a solution need not exist, nor be the only one (Painleve).  Both are told, never
-repaired in silence: see :class:`multiarm.arms.terms.NodeSolution`.
+With friction a solution need not exist, nor be unique (Painleve): ``ReactionWork.null_constraint``
+and ``ReactionStatus.motions`` say so.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.solver.dense import NodeSolution
-from multiarm.dynamics.solver.reaction_coupling import (
-    COUNTS,
-    FREE,
-    MOVING,
-    PART_TOLERANCE,
-    RANK,
-    ROWS,
+from multiarm.dynamics.solver.factors import factor_cholesky, factor_lu, forward_columns
+from multiarm.dynamics.solver.node import (
+    MOBILITY_WEIGHT,
+    NO_INERTIA,
+    mobility,
+    node_backward,
+    node_forward,
 )
-from multiarm.dynamics.solver.reaction_elimination import eliminate_with_reactions
-from multiarm.dynamics.solver.reaction_solution import solve_for_reactions
-from multiarm.dynamics.solver.regular import IMBALANCE_BOUND
-from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2
+from multiarm.dynamics.solver.reaction_coupling import decompose_coupled, solve_arm, solve_object
+from multiarm.jit.kernels import copy, inlined, kernel
+from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Ints2, Numbers
+
+# Arms (and the node matrix) with relative pivots below this are solved together with the object:
+# more work, the same result.  The elimination loses the digits that this number has.
+COUPLING_TOLERANCE = 1e-6
+
+
+class ReactionStatus(Numbers):
+    """How the coupled system was decomposed."""
+
+    rows: Int  # contacts of the coupled arms
+    length: Int  # entries of a column of G: six, and the joints of the coupled arms
+    rank: Int  # of G
+    reaction_rank: Int  # of G~
+    core_rank: Int
+    null_forces: Int  # number of vectors in ``null_force``
+    null_constraints: Int  # number of vectors in ``null_constraint``
+    motions: Int  # number of null forces that move the system: if any, the motion is not unique
+    evenness: Float  # how evenly the arms stiffen the object, 1 at best
 
 
 class ReactionWork(NamedTuple):
     """Arrays of the elimination: ``n`` arms, at most ``d`` joints and ``m`` contacts an arm.
 
     Together they have D joints and N contacts.
-
-    dofs, rows : int64 (n + 1,)
-        Where each arm's joints and contacts start in the stacked vectors.
-    levers : (n, d)
-        As in :class:`multiarm.dynamics.solver.work.NodeWork`.
-    L : (n, d, d), Y, Yr : (n, d, m)
-        Factors of the inertias (lower triangles, diagonals inverted); ``L^-1 W``, ``L^-1 W~``.
-    K : (n, m, m), K_pivots : int64 (n, m), arm_scale, arm_scale_r : (N,)
-        LU factors of ``K`` scaled by rows and columns; the scales.
-    Lo, Ls : (6, 6)
-        Factors of the object's inertia and of the node matrix without friction.
-    node : (6, 6), node_pivots : int64 (6,)
-        LU factors of ``Ls^-1 S Ls^-T``.
-    coupled, loose : int64 (n,)
-        Which arms are coupled; whose forces take part in what is not determined of the motion.
-    pivot : (n + 1,)
-        How far each arm's ``K`` is from being singular, with and without friction; the node last.
-    spread : (6, 6), evenness : (1,)
-        How evenly the arms stiffen the object, 1 at best.
-    counts : int64 (8,)
-        Numbers of the coupled system, see :mod:`multiarm.dynamics.solver.reaction_coupling`.
-    place : int64 (N,), scale, scale_r : (N,)
-        Row of each coupled contact in the stacked vectors; scales of the columns of G and G~.
-    U, Ur : (N, 6 + D), V, Vr : (N, N), sigma, sigma_r : (N,)
-        Decompositions of G and G~, one vector a row.
-    core, core_V, core_left, core_left_V : (N, N), core_sigma : (N,)
-        Decompositions of the core and of its transpose.
-    free, unserved : (N, N + 6)
-        Contact forces that no constraint sees, with the object's motion behind them; constraints
-        that no contact force serves.
-    y : (D,), z, left, right : (N,), unloaded : (6,)
-        Intermediate vectors; the object's acceleration without contacts.
-    six : (6,), contacts : (m,), six_columns : (m, 6)
-        Scratch.
     """
 
+    # as in NodeWork
     dofs: Ints1
     rows: Ints1
     levers: Floats2
+    # (n, d, d), (n, d, m): factors of the inertias (lower triangles, diagonals inverted); L^-1 W,
+    # L^-1 W~
     L: Floats3
     Y: Floats3
     Yr: Floats3
+    # (n, m, m), (n, m), (N,): LU factors of K scaled by rows and columns; the scales
     K: Floats3
     K_pivots: Ints2
     arm_scale: Floats1
     arm_scale_r: Floats1
+    # (6, 6): factors of the object's inertia and of the node matrix without friction
     Lo: Floats2
     Ls: Floats2
+    # (6, 6), (6,): LU factors of Ls^-1 S Ls^-T
     node: Floats2
     node_pivots: Ints1
-    coupled: Ints1
-    loose: Ints1
+    coupled: Ints1  # (n,) which arms are coupled
+    undetermined: Ints1  # (n,) whose forces take part in an undetermined motion
+    # (n + 1,): distance of each K from a singular matrix, with and without friction; last of the
+    # node's
     pivot: Floats1
-    spread: Floats2
-    evenness: Floats1
-    counts: Ints1
-    place: Ints1
+    stiffness: Floats2  # (6, 6) scratch for the node matrix without friction
+    status: ReactionStatus
+    place: Ints1  # (N,) row of each coupled contact in the stacked vectors
+    # (N,): scales of the columns of G and G~
     scale: Floats1
     scale_r: Floats1
+    # (N, 6 + D), (N, N), (N,): decompositions of G and G~, one vector a row
     U: Floats2
     Ur: Floats2
     V: Floats2
     Vr: Floats2
     sigma: Floats1
     sigma_r: Floats1
+    # (N, N), (N,): decompositions of the core and of its transpose
     core: Floats2
     core_V: Floats2
     core_left: Floats2
     core_left_V: Floats2
     core_sigma: Floats1
-    free: Floats2
-    unserved: Floats2
+    # (N, N + 6): contact forces without effect on the constraints, with the object's motion that
+    # they cause; combinations of constraints that no contact force affects
+    null_force: Floats2
+    null_constraint: Floats2
+    # (D,), (N,): intermediate vectors
     y: Floats1
     z: Floats1
     left: Floats1
     right: Floats1
-    unloaded: Floats1
+    unloaded: Floats1  # (6,) the object's acceleration without contacts
+    # scratch (6,), (m,), (m, 6)
     six: Floats1
     contacts: Floats1
     six_columns: Floats2
@@ -139,74 +136,377 @@ def make_reaction_work(dofs: list[int], rows: list[int]) -> ReactionWork:
     shapes = {
         "L": (n, d, d), "Y": (n, d, m), "Yr": (n, d, m), "K": (n, m, m), "K_pivots": (n, m),
         "arm_scale": N, "arm_scale_r": N, "Lo": (6, 6), "Ls": (6, 6), "node": (6, 6),
-        "node_pivots": 6, "coupled": n, "loose": n, "pivot": n + 1, "spread": (6, 6),
-        "evenness": 1, "counts": COUNTS, "place": N,
+        "node_pivots": 6, "coupled": n, "undetermined": n, "pivot": n + 1, "stiffness": (6, 6),
+        "place": N,
         "scale": N, "scale_r": N, "U": (N, 6 + D), "Ur": (N, 6 + D), "V": (N, N), "Vr": (N, N),
         "sigma": N, "sigma_r": N, "core": (N, N), "core_V": (N, N), "core_left": (N, N),
-        "core_left_V": (N, N), "core_sigma": N, "free": (N, N + 6), "unserved": (N, N + 6),
+        "core_left_V": (N, N), "core_sigma": N, "null_force": (N, N + 6),
+        "null_constraint": (N, N + 6),
         "y": D, "z": N, "left": N, "right": N, "unloaded": 6, "six": 6, "contacts": m,
         "six_columns": (m, 6),
     }  # fmt: skip
-    whole = {"K_pivots", "node_pivots", "coupled", "loose", "counts", "place"}
+    whole = {"K_pivots", "node_pivots", "coupled", "undetermined", "place"}
     return ReactionWork(
         dofs=np.concatenate([[0], np.cumsum(dofs)]).astype(np.int64),
         rows=np.concatenate([[0], np.cumsum(rows)]).astype(np.int64),
         levers=np.ones((n, d)),
+        status=ReactionStatus(),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
 
 
-def solve_with_reactions(
-    M_o: np.ndarray,
-    h_o: np.ndarray,
-    M: list[np.ndarray],
-    h: list[np.ndarray],
-    W_o: list[np.ndarray],
-    W: list[np.ndarray],
-    c: list[np.ndarray],
-    reaction_o: list[np.ndarray] | None = None,
-    reaction: list[np.ndarray] | None = None,
-) -> NodeSolution:
-    """Solve the constrained system by the node algorithm.
+@kernel
+def eliminate_with_reactions(work, Wo, Wr, object_inertia, couple_all=False):
+    """Factor the whole system; -1, or the number of the arm (n: the object) that failed.
 
-    Parameters and result are those of :func:`multiarm.dynamics.solver.dense.solve_dense`.
+    With ``couple_all`` every arm is solved together with the object, whatever its pivots are.
 
-    Raises
-    ------
-    ValueError
-        When an inertia matrix is not positive definite, or a number is not finite.
+    On entry ``work.L[i]`` holds the arms' inertias (lower triangles), ``work.Y[i]`` and
+    ``work.Yr[i]`` their ``W`` and ``W~`` (one column a contact), ``Wo`` and ``Wr`` (N, 6) the
+    object's rows.  An arm fails when its inertia is not positive definite (``NO_INERTIA`` is left
+    in ``work.pivot``) or its numbers are not finite, the object likewise.
     """
-    dofs, rows = [len(m) for m in M], [w.shape[1] for w in W]
-    reaction = W if reaction is None else reaction
-    work = make_reaction_work(dofs, rows)
-    Wo = np.ascontiguousarray(np.hstack(W_o).T, dtype=float)
-    Wr = Wo if reaction_o is None else np.ascontiguousarray(np.hstack(reaction_o).T, dtype=float)
-    loads = np.array(h_o, float), np.concatenate(h).astype(float), np.concatenate(c).astype(float)
-    q_o, q, force = np.zeros(6), np.zeros(sum(dofs)), np.zeros(sum(rows))
-    for couple_all in (False, True):
-        for i, (inertia, own, forces) in enumerate(zip(M, W, reaction, strict=True)):
-            work.L[i, : dofs[i], : dofs[i]] = inertia
-            work.Y[i, : dofs[i], : rows[i]] = own
-            work.Yr[i, : dofs[i], : rows[i]] = forces
-        failed = eliminate_with_reactions(work, Wo, Wr, np.array(M_o, float), couple_all)
-        if failed >= 0:
-            part = "the object" if failed == len(M) else f"arm {failed + 1}"
-            raise ValueError(
-                f"{part}: the inertia matrix is not positive definite, or a number is not finite"
-            )
-        residual = solve_for_reactions(work, Wo, Wr, *loads, q_o, q, force)
-        left = np.abs(np.array(M_o) @ q_o - h_o - Wr.T @ force)
-        if np.all(left <= IMBALANCE_BOUND * (np.abs(h_o) + np.abs(Wr).T @ np.abs(force))):
-            break
-    counts, bounds = work.counts, np.cumsum(rows)[:-1]
-    free = work.free[: counts[FREE], : len(force)]
-    return NodeSolution(
-        object_acceleration=q_o,
-        joint_accelerations=np.split(q, np.cumsum(dofs)[:-1]),
-        contact_forces=np.split(force, bounds),
-        unique=np.split(np.linalg.norm(free, axis=0) < PART_TOLERANCE, bounds),
-        rank=len(force) - int(counts[ROWS] - counts[RANK]),
-        motion_unique=not counts[MOVING],
-        loose_arms=tuple(np.flatnonzero(work.loose).tolist()),
-        residual=float(residual),
-    )
+    n = work.coupled.size
+    for k in range(6):
+        for l in range(k + 1):  # noqa: E741
+            work.Lo[k, l] = object_inertia[k, l]
+    if not factor_cholesky(work.Lo, 6) > 0.0:
+        return n
+    for i in range(n):
+        pivot = factor_arm(i, work)
+        work.pivot[i] = pivot
+        if not pivot >= 0.0:
+            return i
+        work.coupled[i] = 0 if pivot > COUPLING_TOLERANCE and not couple_all else 1
+    work.pivot[n] = factor_node(work, Wo, Wr, object_inertia)
+    if not work.status.evenness > COUPLING_TOLERANCE:
+        for i in range(n):
+            # arms that are stiffer than the object alone leave no digits of its inertia
+            if relative_mobility(i, work, Wo) < 1e-3:
+                work.coupled[i] = 1
+        work.pivot[n] = factor_node(work, Wo, Wr, object_inertia)
+    if not work.pivot[n] > COUPLING_TOLERANCE:
+        for i in range(n):
+            work.coupled[i] = 1
+        factor_node(work, Wo, Wr, object_inertia)
+    return -1 if decompose_coupled(work, Wo, Wr) else n
+
+
+@kernel
+def factor_arm(i, work):
+    """Factor an arm's inertia and ``K``; returns its ``ReactionWork.pivot``, or ``NO_INERTIA``."""
+    n = work.dofs[i + 1] - work.dofs[i]
+    first = work.rows[i]
+    m = work.rows[i + 1] - first
+    L, Y, Yr, K = work.L[i], work.Y[i], work.Yr[i], work.K[i]
+    if not factor_cholesky(L, n) > 0.0:
+        return NO_INERTIA
+    forward_columns(L, Y, n, m)
+    forward_columns(L, Yr, n, m)
+    gram(Y, Y, n, m, K)
+    least, mobile = mobility(L, n, work.levers[i]) / MOBILITY_WEIGHT, 1.0
+    for a in range(m):
+        norm, norm_r = 0.0, 0.0
+        for j in range(n):
+            norm += Y[j, a] * Y[j, a]
+            norm_r += Yr[j, a] * Yr[j, a]
+        if not math.isfinite(norm + norm_r):
+            return math.nan
+        mobile = min(mobile, norm / least, norm_r / least)
+        work.arm_scale[first + a] = 1.0 / math.sqrt(norm) if norm > 0.0 else 1.0
+        work.arm_scale_r[first + a] = 1.0 / math.sqrt(norm_r) if norm_r > 0.0 else 1.0
+    without_friction = factor_cholesky(K, m)
+    gram(Y, Yr, n, m, K)
+    for a in range(m):
+        for b in range(m):
+            K[a, b] *= work.arm_scale[first + a] * work.arm_scale_r[first + b]
+    return max(0.0, min(mobile, without_friction, factor_lu(K, m, work.K_pivots[i])))
+
+
+@kernel
+def relative_mobility(i, work, Wo):
+    """Smallest mobility of an arm along its contacts, relative to that of the object alone."""
+    smallest, x = 1.0, work.six
+    for row in range(work.rows[i], work.rows[i + 1]):
+        square = 0.0
+        copy(Wo[row], x)
+        node_forward(work.Lo, x)
+        for k in range(6):
+            square += x[k] * x[k]
+        square *= work.arm_scale[row] * work.arm_scale[row]  # one over that of the arm
+        if square > 1.0:
+            smallest = min(smallest, 1.0 / square)
+    return smallest
+
+
+@inlined
+def gram(A, B, n, m, K):
+    """Write ``A^T B``."""
+    for a in range(m):
+        for b in range(m):
+            s = 0.0
+            for j in range(n):
+                s += A[j, a] * B[j, b]
+            K[a, b] = s
+
+
+@kernel
+def factor_node(work, Wo, Wr, object_inertia):
+    """Node matrix of the arms that are not coupled, in inertia coordinates; its relative pivot."""
+    S, Ls, C = work.node, work.Ls, work.six_columns
+    for k in range(6):
+        for l in range(k + 1):  # noqa: E741
+            S[k, l] = S[l, k] = Ls[k, l] = object_inertia[k, l]
+    for i in range(work.coupled.size):
+        if work.coupled[i] != 0:
+            continue
+        first = work.rows[i]
+        m = work.rows[i + 1] - first
+        solve_arm_rows(i, work, Wo, C)
+        for a in range(m):
+            for k in range(6):
+                for l in range(6):  # noqa: E741
+                    S[k, l] += Wr[first + a, k] * C[a, l]
+        add_without_friction(i, work, Wo)
+    work.status.evenness = evenness(work)
+    if not factor_cholesky(Ls, 6) > 0.0:
+        return 0.0
+    whiten(S, Ls, work.six)
+    return factor_lu(S, 6, work.node_pivots)
+
+
+@inlined
+def evenness(work):
+    """Smallest pivot of the node matrix without friction, in units of the object's inertia.
+
+    Relative to its largest entry: 1 without any arm.
+    """
+    T, largest, smallest = work.stiffness, 0.0, math.inf
+    for k in range(6):
+        for l in range(k + 1):  # noqa: E741
+            T[k, l] = T[l, k] = work.Ls[k, l]
+    whiten(T, work.Lo, work.six)
+    for k in range(6):
+        largest = max(largest, T[k, k])
+    if not factor_cholesky(T, 6) > 0.0:
+        return 0.0
+    for k in range(6):
+        smallest = min(smallest, 1.0 / (T[k, k] * T[k, k]))
+    return smallest / largest
+
+
+@kernel
+def whiten(S, L, x):
+    """Write ``L^-1 S L^-T`` in place."""
+    for _ in range(2):  # L^-1 (L^-1 S)^T is the result's transpose
+        for l in range(6):  # noqa: E741
+            for k in range(6):
+                x[k] = S[k, l]
+            node_forward(L, x)
+            for k in range(6):
+                S[k, l] = x[k]
+        for k in range(6):
+            for l in range(k):  # noqa: E741
+                S[k, l], S[l, k] = S[l, k], S[k, l]
+
+
+@inlined
+def solve_arm_rows(i, work, Wo, C):
+    """Write ``K^-1 W_o^T`` of one arm, (m, 6)."""
+    first = work.rows[i]
+    m = work.rows[i + 1] - first
+    u = work.contacts
+    for k in range(6):
+        for a in range(m):
+            u[a] = Wo[first + a, k]
+        solve_arm(i, work, u, False)
+        for a in range(m):
+            C[a, k] = u[a]
+
+
+@inlined
+def add_without_friction(i, work, Wo):
+    """Add ``W_o (Y^T Y)^-1 W_o^T`` of one arm to ``Ls``."""
+    n = work.dofs[i + 1] - work.dofs[i]
+    first = work.rows[i]
+    m = work.rows[i + 1] - first
+    G, Z = work.core, work.six_columns  # the core is computed later
+    gram(work.Y[i], work.Y[i], n, m, G)
+    factor_cholesky(G, m)
+    for a in range(m):
+        for k in range(6):
+            s = Wo[first + a, k]
+            for b in range(a):
+                s -= G[a, b] * Z[b, k]
+            Z[a, k] = s * G[a, a]
+        for k in range(6):
+            for l in range(k + 1):  # noqa: E741
+                work.Ls[k, l] += Z[a, k] * Z[a, l]
+
+
+@kernel
+def solve_for_reactions(work, Wo, Wr, h_o, h, c, q_o, q, force):
+    """Solve the eliminated system for one right-hand side; the relative residual.
+
+    Parameters
+    ----------
+    Wo, Wr : (N, 6)
+        The object's rows, as in :func:`eliminate_with_reactions`.
+    h_o : (6,), h : (D,), c : (N,)
+        Right-hand sides, arms stacked.
+    q_o : (6,), q : (D,), force : (N,), written
+        Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
+    """
+    unconstrained_motions(work, Wo, h_o, h, c)
+    object_acceleration(work, Wo, Wr, h_o, q_o, force)
+    u = work.contacts
+    for i in range(work.coupled.size):
+        if work.coupled[i] != 0:
+            continue
+        first = work.rows[i]
+        m = work.rows[i + 1] - first
+        for a in range(m):
+            u[a] = work.z[first + a]
+            for k in range(6):
+                u[a] -= Wo[first + a, k] * q_o[k]
+        solve_arm(i, work, u, False)
+        for a in range(m):
+            force[first + a] = u[a]
+    total = force.size
+    for k in range(work.status.null_forces):  # projection: forces of least norm
+        part = 0.0
+        for a in range(total):
+            part += work.null_force[k, a] * force[a]
+        for a in range(total):
+            force[a] -= part * work.null_force[k, a]
+        for k6 in range(6):
+            q_o[k6] -= part * work.null_force[k, total + k6]
+    return joint_accelerations(work, Wo, c, q_o, q, force)
+
+
+@inlined
+def unconstrained_motions(work, Wo, h_o, h, c):
+    """Accelerations without contacts, and ``z``, which the contact forces must cause.
+
+    Contradictions are removed from ``z`` by the least change.
+    """
+    copy(h_o, work.unloaded)
+    node_forward(work.Lo, work.unloaded)
+    node_backward(work.Lo, work.unloaded)
+    for i in range(work.coupled.size):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        L = work.L[i]
+        for j in range(d):
+            s = h[d0 + j]
+            for k in range(j):
+                s -= L[j, k] * work.y[d0 + k]
+            work.y[d0 + j] = s * L[j, j]
+        for row in range(work.rows[i], work.rows[i + 1]):
+            work.z[row] = c[row]
+            for j in range(d):
+                work.z[row] -= work.Y[i, j, row - work.rows[i]] * work.y[d0 + j]
+    for v in range(work.status.null_constraints):
+        vector, left = work.null_constraint[v], 0.0
+        for row in range(c.size):
+            left += vector[row] * work.z[row]
+            for k in range(6):
+                left -= vector[row] * Wo[row, k] * work.unloaded[k]
+        for row in range(c.size):
+            work.z[row] -= left * vector[row]
+
+
+@inlined
+def object_acceleration(work, Wo, Wr, h_o, q_o, force):
+    """The object's acceleration and the forces of the coupled arms."""
+    u = work.contacts
+    copy(h_o, q_o)
+    for i in range(work.coupled.size):
+        if work.coupled[i] != 0:
+            continue
+        first = work.rows[i]
+        m = work.rows[i + 1] - first
+        for a in range(m):
+            u[a] = work.z[first + a]
+        solve_arm(i, work, u, False)
+        for a in range(m):
+            for k in range(6):
+                q_o[k] += Wr[first + a, k] * u[a]
+    if work.status.rows > 0:
+        x = work.six
+        copy(q_o, x)
+        solve_object(work, x)
+        solve_coupled_forces(work, Wo, x, force)
+        for a in range(work.status.rows):
+            row = work.place[a]
+            for k in range(6):
+                q_o[k] += Wr[row, k] * force[row]
+    solve_object(work, q_o)
+
+
+@inlined
+def solve_coupled_forces(work, Wo, x, force):
+    """``F lambda = d`` by the decompositions; ``x`` is the object's motion without these forces."""
+    status, rows, place = work.status, work.status.rows, work.place
+    left, right = work.left, work.right
+    for a in range(rows):  # the right-hand side, scaled
+        d = work.z[place[a]]
+        for k in range(6):
+            d -= Wo[place[a], k] * x[k]
+        left[a] = work.scale[a] * d
+    for i in range(status.rank):
+        s = 0.0
+        for a in range(rows):
+            s += work.V[i, a] * left[a]
+        right[i] = s / work.sigma[i]
+    for p in range(status.core_rank):
+        s = 0.0
+        for i in range(status.rank):
+            s += work.core[p, i] * right[i]
+        left[p] = s / work.core_sigma[p]
+    for j in range(status.reaction_rank):
+        s = 0.0
+        for p in range(status.core_rank):
+            s += work.core_V[p, j] * left[p]
+        right[j] = s / work.sigma_r[j]
+    for a in range(rows):
+        s = 0.0
+        for j in range(status.reaction_rank):
+            s += work.Vr[j, a] * right[j]
+        force[place[a]] = work.scale_r[a] * s
+
+
+@inlined
+def joint_accelerations(work, Wo, c, q_o, q, force):
+    """Joint accelerations; the largest constraint residual relative to its largest term."""
+    worst, largest = 0.0, 0.0
+    for i in range(work.coupled.size):
+        d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+        first = work.rows[i]
+        m = work.rows[i + 1] - first
+        L, Y, Yr = work.L[i], work.Y[i], work.Yr[i]
+        for j in range(d):
+            s = 0.0
+            for a in range(m):
+                s += Yr[j, a] * force[first + a]
+            q[d0 + j] = s
+        for a in range(m):
+            without, due, on_object, moved = 0.0, 0.0, 0.0, 0.0
+            for j in range(d):
+                without += Y[j, a] * work.y[d0 + j]
+                due += Y[j, a] * q[d0 + j]
+            for k in range(6):
+                on_object += Wo[first + a, k] * work.unloaded[k]
+                moved += Wo[first + a, k] * q_o[k]
+            left = abs(moved + without + due - c[first + a])
+            worst = left if left != left else max(worst, left)
+            for term in (abs(c[first + a]), abs(without), abs(due), abs(on_object)):
+                largest = max(largest, term)
+            largest = max(largest, abs(moved - on_object))
+        for j in range(d):
+            q[d0 + j] += work.y[d0 + j]
+        for j in range(d - 1, -1, -1):
+            s = q[d0 + j] * L[j, j]
+            q[d0 + j] = s
+            for k in range(j):
+                q[d0 + k] -= L[j, k] * s
+    return worst / largest if largest > 0.0 else worst

@@ -1,40 +1,39 @@
 r"""The node algorithm for arms that cannot move along all of their constraint directions.
 
-An arm with a stretched elbow, with too few joints, or with more contacts than it takes, has a
-singular :math:`K_i = W_i^T M_i^{-1} W_i` (thesis, 4.2; S. McMillan, Ohio State University, 1994).
-Such an arm is not handed over as a whole.  The singular value decomposition of its
+An arm with a stretched elbow, with too few joints, or with redundant contacts has a singular
+:math:`K_i = W_i^T M_i^{-1} W_i` (thesis, 4.2; S. McMillan, Ohio State University, 1994).  It is not
+coupled to the object as a whole.  The singular value decomposition of its
 
 .. math:: Y_i = L_i^{-1} W_i, \qquad Y_i v_a = \sigma_a u_a
 
-turns its constraints into orthogonal *directions* ``v``.  Those with a healthy ``sigma`` are
-eliminated like any regular arm, with :math:`K = \sigma^2`.  Healthy is meant relative to
+turns its constraints into orthogonal *directions* ``v``.  Those with a large ``sigma`` are
+eliminated like any regular arm, with :math:`K = \sigma^2`.  Large is relative to
 
 .. math:: \sigma_{best} = \max_a \sigma_a \; \max\big(1, (\gamma / g)^2\big), \qquad
     g = \max_{a, j} |W_{ja}| / r_j ,
 
 with the levers :math:`r_j` of the joints, so that ``g`` is 1 where a joint moves a contact as much
-as it can.  The second factor is there for arms that slide along all of their contacts: they have
-nothing but roundings for ``sigma``, which are large relative to each other.
+as it can.  The second factor is for arms whose joints all move along their contacts: every
+``sigma`` is a rounding error then, and these are large relative to each other.
 
-The other directions, along which the arm can hardly move or not at all, stay as unknown forces of
+The other directions, along which the arm can hardly move or not at all, remain as unknown forces of
 one *coupled system* with the object; with :math:`C = W_o v` and the node matrix
-:math:`S = L_S L_S^T` of everything that was eliminated,
+:math:`S = L_S L_S^T` of all eliminated directions,
 
 .. math::
     \big(C^T S^{-1} C + \mathrm{diag}(\sigma^2)\big)\,\lambda = B^T B\,\lambda = d, \qquad
     B = \begin{bmatrix} L_S^{-1} C \\ \mathrm{diag}(\sigma) \end{bmatrix}.
 
 Directions with :math:`\sigma = 0` bind the object alone: they add a column to ``B`` and no row, so
-that the cost stays linear in the number of arms.  Nothing is regularised: a small ``sigma`` is
-taken for what it is, and the result goes over smoothly into that of the regular path.
+that the cost stays linear in the number of arms.  Nothing is regularised: a small ``sigma`` enters
+as it is, and the result is continuous with that of the regular path.
 
-*Rank.*  Some combinations of these forces may move neither the object nor an arm (contacts that say
-the same twice, loops that are closed more often than needed).  That is a question of geometry, not
-of masses, and is asked of ``B`` with the object measured in unit directions and lever arms and each
-arm by its own ``sigma_best``: combinations that move less than ``RANK_TOLERANCE`` of that are
-given no force.  Since the directions are orthonormal combinations of the contacts, the contact
-forces have the least norm in newtons; if the constraints contradict each other, they are met in the
-sense of least squares.
+*Rank.*  Some combinations of these forces may move neither the object nor an arm (dependent
+contacts, redundant loops).  Rank is a question of geometry, not of masses.  So it is that of ``B``
+with the object measured in unit directions and lever arms, and each arm by its own ``sigma_best``:
+combinations that move less than ``RANK_TOLERANCE`` of these have no force.  Since the directions
+are orthonormal combinations of the contacts, the contact forces have the least norm in newtons;
+contradicting constraints are met in the sense of least squares.
 """
 
 from __future__ import annotations
@@ -44,19 +43,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.solver.factors import norm, orthogonalize
-from multiarm.dynamics.solver.regular import (
+from multiarm.dynamics.solver.factors import factor_cholesky, norm, orthogonalize
+from multiarm.dynamics.solver.node import (
     COUPLED_BELOW,
-    add_arm,
-    factor_in_place,
-    free_arm,
-    move_arm,
+    NodeWork,
+    add_to_node,
     node_backward,
     node_forward,
-    push_arm,
-    reduce_arm,
+    recover_forces,
+    recover_joints,
+    reduce_constraints,
+    unconstrained_motion,
 )
-from multiarm.dynamics.solver.work import NodeWork
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Numbers
 
@@ -64,75 +62,51 @@ from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, N
 SPLIT = 1e-2
 # Below this fraction the arm does not move at all.
 IMMOVABLE = 1e-11
-# The same two, in terms of how far the object alone would give way to the same push.
+# The same two, relative to the mobility of the object alone for the same unit force.
 SPLIT_BY_OBJECT, IMMOVABLE_BY_OBJECT = 1e-3, 1e-9
-# ``gamma``: an arm whose joints do less than this part of what they can along all of its contacts
-# hardly moves along any.  With RANK_TOLERANCE it does not move at all below the same part.
+# ``gamma``, a bound of ``g``: below it, the joints of an arm hardly move any of its contacts.
 HARDLY_ALIGNED = 1e-3
-# Forces that move object and arms by less than this fraction of their own scale do not exist.
+# Singular values below this fraction of their scale count as zero.
 RANK_TOLERANCE = 1e-6
-# Forces with a smaller part in every combination that moves nothing are determined.
+# Contact forces with a smaller part in every null vector are determined.
 PART_TOLERANCE = 1e-7
-# Singular values below this are roundings, of gaps as well as of sums.
-ROUNDING = 1e-10
 
 
 class CoupledStatus(Numbers):
-    """How the coupled system was solved.
+    """How the coupled system was solved; all integers are 0 when no arm is deficient."""
 
-    Attributes
-    ----------
-    arms, unknowns, movable, rank : int
-        Deficient arms, unknown forces, those with a ``sigma``, rank of the coupled system; all 0
-        when no arm is deficient.
-    margin, least_margin : float
-        Smallest singular value in the decision on the rank that is no rounding: how far the system
-        is from losing one (of the order of 1 when it is far).  Now, and least since it was reset.
-    """
-
-    arms: Int
-    unknowns: Int
-    movable: Int
-    rank: Int
+    arms: Int  # deficient arms
+    unknowns: Int  # unknown forces
+    movable: Int  # those with a sigma
+    rank: Int  # of the coupled system
+    # smallest singular value in the decision on the rank that is not a rounding error: distance
+    # from a loss of rank (of the order of 1 when it is far); now, and least since the last reset
     margin: Float
     least_margin: Float
 
 
 class CoupledWork(NamedTuple):
-    """Arrays of the coupled system.  ``n`` arms, ``N`` contacts, at most ``d`` and ``m`` an arm.
+    """Arrays of the coupled system; ``n`` arms, ``N`` contacts, at most ``d`` and ``m`` an arm."""
 
-    V : (n, m, m), A : (n, m, d), sigma : (N,)
-        Directions ``v`` of the deficient arms (one a row), ``Y v``, and its length.
-    deficient : int64 (n,)
-        1 for the arms that are not eliminated as a whole.
-    scale, split : (n,)
-        Of each deficient arm: ``sigma_best``, and the smallest ``sigma`` that is eliminated.
-    inertia : (6, 6)
-        Cholesky factor of the object's own inertia.
-    arm, row : int64 (N,)
-        Arm and number of the direction that every unknown belongs to.
-    C, B : (N, 6)
-        Wrench of every unknown on the object, and ``L_S^-1`` times it.
-    basis : (6 + N, N), images : (6 + N, 6 + N)
-        Orthonormal combinations of unknowns that move something, and what they move.
-    right, unknown : (N,)
-        Right-hand side and forces of the coupled system.
-    status : CoupledStatus
-    """
-
+    # (n, m, m), (n, m, d), (N,): directions v of the deficient arms (one a row), Y v, its length
     V: Floats3
     A: Floats3
     sigma: Floats1
-    deficient: Ints1
-    scale: Floats1
-    split: Floats1
-    inertia: Floats2
+    deficient: Ints1  # (n,) 1 for the arms that are not eliminated as a whole
+    scale: Floats1  # (n,) sigma_best of each deficient arm
+    split: Floats1  # (n,) smallest sigma that is eliminated
+    inertia: Floats2  # (6, 6) Cholesky factor of the object's own inertia
+    # (N,): arm and number of the direction of every unknown
     arm: Ints1
     row: Ints1
+    # (N, 6): wrench of every unknown on the object, and L_S^-1 times it
     C: Floats2
     B: Floats2
+    # (6 + N, N), (6 + N, 6 + N): orthonormal combinations of unknowns outside the null space, and
+    # B times these
     basis: Floats2
     images: Floats2
+    # (N,): right-hand side and forces of the coupled system
     right: Floats1
     unknown: Floats1
     status: CoupledStatus
@@ -141,31 +115,22 @@ class CoupledWork(NamedTuple):
 def make_coupled(dofs: list[int], rows: list[int]) -> CoupledWork:
     """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts."""
     n, d, m, N = len(dofs), max(dofs), max(rows), sum(rows)
+    shapes = {
+        "V": (n, m, m), "A": (n, m, d), "sigma": N, "scale": n, "split": n, "inertia": (6, 6),
+        "C": (N, 6), "B": (N, 6), "basis": (6 + N, N), "images": (6 + N, 6 + N), "right": N,
+        "unknown": N,
+    }  # fmt: skip
     return CoupledWork(
-        V=np.zeros((n, m, m)),
-        A=np.zeros((n, m, d)),
-        sigma=np.zeros(N),
         deficient=np.zeros(n, dtype=np.int64),
-        scale=np.zeros(n),
-        split=np.zeros(n),
-        inertia=np.zeros((6, 6)),
         arm=np.zeros(N, dtype=np.int64),
         row=np.zeros(N, dtype=np.int64),
-        C=np.zeros((N, 6)),
-        B=np.zeros((N, 6)),
-        basis=np.zeros((6 + N, N)),
-        images=np.zeros((6 + N, 6 + N)),
-        right=np.zeros(N),
-        unknown=np.zeros(N),
         status=CoupledStatus(margin=np.inf, least_margin=np.inf),
+        **{name: np.zeros(shape) for name, shape in shapes.items()},
     )
 
 
 def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
-    """Part of every contact in the forces that move nothing, shape (N,).
-
-    Between 0 (the contact's force is determined) and 1.
-    """
+    """Part of every contact in the null space, shape (N,): 0 (force is determined) to 1."""
     p, rank = coupled.status.unknowns, coupled.status.rank
     rows = np.zeros((p, work.rows[-1]))
     for u, (i, a) in enumerate(zip(coupled.arm[:p], coupled.row[:p], strict=True)):
@@ -177,7 +142,7 @@ def loose_rows(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
 
 @kernel
 def object_mobility(row, coupled):
-    """``sqrt(w^T M_o^-1 w)``: how the object alone gives way to a push, comparable to ``sigma``."""
+    """``sqrt(w^T M_o^-1 w)``, which ``sigma`` is compared with."""
     wrench = coupled.B[0]  # scratch until the unknowns are known
     copy(row, wrench)
     node_forward(coupled.inertia, wrench)
@@ -199,7 +164,7 @@ def aligned_share(L, Y, n, m, levers):
 
 @kernel
 def split_arm(i, work, coupled, Wo):
-    """Decompose ``Y`` of a deficient arm: healthy directions into ``S``, others to the unknowns.
+    """Decompose ``Y`` of a deficient arm: directions are added to ``S`` or to the unknowns.
 
     Returns whether all numbers are finite.
     """
@@ -250,13 +215,13 @@ def split_arm(i, work, coupled, Wo):
 
 @inlined
 def sigma_of(u, work, coupled):
-    """How much the arm of an unknown moves along it."""
+    """``sigma`` of an unknown."""
     return coupled.sigma[work.rows[coupled.arm[u]] + coupled.row[u]]
 
 
 @kernel
 def lever_length(Wo):
-    """Largest moment of a unit push on the object [m]; 1 when there is none."""
+    """Largest moment of a unit contact force on the object [m]; 1 when there is none."""
     longest = 0.0
     for k in range(Wo.shape[0]):
         longest = max(longest, norm(Wo[k, 3:6], 3))
@@ -265,7 +230,7 @@ def lever_length(Wo):
 
 @kernel
 def find_rank(work, coupled, lever):
-    """Orthonormal combinations of the unknowns that move something, into ``coupled.basis``."""
+    """Write an orthonormal basis of the unknowns outside the null space, and the rank."""
     basis, status = coupled.basis, coupled.status
     p, rows = status.unknowns, 6
     for u in range(p):
@@ -280,22 +245,22 @@ def find_rank(work, coupled, lever):
     status.movable = rows - 6
     orthogonalize(basis, rows, p, basis, 0)
     rank = 0
-    coupled.status.margin = math.inf
+    status.margin = math.inf
     for r in range(rows):
         size = norm(basis[r], p)
-        if size > ROUNDING:
-            coupled.status.margin = min(coupled.status.margin, size)
+        if size > 1e-10:  # smaller ones are rounding errors of gaps and sums
+            status.margin = min(status.margin, size)
         if size > RANK_TOLERANCE:
             for u in range(p):
                 basis[rank, u] = basis[r, u] / size
             rank += 1
     status.rank = rank
-    coupled.status.least_margin = min(coupled.status.least_margin, coupled.status.margin)
+    status.least_margin = min(status.least_margin, status.margin)
 
 
 @kernel
 def image_basis(work, coupled):
-    """What the combinations in ``coupled.basis`` move, made orthogonal, into ``coupled.images``."""
+    """``coupled.images`` of ``coupled.basis``, both rotated until the images are orthogonal."""
     basis, images, status = coupled.basis, coupled.images, coupled.status
     p = status.unknowns
     for u in range(p):
@@ -318,16 +283,16 @@ def image_basis(work, coupled):
 @inlined
 def couple(work, coupled, Wo, object_inertia, decompose_all=False):
     """Factor a system with deficient arms, after
-    :func:`multiarm.dynamics.solver.regular.eliminate_arms`.
+    :func:`multiarm.dynamics.solver.node.eliminate_arms`.
 
     With ``decompose_all`` no arm is eliminated as a whole, whatever its pivots are.  Returns the
-    smallest relative pivot of the object's inertia or of the node matrix; the system is of no use
-    unless that is positive (and not NaN).
+    smallest relative pivot of the object's inertia or of the node matrix; the factors are usable
+    only when that is positive (and not NaN).
     """
     for k in range(6):
         for l in range(k + 1):  # noqa: E741
             coupled.inertia[k, l] = object_inertia[k, l]
-    pivot = factor_in_place(coupled.inertia, 6)
+    pivot = factor_cholesky(coupled.inertia, 6)
     if not pivot > 0.0:
         return pivot
     arms = work.dofs.size - 1
@@ -343,9 +308,9 @@ def couple(work, coupled, Wo, object_inertia, decompose_all=False):
 
 @kernel
 def build_node(work, coupled, Wo, object_inertia, every):
-    """Factor the node matrix of all that can be eliminated; returns its smallest relative pivot.
+    """Factor the node matrix of all eliminated directions; returns its smallest relative pivot.
 
-    Deficient arms are decomposed, or, when that leaves too few digits, every arm is.
+    Deficient arms are decomposed, or with ``every`` all arms.
     """
     status, S = coupled.status, work.S
     status.arms = status.unknowns = 0
@@ -359,13 +324,13 @@ def build_node(work, coupled, Wo, object_inertia, every):
             if not split_arm(i, work, coupled, Wo):
                 return math.nan
         else:
-            add_arm(i, work)
-    return factor_in_place(S, 6)
+            add_to_node(i, work)
+    return factor_cholesky(S, 6)
 
 
 @kernel
-def reduce_deficient_arm(i, work, coupled, c, q_o):
-    """``V (c - Y^T y)`` into ``work.z``, and the eliminated directions' share of ``q_o``."""
+def reduce_deficient_constraints(i, work, coupled, c, q_o):
+    """``V (c - Y^T y)`` into ``work.z``; adds the eliminated directions to ``q_o``."""
     d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
     V, A, Z, y, z = coupled.V[i], coupled.A[i], work.Z[i], work.y, work.z
@@ -384,7 +349,7 @@ def reduce_deficient_arm(i, work, coupled, c, q_o):
 
 @kernel
 def solve_coupled_forces(work, coupled, q_o):
-    """Forces of the coupled system, and their push added to ``q_o``, both as ``L_S^-1 q_o``."""
+    """Forces of the coupled system; adds ``B`` times these to ``q_o``, given as ``L_S^-1 q_o``."""
     status = coupled.status
     p, width = status.unknowns, 6 + status.movable
     for u in range(p):
@@ -406,7 +371,7 @@ def solve_coupled_forces(work, coupled, q_o):
 
 
 @kernel
-def push_deficient_arm(i, work, coupled, q_o, force):
+def recover_deficient_forces(i, work, coupled, q_o, force):
     """Contact forces of a deficient arm along its eliminated directions."""
     r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
     V, Z, z = coupled.V[i], work.Z[i], work.z
@@ -436,23 +401,23 @@ def solve_coupled(work, coupled, h_o, h, c, q_o, q, force):
     n = work.dofs.size - 1
     copy(h_o, q_o)
     for i in range(n):
-        free_arm(i, work, h)
+        unconstrained_motion(i, work, h)
         if coupled.deficient[i] == 0:
-            reduce_arm(i, work, c, q_o)
+            reduce_constraints(i, work, c, q_o)
         else:
-            reduce_deficient_arm(i, work, coupled, c, q_o)
+            reduce_deficient_constraints(i, work, coupled, c, q_o)
     node_forward(work.S, q_o)
     solve_coupled_forces(work, coupled, q_o)
     node_backward(work.S, q_o)
     for i in range(n):
         if coupled.deficient[i] == 0:
-            push_arm(i, work, q_o, force)
+            recover_forces(i, work, q_o, force)
         else:
-            push_deficient_arm(i, work, coupled, q_o, force)
+            recover_deficient_forces(i, work, coupled, q_o, force)
     for u in range(coupled.status.unknowns):
         i = coupled.arm[u]
         r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
         for b in range(m):
             force[r0 + b] += coupled.unknown[u] * coupled.V[i, coupled.row[u], b]
     for i in range(n):
-        move_arm(i, work, force, q)
+        recover_joints(i, work, force, q)

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from multiarm.contacts.records import Contact
-from multiarm.dynamics.evaluation import contact_places
+from multiarm.dynamics.contact_geometry import contact_places
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import GraspError

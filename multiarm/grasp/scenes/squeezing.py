@@ -18,8 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from multiarm.contacts.internal_forces import distribute, internal_forces
-from multiarm.control.object_control import write_reference
-from multiarm.control.object_laws import packed_path
+from multiarm.control.object_control import packed_path, write_reference
 from multiarm.grasp.contacts import Contacts
 from multiarm.scene import Waypoint
 from multiarm.spatial import quaternion_to_matrix

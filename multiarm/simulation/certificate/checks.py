@@ -40,8 +40,8 @@ import numpy as np
 
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import place_state
-from multiarm.dynamics.dense_callback import read_inertia
 from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError

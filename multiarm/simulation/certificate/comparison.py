@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from multiarm.dynamics.callbacks import NO_CONTROL
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import Layout, State
-from multiarm.dynamics.user_callback import NO_CONTROL
 from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate_data
 from multiarm.results.trajectory import Trajectory

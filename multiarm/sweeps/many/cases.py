@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
+from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.dynamics.user_callback import ControlFunction
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory

@@ -6,9 +6,9 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.dynamics.user_callback import ControlFunction
 from multiarm.errors import ModelError
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec

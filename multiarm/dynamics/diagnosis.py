@@ -1,17 +1,17 @@
-r"""What an arm cannot do for its joint, in words.
+r"""Why equations could not be solved, and which motions an arm has lost, in words.
 
-A contact force ``x_a`` on every contact of a joint adds up to a wrench ``w`` on the arm.  The arm
-can move along it when its joints feel it, :math:`W_i x = J^T w \ne 0`.  Combinations that they do
-not feel are lost motions, and there are three reasons for them:
+*Lost motions.*  Contact forces ``x`` of a joint sum to a wrench ``w`` on the arm.  The arm can
+move along it when it causes joint torques, :math:`W_i x = J^T w \ne 0`.  Combinations without
+torques are lost motions, and there are three reasons for them:
 
-- the contacts depend on each other: they add up to no wrench at all;
+- the contacts depend on each other: they sum to no wrench at all;
 - the arm has fewer joints than the joint has independent constraints;
 - the posture is singular.
 
 A wrench has an axis.  If it is a force along a line, the arm has no motion along that line; if it
-is a couple, no turn about its axis; otherwise a screw, a motion along an axis together with a turn
-about it, is lost.  Moments are compared with forces over the arm's length (the largest distance of
-a joint's axis from the place where the arm holds the object), and so are the joints' torques.
+is a couple, no turn about its axis; else a screw, a motion along an axis together with a turn about
+it, is lost.  Moments are compared with forces over the arm's length (the largest distance of a
+joint's axis from the place where the arm holds the object), and so are the joints' torques.
 """
 
 from __future__ import annotations
@@ -23,16 +23,18 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.records import Contact
-from multiarm.dynamics.contact_geometry import joint_wrenches
-from multiarm.dynamics.model import Evaluated
+from multiarm.dynamics.arrays import CONTRADICTION, NOT_FINITE, PROJECTION_FAILED
+from multiarm.dynamics.contact_geometry import joint_origin, joint_wrenches
+from multiarm.dynamics.model import Data, Evaluated
 from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.solver.node import NO_INERTIA
 
-# An arm hardly moves along a direction in which it does less than this part of its best one, ...
+# Motion along a direction, relative to that along the arm's best one, that counts as little ...
 LITTLE = 5e-3
-# ... and not at all below this.
+# ... and as none.
 NONE = 1e-6
-# A wrench is called by the name of an axis when it differs from it by less than this part: about
-# six degrees, or a tenth of the arm's length beside the axis or as pitch.
+# A wrench gets the name of an axis when it differs from it by less than this part: about six
+# degrees, or a tenth of the arm's length as distance from the axis or as pitch.
 ALIKE = 0.1
 # Longest description, in characters.
 LONGEST = 60
@@ -41,61 +43,104 @@ REACH = "motion along its own reach"
 
 @dataclass(frozen=True)
 class LostMotion:
-    """A direction along which an arm cannot move.
+    """A direction along which an arm cannot move."""
 
-    Attributes
-    ----------
-    words : str
-        At most ``LONGEST`` characters.
-    force, moment : ndarray, shape (3,)
-        Wrench that the arm's joints do not feel: force, and moment about ``place`` [m], world axes.
-    place : ndarray, shape (3,)
-        Where the arm holds the object [m].
-    share : float
-        How much the arm still moves along it, relative to its best direction.
-    """
-
-    words: str
+    words: str  # at most LONGEST characters
+    # wrench without joint torques: force (3,), and moment (3,) about ``place`` [m], world axes
     force: np.ndarray
     moment: np.ndarray
-    place: np.ndarray
-    share: float
+    place: np.ndarray  # (3,) where the arm holds the object [m]
+    share: float  # motion along it, relative to that along the arm's best direction
+
+
+def failure_text(data: Data, status: int) -> str:
+    """What a status of the compiled code means, and what to do."""
+    names = data.model.arm_names
+    lost = lost_contact_text(data)
+    if lost:
+        return lost
+    if 0 <= status < len(names) and data.work.pivot[status] == NO_INERTIA:
+        return (
+            f"the inertia matrix of arm '{names[status]}' is not positive definite: a joint moves "
+            f"links without mass or inertia; give them some in the URDF, or lock the joint"
+        )
+    if status == len(names):
+        return (
+            "the object's node matrix is not positive definite; check the object's mass and "
+            "inertia and that all numbers of the state are finite"
+        )
+    if status == PROJECTION_FAILED:
+        return (
+            "the state could not be projected back onto the joints; take smaller steps (a smaller "
+            "`accuracy` or `step`), or look for a motion that the joints cannot follow"
+        )
+    if status == CONTRADICTION:
+        return contradiction_text(data)
+    if status == NOT_FINITE:
+        return "the state is not finite; take smaller steps, or check the controller"
+    return f"the evaluation failed (status {status})"
+
+
+def contradiction_text(data: Data) -> str:
+    """Why the last solution does not satisfy the equations."""
+    residual = float(data.arrays.status.residual)
+    if data.arrays.status.imbalance >= residual:
+        return (
+            f"the contact forces do not balance the object (relative residual {residual:.2g}): "
+            f"rounding errors are too large next to a posture in which arms cannot move; start "
+            f"elsewhere, or use `solver: dense`"
+        )
+    return (
+        f"no acceleration meets all constraints (relative residual {residual:.2g}): some of them "
+        f"contradict each other, or the chains are in a singular posture with a velocity that none "
+        f"of their further motions has, and the motion is undetermined; take smaller steps, start "
+        f"elsewhere, or remove redundant contacts"
+    )
+
+
+def lost_contact_text(data: Data) -> str:
+    """Message when a contact has no normal at the state in the data; else empty."""
+    b = data.arrays
+    lost = np.flatnonzero(~np.isfinite(b.contacts).all(axis=1))
+    if not lost.size or not (np.isfinite(b.position).all() and np.isfinite(b.angles).all()):
+        return ""
+    return (
+        f"{lost_contact(data, int(lost[0]))}; look where the motion takes it, take smaller steps, "
+        f"or choose a larger surface"
+    )
+
+
+def lost_contact(data: Data, row: int) -> str:
+    """Message that a contact has no normal."""
+    arm, contact = data.model.owner(row)
+    return (
+        f"contact '{contact.name}' of arm '{arm}' has no normal where it is: an axis, a centre, an "
+        f"apex or the end of a surface was reached, or two surfaces lost each other"
+    )
 
 
 def lost_motions(data: Evaluated, arms: Iterable[str] | None = None) -> dict[str, tuple[str, ...]]:
-    """What each arm cannot do, in words of at most 60 characters; empty for a regular arm.
+    """Lost motions of each arm (default: all) in words of at most 60 characters; empty for none.
 
-    At the kinematics in the data, before they are eliminated.
-
-    Parameters
-    ----------
-    data : Evaluated
-    arms : names, optional
-        All when left out.
+    At the kinematics in the data, before the elimination.
     """
     return {arm: _of_arm(data, arm) for arm in (data.model.arm_names if arms is None else arms)}
 
 
 def lost_directions(data: Evaluated, arm: str) -> tuple[LostMotion, ...]:
-    """The directions that an arm loses by its posture, or for want of joints, one by one."""
+    """The directions that an arm has lost by its posture or by its number of joints, one by one."""
     hold = _hold(data, arm)
     if hold is None:
         return ()
-    _, sizes, turned = np.linalg.svd(hold.felt)
+    _, sizes, turned = np.linalg.svd(hold.torques)
     kept = int(np.sum(sizes > LITTLE * sizes[0])) if sizes[0] > 0.0 else 0
     return _named(hold, hold.basis @ turned[kept:].T, float(sizes[0]))
 
 
 def describe(data: Evaluated, arm: str, directions: np.ndarray) -> tuple[str, ...]:
-    """Words for combinations of an arm's contacts, one for each.
+    """Words for lost motions given as combinations of an arm's contacts, shape (N_i, k).
 
-    Parameters
-    ----------
-    data : Evaluated
-    arm : str
-    directions : ndarray, shape (N_i, k)
-        Each column a combination that the arm cannot follow, or hardly.  They are taken together:
-        the words are for a basis of what they span.
+    One text for each column; they describe a basis of the span of all columns.
     """
     hold = _hold(data, arm)
     directions = np.asarray(directions, dtype=float)
@@ -105,7 +150,7 @@ def describe(data: Evaluated, arm: str, directions: np.ndarray) -> tuple[str, ..
     size = np.linalg.norm(hold.wrenches, 2)
     space, sizes, _ = np.linalg.svd(wrenches, full_matrices=False)
     kept = int(np.sum(sizes > NONE * size * np.linalg.norm(directions)))
-    named = _named(hold, space[:, :kept], float(np.linalg.norm(hold.felt, 2)))
+    named = _named(hold, space[:, :kept], float(np.linalg.norm(hold.torques, 2)))
     words = tuple(lost.words for lost in named)
     if kept < directions.shape[1]:
         words += ("contacts that say the same twice",)
@@ -119,20 +164,20 @@ def describe(data: Evaluated, arm: str, directions: np.ndarray) -> tuple[str, ..
 class _Hold:
     """How an arm holds the object: wrenches ``[f; m / length]`` about ``place``, world axes.
 
-    ``wrenches`` (6, N) of the contacts; ``basis`` (6, r) orthonormal of what they span; ``felt``
-    (n, r) the joint torques over ``length`` (forces) for these.
+    ``wrenches`` (6, N) of the contacts; ``basis`` (6, r) orthonormal, of their span; ``torques``
+    (n, r) of the joints for the basis, over ``length`` for revolute joints.
     """
 
     length: float
     place: np.ndarray
     wrenches: np.ndarray
     basis: np.ndarray
-    felt: np.ndarray
+    torques: np.ndarray
     names: tuple[tuple[str, np.ndarray], ...]
 
     def share(self, wrench: np.ndarray, best: float) -> float:
-        """How much the arm moves along a wrench of unit length, relative to its best direction."""
-        return float(np.linalg.norm(self.felt @ (self.basis.T @ wrench))) / best if best else 0.0
+        """Motion of the arm along a unit wrench, relative to that along its best direction."""
+        return float(np.linalg.norm(self.torques @ (self.basis.T @ wrench))) / best if best else 0.0
 
 
 class _Axis(NamedTuple):
@@ -148,13 +193,13 @@ def _of_arm(data: Evaluated, arm: str) -> tuple[str, ...]:
     if hold is None:
         return ()
     words = _redundant(data, arm)
-    joints, independent = hold.felt.shape
+    joints, independent = hold.torques.shape
     lost = lost_directions(data, arm)
     if joints >= independent:
         return words + tuple(motion.words for motion in lost)
     leave = f"its {joints} joint{' leaves' if joints == 1 else 's leave'}"
     words += (f"{leave} {len(lost)} of {independent} directions without motion",)
-    if len(lost) > independent - joints:  # a posture that takes more than the number of joints does
+    if len(lost) > independent - joints:  # the posture loses further ones
         words += tuple(motion.words for motion in lost if motion.words.endswith(REACH))
     return words
 
@@ -180,16 +225,15 @@ def _redundant(data: Evaluated, arm: str) -> tuple[str, ...]:
 
 
 def _hold(data: Evaluated, arm: str) -> _Hold | None:
-    """Wrenches and what the joints feel of them; None when a contact has no normal."""
+    """Contact wrenches and their joint torques; None when a contact has no normal."""
     i = data.model.arm_names.index(arm)
-    arrays, layout, tip = data.arrays, data.model.layout, data.model.arms[arm]
+    arrays, layout = data.arrays, data.model.layout
     d = slice(layout.dofs[i], layout.dofs[i + 1])
     r = slice(layout.rows[i], layout.rows[i + 1])
     rows, W = arrays.Wo[r], data.work.Y[i, : d.stop - d.start, : r.stop - r.start]
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(W)) and np.any(rows)):
         return None
-    link, at = arrays.arms[i], data.model.frames[arm].on_tip[:3, 3]
-    place = link[9:12] + link[:9].reshape(3, 3) @ (tip.tip_rotation @ at + tip.tip_translation)
+    place = joint_origin(data, arm)
     axes = _axes(data, arm, arrays.angles[d])
     length = _length(axes, place)
     moments = rows[:, 3:] - np.cross(place - arrays.body[9:12], rows[:, :3])
@@ -203,7 +247,7 @@ def _hold(data: Evaluated, arm: str) -> _Hold | None:
         place=place,
         wrenches=wrenches,
         basis=basis[:, :rank],
-        felt=(W / units[:, None]) @ combinations,
+        torques=(W / units[:, None]) @ combinations,
         names=tuple(_axis_names(axes, place, length)),
     )
 
@@ -236,7 +280,7 @@ def _length(axes: list[_Axis], place: np.ndarray) -> float:
 def _axis_names(
     axes: list[_Axis], place: np.ndarray, length: float
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Named lines and axes as unit wrenches about ``place``, the most telling ones first."""
+    """Named lines and axes as unit wrenches about ``place``, in the order of preference."""
     shoulder, ends = _reach(axes, place)
     for end in ends:
         along = end - shoulder
@@ -280,13 +324,13 @@ def _line(axis: np.ndarray, offset: np.ndarray, length: float) -> np.ndarray:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Product of two vectors; that of NumPy, for stacks of them, takes twenty times as long."""
+    """Cross product of two vectors; ``np.cross`` takes twenty times as long."""
     (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def _named(hold: _Hold, space: np.ndarray, best: float) -> tuple[LostMotion, ...]:
-    """A basis of lost wrenches (6, k): named ones as far as they are among them, then others."""
+    """A basis of lost wrenches (6, k): first those that have names, then others."""
     found = []
     for name, wrench in hold.names:
         part = space.T @ wrench
@@ -313,8 +357,8 @@ def _screw(hold: _Hold, wrench: np.ndarray) -> str:
     pitch = float(force @ moment) / size**2
     if abs(pitch) > ALIKE * hold.length:
         return f"screw along {_vector(force)}, {_metres(pitch)} a radian"
-    beside = float(np.linalg.norm(_cross(force, moment))) / size**2
-    where = f" {_metres(beside)} off the tip" if beside > ALIKE * hold.length else ""
+    offset = float(np.linalg.norm(_cross(force, moment))) / size**2
+    where = f" {_metres(offset)} off the tip" if offset > ALIKE * hold.length else ""
     return f"motion along {_vector(force)}{where}"
 
 

@@ -1,0 +1,227 @@
+"""Callbacks: Python functions that compiled code calls in an evaluation.
+
+*User functions* ``f(t, state)``: controllers, wrenches, effects.  They get the time and a copy of
+the state being evaluated; the result is checked and copied into an array that kernels read.
+
+A run is certified by repeating it with the same function.  A function with a memory (it integrates,
+counts or draws random numbers) gives other results then, and the two runs are different motions.
+To detect this, the arguments and results of calls 1, 2, 4, 8 ... are recorded and can be repeated.
+
+*The dense solver* (:mod:`multiarm.dynamics.solver.dense`) is called in place of the node algorithm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from multiarm.dynamics.arrays import Variables, open_data
+from multiarm.dynamics.kinematics import read_inertia
+from multiarm.dynamics.solver.dense import solve_dense
+from multiarm.dynamics.solver.node import NodeWork
+from multiarm.dynamics.state import Layout, State, fill_by_arm
+from multiarm.errors import USER_FAULTS, ControlError, MultiarmError, SolverError
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.pointers import PythonCallback, address_of, call_python
+from multiarm.jit.structs import struct_at
+
+ControlFunction = Callable[[float, State], Mapping[str, np.ndarray]]
+
+# No control law: see ``Constants.control``.
+NO_CONTROL = np.zeros((0, 2), dtype=np.int64)
+
+# Owners of the user functions that this thread is calling.
+_running: ContextVar[tuple[object, ...]] = ContextVar("running", default=())
+
+
+class UserCallback(PythonCallback):
+    """A user function that compiled code calls.
+
+    Every Data has its own instance, so that threads can share one function.
+
+    Parameters
+    ----------
+    function : callable
+        ``f(t, state)``, with the time [s] and a :class:`multiarm.dynamics.state.State` of its own.
+    name : str
+        For error messages, such as "the controller".
+    read : callable
+        ``read(result)`` returns the result as a new vector, or raises ``ControlError``.
+    out : ndarray
+        The vector is copied here.
+    layout : Layout
+    variables : Variables
+        With the state being evaluated.
+    owner : object
+        The control or effect that has the function.  The function must not evaluate a system with
+        the same owner: it would call itself.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[float, State], Any],
+        name: str,
+        read: Callable[[Any], np.ndarray],
+        out: np.ndarray,
+        layout: Layout,
+        variables: Variables,
+        owner: object,
+    ) -> None:
+        self._owner = owner
+        self.function, self.name, self._read = function, name, read
+        self._out, self._layout, self._variables = out, layout, variables
+        self._count = 0
+        self._recorded: list[tuple[float, State, np.ndarray]] = []
+        super().__init__(self._write, variables.status)
+
+    def forget(self) -> None:
+        """Delete the recorded calls, before another run."""
+        self._count = 0
+        self._recorded.clear()
+
+    def remembers(self) -> bool:
+        """Whether repeated calls give other results than the recorded ones.
+
+        Calls that raise an exception now are left out.
+        """
+        difference = largest = 0.0
+        for t, state, expected in reversed(self._recorded):
+            try:
+                found = self._call(t, state.copy())
+            except MultiarmError:
+                continue
+            largest = max(largest, float(np.max(np.abs(expected), initial=0.0)))
+            difference = max(difference, float(np.max(np.abs(found - expected), initial=0.0)))
+        return difference > 1e-9 * largest
+
+    def _write(self) -> None:
+        b = self._variables
+        t = b.time.now
+        position, velocity = np.concatenate([b.position, b.angles]), np.concatenate([b.twist, b.v])
+        state = State(position, velocity, self._layout)
+        self._count += 1
+        record = self._count & (self._count - 1) == 0  # a power of two
+        before = state.copy() if record else None  # the function may write into its own
+        result = self._call(t, state)
+        if before is not None:
+            self._recorded.append((t, before, result))
+        self._out[:] = result
+
+    def _call(self, t: float, state: State) -> np.ndarray:
+        running = _running.get()
+        if self._owner in running:
+            raise ControlError(
+                f"{self.name} evaluates a system that it is part of, and would be called for ever; "
+                f"let it evaluate one without it, such as `multiarm.compile_system(scene)`"
+            )
+        token = _running.set((*running, self._owner))
+        try:
+            result = self.function(t, state)
+        except MultiarmError:
+            raise
+        except USER_FAULTS as error:
+            raise ControlError(
+                f"{self.name} raised {type(error).__name__}: {error} (at t = {t:.6g} s)"
+            ) from error
+        finally:
+            _running.reset(token)
+        try:
+            return self._read(result)
+        except ControlError as error:
+            raise ControlError(f"{error} (at t = {t:.6g} s)") from None
+
+
+@dataclass(frozen=True)
+class PythonControl:
+    """A controller in Python.
+
+    Attributes
+    ----------
+    function : callable
+        ``f(t, state) -> {arm: torques}``; arms that it leaves out get no torque.
+    """
+
+    function: ControlFunction
+
+    @property
+    def laws(self) -> np.ndarray:
+        """``Constants.control``."""
+        return np.array([[address_of(call_controller), 0]], dtype=np.int64)
+
+    def connect(self, layout: Layout, variables: Variables) -> UserCallback:
+        """The callback that writes the torques."""
+
+        def read(torques: object) -> np.ndarray:
+            stacked = np.zeros(layout.joints)
+            views = layout.split_joints(stacked)
+            fill_by_arm("the controller's torques", views, torques, ControlError)
+            return stacked
+
+        function, out = self.function, variables.torque
+        return UserCallback(function, "the controller", read, out, layout, variables, function)
+
+
+@cfunc
+def call_controller(address, size, _at, _t):
+    """Let the controller in Python write all torques."""
+    call_python(open_data(struct_at(address, size)).functions.control)
+    return 0
+
+
+def dense_solver(
+    b: Variables,
+    work: NodeWork,
+    reactions: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Callable[[], None]:
+    """Function without arguments that solves for ``q_o, qdd, force`` in ``b`` by the dense solver.
+
+    ``reactions`` are the object's rows (N, 6) and the arms' matrices (n, d, m) of the contact
+    forces where these differ from the constraints.
+    """
+    dofs, rows = work.dofs, work.rows
+    arms = range(len(dofs) - 1)
+
+    def by_arm(on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:
+        sizes = [(dofs[i + 1] - dofs[i], rows[i + 1] - rows[i]) for i in arms]
+        blocks = [own[:d, :m] for own, (d, m) in zip(on_arms, sizes, strict=True)]
+        return [on_object[rows[i] : rows[i + 1]].T for i in arms], blocks
+
+    def solve() -> None:
+        inertias = [read_inertia(b.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
+        _require_usable(inertias, (b.h, b.c, b.h_o, work.Y))
+        W_o, W = by_arm(b.Wo, work.Y)
+        reaction_o, reaction = (None, None) if reactions is None else by_arm(*reactions)
+        solution = solve_dense(
+            M_o=b.inertia,
+            h_o=b.h_o,
+            M=inertias,
+            h=[b.h[dofs[i] : dofs[i + 1]] for i in arms],
+            W_o=W_o,
+            W=W,
+            c=[b.c[rows[i] : rows[i + 1]] for i in arms],
+            reaction_o=reaction_o,
+            reaction=reaction,
+        )
+        b.q_o[:] = solution.object_acceleration
+        b.qdd[:] = np.concatenate(solution.joint_accelerations)
+        b.force[:] = np.concatenate(solution.contact_forces)
+        b.status.rank, b.status.coupled_arms = solution.rank, 0
+
+    return solve
+
+
+def _require_usable(inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]) -> None:
+    if not all(np.all(np.isfinite(term)) for term in (*terms, *inertias)):
+        raise SolverError(
+            "the equations of motion are not finite; take smaller steps, or check the controller"
+        )
+    for number, inertia in enumerate(inertias, start=1):
+        if not np.all(np.diag(inertia) > 0.0):
+            raise SolverError(
+                f"a joint of arm {number} moves links without mass or inertia; give them some in "
+                f"the URDF, or lock the joint"
+            )

@@ -1,0 +1,358 @@
+r"""The node algorithm: the object's acceleration first, then each arm on its own.
+
+The system (thesis, 4.9; :math:`\lambda = -\mu` is the physical contact force, positive = pushing)
+
+.. math::
+    M_o q_o = h_o + \sum_i W_{oi} \lambda_i, \qquad
+    M_i q_i = h_i + W_i \lambda_i, \qquad
+    W_{oi}^T q_o + W_i^T q_i = c_i
+
+is solved without ever assembling it.  With every arm's Cholesky factor :math:`M_i = L_i L_i^T`,
+
+.. math::
+    Y_i = L_i^{-1} W_i, \quad K_i = Y_i^T Y_i = G_i G_i^T, \quad Z_i = G_i^{-1} W_{oi}^T, \quad
+    S = M_o + \sum_i Z_i^T Z_i
+
+is the *elimination*, which depends on the configuration only, and
+
+.. math::
+    y_i = L_i^{-1} h_i, \quad z_i = G_i^{-1}(c_i - Y_i^T y_i), \quad
+    q_o = S^{-1}\big(h_o + \sum_i Z_i^T z_i\big), \quad
+    \lambda_i = G_i^{-T}(z_i - Z_i q_o), \quad q_i = L_i^{-T}(y_i + Y_i \lambda_i)
+
+the *solution* for one right-hand side: accelerations, velocity projections and position corrections
+alike (thesis, 4.10 - 4.12).  The work grows linearly with the number of arms; ``S`` stays 6 by 6.
+
+It exists when every ``K_i`` is regular: each arm can move along all of its constraint directions.
+Two numbers measure the distance from a singular ``K_i``: its smallest pivot relative to its
+diagonal (the pivot after Jacobi scaling), and that diagonal relative to the *mobility* of the arm,
+:math:`\max_j r_j^2 / p_j` with the lever :math:`r_j` of each joint and the pivots :math:`p_j` of
+the inertia.  The second is needed because ``K_i`` of an arm that cannot move along its contact at
+all consists of rounding errors, which are large relative to each other.  Arms for which either is
+small are solved by :mod:`multiarm.dynamics.solver.singular`.
+
+This module has the arrays and the elimination of one arm;
+:mod:`multiarm.dynamics.solver.batched` eliminates four regular arms at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.dynamics.solver.factors import factor_cholesky, forward_columns
+from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.simd import LANES, aligned_zeros
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2
+
+# Arms with a relative pivot below this go to the coupled system
+# (:mod:`multiarm.dynamics.solver.singular`). Elimination loses about as many digits as the pivot
+# has zeros: the choice leaves eleven.
+COUPLED_BELOW = 1e-5
+# The same for the diagonal of K relative to the arm's mobility.  Entries of W are rounded relative
+# to the levers, so that a diagonal loses half as many digits as this has zeros: eleven are left.
+IMMOBILE_BELOW = 1e-10
+# Brings the second measure to the scale of the first, so that one bound serves both.
+MOBILITY_WEIGHT = COUPLED_BELOW / IMMOBILE_BELOW
+# Largest residual of the object's equation of motion, relative to the largest force in it.  Arms
+# that are eliminated as a whole leave eleven digits, of which two are for cancellation.
+IMBALANCE_BOUND = 1e-9
+# Results: all arms were eliminated; some cannot be.
+ELIMINATED, DEFICIENT = -1, -6
+# Pivot of an arm whose inertia matrix is not positive definite.
+NO_INERTIA = -2.0
+
+# Columns of NodeWork.groups: joints and contacts of the largest arm, number of arms, offset and
+# width of the table, the four arms.
+JOINTS, CONTACTS, COUNT, START, WIDTH, FIRST_ARM = range(6)
+GROUP_WIDTH = FIRST_ARM + LANES
+
+# Offsets in NodeWork.packs before the tables: lower triangle of the node matrix, each row after its
+# right-hand side; the object's unknowns (scratch at first); scratch for a row's factors.
+NODE_AT, NODE_WIDTH = 0, 7
+OBJECT_AT = NODE_AT + LANES * 6 * NODE_WIDTH
+FACTORS_AT = OBJECT_AT + LANES * 6
+
+
+class NodeWork(NamedTuple):
+    """Arrays of the elimination; ``n`` arms with at most ``d`` joints and ``m`` contacts each."""
+
+    # (n + 1,): first joint and first contact of each arm in the stacked vectors
+    dofs: Ints1
+    rows: Ints1
+    # inertias (n, d, d) (lower triangles; 1 on the diagonal beyond an arm's joints) and constraint
+    # matrices W (n, d, m); after an elimination arm by arm the factors, diagonals inverted
+    L: Floats3
+    Y: Floats3
+    factored: Ints1  # (1,) whether L and Y are the factors
+    # (n, m, m), (n, m, 6): the other factors; lower triangles, diagonals inverted
+    G: Floats3
+    Z: Floats3
+    S: Floats2  # (6, 6) factor of the node matrix, lower triangle, diagonal inverted
+    # (dofs[n],), (rows[n],): intermediate vectors of a solution arm by arm
+    y: Floats1
+    z: Floats1
+    # (n, d): largest distance by which a unit turn of each joint can move a contact of its arm [m];
+    # 1 for prismatic joints
+    levers: Floats2
+    # (n + 1,): distance of each K, and last of S, from a singular matrix (1 at best, 0 at worst)
+    pivot: Floats1
+    # (g, 10): groups of four arms; none when an arm has more contacts than joints, so that it is
+    # deficient in any posture.  A group of fewer arms repeats its first one.
+    groups: Ints2
+    places: Ints2  # (g, 4 d + 4 m) index of every joint and contact in the stacked vectors
+    present: Floats2  # (g, 4 m + 4) 1 for every contact, and last for each arm; 0 for padding
+    stiffness: Floats2  # (g, 4 d) 1 / lever^2 of every joint; infinite for padding
+    packs: Floats1  # contributions to the node matrix, scratch, and the tables
+
+
+def make_work(
+    dofs: list[int], rows: list[int], levers: Sequence[np.ndarray] | None = None
+) -> NodeWork:
+    """Allocate for arms with ``dofs[i]`` joints and ``rows[i]`` contacts, levers (dofs[i],) [m]."""
+    n, d, m = len(dofs), max(dofs), max(rows)
+    every_lever = np.ones((n, d))
+    if levers is not None:
+        for row, lever in zip(every_lever, levers, strict=True):
+            row[: len(lever)] = lever
+    L = np.zeros((n, d, d))
+    for inertia, own in zip(L, dofs, strict=True):
+        inertia[range(own, d), range(own, d)] = 1.0
+    groups, size = _group(dofs, rows)
+    places, present = _pad(groups, dofs, rows)
+    return NodeWork(
+        dofs=_starts(dofs),
+        rows=_starts(rows),
+        L=L,
+        Y=np.zeros((n, d, m)),
+        factored=np.zeros(1, dtype=np.int64),
+        G=np.zeros((n, m, m)),
+        Z=np.zeros((n, m, 6)),
+        S=np.zeros((6, 6)),
+        y=np.zeros(sum(dofs)),
+        z=np.zeros(sum(rows)),
+        levers=every_lever,
+        pivot=np.ones(n + 1),
+        groups=groups,
+        places=places,
+        present=present,
+        stiffness=_stiffness(groups, dofs, every_lever),
+        packs=aligned_zeros(size),
+    )
+
+
+def _stiffness(groups: np.ndarray, dofs: list[int], levers: np.ndarray) -> np.ndarray:
+    """``NodeWork.stiffness``."""
+    stiffness = np.full((len(groups), levers.shape[1], LANES), np.inf)
+    for g, group in enumerate(groups):
+        for lane, i in enumerate(group[FIRST_ARM:]):
+            stiffness[g, : dofs[i], lane] = 1.0 / levers[i, : dofs[i]] ** 2
+    return stiffness.reshape(len(groups), LANES * levers.shape[1])
+
+
+def _group(dofs: list[int], rows: list[int]) -> tuple[np.ndarray, int]:
+    """``NodeWork.groups`` and the size of ``NodeWork.packs``."""
+    groups: list[list[int]] = []
+    size = FACTORS_AT + LANES * (max(dofs) + max(rows))
+    if all(d >= m for d, m in zip(dofs, rows, strict=True)):
+        order = sorted(range(len(dofs)), key=lambda i: (-dofs[i], -rows[i]))
+        for first in range(0, len(order), LANES):
+            arms = order[first : first + LANES]
+            d, m = max(dofs[i] for i in arms), max(rows[i] for i in arms)
+            width = d + m + NODE_WIDTH
+            spare = arms[:1] * (LANES - len(arms))
+            groups.append([d, m, len(arms), size, width, *arms, *spare])
+            size += LANES * width * (d + m + 1)  # the last row is for the unknowns
+    return np.array(groups, dtype=np.int64).reshape(-1, GROUP_WIDTH), size
+
+
+def _pad(groups: np.ndarray, dofs: list[int], rows: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """``NodeWork.places`` and ``NodeWork.present``."""
+    d, m = max(dofs), max(rows)
+    places = np.zeros((len(groups), d + m, LANES), dtype=np.int64)
+    present = np.zeros((len(groups), m + 1, LANES))
+    for g, group in enumerate(groups):
+        for lane, i in enumerate(group[FIRST_ARM:]):
+            for own, sizes in ((slice(0, d), dofs), (slice(d, d + m), rows)):
+                first = sum(sizes[:i])
+                # padding reads from somewhere
+                places[g, own, lane] = first + np.arange(own.stop - own.start)
+                places[g, own, lane][sizes[i] :] = first if sizes[i] else 0
+            present[g, : rows[i], lane] = 1.0
+            present[g, m, lane] = float(lane < group[COUNT])
+    shapes = (len(groups), LANES * (d + m)), (len(groups), LANES * (m + 1))
+    return places.reshape(shapes[0]), present.reshape(shapes[1])
+
+
+def _starts(sizes: list[int]) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+
+
+@kernel
+def mobility(L, n, levers):
+    """Largest possible acceleration by a unit force [1/kg]; ``L`` is the factor of the inertia."""
+    most = 0.0
+    for j in range(n):
+        reach = levers[j] * L[j, j]
+        most = max(most, reach * reach)
+    return most
+
+
+@inlined
+def eliminate_arm(i, work, Wo):
+    """Factor arm ``i``; returns its ``NodeWork.pivot``, or ``NO_INERTIA``.
+
+    On entry ``work.L[i]`` holds the arm's inertia (lower triangle), ``work.Y[i]`` its ``W`` (one
+    column a contact) and ``Wo`` (sum of rows, 6) the object's rows; on return the factors.
+    """
+    n = work.dofs[i + 1] - work.dofs[i]
+    first = work.rows[i]
+    m = work.rows[i + 1] - first
+    L, Y, G, Z = work.L[i], work.Y[i], work.G[i], work.Z[i]
+    inertia_pivot = factor_cholesky(L, n)
+    if not inertia_pivot > 0.0:
+        return NO_INERTIA
+    forward_columns(L, Y, n, m)
+    for a in range(m):
+        for b in range(a + 1):
+            G[a, b] = 0.0
+    for j in range(n):
+        for a in range(m):
+            factor = Y[j, a]
+            for b in range(a + 1):
+                G[a, b] += factor * Y[j, b]
+    least = mobility(L, n, work.levers[i]) / MOBILITY_WEIGHT
+    pivot = 1.0
+    for a in range(m):
+        pivot = min(pivot, G[a, a] / least)
+    pivot = min(pivot, factor_cholesky(G, m))
+    if not pivot > COUPLED_BELOW:
+        return pivot
+    for a in range(m):
+        for k in range(6):
+            Z[a, k] = Wo[first + a, k]
+        for b in range(a):
+            factor = G[a, b]
+            for k in range(6):
+                Z[a, k] -= factor * Z[b, k]
+        inverse = G[a, a]
+        for k in range(6):
+            Z[a, k] *= inverse
+    return pivot
+
+
+@inlined
+def add_to_node(i, work):
+    """Add ``Z^T Z`` of an eliminated arm to the node matrix."""
+    Z, S = work.Z[i], work.S
+    for a in range(work.rows[i + 1] - work.rows[i]):
+        for k in range(6):
+            factor = Z[a, k]
+            for l in range(k + 1):  # noqa: E741
+                S[k, l] += factor * Z[a, l]
+
+
+@kernel
+def eliminate_arms(work, Wo):
+    """Factor all arms, one after the other; the data are on entry as in :func:`eliminate_arm`.
+
+    Returns ``ELIMINATED``, or the number of the arm whose inertia failed.  The pivots are left in
+    ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y`` only.
+    """
+    work.factored[0] = 1
+    for i in range(work.dofs.size - 1):
+        work.pivot[i] = eliminate_arm(i, work, Wo)
+        if work.pivot[i] == NO_INERTIA:
+            return i
+    return ELIMINATED
+
+
+@inlined
+def unconstrained_motion(i, work, h):
+    """``y = L^-1 h`` of an arm."""
+    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    L, y = work.L[i], work.y
+    for j in range(d):
+        s = h[d0 + j]
+        for k in range(j):
+            s -= L[j, k] * y[d0 + k]
+        y[d0 + j] = s * L[j, j]
+
+
+@inlined
+def reduce_constraints(i, work, c, q_o):
+    """``z`` of an arm; adds ``Z^T z`` to the object's right-hand side ``q_o``."""
+    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    Y, G, Z, y, z = work.Y[i], work.G[i], work.Z[i], work.y, work.z
+    for a in range(m):
+        z[r0 + a] = c[r0 + a]
+    for j in range(d):
+        s = y[d0 + j]
+        for a in range(m):
+            z[r0 + a] -= Y[j, a] * s
+    for a in range(m):
+        s = z[r0 + a]
+        for b in range(a):
+            s -= G[a, b] * z[r0 + b]
+        s *= G[a, a]
+        z[r0 + a] = s
+        for k in range(6):
+            q_o[k] += Z[a, k] * s
+
+
+@inlined
+def node_forward(S, q_o):
+    """``L_S^-1 q_o``, in place."""
+    for j in range(6):
+        s = q_o[j]
+        for k in range(j):
+            s -= S[j, k] * q_o[k]
+        q_o[j] = s * S[j, j]
+
+
+@inlined
+def node_backward(S, q_o):
+    """``L_S^-T q_o``, in place."""
+    for j in range(5, -1, -1):
+        s = q_o[j]
+        for k in range(j + 1, 6):
+            s -= S[k, j] * q_o[k]
+        q_o[j] = s * S[j, j]
+
+
+@inlined
+def recover_forces(i, work, q_o, force):
+    """Contact forces of an arm for the object's ``q_o``."""
+    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    G, Z, z = work.G[i], work.Z[i], work.z
+    for a in range(m):
+        s = z[r0 + a]
+        for k in range(6):
+            s -= Z[a, k] * q_o[k]
+        force[r0 + a] = s
+    for a in range(m - 1, -1, -1):
+        s = force[r0 + a] * G[a, a]
+        force[r0 + a] = s
+        for b in range(a):
+            force[r0 + b] -= G[a, b] * s
+
+
+@inlined
+def recover_joints(i, work, force, q):
+    """Joint accelerations of an arm for its contact forces."""
+    d0, d = work.dofs[i], work.dofs[i + 1] - work.dofs[i]
+    r0, m = work.rows[i], work.rows[i + 1] - work.rows[i]
+    L, Y, y = work.L[i], work.Y[i], work.y
+    for j in range(d):
+        s = y[d0 + j]
+        for a in range(m):
+            s += Y[j, a] * force[r0 + a]
+        q[d0 + j] = s
+    for j in range(d - 1, -1, -1):
+        s = q[d0 + j] * L[j, j]
+        q[d0 + j] = s
+        for k in range(j):
+            q[d0 + k] -= L[j, k] * s
