@@ -21,7 +21,7 @@ from mechanics import (
 )
 
 import multiarm as ma
-from multiarm.assembly.velocities import project_velocity
+from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.arrays import OWN_ARRAYS
 from multiarm.errors import SceneError
 from multiarm.problems.random_scenes import random_scene

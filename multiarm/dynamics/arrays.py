@@ -53,7 +53,7 @@ class Constants(NamedTuple):
     free_bounds : int64 (n + 1,), free : int64 (m, 2)
         Which components of the relative motion in those frames are recorded, arm after arm: of
         the rates, of the coordinates.
-    watches : (w, 20)
+    monitors : (w, 20)
         Forces, patches and limits to monitor, see :mod:`multiarm.integration.monitors`.
     object_mass : float, object_inertia : (3, 3)
         About the centre of mass, object axes [kg, kg m^2].
@@ -82,7 +82,7 @@ class Constants(NamedTuple):
     frames: Floats2
     free_bounds: Ints1
     free: Ints2
-    watches: Floats2
+    monitors: Floats2
     object_mass: Float
     object_inertia: Floats2
     gravity: Floats1
@@ -307,7 +307,7 @@ def make_variables(
     work, and states of effects.
     """
     arms, joints = len(pointers), constants.q_slots.size
-    watches = len(constants.watches)
+    monitors = len(constants.monitors)
     return Variables(
         time=Time(latest=np.inf),
         status=Status(stage_gap=-1.0, branch_gap=-1.0),
@@ -336,8 +336,8 @@ def make_variables(
         inner=np.zeros(states),
         inner_rate=np.zeros(states),
         coordinates=np.full((arms, 6), np.nan),
-        margins=np.full(watches, np.nan),
-        events=np.zeros((MOST_EVENTS if watches else 0, EVENT_WIDTH)),
+        margins=np.full(monitors, np.nan),
+        events=np.zeros((MOST_EVENTS if monitors else 0, EVENT_WIDTH)),
         event_count=np.zeros(1, dtype=np.int64),
         residual=np.zeros(joints),
         kept=np.zeros(13 + 2 * joints),

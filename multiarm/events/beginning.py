@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from multiarm.assembly.linkage import scene_size
+from multiarm.assembly.loop_closure import scene_size
 from multiarm.assembly.start import TOUCHING
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import place_state

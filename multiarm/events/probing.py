@@ -7,8 +7,7 @@ import numpy as np
 from multiarm.dynamics.arrays import OK, open_system
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.events.kernels import write_guards
-from multiarm.integration.dense_output import interpolate
-from multiarm.integration.stepper import load, open_step
+from multiarm.integration.stepper import interpolate, load, open_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import address_of, call_cfunc
 
