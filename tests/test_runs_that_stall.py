@@ -170,7 +170,7 @@ def test_the_rerun_of_a_certified_run_has_the_same_bound(monkeypatch):
     monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
     monkeypatch.setattr("multiarm.simulation.run.JUDGED_STEPS", tried(first) + 1)
     # the rerun's longest step follows from the run's, and is not much longer than its own steps
-    monkeypatch.setattr("multiarm.simulation.run.AS_ASKED", 1.0)
+    monkeypatch.setattr("multiarm.simulation.run.SHORT_SHARE", 1.0)
     held = ma.simulate(ma.compile_system(shaken(SLOW, most_steps=tried(first) + 1)))
     certificate = held.certificate
     run, rerun = certificate["attempts"][:2]

@@ -19,6 +19,9 @@ from typing import Any
 
 from multiarm.errors import MultiarmError
 
+CLOSED = "this trajectory was closed; load it from its file, or simulate again"
+"""Message for reading samples that were released."""
+
 # Control characters other than tab and newline, marks and overrides of the writing direction, line
 # and paragraph separators, and surrogates, which no encoding can write.
 _CONTROL = re.compile(

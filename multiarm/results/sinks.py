@@ -24,7 +24,8 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.channels import Channel, Columns, first_fault, in_sequence
-from multiarm.results.trajectory import CLOSED, Outcome, Trajectory, plain
+from multiarm.results.files import CLOSED
+from multiarm.results.trajectory import Outcome, Trajectory, plain
 
 Metadata = dict[str, Any] | Callable[[], dict[str, Any]]
 """Provenance, see :func:`provenance`, or a function that returns it on access."""

@@ -27,9 +27,6 @@ from multiarm.results.files import temporary_name
 if TYPE_CHECKING:
     from multiarm.scene import Scene
 
-CLOSED = "this trajectory was closed; load it from its file, or simulate again"
-"""Message of a store whose samples were released."""
-
 
 @dataclass(frozen=True)
 class Outcome:

@@ -30,6 +30,7 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.channels import Channel
+from multiarm.results.files import CLOSED
 from multiarm.results.hdf5 import (
     HDF5_ERRORS,
     PIECE,
@@ -40,7 +41,6 @@ from multiarm.results.hdf5 import (
     joined,
     reason,
 )
-from multiarm.results.trajectory import CLOSED
 
 CHUNK_SAMPLES = 512
 """A chunk of a scalar channel fills a page of the file."""

@@ -59,6 +59,8 @@ CHECKPOINT_INTERVAL = 2.0  # [s] of wall time
 # The pace of a run is judged over this many steps, including rejected ones.  A stop for an event,
 # of which every event makes two, takes about as long as EVENT_STEPS.
 JUDGED_STEPS, EVENT_STEPS = 5000, 5
+# Steps longer than this part of those that the user set are not too short.
+SHORT_SHARE = 0.01
 MESSAGE_LENGTH = 600  # [characters], including the summary of events
 FOR_STIFF_SCENES = "rodas5p"
 # Steps after which a trial shows how long the steps of that method are.
@@ -163,8 +165,7 @@ class Pace:
         self.event_stops = 0
         self._unit, self._most = min(1.0, spec.duration), spec.most_steps  # [s], see `most_steps`
         chosen = run.settings.longest_step if run.settings.adaptive else run.settings.step
-        # steps of a hundredth of those that the user set are not too short
-        self._shortest = min(self._unit / self._most, 0.01 * chosen)
+        self._shortest = min(self._unit / self._most, SHORT_SHARE * chosen)
         self._steps, self._t = 0, run.settings.begin
 
     def judge(self, run: Run) -> str:
