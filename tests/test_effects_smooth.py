@@ -408,7 +408,7 @@ def test_a_scene_without_effects_has_nothing_of_them(sledge):
     assert system.model.constants.effects.size == 0 and data_of(system).effects == []
     assert data_of(system).struct.size == 4 * OWN_ARRAYS
     assert data_of(system).arrays.inner.size == 0 and data_of(system).arrays.power.size == 1
-    assert not system.model.constants.watches.size
+    assert not system.model.constants.monitors.size
 
 
 def test_effects_that_are_not_named_are_not_imported():

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.integration.stepper import make_method
-from multiarm.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL
+from multiarm.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL, Tableau
 
 COEFFICIENTS = {name: make_method(tableau) for name, tableau in METHODS.items()}
 RUNGE_KUTTA = [name for name, m in METHODS.items() if m.kind == EXPLICIT]
@@ -256,6 +256,21 @@ def test_error_falls_with_the_order_of_the_method(
         errors.append(np.max(np.abs(found - reference)))
     slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert slope == pytest.approx(order, abs=0.2), errors
+
+
+def test_an_explicit_method_is_a_tableau_and_nothing_else(
+    free_block_system, reference, monkeypatch
+):
+    """Heun's method of order 2, in the place of another method of fixed step."""
+    heun = Tableau("heun", 2, A=((0.0, 0.0), (1.0, 0.0)), b=(0.5, 0.5), c=(0.0, 1.0))
+    monkeypatch.setitem(METHODS, "rk4", heun)
+    errors, steps = [], [40, 80, 160]
+    for n in steps:
+        run = {"integrator": "rk4", "step": DURATION / n, "output_step": DURATION}
+        found = end_of(ma.simulate(free_block_system, duration=DURATION, **run))
+        errors.append(np.max(np.abs(found - reference)))
+    slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope == pytest.approx(2.0, abs=0.1), errors
 
 
 @pytest.mark.parametrize(

@@ -295,10 +295,10 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
         dofs=_bounds([arms[name].dof if name in arms else 0 for name in owners]),
         rows=_bounds([len(records[name]) for name in owners]),
     )
-    on_links = {
-        name: [record.moved_on_arm(arm.tip_rotation, arm.tip_translation) for record in own]
-        for name, arm, own in ((name, arms[name], records[name]) for name in arms)
-    }
+    on_links = {}
+    for name, arm in arms.items():
+        on_tip = arm.tip_rotation, arm.tip_translation
+        on_links[name] = [record.moved_on_arm(*on_tip) for record in records[name]]
     if around:
         on_links[SURROUNDINGS] = around
     table = pack([record for own in on_links.values() for record in own])
