@@ -24,8 +24,9 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top.  A room is a module or a package directly below `multiarm`; it imports
 # rooms above it in this list only, wherever the import stands.  "multiarm" is the public surface.
 ROOMS = (
-    "errors", "jit", "spatial", "scene", "results", "contacts", "arms", "dynamics", "control",
-    "effects", "integration", "assembly", "events", "simulation", "terminal", "grasp", "sweeps",
+    "errors", "jit", "spatial", "tableaus", "scene", "results", "contacts", "arms", "dynamics",
+    "control", "effects", "integration", "assembly", "events", "simulation", "terminal", "grasp",
+    "sweeps",
     "plots", "viewer", "reports", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
@@ -34,7 +35,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "coal": ("contacts.unilateral", "viewer.shapes"),
     "dask": ("sweeps.cluster",),
     "distributed": ("sweeps.cluster", "sweeps.sweep"),
-    "h5py": ("results.hdf5", "results.row_file", "results.trajectory_file"),
+    "h5py": ("results.hdf5", "sweeps.row_file", "results.trajectory_file"),
     "joblib": ("sweeps.engines",),
     "llvmlite": (
         "jit.linking",
@@ -77,7 +78,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "grasp",
         "events.event_detection",
         "dynamics.solver.dense",
-        "assembly.closing",
+        "assembly.loop_closure",
         "contacts.internal_forces",
         "effects.external_wrenches",
         "problems",

@@ -27,8 +27,9 @@ from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import amend_file
 from multiarm.scene import AccuracySpec, RunSpec, dump_scene, parse_scene
 from multiarm.simulation import certified as attempts
-from multiarm.simulation.certificate import SAFETY, compare, growth_rate, judge, rotation_apart
+from multiarm.simulation.certificate import SAFETY, judge
 from multiarm.simulation.certified import INTERRUPTED_WORDS
+from multiarm.simulation.comparison import compare, growth_rate, rotation_apart
 from multiarm.studies.honesty import run_trial
 from multiarm.terminal.progress import RunProgress
 
@@ -516,7 +517,7 @@ def test_an_interrupted_repetition_keeps_the_run_that_was_judged(
 
 
 def test_progress_tells_the_first_run_and_the_check_apart(ring, monkeypatch):
-    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
+    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
     watcher, plain = Watcher(), []
     ma.simulate(ring, accuracy=1e-6, progress=watcher, **SHORT)
     assert watcher.times == sorted(watcher.times) and watcher.times[-1] == 0.2

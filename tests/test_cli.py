@@ -534,7 +534,7 @@ def test_an_unexpected_exception_is_not_hidden(monkeypatch):
     def fail(*_):
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr("multiarm.simulation.checking.inspect_system", fail)
+    monkeypatch.setattr("multiarm.simulation.inspection.inspect_system", fail)
     result = multiarm("check", TWO_UR5)
     assert isinstance(result.exception, RuntimeError)
 

@@ -20,7 +20,7 @@ from mechanics import (
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.linkage import projection_tolerance
+from multiarm.assembly.loop_closure import projection_tolerance
 from multiarm.assembly.start import project_start
 from multiarm.errors import ModelError, SceneError
 

@@ -33,7 +33,7 @@ from mechanics import (
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.velocities import project_velocity
+from multiarm.assembly.start import project_velocity
 from multiarm.errors import ModelError
 from multiarm.scene import Pose
 

@@ -12,14 +12,14 @@ from mechanics import (
 )
 
 import multiarm as ma
-from multiarm.assembly.linkage import projection_tolerance, scene_size
+from multiarm.assembly.loop_closure import projection_tolerance, scene_size
 from multiarm.control.force_distribution import static_forces
 from multiarm.dynamics.equations import largest
 from multiarm.errors import ControlError, ModelError
 from multiarm.integration.stepper import error_estimate, make_method, make_step
-from multiarm.integration.tableaus import DOPRI5
 from multiarm.problems import ring_of_arms
 from multiarm.results.trajectory import load_trajectory
+from multiarm.tableaus import DOPRI5
 
 
 def shifted(scene, by):
@@ -193,7 +193,7 @@ def test_a_controller_that_fails_after_the_start_makes_a_failed_run(free_block_s
 
 
 def test_an_exception_from_outside_leaves_a_finished_file(free_block_system, tmp_path, monkeypatch):
-    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
+    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
 
     def progress(t):
         if t > 0.02:

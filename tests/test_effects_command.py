@@ -18,7 +18,7 @@ from multiarm.cli import check as check_command
 from multiarm.cli import effects as command
 from multiarm.effects.defaults import defaults
 from multiarm.scene import dump_scene, registry
-from multiarm.simulation.certificate import rotation_apart
+from multiarm.simulation.comparison import rotation_apart
 from multiarm.studies.effect_costs import study
 from multiarm.studies.effect_costs.changes import changes
 from multiarm.studies.effect_costs.entries import (

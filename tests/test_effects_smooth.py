@@ -21,7 +21,7 @@ from mechanics import (
 )
 
 import multiarm as ma
-from multiarm.assembly.velocities import project_velocity
+from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.arrays import OWN_ARRAYS
 from multiarm.errors import SceneError
 from multiarm.problems.random_scenes import random_scene
@@ -408,7 +408,7 @@ def test_a_scene_without_effects_has_nothing_of_them(sledge):
     assert system.model.constants.effects.size == 0 and data_of(system).effects == []
     assert data_of(system).struct.size == 4 * OWN_ARRAYS
     assert data_of(system).arrays.inner.size == 0 and data_of(system).arrays.power.size == 1
-    assert not system.model.constants.watches.size
+    assert not system.model.constants.monitors.size
 
 
 def test_effects_that_are_not_named_are_not_imported():

@@ -9,7 +9,7 @@ from mechanics import SCENES, UR5_POSTURE, chain_urdf, scene_of, ur5_pair
 import multiarm as ma
 from multiarm.errors import SceneError
 from multiarm.scene import EffectsSpec, ExternalWrench, dump_scene, parse_scene
-from multiarm.simulation.checking import active_effects
+from multiarm.simulation.inspection import active_effects
 
 WELD = {"kind": "weld"}
 

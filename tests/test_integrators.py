@@ -14,17 +14,20 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.integration.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL
+from multiarm.integration.stepper import make_method
+from multiarm.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL, Tableau
 
-RUNGE_KUTTA = [m for m in METHODS.values() if m.kind == EXPLICIT]
+COEFFICIENTS = {name: make_method(tableau) for name, tableau in METHODS.items()}
+RUNGE_KUTTA = [name for name, m in METHODS.items() if m.kind == EXPLICIT]
 
 
 # --- coefficients --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("m", RUNGE_KUTTA, ids=lambda m: m.name)
-def test_stages_are_consistent(m):
+@pytest.mark.parametrize("name", RUNGE_KUTTA)
+def test_stages_are_consistent(name):
     """Rows of A sum to c; quadrature conditions sum b c^(k-1) = 1/k up to the order; D(1)."""
+    m = COEFFICIENTS[name]
     s = m.b.size
     np.testing.assert_allclose(m.A.sum(axis=1), m.c, atol=50 * EPS)
     np.testing.assert_array_equal(np.triu(m.A), 0.0)
@@ -34,11 +37,12 @@ def test_stages_are_consistent(m):
     assert m.b @ m.A[:s, :s] @ m.A[:s, :s] @ m.c[:s] == pytest.approx(1 / 24, abs=50 * EPS)
 
 
-@pytest.mark.parametrize("m", [METHODS["dopri5"], METHODS["dop853"]], ids=lambda m: m.name)
-def test_error_estimates_vanish_for_polynomials(m):
+@pytest.mark.parametrize("name", ["dopri5", "dop853"])
+def test_error_estimates_vanish_for_polynomials(name):
     """The weights compare two quadratures: of the method's order and of a lower one."""
+    m = COEFFICIENTS[name]
     nodes = np.append(m.c[: m.b.size], 1.0)
-    exact_up_to = {"dopri5": [4], "dop853": [5, 3]}[m.name]
+    exact_up_to = {"dopri5": [4], "dop853": [5, 3]}[name]
     for weights, order in zip(m.error, exact_up_to, strict=True):
         for k in range(order):
             assert weights @ nodes**k == pytest.approx(0.0, abs=100 * EPS)
@@ -46,7 +50,7 @@ def test_error_estimates_vanish_for_polynomials(m):
 
 
 def test_dopri5_has_the_published_coefficients():
-    m, stages = METHODS["dopri5"], 6
+    m, stages = COEFFICIENTS["dopri5"], 6
     np.testing.assert_allclose(m.A[:stages, :5], SCIPY_RK45.A, atol=2 * EPS)
     np.testing.assert_allclose(m.b, SCIPY_RK45.B, atol=2 * EPS)
     np.testing.assert_allclose(np.abs(m.error[0]), np.abs(SCIPY_RK45.E), atol=2 * EPS)
@@ -56,7 +60,7 @@ def test_dopri5_has_the_published_coefficients():
 
 def test_dop853_has_the_published_coefficients():
     """Scipy carries Hairer's numbers; every digit counts."""
-    m = METHODS["dop853"]
+    m = COEFFICIENTS["dop853"]
     np.testing.assert_allclose(m.A[:12, :12], SCIPY_DOP853.A, rtol=1e-15, atol=0)
     np.testing.assert_allclose(m.b, SCIPY_DOP853.B, rtol=1e-15, atol=0)
     np.testing.assert_allclose(m.c[:12], SCIPY_DOP853.C, rtol=1e-15, atol=0)
@@ -137,7 +141,7 @@ def missed(textbook, weights, order, theta=1.0):
 
 @pytest.fixture(scope="module")
 def rodas():
-    return Rosenbrock.of(METHODS["rodas5p"])
+    return Rosenbrock.of(COEFFICIENTS["rodas5p"])
 
 
 def test_all_trees_are_counted():
@@ -160,7 +164,7 @@ def test_dense_output_of_rodas5p_is_of_order_4_everywhere_in_the_step(rodas):
 
 
 def test_nodes_of_rodas5p_are_the_sums_of_its_rows(rodas):
-    m = METHODS["rodas5p"]
+    m = COEFFICIENTS["rodas5p"]
     np.testing.assert_allclose(rodas.alpha.sum(axis=1), m.c, atol=100 * EPS)
     np.testing.assert_allclose(rodas.Gamma.sum(axis=1), m.d, atol=100 * EPS)
     np.testing.assert_allclose(np.diag(rodas.Gamma), m.gamma, rtol=10 * EPS)
@@ -181,9 +185,10 @@ def test_rodas5p_is_stiffly_accurate_and_l_stable(rodas):
             assert abs(1 + 1j * y * weights @ stages) < 1 + 100 * EPS
 
 
-@pytest.mark.parametrize("m", [METHODS["dopri5"], METHODS["dop853"]], ids=lambda m: m.name)
-def test_the_limit_of_stability_is_where_decay_no_longer_dies_out(m):
+@pytest.mark.parametrize("name", ["dopri5", "dop853"])
+def test_the_limit_of_stability_is_where_decay_no_longer_dies_out(name):
     """A scene counts as stiff where steps get there; R(z) = 1 + z b (1 - z A)^-1 1."""
+    m = COEFFICIENTS[name]
     A, ones = m.A[: m.b.size, : m.b.size], np.ones(m.b.size)
     grows = [
         z for z in np.arange(0.1, 10.0, 0.01)
@@ -251,6 +256,21 @@ def test_error_falls_with_the_order_of_the_method(
         errors.append(np.max(np.abs(found - reference)))
     slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert slope == pytest.approx(order, abs=0.2), errors
+
+
+def test_an_explicit_method_is_a_tableau_and_nothing_else(
+    free_block_system, reference, monkeypatch
+):
+    """Heun's method of order 2, in the place of another method of fixed step."""
+    heun = Tableau("heun", 2, A=((0.0, 0.0), (1.0, 0.0)), b=(0.5, 0.5), c=(0.0, 1.0))
+    monkeypatch.setitem(METHODS, "rk4", heun)
+    errors, steps = [], [40, 80, 160]
+    for n in steps:
+        run = {"integrator": "rk4", "step": DURATION / n, "output_step": DURATION}
+        found = end_of(ma.simulate(free_block_system, duration=DURATION, **run))
+        errors.append(np.max(np.abs(found - reference)))
+    slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope == pytest.approx(2.0, abs=0.1), errors
 
 
 @pytest.mark.parametrize(

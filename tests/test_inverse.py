@@ -16,7 +16,7 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.velocities import project_velocity
+from multiarm.assembly.start import project_velocity
 from multiarm.contacts.internal_forces import InternalForces
 from multiarm.errors import GraspError, ModelError, SolverError
 

@@ -11,7 +11,7 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.velocities import project_velocity
+from multiarm.assembly.start import project_velocity
 from multiarm.control.object_control import add_arm_forces, write_spring_wrench
 from multiarm.dynamics.solver.factors import solve_semidefinite
 from multiarm.errors import ControlError, SceneError

@@ -8,7 +8,7 @@ from mechanics import panda_trio, ur5_pair
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.velocities import project_velocity
+from multiarm.assembly.start import project_velocity
 from multiarm.control.null_space import nearest_accelerations
 from multiarm.errors import SceneError
 from multiarm.grasp.scenes.postures import find_posture

@@ -13,9 +13,9 @@ from sample_run import CHANNELS, JOINTS, SCENE, record, rows_of, samples
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
+from multiarm.plots.decimation import RotationSinceStart, decimate
 from multiarm.reports.report import NOTHING, quantity, render, report
 from multiarm.results.channels import Channel, trajectory_channels
-from multiarm.results.decimation import RotationSinceStart, decimate
 from multiarm.results.sinks import Hdf5Sink, MemorySink, provenance
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}

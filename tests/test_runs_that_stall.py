@@ -17,8 +17,8 @@ import multiarm as ma
 from multiarm.errors import SceneError
 from multiarm.results.event_log import MOST_LISTED, EventLog
 from multiarm.scene import RunSpec
-from multiarm.simulation.driver import BUDGET, EVENT_STEPS, JUDGED_STEPS, MESSAGE_LENGTH, Pace
 from multiarm.simulation.event_handling import EventHandler
+from multiarm.simulation.run import BUDGET, EVENT_STEPS, JUDGED_STEPS, MESSAGE_LENGTH, Pace
 
 FAST, SLOW = 1e9, 0.5  # [Hz]
 # A look at the pace may come late by the steps of one budget of evaluations, of at least 6 each.
@@ -81,7 +81,7 @@ def test_a_controller_that_answers_at_random_ends_the_run(free_block_system):
 
 
 def test_a_run_that_goes_on_with_the_method_for_stiff_scenes_ends_too(monkeypatch):
-    monkeypatch.setattr("multiarm.simulation.driver.JUDGED_STEPS", 500)
+    monkeypatch.setattr("multiarm.simulation.run.JUDGED_STEPS", 500)
 
     def control(t, state):
         frequency = SLOW if t < 0.1 else FAST
@@ -167,10 +167,10 @@ def test_events_that_follow_each_other_without_end_end_the_run(endless_events, s
 def test_the_rerun_of_a_certified_run_has_the_same_bound(monkeypatch):
     """The run ends before its pace is judged; the rerun takes more steps."""
     first = ma.simulate(ma.compile_system(shaken(SLOW)), certificate=False)
-    monkeypatch.setattr("multiarm.simulation.driver.BUDGET", 50)
-    monkeypatch.setattr("multiarm.simulation.driver.JUDGED_STEPS", tried(first) + 1)
+    monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
+    monkeypatch.setattr("multiarm.simulation.run.JUDGED_STEPS", tried(first) + 1)
     # the rerun's longest step follows from the run's, and is not much longer than its own steps
-    monkeypatch.setattr("multiarm.simulation.driver.AS_ASKED", 1.0)
+    monkeypatch.setattr("multiarm.simulation.run.SHORT_SHARE", 1.0)
     held = ma.simulate(ma.compile_system(shaken(SLOW, most_steps=tried(first) + 1)))
     certificate = held.certificate
     run, rerun = certificate["attempts"][:2]

@@ -20,7 +20,6 @@ from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.node import ELIMINATED, FIRST_ARM, START, make_work
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.simd import LANES
-from multiarm.scene.run import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 from multiarm.studies import bursts as bursts_module
 from multiarm.studies import evaluation_costs, scaling, solver_forms, solver_study, time_shares
 from multiarm.studies.bursts import fastest, fitted_slope, measure, median, upper_half
@@ -35,6 +34,7 @@ from multiarm.studies.scaling_page import render, write_page
 from multiarm.studies.scaling_plots import plot_scaling
 from multiarm.studies.scaling_tables import Cell, disturbance, tables
 from multiarm.studies.solver_forms import Coefficients
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 TINY = Plan(kinds=("weld",), arms=(2, 3), thesis_arms=(2, 3, 5), share_arms=(2,), rounds=1)
 

@@ -19,7 +19,7 @@ from test_crossing import compiled, state_on
 from test_singular import system_matrices
 
 import multiarm as ma
-from multiarm.assembly.velocities import project_velocity
+from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.arrays import OK, open_system
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.solver.node import COUPLED_BELOW

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from mechanics import WORKED, plain_gaps, plain_system, random_state, ur5_pair
 
 import multiarm as ma
-from multiarm.assembly.velocities import project_velocity
-from multiarm.integration.projection import FEEDBACK_LIMITS, FEEDBACK_RATIO
+from multiarm.assembly.start import project_velocity
+from multiarm.integration.projection import FEEDBACK_RATIO
 
 # Semi-implicit and explicit Euler and RK4 on phi'' + 2 a phi' + a^2 phi = 0 with step 1.
 AMPLIFICATION = {
     "semi_implicit_euler": lambda a: np.array([[1 - a * a, 1 - 2 * a], [-a * a, 1 - 2 * a]]),
     "explicit_euler": lambda a: np.array([[1, 1], [-a * a, 1 - 2 * a]]),
     "rk4": lambda a: np.array([[1 - a + a**2 / 2 - a**3 / 6 + a**4 / 24]]),  # double root -a
+}
+# Largest a for which they stay bounded.
+FEEDBACK_LIMITS = {
+    "semi_implicit_euler": 2.0 * (math.sqrt(2.0) - 1.0),
+    "explicit_euler": 2.0,
+    "rk4": 2.785293563405282,
 }
 
 

@@ -21,13 +21,14 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.integration.stepper import step_struct
-from multiarm.integration.tableaus import METHODS
-from multiarm.integration.time_loop import FINISHED, advance
+from multiarm.integration.step_control import FINISHED
+from multiarm.integration.stepper import make_method
+from multiarm.integration.time_loop import advance
 from multiarm.jit.structs import struct_of
 from multiarm.problems import HARD_CASES, ring_of_arms
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import prepare, run_spec
+from multiarm.tableaus import METHODS
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
 AMPLITUDE = {
@@ -102,7 +103,7 @@ class Textbook:
 
     def step(self, t, h):
         """Stages ``U_i = h k_i`` and the end of the step, with the whole matrix."""
-        m = METHODS["rodas5p"]
+        m = make_method(METHODS["rodas5p"])
         J, f_t = self.jacobian(t), self.time_slope(t)
         matrix, stages = np.eye(self.z.size) / (h * m.gamma) - J, np.zeros((8, self.z.size))
         for i in range(8):
@@ -127,19 +128,17 @@ def step_of_the_package(system, state, h):
     data = data_of(system)
     run = prepare(system, data, spec, state, None, np.inf, EventLog())
     stepping = run.stepping
-    settings = run.settings._replace(adaptive=False, step=h, apart=np.inf)
-    arrays, joints_ = step_struct(stepping.method, stepping.step), system.model.layout.joints
+    settings = run.settings._replace(adaptive=False, step=h, divergence_bound=np.inf)
     reason = advance(
         data_of(system).struct,
-        joints_,
-        arrays,
+        stepping.struct,
         run.clock.struct,
         struct_of(settings),
         run.block,
         1000,
     )
     assert reason == FINISHED and run.clock.steps == 1
-    return stepping.own[0]
+    return stepping
 
 
 SPUN = {
@@ -176,15 +175,15 @@ def spun(request, rng, tmp_path):
 def test_derivatives_of_a_step_are_those_of_the_accelerations(spun):
     """Forward and central differences against differences of order 8."""
     system, state, textbook = spun
-    work, n, J = step_of_the_package(system, state, 1e-3), textbook.n, textbook.jacobian(0.0)
+    stepping, n, J = step_of_the_package(system, state, 1e-3), textbook.n, textbook.jacobian(0.0)
     for found, exact in (
-        (work.by_position, J[n:, :n]),
-        (work.by_velocity, J[n:, n : 2 * n]),
-        (work.time_slope[:, None], textbook.time_slope(0.0)[:, None]),
+        (stepping.work.by_position, J[n:, :n]),
+        (stepping.work.by_velocity, J[n:, n : 2 * n]),
+        (stepping.work.time_slope[:, None], textbook.time_slope(0.0)[:, None]),
     ):
         scale = np.maximum(np.max(np.abs(exact), axis=0), 1.0)
         assert np.all(np.max(np.abs(found - exact), axis=0) < 2e-5 * scale)
-    changing = np.max(np.abs(work.time_slope))
+    changing = np.max(np.abs(stepping.work.time_slope))
     assert changing > 10.0 if system.scene.control.kind == "harmonic" else changing < 1e-3
 
 
@@ -192,30 +191,31 @@ def test_derivatives_of_a_step_are_those_of_the_accelerations(spun):
 def test_a_step_is_that_of_the_whole_matrix(spun, h):
     """Every stage as the textbook has it, although only accelerations are differentiated."""
     system, state, textbook = spun
-    work = step_of_the_package(system, state, h)
+    stepping = step_of_the_package(system, state, h)
     stages, end = textbook.step(0.0, h)
     scale = np.max(np.abs(stages), axis=0) + 1.0
     assert np.max(np.abs(stages[:, 3:6])) > 2.0  # the object turns
-    np.testing.assert_allclose(work.k[:8] / scale, stages / scale, rtol=0, atol=3e-5)
+    np.testing.assert_allclose(stepping.step.k[:8] / scale, stages / scale, rtol=0, atol=3e-5)
     step = np.max(np.abs(end - textbook.z))
-    np.testing.assert_allclose(work.z_new, end, rtol=0, atol=1e-6 * step)
+    np.testing.assert_allclose(stepping.step.z_new, end, rtol=0, atol=1e-6 * step)
 
 
 def test_stages_solve_the_whole_system_to_rounding(spun):
     """With the step's own derivatives in the matrix of all unknowns, works included."""
     system, state, textbook = spun
-    h, n, z, m = 0.03, textbook.n, textbook.z, METHODS["rodas5p"]
-    work = step_of_the_package(system, state, h)
+    h, n, z, m = 0.03, textbook.n, textbook.z, make_method(METHODS["rodas5p"])
+    stepping = step_of_the_package(system, state, h)
     J = np.zeros((z.size, z.size))
     J[:n, n : 2 * n] = np.eye(n)
     J[3:6, 3:6] = np.cross(np.eye(3), z[n + 3 : n + 6]) / 2  # of omega - theta x omega / 2
-    J[n:, :n], J[n:, n : 2 * n] = work.by_position, work.by_velocity
+    J[n:, :n], J[n:, n : 2 * n] = stepping.work.by_position, stepping.work.by_velocity
     matrix = np.eye(z.size) / m.gamma - h * J
     for i in range(8):
-        right = textbook.slope(m.c[i] * h, z + h * m.A[i, :i] @ work.k[:i])
-        right += m.C[i, :i] @ work.k[:i] + h * m.d[i] * work.time_slope
+        right = textbook.slope(m.c[i] * h, z + h * m.A[i, :i] @ stepping.step.k[:i])
+        right += m.C[i, :i] @ stepping.step.k[:i] + h * m.d[i] * stepping.work.time_slope
         exact = np.linalg.solve(matrix, right)
-        np.testing.assert_allclose(work.k[i], exact, rtol=0, atol=1e-10 * np.max(np.abs(work.k)))
+        slopes = stepping.step.k
+        np.testing.assert_allclose(slopes[i], exact, rtol=0, atol=1e-10 * np.max(np.abs(slopes)))
 
 
 # --- order ---------------------------------------------------------------------------------------

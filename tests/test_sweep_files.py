@@ -22,8 +22,8 @@ from hypothesis import strategies as st
 from sweep_stand_in import FAILING, NAMES, StandInPlan, row_of
 
 from multiarm.errors import MultiarmError, SweepError, TrajectoryError
-from multiarm.results import row_file
 from multiarm.results.trajectory_file import TrajectoryReader
+from multiarm.sweeps import row_file
 from multiarm.sweeps.order_statistics import kth_smallest, quantiles
 from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.sweeps.store import RunSet, SweepFile

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app
-from multiarm.simulation.checking import inspect_system
+from multiarm.simulation.inspection import inspect_system
 
 GRAVITY = 9.81
 

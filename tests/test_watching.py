@@ -10,7 +10,7 @@ import pytest
 from mechanics import scene_of, single_arm
 
 import multiarm as ma
-from multiarm.assembly.velocities import project_velocity
+from multiarm.assembly.start import project_velocity
 from multiarm.contacts.records import SHAPE_WIDTH, ellipsoid, pack, point
 from multiarm.contacts.records import Contact as Record
 from multiarm.contacts.surfaces import DISTANCE, PLACE, QUERY_WIDTH, SECOND, local_distance

@@ -17,7 +17,6 @@ import multiarm as ma
 from multiarm.errors import MultiarmError
 from multiarm.problems import ring_of_arms
 from multiarm.scene import find_robot
-from multiarm.scene.run import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 from multiarm.studies.courses import Course, Grid, OutOfTime
 from multiarm.studies.peer_trials import NOT_INSTALLED
 from multiarm.studies.probes import control_torque, joint_damping, sinusoid
@@ -53,6 +52,7 @@ from multiarm.studies.work_precision.settings import (
 from multiarm.studies.work_precision.store import Results, read_results, scene_digest
 from multiarm.studies.work_precision.study import run_study
 from multiarm.studies.work_precision.words import comparison, recommendation, told
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 DRAKE_IS_HERE = importlib.util.find_spec("pydrake") is not None
 MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None

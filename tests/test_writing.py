@@ -14,8 +14,9 @@ from mechanics import UR5_POSTURE
 import multiarm as ma
 from multiarm.cli.files import check_targets
 from multiarm.errors import MultiarmError, SweepError
-from multiarm.results.files import WriterLock, atomic_file, atomic_output, temporary_name
+from multiarm.results.files import atomic_file, atomic_output, temporary_name
 from multiarm.scene import parse_scene
+from multiarm.sweeps.row_file import WriterLock
 
 TEXT = "what was there"
 

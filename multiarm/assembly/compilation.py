@@ -1,24 +1,23 @@
-"""From a scene to a compiled system.
+"""Compilation: from a scene to a system.
 
-:func:`compile_system` is the sequence of its steps.  What a scene has in common with that of
-another system (``like``) is taken from there: arms, joints and arm dynamics are constants, and may
-be shared.
+:func:`compile_system` is the sequence of its steps.  Arms, joints and arm dynamics are constants:
+those that another system (``like``) has too are shared with it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.backends import ArmBackends
-from multiarm.assembly.joints import Joint, make_joints, on_link
 from multiarm.assembly.paths import joint_path
 from multiarm.assembly.start import assemble, check_patches, check_unilateral
-from multiarm.contacts.catalogue import CATALOGUE
-from multiarm.contacts.joint import FRAME_WIDTH, JointFrame
+from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame, surface_offset
+from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
 from multiarm.contacts.records import ContactTable, pack
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
 from multiarm.control.laws import ControlProgram, JointPath, control_program, needs_gravity_torque
@@ -42,7 +41,7 @@ from multiarm.effects.building import (
     unilateral_kernels,
 )
 from multiarm.errors import ModelError
-from multiarm.integration.monitors import WATCH_WIDTH, make_watches
+from multiarm.integration.monitors import make_monitors
 from multiarm.integration.near_singular import evaluate_near_singular
 from multiarm.scene import (
     ARM_TERMS,
@@ -58,7 +57,7 @@ from multiarm.scene import (
 )
 from multiarm.spatial import matrix_to_quaternion
 
-# What an evaluation calls: compiled at once, and when it is first called.
+# Functions of an evaluation: compiled at once, and when first called.
 FUNCTIONS = {
     "kinematics": kinematics,
     "forces": right_hand_sides,
@@ -89,14 +88,14 @@ def compile_system(
         ``f(t, state) -> {arm: torques}`` in place of the scene's control; arms that it leaves out
         get no torque.
     arms : {"pinocchio", "compiled"}, optional
-        Who computes the arms' terms, in place of ``run.arms`` of the scene.
+        Backend of the arm dynamics, in place of ``run.arms`` of the scene.
     like : System, optional
-        Of a similar scene: arms and joints that are written alike are shared, and no URDF of such
-        an arm is read again.  The result is the same.
+        Of a similar scene: equal arms and joints are shared, and their URDFs are not read again.
+        The result is the same.
     code : bool, optional
-        Whether the functions and the effects of packages that the scene names may be loaded, which
-        is where their code is run first.  When left out, as the scene was read: scene files may,
-        unless ``load_scene`` was told otherwise, and stored results may not.
+        Whether functions and effects of packages that the scene names may be loaded, which runs
+        their code.  By default as the scene was read: allowed for scene files, unless
+        ``load_scene`` forbade it, and not for stored results.
 
     Raises
     ------
@@ -124,10 +123,10 @@ def compile_system(
 
 
 def compile_for_inspection(scene: Scene, arms: str | None = None) -> tuple[System, list[NamedCode]]:
-    """Build a system of what a scene has without the code that it names, and list that code.
+    """Build a system without the code that the scene names, and list that code.
 
-    Where joints lack contacts, the start is the one that is written, not assembled, the free
-    motions of joints are those of the catalogue only, and there is no control.
+    Where joints lack contacts without it, the start is as written, not assembled, the free motions
+    of joints are those of the catalogue only, and there is no control.
 
     Raises
     ------
@@ -147,7 +146,7 @@ def compile_for_inspection(scene: Scene, arms: str | None = None) -> tuple[Syste
 
 
 def _with_arms(scene: Scene, arms: str | None) -> Scene:
-    """The scene with another choice of who computes the arms' terms."""
+    """The scene with another backend of the arm dynamics."""
     if arms is None:
         return scene
     if arms not in ARM_TERMS:
@@ -160,24 +159,15 @@ def _with_arms(scene: Scene, arms: str | None) -> Scene:
 
 @dataclass(frozen=True)
 class Robots:
-    """The arms of a scene.
-
-    Attributes
-    ----------
-    resolved : dict of str to ResolvedArm
-        What the scene says of each arm, once its robot has been looked up.
-    arms : dict of str to Arm
-    shared : tuple of str
-        Those that another system has too.
-    """
+    """The arms of a scene."""
 
     resolved: dict[str, ResolvedArm]
     arms: dict[str, Arm]
-    shared: tuple[str, ...] = ()
+    shared: tuple[str, ...] = ()  # arms that another system has too
 
 
 def load_robots(scene: Scene, like: System | None = None) -> Robots:
-    """The arms of a scene; those that ``like`` has too are taken from there."""
+    """The arms of a scene; equal ones of ``like`` are shared."""
     shared: tuple[str, ...] = ()
     if like is not None and scene.effects.rotor_inertia == like.scene.effects.rotor_inertia:
         theirs = like.scene.arms
@@ -193,7 +183,7 @@ def load_robots(scene: Scene, like: System | None = None) -> Robots:
 
 
 def arm_files(spec: ArmSpec, resolved: ResolvedArm) -> ArmFiles:
-    """Where an arm of a scene comes from, once its robot has been looked up."""
+    """Files and frames of an arm of a scene."""
     tool = spec.tool
     return ArmFiles(
         urdf=resolved.urdf,
@@ -225,7 +215,7 @@ def _make_arm(name: str, scene: Scene, resolved: ResolvedArm) -> Arm:
 
 
 def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> ArmBackends:
-    """Who computes the terms of the arms; shared where ``like`` has the same arms."""
+    """Backends of the arm dynamics; shared where ``like`` has equal arms."""
     gravity, with_torque = _gravity(scene), needs_gravity_torque(scene)
     if like is not None and list(robots.shared) == list(scene.arms) == list(like.scene.arms):
         theirs = like.scene
@@ -244,42 +234,60 @@ def _gravity(scene: Scene) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Rows:
-    """All rows of W of a scene.
-
-    Attributes
-    ----------
-    layout : Layout
-    records : dict
-        Of every arm, in its tip's frame, and of the object with its surroundings.
-    on_links : dict
-        The same, the arm's geometry in the frame of the link that carries the tip.
-    table : ContactTable
-    unilateral : UnilateralConstraints or None
-    """
+    """All rows of W of a scene."""
 
     layout: Layout
-    records: Mapping[str, list]
-    on_links: dict[str, list]
+    records: Mapping[str, list]  # of every arm, in its tip's frame, and of the surroundings
+    on_links: dict[str, list]  # the same, in the frame of the link that carries the tip
     table: ContactTable
     unilateral: UnilateralConstraints | None
 
 
 def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> dict[str, Joint]:
-    """The joints of a scene by arm; those that ``like`` has too are taken from there."""
+    """The joints of a scene by arm; equal ones of ``like`` are shared.
+
+    Raises
+    ------
+    ModelError
+        Naming the joint that cannot be made.
+    """
     shared = {}
     if like is not None:
-        # without a place of its own a joint is where the tip meets the object
+        # a joint without ``at`` is where the tip meets the object
         moved = scene.object.pose != like.scene.object.pose
         theirs = {joint.arm: joint for joint in like.scene.joints}
         for joint in scene.joints:
             placed = joint.at is not None or not moved
             if joint.arm in robots.shared and joint == theirs[joint.arm] and placed:
                 shared[joint.arm] = like.model.joints[joint.arm]
-    return make_joints(scene, robots.arms, robots.resolved, shared)
+    specs = {joint.arm: joint for joint in scene.joints}
+    return {
+        name: shared.get(name)
+        or _make_joint(specs[name], scene, arm, robots.resolved[name].posture)
+        for name, arm in robots.arms.items()
+    }
+
+
+def _make_joint(joint: Any, scene: Scene, arm: Arm, posture: np.ndarray) -> Joint:
+    """Contacts, frame and limits of a joint; without ``at`` it is where the tip is at the start."""
+    if joint.at is not None:
+        pose = joint.at.matrix()
+    else:
+        offset = np.eye(4)
+        offset[:3, 3] = surface_offset(joint)
+        frame = arm.tip_pose(posture) @ joint.at_tip.matrix() @ offset
+        pose = np.linalg.solve(scene.object.pose.matrix(), frame)
+    on_tip, on_object = joint_frame(joint, pose)
+    try:
+        contacts = joint_contacts(joint, pose)
+    except ModelError as error:
+        raise ModelError(f"joint of arm '{joint.arm}': {error}") from error
+    frame = JointFrame(on_tip, on_object, CATALOGUE[joint.kind].free or ())
+    return Joint(contacts, frame, joint.free_limits)
 
 
 def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> Rows:
-    """All rows that can ever be closed, and which of them are unilateral."""
+    """All rows that can be active, and which of them are unilateral."""
     arms = robots.arms
     contacts = {name: joint.contacts for name, joint in joints.items()}
     unilateral = _unilateral(scene, robots, contacts)
@@ -291,7 +299,10 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
         dofs=_bounds([arms[name].dof if name in arms else 0 for name in owners]),
         rows=_bounds([len(records[name]) for name in owners]),
     )
-    on_links = {name: on_link(arms[name], records[name]) for name in arms}
+    on_links = {}
+    for name, arm in arms.items():
+        on_tip = arm.tip_rotation, arm.tip_translation
+        on_links[name] = [record.moved_on_arm(*on_tip) for record in records[name]]
     if around:
         on_links[SURROUNDINGS] = around
     table = pack([record for own in on_links.values() for record in own])
@@ -325,7 +336,7 @@ def draft_model(
     rows: Rows,
     backends: ArmBackends,
 ) -> Model:
-    """Bodies, rows and effects; what depends on the assembled start is still missing."""
+    """The model without what depends on the assembled start."""
     arms, layout, unilateral = robots.arms, rows.layout, rows.unilateral
     outlines = {name: own.joints for name, own in robots.resolved.items()}
     context = BuildContext(scene, arms, layout, outlines)
@@ -343,7 +354,7 @@ def draft_model(
         frames=np.zeros((len(arms), FRAME_WIDTH)),
         free_bounds=np.zeros(len(arms) + 1, dtype=np.int64),
         free=np.zeros((0, 2), dtype=np.int64),
-        watches=make_watches(monitored, limits, layout, effects.watched).reshape(-1, WATCH_WIDTH),
+        monitors=make_monitors(monitored, limits, layout, effects.watched),
         object_mass=float(scene.object.mass),
         object_inertia=np.ascontiguousarray(scene.object.inertia_matrix()),
         gravity=_gravity(scene),
@@ -382,7 +393,7 @@ def draft_model(
 def finished_model(
     draft: Model, data: Data, frames: dict[str, JointFrame], law: ControlProgram | None
 ) -> Model:
-    """The model with what was found at the start: joint frames, contact places, control."""
+    """The model with joint frames, contact places and control at the assembled start."""
     free = [pair for f in frames.values() for pair in zip(f.free, f.places, strict=True)]
     packed = [
         frame.packed(draft.arms[name].tip_rotation, draft.arms[name].tip_translation)
@@ -410,7 +421,7 @@ def finished_model(
 
 
 def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
-    """The start as the scene has it, before it is assembled."""
+    """The start as written in the scene, before it is assembled."""
     pose, resolved = scene.object.pose.matrix(), robots.resolved.values()
     position = [
         pose[:3, 3],
@@ -423,15 +434,16 @@ def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
 
 
 def assembled_start(scene: Scene, data: Data, written: State) -> tuple[State, StartReport]:
-    """The start on the contacts that are closed there.
+    """The start, assembled on the contacts that are closed there.
 
-    Also finds where contacts of two surfaces are, which the model of ``data`` then knows.
+    Also locates the contacts of two surfaces, in the model of ``data``.
     """
     unilateral, closed = data.model.unilateral, data
     if unilateral is not None:
         closed = data.view(data.model.select(unilateral.assembled))
     closed.model = replace(closed.model, unilateral=None, pair_places=locate_pairs(closed, written))
-    start, report = assemble(closed, scene, written)
+    closed.set_state(0.0, written)
+    start, report = assemble(closed, scene)
     check_patches(closed, start)
     if unilateral is not None:
         check_unilateral(data, start)
@@ -439,7 +451,7 @@ def assembled_start(scene: Scene, data: Data, written: State) -> tuple[State, St
 
 
 def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame]:
-    """The frame of every joint, with the motions that it leaves free, by arm."""
+    """The frame of every joint, with its free motions, by arm."""
     closed, frames = data.with_contacts_closed(), {}
     for joint in scene.joints:
         frame = closed.model.frames[joint.arm]
@@ -450,7 +462,7 @@ def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame
 
 
 def control_law(scene: Scene, data: Data, start: State) -> ControlProgram:
-    """The scene's control, which takes all contacts of the joints to be closed."""
+    """The scene's control, for which all contacts of the joints are closed."""
     closed = data.with_contacts_closed()
 
     def path(waypoints: tuple[Waypoint, ...]) -> JointPath:

@@ -1,4 +1,9 @@
-"""Moving the arms with a given object: joint positions along a path of object poses."""
+"""Joint paths: positions with which the arms carry the object along a path of poses.
+
+A segment of a path is a Chebyshev series of the joints' positions.  Its nodes are postures of the
+closed chains: from one to the next the object is displaced, and the arms follow with the object
+held.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +11,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from multiarm.assembly.closing import CLOSED, close_gaps
-from multiarm.assembly.linkage import Linkage, projection_tolerance
-from multiarm.assembly.refusals import joint_names
+from multiarm.assembly.loop_closure import CLOSED, Linkage, close_gaps, projection_tolerance
+from multiarm.assembly.start import joint_names
 from multiarm.contacts.kernel import GAP
 from multiarm.control.laws import JointPath
 from multiarm.control.object_control import pose_of, route
@@ -22,17 +26,6 @@ from multiarm.integration.projection import project_positions
 from multiarm.scene import Scene, Waypoint
 from multiarm.spatial import difference, matrix_to_quaternion, retract
 
-# Joint paths are interpolated in so many Chebyshev intervals a segment, doubled until the series
-# has converged to PATH_TOLERANCE [rad, m].
-PATH_INTERVALS = (16, 32, 64, 128)
-PATH_TOLERANCE = 1e-8
-# Steps between two nodes of a path: an arm's free motions on the way depend little on them.
-_SUBSTEPS = 3
-_LONGEST_JOINT_CHANGE = 0.3  # [rad, m] an iteration
-_ITERATIONS = 60
-# An object that is so many times heavier than it is stays where it is.
-_HEAVY = 1e8
-
 
 def joint_path(
     scene: Scene,
@@ -45,13 +38,10 @@ def joint_path(
 
     Parameters
     ----------
-    scene : Scene
     data : Data
-        Of its model, all contacts of the joints closed.
-    start : State
-    path : sequence of Waypoint
+        Of the scene's model, all contacts of the joints closed.
     compile_scene : callable
-        Makes the system of a scene, see :func:`_rigidly_held`.
+        Compiles a scene, see :func:`_rigidly_held`.
 
     Raises
     ------
@@ -103,13 +93,13 @@ def _segment(
     The object follows the quintic law of time that begins and ends at rest.  The nodes include both
     ends, so that segments join without a jump.
     """
-    for intervals in PATH_INTERVALS:
+    for intervals in (16, 32, 64, 128):  # until the series has converged
         x = -np.cos(np.pi * np.arange(intervals + 1) / intervals)
         s = 0.5 * (1.0 + x)
         law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         angles, state = follow_object(data, start, begin, end, law, number)
         series = np.polynomial.chebyshev.chebfit(x, angles, intervals).T
-        if np.max(np.abs(series[:, -4:])) < PATH_TOLERANCE:
+        if np.max(np.abs(series[:, -4:])) < 1e-8:  # [rad, m]
             return series, state
     worst = int(np.argmax(np.max(np.abs(series[:, -4:]), axis=1)))
     joint = joint_names(data.model)[worst]
@@ -129,7 +119,7 @@ def follow_object(
 ) -> tuple[np.ndarray, State]:
     """Joint positions that close the chains while the object moves from one pose to another.
 
-    The joints' limits are left to the run, which does not enforce them either.
+    The limits of the joints are not enforced, as in a run.
 
     Parameters
     ----------
@@ -149,10 +139,10 @@ def follow_object(
         Closed, with the object at the end pose.
     """
     constants = data.model.constants
-    heavy = data.view(
+    heavy = data.view(  # an object that the projection does not move
         data.model.with_constants(
-            object_mass=_HEAVY * constants.object_mass,
-            object_inertia=_HEAVY * constants.object_inertia,
+            object_mass=1e8 * constants.object_mass,
+            object_inertia=1e8 * constants.object_inertia,
         )
     )
     tolerance = projection_tolerance(data)
@@ -162,7 +152,8 @@ def follow_object(
     state.velocity[:] = 0.0
     before = 0.0
     for fraction in law:
-        for part in np.linspace(before, fraction, _SUBSTEPS + 1)[1:]:
+        # an arm's free motions depend little on the number of these smaller steps
+        for part in np.linspace(before, fraction, 4)[1:]:
             state.position[:3] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
             state.position[3:7] = retract(base, part * turn)
             if not _arms_close(data, heavy, state, tolerance):
@@ -174,13 +165,13 @@ def follow_object(
 
 
 def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool:
-    """Close the gaps from ``state`` with the object held; the result is left in the data.
+    """Close the gaps from ``state`` with the object held; the result is in the data.
 
-    ``heavy`` has an object that does not move.  The compiled projection is fast;
-    where it fails, near singular postures, the arms are led.
+    ``heavy`` has an object that does not move.  The compiled projection is fast; where it fails,
+    near singular postures, the gaps are closed in small steps.
     """
     data.set_state(0.0, state)
-    if project_positions(heavy.struct, tolerance, True, _LONGEST_JOINT_CHANGE, _ITERATIONS) == OK:
+    if project_positions(heavy.struct, tolerance, True, 0.3, 60) == OK:
         return True
     data.reraise()
     data.set_state(0.0, state)

@@ -1,60 +1,62 @@
-r"""Putting a start on the constraints, with the least change, and telling what was changed.
+r"""Assembling a start: it is put on the constraints with the least change, which is reported.
 
-Positions: the arms move onto the joints with the object held, each on its own; where one cannot, or
-only by a large swing for a small gap, the object gives way too.  They stay within the limits of
-their joints and on the branch of the written start (:mod:`multiarm.assembly.closing`).  A start
-that is too far off, or whose contacts contradict each other, is refused with its residuals.
+*Positions.*  The arms move onto the joints with the object held, each on its own; where one cannot,
+or only by a large swing for a small gap, the object moves too.  The joints stay within their limits
+and on the branch of the written start (:mod:`multiarm.assembly.loop_closure`).  A start that is too
+far off, or whose contacts contradict each other, is refused with its residuals.
 
-Velocities: the least change in the metric of the inertia,
+*Velocities.*  The least change in the metric of the inertia,
 
 .. math:: \min_{\delta v} \tfrac12\, \delta v^T M\, \delta v \ \text{ with }\ W^T(v + \delta v) = 0,
 
-which is an inelastic impact that closes all gap rates; ``W`` may have dependent columns.
+which is an inelastic impact that closes all gap rates; ``W`` may have dependent columns.  With
+:math:`M = L L^T` and :math:`A = W^T L^{-T}` the velocities :math:`w = L^T v` are projected on the
+null space of ``A``, from its singular value decomposition:
+
+.. math:: w^+ = w - V_r V_r^T w, \qquad
+    \tfrac12 |w|^2 - \tfrac12 |w^+|^2 = \tfrac12 |V_r^T w|^2 .
+
+Nothing is divided by a singular value: dependent rows and singular arms need no special treatment.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from multiarm.assembly.closing import CLOSED, close_gaps
-from multiarm.assembly.linkage import Linkage, projection_tolerance, scene_size
-from multiarm.assembly.refusals import (
-    cannot_close,
-    gaps_by_arm,
-    joint_names,
-    joints_at_limit,
-    too_far,
+from multiarm.assembly.loop_closure import (
+    CLOSED,
+    FAR,
+    FARTHEST,
+    Closing,
+    Linkage,
+    close_gaps,
+    projection_tolerance,
+    scene_size,
 )
-from multiarm.assembly.velocities import close_rates
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.records import JointRow
 from multiarm.contacts.unilateral import LIMIT, SURROUNDINGS, Constraint
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import patch_margin, place_state
-from multiarm.dynamics.diagnosis import lost_contact
+from multiarm.dynamics.diagnosis import failure_text, lost_contact
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
-from multiarm.dynamics.system import StartReport
-from multiarm.errors import ModelError, SceneError
-from multiarm.integration.monitors import DRIVE, FORCE, WATCH_BODY, WATCH_ROW, margin_at
-from multiarm.integration.monitors import LIMIT as JOINT_LIMIT
+from multiarm.dynamics.system import StartReport, System
+from multiarm.errors import ModelError, SceneError, SolverError
+from multiarm.integration.monitors import contacts_off_patch
+from multiarm.integration.projection import project_velocities
 from multiarm.scene import Scene
 from multiarm.spatial import difference
 
-# A start whose gaps are larger than this fraction of the scene's size is refused.
-CLOSE = 0.1
-# Parts of the scene's size that count as touching.
+# Gaps below this part of the scene's size count as touching.
 TOUCHING = 1e-9
-# What a state given by the user is called in messages.
-_GIVEN = "the given state"
-# The object is held while no joint of an arm moves more than so many times what closes its worst
-# gap by itself; more is a swing near a singular posture.
-SWING = 20.0
 
 
-def assemble(data: Data, scene: Scene, written: State) -> tuple[State, StartReport]:
-    """Put the written start of a scene on the constraints.
+def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, StartReport]:
+    """Put the state in the data on the constraints; ``name`` is its name in messages.
+
+    A state that satisfies the joints to within :func:`projection_tolerance` is not changed.
 
     Raises
     ------
@@ -63,34 +65,21 @@ def assemble(data: Data, scene: Scene, written: State) -> tuple[State, StartRepo
     SolverError
         When an arm's inertia is not positive definite.
     """
-    data.set_state(0.0, written)
-    return assemble_placed(data, scene, "the start")
-
-
-def assemble_placed(data: Data, scene: Scene, what: str) -> tuple[State, StartReport]:
-    """Put the state in the data on the constraints; ``what`` it is called in messages.
-
-    A state that satisfies the joints to within :func:`projection_tolerance` is not touched.
-
-    Raises
-    ------
-    SceneError, SolverError
-        As :func:`assemble`.
-    """
     written, layout = data.get_state(), data.model.layout
-    _update(data)
+    _update_kinematics(data)
     lost = np.flatnonzero(~np.isfinite(data.arrays.contacts).all(axis=1))
     if lost.size:
         raise SceneError(
-            [f"{lost_contact(data, int(row))}; mend its placement at the start" for row in lost]
+            [f"{lost_contact(data, int(row))}; correct its placement at the start" for row in lost]
         )
     gaps, rates = gaps_by_arm(data), gaps_by_arm(data, GAP_RATE)
     size = scene_size(data)
-    if not all(gap <= CLOSE * size for gap in gaps.values()):
-        raise SceneError(too_far(data, scene, what, gaps, CLOSE * size))
+    limit = 0.1 * size
+    if not all(gap <= limit for gap in gaps.values()):
+        raise SceneError(_too_far(data, scene, name, gaps, limit))
     limits, outside = _limits(data, written)
-    held = _close(data, what, gaps, limits, size)
-    energy_lost = close_rates(data, size)
+    held = _close(data, name, gaps, limits, size)
+    energy_lost = _close_rates(data, size)
     start = data.get_state()
     moved = np.abs(start.position[7:] - written.position[7:])
     faster = np.abs(start.velocity - written.velocity)
@@ -113,65 +102,11 @@ def assemble_placed(data: Data, scene: Scene, what: str) -> tuple[State, StartRe
     )
 
 
-def _close(data: Data, what: str, gaps: dict[str, float], limits: np.ndarray, size: float) -> bool:
-    """Close the gaps of the state in the data; returns whether the object was held."""
-    tolerance = projection_tolerance(data, size)
-    if max(gaps.values()) <= tolerance:
-        return True
-    everything = list(range(len(data.model.arm_names)))
-    whole = Linkage(data, everything, True, limits)
-    begin = whole.here()
-    closed, calm = True, True
-    for i, gap in enumerate(gaps.values()):
-        if gap > tolerance:
-            arm = Linkage(data, [i], False, limits)
-            near = SWING * arm.here().least_turn
-            end = close_gaps(arm, tolerance)
-            closed, calm = closed and end.status == CLOSED, calm and end.change <= near
-    if closed and calm:
-        return True
-    arms_alone = whole.here()
-    whole.place(begin)
-    end = close_gaps(whole, tolerance)
-    if end.status == CLOSED:
-        return False
-    if closed:
-        whole.place(arms_alone)
-        return True
-    raise SceneError(cannot_close(data, what, gaps, whole, end))
-
-
-def _limits(data: Data, written: State) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Limits (n, 2) of all joints, and the joints outside of theirs, which get none."""
-    limits = np.vstack([arm.position_limits for arm in data.model.arms.values()])
-    angles = written.position[7:]
-    out = (angles < limits[:, 0]) | (angles > limits[:, 1])
-    limits[out] = -np.inf, np.inf
-    return limits, tuple(np.array(joint_names(data.model))[out])
-
-
-def _update(data: Data) -> None:
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
-
-
 def project_start(data: Data, scene: Scene, state: State) -> tuple[State, StartReport]:
-    """Put a given state on the constraints as a scene's start is, with the least change.
+    """Put a copy of a given state on the constraints, as a scene's start.
 
-    Parameters
-    ----------
-    data : Data
-    scene : Scene
-    state : State
-        Stays as it is.
-
-    Returns
-    -------
-    state : State
-        A copy; the same numbers bit for bit where the state satisfies the joints to within
-        :func:`projection_tolerance` and its gap rates are roundings.
-    report : StartReport
-        How far it was off, and what was corrected.
+    The copy is equal bit for bit where the state satisfies the joints to within
+    :func:`projection_tolerance` and its gap rates are roundings.
 
     Raises
     ------
@@ -180,17 +115,35 @@ def project_start(data: Data, scene: Scene, state: State) -> tuple[State, StartR
     SolverError
         When an arm's inertia is not positive definite.
     """
+    given = "the given state"
     if not (np.all(np.isfinite(state.position)) and np.all(np.isfinite(state.velocity))):
-        raise ModelError(f"{_GIVEN} is not finite; make it with `system.state(...)`")
+        raise ModelError(f"{given} is not finite; make it with `system.state(...)`")
     try:
         place_state(data, 0.0, state)
-        return assemble_placed(data, scene, _GIVEN)
+        return assemble(data, scene, given)
     except SceneError as error:
         raise ModelError(
-            f"{_GIVEN} cannot be the beginning of a run:\n"
+            f"{given} cannot be the beginning of a run:\n"
             + "\n".join(f"  {fault}" for fault in error.faults)
             + "\n`system.initial_state()` satisfies the joints; begin near it"
         ) from error
+
+
+def project_velocity(system: System, state: State) -> State:
+    """Project the velocities of a state on the constraints, in the inertia metric (thesis, 4.2).
+
+    The correction is the one that loses the least kinetic energy: an inelastic impact that closes
+    all gap rates.  Positions stay.
+    """
+    with system.borrow() as data:
+        place_state(data, 0.0, state)
+        status = update_kinematics(data.struct)
+        if status == OK:
+            status = project_velocities(data.struct)
+        if status != OK:
+            data.reraise()
+            raise SolverError(failure_text(data, status))
+        return data.get_state()
 
 
 def check_patches(data: Data, start: State) -> None:
@@ -202,25 +155,14 @@ def check_patches(data: Data, start: State) -> None:
         Names the contacts that are not.
     """
     data.set_state(0.0, start)
-    _update(data)
-    faults = _outside(data)
+    _update_kinematics(data)
+    faults = [
+        f"arm '{arm}': '{contact}' touches {excess:.3g} m outside the patch of its surface; "
+        f"correct the posture, or the patch's 'min' and 'max'"
+        for arm, contact, excess in contacts_off_patch(data)
+    ]
     if faults:
         raise SceneError(faults)
-
-
-def _outside(data: Data) -> list[str]:
-    faults = []
-    for k, watch in enumerate(data.model.constants.watches):
-        if int(watch[WATCH_BODY]) in (FORCE, JOINT_LIMIT, DRIVE):
-            continue
-        excess = margin_at(data.struct, k)
-        if excess > 0.0:
-            arm, contact = data.model.owner(int(watch[WATCH_ROW]))
-            faults.append(
-                f"arm '{arm}': '{contact.name}' touches {excess:.3g} m outside the patch of its "
-                f"surface; mend the posture, or the patch's 'min' and 'max'"
-            )
-    return faults
 
 
 def check_unilateral(data: Data, start: State) -> None:
@@ -233,8 +175,7 @@ def check_unilateral(data: Data, start: State) -> None:
     """
     assert data.model.unilateral is not None
     data.set_state(0.0, start)
-    if update_kinematics(data.struct) != OK:
-        data.reraise()
+    _update_kinematics(data)
     allowed, gaps = TOUCHING * scene_size(data), data.arrays.contacts[:, GAP]
     faults = []
     for constraint in data.model.unilateral.constraints:
@@ -245,15 +186,101 @@ def check_unilateral(data: Data, start: State) -> None:
         raise SceneError(faults)
 
 
+def gaps_by_arm(data: Data, column: int = GAP) -> dict[str, float]:
+    """Largest magnitude of one column of the contact kinematics, by arm."""
+    parts = data.model.layout.split_contacts(np.abs(data.arrays.contacts[:, column]))
+    return {arm: float(np.max(values, initial=0.0)) for arm, values in parts.items()}
+
+
+def joint_names(model: Model) -> list[str]:
+    """All joints as ``arm/joint``, in the order of the stacked vectors."""
+    return [f"{arm}/{joint}" for arm, a in model.arms.items() for joint in a.joint_names]
+
+
+def joints_at_limit(data: Data) -> tuple[str, ...]:
+    """Joints at one of their limits in the data."""
+    limits = np.vstack([arm.position_limits for arm in data.model.arms.values()])
+    near = np.min(np.abs(limits - data.arrays.angles[:, None]), axis=1) <= 1e-9
+    return tuple(name for name, at in zip(joint_names(data.model), near, strict=True) if at)
+
+
+def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, size: float) -> bool:
+    """Close the gaps of the state in the data; returns whether the object was held."""
+    tolerance = projection_tolerance(data, size)
+    if max(gaps.values()) <= tolerance:
+        return True
+    everything = list(range(len(data.model.arm_names)))
+    whole = Linkage(data, everything, True, limits)
+    begin = whole.here()
+    closed, swings = True, False
+    for i, gap in enumerate(gaps.values()):
+        if gap > tolerance:
+            arm = Linkage(data, [i], False, limits)
+            # a larger motion than this for its gap is a swing past a singular posture
+            far = 20.0 * arm.here().least_turn
+            end = close_gaps(arm, tolerance)
+            closed, swings = closed and end.status == CLOSED, swings or not end.change <= far
+    if closed and not swings:
+        return True
+    arms_alone = whole.here()
+    whole.place(begin)
+    end = close_gaps(whole, tolerance)
+    if end.status == CLOSED:
+        return False
+    if closed:
+        whole.place(arms_alone)
+        return True
+    raise SceneError(_cannot_close(data, name, gaps, whole, end))
+
+
+def _limits(data: Data, written: State) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Limits (n, 2) of all joints, and the names of joints outside theirs, which get no limits."""
+    limits = np.vstack([arm.position_limits for arm in data.model.arms.values()])
+    angles = written.position[7:]
+    out = (angles < limits[:, 0]) | (angles > limits[:, 1])
+    limits[out] = -np.inf, np.inf
+    return limits, tuple(np.array(joint_names(data.model))[out])
+
+
+def _close_rates(data: Data, size: float) -> float:
+    """Project the velocities in the data, with its kinematics; returns the energy lost [J].
+
+    Velocities whose gap rates are roundings are not changed.
+    """
+    b, joints = data.arrays, data.model.layout.joints
+    free = np.full((joints, 2), [-np.inf, np.inf])
+    linkage = Linkage(data, list(range(len(data.model.arm_names))), True, free, True, size)
+    place, lost = linkage.here(), 0.0
+    v = np.concatenate([b.twist, b.v]) / linkage.unit
+    # 100 roundings of the terms that cancel in a rate
+    terms = float(np.max(np.abs(place.rows) @ np.abs(v), initial=0.0))
+    closed = 100 * np.finfo(float).eps * terms
+    for _ in range(3):
+        if not np.max(np.abs(b.contacts[:, GAP_RATE]), initial=0.0) > closed:
+            break
+        A = np.linalg.solve(place.factor, place.rows.T).T  # (N, 6 + n)
+        _, s, Vt = np.linalg.svd(A, full_matrices=False)
+        Vt = Vt[s > 1e-10 * s[0]]
+        taken = Vt @ (place.factor.T @ v)
+        v -= np.linalg.solve(place.factor.T, Vt.T @ taken)
+        lost += 0.5 * float(taken @ taken)
+        b.twist[:], b.v[:] = np.split(linkage.unit * v, [6])
+        _update_kinematics(data)
+    return lost
+
+
+def _update_kinematics(data: Data) -> None:
+    if update_kinematics(data.struct) != OK:
+        data.reraise()
+
+
 def _inside(data: Data, constraint: Constraint, depth: float) -> str:
     if constraint.kind != LIMIT:
-        where, remedy = (
-            f"'{constraint.arm}/{constraint.name}' is inside the arm's surface",
-            "the posture",
-        )
+        where = f"'{constraint.arm}/{constraint.name}' is inside the arm's surface"
+        remedy = "the posture"
         if constraint.arm == SURROUNDINGS:
             where, remedy = f"'{constraint.name}' of the object is below the floor", "'object.pose'"
-        return f"at the start {where} by {depth:.3g} m; mend {remedy}, or the surfaces"
+        return f"at the start {where} by {depth:.3g} m; correct {remedy}, or the surfaces"
     first = data.model.layout.dofs[data.model.arm_names.index(constraint.arm)]
     limit = data.model.records[constraint.row]
     assert isinstance(limit, JointRow) and limit.bound is not None, "a limit is a joint's"
@@ -262,5 +289,101 @@ def _inside(data: Data, constraint: Constraint, depth: float) -> str:
     name = f"{constraint.arm}/{data.model.joint_name(constraint.joint)}"
     return (
         f"$.effects.joint_limits: '{name}' starts at {at:.6g}, {end} {limit.bound:.6g}; "
-        f"mend the posture, or the range"
+        f"correct the posture, or the range"
     )
+
+
+def _too_far(
+    data: Data, scene: Scene, name: str, gaps: dict[str, float], limit: float
+) -> list[str]:
+    """One fault for every joint whose gap in the data exceeds the limit [m]."""
+    kinds = {joint.arm: joint.kind for joint in scene.joints}
+    phi = data.model.layout.split_contacts(np.abs(data.arrays.contacts[:, GAP]))
+    faults, near = [], {}
+    for arm, gap in gaps.items():
+        if gap <= limit:
+            near[arm] = gap
+            continue
+        contact = data.model.contacts[arm][int(np.argmax(phi[arm]))]
+        remedy = "or `at` (or leave `at` out to join the object where the tip is)"
+        if kinds[arm] == "contacts":
+            remedy = (
+                "or the contact's geometry (of the arm in the tip's frame, of the object in its)"
+            )
+        faults.append(
+            f"{name} does not satisfy the joint of arm '{arm}': a gap of {gap:.4g} m is left "
+            f"at '{contact.name}', up to {limit:.3g} m is assembled; correct the posture, the base "
+            f"{remedy}"
+        )
+    if near:
+        faults[-1] += f" (gaps of the other joints: {_listed(near)})"
+    return faults
+
+
+def _cannot_close(
+    data: Data, name: str, gaps: dict[str, float], whole: Linkage, end: Closing
+) -> list[str]:
+    """Why the linkage of object and all arms could not be closed, from ``gaps`` as written [m].
+
+    The posture that was reached is in the data.
+    """
+    faults = _contradictions(data, name, whole)
+    if faults:
+        return faults
+    if end.status == FAR:
+        names = [*["the object"] * 6, *(f"joint '{name}'" for name in joint_names(data.model))]
+        worst = int(np.argmax(end.changes))
+        why = f"{names[worst]} would have to move by more than "
+        why += f"{FARTHEST * whole.unit[worst]:.3g} rad or m for it, which is no correction"
+    else:
+        left = {
+            arm: f"{gap:.3g} m at '{_worst_contact(data, arm)}'"
+            for arm, gap in gaps_by_arm(data).items()
+        }
+        why = "no motion of the arms and the object lessens what then is left, "
+        why += ", ".join(f"{arm}: {text}" for arm, text in left.items())
+        why += "; the arms are at the end of their reach, or have too few joints for these contacts"
+        stopped = joints_at_limit(data)
+        if stopped:
+            why += f"; at a limit: {', '.join(stopped)}"
+    return [
+        f"{name} does not satisfy the joints and could not be closed from there (gaps "
+        f"{_listed(gaps)}): {why}; move the postures or `at` closer together, "
+        "or leave out `at` to join the object where the tip is"
+    ]
+
+
+def _listed(gaps: dict[str, float]) -> str:
+    """Gaps of the arms [m] in one line."""
+    return ", ".join(f"{arm}: {gap:.3g} m" for arm, gap in gaps.items())
+
+
+def _worst_contact(data: Data, arm: str) -> str:
+    phi = data.model.layout.split_contacts(data.arrays.contacts[:, GAP])[arm]
+    return data.model.contacts[arm][int(np.argmax(np.abs(phi)))].name
+
+
+def _contradictions(data: Data, name: str, whole: Linkage) -> list[str]:
+    """Joints whose own contacts cannot all be closed, wherever the arm is."""
+    b, faults, tolerance = data.arrays, [], projection_tolerance(data)
+    wrenches = b.Wo[whole.rows] * whole.unit[:6]
+    phi = b.contacts[whole.rows, GAP]
+    for arm, (own, _) in zip(data.model.arm_names, whole.blocks, strict=True):
+        U, s, _ = np.linalg.svd(wrenches[own])
+        dependent = U[:, int(np.sum(s > 1e-9 * s[0])) :] if s.size else U
+        opposed = dependent @ (dependent.T @ phi[own])
+        worst = float(np.max(np.abs(opposed), initial=0.0))
+        # at least a tenth of the joint's largest gap; contacts with less than a tenth of the worst
+        # part are not named
+        if not worst > max(0.1 * float(np.max(np.abs(phi[own]), initial=0.0)), tolerance):
+            continue
+        rows = whole.rows[own][np.abs(opposed) > 0.1 * worst]
+        names = [f"'{data.model.owner(int(row))[1].name}'" for row in rows]
+        more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+        faults.append(
+            f"the contacts {', '.join(names[:6])}{more} of arm '{arm}' contradict each other "
+            f"at {name.removeprefix('the ')}: as surfaces of two rigid bodies they cannot all "
+            f"touch, gaps of {worst:.3g} m stay between them; leave one of them out, or correct "
+            f"its geometry"
+        )
+    return faults

@@ -62,7 +62,7 @@ def check(
     check_targets({"--json": json}, source=scene)
     loaded = scene_to_look_at(scene, code)
     from multiarm.assembly.compilation import compile_for_inspection
-    from multiarm.simulation.checking import inspect_system
+    from multiarm.simulation.inspection import inspect_system
     from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
 
     system, left = compile_for_inspection(loaded, None if arms is None else arms.value)

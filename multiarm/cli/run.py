@@ -14,6 +14,7 @@ from multiarm.cli.options import ARMS, METHOD, NO_CODE, OF_SCENE, Arms
 from multiarm.cli.show import serve_until_interrupt
 from multiarm.cli.summary import run_figures, summary_table
 from multiarm.errors import SceneError
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS
 from multiarm.terminal.console import (
     messages,
     output,
@@ -35,15 +36,10 @@ FILES = "Results"
 NOTABLE_GAP = 1e-3
 
 
-class Integrator(str, Enum):
-    """Methods with a fixed step, then those that choose their steps."""
-
-    semi_implicit_euler = "semi_implicit_euler"
-    variational = "variational"
-    rk4 = "rk4"
-    dopri5 = "dopri5"
-    dop853 = "dop853"
-    rodas5p = "rodas5p"
+if TYPE_CHECKING:
+    Integrator = Enum
+else:
+    Integrator = Enum("Integrator", {name: name for name in METHODS}, type=str)
 
 
 class Stabilization(str, Enum):
@@ -83,8 +79,8 @@ def run(
     integrator: Annotated[
         Integrator | None,
         typer.Option(
-            help="The first three have a fixed --step, the others choose their steps by "
-            "--accuracy or --tolerance.",
+            help=f"{', '.join(FIXED_STEP_INTEGRATORS)} have a fixed --step, the others choose "
+            "their steps by --accuracy or --tolerance.",
             show_default=OF_SCENE,
             rich_help_panel=METHOD,
         ),
@@ -98,7 +94,7 @@ def run(
     tolerance: Annotated[
         float | None,
         typer.Option(
-            help="Error of one step of dopri5, dop853 or rodas5p, in m, rad, m/s and rad/s.",
+            help=f"Error of one step of {', '.join(ADAPTIVE_INTEGRATORS)}, in m, rad, m/s, rad/s.",
             show_default=OF_SCENE,
             metavar="T",
             rich_help_panel=METHOD,

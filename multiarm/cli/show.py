@@ -153,7 +153,7 @@ def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
 
 
 def _is_sweep(result: Path) -> bool:
-    from multiarm.results.row_file import RowReader
+    from multiarm.sweeps.row_file import RowReader
 
     path = result.expanduser()
     return path.is_file() and RowReader.matches(path)

@@ -51,7 +51,7 @@ class Constants(NamedTuple):
     # of the rates, of the coordinates
     free_bounds: Ints1
     free: Ints2
-    watches: Floats2  # (w, 20) what is monitored, see multiarm.integration.monitors
+    monitors: Floats2  # (w, 20) what is monitored, see multiarm.integration.monitors
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]
     gravity: Floats1  # (3,) world axes [m/s^2]
@@ -199,7 +199,7 @@ def make_variables(
     do work, and of states of effects.
     """
     arms, joints = len(pointers), constants.q_slots.size
-    watches = len(constants.watches)
+    monitors = len(constants.monitors)
     shapes = {
         "position": 7, "angles": joints, "twist": 6, "q": configuration, "v": joints,
         "arms": (arms, BODY_WIDTH), "body": BODY_WIDTH, "relative": RELATIVE_WIDTH,
@@ -208,7 +208,7 @@ def make_variables(
         "inner": states, "inner_rate": states, "residual": joints, "kept": 13 + 2 * joints,
         "mixed": 6 + joints, "signs": arms,
         # between two calls of the time loop; further events are only counted
-        "events": (512 if watches else 0, 3),
+        "events": (512 if monitors else 0, 3),
     }  # fmt: skip
     return Variables(
         time=Time(latest=np.inf),
@@ -218,7 +218,7 @@ def make_variables(
         pointers=pointers,
         link_poses=np.zeros(0, dtype=np.int64),
         coordinates=np.full((arms, 6), np.nan),
-        margins=np.full(watches, np.nan),
+        margins=np.full(monitors, np.nan),
         event_count=np.zeros(1, dtype=np.int64),
         lost=np.zeros(arms + 1, dtype=np.int64),
         passed=np.zeros(arms, dtype=np.int64),

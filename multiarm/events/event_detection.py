@@ -15,7 +15,7 @@ from collections.abc import Callable, Set
 
 import numpy as np
 
-from multiarm.assembly.linkage import scene_size
+from multiarm.assembly.loop_closure import scene_size
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.contacts.unilateral import DRY_JOINT
@@ -26,8 +26,7 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.events.kernels import QUIET, spring_length, write_guards
 from multiarm.events.modes import GAP_THRESHOLD, OPEN, Choice, Modes
-from multiarm.integration.dense_output import interpolate
-from multiarm.integration.stepper import load, open_step
+from multiarm.integration.stepper import interpolate, load, open_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import address_of, call_cfunc
 

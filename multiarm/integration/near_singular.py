@@ -1,21 +1,21 @@
-r"""Evaluating where closed chains are about to lose a rank: flat linkages, crossing motions.
+r"""Evaluation near a loss of rank: flat linkages, crossing motions.
 
-Where two motions of the chains cross, a singular value ``s`` of the constraints goes through zero.
-The acceleration stays smooth along the motion that the state is on, but computing it there divides
-roundings by ``s^3``: those of a gap by ``s`` give the distance from that motion, and so twice more
-the error of the velocity and of the acceleration.  Within ``ZONE`` of the loss it is therefore
-interpolated along that motion, from three states on either side which lie ``OFFSET`` apart,
+Where two motions of the chains cross, a singular value ``s`` of the constraints passes through
+zero.  The acceleration stays smooth along the current motion, but solving for it there multiplies
+roundings by ``1/s^3``: a gap divided by ``s`` is the distance from that motion, and two more
+divisions give the errors of the velocity and of the acceleration.  Near the loss of rank the
+acceleration is therefore interpolated along the motion, from three states on either side at
+distances :math:`\delta, 2\delta, 3\delta`,
 
 .. math::
     f(0) \approx \tfrac34 (f_1 + f_{-1}) - \tfrac3{10} (f_2 + f_{-2}) + \tfrac1{20} (f_3 + f_{-3}),
 
-an error of ``OFFSET^6 / 20`` times the sixth derivative, where the states are the one at hand moved
-on along its velocity and projected.  That holds for motions that cross; where the constraints stay
-as near to the loss, or the interpolated acceleration misses them, it is not used.  At rest there is
-no such motion, and which way the chains go on is undetermined: then the constraints that are left
-decide.  The contact forces are those of the state itself: they really grow like ``1/s`` there, as a
-toggle's do.  Functions in Python (controllers, surfaces, wrenches) are asked about the state itself
-only: with them nothing is interpolated.
+with an error of :math:`\delta^6 / 20` times the sixth derivative.  The states are the current one,
+displaced along its velocity and projected.  The interpolation is not used where the constraints
+stay as near to the loss of rank, or where its result violates them.  At rest there is no motion to
+follow, and the direction in which the chains move on is undetermined: the independent constraints
+decide.  The contact forces are those of the state itself: they really grow like ``1/s``, as in a
+toggle.  User callbacks are called for the state itself only: systems with any are not interpolated.
 """
 
 from __future__ import annotations
@@ -33,25 +33,21 @@ from multiarm.spatial import retract_into
 
 # Singular value of the constraints below which accelerations are interpolated.
 ZONE = 2e-2
-# Distance of the states between which this is done [rad, m] of the fastest coordinate.
+# Distance between the states of the interpolation [rad, m], of the fastest coordinate.
 OFFSET = 0.017
-# The states next to the one at hand must be further from losing rank by this factor.
-FURTHER = 2.0
-# Coordinates slower than this are at rest [rad/s, m/s].
-AT_REST = 1e-8
 
 
 @kernel
-def evaluate_on_branch(struct, closed, alpha, beta):
+def evaluate_on_branch(struct, gap_tolerance, alpha, beta):
     """:func:`multiarm.dynamics.equations.evaluate_state`, interpolated near a loss of rank.
 
-    ``closed`` is the gap to which states are projected [m]; negative: nothing is interpolated.
+    ``gap_tolerance`` is the gap that projection leaves [m]; negative: nothing is interpolated.
     """
     status = evaluate_state(struct, alpha, beta)
-    if status != OK or closed < 0.0 or open_coupled(struct).status.arms == 0:
+    if status != OK or gap_tolerance < 0.0 or open_coupled(struct).status.arms == 0:
         return status
     _, data, _ = open_system(struct)
-    data.status.branch_gap = closed
+    data.status.branch_gap = gap_tolerance
     return call_cfunc(data.functions.near_singular, struct, alpha, beta)
 
 
@@ -60,24 +56,22 @@ def evaluate_near_singular(address, size, alpha, beta):
     """Continue an evaluation in which some arms are deficient, see :func:`evaluate_on_branch`."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    coupled, closed = open_coupled(struct), data.status.branch_gap
-    # before a run nothing is known of the rank elsewhere: the state may be on the very crossing
+    coupled = open_coupled(struct)
+    # before a run the rank elsewhere is unknown: the state may be exactly on the crossing
     unknown = data.lost[data.lost.size - 1] == 0 and excess(coupled) > 0
-    if not (coupled.status.margin < ZONE or unknown):
-        return OK
-    if model.calls_user:
+    if not (coupled.status.margin < ZONE or unknown) or model.calls_user:
         return OK
     rate = max(greatest(data.twist), greatest(data.v))
-    if rate < AT_REST:
+    if rate < 1e-8:  # [rad/s, m/s]: at rest
         return OK
-    shift, kick = data.status.position_change, data.status.velocity_change
-    keep_state(data, data.kept)
-    crossing = mix_evaluations(struct, closed, alpha, beta, OFFSET / rate)
+    position_change, velocity_change = data.status.position_change, data.status.velocity_change
+    save_state(data, data.kept)
+    interpolated = interpolate_accelerations(struct, alpha, beta, OFFSET / rate)
     restore_state(data.kept, data)
-    data.status.position_change, data.status.velocity_change = shift, kick
+    data.status.position_change, data.status.velocity_change = position_change, velocity_change
     # everything but the accelerations belongs to the state itself
     status = evaluate_state(struct, alpha, beta)
-    if status == OK and crossing:
+    if status == OK and interpolated:
         exchange_solution(data)
         if not believable(struct, constraint_residual(model, data, work)):
             exchange_solution(data)
@@ -86,32 +80,35 @@ def evaluate_near_singular(address, size, alpha, beta):
 
 @kernel
 def excess(coupled):
-    """How many of the unknown forces move nothing."""
+    """Number of redundant unknown forces."""
     return coupled.status.unknowns - coupled.status.rank
 
 
 @kernel
-def mix_evaluations(struct, closed, alpha, beta, delay):
-    """Accelerations from states ``delay`` [s] and its multiples before and behind.
+def interpolate_accelerations(struct, alpha, beta, delay):
+    """Interpolate the accelerations into ``data.mixed``, from states at multiples of ``delay`` [s].
 
-    Returns whether ``data.mixed`` has them: not when a state cannot be reached, or when the
-    constraints are no further from losing rank there.
+    Returns whether it succeeded: not when a state cannot be reached, or when the constraints are
+    not further from losing rank there.
     """
     _, data, _ = open_system(struct)
     coupled = open_coupled(struct)
     n, mixed = data.angles.size, data.mixed
-    here, there, fewest = coupled.status.margin, 0.0, excess(coupled)
-    more = fewest
+    here, there = coupled.status.margin, 0.0
+    redundant = fewest = excess(coupled)
     clear(mixed)
     for side in range(6):
         k = 1 + side // 2
         restore_state(data.kept, data)
-        move_state(data, (k if side % 2 == 0 else -k) * delay)
-        if project(struct, closed) != OK or evaluate_state(struct, alpha, beta) != OK:
+        displace_state(data, (k if side % 2 == 0 else -k) * delay)
+        if (
+            project(struct, data.status.branch_gap) != OK
+            or evaluate_state(struct, alpha, beta) != OK
+        ):
             return False
         there = max(there, coupled.status.margin if coupled.status.arms > 0 else math.inf)
         fewest = min(fewest, excess(coupled) if coupled.status.arms > 0 else 0)
-        if side == 1 and fewest == more and not (here < ZONE and there >= FURTHER * here):
+        if side == 1 and fewest == redundant and not (here < ZONE and there >= 2.0 * here):
             return False
         weight = 0.75 if k == 1 else (-0.3 if k == 2 else 0.05)
         for j in range(6):
@@ -134,7 +131,7 @@ def exchange_solution(data):
 
 
 @kernel
-def keep_state(data, kept):
+def save_state(data, kept):
     """Write the state in ``data`` to ``kept``."""
     n = data.angles.size
     copy(data.position, kept[:7])
@@ -145,7 +142,7 @@ def keep_state(data, kept):
 
 @kernel
 def restore_state(kept, data):
-    """Write a kept state into the data."""
+    """Write a saved state into the data."""
     n = data.angles.size
     copy(kept[:7], data.position)
     copy(kept[7:13], data.twist)
@@ -154,8 +151,8 @@ def restore_state(kept, data):
 
 
 @kernel
-def move_state(data, delay):
-    """Move the state in ``data`` along its velocity."""
+def displace_state(data, delay):
+    """Displace the state in ``data`` along its velocity, for the time ``delay``."""
     turn = data.q_o  # scratch: an evaluation follows
     for k in range(3):
         data.position[k] += delay * data.twist[k]

@@ -38,88 +38,37 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.arrays import NOT_FINITE, OK, open_system
+from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu
-from multiarm.integration.stepper import (
-    OWN_EVALUATIONS,
-    Method,
-    Step,
-    combine,
-    evaluate_slope,
-)
-from multiarm.integration.tableaus import Tableau
+from multiarm.integration.stepper import IMPLICIT_WORK, Step, combine, evaluate_slope, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at, view
-
-# Changes of a position [m, rad], of a velocity (times the fastest one, if that is above 1) and of
-# the time (times the step, if that is below 1) from which derivatives are taken.
-POSITION_CHANGE, VELOCITY_CHANGE, TIME_CHANGE = 2e-6, 1e-6, 1e-5
 
 
 class RosenbrockWork(NamedTuple):
     """A step's arrays for ``D = N + M + w`` entries of the state: ``N = 6 + joints`` positions,
     ``M = N + e`` velocities and inner states, ``w`` works.
-
-    system : int64
-        Struct of the system.
-    A, b, c, C, d, gamma
-        Of the tableau; ``gamma`` (1,).
-    z, z_new, z_stage, base, k, gains, own
-        Of :class:`multiarm.integration.stepper.Step`; ``k[0]`` holds the first slope on entry.
-    slope, other, time_slope : (D,)
-        First slope, scratch, derivative with respect to time.
-    by_position : (M + w, N), by_velocity : (M + w, M)
-        Derivatives of the accelerations, inner rates and, last, of the powers.
-    turned : (M, N)
-        ``J_p R``.
-    matrix : (M, M), pivots : int64 (M,)
-        Factors of the linear system.
     """
 
-    system: Ints1
-    A: Floats2
-    b: Floats1
-    c: Floats1
-    C: Floats2
-    d: Floats1
-    gamma: Floats1
-    z: Floats1
-    z_new: Floats1
-    z_stage: Floats1
-    base: Floats1
-    k: Floats2
-    gains: Floats1
-    own: Ints1
-    slope: Floats1
-    other: Floats1
-    time_slope: Floats1
-    by_position: Floats2
-    by_velocity: Floats2
-    turned: Floats2
-    matrix: Floats2
-    pivots: Ints1
+    system: Ints1  # struct of the system
+    slope: Floats1  # (D,), the first slope
+    other: Floats1  # (D,), scratch
+    time_slope: Floats1  # (D,), derivative with respect to time
+    # derivatives of the accelerations, inner rates and, last, of the powers
+    by_position: Floats2  # (M + w, N)
+    by_velocity: Floats2  # (M + w, M)
+    turned: Floats2  # (M, N), J_p R
+    # factors of the linear system
+    matrix: Floats2  # (M, M)
+    pivots: Ints1  # (M,)
 
 
-def make_rosenbrock(
-    tableau: Tableau, method: Method, step: Step, joints: int, system_struct: np.ndarray
-) -> RosenbrockWork:
+def make_rosenbrock(data: Data, step: Step) -> RosenbrockWork:
     """Allocate the arrays of a Rosenbrock method's steps."""
-    size, n = step.z.size, 6 + joints
+    size, n = step.z.size, 6 + data.model.layout.joints
     m = step.tolerance.size - n
     return RosenbrockWork(
-        system=system_struct,
-        A=method.A,
-        b=method.b,
-        c=method.c,
-        C=np.ascontiguousarray(tableau.C),
-        d=np.ascontiguousarray(tableau.d),
-        gamma=np.array([tableau.gamma]),
-        z=step.z,
-        z_new=step.z_new,
-        z_stage=step.z_stage,
-        base=step.base,
-        k=step.k,
-        gains=step.gains,
-        own=step.own,
+        system=data.struct,
         slope=np.zeros(size),
         other=np.zeros(size),
         time_slope=np.zeros(size),
@@ -131,92 +80,100 @@ def make_rosenbrock(
     )
 
 
-_open = view(RosenbrockWork)
+_view_work = view(RosenbrockWork, IMPLICIT_WORK)
 
 
 @cfunc
 def rosenbrock_step(address, size, t, h):
-    """All stages of a step of length ``h`` from time ``t``, then ``z_new``; returns a status."""
-    work = _open(struct_at(address, size))
-    copy(work.k[0], work.slope)
-    work.own[OWN_EVALUATIONS] = 0
-    status = differentiate(work, t, h)
+    """All stages of a step of length ``h`` from time ``t``, then ``z_new``; returns a status.
+
+    ``step.k[0]`` holds the first slope.
+    """
+    struct = struct_at(address, size)
+    method, step = open_step(struct)
+    work = _view_work(struct)
+    copy(step.k[0], work.slope)
+    step.implicit.evaluations = 0
+    status = differentiate(step, work, t, h)
     if status != OK:
         return status
-    if not factor(work, h):
+    if not factor(method, step, work, h):
         return NOT_FINITE
-    for i in range(work.b.size):
+    for i in range(method.stages):
         copy(work.slope, work.other)
         if i > 0:
-            combine(work, work.A[i], i, h, work.z_stage)
-            status = slope_at(work, t + work.c[i] * h, work.z_stage, work.other)
+            combine(step, method.A[i], i, h, step.z_stage)
+            status = slope_at(step, work, t + method.c[i] * h, step.z_stage, work.other)
             if status != OK:
                 return status
         for j in range(i):
-            factor_of = work.C[i, j]
+            weight = method.C[i, j]
             for l in range(work.other.size):  # noqa: E741
-                work.other[l] += factor_of * work.k[j, l]
+                work.other[l] += weight * step.k[j, l]
         for l in range(work.other.size):  # noqa: E741
-            work.other[l] += h * work.d[i] * work.time_slope[l]
-        solve_stage(work, h, work.other, work.k[i])
-    combine(work, work.b, work.b.size, h, work.z_new)
+            work.other[l] += h * method.d[i] * work.time_slope[l]
+        solve_stage(method, step, work, h, work.other, step.k[i])
+    combine(step, method.b, method.stages, h, step.z_new)
     return OK
 
 
 @kernel
-def slope_at(work, t, z, slope):
+def slope_at(step, work, t, z, slope):
     """Evaluate, and count it."""
-    work.own[OWN_EVALUATIONS] += 1
-    return evaluate_slope(work.system, t, z, work.base, work.gains[0], work.gains[1], slope)
+    implicit = step.implicit
+    implicit.evaluations += 1
+    return evaluate_slope(work.system, t, z, step.base, implicit.alpha, implicit.beta, slope)
 
 
 @kernel
-def differentiate(work, t, h):
+def differentiate(step, work, t, h):
     """Derivatives at the beginning of the step; returns a status."""
-    z, n, other, before = work.z_stage, work.by_position.shape[1], work.other, work.time_slope
+    # changes of a position [m, rad] and of a velocity, relative to the fastest one or to 1
+    position_change, velocity_change = 2e-6, 1e-6
+    z, n, other, below = step.z_stage, work.by_position.shape[1], work.other, work.time_slope
     m, rows = work.matrix.shape[0], work.by_position.shape[0]
     fastest = 1.0
     for i in range(m):
-        fastest = max(fastest, abs(work.z[n + i]))
-    change = VELOCITY_CHANGE * fastest
-    copy(work.z, z)
+        fastest = max(fastest, abs(step.z[n + i]))
+    velocity_change *= fastest
+    copy(step.z, z)
     for j in range(n):
-        z[j] = work.z[j] - POSITION_CHANGE
-        status = slope_at(work, t, z, before)
+        z[j] = step.z[j] - position_change
+        status = slope_at(step, work, t, z, below)
         if status != OK:
             return status
-        z[j] = work.z[j] + POSITION_CHANGE
-        status = slope_at(work, t, z, other)
+        z[j] = step.z[j] + position_change
+        status = slope_at(step, work, t, z, other)
         if status != OK:
             return status
-        z[j] = work.z[j]
+        z[j] = step.z[j]
         for i in range(rows):
-            work.by_position[i, j] = (other[n + i] - before[n + i]) / (2.0 * POSITION_CHANGE)
+            work.by_position[i, j] = (other[n + i] - below[n + i]) / (2.0 * position_change)
     for j in range(m):
-        z[n + j] = work.z[n + j] + change
-        status = slope_at(work, t, z, other)
+        z[n + j] = step.z[n + j] + velocity_change
+        status = slope_at(step, work, t, z, other)
         if status != OK:
             return status
-        z[n + j] = work.z[n + j]
+        z[n + j] = step.z[n + j]
         for i in range(rows):
-            work.by_velocity[i, j] = (other[n + i] - work.slope[n + i]) / change
-    return differentiate_by_time(work, t, h)
+            work.by_velocity[i, j] = (other[n + i] - work.slope[n + i]) / velocity_change
+    return differentiate_by_time(step, work, t, h)
 
 
 @kernel
-def differentiate_by_time(work, t, h):
+def differentiate_by_time(step, work, t, h):
     """``f_t`` from two later times, inside the step: its beginning may be a kink."""
     model, _, _ = open_system(work.system)
     rate, other = work.time_slope, work.other
     clear(rate)
     if model.control.shape[0] == 0 and model.effects.shape[0] == 0:
         return OK
-    change = TIME_CHANGE * min(h, 1.0)
-    status = slope_at(work, t + 2.0 * change, work.z, other)
+    change = 1e-5 * min(h, 1.0)  # [s]
+    status = slope_at(step, work, t + 2.0 * change, step.z, other)
     if status != OK:
         return status
     copy(other, rate)
-    status = slope_at(work, t + change, work.z, other)
+    status = slope_at(step, work, t + change, step.z, other)
     if status != OK:
         return status
     for i in range(rate.size):
@@ -225,14 +182,14 @@ def differentiate_by_time(work, t, h):
 
 
 @kernel
-def factor(work, h):
+def factor(method, step, work, h):
     """Factors of the linear system; returns whether they can be used."""
-    n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / work.gamma[0]
+    n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / method.gamma
     for i in range(m):
         row = work.turned[i]
         for j in range(n):
             row[j] = work.by_position[i, j] / a
-        turn(a, -0.5 * h, work.z[n + 3 : n + 6], work.by_position[i, 3:6], row[3:6])
+        turn(a, -0.5 * h, step.z[n + 3 : n + 6], work.by_position[i, 3:6], row[3:6])
         for j in range(m):
             work.matrix[i, j] = -h * work.by_velocity[i, j]
         for j in range(n):
@@ -254,9 +211,9 @@ def turn(a, half, omega, vector, out):
 
 
 @kernel
-def solve_stage(work, h, right, out):
-    """Solve the stage's system for the right-hand side ``right``, which is spent."""
-    n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / work.gamma[0]
+def solve_stage(method, step, work, h, right, out):
+    """Solve the stage's system for the right-hand side ``right``, which is overwritten."""
+    n, m, a = work.by_position.shape[1], work.matrix.shape[0], 1.0 / method.gamma
     velocity = out[n : n + m]
     for i in range(m):
         s = right[n + i]
@@ -267,7 +224,7 @@ def solve_stage(work, h, right, out):
     for i in range(n):
         right[i] += h * velocity[i]
         out[i] = right[i] / a
-    turn(a, 0.5 * h, work.z[n + 3 : n + 6], right[3:6], out[3:6])
+    turn(a, 0.5 * h, step.z[n + 3 : n + 6], right[3:6], out[3:6])
     for i in range(m, work.by_position.shape[0]):
         s = right[n + i]
         for j in range(n):

@@ -11,13 +11,14 @@ with :math:`\dot\theta` from :func:`multiarm.spatial.write_chart_rate`.  Runge-K
 their order and their dense output in it (H. Munthe-Kaas, BIT 38, 1998); after the step the rotation
 goes into the full quaternion and the next chart begins at :math:`\theta = 0`.
 
-*inner* are the states of effects that have their own.  The last entries are the work of each effect
-and of control and effects together: quadratures carried along for the energy balance, not part of
-the error norm.
+*inner* are the states of effects.  The last entries are the work of each effect, and of control and
+effects together: quadratures for the energy balance, which take no part in the error norm.
 
-Explicit methods are carried out here.  Other methods are entries of their own, compiled when they
-are first used (:mod:`multiarm.integration.rosenbrock`, :mod:`multiarm.integration.variational`);
-``Step.own`` says where.
+Explicit methods are carried out here.  Implicit methods have compiled steps of their own
+(:mod:`multiarm.integration.rosenbrock`, :mod:`multiarm.integration.variational`), which
+``Step.implicit`` names; they are compiled when they are first used.
+
+*Dense output* is the state between the ends of a step, in the step's chart.
 """
 
 from __future__ import annotations
@@ -31,21 +32,15 @@ from multiarm.dynamics.arrays import NOT_FINITE, OK, open_data, open_system
 from multiarm.dynamics.equations import finite
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import project
-from multiarm.integration.tableaus import EXPLICIT, SEMI_IMPLICIT, Tableau
 from multiarm.jit.kernels import clear, copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
-from multiarm.jit.structs import Float, Floats1, Floats2, Int, Ints1, struct_at, struct_of, view
+from multiarm.jit.structs import Float, Floats1, Floats2, Int, Numbers, view
 from multiarm.spatial import retract_into, write_chart_rate
-
-# Rows that dense output needs at the most (DOP853: 7 coefficients).
-_DENSE_ROWS = 7
-
-# Entries of Step.own.
-OWN_STEP, OWN_STRUCT, OWN_SIZE, OWN_EVALUATIONS = range(4)
+from multiarm.tableaus import EXPLICIT, HERMITE, POLYNOMIAL, QUARTIC, SEMI_IMPLICIT, Tableau
 
 
 class Method(NamedTuple):
-    """A tableau as the kernels see it; see :class:`multiarm.integration.tableaus.Tableau`."""
+    """A tableau as the kernels see it; see :class:`multiarm.tableaus.Tableau`."""
 
     order: Int
     error_order: Int
@@ -53,106 +48,105 @@ class Method(NamedTuple):
     kind: Int
     stability: Float
     dense_kind: Int
+    gamma: Float
     A: Floats2
     b: Floats1
     c: Floats1
     error: Floats2
     dense: Floats2
+    C: Floats2
+    d: Floats1
+
+
+class ImplicitStep(Numbers):
+    """The step of a method that is not explicit."""
+
+    function: Int  # address of the compiled step; 0 for an explicit method
+    # gains of the feedback during the step [1/s]
+    alpha: Float
+    beta: Float
+    evaluations: Int  # that the last step took
 
 
 class Step(NamedTuple):
-    """Arrays of one step for ``n`` joints, ``D = 12 + 2 n + e + w``.
+    """Arrays of one step for ``n`` joints, ``D = 12 + 2 n + e + w``."""
 
-    z, z_new, z_stage : (D,)
-        State at the beginning, at the end (before projection), at a stage.
-    z_next : (D,), base_next : (4,)
-        State (after projection) and chart in which the next step begins.
-    base, base_old : (4,)
-        Quaternions of the chart now and of the step before.
-    k : (slopes, D)
-        Slopes of the stages, at the end, and of the dense output's further stages.
-    slope, slope_next : (D,)
-        Slope at the beginning of this step and of the next one, each in its own chart.
-    dense : (7, D), z_old : (D,)
-        Dense output of the step before.
-    tolerance : (D - w,)
-        Largest accepted error estimate of one step, of every entry but the works.
-    gains : (2,)
-        Feedback gains of the step at hand [1/s].
-    own : int64 (4,)
-        Of a method that is not explicit: its entry, address and size of its struct, and the
-        evaluations that its last step took.  All 0 for explicit ones.
-    """
-
+    # state at the beginning, at the end before projection, at a stage, after projection: (D,)
     z: Floats1
     z_new: Floats1
     z_stage: Floats1
     z_next: Floats1
+    # quaternions of the chart: of this step, of the next one, of the last one
     base: Floats1
     base_next: Floats1
     base_old: Floats1
-    k: Floats2
+    k: Floats2  # (slopes, D), of the stages, of the end, of further stages of the dense output
+    # slope at the beginning of this step and of the next one, each in its own chart: (D,)
     slope: Floats1
     slope_next: Floats1
+    # dense output of the last step, (7, D), and the state at its beginning
     dense: Floats2
     z_old: Floats1
-    tolerance: Floats1
-    gains: Floats1
-    own: Ints1
+    tolerance: Floats1  # (D - w,), largest accepted error estimate of one step, without the works
+    implicit: ImplicitStep
 
 
 def make_method(tableau: Tableau) -> Method:
     """The tableau in the kernels' form (all methods have the same types: nothing recompiles)."""
+
+    def matrix(rows: tuple) -> np.ndarray:
+        return np.array(rows, dtype=float) if rows else np.zeros((0, 0))
+
     return Method(
         order=tableau.order,
         error_order=tableau.error_order,
-        stages=tableau.b.size,
+        stages=len(tableau.b),
         kind=tableau.kind,
-        stability=float(tableau.stability),
+        stability=tableau.stability,
         dense_kind=tableau.dense_kind,
-        A=np.ascontiguousarray(tableau.A),
-        b=np.ascontiguousarray(tableau.b),
-        c=np.ascontiguousarray(tableau.c),
-        error=np.ascontiguousarray(tableau.error),
-        dense=np.ascontiguousarray(tableau.dense),
+        gamma=tableau.gamma,
+        A=matrix(tableau.A),
+        b=np.array(tableau.b),
+        c=np.array(tableau.c),
+        error=matrix(tableau.error),
+        dense=matrix(tableau.dense),
+        C=matrix(tableau.C),
+        d=np.array(tableau.d),
     )
 
 
 def make_step(tableau: Tableau, joints: int, states: int = 0, works: int = 1) -> Step:
     """Allocate for a method, a number of joints, of effects' own states and of works."""
     size = 12 + 2 * joints + states + works
-    slopes = max(tableau.b.size + 1, tableau.A.shape[0])
+    slopes = max(len(tableau.b) + 1, len(tableau.A))
+    upright = np.array([0.0, 0.0, 0.0, 1.0])
     return Step(
         z=np.zeros(size),
         z_new=np.zeros(size),
         z_stage=np.zeros(size),
         z_next=np.zeros(size),
-        base=np.array([0.0, 0.0, 0.0, 1.0]),
-        base_next=np.array([0.0, 0.0, 0.0, 1.0]),
-        base_old=np.array([0.0, 0.0, 0.0, 1.0]),
+        base=upright,
+        base_next=upright.copy(),
+        base_old=upright.copy(),
         k=np.zeros((slopes, size)),
         slope=np.zeros(size),
         slope_next=np.zeros(size),
-        dense=np.zeros((_DENSE_ROWS, size)),
+        dense=np.zeros((7, size)),  # DOP853 needs the most
         z_old=np.zeros(size),
         tolerance=np.ones(size - works),
-        gains=np.zeros(2),
-        own=np.zeros(4, dtype=np.int64),
+        implicit=ImplicitStep(),
     )
 
 
-_open_method, _open_arrays = view(Method), view(Step, len(Method._fields))
-
-
-def step_struct(method: Method, step: Step) -> np.ndarray:
-    """Struct of a method and its step; :func:`open_step` is its inverse."""
-    return struct_of(method, step)
+_view_method, _view_step = view(Method), view(Step, len(Method._fields))
+# Where the arrays of an implicit method stand in the struct: after the method and the step.
+IMPLICIT_WORK = len(Method._fields) + len(Step._fields)
 
 
 @inlined
 def open_step(struct):
-    """Views ``method, step`` of a step's struct."""
-    return _open_method(struct), _open_arrays(struct)
+    """Views ``method, step`` of ``struct_of(method, step)`` and of longer structs."""
+    return _view_method(struct), _view_step(struct)
 
 
 @inlined
@@ -219,10 +213,10 @@ def write_slope(z, data, slope):
 def evaluate_slope(struct, t, z, base, alpha, beta, slope):
     """Rate of ``z`` at time ``t`` of the system with this struct; returns a status.
 
-    Later times than ``data.time.latest`` count as that: a step that ends where something jumps does
-    not see what comes after.
-    With ``data.stage_gap`` not negative it is the rate at the projection of ``z``: the same on
-    the constraints, and smooth where they lose rank, since ``z`` beside them would be driven away.
+    Times after ``data.time.latest`` are replaced by it: a step that ends at a discontinuity must
+    not see what follows.  With ``data.status.stage_gap`` not negative, the rate is that at the
+    projection of ``z`` onto the constraints: the same on the constraints, and smooth where they
+    lose rank, while the rate off them would drive ``z`` away.
     """
     if not finite(z):
         return NOT_FINITE
@@ -264,16 +258,16 @@ def weighted_slopes(step, weights, count, h, out):
 
 
 @kernel
-def run_stages(struct, joints, method, step, t, h, alpha, beta):
+def run_stages(struct, arrays, t, h, alpha, beta):
     """Stages 1.. of a step whose first slope is known, then ``z_new``; returns a status."""
+    method, step = open_step(arrays)
     if method.kind == SEMI_IMPLICIT:
-        semi_implicit_euler(step, h, joints)
+        semi_implicit_euler(step, h, open_data(struct).angles.size)
         return OK
     if method.kind != EXPLICIT:
-        step.gains[0], step.gains[1] = alpha, beta
-        return call_cfunc(
-            step.own[OWN_STEP], struct_at(step.own[OWN_STRUCT], step.own[OWN_SIZE]), t, h
-        )
+        step.implicit.alpha = alpha
+        step.implicit.beta = beta
+        return call_cfunc(step.implicit.function, arrays, t, h)
     for i in range(1, method.stages):
         combine(step, method.A[i], i, h, step.z_stage)
         status = evaluate_slope(
@@ -319,3 +313,62 @@ def error_estimate(method, step, h, floor):
     if method.error.shape[0] == 1 or first == 0.0:
         return first
     return first * first / math.sqrt(first * first + 0.01 * second * second)
+
+
+@kernel
+def prepare_dense(struct, method, step, t, h, alpha, beta):
+    """Coefficients of the dense output of the last step, whose end slope is ``k[stages]``."""
+    z, new, k, dense = step.z, step.z_new, step.k, step.dense
+    copy(z, step.z_old)
+    copy(step.base, step.base_old)
+    end = method.stages
+    if method.dense_kind == POLYNOMIAL:
+        for r in range(method.dense.shape[0]):
+            weighted_slopes(step, method.dense[r], end + 1, h, dense[r])
+        return OK
+    if method.dense_kind == QUARTIC:
+        for i in range(z.size):
+            dense[0, i] = new[i] - z[i]
+        for r in range(3):
+            weighted_slopes(step, method.dense[r], end, h, dense[1 + r])
+        return OK
+    for i in range(z.size):
+        delta = new[i] - z[i]
+        dense[0, i] = delta
+        dense[1, i] = h * k[0, i] - delta
+        dense[2, i] = 2.0 * delta - h * (k[end, i] + k[0, i])
+    if method.dense_kind == HERMITE:
+        return OK
+    for s in range(end + 1, method.A.shape[0]):
+        combine(step, method.A[s], s, h, step.z_stage)
+        status = evaluate_slope(
+            struct, t + method.c[s] * h, step.z_stage, step.base, alpha, beta, k[s]
+        )
+        if status != OK:
+            return status
+    for r in range(method.dense.shape[0]):
+        weighted_slopes(step, method.dense[r], k.shape[0], h, dense[3 + r])
+    return OK
+
+
+@kernel
+def interpolate(method, step, theta, out):
+    """State at the fraction ``theta`` of the last step, in its chart (``base_old``)."""
+    dense = step.dense
+    clear(out)
+    if method.dense_kind == POLYNOMIAL:
+        for r in range(method.dense.shape[0] - 1, -1, -1):
+            for i in range(out.size):
+                out[i] = theta * (out[i] + dense[r, i])
+    elif method.dense_kind == QUARTIC:
+        for i in range(out.size):
+            bend = dense[1, i] + theta * (dense[2, i] + theta * dense[3, i])
+            out[i] = theta * (dense[0, i] + (1.0 - theta) * bend)
+    else:
+        rows = 3 if method.dense_kind == HERMITE else 3 + method.dense.shape[0]
+        for count in range(rows):
+            factor = theta if count % 2 == 0 else 1.0 - theta
+            for i in range(out.size):
+                out[i] = factor * (out[i] + dense[rows - 1 - count, i])
+    for i in range(out.size):
+        out[i] += step.z_old[i]

@@ -15,11 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from multiarm.plots.decimation import POINTS, decimate
 from multiarm.plots.event_marks import LEGEND_ROW, EventMarks
 from multiarm.plots.panels import sheet
 from multiarm.plots.style import GRID, STYLE
 from multiarm.results.channels import CONTACT_STATES, channels_of
-from multiarm.results.decimation import POINTS, decimate
 from multiarm.results.event_log import STATE_COLOURS
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from multiarm.plots.decimation import POINTS, RotationSinceStart, decimate
 from multiarm.plots.panels import Panel, draw
 from multiarm.plots.style import AXIS_COLOURS, ROLES, family
 from multiarm.results.channels import Channel, channels_of
-from multiarm.results.decimation import POINTS, RotationSinceStart, decimate
 from multiarm.results.event_log import Event
 
 if TYPE_CHECKING:

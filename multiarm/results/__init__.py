@@ -1,1 +1,1 @@
-"""What a run leaves: trajectories, channels, files."""
+"""Results: trajectories in memory and in files, and the events of a run."""

@@ -1,18 +1,18 @@
-"""What a run records: named channels, each an array over the samples.
+"""Channels: the recorded quantities of a run, each an array over the samples.
 
-A channel is one physical quantity sampled K times: `object/position` is (K, 3) metres in
-world axes, `arms/left/joint_torque` is (K, nv). A `Channel` says what its numbers mean (unit,
-frame, description, a label per column), so that a file can be read without this program.
+A channel is one physical quantity sampled K times: `object/position` is (K, 3) metres in world
+axes, `arms/left/joint_torque` is (K, nv). A `Channel` describes its numbers (unit, frame,
+description, a label per column), so that a file can be read without this program.
 
-A run produces its samples as rows of numbers, shape (K, width). Columns tell which numbers of a row
-are which channel, so that rows are split into channels only when one is read.
+A run produces its samples as rows of numbers, shape (K, width). Columns are the places of the
+channels in a row, so that rows are split into channels only when one is read.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -22,38 +22,22 @@ from multiarm.errors import TrajectoryError
 Columns = dict[str, slice]
 """Channel -> its numbers in a row."""
 FLOOR = "floor"
-"""Stands for the arm where contacts are the object's own, with its surroundings."""
+"""In place of an arm: contacts of the object with its surroundings."""
 CONTACT_STATES = ("open", "touching", "sliding", "sticking", "resting")
-"""Of a contact, by its code in a channel; resting: it touches, and other contacts carry."""
+"""Of a contact, by its code in a channel; resting: it touches, but other contacts carry."""
 OPEN, TOUCHING, SLIDING, STICKING, RESTING = range(len(CONTACT_STATES))
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One recorded quantity.
+    """One recorded quantity."""
 
-    Parameters
-    ----------
-    name : str
-        Path such as `object/position` or `arms/left/contact_force`.
-    shape : tuple of int
-        Shape of one sample: `()` for a scalar, `(6,)` for a twist.
-    unit : str
-        One unit for all columns, or one per column separated by `, `.
-    frame : str
-        Axes in which the numbers are given; empty for a scalar.
-    description : str
-        What the number is, with its sign.
-    labels : tuple of str
-        One label per column; empty for a scalar.
-    """
-
-    name: str
-    shape: tuple[int, ...] = ()
-    unit: str = "1"
-    frame: str = ""
-    description: str = ""
-    labels: tuple[str, ...] = field(default=())
+    name: str  # path such as `object/position` or `arms/left/contact_force`
+    shape: tuple[int, ...] = ()  # of one sample: `()` for a scalar, `(6,)` for a twist
+    unit: str = "1"  # of all columns, or one per column separated by `, `
+    frame: str = ""  # axes of the numbers; empty for a scalar
+    description: str = ""  # with the sign
+    labels: tuple[str, ...] = ()  # one per column; empty for a scalar
 
     def __post_init__(self) -> None:
         if any(part in ("", ".", "..") for part in self.name.split("/")):
@@ -122,7 +106,7 @@ def trajectory_channels(
     states: Mapping[str, Sequence[str]] | None = None,
     environment: Sequence[str] = (),
 ) -> tuple[Channel, ...]:
-    """The channels of a run.
+    """The channels of a run: time, then the object, the arms, the floor, effects, energy and drift.
 
     Parameters
     ----------
@@ -138,54 +122,56 @@ def trajectory_channels(
         Arm name, or ``"floor"`` -> names of its contacts that can open, slide or stick.
     environment : sequence of str
         Names of the rows of the object's contacts with the floor.
-
-    Returns
-    -------
-    tuple of Channel
-        Time first, then the object, the arms, the floor, effects, energy and drift.
     """
     free, states = free or {}, states or {}
-    channels = [Channel("time", (), "s", "", "time of the sample"), *_object_channels()]
-    for arm, units in joints.items():
-        channels += _arm_channels(arm, units)
-        channels += _contact_channels(
-            f"arms/{arm}", contacts[arm], states.get(arm, ()), "force at each contact"
-        )
-        channels += _free_channels(arm, free.get(arm, {}))
-    around = _contact_channels(
-        "environment", environment, states.get(FLOOR, ()), "force of the floor at each contact"
-    )
-    channels += [channel for channel in around if channel.labels]
-    channels += [
-        Channel(f"effects/{name}/work", (), "J", "", f"work done by {name} since the start")
-        for name in works
-    ]
-    return (*channels, *_scalar_channels())
-
-
-def _object_channels() -> list[Channel]:
     xyz = ("x", "y", "z")
-    twist = tuple(f"{kind}{axis}" for kind in ("v", "w") for axis in xyz)
-    twist_units = ", ".join(["m/s"] * 3 + ["rad/s"] * 3)
-    return [
+    channels = [
+        Channel("time", (), "s", "", "time of the sample"),
         Channel("object/position", (3,), "m", "world", "centre of mass of the object", xyz),
         Channel(
             "object/quaternion_xyzw", (4,), "1", "object axes in world axes",
             "orientation of the object, unit quaternion, scalar last", (*xyz, "w"),
         ),
         Channel(
-            "object/twist", (6,), twist_units, "world",
-            "velocity of the object's centre of mass, then its angular velocity", twist,
+            "object/twist", (6,), ", ".join(["m/s"] * 3 + ["rad/s"] * 3), "world",
+            "velocity of the object's centre of mass, then its angular velocity",
+            ("vx", "vy", "vz", "wx", "wy", "wz"),
         ),
     ]  # fmt: skip
+    for arm, units in joints.items():
+        channels += _arm_channels(f"arms/{arm}", units)
+        channels += _contact_channels(
+            f"arms/{arm}", contacts[arm], states.get(arm, ()), "force at each contact"
+        )
+        if free.get(arm):
+            channels += _free_channels(f"arms/{arm}", free[arm])
+    if environment:
+        channels += _contact_channels(
+            "environment", environment, states.get(FLOOR, ()), "force of the floor at each contact"
+        )
+    scalars = [
+        *((f"effects/{name}/work", "J", f"work done by {name} since the start") for name in works),
+        ("energy/kinetic", "J", "kinetic energy of the arms and the object"),
+        ("energy/potential", "J", "potential energy in the field of gravity"),
+        ("energy/work", "J", "work done by control and effects since the start"),
+        ("drift/position", "m", "largest gap of a contact, max |phi|"),
+        ("drift/velocity", "m/s", "largest rate of a gap, max |W^T v|"),
+        ("solver/rank", "1", "independent constraints"),
+        ("solver/coupled_arms", "1", "arms that were solved in the coupled system"),
+        (
+            "solver/residual", "1",
+            "largest relative residual of the constraints or of the object's motion",
+        ),
+    ]  # fmt: skip
+    channels += [Channel(name, (), unit, "", text) for name, unit, text in scalars]
+    return tuple(channels)
 
 
-def _arm_channels(arm: str, units: Mapping[str, str]) -> list[Channel]:
-    joints, n = tuple(units), (len(units),)
+def _arm_channels(path: str, units: Mapping[str, str]) -> list[Channel]:
+    joints, n, order = tuple(units), (len(units),), "joints, base to tip"
     positions = ", ".join(units.values())
     velocities = ", ".join(f"{unit}/s" for unit in units.values())
     torques = ", ".join("N" if unit == "m" else "N m" for unit in units.values())
-    path, order = f"arms/{arm}", "joints, base to tip"
     return [
         Channel(f"{path}/joint_position", n, positions, order, "joint coordinate", joints),
         Channel(f"{path}/joint_velocity", n, velocities, order, "joint velocity", joints),
@@ -213,11 +199,8 @@ def _contact_channels(
     return channels
 
 
-def _free_channels(arm: str, free: Mapping[str, str]) -> list[Channel]:
-    if not free:
-        return []
-    labels, n, path = tuple(free), (len(free),), f"arms/{arm}"
-    frame = "joint frame on the object"
+def _free_channels(path: str, free: Mapping[str, str]) -> list[Channel]:
+    labels, n, frame = tuple(free), (len(free),), "joint frame on the object"
     return [
         Channel(
             f"{path}/relative_rate", n, ", ".join(f"{unit}/s" for unit in free.values()), frame,
@@ -227,21 +210,5 @@ def _free_channels(arm: str, free: Mapping[str, str]) -> list[Channel]:
             f"{path}/relative_position", n, ", ".join(free.values()), frame,
             "translation, and angle (several: rotation vector), of the arm's joint frame seen from "
             "the object's", labels,
-        ),
-    ]  # fmt: skip
-
-
-def _scalar_channels() -> list[Channel]:
-    return [
-        Channel("energy/kinetic", (), "J", "", "kinetic energy of the arms and the object"),
-        Channel("energy/potential", (), "J", "", "potential energy in the field of gravity"),
-        Channel("energy/work", (), "J", "", "work done by control and effects since the start"),
-        Channel("drift/position", (), "m", "", "largest gap of a contact, max |phi|"),
-        Channel("drift/velocity", (), "m/s", "", "largest rate of a gap, max |W^T v|"),
-        Channel("solver/rank", (), "1", "", "independent constraints"),
-        Channel("solver/coupled_arms", (), "1", "", "arms that were solved in the coupled system"),
-        Channel(
-            "solver/residual", (), "1", "",
-            "largest relative residual of the constraints or of the object's motion",
         ),
     ]  # fmt: skip

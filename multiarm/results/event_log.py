@@ -1,14 +1,14 @@
-"""What happened in a run: events, listed up to a number and counted beyond it, and their text.
+"""Events of a run: the first ones are listed, the others counted; their kinds and their text.
 
 An event of `Trajectory.events` is a dict with ``time`` [s], ``kind`` and ``text``, and, where they
 apply, ``arm`` ("floor" for the object's own contacts), ``contact`` or ``joint``, ``where`` (world
 [m]), ``before`` and ``after``: named numbers whose unit ends the name, as in ``gap_rate_m_s``, or
 words.
 
-A run that chatters makes events without end: `EventLog` lists the first of them and counts the
-rest by kind, so that neither a result nor its message grows with them. Readers see kinds of one
-family alike in figures and replays, and a contact that bounces a hundred times as one group: events
-of the same contact or joint whose kinds repeat.
+A run that chatters makes very many events: `EventLog` lists the first ones and counts the rest by
+kind, so that neither a result nor its message grows with them. Figures and replays show kinds of
+one family alike, and a contact that bounces a hundred times as one group: events of the same
+contact or joint whose kinds repeat.
 """
 
 from __future__ import annotations
@@ -21,16 +21,10 @@ from typing import Any
 
 Event = dict[str, Any]
 START = "start"
-"""Kind of the remarks on how a run was prepared; nothing happens then."""
+"""Kind of the remarks on how a run was prepared; they are no events of the motion."""
 MOST_LISTED = 1000
 """Events listed in a result; more are counted."""
-NAMED = 3
-"""Contacts, arms or kinds named in one part of a message."""
-LEAST_ROOM = 60
-"""Characters that a message has for what happened, at least."""
-GROUPED = 4
-"""From so many on, events that repeat are one group."""
-# What kinds of events mean for the run as a whole.
+# Kinds of events that the result's message mentions, and how.
 _MEANINGS = {
     "pulls": "contacts that can only push were pulled, where real ones would come apart",
     "leaves its patch": "contact points left the patch of their surface",
@@ -130,14 +124,14 @@ class EventLog:
         self.dropped[kind, arm] += count
 
     def all(self) -> list[Event]:
-        """Events in order of time, then one that says how many are not listed."""
+        """Events in order of time; the last one states how many more there were."""
         events = sorted(self.listed, key=lambda event: event["time"])
         if self.dropped:
             events.append({"time": self._span[1], "kind": "not listed", "text": self._rest()})
         return events
 
     def summary(self, room: int) -> str:
-        """What the message of the result must say, in ``room`` characters; empty if nothing."""
+        """Text for the result's message, of up to ``room`` characters; empty if it needs none."""
         parts = [f"; {self._rest()}"] if self.dropped else []
         for kind, meaning in _MEANINGS.items():
             first: dict[str, float] = {}
@@ -149,7 +143,7 @@ class EventLog:
                 parts.append(f"; {meaning}: {_some(names)}")
         if not parts:
             return ""
-        return shorten("".join(parts), max(room, LEAST_ROOM), placeholder=" ... (see `events`)")
+        return shorten("".join(parts), max(room, 60), placeholder=" ... (see `events`)")
 
     def _rest(self) -> str:
         """The events that are not listed, in words."""
@@ -170,12 +164,12 @@ def family_of(kind: str) -> Family:
 
 
 def timed(events: Iterable[Event]) -> list[Event]:
-    """Those of a run's events that happened at a time and are more than remarks on its start."""
+    """The events of the motion: with a time, and no remarks on the start."""
     return [event for event in events if _is_complete(event) and event["kind"] != START]
 
 
 def who(event: Event) -> str:
-    """Whose event it is: ``left: fingertip_2``, ``floor: corner_1``, an arm, or nothing."""
+    """Where the event happened: ``left: fingertip_2``, ``floor: corner_1``, an arm, or empty."""
     part = event.get("contact", event.get("joint"))
     return ": ".join(str(name) for name in (event.get("arm"), part) if name is not None)
 
@@ -190,7 +184,7 @@ def what(event: Event) -> str:
 
 
 def change(event: Event) -> str:
-    """Before and after in words: ``gap rate -0.31 → 0.22 m/s, impulse 1.2 N s``."""
+    """Before and after as text: ``gap rate -0.31 → 0.22 m/s, impulse 1.2 N s``."""
     before, after = (_named(event.get(key)) for key in ("before", "after"))
     parts = []
     for key in dict.fromkeys([*before, *after]):
@@ -277,7 +271,7 @@ def _repeating(events: Sequence[Event], places: Sequence[int]) -> list[list[int]
         end = begin + 2
         while end < len(places) and kinds[end] == kinds[end - 2]:
             end += 1
-        if min(end, len(places)) - begin < GROUPED:
+        if min(end, len(places)) - begin < 4:
             end = begin + 1
         parts.append(list(places[begin:end]))
         begin = end
@@ -285,8 +279,9 @@ def _repeating(events: Sequence[Event], places: Sequence[int]) -> list[list[int]
 
 
 def _some(names: Sequence[str]) -> str:
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return f"{', '.join(names[:NAMED])}{more}"
+    """The first three names, and how many more there are."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"{', '.join(names[:3])}{more}"
 
 
 def _is_complete(event: Event) -> bool:

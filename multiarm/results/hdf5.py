@@ -3,15 +3,15 @@
 A writer creates all datasets first and then enters HDF5's single-writer-multiple-reader mode. From
 then on datasets only grow, and HDF5 writes data before the index that points to them. The index
 never crosses a page of the file, so that the operating system cannot leave half of an entry. What
-counts is said by a small dataset `progress`, which is written last.
+counts is in a small dataset `progress`, which is written last.
 
 A file is created under a temporary name and moved to its place when it is ready to grow: an older
 file there survives until then, and programs that still read it keep their data.
 
-While a writer is at work a flag is up in the first 48 bytes of the file, the superblock. HDF5 then
-either refuses the file or waits, for ever, for incomplete entries to be completed. After a kill the
-flag stays. `_Unclosed` presents such a file with the flag down and its true length filled in: what
-the tool `h5clear` does to a file, without changing it.
+While a file is written, a flag is set in its first 48 bytes, the superblock. HDF5 then refuses
+the file, or waits forever for incomplete entries. After a kill the flag stays set. `_Unclosed`
+presents such a file with the flag cleared and its true length: what the tool `h5clear` writes into
+a file, without changing it.
 
     superblock, version 3:   0 signature   8 version   11 flags   28 end of file   44 checksum
 
@@ -37,24 +37,19 @@ from multiarm.errors import MultiarmError
 from multiarm.results.files import atomic_file
 
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError)
-"""What h5py raises for a file that is not as expected."""
+"""Exceptions of h5py for a damaged file."""
 PIECE_BYTES = 120
 PIECE = f"S{PIECE_BYTES}"
 """Type of a piece of text, a line in `h5dump`: HDF5 cannot append to one long text."""
-ATTEMPTS, PAUSE = 4, 0.1
-"""To open a file that may change while it is read; seconds in between."""
-PAGE_BYTES = 4096
-CACHE_BYTES = 1 << 18
-"""Written samples that HDF5 keeps in memory, per dataset: a few chunks, however long the run."""
 
 _UNCLOSABLE: list[GrowingFile] = []
 """Files with a failed write, kept until the program ends: HDF5 crashes on closing one."""
 
 
 class StoredFile:
-    """A file that is open for reading: complete, still being written, or left by a kill.
+    """A file open for reading: complete, still being written, or left by a killed writer.
 
-    Subclasses name their format and read what they need in :meth:`load`.
+    Subclasses name their format and read their contents in :meth:`load`.
 
     Raises
     ------
@@ -66,7 +61,7 @@ class StoredFile:
     format, version : str, int
         Attribute `format` of the file, and the newest `format_version` that this program reads.
     noun, origin, remedy : str
-        What it is, where such files come from, what to do about a damaged one.
+        For messages: the kind of file, where it comes from, what to do about a damaged one.
     error : type
         Of the errors that are raised.
     """
@@ -82,17 +77,18 @@ class StoredFile:
     def __init__(self, path: Path):
         self.path = path
         self._size: int | None = None
-        for attempt in range(1, ATTEMPTS + 1):
+        attempts = 4
+        for attempt in range(1, attempts + 1):
             try:
                 self._open()
                 return
             except self.error:  # a file that is being written changes while it is read
-                if attempt == ATTEMPTS or not (path.is_file() and _is_unclosed(path)):
+                if attempt == attempts or not (path.is_file() and _is_unclosed(path)):
                     raise
-                time.sleep(PAUSE)
+                time.sleep(0.1)
 
     def load(self) -> None:
-        """Read what is needed of the open file, after :meth:`require` for each dataset."""
+        """Read the contents of the open file, after :meth:`require` for each dataset."""
         raise NotImplementedError
 
     def require(self, name: str, rows: int = 0) -> None:
@@ -101,12 +97,12 @@ class StoredFile:
         HDF5 reads zeros past the end of a file that was not closed.
         """
         if self._size is not None and not _stored_within(self.file[name], rows, self._size):
-            raise OSError("data behind the end of the file")
+            raise OSError("data beyond the end of the file")
 
     @classmethod
     @contextmanager
     def reading(cls, path: Path) -> Iterator[None]:
-        """Turn what HDF5 raises while reading into a message."""
+        """Turn exceptions of HDF5 while reading into messages."""
         try:
             yield
         except HDF5_ERRORS as error:
@@ -142,12 +138,12 @@ class StoredFile:
 
     @classmethod
     def writable_target(cls, path: str | os.PathLike) -> Path:
-        """The resolved place of a new file, if it is free or holds a file of this format.
+        """The resolved path of a new file, if it is free or holds a file of this format.
 
         Raises
         ------
         MultiarmError
-            The folder is missing, or the place holds a folder, a device or another kind of file.
+            The folder is missing, or the path is a folder, a device or another kind of file.
         """
         target = Path(path).expanduser().resolve()
         if not target.parent.is_dir():
@@ -179,7 +175,7 @@ class StoredFile:
 
 
 class GrowingFile:
-    """A new file at its place, ready to grow. Subclasses create its datasets in :meth:`create`.
+    """A new file that grows. Subclasses create its datasets in :meth:`create`.
 
     Parameters
     ----------
@@ -198,7 +194,7 @@ class GrowingFile:
 
     def __init__(self, path: Path, first_bytes: int, spare_bytes: int):
         self.path, self._spare_bytes, self._fault = path, spare_bytes, ""
-        # writers come one at a time; with one name for all, the next removes what a kill left
+        # there is one writer at a time; with the same name the next one removes what a kill left
         partial = path.with_name(f".{path.name}.part")
         try:
             with atomic_file(path, partial):
@@ -209,8 +205,8 @@ class GrowingFile:
                     libver=("v110", "v110"),  # the oldest with this mode: widest readability
                     locking="best-effort",
                     fs_strategy="page",
-                    fs_page_size=PAGE_BYTES,
-                    rdcc_nbytes=CACHE_BYTES,
+                    fs_page_size=4096,
+                    rdcc_nbytes=1 << 18,  # a few chunks of a dataset, independent of its length
                 )
                 self.reserve(first_bytes)
                 with self.writing("write"):
@@ -230,7 +226,7 @@ class GrowingFile:
         raise NotImplementedError
 
     def create_growing(self, name: str, dtype: Any, chunk: int, description: str) -> h5py.Dataset:
-        """An empty dataset that grows by rows, stored in chunks of so many."""
+        """An empty dataset that grows by rows, stored in chunks of ``chunk`` rows."""
         dataset = self.file.create_dataset(name, (0,), dtype, maxshape=(None,), chunks=(chunk,))
         dataset.attrs["description"] = description
         return dataset
@@ -242,10 +238,10 @@ class GrowingFile:
         return dataset
 
     def reserve(self, size: int) -> None:
-        """Reserve disk space for `size` more bytes of data and what HDF5 adds to them.
+        """Reserve disk space for `size` more bytes of data and HDF5's description of them.
 
-        A full disk is then found before anything is written: HDF5 copes badly with a write that
-        fails. Space in excess is returned when the file is closed.
+        A full disk is then detected before anything is written: HDF5 does not recover from a failed
+        write. Unused space is returned when the file is closed.
         """
         if self._fault or not hasattr(os, "posix_fallocate"):
             return
@@ -271,7 +267,7 @@ class GrowingFile:
             raise fault from error
 
     def close(self) -> None:
-        """Close the file, and return the disk space that was not needed."""
+        """Close the file, and return unused disk space."""
         if self._fault or not self.file:
             return
         with suppress(OSError, RuntimeError):
@@ -286,7 +282,7 @@ class GrowingFile:
 
 
 def allocate(path: Path, size: int) -> None:
-    """Let a file grow by `size` bytes, to find a full disk before HDF5 does."""
+    """Let a file grow by `size` bytes, to detect a full disk before HDF5 writes."""
     if hasattr(os, "posix_fallocate"):
         with open(path, "r+b") as file:
             os.posix_fallocate(file.fileno(), os.path.getsize(path), size)

@@ -1,10 +1,10 @@
-"""Sinks: where a run puts its samples, block by block, until it ends as a `Trajectory`.
+"""Sinks: they take the samples of a run block by block, and become its `Trajectory`.
 
 `MemorySink` keeps the samples, `Hdf5Sink` writes them to a file that survives a kill. Both refuse a
-number that is not finite and keep everything before it, so that none gets into a result.
+number that is not finite and keep everything before it.
 
-A run may take less than a millisecond, and most of its result may never be read. In memory, samples
-stay the rows that the run produced; channels, provenance and the scene's text are made on access.
+A run may take less than a millisecond, and most of its result may never be read: in memory, samples
+stay the rows of the run, and channels, provenance and the scene's text are made on access.
 """
 
 from __future__ import annotations
@@ -24,18 +24,17 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.channels import Channel, Columns, first_fault, in_sequence
-from multiarm.results.trajectory import CLOSED, Outcome, Trajectory, plain
+from multiarm.results.files import CLOSED
+from multiarm.results.trajectory import Outcome, Trajectory, plain
 
 Metadata = dict[str, Any] | Callable[[], dict[str, Any]]
-"""Where samples come from, see :func:`provenance`, or a function that finds out on access."""
+"""Provenance, see :func:`provenance`, or a function that returns it on access."""
 ColumnsOf = Callable[[Sequence[Channel]], Columns]
-
-_DEPENDENCIES = ("pin", "numpy", "numba", "h5py", "pydantic")
 
 
 class Sink:
-    """Where the samples of a run go. The calls come in this order: one `open`, any number of
-    `append` and `checkpoint`, one `finish`.
+    """Takes the samples of a run. Order of the calls: one `open`, any number of `append` and
+    `checkpoint`, one `finish`.
     """
 
     def open(
@@ -46,17 +45,12 @@ class Sink:
     ) -> None:
         """Prepare for samples of these channels.
 
-        Parameters
-        ----------
-        channels : sequence of Channel
-        metadata : dict, or callable that returns it
-        columns_of : callable
-            Channels -> where each is in a row; may be called later.
+        ``columns_of`` gives the place of each channel in a row, and may be called later.
 
         Raises
         ------
         TrajectoryError
-            Of a file: the folder is missing, the place cannot be written, or holds another file.
+            The folder of a file is missing, or the path cannot be written or holds another file.
         """
         self._channels, self._metadata, self._columns_of = tuple(channels), metadata, columns_of
         self._width = sum(channel.width for channel in self._channels)
@@ -82,7 +76,7 @@ class Sink:
         raise TrajectoryError(fault)
 
     def checkpoint(self) -> None:
-        """Make all samples so far safe against a kill of the process, as far as possible."""
+        """Make all samples so far safe against a kill of the process, if they go to a file."""
 
     def finish(
         self,
@@ -121,7 +115,7 @@ class MemorySink(Sink):
             rows = blocks[0]
         else:
             rows, end = np.empty((sum(map(len, blocks)), self._width)), 0
-            while blocks:  # each is released once it is copied: there is one copy at a time
+            while blocks:  # each is released once it is copied: memory holds the samples once
                 block = blocks.pop(0)
                 rows[end : end + len(block)] = block
                 end += len(block)
@@ -130,15 +124,7 @@ class MemorySink(Sink):
 
 
 class MemoryStore:
-    """Samples in memory, read-only.
-
-    Parameters
-    ----------
-    channels : sequence of Channel
-    rows : ndarray, shape (K, width)
-    columns_of, metadata
-        See :meth:`Sink.open`.
-    """
+    """Samples in memory, read-only: ``rows`` has shape (K, width); else see :meth:`Sink.open`."""
 
     def __init__(
         self,
@@ -181,13 +167,9 @@ class MemoryStore:
 
 
 class Hdf5Sink(Sink):
-    """Writes the samples to a file that can be loaded up to the last checkpoint, even if the
-    process is killed.
+    """Writes the samples to a file that can be loaded up to the last checkpoint after a kill.
 
-    Parameters
-    ----------
-    path : path-like
-        The file; one that multiarm wrote before is replaced when the run starts.
+    A file at ``path`` that multiarm wrote before is replaced when the run starts.
     """
 
     def __init__(self, path: str | os.PathLike):
@@ -214,7 +196,7 @@ class Hdf5Sink(Sink):
     def _trajectory(self, outcome: Outcome) -> Trajectory:
         """Close the file and open it for reading.
 
-        A full disk fails the run: the trajectory says so, and holds what is in the file.
+        A full disk fails the run: the trajectory has a message and the samples in the file.
         """
         from multiarm.results.trajectory_file import TrajectoryReader
 
@@ -222,27 +204,24 @@ class Hdf5Sink(Sink):
             self._writer.finish(asdict(outcome))
         except TrajectoryError as error:
             fault, first = str(error), outcome.message
-            if outcome.status != "completed":  # what ended the run comes first, and stands once
+            if outcome.status != "completed":  # the first fault comes first, and only once
                 fault = first if fault in first else f"{first}; {fault}"
             outcome = replace(outcome, status="failed", message=fault)
         return Trajectory(TrajectoryReader(self._writer.path), outcome)
 
 
 def provenance(scene_text: str, created: float | None = None) -> dict[str, Any]:
-    """Where a result comes from: the scene's text, versions, platform and time.
+    """Origin of a result: the scene's text (YAML with absolute paths), versions, platform, time.
 
-    Parameters
-    ----------
-    scene_text : str
-        YAML that `multiarm.scene.parse_scene` reads back, with absolute paths.
-    created : float, optional
-        `time.time()` of the run's start; now, when left out.
+    ``created`` is `time.time()` at the run's start; now by default.
     """
     when = datetime.fromtimestamp(time.time() if created is None else created, timezone.utc)
     return {
         "program": "multiarm",
         "version": _version("multiarm"),
-        "dependencies": {name: _version(name) for name in _DEPENDENCIES},
+        "dependencies": {
+            name: _version(name) for name in ("pin", "numpy", "numba", "h5py", "pydantic")
+        },
         "python": platform.python_version(),
         "platform": platform.platform(),
         "created_utc": when.isoformat(timespec="seconds"),
@@ -251,7 +230,7 @@ def provenance(scene_text: str, created: float | None = None) -> dict[str, Any]:
 
 
 def _found(metadata: Metadata) -> dict[str, Any]:
-    """Metadata in JSON's types."""
+    """Metadata in types of JSON."""
     return plain(metadata() if callable(metadata) else metadata)
 
 

@@ -1,9 +1,9 @@
-"""The result of a run: what was measured, how it ended, and where it came from.
+"""The result of a run: samples, outcome and provenance.
 
-A `Trajectory` is a read-only view, of arrays in memory or of a file. A channel is read from the
-file on first use, so that a long run costs memory only for what is looked at.
+A `Trajectory` is a read-only view of arrays in memory or of a file. A channel is read from the file
+on first use, so that memory holds only channels in use.
 
-From the recorded channels follow the two numbers that judge a run, both 0 when it is exact:
+Two quantities measure the quality of a run, both 0 when it is exact:
 
     energy balance   E(t) - E(0) - W(t),   E = kinetic + potential, W = work since the start
     drift            max |phi| and max |W^T v|, how far the contacts are from closing
@@ -27,42 +27,25 @@ from multiarm.results.files import temporary_name
 if TYPE_CHECKING:
     from multiarm.scene import Scene
 
-BLOCK_SAMPLES = 8192
-STATUSES = ("completed", "interrupted", "failed")
-CLOSED = "this trajectory was closed; load it from its file, or simulate again"
-"""Message of a store whose samples were released."""
-
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended.
+    """How a run ended."""
 
-    Parameters
-    ----------
-    status : {"completed", "interrupted", "failed"}
-    message : str
-        What happened and, unless all went well, the remedy.
-    statistics : dict
-        steps, rejected_steps, evaluations, wall_time_s, realtime_factor, error_estimate, ...
-    events : list of dict
-        What happened during the run, in order of time.
-    certificate : dict or None
-        The evidence that the requested accuracy was reached.
-    """
-
-    status: str
-    message: str
-    statistics: dict[str, Any] = field(default_factory=dict)
+    status: str  # "completed", "interrupted" or "failed"
+    message: str  # how it ended and, after a failure, the remedy
+    statistics: dict[str, Any] = field(default_factory=dict)  # steps, evaluations, wall_time_s, ...
     events: list[dict[str, Any]] = field(default_factory=list)
     certificate: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        if self.status not in STATUSES:
-            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {STATUSES}")
+        statuses = ("completed", "interrupted", "failed")
+        if self.status not in statuses:
+            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {statuses}")
 
 
 class Store(Protocol):
-    """Where the samples of a trajectory are."""
+    """The samples of a trajectory, in memory or in a file."""
 
     samples: int
     channels: dict[str, Channel]
@@ -75,7 +58,7 @@ class Store(Protocol):
         """Samples start..stop of a channel."""
 
     def close_between_reads(self) -> None:
-        """Keep nothing open except while samples are read."""
+        """Open the file for each read only."""
 
     def close(self) -> None:
         """Release the samples; further reads are an error."""
@@ -88,15 +71,7 @@ class _UnknownArmError(TrajectoryError, KeyError):
 
 
 class ByArm(Mapping[str, np.ndarray]):
-    """One quantity of every arm, and of the floor where it has contacts; read on access.
-
-    Parameters
-    ----------
-    names : dict of str to str
-        Arm, or "floor" -> name of its channel.
-    read : callable
-        ``name -> samples``.
-    """
+    """One quantity of every arm, and of the floor where it has contacts; read on access."""
 
     def __init__(self, names: dict[str, str], read: Callable[[str], np.ndarray]):
         self._names, self._read = names, read
@@ -115,7 +90,7 @@ class ByArm(Mapping[str, np.ndarray]):
 
 
 class Trajectory:
-    """A run: its samples, how it ended, and where it came from. Read-only.
+    """A run: samples, outcome and provenance. Read-only.
 
     Arrays have the K samples as leading axis. Per-arm channels are mappings from the arm's name;
     an arm has nv joints, base to tip, and N contacts.
@@ -138,7 +113,7 @@ class Trajectory:
 
     @property
     def channels(self) -> Mapping[str, Channel]:
-        """What was recorded: name -> Channel (shape, unit, frame, description, labels)."""
+        """Recorded quantities: name -> Channel (shape, unit, frame, description, labels)."""
         return dict(self._store.channels)
 
     @property
@@ -147,7 +122,7 @@ class Trajectory:
         return arm_names(self._store.channels)
 
     def channel(self, name: str) -> np.ndarray:
-        """All samples of a channel: read once, then kept; contiguous, not writeable."""
+        """All samples of a channel: cached, contiguous, not writeable."""
         if name not in self._cache:
             values = np.ascontiguousarray(self.read(name))
             values.flags.writeable = False
@@ -155,13 +130,13 @@ class Trajectory:
         return self._cache[name]
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Samples start..stop of a channel, without keeping them."""
+        """Samples start..stop of a channel, not cached."""
         if name not in self._store.channels:
             known = ", ".join(self._store.channels)
             raise TrajectoryError(f"unknown channel {name!r}; channels are {known}")
         return self._store.read(name, start, stop)
 
-    def blocks(self, *names: str, samples: int = BLOCK_SAMPLES) -> Iterator[list[np.ndarray]]:
+    def blocks(self, *names: str, samples: int = 8192) -> Iterator[list[np.ndarray]]:
         """The same samples of the named channels, a bounded number at a time."""
         for start in range(0, len(self), samples):
             yield [self.read(name, start, start + samples) for name in names]
@@ -214,21 +189,21 @@ class Trajectory:
         """Arm, or "floor" -> what each contact does, codes of `channels.CONTACT_STATES`, (K, N).
 
         0 open, 1 touching, 2 sliding, 3 sticking, 4 resting: touching, carried by other contacts.
-        An arm whose contacts hold in every way has shape (K, 0).
+        An arm without unilateral contacts has shape (K, 0).
         """
         return self._by_arm("contact_state", optional=True)
 
     @property
     def relative_motion(self) -> Mapping[str, np.ndarray]:
-        """Arm -> rates alpha of what its joint leaves free, (K, m) [m/s, rad/s]; see the labels.
+        """Arm -> rates alpha of its joint's free motions, (K, m) [m/s, rad/s]; see the labels.
 
-        An arm whose joint leaves nothing free has shape (K, 0).
+        An arm whose joint has none has shape (K, 0).
         """
         return self._by_arm("relative_rate", optional=True)
 
     @property
     def relative_position(self) -> Mapping[str, np.ndarray]:
-        """Arm -> coordinates of what its joint leaves free, (K, m) [m, rad]; angles go on past pi.
+        """Arm -> coordinates of its joint's free motions, (K, m) [m, rad]; angles continue past pi.
 
         A single free rotation is given by its angle, several by the rotation vector.
         """
@@ -258,7 +233,7 @@ class Trajectory:
 
     @property
     def effect_works(self) -> dict[str, np.ndarray]:
-        """Effect -> work that it did since the start, shape (K,) [J]; those that do work."""
+        """Effect -> its work since the start, shape (K,) [J]; of effects that do work."""
         names = (name.split("/") for name in self._store.channels)
         effects = [parts[1] for parts in names if parts[0] == "effects" and parts[-1] == "work"]
         return {effect: self.channel(f"effects/{effect}/work") for effect in effects}
@@ -305,7 +280,7 @@ class Trajectory:
 
     @property
     def message(self) -> str:
-        """What happened and, unless all went well, the remedy."""
+        """How the run ended and, after a failure, the remedy."""
         return self._outcome.message
 
     @property
@@ -315,12 +290,12 @@ class Trajectory:
 
     @property
     def events(self) -> list[dict[str, Any]]:
-        """What happened on the way, in order of time."""
+        """Events in order of time, see :mod:`multiarm.results.event_log`."""
         return list(self._outcome.events)
 
     @property
     def certificate(self) -> dict[str, Any] | None:
-        """Whether the requested accuracy was reached, and the evidence; None for an unchecked run.
+        """Whether the required accuracy was reached; None for an unchecked run.
 
         ``met``, ``text`` (one sentence), ``reason``; ``asked`` and ``estimated_error`` by
         ``position_m``, ``rotation_rad``, ``force_N``; ``by_output`` (name -> error, unit, time);
@@ -371,7 +346,7 @@ class Trajectory:
             position_drift_max_m, velocity_drift_max_m_per_s, energy_balance_max_J (largest
             magnitudes); final_object_position [m] and final_object_quaternion_xyzw (lists);
             contact_force_max_N, the largest magnitude per arm, and of the floor; rank_lowest,
-            rank_highest and coupled_steps. Numbers are finite; what is not known is None.
+            rank_highest and coupled_steps. Numbers are finite; unknown ones are None.
         """
         counted = (
             "steps", "rejected_steps", "evaluations", "wall_time_s", "realtime_factor",
@@ -398,13 +373,12 @@ class Trajectory:
     def save(self, path: str | os.PathLike) -> Path:
         """Write the trajectory to a file that `load_trajectory` reads; may be its own file.
 
-        The file appears at its place when it is complete. Memory does not grow with the length
-        of the run.
+        The file appears when it is complete. Memory does not grow with the length of the run.
 
         Raises
         ------
         TrajectoryError
-            The place cannot be written, or holds something that multiarm did not write.
+            The path cannot be written, or holds a file that multiarm did not write.
         """
         from multiarm.results.trajectory_file import TrajectoryReader, TrajectoryWriter
 
@@ -426,12 +400,12 @@ class Trajectory:
         return Trajectory(self._store, replace(self._outcome, **plain(changes)))
 
     def close_between_reads(self) -> Trajectory:
-        """Open the file for each read only, as systems limit open files; returns the trajectory."""
+        """Open the file for each read only, as open files are limited; returns the trajectory."""
         self._store.close_between_reads()
         return self
 
     def close(self) -> None:
-        """Release the file or the arrays of samples; channels that were read before stay."""
+        """Release the file or the arrays of samples; cached channels stay."""
         self._store.close()
 
     def _by_arm(self, quantity: str, optional: bool = False) -> ByArm:
@@ -489,9 +463,9 @@ def load_trajectory(path: str | os.PathLike) -> Trajectory:
 
 
 def amend_file(path: str | os.PathLike, changes: dict[str, Any]) -> None:
-    """Change entries of `Outcome` in the file of a complete run. Its samples stay.
+    """Change entries of `Outcome` in the file of a complete run.
 
-    A kill at any moment leaves the file as it was, or completely amended.
+    A kill at any moment leaves the file unchanged or completely amended.
 
     Raises
     ------
@@ -504,7 +478,7 @@ def amend_file(path: str | os.PathLike, changes: dict[str, Any]) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The value in JSON's types; a number that is not finite becomes None."""
+    """The value in types of JSON; a number that is not finite becomes None."""
     if value is None or isinstance(value, (str, int)):  # bool is an int
         return value
     if isinstance(value, float):

@@ -13,7 +13,7 @@ Layout (format `multiarm trajectory`, version 1)::
 
 A checkpoint flushes the channels first and `progress` after them. Samples beyond `progress` are not
 read, so that all channels of an interrupted run have the same length. An amendment is appended to
-earlier ones; `amended` names the pieces that count and is written last.
+earlier ones; `amended` names the valid pieces and is written last.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.channels import Channel
+from multiarm.results.files import CLOSED
 from multiarm.results.hdf5 import (
     HDF5_ERRORS,
     PIECE,
@@ -40,21 +41,17 @@ from multiarm.results.hdf5 import (
     joined,
     reason,
 )
-from multiarm.results.trajectory import CLOSED
 
 CHUNK_SAMPLES = 512
-"""A scalar channel fills a page of the file with a chunk."""
+"""A chunk of a scalar channel fills a page of the file."""
 CHUNK_PIECES = 64
-SPARE_BYTES = 16384
-"""Disk space reserved per channel beyond its data: descriptions and index."""
-AMENDMENT_SPARE_BYTES = 65536
 
 
 class TrajectoryReader(StoredFile):
     """Samples in a file; a channel is read on access.
 
-    The file stays open, so that a new one at the same place does not change what is read here.
-    :meth:`close_between_reads` gives that up where very many files are read.
+    The file stays open, so that a new file at the same path does not change what is read here.
+    :meth:`close_between_reads` is for reading very many files.
 
     Raises
     ------
@@ -104,7 +101,7 @@ class TrajectoryReader(StoredFile):
         """Samples start..stop of a channel."""
         stop = self.samples if stop is None else min(stop, self.samples)
         if self._identity is None:
-            if not self.file:  # h5py's word for closed
+            if not self.file:  # closed
                 raise TrajectoryError(CLOSED)
             with self.reading(self.path):
                 return self.file[name][start:stop]
@@ -130,13 +127,8 @@ class TrajectoryReader(StoredFile):
 class TrajectoryWriter(GrowingFile):
     """A new file that grows by blocks of samples.
 
-    Parameters
-    ----------
-    path : Path
-        See :meth:`StoredFile.writable_target`.
-    channels : sequence of Channel
-    metadata : dict
-        Provenance; its entry `scene` is the YAML text of the scene.
+    ``path`` is one of :meth:`StoredFile.writable_target`; the entry `scene` of the metadata is the
+    YAML text of the scene.
 
     Raises
     ------
@@ -150,7 +142,8 @@ class TrajectoryWriter(GrowingFile):
         self.samples, self._checkpointed = 0, 0
         self._channels, self._metadata = channels, metadata
         self._chunk_bytes = 8 * CHUNK_SAMPLES * sum(channel.width for channel in channels)
-        super().__init__(path, self._chunk_bytes, SPARE_BYTES * (4 + len(channels)))
+        # descriptions and index of a dataset take up to 16 KiB
+        super().__init__(path, self._chunk_bytes, 16384 * (4 + len(channels)))
 
     def create(self) -> None:
         """Create all datasets."""
@@ -207,14 +200,9 @@ class TrajectoryWriter(GrowingFile):
 
 
 def amend(path: Path, changes: dict[str, Any]) -> None:
-    """Change entries of the outcome that a complete file holds.
+    """Change entries of the outcome of a complete file, given in types of JSON.
 
-    Parameters
-    ----------
-    path : Path
-        No reader may be open in this process.
-    changes : dict
-        Entries of the outcome, in JSON's types.
+    No reader of the file may be open in this process.
 
     Raises
     ------
@@ -227,7 +215,7 @@ def amend(path: Path, changes: dict[str, Any]) -> None:
         raise TrajectoryError(f"'{path}' holds no complete run that could be amended; run it again")
     pieces = in_pieces(json.dumps({**store.amendment, **changes}, allow_nan=False))
     try:
-        allocate(path, sum(map(len, pieces)) + AMENDMENT_SPARE_BYTES)
+        allocate(path, sum(map(len, pieces)) + 65536)
         with h5py.File(path, "r+", libver=("v110", "v110"), locking="best-effort") as file:
             file.swmr_mode = True
             begin = int(file["amended"][1])
@@ -269,7 +257,7 @@ def _channel(name: str, dataset: h5py.Dataset) -> Channel:
 
 
 def _identity(path: Path) -> tuple[int, ...]:
-    """Tells a file from another one at its path; empty where there is none."""
+    """Identity of the file at a path; empty where there is none."""
     try:
         found = path.stat()
     except OSError:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, PlainSerializer, TypeAdapter, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
 from multiarm.scene.values import NonNegative, Positive, Spec, shorthand
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS
 
-FixedStepIntegrator = Literal["semi_implicit_euler", "variational", "rk4"]
-AdaptiveIntegrator = Literal["dopri5", "dop853", "rodas5p"]
+if TYPE_CHECKING:
+    Integrator = str
+else:
+    Integrator = Literal[tuple(METHODS)]
 ArmTerms = Literal["pinocchio", "compiled"]
-FIXED_STEP_INTEGRATORS: tuple[str, ...] = get_args(FixedStepIntegrator)
-ADAPTIVE_INTEGRATORS: tuple[str, ...] = get_args(AdaptiveIntegrator)
 ARM_TERMS: tuple[str, ...] = get_args(ArmTerms)
 """Who computes inertia, forces and motion of the arms."""
 STEPS_CHOSEN_BY = ("accuracy", "integrator", "step", "tolerance")
@@ -132,9 +133,9 @@ class RunSpec(Spec):
         method and steps, checks the result against a tightened rerun and repeats the run with
         smaller tolerances if need be. 1e-6 by default.
     integrator : str, optional
-        ``semi_implicit_euler``, ``variational`` or ``rk4`` with ``step``; ``dopri5``, ``dop853``
-        or ``rodas5p`` with ``tolerance`` (per step) or ``accuracy``.  Absent: chosen, and exchanged
-        for ``rodas5p`` where the scene turns out to be stiff.
+        One of :data:`multiarm.tableaus.METHODS`: of fixed step, with ``step``, or adaptive, with
+        ``tolerance`` (per step) or ``accuracy``.  Absent: ``dopri5`` or ``dop853`` by the accuracy,
+        and ``rodas5p`` where the scene turns out to be stiff.
     step : float, optional
         Fixed step [s].
     tolerance : float, optional
@@ -157,7 +158,7 @@ class RunSpec(Spec):
 
     duration: Positive = 1.0
     accuracy: Accuracy | None = None
-    integrator: Literal[FixedStepIntegrator, AdaptiveIntegrator] | None = None
+    integrator: Integrator | None = None
     step: Positive | None = None
     tolerance: Positive | None = None
     stabilization: Annotated[StabilizationSpec, shorthand("kind", str)] = StabilizationSpec()

@@ -1,1 +1,1 @@
-"""A run: setup, driver, certificate."""
+"""Simulation: setup, run, events, and the certificate of the accuracy."""

@@ -1,18 +1,17 @@
-"""Run until the accuracy is met, within a limit, or say why it cannot be met.
+"""Certified runs: repeated until the accuracy is met, or cannot be met.
 
-    run -> tightened rerun -> met? -> the run, with its certificate
-                              not met -> the rerun, or a run at a tolerance that the errors suggest,
-                                         takes the run's place, and is checked in the same way
+    run -> tightened rerun -> met:     the run is returned, with its certificate
+                              not met: the rerun, or a run at the tolerance that the errors
+                                       suggest, is the next candidate, and is checked likewise
 
-A rerun is itself the next candidate when its predicted error suffices, so that nothing is wasted;
-what is returned is always the run whose error was estimated. Errors are predicted as proportional
-to tolerances, with a margin. The repetition ends early where it is of no use: when the difference
-does not fall any more, when tolerances would have to be smaller than double precision has a use
-for: runs that have parted are taken to go on parting at the rate at which they did.
+A rerun is itself the next candidate when its predicted error suffices; the run that is returned is
+always one whose error was estimated.  Errors are predicted as proportional to tolerances, with a
+margin.  The repetition ends early when the difference no longer decreases, or when it would take
+tolerances below rounding; runs that have separated are assumed to separate further at this rate.
 
-Samples may go to a file. The first run goes to its place; later ones to a temporary file beside it,
-which is moved there when it is chosen. Until then the file holds a complete run that has no
-certificate, and so it does if the process is killed.
+Samples may go to a file.  The first run is written to its place, later ones to a temporary file in
+the same folder, which is moved there when it is chosen.  Until then, and if the process is killed,
+the file holds a complete run without certificate.
 """
 
 from __future__ import annotations
@@ -30,73 +29,43 @@ from multiarm.errors import MultiarmError, TrajectoryError
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory, amend_file, load_trajectory
 from multiarm.scene import AccuracySpec
-from multiarm.simulation.certificate import KINDS, LENGTHS, SAFETY, Finding, judge
-from multiarm.simulation.certificate.words import (
-    ATTEMPTS,
-    CHECK,
-    EXHAUSTED,
-    FAILED_RERUN,
-    GROWTH,
-    INTERRUPTED,
-    INTERRUPTED_WORDS,
-    MEMORY,
-    REMEDY,
-    ROUNDING_WORDS,
-    UNDETERMINED_WORDS,
-    certificate,
-    failed_words,
-    growth_words,
-    memory_words,
-)
-from multiarm.simulation.driver import BUDGET, TOO_MANY, Progress, Task, carry_out
+from multiarm.simulation.certificate import SAFETY, Finding, certificate, judge
+from multiarm.simulation.comparison import KINDS, LENGTHS
+from multiarm.simulation.run import BUDGET, TOO_MANY, Progress, Task, carry_out
 from multiarm.simulation.setup import SMALLEST_TOLERANCE
 
+GROWTH, EXHAUSTED, ATTEMPTS, CHECK = "growth", "rounding", "attempts", "check"
+FAILED_RERUN, INTERRUPTED, MEMORY = "failed rerun", "interrupted", "memory"
+"""Reasons for which a certificate is not met."""
+INTERRUPTED_WORDS = "the check of its accuracy was interrupted, so that there is no certificate"
+REMEDY = "ask for less accuracy, or simulate a shorter time"
+FAILED_WORDS = "the tightened rerun that checks it failed"
+ROUNDING_WORDS = f"smaller tolerances do not help any more, what is left is rounding: {REMEDY}"
+
 TIGHTER = 30.0
-"""How much smaller the tolerances of a rerun are."""
+"""Ratio of the tolerances of a run and its rerun."""
 SMALLEST_CHECKED = 8.0 * SMALLEST_TOLERANCE
-"""Of a run that can be checked: a rerun that is hardly any tighter says too little."""
-MOST_RUNS = 7
-"""Of one call, reruns too."""
-AIM = 0.3
-"""Part of the accuracy at which a repetition aims."""
-MOST_EVALUATIONS = 12.0
-"""Of a rerun, times those of the run before it: what takes more is stuck in roundings."""
-STILL_FALLING = 0.5
-"""An estimate that falls by less than this, while tolerances fall so much, does not fall."""
+"""Smallest tolerance of a run that can be checked: its rerun must be noticeably tighter."""
 PARTED = 0.01
-"""[m, rad] Two runs that are further apart have parted."""
-STEPS_SHRINK = 1.0 / 8.0
-"""Power of the tolerance with which the longest step of a rerun shrinks: as with order 8."""
-FEWER = 0.95
-"""Steps of a run over those of a tighter one, at most: else the tolerance had no say in them."""
+"""[m, rad] Distance from which on two runs count as separated."""
 
 
 @dataclass
 class Attempt:
-    """One run.
+    """One run."""
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-        Closed, or empty, once nobody will look at it again.
-    path : Path or None
-        Its file.
-    row : dict
-        What it cost, and its estimated errors once they are known.
-    """
-
-    trajectory: Trajectory
+    trajectory: Trajectory  # closed once it is no longer needed
     path: Path | None
-    row: dict[str, Any]
+    row: dict[str, Any]  # its cost, and its estimated errors once they are known
 
     @property
     def tolerance(self) -> float:
-        """Error of one step that it accepted."""
+        """Largest accepted error of one step."""
         return float(self.row["tolerance"])
 
 
 class _Stopped(Exception):
-    """A rerun did not come to its end."""
+    """The repetition ended without a verdict."""
 
     def __init__(self, reason: str, words: str) -> None:
         super().__init__(words)
@@ -105,16 +74,16 @@ class _Stopped(Exception):
 
 @dataclass
 class Attempts:
-    """The runs of one task, until one of them is as accurate as was asked.
+    """The runs of one task, until one of them meets the accuracy.
 
     Attributes
     ----------
     task : Task
     out : Path or None
-        Where the samples are to be in the end.
+        Final place of the samples.
     progress : callable or None
-        Called with the simulated time of the first run. Of a rerun it is told through its method
-        ``checking(time, number)``, where it has one; else it is called with the end of the run.
+        Called with the simulated time of the first run.  For a rerun its method
+        ``checking(time, number)`` is called if it has one, else ``progress`` with the end time.
     """
 
     task: Task
@@ -124,7 +93,7 @@ class Attempts:
     _judged: list[tuple[Attempt, Finding]] = field(default_factory=list)
 
     def first(self) -> Trajectory:
-        """Carry out the task as it was given."""
+        """Carry out the task as given."""
         sink = MemorySink() if self.out is None else Hdf5Sink(self.out)
         trajectory = carry_out(self.task, sink, self.progress)
         self._made.append(Attempt(trajectory, self.out, _row(trajectory)))
@@ -133,7 +102,7 @@ class Attempts:
     def certify(self) -> Trajectory:
         """Check the first run, repeat it if need be, and return the chosen one."""
         try:
-            reason, words = self._settle()
+            reason, words = self._repeat()
         except _Stopped as stop:
             reason, words = stop.reason, stop.words
         except KeyboardInterrupt:
@@ -145,11 +114,15 @@ class Attempts:
                 if attempt.path != self.out:
                     self._remove(attempt.path)
 
-    def _settle(self) -> tuple[str, str]:
-        """Runs until one is accurate enough, or there is no use in another; returns why."""
+    def _repeat(self) -> tuple[str, str]:
+        """Run until the accuracy is met, or cannot be met: reason and words for that."""
         for function in self.task.data.user_callbacks:
             if function.remembers():
-                return MEMORY, memory_words(function.name)
+                return MEMORY, (
+                    f"{function.name} answers otherwise when it is called again for the same time "
+                    f"and state, so that a rerun would not be the same motion; simulate with "
+                    f"`certificate=False`"
+                )
         candidate, finer = self._first_pair()
         while True:
             finding = judge(self.task.data, candidate.trajectory, finer.trajectory, self._accuracy)
@@ -171,7 +144,7 @@ class Attempts:
             finer = self._rerun(candidate.tolerance / TIGHTER, candidate)
 
     def _first_pair(self) -> tuple[Attempt, Attempt]:
-        """The first run and a tighter one; where there is none, a looser one and the first run."""
+        """The first run and a tighter one, or else a looser one and the first run."""
         first = self._made[0]
         if first.tolerance >= SMALLEST_CHECKED:
             try:
@@ -180,8 +153,9 @@ class Attempts:
                 if stop.reason != EXHAUSTED:
                     raise
         looser = self._rerun(TIGHTER * max(first.tolerance, SMALLEST_TOLERANCE))
-        if looser.row["steps"] > FEWER * first.row["steps"]:
-            raise _Stopped(EXHAUSTED, ROUNDING_WORDS)  # then their difference says nothing
+        if looser.row["steps"] > 0.95 * first.row["steps"]:
+            # the tolerance does not limit the steps: the difference of the runs means nothing
+            raise _Stopped(EXHAUSTED, ROUNDING_WORDS)
         return looser, first
 
     @property
@@ -190,24 +164,34 @@ class Attempts:
         return self.task.spec.accuracy
 
     def _why_stop(self, candidate: Attempt, finding: Finding) -> tuple[str, str] | None:
-        """Why no further run is of use: the reason, and the words for it; None to go on."""
+        """Why a further run cannot help, as reason and words; None if it can."""
         if not finding.judged:
-            return CHECK, UNDETERMINED_WORDS
+            return CHECK, (
+                "the equations determine none of the forces asked for; ask for position or rotation"
+            )
         rate = finding.growth
-        spent = (EXHAUSTED, ROUNDING_WORDS) if rate is None else (GROWTH, growth_words(rate))
+        exhausted = EXHAUSTED, ROUNDING_WORDS
+        if rate is not None:
+            exhausted = (
+                GROWTH,
+                (
+                    f"errors grow about e^({rate:.2g} t) in this motion, whatever the tolerance: "
+                    f"simulate a shorter time, ask for less accuracy, or add damping"
+                ),
+            )
         if finding.accurate and candidate.tolerance <= SMALLEST_CHECKED:
             return CHECK, ""
         hopeless = _excess(finding) * SMALLEST_CHECKED > candidate.tolerance
         if not finding.accurate and hopeless and (rate is not None or len(self._judged) > 1):
-            return spent
+            return exhausted
         if len(self._judged) > 1:
             before, earlier = self._judged[-2]
-            fell = finding.excess <= STILL_FALLING * earlier.excess
-            if not finding.accurate and not fell and before.tolerance > candidate.tolerance:
-                return spent
+            decreases = finding.excess <= 0.5 * earlier.excess
+            if not finding.accurate and not decreases and before.tolerance > candidate.tolerance:
+                return exhausted
             if finding.accurate and earlier.accurate:
                 return CHECK, ""
-        if len(self._made) + 2 > MOST_RUNS:
+        if len(self._made) + 2 > 7:
             return ATTEMPTS, (
                 f"{len(self._made)} runs were made, which is the limit: ask for less, or give a "
                 f"smaller `tolerance` yourself"
@@ -226,7 +210,7 @@ class Attempts:
             run = carry_out(task, sink, self._watch(), tolerance / first.tolerance, most)
         except MultiarmError as error:
             self._remove(path)
-            raise _Stopped(FAILED_RERUN, failed_words(str(error))) from error
+            raise _Stopped(FAILED_RERUN, f"{FAILED_WORDS} {error}") from error
         except BaseException:
             self._remove(path)
             raise
@@ -237,16 +221,17 @@ class Attempts:
         if run.status != "completed" and TOO_MANY in run.message:
             raise _Stopped(EXHAUSTED, f"{TOO_MANY} at a tolerance of {tolerance:.1g}: {REMEDY}")
         if run.status != "completed":
-            raise _Stopped(FAILED_RERUN, failed_words(run.message))
+            raise _Stopped(FAILED_RERUN, f"{FAILED_WORDS} {run.message}")
         return attempt
 
     def _with_shorter_steps(self, tolerance: float, coarser: Attempt | None) -> Task:
-        """The task for a rerun: where something else than the tolerance limits the steps, the same
-        steps would make the same errors, so that the rerun's longest step is shorter too.
+        """The task for a rerun, with a shorter longest step.
+
+        Where the tolerance does not limit the steps, equal steps would make equal errors.
         """
         if coarser is None:
             return self.task
-        ratio = min(1.0, tolerance / coarser.tolerance) ** STEPS_SHRINK
+        ratio = min(1.0, tolerance / coarser.tolerance) ** (1.0 / 8.0)  # as with order 8
         before = coarser.trajectory.statistics["largest_step_s"] or math.inf
         return replace(self.task, longest_step=ratio * min(self.task.longest_step, before))
 
@@ -260,7 +245,7 @@ class Attempts:
         return lambda _t: progress(self.task.spec.duration)
 
     def _place(self, number: int) -> Path | None:
-        """Where the samples of a rerun go."""
+        """File for the samples of a rerun."""
         if self.out is None:
             return None
         target = self.out.expanduser().resolve()
@@ -269,7 +254,7 @@ class Attempts:
         return path
 
     def _drop(self, attempt: Attempt) -> None:
-        """Let go of the samples of an attempt that nobody will look at again."""
+        """Release the samples of an attempt that is no longer needed."""
         attempt.trajectory.close()
         if attempt.path != self.out:
             self._remove(attempt.path)
@@ -280,7 +265,7 @@ class Attempts:
                 path.unlink(missing_ok=True)
 
     def _finish(self, reason: str, words: str) -> Trajectory:
-        """The chosen run with what was found out about it."""
+        """The chosen run with its certificate."""
         chosen, finding = self._judged[-1] if self._judged else (self._made[0], None)
         changes: dict[str, Any] = {}
         if finding is None and reason == INTERRUPTED:
@@ -297,7 +282,7 @@ class Attempts:
         return self._store(chosen, changes)
 
     def _store(self, chosen: Attempt, changes: dict[str, Any]) -> Trajectory:
-        """Write what was found out into the chosen run's file, and move it to its place."""
+        """Write the certificate into the chosen run's file, and move it to its place."""
         assert self.out is not None and chosen.path is not None
         for attempt in self._made:
             attempt.trajectory.close()
@@ -313,16 +298,16 @@ class Attempts:
 
 
 def _wanted(candidate: Attempt, finding: Finding) -> float:
-    """Tolerance at which the errors are expected to be as small as asked."""
+    """Tolerance at which the errors are expected to be within the accuracy, by a margin."""
     if finding.accurate:  # but its checks failed
         return candidate.tolerance / TIGHTER
-    return candidate.tolerance * AIM / _excess(finding)
+    return candidate.tolerance * 0.3 / _excess(finding)
 
 
 def _excess(finding: Finding) -> float:
-    """Largest ratio of error to accuracy, as it would be if runs that part could part for ever."""
+    """Largest ratio of error to accuracy, extrapolated to the end for runs that have separated."""
     comparison, excess = finding.comparison, finding.excess
-    lengths = [v for k, v in finding.asked.items() if v is not None and k in LENGTHS]
+    lengths = [v for k, v in finding.required.items() if v is not None and k in LENGTHS]
     apart = np.maximum(*(comparison.course[kind] for kind in LENGTHS))
     parted = np.flatnonzero(apart >= PARTED)
     if finding.growth is None or not parted.size or not lengths:
@@ -337,9 +322,9 @@ def _grown(rate: float | None, time: float) -> float:
 
 
 def _most(coarser: Attempt, tolerance: float) -> float:
-    """How many evaluations a rerun may take; methods of low order take more than others."""
+    """How many evaluations a rerun may take: one that takes many more is limited by roundings."""
     tighter = max(coarser.tolerance / tolerance / TIGHTER, 1.0)
-    return MOST_EVALUATIONS * tighter**0.25 * coarser.row["evaluations"] + BUDGET
+    return 12.0 * tighter**0.25 * coarser.row["evaluations"] + BUDGET
 
 
 def _row(run: Trajectory) -> dict[str, Any]:

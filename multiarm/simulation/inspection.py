@@ -1,95 +1,85 @@
-"""Records of what a scene compiles to: plain facts in named fields, ready for a table or for JSON.
+r"""Inspection: what a scene compiles to, in numbers, without a run.
 
-:func:`multiarm.simulation.checking.inspect_system` fills them in.
+The parts (the object and all joints) have :math:`6 + \sum n_i` degrees of freedom.  The contacts
+remove as many as the rank of the stacked constraint matrix :math:`[W_o; W]`,
+
+.. math:: \text{mobility} = 6 + \sum n_i - \operatorname{rank} [W_o; W],
+
+and contacts beyond the rank are redundant: the motion does not determine their forces.  A joint by
+itself leaves the motions free that its own rows do not constrain, given in the axes of its frame.
+The distance of an arm from a singular posture is the smallest relative pivot of
+:math:`K_i = W_i^T M_i^{-1} W_i`.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from multiarm.dynamics.evaluation import Residuals
-from multiarm.dynamics.system import StartReport
-from multiarm.results.trajectory import plain
+import numpy as np
 
-__all__ = [
-    "ArmFacts",
-    "Carrying",
-    "EffectFacts",
-    "Freedom",
-    "Inspection",
-    "JointFacts",
-    "LimitFacts",
-    "ObjectFacts",
-    "RunFacts",
-]
+from multiarm.contacts.joint import axis_travel, limits_of
+from multiarm.contacts.screws import free_motions, wrenches_in_frame
+from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
+from multiarm.control.laws import needs_gravity_torque
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.evaluation import (
+    ContactTerms,
+    Evaluation,
+    Residuals,
+    constraint_matrix,
+    contact_terms,
+    failure_text,
+)
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.dense import RANK_TOLERANCE, null_space
+from multiarm.dynamics.state import State
+from multiarm.dynamics.system import StartReport, System
+from multiarm.errors import SolverError
+from multiarm.events.evaluation import evaluate
+from multiarm.results.trajectory import plain
+from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
+from multiarm.simulation.setup import method_and_tolerance
+from multiarm.spatial import matrix_to_quaternion, quaternion_to_matrix
 
 
 @dataclass(frozen=True)
 class ObjectFacts:
-    """The common object: words for its shape, mass [kg], inertia about the centre of mass in object
-    axes [kg m^2], start pose in the world [m].
-    """
+    """The object."""
 
     shape: str
-    mass: float
-    inertia: list[list[float]]
-    position: list[float]
+    mass: float  # [kg]
+    inertia: list[list[float]]  # [kg m^2], about the centre of mass in object axes
+    position: list[float]  # [m], at the start
     quaternion_xyzw: list[float]
 
 
 @dataclass(frozen=True)
 class ArmFacts:
-    """One arm.
+    """One arm."""
 
-    Attributes
-    ----------
-    robot : str
-        Name of the robot, or of its URDF file.
-    urdf : str
-        The file itself.
-    tool : str or None
-        Name of the tool, or of its URDF file.
-    tip : str
-    base_position, base_quaternion_xyzw : list of float
-        Of the root link in the world [m].
-    joints : dict joint -> "rad" or "m"
-        Base to tip.
-    posture : list of float
-        At the (assembled) start [rad, m].
-    locked : dict joint -> float
-        Joints that are held fixed [rad, m].
-    terms : str
-        Who computes its inertia, forces and motion: "compiled" code or "pinocchio".
-    not_compiled : str or None
-        Why it stays with Pinocchio although compiled arms were wanted.
-    conditioning : float or None
-        Smallest relative pivot at the start; None where the dense solver is used.
-    verdict : str or None
-        "good", "near singular" or "cannot follow".
-    lost_motions : list of str
-        What an arm that cannot follow its joint in all directions cannot do.
-    """
-
-    robot: str
+    robot: str  # name, or URDF file
     urdf: str
-    tool: str | None
+    tool: str | None  # name, or URDF file
     tip: str
-    base_position: list[float]
+    base_position: list[float]  # [m], of the root link in the world
     base_quaternion_xyzw: list[float]
-    joints: dict[str, str]
-    posture: list[float]
-    locked: dict[str, float]
-    terms: str
-    not_compiled: str | None
-    conditioning: float | None
-    verdict: str | None
-    lost_motions: list[str]
+    joints: dict[str, str]  # name -> "rad" or "m", base to tip
+    posture: list[float]  # [rad, m], at the (assembled) start
+    locked: dict[str, float]  # [rad, m]
+    terms: str  # backend of the dynamics: "compiled" or "pinocchio"
+    not_compiled: str | None  # why not, although the scene asks for it
+    conditioning: float | None  # smallest relative pivot; None with the dense solver
+    verdict: str | None  # "good", "near singular" or "cannot follow"
+    lost_motions: list[str]  # motions of its joint that the arm cannot follow
 
 
 @dataclass(frozen=True)
 class LimitFacts:
-    """Limits of a joint's coordinate [rad, m], and its place at the start."""
+    """Limits of a joint's coordinate [rad, m], and its value at the start."""
 
     coordinate: str
     unit: str
@@ -100,120 +90,74 @@ class LimitFacts:
 
 @dataclass(frozen=True)
 class JointFacts:
-    """The joint of one arm to the object, by itself, at the start.
-
-    Attributes
-    ----------
-    arm, kind : str
-    name : str or None
-    rows : list of str
-        Names of its constraint rows.
-    rank : int
-        How many of them are independent.
-    redundant_rows : list of str
-        Rows that depend on each other; empty when all are independent.
-    free_motions : list of str
-        What the tip can do on the object, along and about the axes of the joint's frame.
-    coordinates : list of str
-        The components that are recorded as the joint's coordinates.
-    limits : list of LimitFacts
-    """
+    """The joint of one arm to the object, by itself, at the start."""
 
     arm: str
     kind: str
     name: str | None
-    rows: list[str]
+    rows: list[str]  # names of its constraint rows
     rank: int
-    redundant_rows: list[str]
-    free_motions: list[str]
-    coordinates: list[str]
+    redundant_rows: list[str]  # rows that depend on each other
+    free_motions: list[str]  # of the tip on the object, in the axes of the joint's frame
+    coordinates: list[str]  # components that are recorded
     limits: list[LimitFacts]
 
 
 @dataclass(frozen=True)
 class Freedom:
-    """How many ways the system can move at its start.
+    """Degrees of freedom of the system at its start."""
 
-    Attributes
-    ----------
-    degrees_of_freedom : int
-        Of the parts: 6 for the object, one a joint.
-    constraints, rank, mobility : int
-        Contacts, how many of them are independent, and what freedom is left.
-    redundant_rows : list of str
-        Contacts that depend on each other; empty when all are independent.
-    smallest_kept, largest_dropped : float or None
-        Relative singular values on both sides of the rank decision: far apart when it is clear.
-    """
-
-    degrees_of_freedom: int
+    degrees_of_freedom: int  # of the parts: 6 for the object, one a joint
     constraints: int
     rank: int
     mobility: int
-    redundant_rows: list[str]
+    redundant_rows: list[str]  # contacts that depend on each other
+    # relative singular values on both sides of the rank decision
     smallest_kept: float | None
     largest_dropped: float | None
 
 
 @dataclass(frozen=True)
 class RunFacts:
-    """The settings that a run will have: times [s], tolerance of one step [m, rad; m/s, rad/s]."""
+    """Settings of a run."""
 
-    duration: float
+    duration: float  # [s]
     integrator: str
     accuracy: float | dict[str, float] | None
-    tolerance: float | None
-    step: float | None
+    tolerance: float | None  # [m, rad; m/s, rad/s], of one step
+    step: float | None  # [s]
     stabilization: str
-    output_step: float
+    output_step: float  # [s]
     solver: str
 
 
 @dataclass(frozen=True)
 class Carrying:
-    """Whether the contacts can carry the object at rest.
-
-    Attributes
-    ----------
-    possible : bool
-    force_residual, moment_residual : float
-        What the best contact forces leave of the object's weight [N] and of its moment about the
-        centre of mass [N m].
-    largest_force : float
-        Largest of these contact forces [N].
-    """
+    """Whether the contact forces can carry the object at rest."""
 
     possible: bool
+    # what the best contact forces leave of the weight [N] and of its moment about the centre of
+    # mass [N m]
     force_residual: float
     moment_residual: float
-    largest_force: float
+    largest_force: float  # [N], of these contact forces
 
 
 @dataclass(frozen=True)
 class EffectFacts:
-    """What an effect adds to an evaluation at the start.
-
-    Attributes
-    ----------
-    microseconds, uncertainty_microseconds : float or None
-        Time, and twice its standard error; None where it was not measured.
-    bytes, states, rows, callbacks : int
-        Of arrays; states of its own; constraint rows; functions in Python.
-    trouble : str
-        Why it was not measured.
-    """
+    """Cost of an effect in an evaluation at the start."""
 
     microseconds: float | None = None
-    uncertainty_microseconds: float | None = None
+    uncertainty_microseconds: float | None = None  # twice the standard error
     bytes: int = 0
     states: int = 0
     rows: int = 0
     callbacks: int = 0
-    trouble: str = ""
+    trouble: str = ""  # why it was not measured
 
     @property
     def within_noise(self) -> bool:
-        """Whether the time may as well be zero."""
+        """Whether the time is zero within its uncertainty."""
         if self.microseconds is None or self.uncertainty_microseconds is None:
             return False
         return abs(self.microseconds) <= self.uncertainty_microseconds
@@ -221,56 +165,291 @@ class EffectFacts:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What a scene compiles to.
+    """Result of :func:`inspect_system`.
 
-    Attributes
-    ----------
-    scene : str
-    gravity : list of float or None
-        [m/s^2]; None where there is none.
-    object : ObjectFacts
-    arms : dict arm -> ArmFacts
-    joints : list of JointFacts
-    freedom : Freedom or None
-        With all contacts of the joints held, and those with a floor open.
-    coming_and_going : list of str
-        What may let go, close, slide or stick.
-    effects : dict effect -> EffectFacts or None
-        Effects that are modelled, gravity among them; None where nothing was measured.
-    control : str
-    run : RunFacts
-    start : StartReport or None
-        How far the written start was off, and what was corrected.
-    position_residual, velocity_residual : float or None
-        Largest gap [m] and gap rate [m/s] of the assembled start.
-    residuals : Residuals or None
-        Of the equations of motion at the start.
-    carrying : Carrying or None
-        None where the control does not carry the object, or nothing has weight.
-    warnings : list of str
-    not_looked_at : list of str
-        What was left out, since it needs code that was not loaded.  Where contacts are, what is
-        above by "or None" is None, ``joints`` are the others, and postures are as written.
+    Where contacts need code that was not loaded, all fields "or None" are None, ``joints`` are the
+    other joints, and postures are as written.
     """
 
     scene: str
-    gravity: list[float] | None
+    gravity: list[float] | None  # [m/s^2]
     object: ObjectFacts
     arms: dict[str, ArmFacts]
     joints: list[JointFacts]
-    freedom: Freedom | None
-    coming_and_going: list[str]
-    effects: dict[str, EffectFacts | None]
+    freedom: Freedom | None  # all contacts of the joints closed, those with a floor open
+    coming_and_going: list[str]  # unilateral constraints
+    effects: dict[str, EffectFacts | None]  # active ones, and gravity; None: not measured
     control: str
     run: RunFacts
-    start: StartReport | None
-    position_residual: float | None
-    velocity_residual: float | None
-    residuals: Residuals | None
-    carrying: Carrying | None
+    start: StartReport | None  # gaps of the written start, and its correction
+    position_residual: float | None  # [m], largest gap of the assembled start
+    velocity_residual: float | None  # [m/s]
+    residuals: Residuals | None  # of the equations of motion at the start
+    carrying: Carrying | None  # None also when the control does not carry the object
     warnings: list[str]
-    not_looked_at: list[str]
+    not_looked_at: list[str]  # parts that need code that was not loaded
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain dictionaries and lists under the names above; what is not finite is None."""
+        """In types of JSON, under the names above; numbers that are not finite are None."""
         return plain(asdict(self))
+
+
+def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection:
+    """Describe a compiled system and its start.
+
+    Parameters
+    ----------
+    left : sequence of NamedCode
+        Code that :func:`multiarm.assembly.compilation.compile_for_inspection` left out.
+
+    Raises
+    ------
+    SolverError
+        When the equations of motion cannot be solved at the start.
+    """
+    scene = system.scene
+    away = {code.arm for code in left}.difference([None])
+    evaluation = None if away else evaluate(system)
+    with system.borrow() as data:
+        closed = data.with_contacts_closed()
+        _place_at_start(closed, system)
+        terms = contact_terms(closed) if evaluation is None else evaluation.contact_terms
+        freedom = None if away else count_freedom(closed)
+        carries = _carries(scene) and not away
+        carrying = carrying_capacity(closed, scene) if carries else None
+    return Inspection(
+        scene=scene.name,
+        gravity=None if scene.gravity is None else list(scene.gravity),
+        object=_object_facts(scene.object),
+        arms={name: _arm_facts(system, name, evaluation) for name in system.arm_names},
+        joints=[
+            _joint_facts(system, joint, terms[joint.arm])
+            for joint in sorted(scene.joints, key=lambda j: system.arm_names.index(j.arm))
+            if joint.arm not in away
+        ],
+        freedom=freedom,
+        coming_and_going=[] if away else coming_and_going(system),
+        effects=dict.fromkeys(active_effects(scene)),
+        control=scene.control.kind,
+        run=resolve_run(scene.run),
+        start=None if away else system.start_report,
+        position_residual=None if evaluation is None else evaluation.position_residual,
+        velocity_residual=None if evaluation is None else evaluation.velocity_residual,
+        residuals=None if evaluation is None else evaluation.residuals,
+        carrying=carrying,
+        warnings=scene.warnings,
+        not_looked_at=[_not_looked_at(code) for code in left],
+    )
+
+
+def _not_looked_at(code: NamedCode) -> str:
+    """Which part an inspection leaves out without code, and the remedy."""
+    what = "it is left out"
+    if code.arm is not None:
+        what = f"the joint of arm {code.arm!r}, the start, rank and mobility are left out"
+    return (
+        f"{code.place}: {what}, since {code.what} is not loaded by a look; if you trust its "
+        "author, allow it with --code"
+    )
+
+
+def count_freedom(data: Data) -> Freedom:
+    """Degrees of freedom, constraints, their rank and the mobility at the kinematics in ``data``.
+
+    All rows are closed, see :meth:`multiarm.dynamics.model.Data.with_contacts_closed`.
+    """
+    matrix = constraint_matrix(data)  # (6 + n, N)
+    space = null_space(matrix)
+    rank, singular = space.rank, space.singular
+    names = [f"{arm}: {c.name}" for arm, own in data.model.contacts.items() for c in own]
+    return Freedom(
+        degrees_of_freedom=matrix.shape[0],
+        constraints=matrix.shape[1],
+        rank=rank,
+        mobility=matrix.shape[0] - rank,
+        redundant_rows=[n for n, own in zip(names, space.untouched, strict=True) if not own],
+        smallest_kept=float(singular[rank - 1]),
+        largest_dropped=float(singular[rank]) if rank < singular.size else None,
+    )
+
+
+def carrying_capacity(data: Data, scene: Scene) -> Carrying:
+    r"""How well contact forces can carry the object at rest: :math:`W_o \lambda = [-m g; 0]`."""
+    weight = np.zeros(6)
+    weight[:3] = -scene.object.mass * np.array(scene.gravity)
+    W_o = data.arrays.Wo.T  # (6, N)
+    reach = max(float(np.max(np.linalg.norm(W_o[3:], axis=0))), 1e-3)  # [m]
+    scale = np.array([1.0] * 3 + [1.0 / reach] * 3)  # moments as forces at that distance
+    forces = np.linalg.lstsq(scale[:, None] * W_o, scale * weight, rcond=RANK_TOLERANCE)[0]
+    left = W_o @ forces - weight
+    size = float(np.linalg.norm(weight))
+    return Carrying(
+        possible=float(np.linalg.norm(scale * left)) <= 1e-6 * size,
+        force_residual=float(np.linalg.norm(left[:3])),
+        moment_residual=float(np.linalg.norm(left[3:])),
+        largest_force=float(np.max(np.abs(forces))),
+    )
+
+
+def coming_and_going(system: System) -> list[str]:
+    """The unilateral constraints of a system, counted by arm and kind."""
+    if system.model.unilateral is None:
+        return []
+    counts = Counter((unit.arm, _unit_words(unit)) for unit in system.model.unilateral.constraints)
+    lines = [f"{arm}: {words} ({count})" for (arm, words), count in counts.items()]
+    springs = system.model.unilateral.compliant
+    soft = 0 if springs is None else len(springs.rows)
+    return lines + ([f"springs in place of contacts ({soft})"] if soft else [])
+
+
+def _unit_words(unit: Constraint) -> str:
+    words = {LIMIT: "ends of joints' ranges", DRY_JOINT: "joints with dry friction"}
+    if unit.kind != CONTACT:
+        return words[unit.kind]
+    return "contacts" + (" with friction" if unit.tangents else " that give way" * unit.compliant)
+
+
+def active_effects(scene: Scene) -> list[str]:
+    """Names of the effects that the scene models."""
+    gravity = ["gravity"] if scene.gravity is not None and any(scene.gravity) else []
+    return gravity + list(scene.effects.named)
+
+
+def resolve_run(spec: RunSpec) -> RunFacts:
+    """Method and tolerances of a run with these settings."""
+    integrator, tolerance = method_and_tolerance(spec)
+    return RunFacts(
+        duration=spec.duration,
+        integrator=integrator,
+        accuracy=None if spec.accuracy is None else spec.accuracy.written,
+        tolerance=None if tolerance is None else tolerance.smallest,
+        step=spec.step,
+        stabilization=spec.stabilization.kind,
+        output_step=spec.output_step,
+        solver=spec.solver,
+    )
+
+
+def _object_facts(spec: ObjectSpec) -> ObjectFacts:
+    position, quaternion = _placement(spec.pose.matrix())
+    return ObjectFacts(
+        shape=_shape_words(spec),
+        mass=spec.mass,
+        inertia=spec.inertia_matrix().tolist(),
+        position=position,
+        quaternion_xyzw=quaternion,
+    )
+
+
+def _shape_words(spec: ObjectSpec) -> str:
+    shape = spec.shape
+    if shape.box is not None:
+        return f"box {' x '.join(f'{edge:g}' for edge in shape.box)} m"
+    if shape.sphere is not None:
+        return f"sphere of radius {shape.sphere:g} m"
+    if shape.cylinder is not None:
+        return f"cylinder of radius {shape.cylinder.radius:g} m, height {shape.cylinder.height:g} m"
+    if shape.hull is not None:
+        return f"convex polyhedron of {len(shape.hull)} corners"
+    assert shape.mesh is not None, "a shape is one of five"
+    return f"mesh {shape.mesh.file.name}"
+
+
+def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmFacts:
+    spec, arm = system.scene.arms[name], system.arms[name]
+    position, quaternion = _placement(spec.base.matrix())
+    pivot = None if evaluation is None else evaluation.conditioning.get(name)
+    return ArmFacts(
+        robot=_model_name(spec),
+        urdf=str(arm.files.urdf),
+        tool=None if spec.tool is None else _model_name(spec.tool),
+        tip=spec.tip,
+        base_position=position,
+        base_quaternion_xyzw=quaternion,
+        joints=dict(arm.joint_units),
+        posture=system.initial_state().joint_positions[name].tolist(),
+        locked=dict(arm.files.locked),
+        terms=system.arm_terms[name],
+        not_compiled=system.not_compiled.get(name),
+        conditioning=pivot,
+        verdict=_verdict(pivot),
+        lost_motions=[] if evaluation is None else list(evaluation.lost_motions.get(name, ())),
+    )
+
+
+def _verdict(pivot: float | None) -> str | None:
+    if pivot is None:
+        return None
+    # the pivot is the squared sine of an angle: below half a degree contact directions are nearly
+    # dependent, at roundings there is a direction in which the arm does not move at all
+    if pivot < 1e-12:
+        return "cannot follow"
+    return "good" if pivot >= 1e-4 else "near singular"
+
+
+def _model_name(spec: ArmSpec | ToolSpec) -> str:
+    if spec.robot is not None:
+        return spec.robot
+    if isinstance(spec, ToolSpec) and spec.fingers is not None:
+        return f"hand of {len(spec.fingers.tips)} fingers"
+    assert spec.urdf is not None, "a model has a name or a file"
+    return spec.urdf.name
+
+
+def _joint_facts(system: System, joint: JointSpec, terms: ContactTerms) -> JointFacts:
+    frame = system.frames[joint.arm]
+    names = [contact.name for contact in system.model.joints[joint.arm].contacts]
+    motions = free_motions(wrenches_in_frame(frame.on_object, terms.W_o))
+    return JointFacts(
+        arm=joint.arm,
+        kind=joint.kind,
+        name=joint.name,
+        rows=names,
+        rank=motions.rank,
+        redundant_rows=[n for n, own in zip(names, motions.independent, strict=True) if not own],
+        free_motions=motions.words(),
+        coordinates=list(frame.labels),
+        limits=_limit_facts(system, joint, system.initial_state()),
+    )
+
+
+def _limit_facts(system: System, joint: JointSpec, state: State) -> list[LimitFacts]:
+    frame, object_pose = system.frames[joint.arm], np.eye(4)
+    object_pose[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw)
+    object_pose[:3, 3] = state.object_position
+    tip_pose = system.arms[joint.arm].tip_pose(state.joint_positions[joint.arm])
+    turn, slide = axis_travel(
+        (object_pose @ frame.on_object)[None], (tip_pose @ frame.on_tip)[None]
+    )
+    return [
+        LimitFacts(
+            coordinate=limit.motion,
+            unit=limit.unit,
+            low=limit.low,
+            high=limit.high,
+            start=float((turn if limit.turns else slide)[0]),
+        )
+        for limit in limits_of(joint)
+    ]
+
+
+def _placement(matrix: np.ndarray) -> tuple[list[float], list[float]]:
+    quaternion = matrix_to_quaternion(np.ascontiguousarray(matrix[:3, :3]))
+    return matrix[:3, 3].tolist(), np.asarray(quaternion).tolist()
+
+
+def _carries(scene: Scene) -> bool:
+    """Whether the control, and no floor, carries the object."""
+    control = scene.control
+    holds = control.kind == "harmonic" and control.hold
+    weighs = scene.gravity is not None and any(scene.gravity)
+    return weighs and scene.effects.floor is None and (holds or needs_gravity_torque(scene))
+
+
+def _place_at_start(data: Data, system: System) -> None:
+    """Write the kinematics of the start into the data."""
+    data.set_state(0.0, system.initial_state())
+    status = update_kinematics(data.struct)
+    if status != OK:
+        data.reraise()
+        raise SolverError(failure_text(data, status))

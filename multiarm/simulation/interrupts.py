@@ -1,4 +1,4 @@
-"""Ctrl-C that ends a run in good order."""
+"""Ctrl-C that ends a run, with its result."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from types import FrameType
 
 
 class Interrupt:
-    """Whether Ctrl-C was pressed, and has not been acted on."""
+    """Whether Ctrl-C was pressed and is still pending."""
 
     pressed = False
 
     def deliver(self) -> None:
-        """Let a Ctrl-C act now that came too late to end anything: it must not be lost."""
+        """Raise a pending Ctrl-C, which came too late to end the run."""
         if self.pressed:
             self.pressed = False
             signal.raise_signal(signal.SIGINT)
@@ -23,10 +23,10 @@ class Interrupt:
 
 @contextmanager
 def deferred_interrupt(interrupt: Interrupt | None = None) -> Iterator[Interrupt]:
-    """Note Ctrl-C instead of raising in the middle of something.
+    """Store Ctrl-C in ``interrupt`` instead of raising ``KeyboardInterrupt``.
 
-    Python raises ``KeyboardInterrupt`` wherever it happens to be; inside a function that compiled
-    code has called it would be printed and lost.  A second Ctrl-C acts as ever.
+    Raised inside a function that compiled code has called, it would be printed and lost.  A second
+    Ctrl-C raises as usual.
     """
     interrupt = Interrupt() if interrupt is None else interrupt
     if threading.current_thread() is not threading.main_thread():

@@ -1,4 +1,4 @@
-"""Simulate: what a run is asked for becomes a task, which is carried out and checked."""
+"""``simulate``: the settings of a run become a task, which is carried out and certified."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from multiarm.dynamics.system import System
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts
-from multiarm.simulation.driver import Progress, Task
+from multiarm.simulation.run import Progress, Task
 from multiarm.simulation.setup import run_spec
 
 
@@ -47,12 +47,13 @@ def simulate(
     duration : float, optional
         [s]
     accuracy : float or dict, optional
-        Largest error of the run at the worst output time [m, rad], or a table of what is asked:
+        Largest error of the run at the worst output time [m, rad], or a table by quantity:
         ``{"position": [m], "rotation": [rad], "force": [N]}``. Chooses method, tolerances and step
         sizes; the run is then checked, see ``certificate``.
     integrator : str, optional
-        "semi_implicit_euler", "variational" and "rk4" need ``step``; "dopri5", "dop853" and, for
-        stiff scenes, "rodas5p" take ``tolerance`` or ``accuracy``.
+        One of :data:`multiarm.tableaus.METHODS`.  Methods of fixed step, such as "rk4", need
+        ``step``; adaptive ones, such as "dop853" and, for stiff scenes, "rodas5p", take
+        ``tolerance`` or ``accuracy``.
     step : float, optional
         Fixed step [s].
     tolerance : float, optional
@@ -62,12 +63,11 @@ def simulate(
     output_step : float, optional
         Time between samples [s].
     max_step : float, optional
-        Longest step of an adaptive method [s].  With a Python controller, or a function that gives
-        a wrench, it is the time between samples when left out, so that no sudden change of its
-        answers is stepped over.
+        Longest step of an adaptive method [s].  By default unlimited; with user callbacks the time
+        between samples, so that no sudden change of their values is stepped over.
     solver : {"node", "dense"}, optional
     state : State, optional
-        Where to begin; the scene's start when left out.  Drives that lag begin as at any start.
+        Initial state; the scene's start by default.  Actuators with lag begin as at any start.
     control : callable, optional
         ``f(t, state) -> {arm: torques}`` in place of the scene's control.
     out : path-like, optional
@@ -79,9 +79,9 @@ def simulate(
     certificate : bool
         Check a run of some ``accuracy`` against a rerun with smaller tolerances, and repeat it if
         it is not accurate enough; ``trajectory.certificate`` tells the estimated errors. False:
-        one run, unchecked. The reruns call functions in Python again from t = 0 on: one that
-        remembers earlier calls may act otherwise then, and should be run unchecked. Runs by
-        ``step`` or ``tolerance`` are never checked.
+        one run, unchecked. The reruns call user callbacks again from t = 0 on: one that depends on
+        earlier calls may return other values then, and should be run unchecked. Runs by ``step`` or
+        ``tolerance`` are never checked.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What the solver met on the way, in words: directions that arms lose, and changes of rank."""
+"""Events of the solver: directions that arms lose or regain, and changes of rank."""
 
 from __future__ import annotations
 
@@ -13,12 +13,9 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.results.event_log import EventLog
 
-# So many events are described; finding the words takes as long as many steps.
-DESCRIBED = 100
-
 
 class SolverLog:
-    """Adds what the solver met to a run's log; the times are those of the steps' ends."""
+    """Adds the events of the solver to a run's log; their times are those of the steps' ends."""
 
     def __init__(self, data: Data, log: EventLog) -> None:
         self._log, self._added = log, 0
@@ -26,16 +23,17 @@ class SolverLog:
         self._rank = int(data.arrays.lost[-1])
 
     def collect(self, data: Data, t: float, state: State) -> None:
-        """Take over what changed in the step that ended at ``t``, in this state."""
+        """Log the changes in the step that ended at ``t``, in this state."""
         arrays = data.arrays
         count, rank = len(data.model.arm_names), int(arrays.lost[-1])
         lost, passed = arrays.lost[:count].copy(), arrays.passed[:count].copy()
         events = self._of_rank(rank)
         changed = np.flatnonzero((lost != self._lost) | (passed != 0))
         if changed.size:
-            in_words = self._added < DESCRIBED
+            in_words = self._added < 100  # a description takes as long as many steps
             if in_words:
-                _load(data, state)
+                data.move_to(state)  # the kinematics in the data may be those of another state
+                update_kinematics(data.struct)
             other = changed[lost[changed] != self._lost[changed]] if in_words else []
             words = lost_motions(data, [data.model.arm_names[i] for i in other])
             for i in map(int, changed):
@@ -51,8 +49,8 @@ class SolverLog:
         self._added += len(events)
         self._log.add([{"time": float(t), **event} for event in events])
 
-    def settle(self, data: Data) -> None:
-        """Take the solution that was noted last as the one to compare with, and log nothing."""
+    def reset(self, data: Data) -> None:
+        """Compare later solutions with the last one, without logging anything."""
         self._lost = data.arrays.lost[: len(data.model.arm_names)].copy()
         self._rank = int(data.arrays.lost[-1])
 
@@ -79,16 +77,10 @@ def _of_arm(arm: str, now: int, before: int, words: tuple[str, ...]) -> dict[str
 
 
 def _nearest(data: Data, i: int) -> str:
-    """The direction along which an arm moves least, in words."""
+    """Text for the direction in which an arm moves least."""
     work, d = data.work, data.model.layout.dofs[i + 1] - data.model.layout.dofs[i]
     m = data.model.layout.rows[i + 1] - data.model.layout.rows[i]
     inertia = read_inertia(data.arrays.pointers[i], d)
     Y = np.linalg.solve(np.linalg.cholesky(inertia), work.Y[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
     return "; ".join(describe(data, data.model.arm_names[i], directions[-1:].T))
-
-
-def _load(data: Data, state: State) -> None:
-    """Kinematics of a state, where there may be those of another one."""
-    data.move_to(state)
-    update_kinematics(data.struct)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.assembly.velocities import project_velocity
+from multiarm.assembly.start import project_velocity
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
@@ -28,7 +28,6 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate
 from multiarm.integration.stepper import begin_chart, evaluate_slope, make_step
-from multiarm.integration.tableaus import RK4
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_python
 from multiarm.problems import ring_of_arms
@@ -44,6 +43,7 @@ from multiarm.studies.bursts import (
 from multiarm.studies.peer_trials import BYTES_PER_CUBE
 from multiarm.studies.peers import PinocchioForest
 from multiarm.studies.pinocchio_motion import PinocchioMotion
+from multiarm.tableaus import RK4
 
 BURSTS_PER_ROUND = 40
 SHARE_OF_MEMORY = 0.5

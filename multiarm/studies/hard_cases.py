@@ -21,7 +21,7 @@ import numpy as np
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.errors import MultiarmError
-from multiarm.results.decimation import decimate
+from multiarm.plots.decimation import decimate
 from multiarm.results.sinks import provenance
 from multiarm.results.trajectory import Trajectory, plain
 from multiarm.scene import dump_scene

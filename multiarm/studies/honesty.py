@@ -25,8 +25,8 @@ from multiarm.errors import MultiarmError
 from multiarm.problems import random_scene
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
-from multiarm.simulation.certificate import KINDS, LENGTHS, compare, undetermined_forces
-from multiarm.simulation.driver import Task, carry_out
+from multiarm.simulation.comparison import KINDS, LENGTHS, compare, undetermined_forces
+from multiarm.simulation.run import Task, carry_out
 from multiarm.simulation.setup import run_spec
 from multiarm.simulation.simulate import simulate
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.linkage import projection_tolerance
+from multiarm.assembly.loop_closure import projection_tolerance
 from multiarm.dynamics.arrays import OK, open_data
 from multiarm.dynamics.equations import finite
 from multiarm.dynamics.evaluation import evaluate
@@ -26,14 +26,14 @@ from multiarm.integration.stepper import (
     make_method,
     make_step,
     open_step,
-    step_struct,
     write_slope,
 )
-from multiarm.integration.tableaus import METHODS, RK4
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import struct_of
 from multiarm.studies.bursts import Burst
 from multiarm.studies.evaluation_costs import slope_burst, terms_burst
+from multiarm.tableaus import METHODS, RK4
 
 OPEN = 1e-9
 """How far the object is moved off its joints before it is projected [m]."""
@@ -50,14 +50,7 @@ def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
     _kinematics_often(struct, 1)
     L, Y = work.L.copy(), work.Y.copy()
     joints = data.model.layout.joints
-    sample = np.zeros(
-        sample_width(
-            joints,
-            data.model.layout.contacts,
-            data.model.constants.free.shape[0],
-            data.arrays.power.size,
-        )
-    )
+    sample = np.zeros(sample_width(data))
     closed = projection_tolerance(data)
     evaluate(data, 0.0, state)  # all that samples are made of
 
@@ -89,7 +82,7 @@ def _arithmetic_burst(joints: int, integrator: str) -> Burst:
     tableau = METHODS[integrator]
     method, step = make_method(tableau), make_step(tableau, joints)
     step.k[:] = np.random.default_rng(joints).normal(size=step.k.shape)
-    arrays = step_struct(method, step)
+    arrays = struct_of(method, step)
 
     def burst(count: int) -> None:
         _combine_often(arrays, count)

@@ -24,11 +24,11 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.problems import ring_of_arms
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene.run import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 from multiarm.studies.bursts import calls_a_burst, fastest, measure, one_thread
 from multiarm.studies.clocked_run import clocked_run
 from multiarm.studies.evaluation_costs import moving_state, slope_burst
 from multiarm.studies.part_loops import part_bursts
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 ARMS = (2, 8, 32)
 KIND = "weld"

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.results.row_file import TEXT, Block
 from multiarm.sweeps.row import Row
+from multiarm.sweeps.row_file import TEXT, Block
 
 __all__ = ["fields_of", "pack", "unpack"]
 

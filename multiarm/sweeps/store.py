@@ -19,11 +19,10 @@ import numpy as np
 from typing_extensions import Self
 
 from multiarm.errors import SweepError
-from multiarm.results.files import WriterLock
-from multiarm.results.row_file import Block, RowReader, RowWriter
 from multiarm.results.sinks import provenance
 from multiarm.sweeps.packing import fields_of, pack
 from multiarm.sweeps.row import Row
+from multiarm.sweeps.row_file import Block, RowReader, RowWriter, WriterLock
 
 if TYPE_CHECKING:
     from multiarm.sweeps.plan import SweepPlan

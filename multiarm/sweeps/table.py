@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import SweepError
-from multiarm.results.row_file import RowReader
 from multiarm.scene.faults import unknown
 from multiarm.sweeps.packing import QUANTITIES, VALUES, unpack
 from multiarm.sweeps.row import Row
+from multiarm.sweeps.row_file import RowReader
 
 __all__ = ["Column", "SweepTable", "cell", "collected"]
 

@@ -24,7 +24,7 @@ from multiarm.results.trajectory import Trajectory
 from multiarm.scene import Scene, changed, parse_path, parse_scene
 from multiarm.scene.effects import register_effect
 from multiarm.scene.registry import registered_effects
-from multiarm.simulation.certificate.words import INTERRUPTED, INTERRUPTED_WORDS
+from multiarm.simulation.certified import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import SweepPlan, program_version
 from multiarm.sweeps.quantities import Quantity, measure

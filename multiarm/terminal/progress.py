@@ -21,6 +21,7 @@ from rich.progress import (
 from rich.text import Text
 from typing_extensions import Self
 
+from multiarm.tableaus import METHODS
 from multiarm.terminal.console import messages
 
 __all__ = [
@@ -42,11 +43,12 @@ COMPILING = "compiling kernels (only the first time on this machine)"
 def kernels_are_cached(integrator: str | None = None) -> bool:
     """Whether the compiled loop, and this method's step, are in Numba's cache and fresh."""
     from multiarm.integration.time_loop import advance
-    from multiarm.simulation.setup import OWN_STEPS
+    from multiarm.simulation.setup import IMPLICIT_STEPS
 
-    return advance.is_cached() and (
-        integrator not in OWN_STEPS or OWN_STEPS[integrator].is_cached()
-    )
+    kernels = [advance]
+    if integrator is not None and METHODS[integrator].kind in IMPLICIT_STEPS:
+        kernels.append(IMPLICIT_STEPS[METHODS[integrator].kind])
+    return all(kernel.is_cached() for kernel in kernels)
 
 
 def passing_bar(console: Console, *columns: ProgressColumn, hidden: bool = False) -> Progress:

@@ -13,7 +13,7 @@ import numpy as np
 
 from multiarm.dynamics.system import System
 from multiarm.results.trajectory import Trajectory
-from multiarm.simulation.certificate import compare, rotation_apart, undetermined_forces
+from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
 from multiarm.studies.effect_costs.entries import FORCE, JOINTS, PATH, SLIDES, TURN, Change
 
 _QUANTITY_OF = {

@@ -9,7 +9,7 @@ from typing import Any
 
 from multiarm.errors import MultiarmError
 from multiarm.scene import Scene
-from multiarm.simulation.checking import active_effects
+from multiarm.simulation.inspection import active_effects
 
 PRESENT, CANDIDATE, SETTING = "present", "candidate", "setting"
 STABILIZATION, RECORDING, CERTIFICATE = "stabilization", "recording", "certificate"

@@ -19,10 +19,10 @@ import numpy as np
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene.run import ADAPTIVE_INTEGRATORS
-from multiarm.simulation.certificate import rotation_apart
+from multiarm.simulation.comparison import rotation_apart
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.courses import OutOfTime
+from multiarm.tableaus import ADAPTIVE_INTEGRATORS
 
 QUANTITIES = {
     "motion": ("worst of pose and joints", "m, rad"),

@@ -6,8 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from multiarm.integration.tableaus import METHODS, VARIATIONAL
-from multiarm.scene.run import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
+from multiarm.tableaus import (
+    ADAPTIVE_INTEGRATORS,
+    FIXED_STEP_INTEGRATORS,
+    METHODS,
+    VARIATIONAL,
+)
 
 OURS = "multiarm"
 BY_ACCURACY = "accuracy"

@@ -18,7 +18,7 @@ from multiarm.errors import ModelError, MultiarmError, TrajectoryError
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import STEPS_CHOSEN_BY, RunSpec, Scene, changed_scenes
-from multiarm.simulation.driver import leave_undone
+from multiarm.simulation.run import leave_undone
 from multiarm.simulation.setup import positive, run_spec
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.many.files import run_files

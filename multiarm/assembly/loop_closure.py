@@ -1,17 +1,33 @@
-r"""The gaps of a system as a function of what may move: arms alone, or object and arms together.
+r"""Loop closure: moving onto the joints with the least motion.
 
-A displacement ``u`` of the parts that may move is dimensionless: angles in radians, lengths as
-fractions of the scene's size.  To first order
+*The gaps.*  A displacement ``u`` of the parts that may move (arms alone, or object and arms) is
+dimensionless: angles in radians, lengths as fractions of the scene's size.  To first order
 
 .. math:: \varphi(u) = \varphi + J u, \qquad T(u) = \tfrac12\, |L^T u|^2
 
 with the rows ``J`` [m] of :math:`[W_o^T, W^T]` and the factor of the inertia
 :math:`M = L L^T` [kg m^2], both in the units of ``u``.  Rows without a position function (no slip)
-take no part.
+are left out.
 
-An arm's *branch* (elbow up or down) ends where its own rows lose rank.  Between two near postures
-that has happened when the determinant of its rows, compressed to the directions that it moves along
-in the first, changes its sign.
+*The method* is Levenberg and Marquardt's in the inertia metric.  A step ``u`` solves
+
+.. math:: \min_u\; |\varphi + J u|^2 + \mu\, |L^T u|^2
+    \quad\text{within the joints' limits and } |u|_\infty \le \Delta
+
+with the smallest :math:`\mu` that keeps it within the trust region.  As the gaps close
+:math:`\mu` falls to a floor far below every singular value that matters, so that the step becomes
+Newton's, of least kinetic energy: the method converges quadratically, and needs no decision about
+rank where arms are singular or rows redundant (H. Yamashita, M. Fukushima, Computing Suppl. 15,
+2001).  Steps are short and must reduce the gaps, so that the path leads from the start to the next
+closed posture on its branch.
+
+*Branches.*  An arm's branch (elbow up or down) ends where its own rows lose rank.  Between two near
+postures that has happened when the determinant of its rows, compressed to the directions that it
+moves along in the first, changes its sign.  At the end of a branch a step goes along it.
+
+*Buckling.*  Where no motion reduces the gaps to first order, a flat linkage may still buckle: then
+the curvature :math:`\sum_k \varphi_k \nabla^2\varphi_k` on the null space of ``J`` has a negative
+eigenvalue, and the path continues along its eigenvector.
 """
 
 from __future__ import annotations
@@ -32,15 +48,16 @@ from multiarm.dynamics.model import Data
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.spatial import difference, retract
 
-# Relative singular value below which an arm is between its branches: it may take either.
-NO_BRANCH = 1e-4
-_DIFFERENCE = 1e-6  # of a joint, for the rate of a determinant
-_SNAP = 1e-12  # [rad, m]
-_NO_REACH = 1e-9  # of the longest row: nothing moves along it
+CLOSED, STUCK, FAR = "closed", "stuck", "far"
+
+# Largest radius of the trust region [rad, fractions of the scene's size].
+RADIUS = 0.1
+# Largest motion of any part altogether [rad, fractions of the scene's size].
+FARTHEST = 0.5
 
 
 def scene_size(data: Data) -> float:
-    """A length that is typical of the scene [m]: of its lever arms, its object and its arms."""
+    """Characteristic length of the scene [m]: of its lever arms, its object and its arms."""
     arrays, constants = data.arrays, data.model.constants
     levers = arrays.contacts[:, :3] - arrays.position[:3]
     reaches = arrays.arms[: len(data.model.bases), 9:12] - data.model.bases
@@ -50,9 +67,9 @@ def scene_size(data: Data) -> float:
 
 
 def projection_tolerance(data: Data, size: float | None = None) -> float:
-    """Gap [m] that counts as closed: some roundings of the coordinates involved.
+    """Gap [m] that counts as closed: 100 roundings of the coordinates involved.
 
-    ``size`` is the scene's, where it is known already.
+    ``size`` is the scene's, if it is known already.
     """
     contacts = data.arrays.contacts[:, :3]
     far = float(max(np.abs(places).max(initial=0.0) for places in (contacts, data.model.bases)))
@@ -60,28 +77,80 @@ def projection_tolerance(data: Data, size: float | None = None) -> float:
 
 
 @dataclass(frozen=True)
-class Posture:
-    """The system at one place.
+class Closing:
+    """Outcome of :func:`close_gaps`; the kinematics at the end are in the data."""
 
-    Attributes
+    status: str  # CLOSED, STUCK (no motion reduces the gaps) or FAR (a part moved too far)
+    changes: np.ndarray  # (k,), magnitude of the displacement in the units of ``u``
+
+    @property
+    def change(self) -> float:
+        """Largest change [rad, fractions of the scene's size]."""
+        return float(np.max(self.changes))
+
+
+def close_gaps(linkage: Linkage, tolerance: float) -> Closing:
+    """Close the gaps of a linkage, from the posture in the data (with its kinematics).
+
+    Parameters
     ----------
-    position : ndarray, shape (7,)
-        The object's pose, as in the state.
-    angles : ndarray, shape (n,)
-        Positions of all joints.
-    gaps : ndarray, shape (N,)
-        [m], of the rows that take part.
-    rows : ndarray, shape (N, k)
-        Their derivative J with respect to ``u`` [m].
-    factor : ndarray, shape (k, k)
-        Lower triangular factor of the inertia in the units of ``u``; empty before it is asked for.
-    """
+    tolerance : float
+        Largest gap that counts as closed [m].
 
-    position: np.ndarray
-    angles: np.ndarray
-    gaps: np.ndarray
-    rows: np.ndarray
-    factor: np.ndarray
+    Raises
+    ------
+    SolverError
+        When the inertia of an arm is not positive definite.
+    """
+    begin = here = linkage.here()
+    radius, crossings, ranks = RADIUS, 0, linkage.branches(begin)
+    guards = np.zeros((0, linkage.unit.size))
+    status = STUCK
+    for _ in range(120):
+        if here.worst <= tolerance:
+            status = CLOSED
+            break
+        if np.max(linkage.changes(begin, here)) > FARTHEST:
+            status = FAR
+            break
+        u = _step(here, guards, radius, *linkage.room(here))
+        promised = 1.0 - (np.linalg.norm(here.gaps + here.rows @ u) / here.norm) ** 2
+        if not promised > 1e-8:  # of the squared gaps
+            out = None if guards.size else _buckled(linkage, here)
+            if out is None:
+                break
+            here, radius = out, RADIUS
+            continue
+        there = linkage.moved(here, u)
+        kept = -1.0 if there is None else (1.0 - (there.norm / here.norm) ** 2) / promised
+        if there is None or not (kept >= 0.1 or there.worst <= tolerance):
+            radius = 0.5 * min(radius, float(np.max(np.abs(u))))
+            continue
+        ends = linkage.branch_ends(here, there, ranks)
+        if ends:
+            crossings += 1
+            # three steps that would leave the branch are shortened, later ones led along its end
+            if crossings > 3 and not guards.size:
+                guards = np.array([linkage.guard(here, k, ranks[k]) for k in ends])
+            else:
+                radius = 0.5 * min(radius, float(np.max(np.abs(u))))
+            continue
+        here, guards = there, guards[:0]
+        if kept > 0.5:
+            radius = min(RADIUS, 2.0 * radius)
+    linkage.place(here)
+    return Closing(status, linkage.changes(begin, here))
+
+
+@dataclass(frozen=True)
+class Posture:
+    """A posture of the system, with its gaps."""
+
+    position: np.ndarray  # (7,), the object's pose
+    angles: np.ndarray  # (n,)
+    gaps: np.ndarray  # (N,) [m], of the rows of the linkage
+    rows: np.ndarray  # (N, k) [m], their derivative J with respect to ``u``
+    factor: np.ndarray  # (k, k), lower triangular factor of the inertia in the units of ``u``
 
     @property
     def worst(self) -> float:
@@ -90,9 +159,9 @@ class Posture:
 
     @property
     def least_turn(self) -> float:
-        """Largest motion, in the units of ``u``, that a row by itself takes to be closed."""
+        """Largest motion, in the units of ``u``, that closes one row by itself."""
         reach = np.linalg.norm(self.rows, axis=1)
-        counts = reach > _NO_REACH * np.max(reach, initial=0.0)
+        counts = reach > 1e-9 * np.max(reach, initial=0.0)
         return float(np.max(np.abs(self.gaps[counts]) / reach[counts], initial=0.0))
 
     @cached_property
@@ -107,17 +176,17 @@ class Linkage:
     Parameters
     ----------
     data : Data
-        Its arrays hold the place to begin at, kinematics included.
+        Its arrays hold the posture at the beginning, with its kinematics.
     arms : sequence of int
         Arms that may move.
     with_object : bool
         Whether the object may move.
     limits : ndarray, shape (n, 2)
-        Within which the joints stay, of all joints of the system; infinite where there are none.
+        Of all joints of the system; infinite where there are none.
     every_row : bool
-        Whether rows without a position function take part too, as they do in velocities.
+        Whether rows without a position function belong to it too, as for velocities.
     size : float, optional
-        The scene's, where it is known already [m].
+        The scene's, if it is known already [m].
 
     Attributes
     ----------
@@ -165,7 +234,7 @@ class Linkage:
         return blocks
 
     def here(self) -> Posture:
-        """The system at the place in its arrays, whose kinematics are fresh."""
+        """The posture in the data, whose kinematics are current."""
         b, work = self._data.arrays, self._data.work
         J = np.zeros((self.rows.size, self.unit.size))
         L = np.zeros((self.unit.size, self.unit.size))
@@ -192,7 +261,7 @@ class Linkage:
             ) from None
 
     def place(self, posture: Posture, u: np.ndarray | None = None) -> None:
-        """Bring the kinematics of a posture, displaced by ``u``, into the data."""
+        """Write a posture, displaced by ``u``, and its kinematics into the data."""
         b = self._data.arrays
         b.position[:], b.angles[:] = posture.position, posture.angles
         if u is not None:
@@ -206,7 +275,7 @@ class Linkage:
             self._data.reraise()
 
     def moved(self, posture: Posture, u: np.ndarray) -> Posture | None:
-        """The posture displaced by ``u``; None where some contact has no normal."""
+        """The posture displaced by ``u``; None where a contact has no normal."""
         try:
             self.place(posture, u)
         except MultiarmError:  # a surface ends there
@@ -217,9 +286,10 @@ class Linkage:
         return self.here()
 
     def _snap(self, angles: np.ndarray) -> None:
-        """Take roundings off the positions of joints that arrived at a limit."""
+        """Remove roundings from the positions of joints at a limit."""
         at = np.clip(angles, *self._limits.T)
-        angles[:] = np.where(np.abs(at - angles) <= _SNAP * np.maximum(1.0, np.abs(at)), at, angles)
+        near = np.abs(at - angles) <= 1e-12 * np.maximum(1.0, np.abs(at))
+        angles[:] = np.where(near, at, angles)
 
     def room(self, posture: Posture) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest ``u`` that keep the joints within their limits."""
@@ -231,7 +301,7 @@ class Linkage:
         return low, high
 
     def changes(self, begin: Posture, end: Posture) -> np.ndarray:
-        """How far everything moved between two postures, in the units of ``u`` (k,)."""
+        """Magnitude of the displacement between two postures, in the units of ``u`` (k,)."""
         moved = (end.angles - begin.angles)[self.joints]
         if self.with_object:
             shift = end.position[:3] - begin.position[:3]
@@ -240,9 +310,9 @@ class Linkage:
         return np.abs(moved) / self.unit
 
     def branches(self, posture: Posture) -> list[int]:
-        """Number of directions, of every arm, that tell its branch: the rank of its rows."""
+        """Rank of every arm's rows, whose directions distinguish its branches."""
         singular = [np.linalg.svd(posture.rows[block], compute_uv=False) for block in self.blocks]
-        return [int(np.sum(s > NO_BRANCH * np.max(s, initial=0.0))) for s in singular]
+        return [int(np.sum(s > 1e-4 * np.max(s, initial=0.0))) for s in singular]
 
     def branch_ends(self, here: Posture, there: Posture, ranks: list[int]) -> list[int]:
         """Arms (numbers of their blocks) that passed a singular posture between two near ones."""
@@ -253,22 +323,80 @@ class Linkage:
         ]
 
     def guard(self, posture: Posture, k: int, rank: int) -> np.ndarray:
-        """The direction in ``u`` (k,) along which arm ``k`` nears the end of its branch fastest."""
-        block = self.blocks[k]
+        """Direction in ``u`` (k,) in which arm ``k`` approaches the end of its branch fastest."""
+        block, change = self.blocks[k], 1e-6
         frame, row = _compression(posture.rows[block], rank), np.zeros(self.unit.size)
         for j in range(block[1].start, block[1].stop):
             values = []
-            for h in (_DIFFERENCE, -_DIFFERENCE):
+            for h in (change, -change):
                 there = self.moved(posture, h * np.eye(self.unit.size)[j])
                 rows = posture.rows if there is None else there.rows
                 values.append(_determinant(*frame, rows[block]))
-            row[j] = (values[0] - values[1]) / (2 * _DIFFERENCE)
+            row[j] = (values[0] - values[1]) / (2 * change)
         size = np.linalg.norm(row)
         return row / size if size > 0.0 else row
 
 
+def _step(
+    posture: Posture, guards: np.ndarray, radius: float, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Levenberg and Marquardt's step (k,) within radius and bounds, normal to the ``guards``."""
+    heavy = 1e3 * np.linalg.norm(posture.rows) * guards
+    rows, gaps = np.vstack([posture.rows, heavy]), np.append(posture.gaps, np.zeros(len(guards)))
+    U, s, Vt = np.linalg.svd(np.linalg.solve(posture.factor, rows.T).T, full_matrices=False)
+    back = np.linalg.solve(posture.factor.T, Vt.T)  # (k, r)
+    target, mu = -U.T @ gaps, (1e-9 * s[0]) ** 2
+    if not s[0] > 0.0:
+        return np.zeros(low.size)
+    u = back @ (s / (s * s + mu) * target)
+    while np.max(np.abs(u)) > radius:
+        mu *= 2.0
+        u = back @ (s / (s * s + mu) * target)
+    if np.all(u >= low) and np.all(u <= high):
+        return u
+    from scipy.optimize import lsq_linear
+
+    bounds = np.maximum(low, -radius), np.minimum(high, radius)
+    matrix = np.vstack([rows, np.sqrt(mu) * posture.factor.T])
+    right = np.append(-gaps, np.zeros(low.size))
+    return np.clip(lsq_linear(matrix, right, bounds, method="bvls").x, *bounds)
+
+
+def _buckled(linkage: Linkage, here: Posture) -> Posture | None:
+    """A posture on the path along which a flat linkage buckles, if there is one.
+
+    Both directions are equal; the one in which the farthest moving part grows is taken.
+    """
+    probe = 1e-4  # displacement over which the curvature is measured
+    _, s, Vt = np.linalg.svd(here.rows)
+    null = Vt[int(np.sum(s > 1e-6 * s[0])) :]
+    curvature = np.zeros((len(null), len(null)))
+    for column, v in enumerate(null):
+        sides = [linkage.moved(here, h * v) for h in (probe, -probe)]
+        if sides[0] is None or sides[1] is None:
+            return None
+        slope = (sides[0].rows - sides[1].rows).T @ here.gaps / (2 * probe)
+        curvature[:, column] = null @ slope
+    if not len(null):
+        return None
+    values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    if not values[0] < -1e-6 * here.norm * linkage.size:
+        return None
+    way = vectors[:, 0] @ null
+    way *= np.sign(way[np.argmax(np.abs(way))]) / np.max(np.abs(way))
+    length = min(RADIUS, 2.0 * here.norm / np.sqrt(-values[0]))
+    low, high = linkage.room(here)
+    for _ in range(40):
+        for u in (length * way, -length * way):
+            there = linkage.moved(here, u) if np.all((low <= u) & (u <= high)) else None
+            if there is not None and there.norm < 0.9 * here.norm:
+                return there
+        length *= 0.7
+    return None
+
+
 def _compression(rows: np.ndarray, rank: int) -> tuple[np.ndarray, np.ndarray]:
-    """Factors left and right of rows near these that make them the identity here."""
+    """Left and right factors that turn these rows into the identity, for use on near rows."""
     U, s, Vt = np.linalg.svd(rows, full_matrices=False)
     return U[:, :rank].T / s[:rank, None], Vt[:rank].T
 

@@ -1,19 +1,23 @@
-"""How far two runs of one scene are apart at their output times, and where.
+"""Comparison of two runs of one scene at their output times, and the growth of their difference.
 
-Both are read side by side in blocks, so that memory does not grow with the length of the run. What
-is compared are the outputs: position of the object [m], its rotation (the angle of the relative
-quaternion) [rad], the joints of every arm (those that slide in m, those that turn in rad) and the
-contact forces of every arm [N].
+Both are read in blocks, so that memory does not grow with the length of the run.  Compared are
+position of the object [m], its rotation (the angle of the relative quaternion) [rad], the joints of
+every arm (sliding ones in m, turning ones in rad) and the contact forces of every arm [N].
 
-Where the constraints are dependent, the equations leave some forces open, and which of them is
-reported depends on roundings: at samples whose rank is below the number of contacts such forces
-take no part. `undetermined_forces` finds them.
+*Undetermined forces.*  Where the constraints are dependent, the equations leave some forces open,
+and the reported ones depend on roundings.  At samples whose rank is below the number of contacts
+such forces, which :func:`undetermined_forces` finds, are left out.
+
+*Growth.*  The motion of closed chains is often unstable or chaotic: two runs that differ by
+rounding separate like e^(rate t) until their distance is as large as the motion allows.  The rate
+is the slope of the logarithm of the distance, by the median of the slopes of all pairs of points
+(Theil and Sen), which is robust against peaks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,84 +30,49 @@ from multiarm.results.trajectory import Trajectory
 
 POSITION, ROTATION, FORCE = "position_m", "rotation_rad", "force_N"
 KINDS = (POSITION, ROTATION, FORCE)
-"""Kinds of output, by which accuracy is asked."""
+"""Kinds of output for which an accuracy can be set."""
 LENGTHS = (POSITION, ROTATION)
 UNITS = {POSITION: "m", ROTATION: "rad", FORCE: "N"}
 
-MOST_POINTS = 400
-"""Points of the course over time; each is the worst of its samples."""
 BLOCK_SAMPLES = 4096
-_MOTION = ("position", "velocity")
-EVALUATED_STATES = 8
-"""States at which it is evaluated which forces are determined."""
 
 
 @dataclass(frozen=True)
 class Output:
-    """Columns of a channel that are compared together.
+    """Columns of a channel that are compared together."""
 
-    Attributes
-    ----------
-    name : str
-        As it is told: ``left: joints``.
-    kind : str
-        One of ``KINDS``.
-    channel : str
-    columns : ndarray of int
-    arm : str
-        Empty for the object.
-    """
-
-    name: str
-    kind: str
+    name: str  # such as ``left: joints``
+    kind: str  # one of ``KINDS``
     channel: str
     columns: np.ndarray
-    arm: str = ""
+    arm: str = ""  # empty for the object
 
 
 @dataclass
 class Difference:
-    """Of one output: the worst over time, the time of it [s], the size of the values themselves.
-
-    ``left_out`` counts samples at which some forces took no part.
-    """
+    """Largest difference of one output."""
 
     kind: str
     worst: float = 0.0
-    time: float = 0.0
-    size: float = 0.0
-    left_out: int = 0
+    time: float = 0.0  # [s], of the largest difference
+    size: float = 0.0  # of the values themselves
+    left_out: int = 0  # samples at which some forces were left out
     compared: bool = False
 
 
 @dataclass
 class Comparison:
-    """Two runs, compared.
-
-    Attributes
-    ----------
-    outputs : dict of str to Difference
-    time : ndarray, shape (p,)
-        [s]
-    course : dict of str to ndarray, shape (p,)
-        By kind: the worst difference of all outputs of that kind around each time.
-    velocity : dict of str to ndarray
-        By channel: the largest difference of each velocity.
-    work : float
-        The largest difference of the work done [J].
-    samples : int
-        How many were compared; fewer than a run has, where the other one ended early.
-    """
+    """Differences of two runs."""
 
     outputs: dict[str, Difference]
-    time: np.ndarray
-    course: dict[str, np.ndarray]
-    velocity: dict[str, np.ndarray]
-    work: float
-    samples: int
+    time: np.ndarray  # (p,) [s]
+    course: dict[str, np.ndarray]  # by kind, (p,): the largest difference up to each time
+    velocity: dict[str, np.ndarray]  # by channel: the largest difference of each velocity
+    work: float  # [J], the largest difference
+    samples: int  # that both runs have
 
     def worst(self, kind: str) -> float | None:
-        """The worst difference of all outputs of a kind; None where there is none."""
+        """The largest difference of all outputs of a kind; None without such outputs."""
         found = [d.worst for d in self.outputs.values() if d.kind == kind and d.compared]
         return max(found, default=None)
 
@@ -112,16 +81,8 @@ class Comparison:
         return max((d.size for d in self.outputs.values() if d.kind == kind), default=0.0)
 
 
-@dataclass
-class _Course:
-    """What is collected on the way."""
-
-    time: list[float] = field(default_factory=list)
-    worst: dict[str, list[float]] = field(default_factory=lambda: {kind: [] for kind in KINDS})
-
-
 def outputs_of(run: Trajectory) -> list[Output]:
-    """What is compared: one entry for the object's position and rotation, and some for each arm."""
+    """Outputs that are compared: the object's position and rotation, joints and forces by arm."""
     found = [
         Output("object position", POSITION, "object/position", np.arange(3)),
         Output("object rotation", ROTATION, "object/quaternion_xyzw", np.arange(4)),
@@ -151,14 +112,17 @@ def compare(
     ----------
     run, other : Trajectory
     undetermined : mapping of str to ndarray of bool, optional
-        By arm: forces that take no part where the constraints are dependent.
+        By arm: forces that are left out where the constraints are dependent.
     """
     outputs, samples = outputs_of(run), min(len(run), len(other))
     velocities = [name for name in run.channels if name.endswith(("twist", "joint_velocity"))]
     contacts = sum(output.columns.size for output in outputs if output.kind == FORCE)
     result = {output.name: Difference(output.kind) for output in outputs}
     apart = {name: np.zeros(run.channels[name].shape) for name in velocities}
-    width, course, work = max(1, -(-samples // MOST_POINTS)), _Course(), 0.0
+    width = max(1, -(-samples // 400))  # at most 400 points of the course, each of its worst sample
+    times: list[float] = []
+    course: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    work = 0.0
     rows = width * max(1, BLOCK_SAMPLES // width)
     for start in range(0, samples, rows):
         stop = min(start + rows, samples)
@@ -184,29 +148,66 @@ def compare(
             np.maximum(worst, gap.max(axis=0), out=worst)
         gap = run.read("energy/work", start, stop) - other.read("energy/work", start, stop)
         work = max(work, float(np.abs(gap).max()))
-        _extend(course, time, block, width)
-    times = np.array(course.time)
-    courses = {kind: np.array(values) for kind, values in course.worst.items()}
-    return Comparison(result, times, courses, apart, work, samples)
+        starts = np.arange(0, len(time), width)
+        times += time[np.minimum(starts + width, len(time)) - 1].tolist()
+        for kind, values in block.items():
+            course[kind] += np.maximum.reduceat(values, starts).tolist()
+    courses = {kind: np.array(values) for kind, values in course.items()}
+    return Comparison(result, np.array(times), courses, apart, work, samples)
+
+
+def growth_rate(time: np.ndarray, apart: np.ndarray) -> float | None:
+    """Exponential growth rate of a distance [1/s]; None when it does not grow exponentially.
+
+    Parameters
+    ----------
+    time : ndarray, shape (p,)
+        [s]
+    apart : ndarray, shape (p,)
+        Distance of two runs [m, rad].
+    """
+    fewest = 12  # points that a rate needs
+    if len(time) < fewest:
+        return None
+    # between roundings and the size of the motion [m, rad]
+    seen = (apart > 1e-13) & (apart < 0.03)
+    # after saturation a small distance is no growth any more
+    late = np.flatnonzero(apart >= 0.03)
+    if late.size:
+        seen[late[0] :] = False
+    if seen.any():
+        # errors of any run grow as a power of time in the beginning, by accumulation
+        first, last = time[seen][0], time[seen][-1]
+        seen &= time >= first + 0.2 * (last - first)
+    t, y = time[seen], np.log(apart[seen])
+    if len(t) < fewest:
+        return None
+    chosen = np.unique(np.linspace(0, len(t) - 1, 150).astype(int))
+    t, y = t[chosen], y[chosen]
+    rate, spread = _line(t, y)
+    if rate * (t[-1] - t[0]) < 2.5 or rate * time[-1] < 5.0:  # less growth is not significant
+        return None
+    # errors that accumulate grow as a small power of time (of accelerations: its square, and a
+    # little more): a straight line over the logarithm of time
+    power, spread_of_power = _line(np.log(t), y)
+    return float(rate) if spread <= spread_of_power or power > 5.0 else None
 
 
 def undetermined_forces(data: Data, run: Trajectory) -> dict[str, np.ndarray]:
     """By arm: which contact forces the equations leave open where the constraints are dependent.
 
-    Evaluated at some states at which the rank is below the number of contacts; an arm
-    that is not named has none.
+    From evaluations of some states at which the rank is below the number of contacts.  Arms without
+    such forces are left out.
     """
-    dependent, start = [], 0
+    dependent, start, states = [], 0, 8
     for (rank,) in run.blocks("solver/rank", samples=BLOCK_SAMPLES):
         found = np.flatnonzero(rank < data.model.layout.contacts)
-        dependent += (start + found[:: max(1, len(found) // EVALUATED_STATES)]).tolist()
+        dependent += (start + found[:: max(1, len(found) // states)]).tolist()
         start += len(rank)
     if not dependent:
         return {}
-    chosen = {
-        dependent[i] for i in np.linspace(0, len(dependent) - 1, EVALUATED_STATES).astype(int)
-    }
-    if data.model.python_control is not None:  # it has no part in this, and may have a memory
+    chosen = {dependent[i] for i in np.linspace(0, len(dependent) - 1, states).astype(int)}
+    if data.model.python_control is not None:  # does not matter here, and may depend on its calls
         data = data.view(data.model.with_constants(control=NO_CONTROL))
     lost: dict[str, np.ndarray] = {}
     for k in sorted(chosen):
@@ -226,7 +227,10 @@ def state_of(layout: Layout, run: Trajectory, k: int) -> State:
     def read(name: str) -> np.ndarray:
         return run.read(name, k, k + 1)[0]
 
-    joints = [[read(f"arms/{arm}/joint_{what}") for arm in run.arm_names] for what in _MOTION]
+    joints = [
+        [read(f"arms/{arm}/joint_{what}") for arm in run.arm_names]
+        for what in ("position", "velocity")
+    ]
     pose = [read("object/position"), read("object/quaternion_xyzw")]
     return State(
         np.concatenate([*pose, *joints[0]]),
@@ -271,8 +275,9 @@ def _note(
     difference.compared |= compared
 
 
-def _extend(course: _Course, time: np.ndarray, block: dict[str, np.ndarray], width: int) -> None:
-    starts = np.arange(0, len(time), width)
-    course.time += time[np.minimum(starts + width, len(time)) - 1].tolist()
-    for kind, values in block.items():
-        course.worst[kind] += np.maximum.reduceat(values, starts).tolist()
+def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Median slope over all pairs of points, and the median distance from that line."""
+    i, j = np.triu_indices(len(x), 1)
+    slope = float(np.median((y[j] - y[i]) / (x[j] - x[i])))
+    rest = y - slope * x
+    return slope, float(np.median(np.abs(rest - np.median(rest))))

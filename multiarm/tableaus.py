@@ -1,9 +1,12 @@
 """Integration methods as data: tableaus, error weights and dense output.
 
-A method is a :class:`Tableau`.  Explicit Runge-Kutta methods need no more than that and the stepper
-(:mod:`multiarm.integration.stepper`); a Rosenbrock method has further coefficients and a step of its
-own (:mod:`multiarm.integration.rosenbrock`), and so has the variational method
-(:mod:`multiarm.integration.variational`), whose tableau only says its order.
+A method is a :class:`Tableau`, listed in :data:`METHODS`.  Scene files, the command line and error
+messages take the names from there.  Explicit Runge-Kutta methods need no more than a tableau and
+the stepper (:mod:`multiarm.integration.stepper`).  A Rosenbrock method has further coefficients and
+a step of its own (:mod:`multiarm.integration.rosenbrock`), and so has the variational method
+(:mod:`multiarm.integration.variational`), whose tableau only states its order.
+
+The coefficients are tuples of floats, so that the names are known without importing NumPy.
 
 References
 ----------
@@ -15,70 +18,54 @@ package, BIT Numer. Math. 63:27, 2023.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-import numpy as np
+Vector = tuple[float, ...]
+Matrix = tuple[Vector, ...]
 
+# How a step is made, and how the state inside it is interpolated.
 EXPLICIT, SEMI_IMPLICIT, ROSENBROCK, VARIATIONAL = range(4)
-
-
-class Tableau(NamedTuple):
-    """A one-step method of ``s`` stages.
-
-    name : str
-    order : int
-        Of the solution that is carried on.
-    error_order : int
-        Of the solution it is compared with; 0 for a fixed-step method.
-    A : (s + x, s + x)
-        Strictly lower triangular; ``x`` further stages serve the dense output only.
-    b : (s,), c : (s + x,)
-    error : (2, s + 1)
-        Weights of the error estimates; the last belongs to the slope at the end of the step.  With
-        two rows the estimates are combined as ``e5^2 / sqrt(e5^2 + 0.01 e3^2)`` (Hairer's DOP853).
-    dense : (k, s + 1 + x)
-        Dense output, see ``dense_kind``.
-    dense_kind : int
-        ``HERMITE`` (cubic), ``POLYNOMIAL`` (rows: coefficients of powers of theta for every slope),
-        ``NESTED`` (DOP853's nested form), or ``QUARTIC`` (Rodas5P's).
-    kind : int
-        ``EXPLICIT``, ``SEMI_IMPLICIT``, ``ROSENBROCK`` or ``VARIATIONAL``.
-    stability : float
-        Where an adaptive explicit method's region of stability ends on the negative real axis.
-    gamma : float, C : (s, s), d : (s,)
-        A Rosenbrock method's further coefficients: see :mod:`multiarm.integration.rosenbrock`.
-    """
-
-    name: str
-    order: int
-    error_order: int
-    A: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-    error: np.ndarray
-    dense: np.ndarray
-    dense_kind: int
-    kind: int = EXPLICIT
-    stability: float = np.inf
-    gamma: float = 0.0
-    C: np.ndarray = np.zeros((0, 0))
-    d: np.ndarray = np.zeros(0)
-
-
 HERMITE, POLYNOMIAL, NESTED, QUARTIC = range(4)
 
 
-def _filled(shape, rows):
-    out = np.zeros(shape)
-    for i, row in rows.items():
-        for j, value in row.items():
-            out[i, j] = value
-    return out
+class Tableau(NamedTuple):
+    """A one-step method of ``s`` stages, and ``x`` further ones for the dense output only."""
+
+    name: str
+    order: int
+    A: Matrix  # (s + x, s + x), strictly lower triangular
+    b: Vector  # (s,)
+    c: Vector  # (s + x,)
+    error_order: int = 0  # of the solution that errors are estimated with; 0: fixed-step method
+    # (1 or 2, s + 1), weights of the error estimates; the last belongs to the slope at the end of
+    # the step.  Two estimates are combined as e5^2 / sqrt(e5^2 + 0.01 e3^2) (Hairer's DOP853).
+    error: Matrix = ()
+    dense: Matrix = ()  # (k, s + 1 + x), see ``dense_kind``
+    # HERMITE (cubic), POLYNOMIAL (rows: coefficients of powers of theta for every slope), NESTED
+    # (DOP853's nested form) or QUARTIC (Rodas5P's)
+    dense_kind: int = HERMITE
+    kind: int = EXPLICIT
+    stability: float = math.inf  # end of the region of stability on the negative real axis
+    # further coefficients of Rosenbrock methods: see :mod:`multiarm.integration.rosenbrock`
+    gamma: float = 0.0
+    C: Matrix = ()  # (s, s)
+    d: Vector = ()  # (s,)
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the method estimates its errors and so chooses its steps."""
+        return self.error_order > 0
+
+
+def _matrix(rows: int, columns: int, entries: dict[int, dict[int, float]]) -> Matrix:
+    """A matrix of which only the entries that are not zero are given, by row and column."""
+    return tuple(tuple(entries.get(i, {}).get(j, 0.0) for j in range(columns)) for i in range(rows))
 
 
 # fmt: off
 
-_DOP853_A = _filled((16, 16), {
+_DOP853_A = _matrix(16, 16, {
     1: {0: 0.05260015195876773},
     2: {0: 0.0197250569845379, 1: 0.0591751709536137},
     3: {0: 0.02958758547680685, 2: 0.08876275643042054},
@@ -96,54 +83,53 @@ _DOP853_A = _filled((16, 16), {
     15: {0: -0.42889630158379194, 5: -4.697621415361164, 6: 7.683421196062599, 7: 4.06898981839711, 8: 0.3567271874552811, 12: -0.0013990241651590145, 13: 2.9475147891527724, 14: -9.15095847217987},
 })
 
-_DOP853_C = np.array([0.0, 0.05260015195876773, 0.0789002279381516, 0.1183503419072274, 0.2816496580927726, 0.3333333333333333, 0.25, 0.3076923076923077, 0.6512820512820513, 0.6, 0.8571428571428571, 1.0, 1.0, 0.1, 0.2, 0.7777777777777778])
+_DOP853_C = (0.0, 0.05260015195876773, 0.0789002279381516, 0.1183503419072274, 0.2816496580927726, 0.3333333333333333, 0.25, 0.3076923076923077, 0.6512820512820513, 0.6, 0.8571428571428571, 1.0, 1.0, 0.1, 0.2, 0.7777777777777778)
 
-_DOP853_ERROR = _filled((2, 13), {
+_DOP853_ERROR = _matrix(2, 13, {
     0: {0: 0.01312004499419488, 5: -1.2251564463762044, 6: -0.4957589496572502, 7: 1.6643771824549864, 8: -0.35032884874997366, 9: 0.3341791187130175, 10: 0.08192320648511571, 11: -0.022355307863886294},
     1: {0: -0.18980075407240762, 5: 4.450312892752409, 6: 1.8915178993145003, 7: -5.801203960010585, 8: -0.4226823213237919, 9: -0.1521609496625161, 10: 0.20136540080403034, 11: 0.02265179219836082},
 })
 
-_DOP853_DENSE = _filled((4, 16), {
+_DOP853_DENSE = _matrix(4, 16, {
     0: {0: -8.428938276109013, 5: 0.5667149535193777, 6: -3.0689499459498917, 7: 2.38466765651207, 8: 2.117034582445028, 9: -0.871391583777973, 10: 2.2404374302607883, 11: 0.6315787787694688, 12: -0.08899033645133331, 13: 18.148505520854727, 14: -9.194632392478356, 15: -4.436036387594894},
     1: {0: 10.427508642579134, 5: 242.28349177525817, 6: 165.20045171727028, 7: -374.5467547226902, 8: -22.113666853125306, 9: 7.733432668472264, 10: -30.674084731089398, 11: -9.332130526430229, 12: 15.697238121770845, 13: -31.139403219565178, 14: -9.35292435884448, 15: 35.81684148639408},
     2: {0: 19.985053242002433, 5: -387.0373087493518, 6: -189.17813819516758, 7: 527.8081592054236, 8: -11.57390253995963, 9: 6.8812326946963, 10: -1.0006050966910838, 11: 0.7777137798053443, 12: -2.778205752353508, 13: -60.19669523126412, 14: 84.32040550667716, 15: 11.99229113618279},
     3: {0: -25.69393346270375, 5: -154.18974869023643, 6: -231.5293791760455, 7: 357.6391179106141, 8: 93.40532418362432, 9: -37.45832313645163, 10: 104.0996495089623, 11: 29.8402934266605, 12: -43.53345659001114, 13: 96.32455395918828, 14: -39.17726167561544, 15: -149.72683625798564},
 })
 
-_DOPRI5_A = _filled((6, 6), {
+_DOPRI5_A = _matrix(6, 6, {
     1: {0: 1 / 5},
     2: {0: 3 / 40, 1: 9 / 40},
     3: {0: 44 / 45, 1: -56 / 15, 2: 32 / 9},
     4: {0: 19372 / 6561, 1: -25360 / 2187, 2: 64448 / 6561, 3: -212 / 729},
     5: {0: 9017 / 3168, 1: -355 / 33, 2: 46732 / 5247, 3: 49 / 176, 4: -5103 / 18656},
 })
-_DOPRI5_B = np.array([35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84])
-_DOPRI5_ERROR = np.array([
-    [-71 / 57600, 0.0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40],
-])
+_DOPRI5_B = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
+_DOPRI5_ERROR = ((-71 / 57600, 0.0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40),)
 # powers 1..4 of theta in the rows, slopes in the columns (Shampine, Math. Comp. 46, 1986)
-_DOPRI5_DENSE = np.array([
-    [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [-8048581381 / 2820520608, 0.0, 131558114200 / 32700410799, -1754552775 / 470086768,
-     127303824393 / 49829197408, -282668133 / 205662961, 40617522 / 29380423],
-    [8663915743 / 2820520608, 0.0, -68118460800 / 10900136933, 14199869525 / 1410260304,
-     -318862633887 / 49829197408, 2019193451 / 616988883, -110615467 / 29380423],
-    [-12715105075 / 11282082432, 0.0, 87487479700 / 32700410799, -10690763975 / 1880347072,
-     701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423],
-])
+_DOPRI5_DENSE = (
+    (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    (-8048581381 / 2820520608, 0.0, 131558114200 / 32700410799, -1754552775 / 470086768,
+     127303824393 / 49829197408, -282668133 / 205662961, 40617522 / 29380423),
+    (8663915743 / 2820520608, 0.0, -68118460800 / 10900136933, 14199869525 / 1410260304,
+     -318862633887 / 49829197408, 2019193451 / 616988883, -110615467 / 29380423),
+    (-12715105075 / 11282082432, 0.0, 87487479700 / 32700410799, -10690763975 / 1880347072,
+     701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423),
+)
 
-_RODAS5P_A = _filled((8, 8), {
+_RODAS5P_LAST = {0: -7.502846399306121, 1: 2.561846144803919, 2: -11.627539656261098, 3: -0.18268767659942256, 4: 0.030198172008377946}
+_RODAS5P_A = _matrix(8, 8, {
     1: {0: 3.0},
     2: {0: 2.849394379747939, 1: 0.45842242204463923},
     3: {0: -6.954028509809101, 1: 2.489845061869568, 2: -10.358996098473584},
     4: {0: 2.8029986275628964, 1: 0.5072464736228206, 2: -0.3988312541770524, 3: -0.04721187230404641},
-    5: {0: -7.502846399306121, 1: 2.561846144803919, 2: -11.627539656261098, 3: -0.18268767659942256, 4: 0.030198172008377946},
+    5: _RODAS5P_LAST,
+    # The last stages refine the end of the step: each begins where the one before ended.
+    6: {**_RODAS5P_LAST, 5: 1.0},
+    7: {**_RODAS5P_LAST, 5: 1.0, 6: 1.0},
 })
-# The last stages refine the end of the step: each begins where the one before has come to.
-_RODAS5P_A[6] = _RODAS5P_A[5] + np.eye(8)[5]
-_RODAS5P_A[7] = _RODAS5P_A[6] + np.eye(8)[6]
 
-_RODAS5P_C = _filled((8, 8), {
+_RODAS5P_C = _matrix(8, 8, {
     1: {0: -14.155112264123755},
     2: {0: -17.97296035885952, 1: -2.859693295451294},
     3: {0: 147.12150275711716, 1: -1.41221402718213, 2: 71.68940251302358},
@@ -152,47 +138,32 @@ _RODAS5P_C = _filled((8, 8), {
     6: {0: 30.91273214028599, 1: -3.1208243349937974, 2: 77.79954646070892, 3: 34.28646028294783, 4: -19.097331116725623, 5: -28.087943162872662},
     7: {0: 37.80277123390563, 1: -3.2571969029072276, 2: 112.26918849496327, 3: 66.9347231244047, 4: -40.06618937091002, 5: -54.66780262877968, 6: -9.48861652309627},
 })
-_RODAS5P_DENSE = np.array([
-    [25.948786856663858, -2.5579724845846235, 10.433815404888879, -2.3679251022685204, 0.524948541321073, 1.1241088310450404, 0.4272876194431874, -0.17202221070155493],
-    [-9.91568850695171, -0.9689944594115154, 3.0438037242978453, -24.495224566215796, 20.176138334709044, 15.98066361424651, -6.789040303419874, -6.710236069923372],
-    [11.419903575922262, 2.8879645146136994, 72.92137995996029, 80.12511834622643, -52.072871366152654, -59.78993625266729, -0.15582684282751913, 4.883087185713722],
-])
-_RODAS5P_NODES = np.array([0.0, 0.6358126895828704, 0.4095798393397535, 0.9769306725060716, 0.4288403609558664, 1.0, 1.0, 1.0])
-_RODAS5P_D = np.array([0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734, 2.325825639765069, 0.0, 0.0, 0.0])
+_RODAS5P_DENSE = (
+    (25.948786856663858, -2.5579724845846235, 10.433815404888879, -2.3679251022685204, 0.524948541321073, 1.1241088310450404, 0.4272876194431874, -0.17202221070155493),
+    (-9.91568850695171, -0.9689944594115154, 3.0438037242978453, -24.495224566215796, 20.176138334709044, 15.98066361424651, -6.789040303419874, -6.710236069923372),
+    (11.419903575922262, 2.8879645146136994, 72.92137995996029, 80.12511834622643, -52.072871366152654, -59.78993625266729, -0.15582684282751913, 4.883087185713722),
+)
+_RODAS5P_NODES = (0.0, 0.6358126895828704, 0.4095798393397535, 0.9769306725060716, 0.4288403609558664, 1.0, 1.0, 1.0)
+_RODAS5P_D = (0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734, 2.325825639765069, 0.0, 0.0, 0.0)
 # fmt: on
 
-_NOTHING = np.zeros((0, 0))
-
 SEMI_IMPLICIT_EULER = Tableau(
-    "semi_implicit_euler",
-    order=1,
-    error_order=0,
-    A=np.zeros((1, 1)),
-    b=np.ones(1),
-    c=np.zeros(1),
-    error=_NOTHING,
-    dense=_NOTHING,
-    dense_kind=HERMITE,
-    kind=SEMI_IMPLICIT,
+    "semi_implicit_euler", order=1, A=((0.0,),), b=(1.0,), c=(0.0,), kind=SEMI_IMPLICIT
 )
 RK4 = Tableau(
     "rk4",
     order=4,
-    error_order=0,
-    A=_filled((4, 4), {1: {0: 0.5}, 2: {1: 0.5}, 3: {2: 1.0}}),
-    b=np.array([1.0, 2.0, 2.0, 1.0]) / 6.0,
-    c=np.array([0.0, 0.5, 0.5, 1.0]),
-    error=_NOTHING,
-    dense=_NOTHING,
-    dense_kind=HERMITE,
+    A=_matrix(4, 4, {1: {0: 0.5}, 2: {1: 0.5}, 3: {2: 1.0}}),
+    b=(1 / 6, 2 / 6, 2 / 6, 1 / 6),
+    c=(0.0, 0.5, 0.5, 1.0),
 )
 DOPRI5 = Tableau(
     "dopri5",
     order=5,
-    error_order=4,
     A=_DOPRI5_A,
     b=_DOPRI5_B,
-    c=np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0]),
+    c=(0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0),
+    error_order=4,
     error=_DOPRI5_ERROR,
     dense=_DOPRI5_DENSE,
     dense_kind=POLYNOMIAL,
@@ -202,10 +173,10 @@ DOPRI5 = Tableau(
 DOP853 = Tableau(
     "dop853",
     order=8,
-    error_order=7,
     A=_DOP853_A,
-    b=_DOP853_A[12, :12].copy(),
+    b=_DOP853_A[12][:12],
     c=_DOP853_C,
+    error_order=7,
     error=_DOP853_ERROR,
     dense=_DOP853_DENSE,
     dense_kind=NESTED,
@@ -214,11 +185,11 @@ DOP853 = Tableau(
 RODAS5P = Tableau(
     "rodas5p",
     order=5,
-    error_order=4,
     A=_RODAS5P_A,
-    b=_RODAS5P_A[7] + np.eye(8)[7],
+    b=(*_RODAS5P_A[7][:7], 1.0),
     c=_RODAS5P_NODES,
-    error=np.eye(9)[7:8],
+    error_order=4,
+    error=_matrix(1, 9, {0: {7: 1.0}}),
     dense=_RODAS5P_DENSE,
     dense_kind=QUARTIC,
     kind=ROSENBROCK,
@@ -227,18 +198,11 @@ RODAS5P = Tableau(
     d=_RODAS5P_D,
 )
 VARIATIONAL_MIDPOINT = Tableau(
-    "variational",
-    order=2,
-    error_order=0,
-    A=np.zeros((1, 1)),
-    b=np.ones(1),
-    c=np.zeros(1),
-    error=_NOTHING,
-    dense=_NOTHING,
-    dense_kind=HERMITE,
-    kind=VARIATIONAL,
+    "variational", order=2, A=((0.0,),), b=(1.0,), c=(0.0,), kind=VARIATIONAL
 )
 
 METHODS = {
     m.name: m for m in (SEMI_IMPLICIT_EULER, VARIATIONAL_MIDPOINT, RK4, DOPRI5, DOP853, RODAS5P)
 }
+FIXED_STEP_INTEGRATORS = tuple(name for name, method in METHODS.items() if not method.adaptive)
+ADAPTIVE_INTEGRATORS = tuple(name for name, method in METHODS.items() if method.adaptive)

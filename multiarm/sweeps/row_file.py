@@ -8,15 +8,18 @@ Layout (format `multiarm sweep`, version 1)::
     /texts         what of a row is not a number: JSON in pieces
     /progress      [rows safely written]
 
-A row counts when `progress` says so, which is written after everything that the row needs: a kill
-at any moment leaves a number of complete rows. Data are forced to the disk once a second, so that a
-power cut costs no more than the rows of that second.
+`progress` is written after everything that a row needs: a kill at any moment leaves a number of
+complete rows. Data are forced to the disk once a second, so that a power cut costs no more than the
+rows of that second.
 """
 
 from __future__ import annotations
 
+import errno
+import json
 import math
 import os
+import platform
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -24,7 +27,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from multiarm.errors import SweepError
+from multiarm.errors import MultiarmError, SweepError
 from multiarm.results.hdf5 import (
     PIECE,
     PIECE_BYTES,
@@ -34,13 +37,15 @@ from multiarm.results.hdf5 import (
     joined,
 )
 
+try:
+    import fcntl
+except ImportError:  # this system has no such locks: nothing is refused
+    fcntl = None  # type: ignore[assignment]
+
 TEXT = "text"
 """Field of a row: its first piece of text, and the end of its pieces."""
 CHUNK_BYTES, CHUNK_PIECES = 32768, 256
-SPARE_BYTES = 1 << 16
-"""Disk space reserved beyond the rows: descriptions, and the index of both datasets."""
-GAP = 32
-"""Rows between two that are read, up to which all are read at once."""
+
 SYNC = 1.0
 """Interval at which data are forced to the disk [s]."""
 
@@ -94,8 +99,8 @@ class RowReader(StoredFile):
 
     def picked(self, places: np.ndarray) -> Block:
         """The rows at some places, in that order, and their texts."""
-        order = np.argsort(places)
-        spans = np.split(places[order], np.flatnonzero(np.diff(places[order]) > GAP) + 1)
+        order, gap = np.argsort(places), 32  # closer rows are read at once
+        spans = np.split(places[order], np.flatnonzero(np.diff(places[order]) > gap) + 1)
         parts = [self._within(span) for span in spans if len(span)] or [self.block(0, 0)]
         rows = np.concatenate([rows for rows, _ in parts])
         texts = [text for _, own in parts for text in own]
@@ -148,7 +153,7 @@ class RowWriter(GrowingFile):
         self.count = self._pieces = 0
         self._synced = -math.inf
         described = sum(len(text.encode()) for text in texts.values())
-        super().__init__(path, CHUNK_BYTES + CHUNK_PIECES * PIECE_BYTES, SPARE_BYTES + described)
+        super().__init__(path, CHUNK_BYTES + CHUNK_PIECES * PIECE_BYTES, (1 << 16) + described)
 
     def create(self) -> None:
         """Create all datasets, with the rows to begin with."""
@@ -192,3 +197,92 @@ class RowWriter(GrowingFile):
         self._rows.resize(self.count + len(rows), axis=0)
         self._rows[self.count :] = rows
         self.count, self._pieces = self.count + len(rows), int(ends[-1])
+
+
+class WriterLock:
+    """Exclusive right to write a file, until :meth:`release` or the end of the process.
+
+    The lock is the operating system's (`flock`), on a small file next to the guarded one. The
+    guarded file itself is replaced on resuming, and a lock would stay with the old one.
+
+    Parameters
+    ----------
+    path : Path
+        The guarded file.
+    error : type
+        Of the errors that are raised.
+
+    Raises
+    ------
+    MultiarmError
+        Another process, or another part of this one, holds the lock.
+    """
+
+    def __init__(self, path: Path, error: type[MultiarmError]):
+        self._path = path.with_name(f".{path.name}.lock")
+        self._descriptor: int | None = None
+        while fcntl is not None and self._descriptor is None:
+            descriptor = self._open(error)
+            if not _locked(descriptor):
+                holder = _holder(descriptor)
+                os.close(descriptor)
+                raise error(
+                    f"'{path}' is being written by another process{holder}; wait for it, end it, "
+                    "or choose another file"
+                )
+            if self._is_current(descriptor):
+                self._descriptor = descriptor
+                owner = {"process": os.getpid(), "host": platform.node()}
+                os.ftruncate(descriptor, 0)
+                os.pwrite(descriptor, json.dumps(owner).encode(), 0)
+            else:  # its last owner has just removed it
+                os.close(descriptor)
+
+    def release(self) -> None:
+        """Let others write."""
+        if self._descriptor is not None:
+            self._path.unlink(missing_ok=True)
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def _open(self, error: type[MultiarmError]) -> int:
+        linked = error(
+            f"'{self._path}' is a link, which is not followed: remove it, or choose another folder"
+        )
+        try:
+            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        except OSError as fault:
+            if fault.errno == errno.ELOOP:
+                raise linked from None
+            raise error(
+                f"cannot write to '{self._path.parent}': {fault.strerror}; "
+                "choose a folder that you may write to"
+            ) from None
+        if os.fstat(descriptor).st_nlink > 1:  # a hard link: writing would change another file
+            os.close(descriptor)
+            raise linked
+        return descriptor
+
+    def _is_current(self, descriptor: int) -> bool:
+        try:
+            return os.path.samestat(os.fstat(descriptor), os.stat(self._path))
+        except FileNotFoundError:
+            return False
+
+
+def _locked(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass  # a file system without locks
+    return True
+
+
+def _holder(descriptor: int) -> str:
+    try:
+        owner = json.loads(os.pread(descriptor, 500, 0))
+        return f" ({owner['process']} on {owner['host']})"
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""

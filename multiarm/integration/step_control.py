@@ -1,0 +1,287 @@
+"""Step control: how long the next step is, and whether the last one is accepted.
+
+*Length.*  The error of a step in units of the tolerance sets the length of the next one by a PI
+controller (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.4, and II, IV.2).
+Steps of adaptive methods end at breakpoints, where forces are discontinuous.
+
+*Retries.*  Where the constraints are near a loss of rank, stages off the constraints make even
+short steps fail.  Such a step is retried, and the next ones are made, with projected stages.
+
+*Corrections.*  The change of the state by projection after a step is the part of its error that led
+off the joints, and must meet the tolerance as the error estimate does.
+
+*Stiffness* is detected by counting steps that are as long as stability allows.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.dynamics.arrays import CONTRADICTION, OK, open_coupled, open_system
+from multiarm.dynamics.solver_monitor import believable
+from multiarm.integration.projection import FEEDBACK_RATIO, near_loss
+from multiarm.jit.kernels import kernel
+from multiarm.jit.structs import Flag, Float, Floats1, Int, Numbers, view
+
+# Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
+FINISHED, BLOCK_FULL, BUDGET_USED = -10, -11, -12
+STEP_TOO_SMALL, DIVERGED, SOLVER_CHANGED, LARGE_CORRECTION, STIFF = -13, -14, -15, -16, -17
+# An event lies within the step just made, which was not accepted; the run reached its stop.
+EVENT, STOPPED = -19, -20
+
+# Kinds of stabilization.
+NONE, FEEDBACK, PROJECTION = 0, 1, 2
+
+# Step size control: safety factor, smallest and largest change of the length (Hairer and Wanner).
+SAFETY, SHRINK, GROW = 0.9, 0.2, 6.0
+# Times closer than this, relative to the run, are equal.
+CLOSE_IN_TIME = 1e-12
+# A scene counts as stiff after this many steps limited by stability ...
+STIFF_AFTER = 15
+# ... unless this many steps in a row were not (Hairer and Wanner, IV.2).
+SMOOTH_AFTER = 6
+
+
+class Settings(NamedTuple):
+    """Settings of a run."""
+
+    begin: Float  # [s]
+    end: Float
+    sample_step: Float  # [s]: samples are taken at its multiples from ``begin``, and at ``end``
+    samples: Int
+    adaptive: Flag
+    step: Float  # [s], the fixed step, or the first one of an adaptive method
+    longest_step: Float  # [s], of an adaptive method
+    tolerance: Float  # the smallest of ``Step.tolerance``
+    stabilization: Int
+    # gains of the feedback [1/s]; negative: FEEDBACK_RATIO / step
+    alpha: Float
+    beta: Float
+    gap_tolerance: Float  # [m], largest gap that projection leaves; negative: no projection
+    divergence_bound: Float  # [m], gap above which a run counts as diverged
+    # Increasing times of discontinuities.  An adaptive method ends a step there; the end of that
+    # step is evaluated just before the breakpoint, the next step begins just after it.
+    breakpoints: Floats1
+    switch: Flag  # return when stiffness limits the steps of an explicit method
+    stop: Float  # [s], where a step ends and the loop returns, before the end; infinite: none
+
+
+class Clock(Numbers):
+    """State of the loop, which it keeps between calls."""
+
+    t: Float
+    h: Float  # the next step
+    # beginning, length and error [tolerances] of the last step
+    t_before: Float
+    h_before: Float
+    error_before: Float
+    error_sum: Float  # of the accepted steps' estimates [m, rad]
+    smallest_step: Float
+    largest_step: Float
+    correction: Float  # change by projection for which the step was last rejected [tolerances]
+    worst_residual: Float
+    worst_correction: Float  # of an accepted step [m, rad; m/s, rad/s]
+    stiff_since: Float  # time at which stiffness was detected
+    steps: Int
+    rejected: Int
+    evaluations: Int
+    projections: Int
+    sample: Int  # the next one
+    block_first: Int  # first sample of the block
+    breakpoint: Int  # the next one
+    cause: Int  # why the last step was rejected
+    coupled_steps: Int  # steps that ended with deficient arms
+    lowest_rank: Int
+    highest_rank: Int
+    solver_changes: Int  # of rank or of deficient arms, that Python has not logged yet
+    retry_steps: Int  # steps still to be made with projected stages
+    stiff_steps: Int  # steps limited by stiffness
+    smooth_steps: Int  # later steps that were not
+
+
+view_clock, view_settings = view(Clock), view(Settings)
+
+
+def make_clock(settings: Settings) -> Clock:
+    """A clock at the beginning of a run."""
+    return Clock(
+        t=settings.begin,
+        h=settings.step,
+        error_before=1.0,
+        smallest_step=math.inf,
+        stiff_since=math.nan,
+        cause=STEP_TOO_SMALL,
+        lowest_rank=np.iinfo(np.int64).max,
+    )
+
+
+@kernel
+def gains(settings, h):
+    """Feedback gains of a step of length ``h``."""
+    if settings.stabilization != FEEDBACK:
+        return 0.0, 0.0
+    alpha = settings.alpha if settings.alpha >= 0.0 else FEEDBACK_RATIO / h
+    beta = settings.beta if settings.beta >= 0.0 else FEEDBACK_RATIO / h
+    return alpha, beta
+
+
+@kernel
+def planned_step(clock, settings):
+    """Length of the next step, and the time at which it ends."""
+    t = clock.t
+    breakpoints = settings.breakpoints
+    near = CLOSE_IN_TIME * (1.0 + settings.end)
+    while clock.breakpoint < breakpoints.size and breakpoints[clock.breakpoint] <= t + near:
+        clock.breakpoint += 1
+    if not settings.adaptive:
+        past = math.floor((t - settings.begin) / settings.step + 1e-9)
+        end = settings.begin + (past + 1) * settings.step
+        last = min(settings.end, settings.stop)
+        if end > last - 1e-9 * settings.step:
+            end = last
+        return end - t, end
+    stop = min(settings.end, settings.stop)
+    if clock.breakpoint < breakpoints.size and breakpoints[clock.breakpoint] < stop - near:
+        stop = breakpoints[clock.breakpoint]
+    h = min(clock.h, settings.longest_step)
+    if t + 1.01 * h >= stop:
+        return stop - t, stop
+    if t + 2.0 * h > stop:
+        h = 0.5 * (stop - t)  # two equal steps rather than a long and a tiny one
+    return h, t + h
+
+
+@kernel
+def breakpoint_at(clock, settings, end):
+    """The breakpoint at which a step ends; infinite when it ends at none."""
+    k = clock.breakpoint
+    near = CLOSE_IN_TIME * (1.0 + settings.end)
+    if k < settings.breakpoints.size and abs(settings.breakpoints[k] - end) <= near:
+        return settings.breakpoints[k]
+    return math.inf
+
+
+@kernel
+def stay_before_breakpoint(struct, clock, settings, end):
+    """Evaluate a step that ends at a breakpoint before the discontinuity only."""
+    _, data, _ = open_system(struct)
+    ahead = not math.isinf(breakpoint_at(clock, settings, end))
+    data.time.latest = end - CLOSE_IN_TIME * (1.0 + settings.end) if ahead else math.inf
+
+
+@kernel
+def next_length(method, h, error, error_old):
+    """PI controller for the next step from this step's error and the one before."""
+    order = 1.0 / (method.error_order + 1.0)
+    if error == 0.0:
+        return GROW * h
+    factor = SAFETY * error ** (-0.7 * order) * error_old ** (0.4 * order)
+    return h * min(GROW, max(SHRINK, factor))
+
+
+@kernel
+def length_after_rejection(method, h, error):
+    """Length of a step that replaces one whose error was too large."""
+    return h * max(SHRINK, SAFETY * error ** (-1.0 / (method.error_order + 1.0)))
+
+
+@kernel
+def choose_stage_projection(struct, clock, settings):
+    """Decide whether the stages of the next step are projected."""
+    _, data, _ = open_system(struct)
+    open_coupled(struct).status.least_margin = math.inf
+    retry = clock.retry_steps > 0
+    if not settings.adaptive and settings.gap_tolerance >= 0.0:
+        retry = near_loss(struct)
+    data.status.stage_gap = settings.gap_tolerance if retry else -1.0
+
+
+@kernel
+def rounding_floor(struct, clock):
+    """Smallest error that a step with projected stages can have [m, rad; m/s, rad/s].
+
+    Where two motions cross, roundings give an error that grows with the inverse cube of the margin,
+    the distance from the loss of rank.
+    """
+    if clock.retry_steps == 0:
+        return 0.0
+    margin = open_coupled(struct).status.least_margin
+    return min(1e-9, 2e-15 / margin**3)
+
+
+@kernel
+def check_solution(struct, clock, settings):
+    """Whether the end of a step is a solution: ``CONTRADICTION``, ``LARGE_CORRECTION`` or ``OK``.
+
+    Near a bifurcation a step may end between two branches, from where projection moves the state
+    far: a shorter step ends nearer to the branch that the motion is on.  There the change has other
+    causes too, and may be 30 tolerances.
+    """
+    _, data, _ = open_system(struct)
+    if not believable(struct, data.status.residual):
+        return CONTRADICTION
+    if not settings.adaptive or settings.gap_tolerance < 0.0:
+        return OK
+    floor = max(settings.tolerance, rounding_floor(struct, clock))
+    margin, bound = open_coupled(struct).status.least_margin, 1.0
+    # changes that are roundings, in gaps
+    of_position, of_velocity = 10.0 * settings.gap_tolerance, 1e3 * settings.gap_tolerance
+    if not math.isinf(margin):
+        bound = 30.0
+        # roundings of gaps [m] over the margin in positions, over its square in velocities
+        of_position = min(1e-5, 1e-14 / margin) / bound
+        of_velocity = min(1e-5, 1e-14 / (margin * margin)) / bound
+    correction = max(
+        data.status.position_change / max(floor, of_position),
+        data.status.velocity_change / max(floor, of_velocity),
+    )
+    before = clock.correction
+    # a shorter step must halve the correction, else it has another cause; 1e4 is never accepted
+    smaller = before == 0.0 or correction < 0.5 * before or correction > 1e4
+    if correction > bound and smaller:
+        clock.correction = correction
+        return LARGE_CORRECTION
+    return OK
+
+
+@kernel
+def accept_step(struct, method, clock, settings, h, end, error):
+    """Move the clock to the end of an accepted step, and choose the next length."""
+    if settings.adaptive:
+        proposal = next_length(method, h, error, clock.error_before)
+        # the error of a step cut short by a breakpoint or the end says little about a longer one
+        clock.h = max(proposal, clock.h) if h < clock.h else proposal
+        clock.error_before = max(error, 1e-4)
+        clock.error_sum += error * max(settings.tolerance, rounding_floor(struct, clock))
+    clock.t_before, clock.h_before, clock.t = clock.t, h, end
+    clock.correction = 0.0
+    clock.retry_steps = max(clock.retry_steps - 1, 0)
+    clock.smallest_step = min(clock.smallest_step, h)
+    clock.largest_step = max(clock.largest_step, h)
+    clock.steps += 1
+
+
+@kernel
+def detect_stiffness(method, step, clock, h, end):
+    r"""Count steps that are as long as stability allows.
+
+    The last stage and the end of the step belong to the same time; their difference estimates the
+    largest eigenvalue, :math:`|\lambda| \approx \|f(z_1) - f(z_2)\| / \|z_1 - z_2\|`.
+    """
+    last, end_slope = method.stages - 1, method.stages
+    rates = states = 0.0
+    for i in range(step.tolerance.size):
+        rates += (step.k[end_slope, i] - step.k[last, i]) ** 2
+        states += (step.z_new[i] - step.z_stage[i]) ** 2
+    if states > 0.0 and h * h * rates > method.stability**2 * states:
+        clock.stiff_steps += 1
+        clock.smooth_steps = 0
+        if clock.stiff_steps == STIFF_AFTER:
+            clock.stiff_since = end
+    elif clock.stiff_steps < STIFF_AFTER:
+        clock.smooth_steps += 1
+        if clock.smooth_steps == SMOOTH_AFTER:
+            clock.stiff_steps = 0

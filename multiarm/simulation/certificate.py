@@ -1,0 +1,381 @@
+r"""The certificate of a run: estimated errors, checks, and the verdict on the accuracy.
+
+**Estimated errors.**  A run is compared with a *tightened rerun*, of the same scene by the same
+method with smaller tolerances.  With errors e of the run and e' of the rerun, their difference d
+bounds the error of the run,
+
+.. math:: d \ge |e| - |e'| \quad\text{so that}\quad |e| \le d / (1 - r), \quad r = |e'| / |e| ,
+
+if the rerun is better: r < 1.  Were errors proportional to tolerances, r would be the ratio of the
+tolerances, some hundredths; ``SAFETY`` covers r up to 1 - 1 / SAFETY.  A difference does not show
+errors that both runs share.  Roundings always are: they are added as a floor.  For other shared
+errors, the checks look at the run alone.
+
+**Energy.** Along the exact motion the balance
+
+.. math:: B(t) = E(q, v) - E(q_0, v_0) - W(t), \qquad E = T(q, v) + V(q)
+
+is zero. A run with errors :math:`\delta q, \delta v` and an error :math:`\delta W` of its work has,
+to first order,
+
+.. math:: |B| \le \sum_i \Big|\frac{\partial E}{\partial q_i}\Big| |\delta q_i|
+          + \sum_i |p_i| |\delta v_i| + |\delta W|, \qquad p = \frac{\partial T}{\partial v} = M v .
+
+The generalised forces :math:`\partial E / \partial q` (weight and the change of the inertia with
+the posture) are differences of the energy at the sample where the balance is worst, the momenta
+:math:`p` those of that sample. For :math:`|\delta q_i|` stands the required accuracy (or else the
+estimated error), for :math:`|\delta v_i|` and :math:`|\delta W|` the largest
+differences that the two runs show. Gaps that are not closed add the work of the contact forces on
+them, :math:`\sum_k |\lambda_k| |\varphi|` and :math:`\sum_k |\lambda_k| \int |\dot\varphi| dt`. The
+sum, times 3 for terms of higher order, plus the rounding of the energies, is the
+bound.
+
+**Residual.** A relative error :math:`\rho` of the accelerations moves things by about :math:`\rho`
+times what they move anyway, metres and radians: it must stay below the accuracy. Double precision
+leaves about 1e-8 near a loss of rank, which is always allowed.
+
+**Drift.** A gap of a contact is an error of position.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.contact_geometry import place_state
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.kinematics import read_inertia
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.state import State
+from multiarm.errors import MultiarmError
+from multiarm.results.trajectory import Trajectory
+from multiarm.scene import AccuracySpec
+from multiarm.simulation.comparison import (
+    FORCE,
+    KINDS,
+    POSITION,
+    ROTATION,
+    UNITS,
+    Comparison,
+    compare,
+    growth_rate,
+    state_of,
+    undetermined_forces,
+)
+from multiarm.spatial import retract
+
+SAFETY = 2.0
+"""Of an estimate: covers reruns whose error is up to half of the run's."""
+ROUNDING = 1e-14
+"""Floor of an estimate, relative to the values (at least 1 m, 1 rad, 1 N)."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """A number of a run and its bound."""
+
+    value: float
+    bound: float
+    unit: str
+    fault: str  # message for a value above the bound, a clause
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is within its bound; a value that is not a number is not."""
+        return bool(self.value <= self.bound)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Value, bound, unit, passed."""
+        return {
+            "value": self.value, "bound": self.bound, "unit": self.unit, "passed": self.passed,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of comparing a run with its tightened rerun."""
+
+    required: dict[str, float | None]  # by kind
+    estimated: dict[str, float | None]  # by kind: difference times ``SAFETY``, plus rounding
+    comparison: Comparison
+    checks: dict[str, Check]
+    growth: float | None  # [1/s], exponential growth rate of the difference
+    complete: bool = True  # the rerun reached the end too
+
+    @property
+    def excess(self) -> float:
+        """Largest ratio of an estimated error to the required accuracy."""
+        ratios = []
+        for kind, required in self.required.items():
+            estimated = self.estimated[kind]
+            if required is not None and estimated is not None:
+                ratios.append(estimated / required)
+        return max(ratios, default=0.0)
+
+    @property
+    def judged(self) -> bool:
+        """Whether an output with a required accuracy could be compared."""
+        return any(
+            required is not None and self.estimated[kind] is not None
+            for kind, required in self.required.items()
+        )
+
+    @property
+    def accurate(self) -> bool:
+        """Whether the estimated errors are within the required accuracy."""
+        return self.complete and self.judged and bool(self.excess <= 1.0)
+
+    @property
+    def faults(self) -> list[str]:
+        """Messages of the failed checks, a clause each."""
+        return [check.fault for check in self.checks.values() if not check.passed]
+
+    @property
+    def met(self) -> bool:
+        """Whether the accuracy was reached, by the estimates and the checks."""
+        return self.accurate and not self.faults
+
+    @property
+    def undetermined(self) -> list[str]:
+        """Outputs with forces that the equations leave open."""
+        return [name for name, d in self.comparison.outputs.items() if d.left_out]
+
+    def numbers(self) -> str:
+        """``estimated error 2e-09 m, 4e-09 rad, 3e-06 N (asked 1e-06 m, 1e-06 rad)``."""
+        known = {kind: value for kind, value in self.estimated.items() if value is not None}
+        wanted = {kind: value for kind, value in self.required.items() if value is not None}
+        return f"estimated error {_listed(known)} (asked {_listed(wanted)})"
+
+    def as_dict(self) -> dict[str, Any]:
+        """In types of JSON, without text and attempts."""
+        comparison = self.comparison
+        return {
+            "met": self.met,
+            "asked": dict(self.required),
+            "estimated_error": dict(self.estimated),
+            "by_output": {
+                name: {
+                    "error": _estimate(d.worst, d.size) if d.compared else None,
+                    "unit": UNITS[d.kind],
+                    "time": d.time,
+                    "samples_left_out": d.left_out,
+                }
+                for name, d in comparison.outputs.items()
+            },
+            "over_time": {
+                "time": comparison.time.tolist(),
+                **{
+                    kind: (SAFETY * values + ROUNDING).tolist()
+                    for kind, values in comparison.course.items()
+                },
+            },
+            "checks": {name: check.as_dict() for name, check in self.checks.items()},
+            "growth_rate_per_s": self.growth,
+        }
+
+
+def judge(data: Data, run: Trajectory, finer: Trajectory, accuracy: AccuracySpec) -> Finding:
+    """Estimate the errors of a run from a tightened rerun, and check the run itself.
+
+    Parameters
+    ----------
+    data : Data
+    run : Trajectory
+        Complete, with at least one sample.
+    finer : Trajectory
+        The rerun; where it ended early, the common part is compared.
+    accuracy : AccuracySpec
+    """
+    comparison = compare(run, finer, undetermined_forces(data, run))
+    required = _required(accuracy)
+    estimated: dict[str, float | None] = {}
+    for kind in KINDS:
+        worst = comparison.worst(kind)
+        estimated[kind] = None if worst is None else _estimate(worst, comparison.size(kind))
+    lengths = {k: required[k] or estimated[k] or 0.0 for k in (POSITION, ROTATION)}
+    apart = np.maximum(comparison.course[POSITION], comparison.course[ROTATION])
+    return Finding(
+        required,
+        estimated,
+        comparison,
+        check_run(data, run, comparison, lengths),
+        growth_rate(comparison.time, apart),
+        complete=finer.status == "completed" and len(finer) == len(run),
+    )
+
+
+def certificate(
+    finding: Finding | None,
+    accuracy: AccuracySpec,
+    reason: str,
+    words: str,
+    rows: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """The certificate as it is stored."""
+    if finding is None:
+        found = unchecked(accuracy)
+        text = f"not met, as far as is known: {words}"
+    else:
+        found, verdict = finding.as_dict(), "met" if finding.met else "not met"
+        parts = [f"{verdict}: {finding.numbers()}", *finding.faults, words]
+        if finding.undetermined:
+            names = ", ".join(finding.undetermined)
+            parts.append(f"forces that the equations leave open were not judged ({names})")
+        text = "; ".join(part for part in parts if part)
+    return {**found, "text": text, "reason": reason or "met", "safety": SAFETY, "attempts": rows}
+
+
+def unchecked(accuracy: AccuracySpec) -> dict[str, Any]:
+    """Of a run that could not be compared with another one."""
+    return {
+        "met": False,
+        "asked": _required(accuracy),
+        "estimated_error": dict.fromkeys(KINDS),
+        "by_output": {},
+        "over_time": {"time": [], **{kind: [] for kind in KINDS}},
+        "checks": {},
+        "growth_rate_per_s": None,
+    }
+
+
+def check_run(
+    data: Data, run: Trajectory, comparison: Comparison, accuracy: dict[str, float]
+) -> dict[str, Check]:
+    """Energy, residual and drift of a run.
+
+    Parameters
+    ----------
+    data : Data
+    run : Trajectory
+    comparison : Comparison
+        With its tightened rerun.
+    accuracy : dict
+        [m] under ``position_m`` and [rad] under ``rotation_rad``: required, or else estimated.
+    """
+    gap = _largest(run, "drift/position")
+    residual = _largest(run, "solver/residual")
+    smallest = min(accuracy[POSITION], accuracy[ROTATION])
+    energy = _energy_check(data, run, comparison, accuracy)
+    return {
+        **({} if energy is None else {"energy": energy}),
+        "residual": Check(
+            residual, max(smallest, 1e-8), "1",
+            f"the equations were solved to {residual:.2g} only, relative to their largest term",
+        ),
+        "drift": Check(
+            gap, accuracy[POSITION], "m", f"the contacts are open by up to {gap:.2g} m"
+        ),
+    }  # fmt: skip
+
+
+def _energy_check(
+    data: Data, run: Trajectory, comparison: Comparison, accuracy: dict[str, float]
+) -> Check | None:
+    """The energy check; None next to a posture where the energy cannot be evaluated."""
+    k, imbalance, exchanged = _worst_balance(run)
+    slack = 1e-13 * exchanged + _work_on_gaps(run)  # roundings of many steps
+    try:
+        state = state_of(data.model.layout, run, k)
+        units = ["m"] * 3 + ["rad"] * 3 + list(data.model.joint_units)
+        off = np.array([accuracy[POSITION if unit == "m" else ROTATION] for unit in units])
+        names = ["object/twist", *(f"arms/{arm}/joint_velocity" for arm in data.model.arm_names)]
+        slow = np.concatenate([comparison.velocity[name] for name in names])
+        explained = float(
+            np.abs(_energy_gradient(data, state)) @ off + np.abs(_momentum(data, state)) @ slow
+        )
+    except MultiarmError:
+        return None
+    bound = 3.0 * (explained + comparison.work) + slack
+    return Check(
+        imbalance, bound, "J",
+        f"energy and work are out of balance by {imbalance:.2g} J where errors of the accuracy "
+        f"required explain {bound:.2g} J",
+    )  # fmt: skip
+
+
+def _worst_balance(run: Trajectory) -> tuple[int, float, float]:
+    """Sample of the largest imbalance, the imbalance, and the largest energy or work [J]."""
+    names = ("energy/kinetic", "energy/potential", "energy/work")
+    begin = sum(float(run.read(name, 0, 1)[0]) for name in names[:2])
+    worst, at, size, start = -1.0, 0, abs(begin), 0
+    for kinetic, potential, work in run.blocks(*names):
+        balance = np.abs(kinetic + potential - begin - work)
+        k = int(np.argmax(balance))
+        if balance[k] > worst:
+            worst, at = float(balance[k]), start + k
+        size = max(size, *(float(np.abs(values).max()) for values in (kinetic, potential, work)))
+        start += len(kinetic)
+    return at, worst, size
+
+
+def _work_on_gaps(run: Trajectory) -> float:
+    """Bound of the work of contact forces on gaps that are not closed [J]."""
+    forces = [f"arms/{arm}/contact_force" for arm in run.arm_names]
+    largest, gap, opened, before = 0.0, 0.0, 0.0, None
+    for time, gaps, rates, *blocks in run.blocks(
+        "time", "drift/position", "drift/velocity", *forces
+    ):
+        total = sum(np.abs(values).sum(axis=1) for values in blocks)
+        largest = max(largest, float(np.max(total)))
+        gap = max(gap, float(gaps.max()))
+        steps = np.diff(time, prepend=time[0] if before is None else before)
+        opened += float(rates @ steps)
+        before = time[-1]
+    return largest * (gap + opened)
+
+
+def _momentum(data: Data, state: State) -> np.ndarray:
+    """Generalised momenta M v, shape (6 + n,)."""
+    place_state(data, 0.0, state)
+    if update_kinematics(data.struct) != OK:
+        data.reraise()
+    parts = [data.arrays.inertia @ state.velocity[:6]]
+    for i, (a, b) in enumerate(pairwise(data.model.layout.dofs)):
+        inertia = read_inertia(data.arrays.pointers[i], b - a)
+        parts.append(inertia @ state.velocity[6 + a : 6 + b])
+    return np.concatenate(parts)
+
+
+def _energy_gradient(data: Data, state: State) -> np.ndarray:
+    """Derivative of the energy with respect to positions, shape (6 + n,) [N, N m]."""
+    change = 1e-5  # [m, rad]
+
+    def energy(i: int, step: float) -> float:
+        momentum = _momentum(data, _shifted(state, i, step))
+        return 0.5 * float(momentum @ state.velocity) + data.potential_energy()
+
+    found = [energy(i, change) - energy(i, -change) for i in range(state.velocity.size)]
+    return np.array(found) / (2.0 * change)
+
+
+def _shifted(state: State, i: int, step: float) -> State:
+    """The state with its ``i``-th position moved."""
+    moved = state.copy()
+    if i < 3:
+        moved.position[i] += step
+    elif i < 6:
+        moved.position[3:7] = retract(state.position[3:7], step * np.eye(3)[i - 3])
+    else:
+        moved.position[i + 1] += step
+    return moved
+
+
+def _largest(run: Trajectory, name: str) -> float:
+    return max(float(np.abs(values).max()) for (values,) in run.blocks(name))
+
+
+def _required(accuracy: AccuracySpec) -> dict[str, float | None]:
+    return {POSITION: accuracy.position, ROTATION: accuracy.rotation, FORCE: accuracy.force}
+
+
+def _estimate(difference: float, size: float) -> float:
+    """Estimated error from a difference of two runs, for values of this size."""
+    return SAFETY * difference + ROUNDING * max(1.0, size)
+
+
+def _listed(values: dict[str, float]) -> str:
+    return ", ".join(f"{value:.2g} {UNITS[kind]}" for kind, value in values.items())
