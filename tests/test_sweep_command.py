@@ -19,11 +19,12 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app, sweep_progress
+from multiarm.cli import app
 from multiarm.cli.sweep_tables import spread_table, trouble_lines
 from multiarm.sweeps.quantities import measure
 from multiarm.sweeps.result import load_sweep
 from multiarm.sweeps.summary import Failure, SweepSummary
+from multiarm.terminal import progress
 from multiarm.terminal.progress import SweepProgress
 
 SCENE = SCENES / "two_ur5_box.yaml"
@@ -307,7 +308,7 @@ def test_a_sweep_with_faults_is_one_message_with_all_of_them(tmp_path):
 
 def test_the_end_is_estimated_from_the_pace_of_the_runs_made_here(monkeypatch):
     clock, printed = [100.0], []
-    monkeypatch.setattr(sweep_progress.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
     bar = SweepProgress()
     monkeypatch.setattr(bar._console, "print", lambda text, **_: printed.append(text))
     for seconds, done in [(0, 500), (60, 510), (100, 610), (140, 710), (180, 1000)]:

@@ -8,8 +8,8 @@ from mechanics import ur5_pair
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.sweeps.keeping import OwnQuantity
 from multiarm.sweeps.quantities import KNOWN, Quantity, digest, measure
+from multiarm.sweeps.spec import OwnQuantity
 
 GOAL, TURN = np.array([0.02, 0.0, 0.53]), [0.0, 0.0, 0.2]
 PATH = [{"time": 0.4, "xyz": GOAL.tolist(), "rpy": TURN}]

@@ -162,7 +162,7 @@ def sweep(
     for source in (scene, over):
         check_targets({"--out": target, **written}, source=source)
     if parquet is not None:
-        from multiarm.sweeps.export import require_pyarrow
+        from multiarm.sweeps.table import require_pyarrow
 
         require_pyarrow()
     changes: dict[str, Any] = {"repeat": repeat, "seed": seed}
