@@ -14,8 +14,8 @@ from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
+from multiarm.reports.parts import CSS
 from multiarm.reports.report import inline_svg, quantity
-from multiarm.reports.style import CSS
 from multiarm.results.files import save_page
 from multiarm.studies.hard_case_plots import case_figure
 from multiarm.studies.hard_cases import (

@@ -9,8 +9,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from multiarm.reports.parts import CSS
 from multiarm.reports.report import inline_svg, quantity
-from multiarm.reports.style import CSS
 from multiarm.results.files import save_page
 from multiarm.studies.scaling_plots import study_figure
 from multiarm.studies.scaling_tables import Table, disturbance, exponent, micro, tables

@@ -5,8 +5,7 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 
-from multiarm.reports.parts import NOTHING, inline_svg, quantity
-from multiarm.reports.style import CSS
+from multiarm.reports.parts import CSS, NOTHING, inline_svg, quantity
 from multiarm.results.files import save_page
 from multiarm.studies.effect_costs.entries import QUANTITIES, Entry, Ledger
 from multiarm.studies.effect_costs.plots import ledger_figure

@@ -14,8 +14,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from multiarm.reports.parts import NOTHING, quantity
-from multiarm.reports.style import CSS
+from multiarm.reports.parts import CSS, NOTHING, quantity
 from multiarm.results.files import printable_texts, save_page
 from multiarm.results.trajectory import plain
 from multiarm.studies.hard_case_page import scientific
