@@ -29,7 +29,7 @@ from multiarm.scene import AccuracySpec, RunSpec, dump_scene, parse_scene
 from multiarm.simulation import certified as attempts
 from multiarm.simulation.certificate import SAFETY, compare, growth_rate, judge, rotation_apart
 from multiarm.simulation.certified import INTERRUPTED_WORDS
-from multiarm.studies.honesty import run_trial
+from multiarm.studies.certificate_calibration import run_trial
 from multiarm.terminal.progress import RunProgress
 
 ROOT = Path(__file__).parents[1]

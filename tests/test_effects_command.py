@@ -20,7 +20,6 @@ from multiarm.effects.defaults import defaults
 from multiarm.scene import dump_scene, registry
 from multiarm.simulation.certificate import rotation_apart
 from multiarm.studies.effect_costs import study
-from multiarm.studies.effect_costs.changes import changes
 from multiarm.studies.effect_costs.entries import (
     FORCE,
     JOINTS,
@@ -28,13 +27,13 @@ from multiarm.studies.effect_costs.entries import (
     TURN,
     Change,
     Entry,
+    Estimate,
     Ledger,
+    paired_difference,
 )
-from multiarm.studies.effect_costs.estimates import Estimate, paired_difference
 from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
-from multiarm.studies.effect_costs.page import render, write_page
-from multiarm.studies.effect_costs.plots import ledger_figure
-from multiarm.studies.effect_costs.study import ledger
+from multiarm.studies.effect_costs.page import ledger_figure, render, write_page
+from multiarm.studies.effect_costs.study import changes, ledger
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING, without
 from multiarm.studies.effect_costs.words import percent, sentence, summary
 

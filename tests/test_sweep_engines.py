@@ -304,7 +304,7 @@ def test_a_named_file_with_another_text_makes_another_sweep(by_file, tmp_path):
     found = ma.sweep(scene, asked, out=out, workers=1, **RUN)
     assert ma.sweep(scene, asked, out=out, workers=1, **RUN).complete  # nothing else changed
     urdf.write_text(urdf.read_text().replace("</robot>", "<!-- another -->\n</robot>"))
-    with pytest.raises(SweepError, match=r"own\.urdf' has another text, or is gone"):
+    with pytest.raises(SweepError, match=r"own\.urdf' has changed, or is missing"):
         ma.sweep(scene, asked, out=out, workers=1, **RUN)
     with pytest.warns(UserWarning, match=r"may give other numbers than its row has: the file"):
         found.trajectory(1)

@@ -18,10 +18,10 @@ from multiarm.errors import MultiarmError
 from multiarm.problems import ring_of_arms
 from multiarm.scene import find_robot
 from multiarm.scene.run import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
-from multiarm.studies.courses import Course, Grid, OutOfTime
+from multiarm.studies.mujoco_peer import TorqueTape
+from multiarm.studies.observables import control_torque, joint_damping, sinusoid
 from multiarm.studies.peer_trials import NOT_INSTALLED
-from multiarm.studies.probes import control_torque, joint_damping, sinusoid
-from multiarm.studies.torque_tape import TorqueTape
+from multiarm.studies.time_series import Course, Grid, OutOfTime
 from multiarm.studies.work_precision import reference as references
 from multiarm.studies.work_precision import study as studies
 from multiarm.studies.work_precision.choice import (
@@ -52,7 +52,7 @@ from multiarm.studies.work_precision.settings import (
 )
 from multiarm.studies.work_precision.store import Results, read_results, scene_digest
 from multiarm.studies.work_precision.study import run_study
-from multiarm.studies.work_precision.words import comparison, recommendation, told
+from multiarm.studies.work_precision.words import comparison, described, recommendation
 
 DRAKE_IS_HERE = importlib.util.find_spec("pydrake") is not None
 MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
@@ -471,7 +471,7 @@ def test_the_recommendation_says_what_to_take_and_what_more_costs():
         "For errors below 1e-6 take accuracy 1e-5 (dop853, projection): 3.1 ms for 1 s of motion; "
         "1e-9 costs 2 times that."
     )
-    assert told(second) == "tolerance 0.0062 (dop853, no stabilization)"
+    assert described(second) == "tolerance 0.0062 (dop853, no stabilization)"
 
 
 def test_the_recommendation_aims_at_the_scenes_accuracy():

@@ -227,7 +227,7 @@ def _write(
     from multiarm.studies.work_precision.words import figures
 
     if plot is not None:
-        from multiarm.studies.work_precision.plots import write_plot
+        from multiarm.studies.work_precision.page import write_plot
 
         write_plot(results, plot, quantity)
         print_written("plot", plot)

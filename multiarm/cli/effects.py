@@ -173,7 +173,7 @@ def _write(found: Ledger, plot: Path | None, html: Path | None, json: Path | Non
     from multiarm.studies.effect_costs.words import figures
 
     if plot is not None:
-        from multiarm.studies.effect_costs.plots import write_plot
+        from multiarm.studies.effect_costs.page import write_plot
 
         write_plot(found, plot)
         print_written("plot", plot)

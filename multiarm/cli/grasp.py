@@ -15,7 +15,7 @@ import typer
 from rich.console import RenderableType
 from rich.text import Text
 
-from multiarm.cli.files import check_plot, check_targets, write_json, write_text
+from multiarm.cli.files import check_plot, check_targets, scene_to_inspect, write_json, write_text
 from multiarm.cli.options import CODE
 from multiarm.errors import GraspError, MultiarmError
 from multiarm.results.files import printable, save_figure

@@ -121,7 +121,7 @@ def scaling(
         write_json(json, result)
         print_written("figures", json)
     if plot is not None:
-        from multiarm.studies.scaling_plots import plot_scaling
+        from multiarm.studies.scaling_page import plot_scaling
 
         plot_scaling(result, plot)
         print_written("plot", plot)

@@ -6,7 +6,7 @@ SVG or PDF.  Each gripper has the same colour in both figures.
 The body is drawn in parallel projection: with the azimuth a and the elevation s of the eye, a point
 x is drawn at
 
-.. math::  (r \\cdot x, \\; u \\cdot x), \\qquad r = (-\\sin a, \\cos a, 0), \\quad u = e \\times r ,
+.. math::  (r \\cdot x, \\; u \\cdot x), \\quad r = (-\\sin a, \\cos a, 0), \\quad u = e \\times r,
 
 where e is the direction to the eye.  Back faces and their contacts are drawn first, then front
 faces; that order is right for convex bodies and fair for others.

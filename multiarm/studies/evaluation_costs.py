@@ -1,11 +1,11 @@
-"""The cost of one acceleration evaluation against the number of arms, beside Pinocchio's own.
+"""The cost of one acceleration evaluation over the number of arms, compared with Pinocchio's.
 
 Measured on one scene (:func:`multiarm.problems.ring_of_arms`) at one random state that moves with
 the constraints.  *multiarm* is the evaluation as the time loop performs it: Pinocchio's two calls,
 contact kinematics, control, node algorithm, slope of the state; *compiled arms* is the same with
 copies of the arms in place of Pinocchio.  *arm terms* are Pinocchio's two calls alone,
 *constraintDynamics* and *lcaba* Pinocchio's own closed-loop algorithms, called from Python (which
-adds about a microsecond): with the object as a body of its own, and (*tree*) hung on the last arm,
+adds about a microsecond): with the object as a free body, and (*tree*) attached to the last arm,
 which is one loop less.  *dense KKT* is the reference of :mod:`multiarm.dynamics.solver.dense` in
 place of the node algorithm.  The fastest burst of each counts.
 """
@@ -32,7 +32,10 @@ from multiarm.integration.tableaus import RK4
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_python
 from multiarm.problems import ring_of_arms
-from multiarm.studies.bursts import (
+from multiarm.studies.peer_trials import BYTES_PER_CUBE
+from multiarm.studies.peers import PinocchioForest
+from multiarm.studies.pinocchio_motion import PinocchioMotion
+from multiarm.studies.timing import (
     Burst,
     fastest,
     fitted_slope,
@@ -41,9 +44,6 @@ from multiarm.studies.bursts import (
     python_burst,
     upper_half,
 )
-from multiarm.studies.peer_trials import BYTES_PER_CUBE
-from multiarm.studies.peers import PinocchioForest
-from multiarm.studies.pinocchio_motion import PinocchioMotion
 
 BURSTS_PER_ROUND = 40
 SHARE_OF_MEMORY = 0.5

@@ -1,7 +1,7 @@
-"""The scaling study: what grows how with the number of arms, and where the time goes.
+"""The scaling study: cost over the number of arms, and shares of the time.
 
-Four studies, each in a module of its own: the cost of one evaluation beside Pinocchio's algorithms
-(:mod:`multiarm.studies.evaluation_costs`), section 4.4 of the thesis
+Four studies, each in its own module: the cost of one evaluation compared with Pinocchio's
+algorithms (:mod:`multiarm.studies.evaluation_costs`), section 4.4 of the thesis
 (:mod:`multiarm.studies.solver_study`), the parts of an evaluation and of a step
 (:mod:`multiarm.studies.time_shares`), the cost of a contact row
 (:mod:`multiarm.studies.contact_rows`).

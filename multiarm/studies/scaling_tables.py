@@ -1,4 +1,4 @@
-"""The tables of the scaling study as texts, for the terminal and for the page alike."""
+"""The tables of the scaling study as text, for the terminal and for the page."""
 
 from __future__ import annotations
 

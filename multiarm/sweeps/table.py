@@ -114,8 +114,7 @@ class SweepTable:
     def blocks(self, columns: Sequence[Column], rows: int = BLOCK) -> Iterator[dict[str, list]]:
         """Some columns by name, in blocks of rows."""
         for low in range(0, len(self), rows):
-            found = list(self.rows(low, low + rows))
-            yield {column.name: [cell(row, column) for row in found] for column in columns}
+            yield self._block(columns, low, low + rows)
 
     def numbers(self, column: Column, start: int = 0, stop: int | None = None) -> np.ndarray:
         """The numbers of a column in the order of the file; NaN for other values.
@@ -152,6 +151,10 @@ class SweepTable:
     def close(self) -> None:
         """Close the file; nothing more can be read."""
         self._reader.close()
+
+    def _block(self, columns: Sequence[Column], start: int, stop: int) -> dict[str, list]:
+        records = list(self.rows(start, stop))
+        return {column.name: [cell(record, column) for record in records] for column in columns}
 
     def _index(self) -> tuple[np.ndarray, np.ndarray]:
         """Runs, ascending, and the indices of their rows in the file."""
@@ -230,8 +233,9 @@ def write_csv(table: SweepTable, path: str | os.PathLike) -> Path:
         writer = csv.writer(f)
         writer.writerow([column.name for column in table.columns])
         for block in table.blocks(table.columns):
-            written = [_written(block[name], kind) for name, kind in kinds.items()]
+            written = [_written(block.pop(name), kind) for name, kind in kinds.items()]
             writer.writerows(zip(*written, strict=True))
+            written.clear()  # before the next block is read: one of them is in memory at a time
     return Path(path)
 
 

@@ -1,7 +1,7 @@
-"""What all commands print with: messages on stderr, tables on stdout, numbers in one style.
+"""Output of all commands: messages on stderr, tables on stdout, numbers in one style.
 
-Texts that come from users (names, paths, messages) are never read as markup, and what would steer
-the terminal is written out.
+Texts from users (names, paths, messages) are never read as markup, and control characters are
+escaped.
 """
 
 from __future__ import annotations

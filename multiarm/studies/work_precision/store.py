@@ -1,7 +1,7 @@
-"""The file of a study: everything that was measured, written as it comes in.
+"""The file of a study: every point is written as soon as it is measured.
 
-An interrupted study goes on where it was, and pages and plots are drawn from the file alone.  It
-belongs to a scene, to versions and to a machine: times of another machine are no yardstick.
+An interrupted study resumes from it, and pages and plots are drawn from the file alone.  It belongs
+to a scene, to versions and to a machine: times of different machines are not comparable.
 """
 
 from __future__ import annotations

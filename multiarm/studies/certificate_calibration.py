@@ -1,11 +1,12 @@
-"""Are certificates honest? Random scenes, each against references that were made in other ways.
+"""Calibration of certificates: estimated errors of random scenes against independent references.
 
-``python -m multiarm.studies.honesty [COUNT] [FIRST]`` simulates random scenes as anybody would
-and compares every result with a reference: another method at the tightest tolerance, for some
-scenes evaluated by the dense solver. A second reference, by the run's own method at its tightest,
-tells how many digits the first one has. A certificate is dishonest when it says *met* and the true
-error exceeds what was asked. Where the two references differ by more than a tenth of what was
-asked, they decide nothing: such scenes are marked with a question mark and counted apart.
+``python -m multiarm.studies.certificate_calibration [COUNT] [FIRST]`` simulates random scenes with
+default settings and compares every result with a reference: another method at the tightest
+tolerance, for some scenes evaluated by the dense solver. A second reference, by the run's own
+method at its tightest, gives the digits of the first one. A certificate is a false positive when it
+says *met* and the true error exceeds the requested accuracy. Where the two references differ by
+more than a tenth of it, they decide nothing: such scenes are marked with a question mark and
+counted separately.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ class Trial:
         )
 
     @property
-    def dishonest(self) -> bool:
+    def false_positive(self) -> bool:
         """Says *met*, and the true error exceeds what was asked."""
         share = self.share()
         return bool(self.met) and self.decided and share is not None and share > 1.0
@@ -171,14 +172,14 @@ def summary(trials: list[Trial]) -> str:
     costs = [trial.all_s / trial.run_s for trial in judged if trial.run_s > 0] or [float("nan")]
     firsts = [share for trial in judged if (share := trial.first_share) is not None]
     open_ = [trial.seed for trial in met if not trial.decided]
-    dishonest = [trial.seed for trial in trials if trial.dishonest]
+    false_positive = [trial.seed for trial in trials if trial.false_positive]
     return "\n".join(
         (
             f"scenes {len(trials)}: met {len(met)}, not met {len(judged) - len(met)}, "
             f"no certificate {len(trials) - len(judged)}; references by the dense solver too: "
             f"{sum(trial.dense for trial in trials)}",
-            f"dishonest: {len(dishonest)} {dishonest or ''}; not decided by the references: "
-            f"{len(open_)} {open_ or ''}",
+            f"false positives: {len(false_positive)} {false_positive or ''}; not decided by the "
+            f"references: {len(open_)} {open_ or ''}",
             f"first run sufficed: {sum(trial.runs == 2 for trial in met)} of {len(met)}",
             f"estimated error of the first run / asked: {_quantiles(firsts)}",
             f"true / estimated error: median {median(ratios):.2g}, "
@@ -191,7 +192,7 @@ def summary(trials: list[Trial]) -> str:
     )
 
 
-def row(trial: Trial) -> str:
+def report_line(trial: Trial) -> str:
     """One trial in a line."""
     if trial.met is None:
         return f"{trial.seed:5d}  {trial.status}: {trial.text[:90]}"
@@ -200,7 +201,7 @@ def row(trial: Trial) -> str:
         for kind in LENGTHS
         for d in (trial.asked, trial.estimated, trial.true, trial.unsure)
     )
-    verdict = "DISHONEST" if trial.dishonest else "met" if trial.met else "not met"
+    verdict = "DISHONEST" if trial.false_positive else "met" if trial.met else "not met"
     verdict += "" if trial.decided else "?"
     return f"{trial.seed:5d}  {verdict:9s}{numbers}  {trial.runs} runs, {trial.all_s:.2f} s"
 
@@ -212,10 +213,10 @@ def main() -> None:
     print("seed   verdict    position: asked, estimated, true, unsure;  rotation: the same")
     trials = []
     for trial in run_trials(range(first, first + count)):
-        print(row(trial), flush=True)
+        print(report_line(trial), flush=True)
         trials.append(trial)
     print(summary(trials))
-    if any(trial.dishonest for trial in trials):
+    if any(trial.false_positive for trial in trials):
         raise SystemExit(1)
 
 
