@@ -93,7 +93,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "tornado": ("viewer",),
     "trimesh": ("grasp.mesh",),
     "typer": ("cli",),
-    "typing_extensions": ("terminal", "scene", "sweeps"),
+    "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
     "umsgpack": ("viewer",),
     "yaml": ("reports.report", "scene", "cli.joint_cards", "sweeps.spec"),
 }

@@ -669,7 +669,7 @@ def test_the_report_shows_verdict_numbers_and_attempts(ring, accuracy):
     assert f"<span>{verdict}</span>" in page
     for text in ("arm1: contact forces", "Energy and work in balance", "(this result)", "Runs"):
         assert text in page
-    assert ("not asked" in page) and ("Estimated error over time" in page)
+    assert ("not requested" in page) and ("Estimated error over time" in page)
 
 
 # --- honesty -------------------------------------------------------------------------------------

@@ -65,9 +65,9 @@ def evaluation_costs(
     -------
     dict
         ``rows``: a list with, for every kind and number of arms, ``kind``, ``arms``,
-        ``microseconds`` (method -> an evaluation; None where it was not asked), ``relative_error``
+        ``microseconds`` (method -> an evaluation; None where it was not run), ``relative_error``
         (method -> largest relative deviation from the dense solution), ``ratio_to_best_peer``
-        (for ``multiarm`` and ``compiled``) and ``remarks`` (method -> why it was not asked).
+        (for ``multiarm`` and ``compiled``) and ``remarks`` (method -> why it was not run).
         ``exponents``, ``upper_exponents``: kind -> method -> slope of log cost over log number of
         arms, over all numbers and over the larger half of them.
         ``growth``: kind -> cost at the most arms over cost at the fewest.
@@ -165,7 +165,7 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
 
 
 def ratio_to_best_peer(cost: dict[str, float | None], method: str = OURS) -> float | None:
-    """Cost of the cheapest peer over that of one of ours; None when no peer was asked."""
+    """Cost of the cheapest peer over that of one of ours; None when no peer was run."""
     ours, peers = cost[method], [cost[name] for name in PEERS]
     known = [peer for peer in peers if peer is not None]
     return min(known) / ours if known and ours is not None else None
@@ -180,7 +180,7 @@ def too_large_for_pinocchio(joints: int, free: float | None = None) -> str:
     need = BYTES_PER_CUBE * (6 + joints) ** 3  # both algorithms' Data together
     if need <= SHARE_OF_MEMORY * free:
         return ""
-    return f"not asked: Pinocchio's Data would take {need / 1e9:.1f} of {free / 1e9:.1f} GB free"
+    return f"not run: Pinocchio's Data would take {need / 1e9:.1f} of {free / 1e9:.1f} GB free"
 
 
 def free_memory() -> float:

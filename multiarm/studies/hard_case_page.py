@@ -417,7 +417,7 @@ def _footer(suite: SuiteResult) -> str:
         "events. "
         "Errors of accelerations are relative to the largest of them (or to 1 m/s², 1 rad/s²), "
         "against a dense solution of least norm at the same state. Pinocchio's algorithms are "
-        "asked as shipped and with settings chosen for precision on two healthy UR5s, and "
+        "run as shipped and with settings chosen for precision on two healthy UR5s, and "
         "integrated by SciPy's DOP853 at 1e-9 without any correction of drift; MuJoCo as shipped, "
         "and with hardened constraints and Runge-Kutta steps of 0.5 ms. Who came only part of the "
         "way in a second of wall time was too slow here, which is no error. Energy that appears "

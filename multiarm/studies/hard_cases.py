@@ -51,7 +51,7 @@ SOLVER_EVENTS = frozenset(
         "rank rises",
     }
 )
-"""Kinds of event that report of the rank and of lost directions."""
+"""Kinds of event about the rank and lost directions."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and which part of the case is done, 0 to 1."""
@@ -99,17 +99,17 @@ class CaseResult:
         What the run said, or why it could not begin.
     criteria : tuple of CriterionResult
     events : tuple of dict
-        What happened on the way: time, kind, arm, text.
+        Events of the run: time, kind, arm, text.
     statistics : dict
         Of the run: steps, evaluations, coupled_steps, lowest_rank, highest_rank, ...
     wall_time_s : float
         Of the run, without compilation; 0 when not run.
     hardest_s : float
-        The moment at which the solvers were asked.
+        The instant at which the solvers are compared.
     window_s : float
         Length of their short run.
     answers : tuple of Answer
-        Ours and the peers'; empty when they were not asked.
+        Ours and the peers'; empty if peers were not run.
     history : dict of str to list
         time [s], gap [m], gap_rate [m/s], energy_balance [J], residual [1], rank, coupled_arms.
     scene : str
@@ -196,7 +196,7 @@ def run_suite(
     cases : mapping of str to HardCase, optional
         Where the names are looked up; ``multiarm.problems.HARD_CASES`` when left out.
     peers : bool
-        Ask other programs too.
+        Run other programs too.
     progress : callable, optional
         ``progress(text, cases done)``, now and then.
 
@@ -275,7 +275,7 @@ def run_case(case: HardCase, *, peers: bool = True, progress: Progress | None = 
         trial = Trial(system, trajectory, case.hardest)
         hardest, window = trial.time, trial.window
         if peers:
-            report("asking peers", 0.8)
+            report("running peers", 0.8)
             answers = all_answers(trial)
     return CaseResult(
         *about,
@@ -357,7 +357,7 @@ def _history(trajectory: Trajectory) -> dict[str, list[float | None]]:
 
 
 def _processor() -> str:
-    """The processor's name where the system tells it."""
+    """The processor's name if the system gives it."""
     with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as lines:
         for line in lines:
             if line.startswith("model name"):

@@ -44,7 +44,7 @@ _INTEGRATORS = {
     "implicitfast": (mujoco.mjtIntegrator.mjINT_IMPLICITFAST, (0.0,)),
     "RK4": (mujoco.mjtIntegrator.mjINT_RK4, (0.0, 0.5, 0.5, 1.0)),
 }
-# and the stages of a step at which the torques are asked for
+# and the stages of a step at which MuJoCo calls for torques
 INTEGRATORS = tuple(_INTEGRATORS)
 
 
@@ -125,8 +125,8 @@ class MujocoModel:
     ) -> Iterator[tuple[float, State]]:
         """Step on and on from a state; yields time since the start [s] and state.
 
-        ``torque(time since the start, state)`` is asked at every stage of a step.  It ends when the
-        state is no longer finite.
+        ``torque(time since the start, state)`` is called at every stage of a step.  The sequence
+        ends when the state is no longer finite.
         """
         d = self.data
         self.place(state)

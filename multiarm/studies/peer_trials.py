@@ -63,7 +63,7 @@ class Answer:
     ----------
     solver : str
     refusal : str
-        Why it was not asked: it cannot express the case, or is not installed.  Else empty.
+        Why it was not run: it cannot express the case, or is not installed.  Else empty.
     object_error, joint_error : float or None
         Relative errors of the accelerations at the hardest moment.
     accelerations : str
@@ -117,7 +117,7 @@ class Trial:
         try:
             dense = evaluate(system.with_solver("dense"), self.time, self.worst)
         except (MultiarmError, np.linalg.LinAlgError):
-            return  # then errors are not told
+            return  # without a reference there are no errors
         self.reference = np.concatenate(
             [dense.object_acceleration, *dense.joint_accelerations.values()]
         )
@@ -182,7 +182,7 @@ Motion = Iterator[tuple[float, State, float]]
 
 
 def all_answers(trial: Trial) -> tuple[Answer, ...]:
-    """Ask all solvers, ours first."""
+    """The answers of all solvers, ours first."""
     answers = [_our_answer(trial)]
     for algorithm in PINOCCHIO:
         answers.append(answer_of(trial, algorithm, pinocchio_peer(trial, algorithm)))
@@ -196,7 +196,7 @@ MakePeer = Callable[[], tuple[Callable[[State, np.ndarray], np.ndarray], Callabl
 
 
 def answer_of(trial: Trial, solver: str, make: MakePeer) -> Answer:
-    """Put both questions to a peer; whatever it raises is told in the answer."""
+    """Give both tasks to a peer; the answer reports any exception."""
     strange = inexpressible_effects(trial.system)
     if strange:
         return Answer(solver, refusal=f"cannot express {', '.join(strange)}")
@@ -206,7 +206,7 @@ def answer_of(trial: Trial, solver: str, make: MakePeer) -> Answer:
         except ModelError as error:
             return Answer(solver, refusal=f"cannot express it: {error}")
         except Refused as reason:
-            return Answer(solver, refusal=f"not asked: {reason}")
+            return Answer(solver, refusal=f"not run: {reason}")
         except ImportError:
             return Answer(solver, refusal=NOT_INSTALLED)
         object_error = joint_error = None
@@ -289,7 +289,7 @@ def _our_answer(trial: Trial) -> Answer:
 
 
 def pinocchio_peer(trial: Trial, algorithm: str) -> MakePeer:
-    """One of Pinocchio's algorithms, to be asked."""
+    """A function that makes one of Pinocchio's algorithms."""
 
     def make():
         from multiarm.studies.peers import PinocchioForest
@@ -308,7 +308,7 @@ def pinocchio_peer(trial: Trial, algorithm: str) -> MakePeer:
 
 
 def mujoco_peer(trial: Trial, as_shipped: bool) -> MakePeer:
-    """MuJoCo, to be asked."""
+    """A function that makes the MuJoCo model."""
 
     def make():
         from multiarm.studies.mujoco_peer import MujocoModel

@@ -179,7 +179,7 @@ def evaluation_parts(cost: dict[str, float], whole: float) -> dict[str, float]:
 def step_parts(
     evaluation: dict[str, float], cost: dict[str, float], step: StepCost
 ) -> dict[str, float]:
-    """Microseconds of the parts of a step: of its evaluations, and of what is beside them."""
+    """Microseconds of the parts of a step: its evaluations, and everything else."""
     pure = step.evaluations - 2.0 * step.projections
     parts = {name: pure * value for name, value in evaluation.items()}
     parts["stabilisation"] = step.projections * cost["projection"]

@@ -68,7 +68,7 @@ def measure(
 
 def calls_a_burst(burst: Burst) -> int:
     """How many calls make a burst of about the usual length."""
-    burst(1)  # whatever happens the first time only
+    burst(1)  # warm-up
     begin = time.thread_time()
     burst(2)
     return max(1, round(BURST / max((time.thread_time() - begin) / 2, 1e-7)))

@@ -240,7 +240,7 @@ def _known() -> Iterator[tuple[str, str, str, Callable[[Any], float | None]]]:
     yield "final_energy", "J", "kinetic plus potential, at the end", lambda t: _last(t.energy)
     yield "work", "J", "done by control and effects", lambda t: _last(t.work)
     yield "estimated_error", "m", "of positions, by the run's check", _estimated_error
-    yield "events", "1", "how many things happened on the way", lambda t: float(len(t.events))
+    yield "events", "1", "number of events", lambda t: float(len(t.events))
     yield "steps", "1", "of the integration", _counted("steps")
     yield "evaluations", "1", "of the equations of motion", _counted("evaluations")
 

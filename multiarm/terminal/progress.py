@@ -73,7 +73,7 @@ class RunProgress:
     quiet : bool
         Show nothing.
     integrator : str, optional
-        The method that is asked for.
+        The requested method.
 
     Attributes
     ----------

@@ -395,7 +395,7 @@ def lowest(body: Body) -> float:
 
 
 OPACITY = 0.35
-# Height over the face in sizes of the object, so that both can be told apart; regions of several
+# Height over the face in sizes of the object, so that both are distinct; regions of several
 # contacts on one face lie one over the other.
 LIFT = 1e-3
 

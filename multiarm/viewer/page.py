@@ -206,7 +206,7 @@ def _ticks(events: Sequence[Event], at: np.ndarray, duration: float) -> list[dic
 
 
 def _words(group: Group) -> list[str]:
-    """Return interval, contact or joint with what happened, and the change."""
+    """Return interval, contact or joint with the kind of event, and the change."""
     first, last = group.first["time"], group.last["time"]
     span = f"{first:.4g} s" if len(group.events) == 1 else f"{first:.4g} \N{EN DASH} {last:.4g} s"
     whose = f"{who(group.first)} " if who(group.first) else ""

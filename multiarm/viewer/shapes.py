@@ -52,7 +52,7 @@ def load_mesh(path: Path, scale: np.ndarray) -> Mesh:
 def geometry_mesh(item: pin.GeometryObject) -> Mesh:
     """Return the mesh of a visual of Pinocchio's, in the frame of the visual.
 
-    Its colours are subdued: they tell the parts of an arm apart, the arm's tint tells the arms.
+    Its colours are subdued: they distinguish the parts of an arm, the arm's tint the arms.
     """
     mesh = _visual_file(item) or _mesh_of_geometry(item.geometry)
     if item.overrideMaterial:

@@ -97,7 +97,7 @@ class Entry:
     about : str
         What was done: "left out", "added as ...".
     trouble : str
-        Why there are no numbers, or what happened to the run; empty where all went well.
+        Why there are no numbers, or how the run failed; empty after a success.
     milliseconds : Estimate or None
         Of wall time a simulated second that it costs; negative where it saves time.
     share : Estimate or None
@@ -107,7 +107,7 @@ class Entry:
     changes : mapping
         Quantity -> Change.
     certified : bool
-        Its run is known to be as accurate as was asked, or the scene asks for no accuracy.
+        Its run meets the requested accuracy, or the scene requests none.
     """
 
     name: str
@@ -135,9 +135,9 @@ class Ledger:
     scene : dict
         name, duration_s, output_step_s, text.
     asked : dict
-        Quantity -> accuracy that is asked for; changes below it cannot be error_text from errors.
+        Quantity -> requested accuracy; changes below it are not distinguishable from errors.
     asked_by_scene : bool
-        The scene itself asks for that accuracy.
+        The scene itself requests that accuracy.
     run : dict
         The scene's own run: status, integrator, stabilization, evaluations, milliseconds (of wall
         time a simulated second), certificate (its sentence), repeats.
@@ -160,7 +160,7 @@ class Ledger:
         return [entry for entry in self.entries if entry.kind == kind]
 
     def moves(self, entry: Entry) -> str | None:
-        """The quantity that an entry changes most, in units of what is asked for.
+        """The quantity that an entry changes most, in units of the requested accuracy.
 
         None where every change of the motion, and of the forces, is below that.
         """
@@ -172,7 +172,7 @@ class Ledger:
         return next((quantity for quantity in QUANTITIES if quantity in above), None)
 
     def can_go(self, entry: Entry) -> bool:
-        """Whether an effect's changes are known to be below the accuracy that is asked for."""
+        """Whether an effect's changes are known to be below the requested accuracy."""
         known = entry.kind in (PRESENT, CANDIDATE) and not entry.trouble and entry.certified
         return known and bool(entry.changes) and self.moves(entry) is None
 

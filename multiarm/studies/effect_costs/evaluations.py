@@ -23,7 +23,7 @@ from multiarm.studies.timing import Burst, measure, one_thread
 
 TURNS = 40
 """Bursts of about a millisecond, of every system."""
-BESIDE = {"pinocchio_energy", "coriolis"}
+OUTSIDE_EVALUATIONS = {"pinocchio_energy", "coriolis"}
 """Functions in Python that samples or one method call, evaluations never."""
 
 
@@ -74,7 +74,7 @@ def effects_of_evaluation(system: System, turns: int = TURNS) -> dict[str, Effec
 
 
 def _burst_at_start(system: System) -> Burst:
-    """Evaluations at the start; where contacts come and go, those of the mode there."""
+    """Evaluations at the start; with unilateral contacts, in the contact mode of the start."""
     data, start = system.model.data(), system.initial_state()
     evaluate_data(data, 0.0, start)
     if system.model.unilateral is None:
@@ -107,5 +107,5 @@ class _Size:
             bytes=sum({id(array): array.nbytes for array in arrays}.values()),
             states=system.model.effects.states,
             rows=system.model.layout.contacts,
-            callbacks=len(data.callbacks.keys() - BESIDE),
+            callbacks=len(data.callbacks.keys() - OUTSIDE_EVALUATIONS),
         )

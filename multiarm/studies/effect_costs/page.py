@@ -46,7 +46,7 @@ LEAST = 1e-6
 def ledger_figure(found: Ledger, on_page: bool = False) -> Figure:
     """Time and changes of every entry that has both, so not of the certificate.
 
-    On a page, which has a title and a background of its own, the figure has none.
+    On a page the figure has neither title nor background.
     """
     shown = [entry for entry in found.entries if entry.share is not None and entry.changes]
     with matplotlib.rc_context(STYLE):
@@ -256,7 +256,7 @@ def _footer(found: Ledger) -> str:
     when = escape(str(found.machine["created_utc"]))
     return (
         "<footer><h2>How to read it</h2><p>The scene is run once more without each of its effects. "
-        "All runs are made to the accuracy that the scene asks for, and checked where it names "
+        "All runs are made to the accuracy that the scene requests, and checked where it names "
         "one; a change is the largest difference of two such runs at an output time. Times are "
         "the processor's, of runs in turn on one thread; ± is twice the standard error, and what "
         "is pale lies within it. Leaving gravity out also leaves out what the control does about "

@@ -137,7 +137,7 @@ LEAST_REPEATS = 3
 BUDGET = 3.0
 """All timed runs of one variant take about so long together [s]: slow ones are repeated less."""
 FORCE_ACCURACY = 1e-3
-"""Of contact forces where the scene asks for none, as a fraction of the largest one."""
+"""Accuracy of contact forces if the scene requests none, as a fraction of the largest one."""
 
 Progress = Callable[[str, float, float], None]
 """Called with what is being done, how much is done, and how much there is."""
@@ -190,7 +190,7 @@ def ledger(
             "output_step_s": scene.run.output_step,
             "text": dump_scene(scene),
         },
-        asked=_asked(scene.run, own.run),
+        asked=_accuracies(scene.run, own.run),
         asked_by_scene=scene.run.accuracy is not None,
         run=_about(own.run, times[_OWN]),
         entries=(*entries, *([] if cost is None else [cost])),
@@ -310,14 +310,14 @@ def _is_certified(run: Trajectory) -> bool:
     return run.certificate is None or bool(run.certificate["met"])
 
 
-def _asked(spec: RunSpec, run: Trajectory) -> dict[str, float]:
-    """The accuracy asked for, by quantity."""
-    asked = spec.accuracy
-    smallest = DEFAULT_ACCURACY if asked is None else asked.smallest
-    position = (asked and asked.position) or smallest
-    rotation = (asked and asked.rotation) or smallest
+def _accuracies(spec: RunSpec, run: Trajectory) -> dict[str, float]:
+    """The requested or default accuracy, by quantity."""
+    accuracy = spec.accuracy
+    smallest = DEFAULT_ACCURACY if accuracy is None else accuracy.smallest
+    position = (accuracy and accuracy.position) or smallest
+    rotation = (accuracy and accuracy.rotation) or smallest
     largest = max(run.summary()["contact_force_max_N"].values(), default=0.0)
-    force = (asked and asked.force) or max(FORCE_ACCURACY * largest, FORCE_ACCURACY)
+    force = (accuracy and accuracy.force) or max(FORCE_ACCURACY * largest, FORCE_ACCURACY)
     return {PATH: position, TURN: rotation, JOINTS: rotation, SLIDES: position, FORCE: force}
 
 

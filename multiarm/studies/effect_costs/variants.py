@@ -92,7 +92,7 @@ def simpler_settings(scene: Scene) -> list[Variant]:
 
 
 def error_text(error: Exception) -> str:
-    """Why a variant does not run; an error that nobody foresaw with its kind."""
+    """Why a variant does not run; unexpected errors are named with their class."""
     return str(error) if isinstance(error, MultiarmError) else f"{type(error).__name__}: {error}"
 
 

@@ -51,7 +51,7 @@ def sentence(found: Ledger, entry: Entry, known: str = "") -> str:
     if not found.can_go(entry):
         return ", ".join(parts)
     if any(change.value for change in entry.changes.values()):
-        parts.append("below the accuracy asked for")
+        parts.append("below the requested accuracy")
     return f"{', '.join(parts)}: leave it out"
 
 
@@ -108,16 +108,17 @@ def percent(share: Estimate) -> str:
 
 def accuracy_text(found: Ledger) -> str:
     """What changes are measured against, and how the scene itself ran."""
-    asked = ", ".join(
+    accuracies = ", ".join(
         f"{QUANTITIES[name][0]} {value:.2g} {QUANTITIES[name][1]}"
         for name, value in found.asked.items()
         if name in (PATH, TURN, FORCE)
     )
-    by = "asked for" if found.asked_by_scene else "taken, as the scene asks for none"
+    by = "requested" if found.asked_by_scene else "default, as the scene requests none"
     run = found.run
     return (
         f"{found.scene['duration_s']:g} s by {run['integrator']}: {run['milliseconds']:.3g} ms of "
-        f"time a simulated second, {run['evaluations']:,} evaluations. Accuracy {by}: {asked}. "
+        f"time a simulated second, {run['evaluations']:,} evaluations. "
+        f"Accuracy ({by}): {accuracies}. "
         f"Every run is made to it; times are medians of {run['repeats']} rounds in turn."
     )
 

@@ -57,7 +57,7 @@ class Series:
         return self.points[0].setting.ours
 
     def best(self, quantity: str) -> Point | None:
-        """The point of the least error; None where nobody tells it."""
+        """The point of the least error; None if no point has one."""
         able = [point for point in self.points if point.error(quantity) is not None]
         return min(able, key=lambda point: point.error(quantity) or 0.0, default=None)
 

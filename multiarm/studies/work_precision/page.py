@@ -36,7 +36,7 @@ PALETTE = (
     "#3b7dd8", "#d1495b", "#2f9e67", "#d9822b", "#8a5cc2", "#0f9aa8", "#c2417c", "#8c7a2b",
     "#5a6b7d", "#a0522d", "#5fa8d3", "#93b83a",
 )  # fmt: skip
-"""A colour for each method; what it is stabilised by is described by dashes."""
+"""A colour for each method; dashes show the stabilisation."""
 DASHES = {"projection": "", "feedback": "6 3", "none": "1.5 3", "": ""}
 PEER_DASHES, PEER_MARKERS = "8 3 2 3", "^Ds"
 
@@ -61,7 +61,7 @@ def colour_of(series: Sequence[Series]) -> dict[str, str]:
 
 
 def markers_of(series: Sequence[Series]) -> dict[str, str]:
-    """Series -> marker: circles are ours, a peer's methods are described apart by other ones."""
+    """Series -> marker: circles are ours, each method of a peer has another one."""
     seen: dict[str, int] = {}
     markers = {}
     for item in series:

@@ -163,7 +163,7 @@ def make_reference(
     ----------
     system : System
     report : callable, optional
-        Told what is being done.
+        Called with a description of each stage.
     known : mapping, optional
         ``digits`` and ``about`` of an earlier check of the same scene, which then is not repeated.
 

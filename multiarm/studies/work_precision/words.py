@@ -101,7 +101,7 @@ def figures(results: Results, quantity: str = "motion") -> dict[str, Any]:
 
 
 def _at(found: Sequence[Decade], level: float) -> Decade | None:
-    """The coarsest level that is at least as fine as the one asked for."""
+    """The coarsest decade that is at least as fine as a level."""
     fine = [decade for decade in found if decade.level <= level * (1.0 + 1e-9)]
     return fine[0] if fine else None
 
