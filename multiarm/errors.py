@@ -23,8 +23,8 @@ __all__ = [
 ]
 
 USER_FAULTS = (Exception, SystemExit)
-"""What a function of the user's may raise that is a fault of it: ``sys.exit`` there would end the
-program in the middle of a run, with success.  ``KeyboardInterrupt`` is the user's own."""
+"""Exceptions that count as faults of user-defined code: ``sys.exit`` there would end the program in
+the middle of a run, with success.  ``KeyboardInterrupt`` comes from the user and passes through."""
 
 
 class MultiarmError(Exception):
@@ -32,7 +32,7 @@ class MultiarmError(Exception):
 
 
 class FaultsError(MultiarmError):
-    """Something that was written cannot be used; all that is wrong with it is told together.
+    """An input cannot be used; the message lists all of its faults.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class SceneError(FaultsError):
 
 
 class SweepError(FaultsError):
-    """Many runs cannot be planned, carried out or stored as they are asked for."""
+    """A sweep cannot be planned, carried out or stored."""
 
     noun = "sweep"
 
@@ -77,7 +77,7 @@ class ModelError(MultiarmError):
 
 
 class SolverError(MultiarmError):
-    """The equations of motion or the integration cannot be carried out as asked."""
+    """The equations of motion or the integration cannot be carried out as requested."""
 
 
 class ControlError(MultiarmError):

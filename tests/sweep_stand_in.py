@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.sweeps.row import Row
+from multiarm.sweeps.records import Record
 from multiarm.sweeps.store import SweepFile
 
 NAMES = ("gap", "force", "never")
@@ -47,7 +47,7 @@ class StandInPlan:
         return SimpleNamespace(folder=Path())
 
 
-def row_of(run: int, worker: str = "here") -> Row:
+def row_of(run: int, worker: str = "here") -> Record:
     """The row that a run has, wherever it is made."""
     rng = np.random.default_rng(run)
     values = {
@@ -58,12 +58,12 @@ def row_of(run: int, worker: str = "here") -> Row:
     }
     if run % FAILING == 0:
         quantities = dict.fromkeys(NAMES)
-        return Row(
+        return Record(
             run, "failed", f"the step of run {run} is too small", values, quantities, 0.0, worker
         )
     gap, force = (float(x) for x in rng.standard_normal(2))
     found = {"gap": gap, "force": force * 10.0 ** rng.integers(-300, 300), "never": None}
-    return Row(run, "completed", "", values, found, float(rng.random()), worker)
+    return Record(run, "completed", "", values, found, float(rng.random()), worker)
 
 
 def write_on(path: Path, plan: StandInPlan, order: int) -> None:

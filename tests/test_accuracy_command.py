@@ -17,9 +17,8 @@ from multiarm.cli import app
 from multiarm.problems import ring_of_arms
 from multiarm.studies.work_precision import study as studies
 from multiarm.studies.work_precision.choice import all_series, decades
-from multiarm.studies.work_precision.page import render, write_page
+from multiarm.studies.work_precision.page import PALETTE, render, write_page
 from multiarm.studies.work_precision.peers import SOLVERS
-from multiarm.studies.work_precision.plots import PALETTE
 from multiarm.studies.work_precision.points import COMPLETED, FAILED, Point
 from multiarm.studies.work_precision.reference import QUANTITIES, Motion, Reference
 from multiarm.studies.work_precision.settings import (
@@ -31,7 +30,7 @@ from multiarm.studies.work_precision.settings import (
     short,
 )
 from multiarm.studies.work_precision.store import Results, read_results
-from multiarm.studies.work_precision.words import told
+from multiarm.studies.work_precision.words import described
 
 MACHINE = {
     "processor": "a <fast> one", "platform": "here", "version": "1", "python": "3",
@@ -238,7 +237,7 @@ def test_all_points_are_printed_on_demand(study_file, results):
 def test_the_table_is_that_of_the_decades(study_file, results):
     stdout = accuracy("--from", study_file).stdout
     for decade in decades(results):
-        row = (short(decade.level), told(decade.ours), f"{1e3 * decade.ours.wall_time_s:.3g}")
+        row = (short(decade.level), described(decade.ours), f"{1e3 * decade.ours.wall_time_s:.3g}")
         assert re.search(r"\s+".join(re.escape(cell) for cell in row), stdout), row
 
 

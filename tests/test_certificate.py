@@ -30,7 +30,7 @@ from multiarm.simulation import certified as attempts
 from multiarm.simulation.certificate import SAFETY, judge
 from multiarm.simulation.certified import INTERRUPTED_WORDS
 from multiarm.simulation.comparison import compare, growth_rate, rotation_apart
-from multiarm.studies.honesty import run_trial
+from multiarm.studies.certificate_calibration import run_trial
 from multiarm.terminal.progress import RunProgress
 
 ROOT = Path(__file__).parents[1]
@@ -670,7 +670,7 @@ def test_the_report_shows_verdict_numbers_and_attempts(ring, accuracy):
     assert f"<span>{verdict}</span>" in page
     for text in ("arm1: contact forces", "Energy and work in balance", "(this result)", "Runs"):
         assert text in page
-    assert ("not asked" in page) and ("Estimated error over time" in page)
+    assert ("not requested" in page) and ("Estimated error over time" in page)
 
 
 # --- honesty -------------------------------------------------------------------------------------

@@ -229,16 +229,16 @@ def test_a_look_at_a_result_runs_nothing_and_draws_the_rest(stored):
 
 
 def test_a_replay_draws_what_it_draws_of_a_run_in_this_process(folder):
-    from multiarm.viewer.filming import film_of
+    from multiarm.viewer.animate import animate
 
     surface = written(folder, "surface")
     made = ma.simulate(ma.compile_system(ma.load_scene(surface.scene)))
     read = ma.load_trajectory(made.save(surface.result))
     (folder / "shapes.py").write_text("raise RuntimeError('loaded once more')")
     options = {"fps": 100, "speed": 1, "meshes": False}
-    whole = film_of(made, **options)
+    whole = animate(made, **options)
     with pytest.warns(UserWarning, match="are not drawn"):
-        part = film_of(read, **options)
+        part = animate(read, **options)
     assert "--code" in part.note and whole.note == ""
     assert [len(one.names) for one in whole.contacts] == [6, 2]
     assert [one.names for one in part.contacts] == [whole.contacts[0].names, ("contact 2",)]

@@ -20,7 +20,6 @@ from multiarm.effects.defaults import defaults
 from multiarm.scene import dump_scene, registry
 from multiarm.simulation.comparison import rotation_apart
 from multiarm.studies.effect_costs import study
-from multiarm.studies.effect_costs.changes import changes
 from multiarm.studies.effect_costs.entries import (
     FORCE,
     JOINTS,
@@ -28,13 +27,13 @@ from multiarm.studies.effect_costs.entries import (
     TURN,
     Change,
     Entry,
+    Estimate,
     Ledger,
+    paired_difference,
 )
-from multiarm.studies.effect_costs.estimates import Estimate, paired_difference
 from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
-from multiarm.studies.effect_costs.page import render, write_page
-from multiarm.studies.effect_costs.plots import ledger_figure
-from multiarm.studies.effect_costs.study import ledger
+from multiarm.studies.effect_costs.page import ledger_figure, render, write_page
+from multiarm.studies.effect_costs.study import changes, ledger
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING, without
 from multiarm.studies.effect_costs.words import percent, sentence, summary
 
@@ -373,7 +372,7 @@ def test_the_summary_says_what_to_keep_and_what_to_leave_out():
         "floor: the scene does not run without it: the object <falls>; "
         "rotor_inertia (added): 20 % more time, would change the object's path by 500 mm; "
         "lag (added): 20 % more time, would change the object's path by 0.001 mm, below the "
-        "accuracy asked for: leave it out."
+        "requested accuracy: leave it out."
     )
 
 
@@ -408,7 +407,7 @@ def test_the_command_prints_writes_and_draws(scene_file, tmp_path, monkeypatch):
     assert result.exit_code == 0, result.output
     for word in ("gravity", "joint_damping", "stabilization", "recording", "certificate"):
         assert re.search(rf"^ *{word} ", result.stdout, re.M), word
-    assert "Accuracy asked for: object's path 1e-06 m" in " ".join(result.stdout.split())
+    assert "Accuracy (requested): object's path 1e-06 m" in " ".join(result.stdout.split())
     found = finite_json((tmp_path / "figures.json").read_text(encoding="utf-8"))
     promise = re.search(r"The JSON has the keys (.*?);", command.__doc__, re.S)
     assert {key.strip() for key in promise[1].split(",")} == set(found)
@@ -536,7 +535,7 @@ def page(request, browser, tmp_path):  # noqa: F811
 def test_the_page_says_everything_in_both_themes(page):
     said = page.locator("ul.said li").all_inner_texts()
     assert len(said) == 8, "effects; settings stand in their table"
-    assert said[1].endswith("below the accuracy asked for: leave it out")
+    assert said[1].endswith("below the requested accuracy: leave it out")
     assert page.locator("ul.said li.good").count() == 2
     assert page.locator("ul.said li.bad").count() == 1
     assert page.locator("tbody tr").count() == len(synthetic().entries)

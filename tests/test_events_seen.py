@@ -17,12 +17,11 @@ from sample_run import CHANNELS, CONTACTS, JOINTS, SCENE, STATISTICS, record, ro
 from test_report import Page
 
 from multiarm import plots
-from multiarm.cli.summary import SHOWN_KINDS, run_figures, summary_table
+from multiarm.cli.run import SHOWN_KINDS, run_figures, summary_table
 from multiarm.errors import TrajectoryError
-from multiarm.plots.contact_strip import MOST_ROWS, spans
-from multiarm.plots.event_marks import DISTINCT
-from multiarm.reports.events import SHOWN_EVENTS
-from multiarm.reports.report import render
+from multiarm.plots.panels import DISTINCT
+from multiarm.plots.run_figures import MOST_ROWS, spans
+from multiarm.reports.report import SHOWN_EVENTS, render
 from multiarm.results.channels import CONTACT_STATES, OPEN, SLIDING, STICKING, trajectory_channels
 from multiarm.results.event_log import (
     FAMILIES,

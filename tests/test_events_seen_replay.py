@@ -21,12 +21,12 @@ from multiarm.results.event_log import LOST, MADE, SLIP, family_of
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
 from multiarm.viewer import replay
+from multiarm.viewer.animate import animate
+from multiarm.viewer.animation import EventPlace, rotations
+from multiarm.viewer.contact_tracks import contacts_of, event_places
 from multiarm.viewer.drawing import draw
-from multiarm.viewer.film import Moment, rotations
-from multiarm.viewer.filming import film_of
-from multiarm.viewer.flashes import AT_ONCE, DURATION, LEAST, tracks
-from multiarm.viewer.happenings import MOST_ROWS, MOST_TICKS, moments_of, time_line
-from multiarm.viewer.touching import contacts_of
+from multiarm.viewer.glyphs import AT_ONCE, DURATION, LEAST, event_tracks
+from multiarm.viewer.page import MOST_ROWS, MOST_TICKS, time_line
 
 OPENS, CLOSES = 0.2, 0.3  # [s]: the left contact is away in between
 WHERE = (-0.6, 0.1, 0.9)
@@ -89,8 +89,8 @@ def run(plain):
 
 
 @pytest.fixture(scope="module")
-def film(run):
-    return film_of(run, fps=100, speed=1, meshes=False)
+def animation(run):
+    return animate(run, fps=100, speed=1, meshes=False)
 
 
 @pytest.fixture(scope="module")
@@ -98,40 +98,40 @@ def exported(run, tmp_path_factory):
     return replay(run, tmp_path_factory.mktemp("events") / "run.html", meshes=False)
 
 
-# What the film says
+# What the animation says
 
 
-def test_open_contact_has_no_arrow_whatever_force_was_recorded(film):
-    (left, right) = film.contacts
-    lengths = film.arrow_lengths(left)[:, 0]
-    away = (film.time >= OPENS) & (film.time < CLOSES)
+def test_open_contact_has_no_arrow_whatever_force_was_recorded(animation):
+    (left, right) = animation.contacts
+    lengths = animation.arrow_lengths(left)[:, 0]
+    away = (animation.time >= OPENS) & (animation.time < CLOSES)
     assert np.abs(left.force[away]).min() > 0
     assert not lengths[away].any()
     assert lengths[~away].all()
-    assert not film.arrow_lengths(right)[:, 4].any()
+    assert not animation.arrow_lengths(right)[:, 4].any()
 
 
 def test_film_of_a_run_without_states_is_as_before(plain):
-    film = film_of(plain, fps=10, speed=1, meshes=False)
-    assert [contacts.state for contacts in film.contacts] == [None, None]
-    assert {body.touched is None for body in film.bodies} == {True}
-    assert (film.moments, film.events) == ([], [])
+    animation = animate(plain, fps=10, speed=1, meshes=False)
+    assert [contacts.state for contacts in animation.contacts] == [None, None]
+    assert {body.touched is None for body in animation.bodies} == {True}
+    assert (animation.event_places, animation.events) == ([], [])
 
 
-def test_surfaces_know_when_they_are_touched(film):
-    away = (film.time >= OPENS) & (film.time < CLOSES)
-    surfaces = {body.name: body for body in film.bodies if body.name.startswith("surfaces/")}
+def test_surfaces_know_when_they_are_touched(animation):
+    away = (animation.time >= OPENS) & (animation.time < CLOSES)
+    surfaces = {body.name: body for body in animation.bodies if body.name.startswith("surfaces/")}
     assert set(surfaces) == {"surfaces/left/1_arm", "surfaces/left/1_object"}
     for body in surfaces.values():
         np.testing.assert_array_equal(body.touched, ~away)
 
 
-def test_event_without_a_place_flashes_at_its_contact(film, run):
-    lost, slip, made = film.moments
+def test_event_without_a_place_flashes_at_its_contact(animation, run):
+    lost, slip, made = animation.event_places
     assert (lost.family, slip.family, made.family) == (LOST, SLIP, MADE)
     np.testing.assert_array_equal(lost.where, WHERE)
-    right = film.contacts[1]
-    frame = int(np.abs(film.time - 0.25).argmin())
+    right = animation.contacts[1]
+    frame = int(np.abs(animation.time - 0.25).argmin())
     np.testing.assert_array_equal(slip.where, right.point[frame, 0])
 
 
@@ -140,9 +140,9 @@ def test_event_without_a_place_flashes_at_its_contact(film, run):
     [{"where": [1.0, 2.0]}, {"where": [float("nan"), 0.0, 0.0]}, {"contact": "nobody"},
      {"arm": "floor"}],
 )  # fmt: skip
-def test_event_without_a_known_place_does_not_flash(run, film, odd):
+def test_event_without_a_known_place_does_not_flash(run, animation, odd):
     changed = run.with_outcome(events=[event(0.1, "touches", **odd)])
-    assert moments_of(changed, film.time, film.contacts) == []
+    assert event_places(changed, animation.time, animation.contacts) == []
 
 
 @pytest.fixture(scope="module")
@@ -154,23 +154,25 @@ def above_a_floor():
 
 
 def test_corners_above_a_floor_are_where_the_object_has_them(above_a_floor):
-    film = film_of(above_a_floor, fps=100, speed=1, meshes=False)
-    floor = film.contacts[-1]
-    assert [contacts.arm for contacts in film.contacts] == ["left", "right", "floor"]
+    animation = animate(above_a_floor, fps=100, speed=1, meshes=False)
+    floor = animation.contacts[-1]
+    assert [contacts.arm for contacts in animation.contacts] == ["left", "right", "floor"]
     assert floor.friction == (False, True, True) * 8
     assert set(floor.state.flat) == {OPEN}
-    corners = film.bodies[0].mesh.bounds()
+    corners = animation.bodies[0].mesh.bounds()
     R = rotations(above_a_floor.object_quaternion_xyzw[-1:])[0]
     expected = corners @ R.T + above_a_floor.object_position[-1]
     places = floor.point[-1, ::3]
     gaps = np.linalg.norm(places[:, None] - expected, axis=2)
     assert gaps.min(axis=0).max() < 1e-9  # every corner has its contact
-    np.testing.assert_allclose(floor.normal[:, ::3], np.tile([0, 0, 1.0], (len(film.time), 8, 1)))
+    np.testing.assert_allclose(
+        floor.normal[:, ::3], np.tile([0, 0, 1.0], (len(animation.time), 8, 1))
+    )
 
 
 def test_rows_of_friction_have_no_mark_of_their_own(above_a_floor):
-    film = film_of(above_a_floor, fps=100, speed=1, meshes=False)
-    paths = {command["path"] for command in draw(film) if command["type"] == "set_object"}
+    animation = animate(above_a_floor, fps=100, speed=1, meshes=False)
+    paths = {command["path"] for command in draw(animation) if command["type"] == "set_object"}
     marked = {path for path in paths if path.startswith("/world/contacts/floor/")}
     assert marked == {f"/world/contacts/floor/{3 * k + 1}/open" for k in range(8)}
 
@@ -191,12 +193,12 @@ def test_rows_of_friction_have_the_state_of_their_contact(above_a_floor):
 # Flashes
 
 
-def moments(times, family=MADE, where=WHERE):
-    return [Moment(t, family, np.array(where, float)) for t in times]
+def places_of(times, family=MADE, where=WHERE):
+    return [EventPlace(t, family, np.array(where, float)) for t in times]
 
 
 def test_flash_is_full_in_the_first_frame_after_its_event_and_then_shrinks():
-    ((position, scale),) = tracks(moments([0.31]), FRAMES)
+    ((position, scale),) = event_tracks(places_of([0.31]), FRAMES)
     begin = int(np.searchsorted(FRAMES, 0.31))
     assert scale[:begin].max() < 1e-3
     assert scale[begin] > 0.9
@@ -209,14 +211,14 @@ def test_flash_is_full_in_the_first_frame_after_its_event_and_then_shrinks():
 def test_event_between_coarse_frames_or_after_the_last_is_seen():
     coarse = np.array([0.0, 10.0, 20.0])
     for time, frame in ((3.0, 1), (25.0, 2)):
-        ((_, scale),) = tracks(moments([time]), coarse)
+        ((_, scale),) = event_tracks(places_of([time]), coarse)
         assert scale[frame] >= LEAST
         assert np.delete(scale, frame).max() < 1e-3
 
 
 def test_thousands_of_impacts_need_a_few_flashes():
-    many = moments(np.linspace(0, 1, 5000))
-    found = tracks(many, FRAMES)
+    many = places_of(np.linspace(0, 1, 5000))
+    found = event_tracks(many, FRAMES)
     assert 0 < len(found) <= AT_ONCE
     lit = np.max([scale for _, scale in found], axis=0) > 1e-3
     assert lit[1:].all()  # something is seen all the time
@@ -225,16 +227,19 @@ def test_thousands_of_impacts_need_a_few_flashes():
 def test_flashes_at_two_places_do_not_wander():
     coarse = np.arange(10.0)
     for time, begins in ((FRAMES, (0.2, 0.21)), (coarse, (2.5, 3.5))):  # overlap; are neighbours
-        there = [*moments(begins[:1], where=(1, 0, 0)), *moments(begins[1:], where=(0, 1, 0))]
-        both = tracks(there, time)
+        there = [
+            *places_of(begins[:1], where=(1, 0, 0)),
+            *places_of(begins[1:], where=(0, 1, 0)),
+        ]
+        both = event_tracks(there, time)
         assert len(both) == 2
         for position, scale in both:
             assert np.ptp(position[scale > 1e-3], axis=0).max() == 0.0
 
 
 def test_flash_that_is_used_again_is_where_each_event_was():
-    there = [*moments([0.1], where=(1, 0, 0)), *moments([0.7], where=(0, 1, 0))]
-    ((position, scale),) = tracks(there, FRAMES)
+    there = [*places_of([0.1], where=(1, 0, 0)), *places_of([0.7], where=(0, 1, 0))]
+    ((position, scale),) = event_tracks(there, FRAMES)
     lit = scale > 1e-3
     early = FRAMES < 0.6
     np.testing.assert_array_equal(position[lit & early], [[1, 0, 0]] * int((lit & early).sum()))

@@ -17,8 +17,7 @@ from multiarm.grasp import Polyhedron
 from multiarm.grasp.scenes.judging import judge_grasp
 from multiarm.grasp.scenes.reading import read_grasp
 from multiarm.scene import parse_scene
-from multiarm.viewer.filming import film_of
-from multiarm.viewer.regions import scene_grasp, sheet
+from multiarm.viewer.animate import animate, scene_grasp, sheet
 
 CORNERS = SCENES / "corner_grippers_block.yaml"
 WELDED = SCENES / "two_ur5_box.yaml"
@@ -269,10 +268,10 @@ def test_a_replay_shows_regions_only_of_closed_grasps_by_fingertips():
     for path, count in ((CORNERS, 8), (WELDED, 0)):
         system = ma.compile_system(ma.load_scene(path))
         run = ma.simulate(system, duration=0.02, certificate=False)
-        film = film_of(run, fps=30.0, speed=1.0, meshes=False)
-        regions = [body for body in film.bodies if body.name.startswith("regions/")]
+        animation = animate(run, fps=30.0, speed=1.0, meshes=False)
+        regions = [body for body in animation.bodies if body.name.startswith("regions/")]
         assert len(regions) == count
-        faces = [body for body in film.bodies if body.name.endswith("_object")]
+        faces = [body for body in animation.bodies if body.name.endswith("_object")]
         assert faces == []  # those of a box are its own
         for region in regions:
-            np.testing.assert_array_equal(region.position, film.bodies[0].position)
+            np.testing.assert_array_equal(region.position, animation.bodies[0].position)

@@ -88,8 +88,8 @@ def test_contacts_are_chosen_by_numbers_or_by_truth_values():
 @pytest.mark.parametrize(
     ("chosen", "words"),
     [
-        ([9], r"numbers 0 to 6; asked for \[9\]"),
-        ([-1], r"numbers 0 to 6; asked for \[-1\]"),
+        ([9], r"numbers 0 to 6; got \[9\]"),
+        ([-1], r"numbers 0 to 6; got \[-1\]"),
         ([True, False], "7 contacts are chosen by as many truth values, not 2"),
         ([False] * 7, "none was chosen"),
         ([], "none was chosen"),

@@ -14,8 +14,7 @@ from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seventh_contact import ContactRegion, seventh_contact_region
 from multiarm.grasp.wide_design import design_wide_grasp
-from multiarm.plots.grasp_figures import Eye, draw_face, draw_grasp
-from multiarm.plots.grasp_theme import DARK, LIGHT
+from multiarm.plots.grasp_figures import DARK, LIGHT, Eye, draw_face, draw_grasp
 
 
 def block() -> Grasp:

@@ -98,7 +98,7 @@ def test_faces_close_the_body_and_enclose_its_volume(name):
 @pytest.mark.parametrize("name", BODIES)
 def test_mass_properties_are_those_of_the_triangulated_body(name):
     body = BODIES[name]
-    theirs = trimesh.Trimesh(body.vertices, triangles_of(body), process=False)
+    theirs = trimesh.Trimesh(body.vertices, triangles_of(body.faces, body.loops), process=False)
     theirs.density = 2.5 / theirs.volume
     ours = body.mass_properties(2.5)
     assert ours.mass == 2.5
@@ -258,7 +258,7 @@ def test_corners_that_differ_by_rounding_are_one(tmp_path):
     """Each triangle has corners of its own, rounded in its own way to seven digits."""
     rng = np.random.default_rng(6)
     loose = BODIES["pyramid"].placed(random_pose(rng, 1.0))
-    soup = loose.vertices[triangles_of(loose)].reshape(-1, 3)
+    soup = loose.vertices[triangles_of(loose.faces, loose.loops)].reshape(-1, 3)
     soup += rng.uniform(-1e-7, 1e-7, soup.shape)
     numbers = np.arange(len(soup)).reshape(-1, 3)
     trimesh.Trimesh(soup, numbers, process=False).export(tmp_path / "loose.stl")
@@ -292,7 +292,7 @@ def test_a_round_mesh_keeps_its_facets(tmp_path):
 
 def test_meshes_that_are_no_solids_are_refused_with_a_remedy(tmp_path):
     body, file = BODIES["plate with a hole"], tmp_path / "bad.obj"
-    T = triangles_of(body)
+    T = triangles_of(body.faces, body.loops)
 
     def refusal(triangles, vertices=body.vertices) -> str:
         trimesh.Trimesh(vertices, triangles, process=False).export(file)

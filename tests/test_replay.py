@@ -15,8 +15,8 @@ from multiarm.errors import ReplayError
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import find_robot, parse_scene
 from multiarm.viewer import replay
-from multiarm.viewer.film import rotations
-from multiarm.viewer.filming import film_of
+from multiarm.viewer.animate import animate
+from multiarm.viewer.animation import rotations
 
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = [
@@ -193,8 +193,8 @@ def test_time_bar_and_layers_work(view, exported):
 
 
 def test_links_stand_where_the_joint_angles_put_them(trajectory):
-    film = film_of(trajectory, fps=1000, speed=1, meshes=True)
-    link = next(body for body in film.bodies if body.name == "arms/left/link_2_1")
+    animation = animate(trajectory, fps=1000, speed=1, meshes=True)
+    link = next(body for body in animation.bodies if body.name == "arms/left/link_2_1")
     shoulder, upper_arm, middle = [-0.9, 0, 0.1 + 0.3], [0, 0.1, 0.1], [0, 0.045, 0.225]
     for row, angles in enumerate(trajectory.joint_positions["left"]):
         about_z, about_y = np.eye(3), np.eye(3)
@@ -235,9 +235,9 @@ def test_run_that_ended_in_a_singular_posture_is_shown(trajectory):
     system = ma.compile_system(run.scene)
     state = system.state(joint_positions={"right": angles[-1]})
     assert "right" in ma.evaluate(system, 0.0, state).coupled_arms
-    film = film_of(run, fps=1000, speed=1, meshes=False)
-    assert len(film.time) == 20
-    assert all(np.isfinite(contacts.point).all() for contacts in film.contacts)
+    animation = animate(run, fps=1000, speed=1, meshes=False)
+    assert len(animation.time) == 20
+    assert all(np.isfinite(contacts.point).all() for contacts in animation.contacts)
 
 
 def test_missing_mesh_is_a_warning_and_bars_stand_in(view, tmp_path):
@@ -291,7 +291,7 @@ def test_live_viewer_shows_the_same_scene(browser, trajectory):
         page.evaluate(SEEK, float(trajectory.time[-1]))
         pose = page.evaluate(POSE, ["world", "object"])
         np.testing.assert_allclose(pose["position"], trajectory.object_position[-1], atol=1e-6)
-        # the camera's place comes over the wire like everything else, maybe a moment later
+        # the camera's place comes over the wire like everything else, maybe a place later
         framed = f"Math.max(...({IN_PICTURE})().flat().map(Math.abs)) < 1"
         page.wait_for_function(framed, timeout=30_000)
     finally:

@@ -11,9 +11,9 @@ import multiarm as ma
 from multiarm.contacts.joint import axis_travel
 from multiarm.scene import parse_scene
 from multiarm.viewer import replay
+from multiarm.viewer.animate import animate
+from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks
 from multiarm.viewer.drawing import draw
-from multiarm.viewer.film import Body, Dial, Film, HingeTracks
-from multiarm.viewer.filming import film_of
 from multiarm.viewer.hinges import Hinges
 from multiarm.viewer.mesh import box
 
@@ -58,8 +58,8 @@ def trajectory():
 
 
 @pytest.fixture(scope="module")
-def film(trajectory):
-    return film_of(trajectory, fps=1000, speed=1, meshes=False)
+def animation(trajectory):
+    return animate(trajectory, fps=1000, speed=1, meshes=False)
 
 
 def pose(rotation, position) -> np.ndarray:
@@ -77,9 +77,9 @@ def poses_of(trajectory, arm: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array(bodies), np.array(tips)
 
 
-def block(hinge: HingeTracks) -> Film:
+def block(hinge: HingeTracks) -> Animation:
     body = Body("object", box([1.0, 0.4, 0.2]), *still(len(hinge.position)), np.ones(3))
-    return Film("block", np.arange(len(hinge.position), dtype=float), [body], hinges=[hinge])
+    return Animation("block", np.arange(len(hinge.position), dtype=float), [body], hinges=[hinge])
 
 
 def still(frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -93,11 +93,11 @@ def hinge_of(shape: str, *dials: Dial, frames: int = 3) -> HingeTracks:
 # --- where the axes are, and how far they are turned ---------------------------------------------
 
 
-def test_hinge_turns_as_the_object_turns_in_the_hand(trajectory, film):
+def test_hinge_turns_as_the_object_turns_in_the_hand(trajectory, animation):
     bodies, tips = poses_of(trajectory, "left")
     relative = np.linalg.inv(bodies) @ tips
     turns = Rotation.from_matrix(relative[:, :3, :3] @ relative[0, :3, :3].T).as_rotvec()
-    hinge = next(h for h in film.hinges if h.arm == "left")
+    hinge = next(h for h in animation.hinges if h.arm == "left")
     axis = Rotation.from_quat(hinge.quaternion_xyzw[0]).apply([0, 0, 1])  # world, at the start
     np.testing.assert_allclose(np.abs(axis @ tips[0, :3, :3]), [0, 1, 0], atol=1e-9)
     expected = turns @ bodies[0, :3, :3].T @ axis
@@ -106,9 +106,9 @@ def test_hinge_turns_as_the_object_turns_in_the_hand(trajectory, film):
     np.testing.assert_allclose(dial.value, expected, atol=1e-9)
 
 
-def test_slide_is_the_way_of_the_tip_along_the_axis(trajectory, film):
+def test_slide_is_the_way_of_the_tip_along_the_axis(trajectory, animation):
     bodies, tips = poses_of(trajectory, "right")
-    hinge = next(h for h in film.hinges if h.arm == "right")
+    hinge = next(h for h in animation.hinges if h.arm == "right")
     (dial,) = hinge.dials
     assert hinge.shape == "sleeve" and not dial.turns
     axis = tips[0, :3, 0]  # the joint's x axis, world, at the start
@@ -120,9 +120,9 @@ def test_slide_is_the_way_of_the_tip_along_the_axis(trajectory, film):
     np.testing.assert_allclose(away, np.outer(dial.value, on_object), atol=1e-6)
 
 
-def test_axes_travel_with_the_object(trajectory, film):
+def test_axes_travel_with_the_object(trajectory, animation):
     bodies, _ = poses_of(trajectory, "left")
-    for hinge in film.hinges:
+    for hinge in animation.hinges:
         R = Rotation.from_quat(hinge.quaternion_xyzw).as_matrix()
         relative = np.array(
             [
@@ -135,9 +135,9 @@ def test_axes_travel_with_the_object(trajectory, film):
 
 def test_universal_joint_has_an_axle_on_each_body():
     trajectory = run("{arm: left, kind: universal}", "{arm: right, kind: weld}")
-    film = film_of(trajectory, fps=1000, speed=1, meshes=False)
-    on_object, on_arm = film.hinges  # a weld has none
-    assert [hinge.name for hinge in film.hinges] == ["left/1", "left/2"]
+    animation = animate(trajectory, fps=1000, speed=1, meshes=False)
+    on_object, on_arm = animation.hinges  # a weld has none
+    assert [hinge.name for hinge in animation.hinges] == ["left/1", "left/2"]
     bodies, tips = poses_of(trajectory, "left")
     z = [Rotation.from_quat(h.quaternion_xyzw).as_matrix()[:, :, 2] for h in (on_object, on_arm)]
     fixed = np.einsum("kji,kj->ki", bodies[:, :3, :3], z[0])
@@ -157,15 +157,15 @@ def test_turns_beyond_half_a_turn_are_counted_on():
 # --- what is drawn -------------------------------------------------------------------------------
 
 
-def paths(film: Film) -> list[str]:
-    return [command["path"] for command in draw(film) if command["type"] == "set_object"]
+def paths(animation: Animation) -> list[str]:
+    return [command["path"] for command in draw(animation) if command["type"] == "set_object"]
 
 
-def corners(film: Film, path: str) -> np.ndarray:
+def corners(animation: Animation, path: str) -> np.ndarray:
     """Corners of the shape at a path of the scene tree, shape (V, 3)."""
     (shape,) = [
         command["object"]["geometries"][0]["data"]["attributes"]["position"]
-        for command in draw(film)
+        for command in draw(animation)
         if command["type"] == "set_object" and command["path"].endswith(path)
     ]
     return shape["array"].reshape(-1, 3)
@@ -216,8 +216,8 @@ def test_pointer_is_red_exactly_while_it_is_beyond_the_limits():
 
 def test_all_of_a_joint_is_in_the_picture():
     dial = Dial(False, (-3.0, 5.0), np.zeros(3))
-    film = block(hinge_of("rail", dial))
-    points = Hinges(film, film.size()).points(film.hinges[0])
+    animation = block(hinge_of("rail", dial))
+    points = Hinges(animation, animation.size()).points(animation.hinges[0])
     assert points[:, 2].min() < -3.0 and points[:, 2].max() > 5.0
 
 
@@ -230,12 +230,12 @@ def exported(trajectory, tmp_path_factory):
     return replay(trajectory, path, meshes=False)
 
 
-def test_page_shows_axes_limits_and_positions(view, exported, trajectory, film):  # noqa: F811
+def test_page_shows_axes_limits_and_positions(view, exported, trajectory, animation):  # noqa: F811
     page = shown(view, exported)
     assert view.complaints == []
     assert {"axis", "sector", "hand"} <= set(page.evaluate(PARTS, ["world", "joints", "left"]))
     assert {"axis", "rail", "bead"} <= set(page.evaluate(PARTS, ["world", "joints", "right"]))
-    hinge, slide = (next(h for h in film.hinges if h.arm == arm) for arm in ("left", "right"))
+    hinge, slide = (next(h for h in animation.hinges if h.arm == arm) for arm in ("left", "right"))
     for row in (0, len(trajectory) - 1):
         page.evaluate(SEEK, float(trajectory.time[row]))
         place = page.evaluate(POSE, ["world", "joints", "left"])
@@ -249,20 +249,20 @@ def test_page_shows_axes_limits_and_positions(view, exported, trajectory, film):
         assert bead["position"][2] == pytest.approx(slide.dials[0].value[row], abs=1e-4)
 
 
-def test_legend_tells_where_a_joint_is_between_its_limits(view, exported, film):  # noqa: F811
+def test_legend_tells_where_a_joint_is_between_its_limits(view, exported, animation):  # noqa: F811
     page = shown(view, exported)
     page.wait_for_function("document.querySelectorAll('.dial').length === 2")
     page.fill("#seek", "0.5")
     page.wait_for_function("document.querySelector('#clock').textContent === '0.50 / 0.50 s'")
     turn, slide = page.evaluate(DIALS)
-    (hinge,) = [h for h in film.hinges if h.arm == "left"]
+    (hinge,) = [h for h in animation.hinges if h.arm == "left"]
     degrees = round(float(np.rad2deg(hinge.dials[0].value[-1])))
     assert turn.replace("\u2212", "-") == f"{degrees}° in -6 … 46°"
     assert slide.replace("\u2212", "-").endswith("mm in -20 … 50 mm")
 
 
-def test_position_beyond_the_limits_is_marked_in_the_legend(view, film, tmp_path):  # noqa: F811
-    (turned,) = [h.dials[0].value for h in film.hinges if h.arm == "left"]
+def test_position_beyond_the_limits_is_marked_in_the_legend(view, animation, tmp_path):  # noqa: F811
+    (turned,) = [h.dials[0].value for h in animation.hinges if h.arm == "left"]
     narrow = HINGE.replace("[-0.1, 0.8]", f"[{0.5 * turned.min() - 1e-3}, {0.5 * turned.max()}]")
     page = shown(view, replay(run(narrow, SLIDE), tmp_path / "narrow.html", meshes=False))
     for time, beyond in (("0", False), ("0.5", True)):

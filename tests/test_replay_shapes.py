@@ -14,10 +14,10 @@ import pytest
 
 from multiarm.errors import ReplayError
 from multiarm.scene import ObjectSpec
-from multiarm.viewer import camera, page
+from multiarm.viewer import drawing, page
+from multiarm.viewer.animate import frame_rows
+from multiarm.viewer.animation import Animation, Body, ContactTracks, along, continuous, rotations
 from multiarm.viewer.drawing import draw
-from multiarm.viewer.film import Body, ContactTracks, Film, along, continuous, rotations
-from multiarm.viewer.filming import frame_rows
 from multiarm.viewer.mesh import (
     SEGMENTS,
     box,
@@ -29,8 +29,7 @@ from multiarm.viewer.mesh import (
     sharp_edges,
     sphere,
 )
-from multiarm.viewer.mesh_files import read_collada
-from multiarm.viewer.shapes import object_mesh
+from multiarm.viewer.shapes import object_mesh, read_collada
 
 POLYGON = SEGMENTS / 2 * np.sin(2 * np.pi / SEGMENTS)  # area of the polygon in a unit circle
 ROBOT_MESHES = [
@@ -202,12 +201,12 @@ def test_quaternion_signs_do_not_flip_between_frames():
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
 def test_camera_holds_all_points_and_uses_the_picture(size):
     points = size * (np.random.default_rng(3).normal(size=(200, 3)) * [2, 1, 0.5] + [7, -3, 1])
-    view = camera.frame(points)
-    towards, right, up = camera.view_axes(camera.AZIMUTH, camera.ELEVATION)
+    view = drawing.frame(points)
+    towards, right, up = drawing.view_axes(drawing.AZIMUTH, drawing.ELEVATION)
     np.testing.assert_allclose(view.target - view.position, view.distance * towards, rtol=1e-9)
     depth = (points - view.position) @ towards
-    tan_y = np.tan(np.deg2rad(camera.FIELD_OF_VIEW) / 2)
-    across = np.abs((points - view.position) @ right / depth).max() / (tan_y * camera.ASPECT)
+    tan_y = np.tan(np.deg2rad(drawing.FIELD_OF_VIEW) / 2)
+    across = np.abs((points - view.position) @ right / depth).max() / (tan_y * drawing.ASPECT)
     upward = np.abs((points - view.position) @ up / depth).max() / tan_y
     assert max(across, upward) < 0.95
     assert max(across, upward) > 0.75
@@ -249,7 +248,7 @@ def push_and_pull():
     normal = np.tile([1.0, 0, 0], (3, 1, 1))
     force = np.array([[8.0], [0.0], [-4.0]])
     contact = ContactTracks("left", np.array([0.2, 0.4, 0.8]), point, normal, force)
-    return Film("push and pull", np.array([0.0, 1.0, 2.0]), [shape], [contact])
+    return Animation("push and pull", np.array([0.0, 1.0, 2.0]), [shape], [contact])
 
 
 def tracks(commands):
@@ -292,24 +291,24 @@ def widest_height(commands, path):
 
 
 def test_arrow_lengths_do_not_depend_on_the_unit_of_force():
-    film = push_and_pull()
-    strong = replace(film.contacts[0], force=1e6 * film.contacts[0].force)
-    weak, big = tracks(draw(film)), tracks(draw(replace(film, contacts=[strong])))
+    animation = push_and_pull()
+    strong = replace(animation.contacts[0], force=1e6 * animation.contacts[0].force)
+    weak, big = tracks(draw(animation)), tracks(draw(replace(animation, contacts=[strong])))
     assert weak.keys() == big.keys()
     for key, values in weak.items():
         np.testing.assert_allclose(values, big[key], rtol=1e-6)
 
 
 def test_spike_does_not_shrink_all_other_arrows():
-    film = push_and_pull()
+    animation = push_and_pull()
     force = np.full((100, 1), 8.0)
     force[50] = 8000.0
-    shape = replace(film.bodies[0], position=still(100)[0], quaternion_xyzw=still(100)[1])
+    shape = replace(animation.bodies[0], position=still(100)[0], quaternion_xyzw=still(100)[1])
     contact = ContactTracks("left", np.ones(3), np.zeros((100, 1, 3)), np.ones((100, 1, 3)), force)
-    spiky = Film("spike", np.arange(100.0), [shape], [contact])
+    spiky = Animation("spike", np.arange(100.0), [shape], [contact])
     assert (spiky.force_scale, spiky.peak_force) == (8.0, 8000.0)
     np.testing.assert_allclose(spiky.arrow_lengths(contact), 1.0)
-    assert film.force_scale == film.peak_force == 8.0
+    assert animation.force_scale == animation.peak_force == 8.0
 
 
 def test_slow_motion_stretches_the_animation():
@@ -338,7 +337,7 @@ def test_arms_of_a_kind_share_their_meshes_in_the_page():
         bodies = [
             Body(f"arms/{i}", mesh, position + i, quaternion, np.ones(3)) for i in range(count)
         ]
-        text = page.render(draw(Film("", np.zeros(1), bodies)), facts)
+        text = page.render(draw(Animation("", np.zeros(1), bodies)), facts)
         assert "<title>one &amp; &lt;many&gt;</title>" in text
         document, block = payload(text)
         sizes.append(len(block))

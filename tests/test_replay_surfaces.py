@@ -13,8 +13,8 @@ from multiarm.contacts import records
 from multiarm.contacts.records import Contact, Patch, Surface, pack
 from multiarm.contacts.smooth import ParametricSurface
 from multiarm.contacts.surfaces import DISTANCE, GRADIENT, PLACE, QUERY_WIDTH, local_distance
-from multiarm.viewer.filming import film_of
-from multiarm.viewer.surfaces import surface_mesh
+from multiarm.viewer.animate import animate
+from multiarm.viewer.contact_tracks import surface_mesh
 
 AT, AXIS = (0.3, -0.2, 0.5), (0.2, 0.3, 0.9)
 SURFACES = {
@@ -89,8 +89,8 @@ def test_film_carries_the_surfaces_of_both_bodies():
         {"kind": "weld"}, {"kind": "contacts", "contacts": [{"arm": pad, "object": face}]}
     )
     run = ma.simulate(ma.compile_system(scene), 0.1, accuracy=1e-6, output_step=0.05)
-    film = film_of(run, fps=20.0, speed=1.0, meshes=False)
-    shown = {body.name: body for body in film.bodies if body.name.startswith("surfaces/")}
+    animation = animate(run, fps=20.0, speed=1.0, meshes=False)
+    shown = {body.name: body for body in animation.bodies if body.name.startswith("surfaces/")}
     assert set(shown) == {"surfaces/right/1_arm", "surfaces/right/1_object"}
     on_object = shown["surfaces/right/1_object"]
     np.testing.assert_allclose(on_object.position, run.object_position, atol=1e-12)

@@ -20,20 +20,25 @@ from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.node import ELIMINATED, FIRST_ARM, START, make_work
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.simd import LANES
-from multiarm.studies import bursts as bursts_module
-from multiarm.studies import evaluation_costs, scaling, solver_forms, solver_study, time_shares
-from multiarm.studies.bursts import fastest, fitted_slope, measure, median, upper_half
-from multiarm.studies.operation_counts import (
+from multiarm.studies import (
+    evaluation_costs,
+    scaling,
+    solver_forms,
+    solver_study,
+    time_shares,
+    timing,
+)
+from multiarm.studies.scaling import Plan, run_scaling
+from multiarm.studies.scaling_page import plot_scaling, render, write_page
+from multiarm.studies.scaling_tables import Cell, disturbance, tables
+from multiarm.studies.solver_forms import Coefficients
+from multiarm.studies.solver_study import (
     direct_operations,
     node_operations,
     order,
     ratio_as_written,
 )
-from multiarm.studies.scaling import Plan, run_scaling
-from multiarm.studies.scaling_page import render, write_page
-from multiarm.studies.scaling_plots import plot_scaling
-from multiarm.studies.scaling_tables import Cell, disturbance, tables
-from multiarm.studies.solver_forms import Coefficients
+from multiarm.studies.timing import fastest, fitted_slope, measure, median, upper_half
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 TINY = Plan(kinds=("weld",), arms=(2, 3), thesis_arms=(2, 3, 5), share_arms=(2,), rounds=1)
@@ -320,7 +325,7 @@ def test_the_script_builds_the_same_coefficients_as_the_kernels():
 
 
 def test_the_matrix_is_filled_alike_by_script_and_kernel(rng):
-    from multiarm.studies.solver_loops import _assemble_often
+    from multiarm.studies.solver_study import _assemble_often
 
     s = random_coefficients(rng, 3, 5, 2)
     matrix, right = solver_forms.assemble(s)
@@ -373,7 +378,7 @@ def test_crossover_is_where_the_ratio_passes_one():
 
 
 def test_everyone_is_measured_in_turn_and_rare_ones_rarely(monkeypatch):
-    monkeypatch.setattr(bursts_module, "PATIENCE", math.inf)
+    monkeypatch.setattr(timing, "PATIENCE", math.inf)
     order_of_bursts = []
 
     def contestant(name):
@@ -387,9 +392,9 @@ def test_everyone_is_measured_in_turn_and_rare_ones_rarely(monkeypatch):
 
 
 def test_who_takes_long_gets_few_bursts(monkeypatch):
-    monkeypatch.setattr(bursts_module, "PATIENCE", -1.0)
+    monkeypatch.setattr(timing, "PATIENCE", -1.0)
     found = measure({"a": lambda count: None}, 50)
-    assert len(found["a"]) == bursts_module.FEWEST
+    assert len(found["a"]) == timing.FEWEST
 
 
 def test_fastest_and_median_are_microseconds_a_call():

@@ -24,7 +24,7 @@ ENDLESS = {"integrator": "rk4", "step": 1e-3, "output_step": 0.1, "duration": 1e
 
 
 def test_progress_tells_time_and_runs_done_in_the_calling_thread(welded_ur5_system, monkeypatch):
-    monkeypatch.setattr("multiarm.sweeps.many.crew.TICK", 1e-3)
+    monkeypatch.setattr("multiarm.sweeps.many.POLL", 1e-3)
     monkeypatch.setattr("multiarm.simulation.run.BUDGET", 50)
     told, seen = threading.Event(), []
 
@@ -228,7 +228,7 @@ def test_progress_true_is_a_bar_of_runs(welded_ur5_system, monkeypatch):
 
     console = Console(force_terminal=True, width=100, file=io.StringIO(), record=True)
     monkeypatch.setattr("multiarm.terminal.progress.messages", lambda: console)
-    monkeypatch.setattr("multiarm.sweeps.many.crew.TICK", 1e-3)
+    monkeypatch.setattr("multiarm.sweeps.many.POLL", 1e-3)
     found = ma.simulate_many(welded_ur5_system, parameters=[{}] * 4, progress=True, **RUN)
     assert len(found) == 4
     text = console.export_text()

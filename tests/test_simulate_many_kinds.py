@@ -274,7 +274,7 @@ def test_what_differs_is_made_anew(change, arms):
 def test_threads_are_one_where_evaluations_call_python(welded_ur5_system, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "multiarm.sweeps.many.runs.run_cases",
+        "multiarm.sweeps.many.run_cases",
         lambda cases, system, threads, bar: asked.append(threads),
     )
     monkeypatch.setattr("os.sched_getaffinity", lambda _: range(12), raising=False)

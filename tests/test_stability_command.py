@@ -428,7 +428,7 @@ def test_a_joint_that_peers_have_not_is_refused_in_words(suite):
 def test_without_mujoco_the_remedy_is_told(healthy_trial, monkeypatch):
     monkeypatch.delitem(sys.modules, "multiarm.studies.mujoco_peer", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    answer = peer_trials.ask_everyone(healthy_trial)[-1]
+    answer = peer_trials.all_answers(healthy_trial)[-1]
     assert answer.refusal == "not installed: pip install multiarm[peers]"
 
 
@@ -438,7 +438,7 @@ def test_pinocchio_as_shipped_gives_nan_on_redundant_rows_and_tuned_does_not():
         run={**RUN, "solver": "dense"}
     )
     trial = trial_of(replace(HEALTHY, scene=lambda: scene))
-    found = {answer.solver: answer for answer in peer_trials.ask_everyone(trial)}
+    found = {answer.solver: answer for answer in peer_trials.all_answers(trial)}
     assert found["constraintDynamics as shipped"].accelerations == "NaN"
     assert found["constraintDynamics as shipped"].ended == "NaN after 0 s"
     assert found["constraintDynamics as shipped"].drift is None
@@ -449,7 +449,7 @@ def test_what_a_peer_returns_or_raises_is_told_and_never_ends_the_suite(healthy_
     size = 6 + healthy_trial.system.model.layout.joints
 
     def answer_of(accelerations, motion):
-        return peer_trials.ask(healthy_trial, "peer", lambda: (accelerations, motion))
+        return peer_trials.answer_of(healthy_trial, "peer", lambda: (accelerations, motion))
 
     def broken(*_):
         raise RuntimeError("the tree is broken\nsecond line")
@@ -473,7 +473,7 @@ def test_a_peer_that_invents_energy_is_found_out(healthy_trial):
         yield healthy_trial.window, twice, 0.0
 
     reference = healthy_trial.reference
-    answer = peer_trials.ask(
+    answer = peer_trials.answer_of(
         healthy_trial, "peer", lambda: (lambda state, torque: reference * (1.0 + 1e-3), faster)
     )
     still = start.copy()
@@ -493,7 +493,7 @@ def test_a_slow_peer_is_not_waited_for(healthy_trial, monkeypatch):
             t += 1e-6
             yield t, start, 0.0
 
-    answer = peer_trials.ask(
+    answer = peer_trials.answer_of(
         healthy_trial, "peer", lambda: (lambda state, torque: healthy_trial.reference, creeping)
     )
     assert answer.ended == "only 1e-06 s in 0 s of wall time"
@@ -518,7 +518,7 @@ def test_the_hardest_moment_is_met_exactly_between_samples_too():
 
 def test_a_peer_is_spared_what_would_take_all_memory(healthy_trial, monkeypatch):
     monkeypatch.setattr(peer_trials, "MOST_MEMORY", 1e3)
-    for answer in peer_trials.ask_everyone(healthy_trial)[1:4]:
+    for answer in peer_trials.all_answers(healthy_trial)[1:4]:
         assert answer.refusal.startswith("not asked: Pinocchio's Data for it takes about ")
 
 

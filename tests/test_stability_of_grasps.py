@@ -26,8 +26,9 @@ from multiarm.grasp.closure_radii import (
 )
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.drawn_stability import monte_carlo_stability
+from multiarm.grasp.face_contacts import Gripper
 from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.grasp import Grasp, Gripper
+from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.many_closures import closed_many
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.stability import configuration_stability, own_regions

@@ -12,10 +12,10 @@ from mechanics import ur5_pair
 from sweep_runs import FUNCTIONS, KEEP, MASS, OVER, RUN, jobs, repeatable, statuses
 
 from multiarm.errors import SweepError
-from multiarm.sweeps import cluster
-from multiarm.sweeps.engines import in_process
+from multiarm.sweeps import executors
+from multiarm.sweeps.executors import run_in_process
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.work import Work
+from multiarm.sweeps.worker import JobContext
 
 
 @pytest.fixture(scope="module")
@@ -54,17 +54,17 @@ def cluster_of(folder, workers, **environment):
 
 def test_a_cluster_gives_the_same_rows_and_survives_the_death_of_a_worker(scene, tmp_path):
     plan = make_plan(scene, OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
-    expected = repeatable(in_process(Work.of(plan), jobs(plan)))
+    expected = repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
     (tmp_path / "own.py").write_text(
         "import time\ndef slow(trajectory):\n    time.sleep(0.05)\n    return 1.0\n"
     )
     slow = make_plan(scene, OVER, repeat=20, keep=["final_z", f"{tmp_path}/own.py:slow"], run=RUN)
-    here = repeatable(in_process(Work.of(slow), jobs(slow)))
-    with cluster_of(tmp_path, 2) as (address, workers), cluster.opened(address) as client:
-        batches = list(cluster.on_cluster(Work.of(plan), jobs(plan), client))
+    here = repeatable(run_in_process(JobContext.of(slow), jobs(slow)))
+    with cluster_of(tmp_path, 2) as (address, workers), executors.connected(address) as client:
+        batches = list(executors.run_on_cluster(JobContext.of(plan), jobs(plan), client))
         assert repeatable(batches) == expected
         assert len({row.worker for rows in batches for row in rows}) == 2
-        coming = cluster.on_cluster(Work.of(slow), jobs(slow), client)
+        coming = executors.run_on_cluster(JobContext.of(slow), jobs(slow), client)
         found = [next(coming), next(coming)]
         workers[0].kill()
         found += coming
@@ -75,19 +75,19 @@ def test_a_run_on_which_workers_of_a_cluster_die_is_a_row_that_says_so(scene, tm
     (tmp_path / "own.py").write_text(FUNCTIONS)
     plan = make_plan(scene, {MASS: [5.0, 10.0, 20.0]}, keep=[f"{tmp_path}/own.py:always"], run=RUN)
     once = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
-    with cluster_of(tmp_path, 3, **once) as (address, _), cluster.opened(address) as client:
-        found = statuses(cluster.on_cluster(Work.of(plan), jobs(plan), client))
+    with cluster_of(tmp_path, 3, **once) as (address, _), executors.connected(address) as client:
+        found = statuses(executors.run_on_cluster(JobContext.of(plan), jobs(plan), client))
     assert [found[run][0] for run in (1, 2, 3)] == ["completed", "failed", "completed"]
     assert found[2][1].startswith("its worker died")
 
 
 def test_a_cluster_that_is_not_there_is_told(monkeypatch):
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(executors, "PATIENCE", 0.5)
     monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
     for address, text in [
         ("tcp://127.0.0.1:9", r"no scheduler answers at 'tcp://127\.0\.0\.1:9'"),
         (True, r"no scheduler is named; give its address"),
         (3, r"no scheduler is named; give its address"),
     ]:
-        with pytest.raises(SweepError, match=text), cluster.opened(address):
+        with pytest.raises(SweepError, match=text), executors.connected(address):
             pass

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app
-from multiarm.cli.sweep_tables import spread_table, trouble_lines
+from multiarm.cli.sweep import spread_table, trouble_lines
 from multiarm.sweeps.quantities import measure
 from multiarm.sweeps.result import load_sweep
 from multiarm.sweeps.summary import Failure, SweepSummary

@@ -30,12 +30,11 @@ from sweep_runs import (
 import multiarm as ma
 from multiarm.errors import SweepError
 from multiarm.scene import changed
-from multiarm.sweeps import work
-from multiarm.sweeps.batches import MOST_JOBS, TARGET, Batches
-from multiarm.sweeps.engines import in_process, on_processes
+from multiarm.sweeps import worker
+from multiarm.sweeps.executors import MOST_JOBS, TARGET, Batches, run_in_process, run_in_processes
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.row import Row
-from multiarm.sweeps.work import Job, Work, perform, simulate_run
+from multiarm.sweeps.records import Record
+from multiarm.sweeps.worker import Job, JobContext, run_job, simulate_run
 
 NOTES = """
 from pathlib import Path
@@ -59,7 +58,7 @@ def plan(scene):
 
 @pytest.fixture(scope="module")
 def expected(plan):
-    return repeatable(in_process(Work.of(plan), jobs(plan)))
+    return repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
 
 
 @pytest.fixture
@@ -99,24 +98,27 @@ def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, p
 
 
 def test_a_run_does_not_depend_on_those_before_it(scene, plan, expected):
-    backwards = in_process(Work.of(plan), jobs(plan, lambda runs: runs[::-1]))
+    backwards = run_in_process(JobContext.of(plan), jobs(plan, lambda runs: runs[::-1]))
     assert repeatable(backwards) == expected
     lighter = make_plan(scene.replace(gravity=None), OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
     between = [job for pair in zip(jobs(plan), jobs(lighter), strict=True) for job in pair]
     mixed = [
-        perform(Work.of(plan if k % 2 == 0 else lighter), job) for k, job in enumerate(between)
+        run_job(JobContext.of(plan if k % 2 == 0 else lighter), job)
+        for k, job in enumerate(between)
     ]
     assert [same(row) for row in mixed[::2]] == expected
     assert mixed[0].quantities != mixed[1].quantities
-    alone = [perform(Work.of(plan, session=str(k)), job) for k, job in enumerate(jobs(plan)[:2])]
+    alone = [
+        run_job(JobContext.of(plan, session=str(k)), job) for k, job in enumerate(jobs(plan)[:2])
+    ]
     assert list(map(same, alone)) == expected[:2]
 
 
 def test_threads_of_a_worker_do_not_disturb_each_other(plan, expected):
-    found: list[list[Row]] = []
-    shared = Work.of(plan)
+    found: list[list[Record]] = []
+    shared = JobContext.of(plan)
     threads = [
-        threading.Thread(target=lambda part=part: found.append(work.perform_all(shared, part)))
+        threading.Thread(target=lambda part=part: found.append(worker.run_jobs(shared, part)))
         for part in (jobs(plan)[:6], jobs(plan)[6:])
     ]
     for thread in threads:
@@ -132,7 +134,7 @@ def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
 
     over = {GRIP: [None, {"xyz": [-3.0, 0, 0]}], MASS: [5.0, 10.0, 20.0]}
     plan = make_plan(scene, over, keep=["steps", fussy], run=RUN)
-    rows = [row for rows in in_process(Work.of(plan), jobs(plan)) for row in rows]
+    rows = [row for rows in run_in_process(JobContext.of(plan), jobs(plan)) for row in rows]
     assert [row.status for row in rows] == ["completed", "failed", "completed"] + ["failed"] * 3
     assert "quantity 'fussy' raised ZeroDivisionError: float division by zero" in rows[1].message
     assert rows[1].quantities["steps"] > 0 and rows[1].quantities["fussy"] is None
@@ -143,24 +145,24 @@ def test_a_run_that_fails_is_a_row_and_the_others_go_on(scene):
 def test_a_scene_that_cannot_be_compiled_is_no_trouble_for_runs_that_can(scene):
     broken = changed(scene, {GRIP: {"xyz": [-3.0, 0, 0]}})
     plan = make_plan(broken, {GRIP: [None, {"xyz": [-3.0, 0, 0]}]}, keep=["steps"], run=RUN)
-    rows = [row for rows in in_process(Work.of(plan), jobs(plan)) for row in rows]
+    rows = [row for rows in run_in_process(JobContext.of(plan), jobs(plan)) for row in rows]
     assert [row.status for row in rows] == ["completed", "failed"]
     assert "does not satisfy the joint of arm 'left'" in rows[1].message
     assert rows[1].quantities == {"steps": None}
 
 
 def test_another_version_of_the_program_is_refused(plan, monkeypatch):
-    begun = Work.of(plan)
-    monkeypatch.setattr(work, "program_version", lambda: "0.0.1")
+    begun = JobContext.of(plan)
+    monkeypatch.setattr(worker, "program_version", lambda: "0.0.1")
     with pytest.raises(SweepError, match=r"has multiarm 0\.0\.1, the sweep was begun by"):
-        work.perform_all(begun, jobs(plan)[:1])
+        worker.run_jobs(begun, jobs(plan)[:1])
 
 
 # --- batches ------------------------------------------------------------------------------------
 
 
 def timed(run, wall):
-    return Row(run, "completed", "", {}, {}, wall, "")
+    return Record(run, "completed", "", {}, {}, wall, "")
 
 
 def test_batches_take_about_the_same_time_however_long_a_run_takes():
@@ -194,12 +196,12 @@ def test_jobs_are_made_when_they_are_asked_for(plan):
             asked.append(run)
             yield Job(run, plan.values(1))
 
-    coming = in_process(Work.of(plan), endless())
+    coming = run_in_process(JobContext.of(plan), endless())
     next(coming)
     assert asked == [1]
     coming.close()
     asked.clear()
-    coming = on_processes(Work.of(plan), endless(), 2)
+    coming = run_in_processes(JobContext.of(plan), endless(), 2)
     next(coming)
     time.sleep(0.3)
     assert len(asked) <= 6 * MOST_JOBS  # those under way, and those that wait beside them
@@ -210,7 +212,7 @@ def test_jobs_are_made_when_they_are_asked_for(plan):
 
 
 def test_processes_give_the_same_rows(plan, expected):
-    batches = list(on_processes(Work.of(plan), jobs(plan), 2))
+    batches = list(run_in_processes(JobContext.of(plan), jobs(plan), 2))
     assert repeatable(batches) == expected
     workers = {row.worker for rows in batches for row in rows}
     assert len(workers) == 2
@@ -219,7 +221,7 @@ def test_processes_give_the_same_rows(plan, expected):
 
 def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
     plan = make_plan(scene, OVER, repeat=4, seed=7, keep=["final_z", f"{functions}:once"], run=RUN)
-    found = statuses(on_processes(Work.of(plan), jobs(plan), 2))
+    found = statuses(run_in_processes(JobContext.of(plan), jobs(plan), 2))
     assert (functions.parent / "died").exists()
     assert len(found) == 12 and {status for status, _ in found.values()} == {"completed"}
 
@@ -227,7 +229,7 @@ def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
 def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
     over = {MASS: [5.0, 10.0, 20.0, 30.0]}
     plan = make_plan(scene, over, keep=[f"{functions}:always"], run=RUN)
-    found = statuses(on_processes(Work.of(plan), jobs(plan), 2))
+    found = statuses(run_in_processes(JobContext.of(plan), jobs(plan), 2))
     assert [found[run][0] for run in (1, 2, 3, 4)] == ["completed", "failed"] + ["completed"] * 2
     assert found[2][1].startswith("its worker died 3 times")
 
@@ -259,7 +261,7 @@ def test_a_cluster_that_does_not_answer_costs_no_rows(scene, tmp_path, monkeypat
     out = tmp_path / "s.h5"
     asked = {"over": {MASS: [5.0, 10.0]}, "certificate": False}
     ma.sweep(scene, asked, out=out, workers=1, **RUN)
-    monkeypatch.setattr("multiarm.sweeps.cluster.opened", silent)
+    monkeypatch.setattr("multiarm.sweeps.executors.connected", silent)
     with pytest.raises(SweepError, match="does not answer"):
         ma.sweep(scene, asked, out=out, dask="tcp://127.0.0.1:1", resume=False, **RUN)
     assert len(ma.load_sweep(out)) == 2
@@ -302,7 +304,7 @@ def test_a_named_file_with_another_text_makes_another_sweep(by_file, tmp_path):
     found = ma.sweep(scene, asked, out=out, workers=1, **RUN)
     assert ma.sweep(scene, asked, out=out, workers=1, **RUN).complete  # nothing else changed
     urdf.write_text(urdf.read_text().replace("</robot>", "<!-- another -->\n</robot>"))
-    with pytest.raises(SweepError, match=r"own\.urdf' has another text, or is gone"):
+    with pytest.raises(SweepError, match=r"own\.urdf' has changed, or is missing"):
         ma.sweep(scene, asked, out=out, workers=1, **RUN)
     with pytest.warns(UserWarning, match=r"may give other numbers than its row has: the file"):
         found.trajectory(1)
@@ -335,20 +337,20 @@ def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypat
     plan = make_plan(
         scene, {"effects.pull": [{"force": 0.0}, {"force": 50.0}]}, keep=["final_z"], run=RUN
     )
-    here = repeatable(in_process(Work.of(plan), jobs(plan)))
+    here = repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
     assert here[0][4] != here[1][4]
-    assert repeatable(on_processes(Work.of(plan), jobs(plan), 2)) == here
+    assert repeatable(run_in_processes(JobContext.of(plan), jobs(plan), 2)) == here
 
 
 CALLER = """
 from mechanics import ur5_pair
-from multiarm.sweeps.engines import on_processes
+from multiarm.sweeps.executors import run_in_processes
 from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.work import Job, Work
+from multiarm.sweeps.worker import Job, JobContext
 weld = {"kind": "weld"}
 over, run = {"object.mass": {"linspace": [1, 9, 100000]}}, {"duration": 0.02, "arms": "compiled"}
 plan = make_plan(ur5_pair(weld, weld), over, keep=["steps"], run=run)
-for rows in on_processes(Work.of(plan), (Job(*one) for one in plan.runs()), 2):
+for rows in run_in_processes(JobContext.of(plan), (Job(*one) for one in plan.runs()), 2):
     print(rows[0].worker.rpartition(":")[2], flush=True)
 """
 
@@ -379,7 +381,7 @@ def test_what_cannot_be_sent_to_workers_is_told(scene):
     lock = threading.Lock()
     plan = make_plan(scene, {MASS: [5.0]}, keep=[lambda trajectory: lock and 1.0], run=RUN)
     with pytest.raises(SweepError, match=r"the workers cannot be given the work"):
-        list(on_processes(Work.of(plan), jobs(plan), 2))
+        list(run_in_processes(JobContext.of(plan), jobs(plan), 2))
 
 
 # --- the whole ----------------------------------------------------------------------------------
@@ -430,16 +432,16 @@ def test_a_run_that_ctrl_c_ended_is_no_row_nor_one_whose_check_it_ended(scene, s
 
     ma.register_effect(Press)
     plan = make_plan(scene, {"effects.press": [{}]}, keep=["estimated_error"], run=RUN)
-    (job,), own = jobs(plan), Work.of(plan)
-    perform(own, job)
+    (job,), own = jobs(plan), JobContext.of(plan)
+    run_job(own, job)
     calls.clear()
-    whole = perform(own, job)
+    whole = run_job(own, job)
     assert whole.quantities["estimated_error"] > 0.0
     when[0] = int(share * len(calls))
     calls.clear()
     with pytest.raises(KeyboardInterrupt):
-        perform(own, job)
-    assert same(perform(own, job)) == same(whole)
+        run_job(own, job)
+    assert same(run_job(own, job)) == same(whole)
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -11,8 +11,17 @@ import pytest
 from sweep_stand_in import NAMES, StandInPlan, row_of
 
 from multiarm.errors import SweepError
-from multiarm.plots.sweep_axes import BAND, PARTS, bands, cells, variable
-from multiarm.plots.sweep_figures import POINTS, sweep_curves, sweep_map, sweep_overview
+from multiarm.plots.sweep_figures import (
+    BAND,
+    PARTS,
+    POINTS,
+    bands,
+    cells,
+    sweep_curves,
+    sweep_map,
+    sweep_overview,
+    variable,
+)
 from multiarm.sweeps.result import load_sweep
 from multiarm.sweeps.store import SweepFile
 

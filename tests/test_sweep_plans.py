@@ -344,8 +344,8 @@ extra: 1
         ({"range": [1, 10**30]}, "range: must be whole numbers of at most 9,007,199,254,740,992"),
         ({"range": [10**12]}, "range: has at most 1,000,000,000 values, got 1,000,000,000,000"),
         ({"integers": [1, 1e300]}, "integers: must be whole numbers of at most"),
-        ({"lognormal": {"median": 1.0, "deviation": 1000}}, "are beyond all numbers"),
-        ({"normal": None}, "'normal' is empty; write what it takes behind it"),
+        ({"lognormal": {"median": 1.0, "deviation": 1000}}, "exceed the range of floats"),
+        ({"normal": None}, "'normal' is empty; write its values after the colon"),
         ({"lognormal": None}, "'lognormal' is empty"),
         ({"linspace": [1, 2]}, "linspace: must be [first, last, how many], got [1, 2]"),
         ({"linspace": [1, 2, 2.5]}, "how many values there are, the third entry, must be a whole"),
@@ -367,7 +367,7 @@ extra: 1
         ({"rows": [[1, 2], [3]]}, "rows[0] must be a list of 1, a value for each path"),
     ],
 )  # fmt: skip
-def test_an_axis_that_is_none_is_told_with_the_remedy(scene, written, text):
+def test_an_invalid_axis_is_reported_with_the_remedy(scene, written, text):
     with pytest.raises(SweepError) as caught:
         make_plan(scene, {MASS: written})
     assert text in str(caught.value)
@@ -426,7 +426,7 @@ def test_a_file_that_is_no_sweep_is_told(scene, content, text, tmp_path):
 
 
 def test_a_spread_of_one_draw_is_refused(scene):
-    with pytest.raises(SweepError, match=r"\$\.sampling: 'sobol' spreads the draws at one point"):
+    with pytest.raises(SweepError, match=r"\$\.sampling: 'sobol' spreads the runs of one point"):
         make_plan(scene, {MASS: {"uniform": [1, 2]}}, sampling="sobol")
 
 

@@ -8,8 +8,8 @@ from mechanics import ur5_pair
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.sweeps.keeping import OwnQuantity
 from multiarm.sweeps.quantities import KNOWN, Quantity, digest, measure
+from multiarm.sweeps.spec import OwnQuantity
 
 GOAL, TURN = np.array([0.02, 0.0, 0.53]), [0.0, 0.0, 0.2]
 PATH = [{"time": 0.4, "xyz": GOAL.tolist(), "rpy": TURN}]
@@ -138,11 +138,11 @@ def test_a_function_in_a_file_is_read_again_when_the_file_is_another(run, tmp_pa
     ("function", "more", "text"),
     [
         (lambda trajectory: 1 / 0, {}, "raised ZeroDivisionError: division by zero"),
-        (lambda trajectory: float("nan"), {}, "gave nan, which is no number to keep"),
+        (lambda trajectory: float("nan"), {}, "gave nan, which is not finite"),
         (lambda trajectory: None, {}, "quantity 'mine' must give a number, it gave None"),
         (lambda trajectory: "1", {}, "must give a number, it gave '1'"),
         (lambda trajectory: 1.0, {"gives": ["a"]}, "must give a table of numbers, it gave 1.0"),
-        (lambda trajectory: {"a": 1}, {"gives": ["a", "b"]}, "gave a; it was said to give a, b"),
+        (lambda trajectory: {"a": 1}, {"gives": ["a", "b"]}, "gave a; its 'gives' lists a, b"),
         (lambda trajectory: {"a": 1j}, {"gives": ["a"]}, "quantity 'mine [a]' must give a number"),
     ],
 )  # fmt: skip

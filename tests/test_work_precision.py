@@ -17,10 +17,10 @@ import multiarm as ma
 from multiarm.errors import MultiarmError
 from multiarm.problems import ring_of_arms
 from multiarm.scene import find_robot
-from multiarm.studies.courses import Course, Grid, OutOfTime
+from multiarm.studies.mujoco_peer import TorqueTape
+from multiarm.studies.observables import control_torque, joint_damping, sinusoid
 from multiarm.studies.peer_trials import NOT_INSTALLED
-from multiarm.studies.probes import control_torque, joint_damping, sinusoid
-from multiarm.studies.torque_tape import TorqueTape
+from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
 from multiarm.studies.work_precision import reference as references
 from multiarm.studies.work_precision import study as studies
 from multiarm.studies.work_precision.choice import (
@@ -51,7 +51,7 @@ from multiarm.studies.work_precision.settings import (
 )
 from multiarm.studies.work_precision.store import Results, read_results, scene_digest
 from multiarm.studies.work_precision.study import run_study
-from multiarm.studies.work_precision.words import comparison, recommendation, told
+from multiarm.studies.work_precision.words import comparison, described, recommendation
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 DRAKE_IS_HERE = importlib.util.find_spec("pydrake") is not None
@@ -471,7 +471,7 @@ def test_the_recommendation_says_what_to_take_and_what_more_costs():
         "For errors below 1e-6 take accuracy 1e-5 (dop853, projection): 3.1 ms for 1 s of motion; "
         "1e-9 costs 2 times that."
     )
-    assert told(second) == "tolerance 0.0062 (dop853, no stabilization)"
+    assert described(second) == "tolerance 0.0062 (dop853, no stabilization)"
 
 
 def test_the_recommendation_aims_at_the_scenes_accuracy():
@@ -641,8 +641,8 @@ def test_what_a_peer_raises_is_a_failed_point(system, reference):
 def test_a_peer_that_diverges_or_takes_too_long_is_a_point_too(system, reference):
     peers = Peers(system)
 
-    def diverging(course, start, *_):
-        course.positions += [start.position, start.position]
+    def diverging(series, start, *_):
+        series.positions += [start.position, start.position]
 
     peers.able["Pinocchio"] = replace(peers.able["Pinocchio"], follow=diverging)
     found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
@@ -681,21 +681,21 @@ def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     for method in INTEGRATORS:
         model, ends = MujocoModel(system, joint_damping(system)), []
         for torques in (drive, lambda t, state: drive.at(np.array([t]))[0]):
-            course = Course()
-            model.follow(course, grid, system.initial_state(), method, 0.005, torques)
-            ends.append(course.positions[-1])
+            series = TimeSeries()
+            model.follow(series, grid, system.initial_state(), method, 0.005, torques)
+            ends.append(series.positions[-1])
         # roundings of torques end Newton's method an iteration earlier or later
         assert ends[0] == pytest.approx(ends[1], abs=1e-8), method
 
 
 def test_the_clock_does_not_count_what_is_off_it():
-    course = Course(limit_s=math.inf)
-    course.start()
-    course.off_the_clock(lambda: [None] * 200_000)()
-    with_it = course.wall_time_s
-    course.stop()
-    assert with_it < 0.0 <= course.wall_time_s
-    late = Course(limit_s=0.0)
+    series = TimeSeries(limit_s=math.inf)
+    series.start()
+    series.off_the_clock(lambda: [None] * 200_000)()
+    with_it = series.wall_time_s
+    series.stop()
+    assert with_it < 0.0 <= series.wall_time_s
+    late = TimeSeries(limit_s=0.0)
     late.start()
     with pytest.raises(OutOfTime):
         late.stop()

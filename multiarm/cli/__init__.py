@@ -1,9 +1,9 @@
 """The command line: ``multiarm run``, ``check``, ``joints``, ``replay``, ``report``, ``accuracy``,
 ``effects``, ``scaling``, ``stability``, ``sweep``, ``grasp``.
 
-Each command is a function in a module of its own; whatever is heavy is imported when a command
-runs, so that ``--help`` answers at once.  Exit codes: 0 all went well; 1 a run failed or was
-interrupted, its results up to there are saved; 2 something given was wrong, and is named.
+Each command is a function in a module of the same name; heavy libraries are imported when a command
+runs, so that ``--help`` answers at once.  Exit codes: 0 success; 1 a run failed or was interrupted,
+its results up to there are saved; 2 bad input, named in the message.
 """
 
 from __future__ import annotations
@@ -32,17 +32,15 @@ from multiarm.terminal.console import print_error, print_warnings
 __all__ = ["app", "main"]
 
 
-# Typer gives no name to what it raises for a wrong command line.
+# Typer does not export the class that it raises for a wrong command line.
 _UsageError: Any = typer.BadParameter.__base__
 
 
 class _Commands(TyperGroup):
-    """All commands; the one place where warnings become messages, and an error on purpose one too,
-    with exit code 2.
-    """
+    """All commands; prints warnings and multiarm's errors, the latter with exit code 2."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command; an exception that is not ours passes through."""
+        """Run a command; other exceptions pass through."""
         try:
             with warnings.catch_warnings():
                 warnings.showwarning = lambda message, *_, **__: print_warnings([str(message)])
@@ -56,7 +54,7 @@ class _Commands(TyperGroup):
         except KeyboardInterrupt:
             print_error("interrupted")
             raise typer.Exit(1) from None
-        except SystemExit as error:  # no command ends so
+        except SystemExit as error:  # no command raises this itself
             print_error(f"code that was loaded ended the program: SystemExit: {error}")
             raise typer.Exit(1) from None
 

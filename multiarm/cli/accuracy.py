@@ -1,30 +1,30 @@
-"""``multiarm accuracy``: what accuracy costs in time, on the user's own scene."""
+"""``multiarm accuracy``: the cost of accuracy on a scene."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import RenderableType
+from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.accuracy_tables import decade_table, method_table, point_table
 from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
 from multiarm.cli.options import ARMS, NO_CODE, Arms
 from multiarm.errors import MultiarmError
-from multiarm.terminal.console import (
-    output,
-    print_error,
-    print_written,
-)
+from multiarm.terminal.console import columns, number, output, print_error, print_written
 from multiarm.terminal.progress import StudyProgress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
+    from multiarm.studies.work_precision.points import Point
     from multiarm.studies.work_precision.store import Results
 
-__all__ = ["accuracy"]
+__all__ = ["accuracy", "decade_table", "method_table", "point_table"]
+
 
 FILES = "Results"
 
@@ -75,7 +75,7 @@ def accuracy(
     results: Annotated[
         Path | None,
         typer.Option(
-            help="File of the study; an interrupted one goes on from it.",
+            help="File of the study; an interrupted study resumes from it.",
             show_default="SCENE's file name, --arms and .accuracy.json, in the current folder",
             metavar="FILE.json",
             rich_help_panel=FILES,
@@ -83,7 +83,7 @@ def accuracy(
     ] = None,
     redo: Annotated[
         bool,
-        typer.Option("--redo", help="Measure what is in that file anew.", rich_help_panel=FILES),
+        typer.Option("--redo", help="Measure again what is in that file.", rich_help_panel=FILES),
     ] = False,
     source: Annotated[
         Path | None,
@@ -124,14 +124,14 @@ def accuracy(
     ] = None,
     no_code: Annotated[bool, NO_CODE] = False,
 ) -> None:
-    """Measure what accuracy costs on a scene: every method, beside other programs.
+    """Measure what accuracy costs on a scene: every method, compared with other programs.
 
     Every integrator runs the scene over its steps or tolerances, with each stabilisation. Errors
-    are those against a tight reference, which an independent solver and another method have
-    checked; wall times are those of the fastest of several interleaved runs.
+    are measured against a tight reference, which an independent solver and another method have
+    checked; wall times are the fastest of several interleaved runs.
 
-    The file of the study keeps every point as it comes in: after Ctrl-C the same command goes on
-    where it was. It holds for one scene, on one machine, with one set of versions.
+    The file of the study stores every point when it is measured: after Ctrl-C the same command
+    resumes. A file holds for one scene, one machine and one set of versions.
 
     The JSON has the keys scene, machine, reference, refusals, wall_time_s, points, cheapest,
     recommendation. Numbers are finite, or null where there is none.
@@ -159,7 +159,7 @@ def accuracy(
 
 
 def _own_file(scene: Path, arms: Arms | None) -> Path:
-    """Where a study goes that is given no file: one for each kind of arms that is asked for."""
+    """The default file of a study: one for each value of --arms."""
     kind = "" if arms is None else f".{arms.value}"
     return Path(f"{scene.stem}{kind}.accuracy.json")
 
@@ -178,18 +178,18 @@ def _measure(
 
         kept = _kept(target, Results.of(scene, machine(), target), redo)
         try:
-            return run_study(scene, kept, peers=peers, quick=quick, progress=watched.tell)
+            return run_study(scene, kept, peers=peers, quick=quick, progress=watched.report)
         except KeyboardInterrupt:
             watched.stop()
             print_error(
                 f"interrupted; {len(kept.points)} points are in '{target}', and the same command "
-                "goes on from there"
+                "resumes from there"
             )
             raise typer.Exit(1) from None
 
 
 def _kept(target: Path, empty: Results, redo: bool) -> Results:
-    """What the file has of this scene and machine; nothing, with a word, where it is of another."""
+    """The points in the file; an error if they belong to another scene or machine."""
     from multiarm.studies.work_precision.store import read_results
 
     if redo or not target.exists():
@@ -227,7 +227,7 @@ def _write(
     from multiarm.studies.work_precision.words import figures
 
     if plot is not None:
-        from multiarm.studies.work_precision.plots import write_plot
+        from multiarm.studies.work_precision.page import write_plot
 
         write_plot(results, plot, quantity)
         print_written("plot", plot)
@@ -239,3 +239,105 @@ def _write(
     if json is not None:
         write_json(json, figures(results, quantity))
         print_written("figures", json)
+
+
+def decade_table(results: Results, quantity: str) -> Table:
+    """The cheapest setting for each power of ten, and the best peer's."""
+    from multiarm.studies.work_precision.choice import decades
+    from multiarm.studies.work_precision.reference import QUANTITIES
+    from multiarm.studies.work_precision.settings import short
+    from multiarm.studies.work_precision.words import described
+
+    what, unit = QUANTITIES[quantity]
+    found = decades(results, quantity)
+    with_peers = any(decade.peer for decade in found)
+    heads = ["below", "cheapest setting", "ms"]
+    heads += ["best peer", "ms", "peer/ours"] if with_peers else []
+    rows: list[list[str]] = []
+    for decade in found:
+        row = [short(decade.level)]
+        for point in (decade.ours, decade.peer)[: 2 if with_peers else 1]:
+            row += ["-", "-"] if point is None else [described(point), _time(point)]
+        if with_peers:
+            row.append("-" if decade.ratio is None else f"{decade.ratio:.1f}")
+        rows.append(row)
+    table = columns(f"Cheapest for an error below, {what} [{unit}]", heads, rows)
+    return _right(table, 2, 4, 5)
+
+
+def method_table(results: Results, quantity: str) -> Table:
+    """One line a method."""
+    from multiarm.studies.work_precision.choice import (
+        CLAIMED,
+        all_series,
+        cheapest,
+        digits_of,
+    )
+    from multiarm.studies.work_precision.settings import short
+
+    digits = digits_of(results, quantity)
+    levels = (1e-3, *CLAIMED)
+    heads = ["method", *(short(level) for level in levels), "least", "gap m", "energy J", "failed"]
+
+    def rows() -> Iterator[list[RenderableType]]:
+        for item in all_series(results):
+            found = [cheapest(item.points, level, quantity, digits) for level in levels]
+            best = item.best(quantity)
+            least = None if best is None else max(best.error(quantity) or 0.0, digits)
+            yield [
+                Text(item.name, "" if item.ours else "dim"),
+                *("-" if point is None else _time(point) for point in found),
+                _small(least),
+                _small(None if best is None else best.gap_m),
+                _small(None if best is None else best.energy_J),
+                f"{len(item.failures)}/{len(item.points)}" if item.failures else "",
+            ]
+
+    title = "Methods: ms of wall time to an error, and what they are at their most precise"
+    return _right(columns(title, heads, rows()), *range(1, 8))
+
+
+def point_table(results: Results) -> Table:
+    """Every point, in the order of the methods."""
+    from multiarm.studies.work_precision.choice import all_series
+
+    heads = ("setting", "ms", "evaluations", "position", "rotation", "joints", "force",
+             "gap [m]", "energy [J]")  # fmt: skip
+
+    def rows() -> Iterator[list[RenderableType]]:
+        for item in all_series(results):
+            for point in item.points:
+                if not point.completed:
+                    reason = (f"\n{point.status}: {point.message}", "red")
+                    yield [Text.assemble(point.setting.text, reason)]
+                    continue
+                errors = (point.errors.get(k) for k in ("position", "rotation", "joints", "force"))
+                yield [
+                    point.setting.text,
+                    _time(point),
+                    number(point.evaluations),
+                    *(_small(value) for value in (*errors, point.gap_m, point.energy_J)),
+                ]
+
+    return _right(columns("All points", heads, rows()), *range(1, len(heads)))
+
+
+def _right(table: Table, *numbers: int) -> Table:
+    """The table with narrow padding, its columns of numbers right-aligned and not wrapped."""
+    table.padding, table.pad_edge = (0, 1, 0, 0), False
+    table.min_width = len(str(table.title))
+    for k in numbers:
+        if k < len(table.columns):
+            table.columns[k].justify = "right"
+            table.columns[k].no_wrap = True
+    return table
+
+
+def _time(point: Point) -> str:
+    """Milliseconds."""
+    value = 1e3 * (point.wall_time_s or 0.0)
+    return f"{value:,.0f}" if value >= 1e3 else f"{value:.3g}"
+
+
+def _small(value: float | None) -> str:
+    return "-" if value is None else f"{value:.0e}"

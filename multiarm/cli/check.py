@@ -1,4 +1,4 @@
-"""``multiarm check``: what a scene compiles to, before a long run."""
+"""``multiarm check``: inspect a scene before a long run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 from rich.console import RenderableType
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, scene_to_look_at, write_json
+from multiarm.cli.files import check_targets, scene_to_inspect, write_json
 from multiarm.cli.options import ARMS, CODE, Arms
 from multiarm.terminal.console import (
     accuracy,
@@ -51,7 +51,7 @@ def check(
 ) -> None:
     """Show what a scene compiles to: arms, joints, effects, freedom, and how good its start is.
 
-    All faults of a scene are told together, each with its place and the alternatives; the exit
+    All faults of a scene are listed together, each with its place and the alternatives; the exit
     code is then 2.
 
     The JSON has the keys scene, gravity, object, arms, joints, freedom, coming_and_going, effects,
@@ -60,7 +60,7 @@ def check(
     Numbers are finite, or null where there is none.
     """
     check_targets({"--json": json}, source=scene)
-    loaded = scene_to_look_at(scene, code)
+    loaded = scene_to_inspect(scene, code)
     from multiarm.assembly.compilation import compile_for_inspection
     from multiarm.simulation.inspection import inspect_system
     from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
@@ -193,7 +193,7 @@ def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
         text = f"{count} too many among: {', '.join(freedom.redundant_rows)}"
         rows["redundant"] = Text(text, "yellow")
     if loose:
-        rows["come and go"] = "\n".join(loose)
+        rows["unilateral"] = "\n".join(loose)
     return rows
 
 

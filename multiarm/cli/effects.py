@@ -1,4 +1,4 @@
-"""``multiarm effects``: what each effect of a scene costs, and what it changes."""
+"""``multiarm effects``: the cost of each effect of a scene, and the changes that it makes."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ def effects(
 ) -> None:
     """Measure what each effect of a scene costs, and what it changes.
 
-    The scene is run once more without each of its effects, gravity among them, to the accuracy
-    that it asks for. Beside the time stand the largest changes of the object's path and
+    The scene is run once more without each of its effects, gravity included, to the requested
+    accuracy. The table shows the time and the largest changes of the object's path and
     orientation, of the joints and of the contact forces; an effect whose changes all stay below
-    the accuracy can be left out. Further lines tell what stabilization, recording and certificate
-    cost.
+    the accuracy can be left out. Further lines show the costs of stabilization, recording and
+    certificate.
 
-    Times are those of runs in turn; what lies within their noise is marked.
+    Runs are timed in turns; differences within the noise are marked.
 
     The JSON has the keys scene, asked, asked_by_scene, run, entries, machine, wall_time_s, summary;
     their meaning and units are those of multiarm.studies.effect_costs.entries. Numbers are
@@ -98,7 +98,7 @@ def _measure(scene: Scene, changes: dict, candidates: bool, repeats: int) -> Led
     with StudyProgress() as watched:
         from multiarm.studies.effect_costs.study import ledger
 
-        return ledger(scene, candidates=candidates, repeats=repeats, progress=watched.tell)
+        return ledger(scene, candidates=candidates, repeats=repeats, progress=watched.report)
 
 
 def _print(found: Ledger) -> None:
@@ -133,7 +133,7 @@ def _table(found: Ledger) -> Table:
 def _row(found: Ledger, entry: Entry) -> list[Text]:
     from multiarm.studies.effect_costs.entries import FORCE, JOINTS, PATH, SLIDES, TURN
     from multiarm.studies.effect_costs.variants import CANDIDATE
-    from multiarm.studies.effect_costs.words import percent, said
+    from multiarm.studies.effect_costs.words import change_text, percent
 
     name = f"+ {entry.name}" if entry.kind == CANDIDATE else entry.name
     costs = [Text("-")] * 3
@@ -143,7 +143,7 @@ def _row(found: Ledger, entry: Entry) -> list[Text]:
         costs = [*(Text(text, style) for text in shown), Text(f"{entry.evaluations:,}")]
     slides = entry.value(JOINTS) is None and entry.value(SLIDES) is not None
     changed = [
-        Text(said(entry.changes.get(quantity), quantity, slides and quantity == SLIDES),
+        Text(change_text(entry.changes.get(quantity), quantity, slides and quantity == SLIDES),
              "" if _above(found, entry, quantity) else "dim")
         for quantity in (PATH, TURN, SLIDES if slides else JOINTS, FORCE)
     ]  # fmt: skip
@@ -158,13 +158,13 @@ def _above(found: Ledger, entry: Entry, quantity: str) -> bool:
 
 
 def _remark(entry: Entry) -> tuple[str, str]:
-    """What is to be said beside an entry's numbers, and its style."""
+    """A remark on an entry's numbers, and its style."""
     from multiarm.studies.effect_costs.variants import PRESENT
     from multiarm.studies.effect_costs.words import trouble
 
     if entry.trouble:
         return trouble(entry), "yellow"
-    doubt = "" if entry.certified else "its run is not as accurate as was asked"
+    doubt = "" if entry.certified else "its run does not meet the requested accuracy"
     about = "" if entry.kind == PRESENT else entry.about
     return ", ".join(filter(None, (about, doubt))), "dim"
 
@@ -173,7 +173,7 @@ def _write(found: Ledger, plot: Path | None, html: Path | None, json: Path | Non
     from multiarm.studies.effect_costs.words import figures
 
     if plot is not None:
-        from multiarm.studies.effect_costs.plots import write_plot
+        from multiarm.studies.effect_costs.page import write_plot
 
         write_plot(found, plot)
         print_written("plot", plot)

@@ -1,4 +1,4 @@
-"""Files that commands read and write: looked at before the long work, written in one step."""
+"""Files that commands read and write: checked before the long work, written in one step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = [
     "check_plot",
     "check_targets",
     "open_result",
-    "scene_to_look_at",
+    "scene_to_inspect",
     "scene_to_run",
     "write_json",
     "write_text",
@@ -29,7 +29,7 @@ PLOTS = ("png", "svg", "pdf")
 
 
 def check_targets(targets: Mapping[str, Path | None], source: Path | None = None) -> None:
-    """See to it that every file can be written, before any work is done.
+    """Check that every file can be written, before any work is done.
 
     Parameters
     ----------
@@ -76,26 +76,26 @@ def write_text(path: Path, text: str, option: str) -> None:
     Raises
     ------
     MultiarmError
-        The file cannot be written; names the ``option`` that asked for it.
+        The file cannot be written; the message names the ``option``.
     """
     with atomic_output(path, option) as partial:
         partial.write_text(text, encoding="utf-8")
 
 
 def check_plot(plot: Path | None) -> None:
-    """See to it that a picture has a format, told by the ending of its file.
+    """Check that the ending of a figure's file is a known format.
 
     Raises
     ------
     MultiarmError
-        With the endings that there are.
+        The message lists the formats.
     """
     if plot is not None and plot.suffix.lower().lstrip(".") not in PLOTS:
         raise MultiarmError(f"--plot: '{plot}' ends in none of .{', .'.join(PLOTS)}")
 
 
 def scene_to_run(path: Path, no_code: bool, over: Path | None = None) -> Scene:
-    """Read a scene that is going to be run, and say which code it names, and a sweep over it.
+    """Read a scene to run, and print which code it and a sweep over it name.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def scene_to_run(path: Path, no_code: bool, over: Path | None = None) -> Scene:
         from multiarm.sweeps.checking import sweep_code
         from multiarm.sweeps.spec import examined, read_sweep
 
-        spec, _ = examined(*read_sweep(over, {}))  # faults are told when the sweep is planned
+        spec, _ = examined(*read_sweep(over, {}))  # planning the sweep reports its faults
         named += [] if spec is None else sweep_code(scene, spec)
     if no_code:
         refuse_code(named)
@@ -121,8 +121,8 @@ def scene_to_run(path: Path, no_code: bool, over: Path | None = None) -> Scene:
     return scene
 
 
-def scene_to_look_at(path: Path, code: bool) -> Scene:
-    """Read a scene that is going to be looked at; with ``code``, load what it names, and say so.
+def scene_to_inspect(path: Path, code: bool) -> Scene:
+    """Read a scene to inspect; with ``code``, load the code that it names and print which.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def open_result(path: Path):
     Raises
     ------
     TrajectoryError
-        The file is no result; a scene is recognised and told apart.
+        The file is no result; the message recognises a scene.
     """
     if path.suffix.lower() in (".yaml", ".yml") and path.is_file():
         raise TrajectoryError(

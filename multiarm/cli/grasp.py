@@ -1,38 +1,42 @@
-"""``multiarm grasp``: design a form-closure grasp, and judge the grasp in a scene."""
+"""``multiarm grasp``: design a form-closure grasp, and judge the grasp of a scene.
+
+Bodies are written on the command line as ``box:1.2,0.8,0.6``, ``prism:6,0.3,0.8`` or a mesh file.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import RenderableType
+from rich.text import Text
 
-from multiarm.cli.bodies import FORMS, body_of_text
-from multiarm.cli.files import (
-    check_plot,
-    check_targets,
-    scene_to_look_at,
-    write_json,
-    write_text,
-)
-from multiarm.cli.grasp_tables import design_facts, judgement_tables
+from multiarm.cli.files import check_plot, check_targets, scene_to_inspect, write_json, write_text
 from multiarm.cli.options import CODE
 from multiarm.errors import GraspError, MultiarmError
 from multiarm.results.files import printable, save_figure
 from multiarm.terminal.console import (
+    columns,
     facts,
     messages,
     number,
     output,
     print_written,
+    vector,
 )
 from multiarm.terminal.progress import PartProgress
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
+    from multiarm.grasp.polyhedron import Polyhedron
+    from multiarm.grasp.scenes.judging import ContactFacts, GraspJudgement
 
-__all__ = ["grasp_app"]
+__all__ = ["FORMS", "body_of_text", "design_facts", "grasp_app", "judgement_tables"]
+
 
 # Reach of an optimised gripper around its corner, in sizes of the body.
 USUAL_SIZE = 0.2
@@ -45,7 +49,7 @@ grasp_app = typer.Typer(
 
 
 class Objective(str, Enum):
-    """What an optimised grasp has most, or least, of."""
+    """The quantity that an optimised grasp maximises or minimises."""
 
     margin = "margin"
     stability = "stability"
@@ -170,15 +174,15 @@ def design(
             height=height,
             duration=duration,
             seed=seed,
-            mesh=_mesh_beside(solid, out, body),
+            mesh=_mesh_file(solid, out, body),
             name=f"{_who(arms)} hold {body} by two corners",
             progress=progress,
         )
-    told = "".join(f"# {line}\n" for line in (f"multiarm grasp design {body}", *made.notes))
-    text = told + dump_scene(scene)
+    comments = "".join(f"# {line}\n" for line in (f"multiarm grasp design {body}", *made.notes))
+    text = comments + dump_scene(scene)
     rows = design_facts(made)
     squeeze = number(getattr(scene.control, "squeeze", None), "N")
-    rows["squeeze"] = f"{squeeze} in the mean, so that no contact lets go"
+    rows["squeeze"] = f"{squeeze} in the mean, so that no contact opens"
     messages().print(facts("Grasp", rows))
     if plot is not None:
         _draw(made, plot)
@@ -220,7 +224,7 @@ def check(
     """
     check_plot(plot)
     check_targets({"--json": json, "--plot": plot}, source=scene)
-    loaded = scene_to_look_at(scene, code)
+    loaded = scene_to_inspect(scene, code)
     from multiarm.assembly.compilation import compile_for_inspection
     from multiarm.grasp.scenes.judging import judge_grasp
     from multiarm.grasp.scenes.reading import read_grasp
@@ -229,8 +233,8 @@ def check(
     unknown = [f"{one.what} ({one.place})" for one in left if one.arm]
     if unknown:
         raise GraspError(
-            f"this grasp cannot be judged without {', '.join(unknown)}, which a look does not "
-            "load; if you trust its author, allow it with --code"
+            f"this grasp cannot be judged without {', '.join(unknown)}, which this command does "
+            "not load; if you trust its author, allow it with --code"
         )
     found = read_grasp(system)
     judgement = judge_grasp(system, found)
@@ -278,20 +282,20 @@ def _designed(
     return found.grasp.noted(found.message)
 
 
-def _mesh_beside(solid: Any, out: Path | None, body: str) -> Path | None:
-    """Where the object's mesh goes: beside the scene, for a body that is not convex."""
+def _mesh_file(solid: Any, out: Path | None, body: str) -> Path | None:
+    """The file of the object's mesh, next to the scene, for a body that is not convex."""
     if solid.convex:
         return None
     if out is None:
         raise MultiarmError(
             "the body is not convex, so that its scene needs a mesh file: name the scene with "
-            "--out, and the mesh is written beside it"
+            "--out, and the mesh is written next to it"
         )
     mesh = out.with_suffix(".stl")
     if mesh.expanduser().resolve() == Path(body).expanduser().resolve():
         raise MultiarmError(
-            f"--out: the object's mesh, beside the scene, would take the place of '{body}'; give "
-            "the scene another name"
+            f"--out: the object's mesh, next to the scene, would replace '{body}'; give the scene "
+            "another name"
         )
     return mesh
 
@@ -304,3 +308,175 @@ def _draw(grasp: Grasp, path: Path) -> None:
     from multiarm.plots.grasp_figures import draw_grasp
 
     save_figure(draw_grasp(grasp), path)
+
+
+def design_facts(grasp: Grasp) -> dict[str, RenderableType]:
+    """The facts of a designed grasp."""
+    closure = grasp.closure
+    rows: dict[str, RenderableType] = {
+        "body": f"{len(grasp.body.faces)} faces, size {number(grasp.body.size, 'm')}",
+        "verdict": _verdict(bool(closure), closure.message),
+        "margin": f"{number(closure.margin)} (of 1, shared by {len(grasp.contacts)} contacts)",
+    }
+    for gripper in grasp.grippers:
+        names = ", ".join(
+            f"{grasp.contacts.names[j]} on {grasp.body.faces[grasp.faces[j]].name}"
+            for j in gripper.contacts
+        )
+        size = number(grasp.gripper_size(gripper.name), "m")
+        rows[gripper.name] = f"{names}; {size} across"
+    for k, note in enumerate(grasp.notes):
+        rows["notes" if k == 0 else " " * k] = note
+    return rows
+
+
+def judgement_tables(found: GraspJudgement) -> list[RenderableType]:
+    """The contacts of a scene's grasp, and its properties."""
+    return [
+        columns(
+            "Contacts, in the object's frame, at the start",
+            ("arm", "contact", "face", "at, m", "force", "may slide by", "share"),
+            [_contact(contact, found) for contact in found.contacts if not contact.pulls],
+        ),
+        facts("Grasp", _grasp_facts(found)),
+    ]
+
+
+def _contact(contact: ContactFacts, found: GraspJudgement) -> tuple[RenderableType, ...]:
+    pulled = contact.force < 0.0 and found.only_pushes
+    force = Text(number(contact.force, "N"), "yellow" if pulled else "")
+    return (
+        contact.arm,
+        contact.name.removeprefix(f"{contact.arm}/"),
+        contact.face or "-",
+        vector(contact.point, digits=3),
+        force,
+        number(contact.room, "m") if contact.room is not None else "-",
+        number(contact.coefficient),
+    )
+
+
+def _grasp_facts(found: GraspJudgement) -> dict[str, RenderableType]:
+    rows: dict[str, RenderableType] = {
+        "verdict": _verdict(found.closed, found.verdict),
+        "contacts": "all can only push"
+        if found.only_pushes
+        else "some hold both ways, as joints do",
+    }
+    if found.borderline:
+        rows["borderline"] = Text("roundings decide; move the contacts apart", "yellow")
+    if found.left_out:
+        rows["left out"] = f"no contacts in points: {', '.join(found.left_out)}"
+    if found.closed:
+        rows["margin"] = f"smallest share {number(found.margin)} of 1 at best"
+    elif found.immobility_order == 2:
+        rows["to second order"] = "held, by what turning does to the flat faces"
+    if found.carrying_force is not None:
+        rows["weight"] = f"carried with at most {number(found.carrying_force, 'N')} a contact"
+    stability = found.stability
+    if stability is not None:
+        if stability.closure_radius is not None:
+            rows["all may slide by"] = (
+                f"{number(stability.closure_radius, 'm')} at once, in any direction"
+            )
+        rows["six independent"] = (
+            f"{', '.join(stability.six)}; they stay so within "
+            f"{number(stability.independence_limit, 'm')}"
+        )
+    if found.frame_position is not None and found.frame_rotation is not None:
+        rows["object's frame"] = (
+            f"from contact points known to 0.1 mm: within {number(1e3 * found.frame_position)} mm "
+            f"and {number(1e3 * found.frame_rotation)} mrad (standard deviations)"
+        )
+    return rows
+
+
+def _verdict(closed: bool, words: str) -> Text:
+    return Text(words, "bold green" if closed else "bold yellow")
+
+
+# Kind -> (how it is written, with how many numbers at least and at most).
+FORMS: dict[str, tuple[str, int, int]] = {
+    "box": ("box:LX,LY,LZ", 3, 3),
+    "wedge": ("wedge:LX,LY,LZ[,TOP]", 3, 4),
+    "prism": ("prism:SIDES,RADIUS,HEIGHT", 3, 3),
+    "pyramid": ("pyramid:SIDES,RADIUS,HEIGHT", 3, 3),
+}
+MESHES = (".stl", ".obj")
+MOST_SIDES = 1000
+
+
+def body_of_text(text: str, scale: float = 1.0) -> Polyhedron:
+    """The body of a text: numbers in metres, or a mesh file times ``scale``.
+
+    Raises
+    ------
+    MultiarmError
+        The text has none of the forms, which the message lists.
+    GraspError
+        The numbers make no body; the mesh is not closed.
+    """
+    if Path(text).suffix.lower() in MESHES:
+        from multiarm.grasp.polyhedron import Polyhedron
+
+        return Polyhedron.mesh(Path(text).expanduser(), scale)
+    kind, _, numbers = text.partition(":")
+    if kind not in FORMS:
+        raise _unknown(text)
+    _, least, most = FORMS[kind]
+    try:
+        values = [float(number) for number in numbers.split(",")]
+    except ValueError:
+        raise _unknown(text) from None
+    if not least <= len(values) <= most or not all(map(math.isfinite, values)):
+        raise _unknown(text)
+    return _BUILDERS[kind](values)
+
+
+def _unknown(text: str) -> MultiarmError:
+    forms = ", ".join(form for form, *_ in FORMS.values())
+    return MultiarmError(
+        f"'{text}' is no body; write {forms} (lengths in metres), or name an STL or OBJ file"
+    )
+
+
+def _box(values: list[float]) -> Polyhedron:
+    from multiarm.grasp.polyhedron import Polyhedron
+
+    return Polyhedron.box(values)
+
+
+def _wedge(values: list[float]) -> Polyhedron:
+    from multiarm.grasp.polyhedron import Polyhedron
+
+    return Polyhedron.wedge(values[:3], *values[3:])
+
+
+def _prism(values: list[float]) -> Polyhedron:
+    from multiarm.grasp.polyhedron import Polyhedron
+
+    return Polyhedron.prism(_regular(values[0], values[1]), values[2])
+
+
+def _pyramid(values: list[float]) -> Polyhedron:
+    from multiarm.grasp.polyhedron import Polyhedron
+
+    return Polyhedron.pyramid(_regular(values[0], values[1]), [0.0, 0.0, values[2]])
+
+
+def _regular(sides: float, radius: float) -> list[list[float]]:
+    """Corners of a regular polygon."""
+    if sides != int(sides) or not 3 <= sides <= MOST_SIDES:
+        raise MultiarmError(f"a polygon has 3 to {MOST_SIDES} sides, not {sides:g}")
+    if radius <= 0.0:
+        raise MultiarmError(f"the radius of a polygon is greater than 0, not {radius:g}")
+    turns = [2.0 * math.pi * k / int(sides) for k in range(int(sides))]
+    return [[radius * math.cos(turn), radius * math.sin(turn)] for turn in turns]
+
+
+_BUILDERS: dict[str, Callable[[list[float]], Polyhedron]] = {
+    "box": _box,
+    "wedge": _wedge,
+    "prism": _prism,
+    "pyramid": _pyramid,
+}

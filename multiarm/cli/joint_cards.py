@@ -1,10 +1,9 @@
-"""A card for every kind of joint and of surface: what it is, what it leaves free, how to write it.
+"""A card for every kind of joint and of surface: a picture, free motions, parameters, an example.
 
-Only pictures and examples are typed here.  Parameters, their defaults, meanings and units are those
-of the scene's schema: a meaning is what the class documents of an attribute, or the field's own
-description, and the unit is the text in brackets therein, ``[m]``.  Rows, rank and free motions are
-computed from the contact records of the example, both joint frames coinciding as they do at the
-start.
+Only pictures and examples are written here.  Parameters, defaults, meanings and units come from the
+scene's schema: a meaning is the class's documentation of an attribute, or the field's description,
+and the unit is the text in brackets therein, ``[m]``.  Rows, rank and free motions are computed
+from the contact records of the example; both joint frames coincide, as they do at the start.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from multiarm.contacts.records import (
 from multiarm.contacts.screws import free_motions, wrenches_in_frame
 from multiarm.scene import ContactSpec, Geometry, JointBase, JointSpec
 
-# Kind of joint: what it resembles in daily life and does; what a scene has after its kind.
+# Kind of joint: an everyday example, and the lines after its kind in a scene.
 _JOINTS = {
     "weld": ("glued or clamped: tip and object are one body", ""),
     "ball": (
@@ -107,7 +106,7 @@ _JOINTS = {
         rolling: true        # no slip""",
     ),
     "wrenches": (
-        "a joint known by what it bears: the forces and moments it passes on; all else is free",
+        "a joint given by the forces and moments that it transmits; all other motions are free",
         """           # forces and moments, joint frame: a screw
     wrenches:
       - [1, 0, 0, 0, 0, 0]
@@ -117,7 +116,7 @@ _JOINTS = {
       - [0, 0, 0, 0, 1, 0]""",
     ),
 }
-# Kind of surface: what it resembles, and one side of a contact.
+# Kind of surface: an everyday example, and one side of a contact.
 _SURFACES = {
     "point": (
         "a needle's tip: it touches any surface of the other body",

@@ -1,4 +1,4 @@
-"""``multiarm joints``: the catalogue of joints and surfaces, in words."""
+"""``multiarm joints``: the catalogue of joints and surfaces."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def joints(
         typer.Option(help="Write what is shown as JSON.", show_default="none", metavar="FILE.json"),
     ] = None,
 ) -> None:
-    """List the joints between an arm and the object: what they feel like and leave free.
+    """List the joints between an arm and the object with their free motions and parameters.
 
     A joint is a set of frictionless contacts, each of which takes away one motion; rows are their
     number. Names of kinds are those of 'kind:' in a scene.
@@ -79,7 +79,7 @@ def _parts(
 
     common = _parameter_table("Parameters of every joint", common_parameters())
     options = [p for p in contact_parameters() if p.name not in ("arm", "object")]
-    contact = _parameter_table("Parameters of a contact, beside its two sides", options)
+    contact = _parameter_table("Parameters of a contact, besides its two sides", options)
     if kind is None:
         axes = Text("x, y, z: axes of the joint frame, turned until z is the axis or normal", "dim")
         hint = Text("One in full: multiarm joints KIND, multiarm joints SURFACE", "dim")

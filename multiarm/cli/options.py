@@ -13,14 +13,14 @@ METHOD = "How exactly"
 
 
 class Arms(str, Enum):
-    """Who computes inertia, forces and motion of the arms."""
+    """The backend that computes inertia, forces and motion of the arms."""
 
     pinocchio = "pinocchio"
     compiled = "compiled"
 
 
 ARMS = typer.Option(
-    help="Who computes the arms: Pinocchio, or compiled copies of its models, which are several "
+    help="Backend of the arms: Pinocchio, or compiled copies of its models, which are several "
     "times as fast and are verified against Pinocchio first.",
     show_default=OF_SCENE,
     rich_help_panel=METHOD,

@@ -1,4 +1,4 @@
-"""``multiarm run``: simulate a scene, watch it, keep the result, say how good it is."""
+"""``multiarm run``: simulate a scene, store the result, and print its figures and accuracy."""
 
 from __future__ import annotations
 
@@ -8,19 +8,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.options import ARMS, METHOD, NO_CODE, OF_SCENE, Arms
 from multiarm.cli.show import serve_until_interrupt
-from multiarm.cli.summary import run_figures, summary_table
 from multiarm.errors import SceneError
+from multiarm.results.event_log import counts, who
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS
 from multiarm.terminal.console import (
+    STATUS_STYLES,
+    accuracy,
+    facts,
     messages,
+    number,
     output,
     print_error,
     print_warnings,
     print_written,
+    vector,
 )
 from multiarm.terminal.progress import RunProgress
 
@@ -29,10 +37,11 @@ if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
 
-__all__ = ["Integrator", "Solver", "Stabilization", "run"]
+__all__ = ["Integrator", "Solver", "Stabilization", "run", "run_figures", "summary_table"]
+
 
 FILES = "Results"
-# A written start that is further off than this [m] is worth a word.
+# A start that violates the joints by more than this [m] is reported.
 NOTABLE_GAP = 1e-3
 
 
@@ -184,17 +193,16 @@ def run(
 ) -> None:
     """Simulate a scene and keep the result.
 
-    Ctrl-C ends the run in good order: what was simulated is kept; while the accuracy is checked,
-    it ends the check. The exit code is 0 when the run is completed, 1 when it failed or was
-    interrupted, 2 when something given is wrong. A completed run whose accuracy is not met is told
-    by a warning.
+    Ctrl-C ends the run and keeps its samples; while the accuracy is checked, it ends the check. The
+    exit code is 0 when the run is completed, 1 when it failed or was interrupted, 2 for bad input.
+    A warning reports a completed run whose accuracy is not met.
 
     The JSON has the keys scene, status, message, samples, duration_s, steps, rejected_steps,
     evaluations, wall_time_s, realtime_factor, error_estimate, position_drift_max_m,
     velocity_drift_max_m_per_s, energy_balance_max_J, final_object_position,
     final_object_quaternion_xyzw, contact_force_max_N (by arm; floor, if there is one), rank_lowest,
     rank_highest (independent constraints), coupled_steps (steps in which some arm could not be
-    eliminated), integrator, stabilization, solver, arms (who computed each), accuracy, tolerance,
+    eliminated), integrator, stabilization, solver, arms (backend of each), accuracy, tolerance,
     certificate (null where nothing was checked; else met, text, reason, asked, estimated_error,
     by_output, over_time, checks, growth_rate_per_s, safety, attempts), events (time, kind, text;
     arm, contact or joint, where in m, before and after as they apply), compiled_kernels, and files
@@ -246,7 +254,7 @@ def run(
 
 
 def _remarks(trajectory: Trajectory, start: StartReport) -> list[str]:
-    """What the reader should know although the run went well."""
+    """Warnings about a run, also about a completed one."""
     remarks = []
     gap = max(start.gaps.values(), default=0.0)
     if gap > NOTABLE_GAP:
@@ -287,7 +295,7 @@ def _simulate(
 
 
 def _about_options(fault: str) -> str:
-    """A fault of the run's settings, told of the option that was typed."""
+    """A fault of the run's settings, under the name of the command's option."""
 
     def option(place: re.Match) -> str:
         return "--" + place[1].replace("_", "-") if place[1] else "the settings of the run"
@@ -298,7 +306,7 @@ def _about_options(fault: str) -> str:
 def _write_pages(
     trajectory: Trajectory, pages: dict[str, Path | None], quiet: bool
 ) -> dict[str, str]:
-    """Write the pages that were asked for; returns their places."""
+    """Write the requested pages; returns their paths."""
     wanted = {what: path for what, path in pages.items() if path is not None}
     if not len(trajectory):
         print_warnings(f"there is no sample, so no {what} was written" for what in wanted)
@@ -316,3 +324,120 @@ def _write_pages(
 def _ended(trajectory: Trajectory) -> str:
     verb = "was interrupted" if trajectory.status == "interrupted" else "failed"
     return f"{verb}: {trajectory.message}"
+
+
+# Kinds of events named in the summary.
+SHOWN_KINDS = 12
+
+
+def run_figures(
+    name: str, trajectory: Trajectory, files: dict[str, str], compiled_kernels: bool
+) -> dict[str, Any]:
+    """Figures of a run under the keys that ``multiarm run --help`` lists.
+
+    Parameters
+    ----------
+    name : str
+        Of the scene.
+    trajectory : Trajectory
+    files : dict
+        What was written -> where.
+    compiled_kernels : bool
+        The wall time contains a first compilation.
+    """
+    keys = ("integrator", "stabilization", "solver", "arms", "accuracy", "tolerance")
+    counted = trajectory.statistics
+    return {
+        "scene": name,
+        **trajectory.summary(),
+        **{key: counted.get(key) for key in keys},
+        "certificate": trajectory.certificate,
+        "events": trajectory.events,
+        "compiled_kernels": compiled_kernels,
+        "files": files,
+    }
+
+
+def summary_table(figures: dict[str, Any]) -> Table:
+    """The figures of :func:`run_figures` as a table."""
+    status = figures["status"]
+    rows: dict[str, RenderableType] = {
+        "status": Text(status, STATUS_STYLES[status]),
+        "simulated": f"{number(figures['duration_s'], 's')}, {number(figures['samples'])} samples",
+        "method": _method(figures),
+        "steps": f"{number(figures['steps'])} ({number(figures['rejected_steps'])} rejected), "
+        f"{number(figures['evaluations'])} evaluations",
+        "wall time": _pace(figures),
+        "largest gap (position drift)": number(figures["position_drift_max_m"], "m"),
+        "largest gap rate (velocity drift)": number(figures["velocity_drift_max_m_per_s"], "m/s"),
+        "largest energy balance error": number(figures["energy_balance_max_J"], "J"),
+        **_exactness(figures),
+    }
+    if figures["final_object_position"] is not None:
+        rows["object at the end"] = vector(figures["final_object_position"], "m")
+    for arm, force in figures["contact_force_max_N"].items():
+        rows[f"largest contact force, {arm}"] = number(force, "N")
+    rows |= _events(figures["events"])
+    return facts(figures["scene"], rows)
+
+
+def _events(events: list[dict[str, Any]]) -> dict[str, RenderableType]:
+    """A line for each kind of event; the first of its kind is named with its time."""
+    kinds = counts(events)
+    if not kinds:
+        return {}
+    lines = []
+    for kind in kinds[:SHOWN_KINDS]:
+        times = f", {number(kind.count)} times, first" if kind.count > 1 else ""
+        whose = f" ({who(kind.first)})" if who(kind.first) else ""
+        lines.append(f"{kind.kind}{times} at {number(float(kind.first['time']), 's')}{whose}")
+    if len(kinds) > SHOWN_KINDS:
+        lines.append(f"and {len(kinds) - SHOWN_KINDS} more kinds")
+    return {"events": "\n".join(lines)}
+
+
+def _method(figures: dict[str, Any]) -> str:
+    tolerance = figures["tolerance"]
+    steps = "" if tolerance is None else f" (tolerance of a step {number(tolerance)})"
+    return (
+        f"{figures['integrator']}{steps}, stabilization {figures['stabilization']}, "
+        f"solver {figures['solver']}, {_arms(figures['arms'])}"
+    )
+
+
+def _arms(terms: dict[str, str] | None) -> str:
+    """The backend of the arms; results of earlier versions do not name it."""
+    kinds = set((terms or {}).values())
+    if len(kinds) < 2:
+        return f"arms {kinds.pop() if kinds else 'pinocchio'}"
+    return "arms " + ", ".join(f"{name} {kind}" for name, kind in (terms or {}).items())
+
+
+def _exactness(figures: dict[str, Any]) -> dict[str, RenderableType]:
+    """The certificate if there is one, else the error estimate of the steps."""
+    certificate = figures["certificate"]
+    if certificate is None:
+        return {"error": _error(figures)}
+    style = "bold green" if certificate["met"] else "bold yellow"
+    verdict, _, rest = certificate["text"].partition(":")
+    rows: dict[str, RenderableType] = {"accuracy": Text.assemble((verdict, style), f":{rest}")}
+    checked = [row["wall_time_s"] or 0.0 for row in certificate["attempts"] if not row["returned"]]
+    if checked:
+        runs = f"{len(checked)} more run{'s' if len(checked) > 1 else ''}"
+        rows["checked by"] = f"{runs} with other tolerances, {number(sum(checked), 's')}"
+    return rows
+
+
+def _error(figures: dict[str, Any]) -> str:
+    estimate, requested = figures["error_estimate"], figures["accuracy"]
+    remark = "" if requested is None else f"; requested accuracy {accuracy(requested)}, not checked"
+    if estimate is None:
+        return f"not estimated: the step is fixed{remark}"
+    return f"about {number(estimate)} m or rad{remark} (an estimate: the steps' errors, summed)"
+
+
+def _pace(figures: dict[str, Any]) -> str:
+    pace = (
+        f"{number(figures['wall_time_s'], 's')}, {number(figures['realtime_factor'])} x real time"
+    )
+    return f"{pace}, after compiling the kernels" if figures["compiled_kernels"] else pace

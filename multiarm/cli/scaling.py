@@ -1,4 +1,4 @@
-"""``multiarm scaling``: what grows how with the number of arms, and where the time goes."""
+"""``multiarm scaling``: cost over the number of arms, and shares of the time."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def scaling(
     study: Annotated[
         Study,
         typer.Option(
-            help="Cost of an evaluation beside Pinocchio's algorithms; node algorithm against "
-            "direct elimination (section 4.4 of the thesis); where time goes; cost of a contact "
-            "row."
+            help="Cost of an evaluation compared with Pinocchio's algorithms; node algorithm "
+            "against direct elimination (section 4.4 of the thesis); shares of the time; cost of "
+            "a contact row."
         ),
     ] = Study.all,
     arms: Annotated[
@@ -110,7 +110,7 @@ def scaling(
     plan = benchmark.quick(studies, kinds) if quick else benchmark.Plan(studies, kinds)
     plan = replace(plan, arms=counts or plan.arms, rounds=rounds or plan.rounds)
     with StudyProgress(plan.measurements, counted=True) as watched:
-        result = benchmark.run_scaling(plan, progress=watched.tell)
+        result = benchmark.run_scaling(plan, progress=watched.report)
     from multiarm.studies.scaling_tables import disturbance, tables
 
     console = output()
@@ -121,7 +121,7 @@ def scaling(
         write_json(json, result)
         print_written("figures", json)
     if plot is not None:
-        from multiarm.studies.scaling_plots import plot_scaling
+        from multiarm.studies.scaling_page import plot_scaling
 
         plot_scaling(result, plot)
         print_written("plot", plot)

@@ -1,4 +1,4 @@
-"""``multiarm replay`` and ``multiarm report``: look at the result of a run."""
+"""``multiarm replay`` and ``multiarm report``: show the result of a run."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ def replay(
         str,
         typer.Option(
             help="Address of this computer at which the live replay is served. Only this computer "
-            "reaches the usual one; whoever reaches another can watch. 0.0.0.0 stands for all.",
+            "reaches the default; every computer that reaches another address can watch. 0.0.0.0: "
+            "all addresses.",
             metavar="ADDRESS",
         ),
     ] = "127.0.0.1",
@@ -135,7 +136,7 @@ def serve_until_interrupt(trajectory: Trajectory, *, quiet: bool = False, **opti
 
 
 def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
-    """The trajectory in a file, or of a sweep's run; one that did not end well is said to be so."""
+    """The trajectory in a file, or of a sweep's run; warns if it did not complete."""
     if _is_sweep(result):
         trajectory = _run_of_sweep(result, run, code)
     else:
@@ -199,8 +200,8 @@ def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
 
 @contextmanager
 def _warnings_printed() -> Iterator[None]:
-    """Print what Python code warns of as the commands print it."""
-    with warnings.catch_warnings(record=True) as told:
+    """Print Python's warnings as the commands print theirs."""
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         yield
-    print_warnings(dict.fromkeys(str(warning.message) for warning in told))
+    print_warnings(dict.fromkeys(str(warning.message) for warning in caught))

@@ -39,14 +39,14 @@ def stability(
         bool,
         typer.Option(
             "--peers/--no-peers",
-            help="Ask Pinocchio's own algorithms, and MuJoCo if it is installed, about the same "
-            "systems.",
+            help="Solve the same systems by Pinocchio's own algorithms, and by MuJoCo if it is "
+            "installed.",
         ),
     ] = True,
     html: Annotated[
         Path | None,
         typer.Option(
-            help="Write one HTML page with the course of every case and the peers' answers.",
+            help="Write one HTML page with time series of every case and the peers' answers.",
             show_default="none",
             metavar="FILE.html",
         ),
@@ -73,7 +73,7 @@ def stability(
         output().print(_table("Hard cases", ("name", "case", "what is hard"), rows, chosen))
         return
     with StudyProgress(len(chosen), counted=True) as watched:
-        suite = run_suite(names or (), peers=peers, progress=watched.tell)
+        suite = run_suite(names or (), peers=peers, progress=watched.report)
     console = output()
     for part in _parts(suite, peers):
         console.print(part)
@@ -97,8 +97,8 @@ def _parts(suite: SuiteResult, peers: bool) -> list[RenderableType]:
     rows = [_row(case) for case in suite.cases]
     parts: list[RenderableType] = [_table("Hard cases", heads, rows, suite.cases)]
     if peers and any(case.answers for case in suite.cases):
-        titles = ("solver", "asked", "accelerations", "short runs", "gap", "broke in")
-        parts.append(columns("Beside others", titles, _peer_rows(suite.cases)))
+        titles = ("solver", "cases", "accelerations", "short runs", "gap", "broke in")
+        parts.append(columns("Other solvers", titles, _peer_rows(suite.cases)))
         parts.append(Text(_PEERS_NOTE, "dim"))
     passed, total = suite.passed, len(suite.cases)
     style = "bold green" if passed == total else "bold red"
@@ -108,10 +108,10 @@ def _parts(suite: SuiteResult, peers: bool) -> list[RenderableType]:
 
 
 _PEERS_NOTE = (
-    "asked: cases that it can express. accelerations: how many were right to 1e-6 at the hardest "
-    "moment, against a dense solution. short runs: around it; too slow is a matter of this machine "
-    "and of one second of patience, broke is not. gap: the largest [m] in finished ones. All "
-    "answers are in the page and in the JSON."
+    "cases: those that it can express. accelerations: number of cases right to 1e-6 at the hardest "
+    "instant, compared with a dense solution. short runs: around that instant; too slow: more than "
+    "one second on this machine. gap: the largest [m] in finished runs. All answers are in the "
+    "page and in the JSON."
 )
 
 
@@ -121,7 +121,7 @@ def _table(
     rows: Sequence[Sequence[RenderableType]],
     cases: Sequence[CaseResult | HardCase],
 ) -> Table:
-    """A table whose first column shows the cases' names whole, so that they can be typed."""
+    """A table whose first column never wraps the cases' names, so that they can be typed."""
     table = columns(title, heads, rows)
     table.columns[0].min_width = max((len(case.name) for case in cases), default=0)
     return table
@@ -151,26 +151,26 @@ def _criterion(item: CriterionResult) -> Text:
 
 
 def _peer_rows(cases: Sequence[CaseResult]) -> Iterator[tuple[str, ...]]:
-    """One row a solver, over all cases that it was asked about."""
+    """One row a solver, over all cases that were given to it."""
     solvers = next(case.answers for case in cases if case.answers)
     for number_, solver in enumerate(answer.solver for answer in solvers):
         found = [(case.name, case.answers[number_]) for case in cases if case.answers]
-        asked = [(name, answer) for name, answer in found if not answer.refusal]
-        if not asked:
+        tried = [(name, answer) for name, answer in found if not answer.refusal]
+        if not tried:
             yield solver, "0", "-", "-", "-", found[0][1].refusal
             continue
-        right = sum(_is_right(answer) for _, answer in asked)
-        finished = [answer for _, answer in asked if not answer.ended]
+        right = sum(_is_right(answer) for _, answer in tried)
+        finished = [answer for _, answer in tried if not answer.ended]
         gaps = [answer.drift for answer in finished if answer.drift is not None]
-        late = sum(answer.out_of_time for _, answer in asked)
+        late = sum(answer.out_of_time for _, answer in tried)
         slow = f", {late} too slow" if late else ""
         broken = [
             name
-            for name, answer in asked
+            for name, answer in tried
             if answer.accelerations or (answer.ended and not answer.out_of_time)
         ]
         yield (
-            solver, str(len(asked)), f"{right} right", f"{len(finished)} finished{slow}",
+            solver, str(len(tried)), f"{right} right", f"{len(finished)} finished{slow}",
             f"{max(gaps):.0e}" if gaps else "-", ", ".join(broken) or "-",
         )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""``multiarm sweep``: run a scene many times with other values in it, and lose nothing."""
+"""``multiarm sweep``: run a scene many times with other values; the file survives a kill."""
 
 from __future__ import annotations
 
@@ -6,13 +6,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import RenderableType
+from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
 from multiarm.cli.options import METHOD, NO_CODE, OF_SCENE
-from multiarm.cli.sweep_tables import facts_table, spread_table, trouble_lines
 from multiarm.errors import SweepError
-from multiarm.terminal.console import messages, output, print_error, print_warnings, print_written
+from multiarm.terminal.console import (
+    STATUS_STYLES,
+    columns,
+    facts,
+    messages,
+    number,
+    output,
+    print_error,
+    print_warnings,
+    print_written,
+)
 from multiarm.terminal.progress import SweepProgress
 
 if TYPE_CHECKING:
@@ -20,9 +31,10 @@ if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep
     from multiarm.sweeps.summary import SweepSummary
 
-__all__ = ["sweep"]
+__all__ = ["facts_table", "spread_table", "sweep", "trouble_lines"]
 
-FILES, WORKERS = "Results", "Who works"
+
+FILES, WORKERS = "Results", "Workers"
 OF_SWEEP = "the sweep's"
 
 
@@ -37,12 +49,12 @@ def sweep(
     repeat: Annotated[
         int | None,
         typer.Option(
-            help="Draws for each point of the grid.", show_default=OF_SWEEP, min=1, metavar="N"
+            help="Runs of each point of the grid.", show_default=OF_SWEEP, min=1, metavar="N"
         ),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(help="Of all draws.", show_default=OF_SWEEP, min=0, metavar="N"),
+        typer.Option(help="Of all random values.", show_default=OF_SWEEP, min=0, metavar="N"),
     ] = None,
     duration: Annotated[
         float | None,
@@ -85,7 +97,7 @@ def sweep(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="HDF5 file of all rows. One of the same sweep is gone on with.",
+            help="HDF5 file of all rows; the sweep resumes from an existing one.",
             show_default="the sweep's file name with .h5, in the current folder",
             metavar="FILE.h5",
             rich_help_panel=FILES,
@@ -93,9 +105,7 @@ def sweep(
     ] = None,
     fresh: Annotated[
         bool,
-        typer.Option(
-            "--fresh", help="Begin anew, and give up what the file holds.", rich_help_panel=FILES
-        ),
+        typer.Option("--fresh", help="Begin again, and overwrite the file.", rich_help_panel=FILES),
     ] = False,
     plot: Annotated[
         Path | None,
@@ -144,12 +154,12 @@ def sweep(
 ) -> None:
     """Run a scene many times with other values in it, and keep some numbers of every run.
 
-    Rows are safe in the file as runs end. Ctrl-C, or a kill, ends the sweep; the same command goes
-    on where it stopped. A run that fails is a row that says why. Every run follows from scene,
-    sweep and its number alone: **multiarm replay FILE.h5 --run 17** simulates and shows run 17.
+    Rows are on the disk as soon as runs end. After Ctrl-C or a kill, the same command resumes the
+    sweep. A run that fails has a row with the reason. Every run follows from scene, sweep and its
+    number alone: **multiarm replay FILE.h5 --run 17** simulates and shows run 17.
 
     The exit code is 0 when all runs are made and some completed, 1 when the sweep was interrupted
-    or no run completed, 2 when something given is wrong.
+    or no run completed, 2 for bad input.
 
     The JSON has the keys scene, over (paths), count, done, statuses, wall_time (of all runs, in s),
     spreads (name, unit, words, count, smallest, smallest_run, largest, largest_run, mean,
@@ -162,13 +172,13 @@ def sweep(
     for source in (scene, over):
         check_targets({"--out": target, **written}, source=source)
     if parquet is not None:
-        from multiarm.sweeps.export import require_pyarrow
+        from multiarm.sweeps.table import require_pyarrow
 
         require_pyarrow()
     changes: dict[str, Any] = {"repeat": repeat, "seed": seed}
     changes |= {"duration": duration, "accuracy": accuracy}
-    engine: dict[str, Any] = {"workers": workers, "dask": True if dask == "config" else dask}
-    given = {key: value for key, value in (changes | engine).items() if value is not None}
+    changes |= {"workers": workers, "dask": True if dask == "config" else dask}
+    given = {key: value for key, value in changes.items() if value is not None}
     found = _make(scene_to_run(scene, no_code, over), over, target, fresh, quiet, given)
     summary = found.summary()
     if not quiet:
@@ -194,7 +204,7 @@ def _make(
 
 
 def _write(found: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[str, str]:
-    """Write what was asked for; returns the places."""
+    """Write the requested files; returns their paths."""
     written = {}
     for what, path in targets.items():
         if path is None:
@@ -224,11 +234,11 @@ def _write_one(found: Sweep, what: str, path: Path) -> None:
 
 
 def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:
-    """Say how to go on; the exit code."""
+    """Print a hint; exit with 1 if runs are missing or none completed."""
     if summary.done < summary.count:
         print_error(
             f"the sweep was interrupted: {summary.done:,} of {summary.count:,} runs are in "
-            f"'{target}'; the same command goes on from there"
+            f"'{target}'; the same command resumes from there"
         )
         raise typer.Exit(1)
     if not summary.statuses.get("completed"):
@@ -239,3 +249,57 @@ def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:
         hint = f"multiarm replay {target} --run {widest.largest_run}"
         line = Text.assemble(f"the run with the largest {widest.name}: ", (hint, "bold"))
         messages().print(line, soft_wrap=True)
+
+
+SHOWN = {0.05: "5 %", 0.5: "median", 0.95: "95 %"}
+"""Quantiles of the table, of those that a summary has."""
+
+
+def facts_table(name: str, summary: SweepSummary, paths: tuple[str, ...]) -> Table:
+    """How the runs ended.
+
+    Parameters
+    ----------
+    name : str
+        Of the scene.
+    summary : SweepSummary
+    paths : tuple of str
+        What is varied.
+    """
+    ended = Text(", ").join(
+        Text(f"{count:,} {status}", STATUS_STYLES.get(status, ""))
+        for status, count in summary.statuses.items()
+    )
+    rows: dict[str, RenderableType] = {
+        "runs": f"{summary.done:,} of {summary.count:,}",
+        "ended": ended if summary.done else "-",
+        "over": ", ".join(paths),
+        "time of all runs": number(summary.wall_time, "s"),
+    }
+    return facts(name, rows)
+
+
+def spread_table(summary: SweepSummary) -> Table:
+    """One line a quantity: its quantiles, and the run that has the largest."""
+    heads = ("quantity", "smallest", *SHOWN.values(), "largest", "in run")
+    rows = []
+    for own in summary.spreads:
+        numbers = [own.smallest, *(own.quantiles[level] for level in SHOWN), own.largest]
+        name = f"{own.name} [{own.unit}]" if own.unit else own.name
+        rows.append((name, *map(number, numbers), number(own.largest_run)))
+    table = columns("Quantities", heads, rows)
+    table.padding, table.pad_edge = 0, False
+    for column in table.columns[1:]:
+        column.justify, column.no_wrap = "right", True
+    return table
+
+
+def trouble_lines(summary: SweepSummary) -> list[str]:
+    """Messages of runs that did not complete, with the first run of each."""
+    lines = []
+    for own in summary.failures:
+        more = "" if own.runs == 1 else f" and {own.runs - 1:,} more"
+        lines.append(f"run {own.first_run}{more} {own.status}: {own.message}")
+    listed = sum(own.runs for own in summary.failures)
+    rest = summary.done - summary.statuses.get("completed", 0) - listed
+    return [*lines, f"and {rest:,} more runs did not complete"] if rest else lines

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from multiarm.grasp.contacts import Contacts
     from multiarm.grasp.drawn_stability import DrawnStability, monte_carlo_stability
     from multiarm.grasp.face import Face
+    from multiarm.grasp.face_contacts import Gripper
     from multiarm.grasp.force_distribution import ForceDistribution, distribute_forces
     from multiarm.grasp.form_closure import FormClosure, is_form_closure
-    from multiarm.grasp.grasp import Grasp, Gripper
+    from multiarm.grasp.grasp import Grasp
     from multiarm.grasp.immobility import Immobility
     from multiarm.grasp.independent_contacts import (
         BlockInverse,
@@ -83,7 +84,7 @@ _HOMES = {
     "FormClosure": "form_closure",
     "FrameCandidate": "object_frame",
     "Grasp": "grasp",
-    "Gripper": "grasp",
+    "Gripper": "face_contacts",
     "Immobility": "immobility",
     "Independence": "independent_contacts",
     "LiftableMap": "liftable_map",

@@ -17,8 +17,9 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face import Face
+from multiarm.grasp.face_contacts import Gripper
 from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.grasp import Grasp, Gripper
+from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seventh_contact import ContactRegion
 

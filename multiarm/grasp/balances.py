@@ -47,7 +47,7 @@ ROUNDINGS = 64.0
 EPS = float(np.finfo(float).eps)
 # Motions whose nearness to an axis differs by less than this are equally near: the first is taken.
 EQUAL = 1e-6
-# Least smallest push, of pushes of sum 1, that is told: below it every balance nearly cancels.
+# Least smallest push, of pushes of sum 1, that counts: below it every balance nearly cancels.
 LEAST_MARGIN = -1.0 / BAND
 # Facets of the hull of this many wrenches are enumerated within milliseconds.
 ENUMERATED = 30
@@ -108,7 +108,7 @@ def rounding(reach: Any, length: Any) -> Any:
 
 
 def tolerance_of(contacts: Contacts) -> float:
-    """What scaled wrenches must differ by, to be told apart: ``BAND`` and their rounding."""
+    """Least difference of distinct scaled wrenches: ``BAND`` and their rounding."""
     return BAND + rounding(float(np.abs(contacts.points).max()), contacts.length)
 
 

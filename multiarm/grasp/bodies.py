@@ -1,36 +1,43 @@
-"""Ways to make a polyhedron from a few numbers.
+"""Boundaries of polyhedra from a few numbers: boxes, prisms, wedges, pyramids, half-spaces, hulls.
 
-Each function returns a `Polyhedron`; `Polyhedron.box` and its sisters are the public names.  A
-polygon may be given either way round; faces always come out with their normals outward.
+A polygon may be given either way round; faces always come out with their normals outward.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.face import PLANE_TOLERANCE
-from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.solid import faces_of_triangles
 from multiarm.scene.object import hull_triangles
 
 AXIS_NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
-# Half-spaces turned to points (duality) and corners found from several triples of them are told
-# apart by this part of the body's size.
+# Corners are the same when they are closer than this part of the body's size: duals of half-spaces,
+# and corners that several triples of half-spaces give.
 SAME_CORNER = 1e-9
 
 
-def box(lengths: Any) -> Polyhedron:
+class Boundary(NamedTuple):
+    """The arguments of a `Polyhedron`: corners, loops of their numbers for each face, names."""
+
+    vertices: Any
+    loops: Sequence[Sequence[Sequence[int]]]
+    names: Sequence[str] | None = None
+
+
+def box(lengths: Any) -> Boundary:
     """A block with full edge lengths, centred; faces +x, +y, +z, -x, -y, -z."""
     half = 0.5 * _positive(lengths, 3, "the edge lengths of a block")
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     loops = [(4, 6, 7, 5), (2, 3, 7, 6), (1, 5, 7, 3), (0, 1, 3, 2), (0, 4, 5, 1), (0, 2, 6, 4)]
-    return Polyhedron(signs * half, [[loop] for loop in loops], AXIS_NAMES)
+    return Boundary(signs * half, [[loop] for loop in loops], AXIS_NAMES)
 
 
-def prism(polygon: Any, height: float) -> Polyhedron:
+def prism(polygon: Any, height: float) -> Boundary:
     """A polygon from z = -height / 2 to height / 2."""
     outline = _polygon(polygon)
     z = 0.5 * float(_positive([height], 1, "the height of a prism")[0])
@@ -39,10 +46,10 @@ def prism(polygon: Any, height: float) -> Polyhedron:
     sides = [[k, (k + 1) % n, n + (k + 1) % n, n + k] for k in range(n)]
     loops = [*sides, [n + k for k in range(n)], list(reversed(range(n)))]
     names = [*(f"side {k + 1}" for k in range(n)), "top", "bottom"]
-    return Polyhedron(vertices, [[loop] for loop in loops], names)
+    return Boundary(vertices, [[loop] for loop in loops], names)
 
 
-def wedge(lengths: Any, top: float) -> Polyhedron:
+def wedge(lengths: Any, top: float) -> Boundary:
     """A block whose top is cut down to the length ``top`` along x by a slope toward +x."""
     lx, ly, lz = _positive(lengths, 3, "the edge lengths of a wedge")
     if not 0.0 <= top < lx:
@@ -54,10 +61,10 @@ def wedge(lengths: Any, top: float) -> Polyhedron:
     around = [[(k + 1) % n, k, n + k, n + (k + 1) % n] for k in range(n)]
     loops = [*around, [n + k for k in reversed(range(n))], list(range(n))]
     names = ["-z", "slope", *(["+z"] if top else []), "-x", "+y", "-y"]
-    return Polyhedron(vertices, [[loop] for loop in loops], names)
+    return Boundary(vertices, [[loop] for loop in loops], names)
 
 
-def pyramid(base: Any, apex: Any) -> Polyhedron:
+def pyramid(base: Any, apex: Any) -> Boundary:
     """A pyramid on a polygon in the plane z = 0."""
     outline = _polygon(base)
     top = np.array(apex, dtype=float)
@@ -69,10 +76,10 @@ def pyramid(base: Any, apex: Any) -> Polyhedron:
     vertices = [[x, y, 0.0] for x, y in outline] + [top.tolist()]
     loops = [*([k, (k + 1) % n, n] for k in range(n)), list(reversed(range(n)))]
     names = [*(f"side {k + 1}" for k in range(n)), "base"]
-    return Polyhedron(vertices, [[loop] for loop in loops], names)
+    return Boundary(vertices, [[loop] for loop in loops], names)
 
 
-def hull(points: Any) -> Polyhedron:
+def hull(points: Any) -> Boundary:
     """The convex hull of points."""
     cloud = _finite(points, "the points of a hull")
     try:
@@ -86,7 +93,7 @@ def hull(points: Any) -> Polyhedron:
     return compacted(cloud[kept], faces)
 
 
-def halfspaces(normals: Any, offsets: Any) -> Polyhedron:
+def halfspaces(normals: Any, offsets: Any) -> Boundary:
     """All x with normals[k] . x <= offsets[k]; those that cut nothing, or no more, make no face."""
     directions = _finite(normals, "the normals of half-spaces")
     levels = np.array(offsets, dtype=float)
@@ -103,10 +110,10 @@ def halfspaces(normals: Any, offsets: Any) -> Polyhedron:
     for normal, level in zip(n, h - n @ inside, strict=True):
         on = np.flatnonzero(np.abs(corners @ normal - level) <= 1e2 * SAME_CORNER * size)
         # Two faces of a convex body have two corners in common at most.
-        told = any(np.isin(on, face).sum() > 2 for face in faces)
-        if len(on) > 2 and not told:
+        known = any(np.isin(on, face).sum() > 2 for face in faces)
+        if len(on) > 2 and not known:
             faces.append(_around(corners, on, normal))
-    return Polyhedron(corners + inside, [[face] for face in faces])
+    return Boundary(corners + inside, [[face] for face in faces])
 
 
 def _deepest_point(n: np.ndarray, h: np.ndarray) -> np.ndarray:
@@ -154,12 +161,12 @@ def _around(corners: np.ndarray, on: np.ndarray, normal: np.ndarray) -> list[int
     return on[np.argsort(angles)].tolist()
 
 
-def compacted(vertices: np.ndarray, faces: list[list[list[int]]]) -> Polyhedron:
-    """A polyhedron of the corners that faces use."""
+def compacted(vertices: np.ndarray, faces: list[list[list[int]]]) -> Boundary:
+    """The boundary of these faces, without unused corners."""
     used = sorted({v for face in faces for loop in face for v in loop})
     number = {v: k for k, v in enumerate(used)}
     loops = [[[number[v] for v in loop] for loop in face] for face in faces]
-    return Polyhedron(vertices[used], loops)
+    return Boundary(vertices[used], loops)
 
 
 def _polygon(corners: Any) -> np.ndarray:

@@ -205,11 +205,11 @@ def _words(
     triples: tuple[Triple, ...],
 ) -> str:
     names = body.names
-    told = ", ".join(f"{names[i]} and {names[j]}" for i, j in pairs)
+    listed = ", ".join(f"{names[i]} and {names[j]}" for i, j in pairs)
     if kind == "block":
-        return f"a block: {told} are parallel, and the pairs are perpendicular to each other"
+        return f"a block: {listed} are parallel, and the pairs are perpendicular to each other"
     if kind == "three pairs of parallel faces":
-        return f"three pairs of parallel faces: {told}"
+        return f"three pairs of parallel faces: {listed}"
     if kind == "wider class":
         first = triples[0]
         three = ", ".join(names[k] for k in first.faces)

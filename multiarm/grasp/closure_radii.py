@@ -123,7 +123,7 @@ def independence_radius(
     """
     contacts = _checked(contacts, shape, least=6)
     if contacts.count != 6:
-        raise GraspError(f"six contacts are asked about their independence, not {contacts.count}")
+        raise GraspError(f"independence is a property of six contacts, not {contacts.count}")
     tangents = tangents_of(contacts) if axes is None else _given_axes(contacts, axes)
     if rank_of(contacts) < 6:
         return ClosureRadius(0.0, 0.0, np.zeros((6, 3)), shape, "they are dependent as they are")

@@ -54,7 +54,7 @@ def design_grasp(
     -------
     Grasp
         Seven contacts.  It is form-closed, and it opens where its last contact comes nearer than
-        the bound that its notes tell.
+        the bound in its notes.
 
     Raises
     ------

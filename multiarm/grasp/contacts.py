@@ -187,7 +187,7 @@ class Contacts:
         except TypeError as error:
             raise GraspError(f"contacts are chosen by whole numbers, not {numbers!r}") from error
         if min(chosen) < 0 or max(chosen) >= self.count:
-            raise GraspError(f"contacts have the numbers 0 to {self.count - 1}; asked for {chosen}")
+            raise GraspError(f"contacts have the numbers 0 to {self.count - 1}; got {chosen}")
         return chosen
 
     def joined(self, other: Contacts) -> Contacts:

@@ -1,4 +1,4 @@
-r"""Three fingertips at a corner, a fourth beside one of them, and where the fourth may be.
+r"""Three fingertips at a corner, a fourth next to one of them, and where the fourth may be.
 
 Faces 1 (front), 2 (side) and 3 (top) meet at a corner.  The frame :math:`\Sigma_0` has its z axis
 along the outward normal of the top, its y axis along the edge between top and front, and its origin
@@ -54,7 +54,7 @@ MEETING = "the three normal lines meet in one point; choose G1 and G2 different"
 
 @dataclass(frozen=True, eq=False)
 class CornerPattern:
-    """Contacts 1, 2, 3 at a corner, told by the thesis's parameters.
+    """Contacts 1, 2, 3 at a corner, in the thesis's parameters.
 
     Attributes
     ----------

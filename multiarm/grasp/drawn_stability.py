@@ -1,4 +1,4 @@
-r"""Configuration stability by lot: contacts displaced at random, and how many grasps still close.
+r"""Configuration stability by sampling: contacts displaced at random, and the share that closes.
 
 Displacements are uniform in discs about the contacts, in their faces. Of n samples k close. The
 probability p of closure then lies, with the confidence that belongs to z standard deviations, in

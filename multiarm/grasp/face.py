@@ -1,4 +1,4 @@
-r"""One plane face of a body, with coordinates of its own.
+r"""One plane face of a body, with its own coordinates.
 
 A face with the outward unit normal n is a part of the plane
 

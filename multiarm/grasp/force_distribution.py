@@ -59,7 +59,7 @@ class ForceDistribution:
         How fast ``value`` grows with the bound at which each force is: positive for a minimum that
         costs, negative for a limit that does.
     residual : float
-        What is missing between the wrench of ``forces`` and the one asked for [N], moments over
+        Difference between the wrench of ``forces`` and the requested one [N], moments over
         the spread of the contacts: rounding.
     motion : ndarray, shape (6,) or (3,), or None
         When not feasible, a twist [linear; angular] about the origin on which no forces allowed do

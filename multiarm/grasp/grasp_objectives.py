@@ -97,7 +97,7 @@ class Objective(ABC):
 
 
 class Margin(Objective):
-    """The smallest coefficient of the balance with sum 1; bounded by a program of its own."""
+    """The smallest coefficient of the balance with sum 1; bounded by another program."""
 
     limit = 1.0 / 7.0
 
@@ -222,7 +222,7 @@ class Stability(Objective):
         return closure_radius(Contacts(touches.points(y), touches.normals)).lower
 
     def twists(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
-        """The twist to which the grasp is lost when contact i lets go first, for each i."""
+        """The twist to which the grasp is lost when contact i opens first, for each i."""
         G = balances(touches.wrenches(y)[None])[0]
         n, g = G[:, 6], G[:, :6]
         if not n.any():

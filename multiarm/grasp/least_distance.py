@@ -102,7 +102,7 @@ def nonnegative_least_squares(A: np.ndarray, b: np.ndarray) -> np.ndarray:
 
     SciPy's ``nnls`` stops short of the minimum when columns depend on one another, as those of
     symmetric contacts do, by roundings that change with the processor.  Its answer counts when the
-    gradient says so; otherwise a second method is asked, and the better answer taken.
+    gradient shows it; otherwise a second method runs, and the better answer is taken.
     """
     from scipy.optimize import lsq_linear, nnls
 

@@ -1,6 +1,6 @@
-r"""The loads of a plane that contacts can exert: a convex polygon, and what is asked of it.
+r"""The loads of a plane that contacts can exert: a convex polygon and its queries.
 
-The loads are :math:`w_0 + x d_1 + y d_2`, the polygon is in (x, y).  How it is found is told in
+The loads are :math:`w_0 + x d_1 + y d_2`, the polygon is in (x, y).  The algorithm is in
 :mod:`multiarm.grasp.load_maps`.
 """
 

@@ -8,7 +8,7 @@ polytope, :math:`\{W \lambda\}`.  Three questions about it (conventions of
   worst of finitely many loads is the worst of all their mixtures;
 - the largest multiple of each load that can be exerted;
 - the section of the polytope with a plane of loads, :math:`w_0 + x d_1 + y d_2`: a polygon.  A
-  linear program finds the point farthest in a direction; asking along the outward normal of every
+  linear program finds the point farthest in a direction; solving along the outward normal of every
   edge found so far, until no edge gives way, yields all corners (exactly, but for rounding).
 """
 

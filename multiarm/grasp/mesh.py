@@ -1,34 +1,31 @@
 """Polyhedra from mesh files, and back.
 
-A mesh file holds triangles, often with corners of their own and in single precision.  Corners that
-coincide within that precision are one; triangles in one plane are one face (see `solid`).  What is
-then not a closed surface with its normals outward is refused: no guess would be a solid.
+A mesh file holds triangles, often with separate corners and in single precision.  Corners that
+coincide within that precision are merged; triangles in one plane are one face (see `solid`).  A
+result that is not a closed surface with its normals outward is an error.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.bodies import Boundary, compacted
 from multiarm.grasp.face import PLANE_TOLERANCE, Face
 from multiarm.grasp.solid import check_one_solid, faces_of_triangles
 from multiarm.scene.object import TOO_THIN
-
-if TYPE_CHECKING:
-    from multiarm.grasp.polyhedron import Polyhedron
 
 # Rounding of a coordinate in single precision, with room for one operation on it.
 SINGLE = 2.0 * float(np.finfo(np.float32).eps)
 REPAIR = "; repair the mesh (in Blender: 3D-Print Toolbox, Make Manifold) or rebuild the body"
 
 
-def mesh(file: str | Path, scale: float) -> Polyhedron:
-    """A body from a mesh file; see `Polyhedron.mesh`."""
-    from multiarm.grasp.bodies import compacted
-
+def read_mesh(file: str | Path, scale: float) -> Boundary:
+    """The boundary of the body in a mesh file; see `Polyhedron.mesh`."""
     if not (np.isfinite(scale) and scale > 0.0):
         raise GraspError(f"{file}: a mesh is scaled by a positive factor, not {scale!r}")
     points, triangles = _read(Path(file))
@@ -54,12 +51,11 @@ def mesh(file: str | Path, scale: float) -> Polyhedron:
     return compacted(vertices * scale, faces)
 
 
-def save(body: Polyhedron, path: str | Path) -> None:
-    """Write a body's triangles to a file of the format that its ending names."""
+def write_mesh(vertices: np.ndarray, triangles: np.ndarray, path: str | Path) -> None:
+    """Write triangles to a file; its ending is the format."""
     import trimesh
 
-    triangles = triangles_of(body)
-    solid = trimesh.Trimesh(body.vertices, triangles, process=False)
+    solid = trimesh.Trimesh(vertices, triangles, process=False)
     try:
         solid.export(str(path))
     except (OSError, ValueError, KeyError) as error:
@@ -68,10 +64,12 @@ def save(body: Polyhedron, path: str | Path) -> None:
         ) from error
 
 
-def triangles_of(body: Polyhedron) -> np.ndarray:
-    """Numbers of corners (T, 3) of triangles that make up the faces, normals outward."""
+def triangles_of(
+    faces: Sequence[Face], loops_of_faces: Sequence[Sequence[Sequence[int]]]
+) -> np.ndarray:
+    """Numbers of corners (T, 3) of triangles that make up a body's faces, normals outward."""
     made: list[list[int]] = []
-    for face, loops in zip(body.faces, body.loops, strict=True):
+    for face, loops in zip(faces, loops_of_faces, strict=True):
         numbers = [v for loop in loops for v in loop]
         made.extend([[numbers[k] for k in tri] for tri in face_triangles(face)])
     return np.array(made)

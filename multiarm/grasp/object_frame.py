@@ -1,8 +1,8 @@
-r"""Where the body is, from where the fingertips are.
+r"""The pose of the body from the positions of the fingertips.
 
 In a form-closure grasp the body cannot move while the grippers stand still; so the contact points,
-and which face each touches, tell the pose (R, p_o) of the body's frame (thesis, 2.4). For contact k
-on a face with outward normal :math:`n_k` and offset :math:`h_k` in the body's frame
+and the face that each touches, determine the pose (R, p_o) of its frame (thesis, 2.4). For contact
+k on a face with outward normal :math:`n_k` and offset :math:`h_k` in the body's frame
 
 .. math:: n_k^T R^T (p_k - p_o) = h_k, \qquad k = 1 \dots N .
 
@@ -70,7 +70,7 @@ def object_frame_from_contacts(
         Distance between the two faces of each pair [m].
     faces : sequence of int
         Face of each contact: 1, 2, 3, or -1, -2, -3 for the opposite one.  Each occurs.  As in the
-        thesis unless told: contacts 1 and 7 on +1, 2 on +2, 3 on +3, 4, 5, 6 opposite.
+        thesis by default: contacts 1 and 7 on +1, 2 on +2, 3 on +3, 4, 5, 6 opposite.
     point_covariance, previous, tolerance
         As in :func:`object_frame_from_faces`.
 

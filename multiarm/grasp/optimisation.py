@@ -16,8 +16,8 @@ by evolution at the start and then among what the programs propose. So at any ti
 .. math:: \text{value} \le \text{optimum} \le \text{bound}
 
 (for forces the other way round). The search ends when they are within ``gap``, or when its budget
-of nodes is used up; then the larger gap is told. The margin needs a node for each choice of faces
-or fewer. For forces a gap of a third to a half is left after some hundred nodes, and for stability
+of nodes is used up; then the gap is larger. The margin needs a node for each choice of faces or
+fewer. For forces a gap of a third to a half is left after some hundred nodes, and for stability
 the bound remains several times the value: it is true, not sharp.
 
 The margin alone says nothing about leverage: contacts can share the load evenly and yet hardly
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from multiarm.grasp.polyhedron import Polyhedron
 
 OBJECTIVES = ("margin", "force", "stability")
-# Cells that are bounded before the search gives up, unless told.
+# Cells that are bounded before the search gives up, by default.
 NODES = 300
-# Smallest over largest singular value of the scaled wrenches, at least, unless told.
+# Smallest over largest singular value of the scaled wrenches, at least, by default.
 CONDITIONING = 1e-3
 # Of gaps.
 ROUNDING = 1e-12
@@ -69,7 +69,7 @@ class OptimisedGrasp:
         How much of the bound the value falls short: ``1 - value / bound``, for forces
         ``1 - bound / value``.
     finished : bool
-        Whether the gap asked for was reached.
+        Whether the requested gap was reached.
     conditioning : float
         Smallest over largest singular value of the grasp's scaled wrenches.
     choices : int
@@ -236,8 +236,9 @@ def _grasp(
     body: Polyhedron, search: Search, where: np.ndarray, fingers: tuple[int, int]
 ) -> tuple[Grasp, float]:
     """The grasp with its grippers, and its conditioning."""
+    from multiarm.grasp.face_contacts import Gripper
     from multiarm.grasp.form_closure import is_form_closure
-    from multiarm.grasp.grasp import Grasp, Gripper
+    from multiarm.grasp.grasp import Grasp
 
     assert search.best is not None
     touches, y = search.best

@@ -180,8 +180,8 @@ def design_parallel_grasp(
             if best is None or made.closure.distance > best.closure.distance:
                 best = made
     if best is None:
-        telling = [fault for fault in faults if not fault.startswith(OPEN)] or faults
-        raise GraspError(f"no corner of the body takes these grippers; for one, {telling[0]}")
+        reasons = [fault for fault in faults if not fault.startswith(OPEN)] or faults
+        raise GraspError(f"no corner of the body takes these grippers; for one, {reasons[0]}")
     return best
 
 

@@ -61,7 +61,7 @@ class Bounded:
     twists : ndarray, shape (C, 6)
         Whose cuts are the sharpest, those first.
     parts : list of Node
-        Empty when nothing in the node can be better than asked for.
+        Empty when nothing in the node can be better than the requested value.
     """
 
     bound: float

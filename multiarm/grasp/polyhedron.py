@@ -1,4 +1,4 @@
-"""A body bounded by plane faces: what there is to touch, and how it moves when it is let go.
+"""A body bounded by plane faces: its faces, mass properties and constructors.
 
 The body is a list of corners and, for each face, loops of their numbers: around the face
 counter-clockwise as seen from outside, around holes clockwise.  Every edge then belongs to two
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp import bodies, mesh
 from multiarm.grasp.face import PLANE_TOLERANCE, Face
 from multiarm.scene.object import MassProperties, Moments, moments
 
@@ -98,9 +99,7 @@ class Polyhedron:
 
         Its faces are +x, +y, +z, -x, -y, -z, in this order.
         """
-        from multiarm.grasp.bodies import box
-
-        return box(lengths)
+        return cls(*bodies.box(lengths))
 
     @classmethod
     def prism(cls, polygon: Any, height: float) -> Polyhedron:
@@ -108,9 +107,7 @@ class Polyhedron:
 
         Face k contains the polygon's edge from corner k; then come the top and the bottom.
         """
-        from multiarm.grasp.bodies import prism
-
-        return prism(polygon, height)
+        return cls(*bodies.prism(polygon, height))
 
     @classmethod
     def wedge(cls, lengths: Any, top: float = 0.0) -> Polyhedron:
@@ -119,16 +116,12 @@ class Polyhedron:
         The slope falls toward +x; ``top = 0`` leaves a sharp ridge.  The origin is the centre of
         the block.
         """
-        from multiarm.grasp.bodies import wedge
-
-        return wedge(lengths, top)
+        return cls(*bodies.wedge(lengths, top))
 
     @classmethod
     def pyramid(cls, base: Any, apex: Any) -> Polyhedron:
         """A pyramid on a polygon (K, 2) in the plane z = 0, with its apex (3,) above or below."""
-        from multiarm.grasp.bodies import pyramid
-
-        return pyramid(base, apex)
+        return cls(*bodies.pyramid(base, apex))
 
     @classmethod
     def halfspaces(cls, normals: Any, offsets: Any) -> Polyhedron:
@@ -136,16 +129,12 @@ class Polyhedron:
 
         Normals (F, 3) are of any length.  Half-spaces that bound no face are left out.
         """
-        from multiarm.grasp.bodies import halfspaces
-
-        return halfspaces(normals, offsets)
+        return cls(*bodies.halfspaces(normals, offsets))
 
     @classmethod
     def hull(cls, points: Any) -> Polyhedron:
         """The convex hull of points (N, 3) [m]."""
-        from multiarm.grasp.bodies import hull
-
-        return hull(points)
+        return cls(*bodies.hull(points))
 
     @classmethod
     def mesh(cls, file: str | Path, scale: float = 1.0) -> Polyhedron:
@@ -159,9 +148,7 @@ class Polyhedron:
             A file that cannot be read; a mesh that is open, inside out, not a manifold, or more
             than one body.
         """
-        from multiarm.grasp.mesh import mesh
-
-        return mesh(file, scale)
+        return cls(*mesh.read_mesh(file, scale))
 
     # --- what it is ----------------------------------------------------------------------------
 
@@ -275,14 +262,12 @@ class Polyhedron:
 
         A scene names the file as the mesh of its object.  STL keeps some seven digits.
         """
-        from multiarm.grasp.mesh import save
-
-        save(self, path)
+        mesh.write_mesh(self.vertices, mesh.triangles_of(self.faces, self.loops), path)
 
     def __repr__(self) -> str:
         kinds = Counter(len(face.vertices) for face in self.faces)
-        told = ", ".join(f"{count} with {k} corners" for k, count in sorted(kinds.items()))
-        return f"<Polyhedron: {len(self.vertices)} corners, {len(self.loops)} faces ({told})>"
+        faces = ", ".join(f"{count} with {k} corners" for k, count in sorted(kinds.items()))
+        return f"<Polyhedron: {len(self.vertices)} corners, {len(self.loops)} faces ({faces})>"
 
 
 def _is_rotation(R: np.ndarray) -> bool:

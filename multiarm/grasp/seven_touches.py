@@ -1,4 +1,4 @@
-r"""Seven fingertips, each with a convex region of its own: placements, cells, affine wrenches.
+r"""Seven fingertips, each in its own convex region: placements, cells, affine wrenches.
 
 A placement is seven pairs of face coordinates y, shape (7, 2), in units of the body's size from the
 middle of each region. On a face the wrench is affine in them,

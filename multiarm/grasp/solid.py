@@ -121,7 +121,7 @@ def _plane_groups(vertices: np.ndarray, triangles: np.ndarray, tolerance: float)
 
 
 class _Sheet:
-    """Triangles with what growing asks about them."""
+    """Triangles with the data that growing faces needs."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> None:
         self.corners = vertices[triangles]  # (T, 3, 3)
@@ -130,7 +130,7 @@ class _Sheet:
         self.sizes = np.linalg.norm(self.areas, axis=1)
         self.slivers = self.sizes <= tolerance * np.ptp(self.corners, axis=1).max(axis=1)
         owner = {edge: t for t, tri in enumerate(triangles.tolist()) for edge in edges_of(tri)}
-        self.beside = [[owner[v, u] for u, v in edges_of(tri)] for tri in triangles.tolist()]
+        self.neighbours = [[owner[v, u] for u, v in edges_of(tri)] for tri in triangles.tolist()]
         self.tolerance = tolerance
 
     def grown(self, seed: int, group: list[int], free: np.ndarray) -> list[int]:
@@ -140,7 +140,7 @@ class _Sheet:
         middle = weights @ self.corners[group].mean(axis=1) / weights.sum()
         found, seen, ahead = {seed}, {seed}, [seed]
         while ahead:
-            for t in self.beside[ahead.pop()]:
+            for t in self.neighbours[ahead.pop()]:
                 if t not in seen and free[t] and self._in_plane(t, n, middle):
                     found.add(t)
                     ahead.append(t)
@@ -179,7 +179,7 @@ def _loops(vertices: np.ndarray, triangles: np.ndarray) -> list[list[int]]:
 
 
 def _next(vertices: np.ndarray, n: np.ndarray, edge: Edge, ways: list[int]) -> int:
-    """Where a border goes on: the material on its left ends at the first way out, clockwise."""
+    """The next edge of a border: the material on its left ends at the first way out, clockwise."""
     if len(ways) == 1:
         return ways[0]
     back = vertices[edge[0]] - vertices[edge[1]]

@@ -18,8 +18,8 @@ negative. Multiplied by det a each is a polynomial in the points,
 M and det a are affine in every single contact. To first order, displacements up to
 :math:`\delta_j` change M by at most :math:`\sum_j |\partial M / \partial p_j| \delta_j`, the
 seventh contact included. Where this is not much less than :math:`|M|` the grasp is poor. What may
-really be lost, and when, is told without linearisation by
-:func:`multiarm.grasp.closure_radii.closure_radius`, and by lot by
+really be lost, and when, is computed without linearisation by
+:func:`multiarm.grasp.closure_radii.closure_radius`, and by sampling by
 :func:`multiarm.grasp.drawn_stability.monte_carlo_stability`.
 """
 

@@ -179,7 +179,7 @@ def closes_on_surface(contacts: Contacts | HeldByContacts, points: Any, normals:
     Notes
     -----
     Equation 2.3 of the thesis with the normal as a function of the point.  A region on a curved
-    face need not be convex (A.6).  `wrench_cone(contacts).levels` tells by how much.
+    face need not be convex (A.6).  `wrench_cone(contacts).levels` gives the distances.
     """
     return wrench_cone(contacts).closes(points, normals)
 
@@ -238,6 +238,6 @@ def _refined(n: np.ndarray, G: np.ndarray) -> np.ndarray:
     on = G[:, np.abs(n @ G) <= ON_FACET]
     U, s, _ = np.linalg.svd(on, full_matrices=True)
     if np.count_nonzero(s > SPANNING) < len(n) - 1:
-        return n  # a facet so small that its generators do not tell where it is
+        return n  # a facet so small that its generators do not determine its position
     exact = U[:, -1] * np.sign(U[:, -1] @ n)
     return exact if (exact @ G).min() >= -ON_FACET else n

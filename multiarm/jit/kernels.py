@@ -50,7 +50,7 @@ _MAKING = threading.Lock()
 def _stamp_of(function: Callable) -> str:
     """What must not change for the cached code of a kernel to be fresh.
 
-    Of a kernel outside the package, the text of its own file as well.
+    For a kernel outside the package, the text of its file as well.
     """
     file = Path(function.__code__.co_filename)
     if _PACKAGE in file.parents or not file.is_file():
@@ -61,7 +61,7 @@ def _stamp_of(function: Callable) -> str:
 class Kernel:
     """A compiled function: whole when it is called from Python, part of others when from kernels.
 
-    Each of the two is compiled when it is first asked for.
+    Each of the two is compiled at its first use.
     """
 
     def __init__(self, function: Callable, **options: Any) -> None:
@@ -70,7 +70,7 @@ class Kernel:
         self._options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
         part = {**self._options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         self._part = njit(**PART, **part)(function)
-        self._numba_type_ = self._part._numba_type_  # by this name Numba asks what a global is
+        self._numba_type_ = self._part._numba_type_  # Numba reads the type of a global here
         self._whole: Any = None
         functools.update_wrapper(self, function)
 

@@ -1,7 +1,7 @@
 """Functions that few scenes need: compiled at their first call.
 
 Its address is at first that of a Python function.  The first call compiles it, writes the compiled
-function's address in place of its own and calls it: from then on compiled code calls compiled code.
+function's address in its place and calls it: from then on compiled code calls compiled code.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ def make_struct(entries: Sequence[np.ndarray | float | Numbers]) -> np.ndarray:
 
 
 def struct_of(*holders: tuple) -> np.ndarray:
-    """Struct of ``NamedTuples``, one behind the other; numbers become what their fields are.
+    """Struct of ``NamedTuples``, one after the other; numbers take the types of their fields.
 
     An ``int`` in a ``Float`` field is written as a float, a ``bool`` in an ``Int`` field as an int.
     """
@@ -116,7 +116,7 @@ def _numbers_of(holder: type) -> dict[int, Callable[[Any], float]]:
 
 
 class Numbers:
-    """Numbers that Python and kernels both read and set, in a struct of their own.
+    """Numbers that Python and kernels both read and set, in one struct.
 
     Subclasses annotate their fields with ``Float``, ``Int`` or ``Flag``; all are 0 unless given.
 
@@ -139,7 +139,7 @@ class Numbers:
             setattr(self, name, value)
 
     def copy(self: N) -> N:
-        """The same numbers in a struct of their own."""
+        """A copy of the numbers in another struct."""
         other = type(self)()
         other.struct[:] = self.struct
         return other
@@ -312,7 +312,7 @@ def struct_at(typing_context, address, size):
 
 
 def _array_in_struct(context, builder, dtype, axes, numbers, first):
-    """LLVM value of an array whose address is number ``first`` of a struct, its sizes behind it."""
+    """LLVM value of an array: its address is number ``first`` of a struct, its sizes follow."""
     found = []
     for offset in range(1 + axes):
         at = builder.add(first, context.get_constant(types.intp, offset))

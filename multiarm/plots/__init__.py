@@ -1,8 +1,8 @@
-"""Figures of a run: what moved, what it took, and how far the result can be trusted.
+"""Figures of a run: motion, forces, energy and accuracy.
 
-Each function takes a trajectory and returns a matplotlib `Figure` that belongs to no window; save
-it with `figure.savefig`. Every arm has its own family of colours, in all figures the same. Events
-of the run are thin upright lines, one style for each family of kinds, explained below the axes.
+Each function takes a trajectory and returns a matplotlib `Figure` without a window; save it with
+`figure.savefig`. Every arm has the same family of colours in all figures. Events are thin vertical
+lines, one style for each family, explained below the axes.
 
 A line has some thousand points at most, however long the run (see `decimation`).
 """
@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from multiarm.plots.contact_strip import contact_states
-from multiarm.plots.quantities import (
+from multiarm.plots.run_figures import (
     accuracy_course,
     contact_forces,
+    contact_states,
     drift,
     energy,
     joint_positions,
@@ -48,7 +48,7 @@ __all__ = [
 
 
 def figures(trajectory: Trajectory) -> dict[str, Figure]:
-    """All figures of a run, by title, in the order in which one wants to see them."""
+    """All figures of a run by title, the motion first."""
     drawn = {
         "Object": object_pose(trajectory),
         "Joint positions": joint_positions(trajectory),

@@ -1,12 +1,17 @@
 """Figures of a sweep: each quantity over each varied value, and over two of them as a map.
 
 Curves show the median, the middle half and nine tenths of the runs.  Runs that did not complete are
-red ticks at the foot.  Points are thinned out, so that a figure of very many runs stays small.
+red ticks at the bottom.  Points are thinned out, so that a figure of very many runs stays small.
+
+A varied value with few different values has levels, as on a grid.  One that is different in every
+run is cut into parts with equally many runs, so that each has quantiles.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,14 +23,123 @@ from matplotlib.figure import Figure
 
 from multiarm.errors import SweepError
 from multiarm.plots.style import INK, STYLE
-from multiarm.plots.sweep_axes import Variable, bands, cells, is_wide, variable
 from multiarm.results.files import save_figure
 from multiarm.scene.faults import unknown
 
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep
 
-__all__ = ["sweep_curves", "sweep_map", "sweep_overview", "write_overview"]
+__all__ = [
+    "BAND",
+    "Variable",
+    "bands",
+    "cells",
+    "is_wide",
+    "sweep_curves",
+    "sweep_map",
+    "sweep_overview",
+    "variable",
+    "write_overview",
+]
+
+
+LEVELS = 24
+"""Different values that are levels, at most; more are grouped into parts."""
+PARTS = 12
+"""Parts of a value without levels, at most, and the runs in each, at least."""
+PART_RUNS = 8
+BAND = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""Quantiles that are drawn."""
+DECADES = 30.0
+"""Ratio of largest and smallest from which an axis is logarithmic."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A varied value as the axis of a figure.
+
+    Attributes
+    ----------
+    name : str
+    at : ndarray, shape (K,)
+        Where each run lies on the axis.
+    levels : ndarray or None
+        Places of the levels, ascending; None where there are too many.
+    labels : tuple of str
+        Of the levels, where they are no numbers.
+    log : bool
+    """
+
+    name: str
+    at: np.ndarray
+    levels: np.ndarray | None
+    labels: tuple[str, ...]
+    log: bool
+
+    def groups(self) -> list[tuple[float, np.ndarray]]:
+        """Place on the axis, and runs there: of each level, or of each part."""
+        if self.levels is not None:
+            return [(float(level), np.flatnonzero(self.at == level)) for level in self.levels]
+        order = np.argsort(self.at, kind="stable")
+        count = max(1, min(PARTS, len(order) // PART_RUNS))
+        return [(float(np.median(self.at[own])), own) for own in np.array_split(order, count)]
+
+
+def variable(name: str, values: np.ndarray) -> Variable | None:
+    """A column of values as an axis; None of texts and lists that nearly all differ."""
+    if values.dtype.kind in "if":
+        at = values.astype(float)
+        levels = np.unique(at)
+        few = len(levels) <= LEVELS
+        return Variable(name, at, levels if few else None, (), is_wide(at))
+    texts = [_text(value) for value in values.tolist()]
+    labels = tuple(dict.fromkeys(texts))
+    if len(labels) > LEVELS:
+        return None
+    place = {label: float(k) for k, label in enumerate(labels)}
+    at = np.array([place[text] for text in texts])
+    return Variable(name, at, np.arange(len(labels), dtype=float), labels, False)
+
+
+def bands(axis: Variable, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places on the axis, shape (L,), and the quantiles ``BAND`` of the values there, (L, 5)."""
+    places, found = [], []
+    for place, runs in axis.groups():
+        own = values[runs]
+        own = own[np.isfinite(own)]
+        if len(own):
+            places.append(place)
+            found.append(np.quantile(own, BAND))
+    return np.array(places), np.array(found).reshape(-1, len(BAND))
+
+
+def cells(x: Variable, y: Variable, values: np.ndarray) -> np.ndarray | None:
+    """Median of the values at every pair of levels, NaN where there is none, (levels of y, of x).
+
+    None where one of the two has no levels.
+    """
+    if x.levels is None or y.levels is None:
+        return None
+    table = np.full((len(y.levels), len(x.levels)), np.nan)
+    finite = np.isfinite(values)
+    for i, row in enumerate(y.levels):
+        for k, column in enumerate(x.levels):
+            own = values[finite & (x.at == column) & (y.at == row)]
+            if len(own):
+                table[i, k] = np.median(own)
+    return table
+
+
+def is_wide(values: np.ndarray) -> bool:
+    """Whether positive values spread over so much that an axis must be logarithmic."""
+    finite = values[np.isfinite(values)]
+    return bool(len(finite) and finite.min() > 0.0 and finite.max() > DECADES * finite.min())
+
+
+def _text(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 28 else f"{text[:27]}…"
+
 
 LINE, FAILED = "#3b7dd8", "#d1495b"
 """Colours of the median and its bands, and of runs that did not complete."""
@@ -102,7 +216,7 @@ def write_overview(sweep: Sweep, path: Path) -> None:
 
 
 class _Data:
-    """What is drawn: axes, quantities, and which runs did not complete."""
+    """Axes, quantities and failed runs of a figure."""
 
     def __init__(self, sweep: Sweep, paths: Sequence[str] | None, names: Sequence[str] | None):
         varied = [own.name for own in sweep.columns if own.group == "values"]

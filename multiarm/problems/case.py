@@ -1,7 +1,7 @@
 """What a hard case is: a scene, why it is hard, and the numbers that a good run keeps below.
 
 A criterion measures something of a finished run and has a bound that was known before the run: it
-follows from the accuracy that was asked for, from the roundings of the coordinates, or from an
+follows from the requested accuracy, from the roundings of the coordinates, or from an
 independent solution.  The bounds that recur, with where they come from:
 
 * ``CLOSED``: projection closes gaps to a hundred roundings of the coordinates, 2e-14 m for each
@@ -71,7 +71,7 @@ class HardCase:
     hardest : float
         Time at which the system is at its hardest [s].
     events : bool
-        The run is expected to tell of a lost direction or of a change of rank.
+        The run is expected to report a lost direction or a change of rank.
     """
 
     name: str

@@ -281,14 +281,15 @@ CASES = (
     HardCase(
         "closure_and_free_arms",
         "Two arms slide along a block that six fingers hold",
-        "Arms that move along their contacts beside arms that cannot: the block's node matrix is "
+        "Arms that move along their contacts together with arms that cannot: the block's node "
+        "matrix is "
         "not to be filled with roundings of the latter.",
         partial(closure_scene, 6, ALIGNED, True),
         (
             *sound(ACCURACY),
             _rank(8),
             Criterion("block off", CLOSED, "m", partial(_block_off, 6, ALIGNED)),
-            # both runs are as accurate as they are asked to be
+            # both runs meet their requested accuracy
             Criterion("forces off the dense solver's / weight", 1e-6, "1", _forces_apart),
         ),
     ),

@@ -204,7 +204,7 @@ CASES = (
     HardCase(
         "form_closure_rest",
         "Seven contacts enclose a block at rest for 60 s",
-        "Nothing should happen. What roundings, projection and control leave behind adds up for a "
+        "Nothing should move. Errors of roundings, projection and control accumulate for a "
         "minute, and becomes visible where a solver creeps.",
         form_closure_rest_scene,
         (

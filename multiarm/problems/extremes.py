@@ -138,7 +138,7 @@ def far_origin_scene() -> Scene:
 
 
 def hanging_block(scale: float, robot: dict, name: str) -> Scene:
-    """Two textbook arms and a block on balls, let go; of any size, of the same materials."""
+    """Two textbook arms and a block on balls, released; of any size, of the same materials."""
     arms = {}
     for arm, (place, turn), posture in zip(
         ("left", "right"), TEXTBOOK_BASES, TEXTBOOK_POSTURES, strict=True
@@ -204,7 +204,8 @@ CASES = (
     HardCase(
         "light_object",
         "An object a million times lighter than the arms",
-        "The object's inertia vanishes beside what the arms add to it; two arms that are in truth "
+        "The object's inertia is negligible compared with the arms' share; two arms that are in "
+        "truth "
         "one chain must push against each other through almost nothing.",
         light_object_scene,
         (
@@ -231,7 +232,7 @@ CASES = (
         "stiff_damping",
         "Joints in dampers of 1e5 N m s/rad",
         "What disturbs the creeping motion dies within microseconds: explicit methods are stable "
-        "with steps of that length only, although nothing seems to happen.",
+        "with steps of that length only, although nothing seems to move.",
         stiff_damping_scene,
         (
             *sound(ACCURACY, scale=0.01 * _PUSH, named="work of the torque"),
@@ -264,7 +265,7 @@ CASES = (
         (
             *sound(ACCURACY, closed=1e-15, closed_rate=1e-12),
             # similar motions, lengths by a thousandth and times by its root; the joints, which
-            # place the block, are asked for to 1e-6 rad: 1e-6 m at the scale of the large arms
+            # place the block, are requested to 1e-6 rad: 1e-6 m at the scale of the large arms
             Criterion(
                 "distance from the large arms, at scale", 10 * ACCURACY, "m", _apart_from_large
             ),

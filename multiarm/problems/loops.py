@@ -258,7 +258,7 @@ def _not_parallel(run: Trajectory, system: System) -> float:
     return largest(angles - angles[:, :1])
 
 
-# A closed form tells where the mechanism is at each time: the error of the run as a whole, which
+# A closed form gives the mechanism's position at each time: the error of the run as a whole, which
 # `accuracy` aims at; ten times that because the flat and upright positions magnify what is off.
 _FOLLOWED = 10.0
 

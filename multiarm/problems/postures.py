@@ -77,7 +77,7 @@ def leaning_arms(name: str, posture: tuple[float, ...], **changes) -> Scene:
 
 
 def straight_elbow_scene() -> Scene:
-    """Both elbows exactly straight at the start; the bar is let go."""
+    """Both elbows exactly straight at the start; the bar is released."""
     return leaning_arms("two UR5 arms with straight elbows", STRETCHED)
 
 
@@ -104,7 +104,7 @@ def inconsistent_start_scene() -> Scene:
         scene["arms"][arm]["velocity"] = (sign * np.array(_RATES)).tolist()
     return Scene(
         **scene,
-        name="two UR5 arms that start beside their grips",
+        name="two UR5 arms that start next to their grips",
         effects={"joint_damping": 5.0},
         run={"duration": 1.0, "accuracy": ACCURACY},
     )
@@ -250,7 +250,7 @@ CASES = (
     HardCase(
         "long_carry_1000s",
         "Two arms carry a box for 1000 s",
-        "Whatever a step leaves behind, in the joints or in the unit quaternion, has a hundred "
+        "Any residue of a step, in the joints or in the unit quaternion, has a hundred "
         "thousand steps to add up.",
         long_carry_scene,
         (

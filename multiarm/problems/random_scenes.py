@@ -2,7 +2,7 @@
 
 The bases are put where the arms' tips are on the object, so that every scene is assembled, whatever
 was drawn. Some of them are tame, others fall freely or swing: what is common to them is only that
-nobody chose them.
+no author chose them.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _ROBOTS = (
 def random_scene(rng: np.random.Generator) -> Scene:
     """A scene of two to four arms that hold one object, drawn at random; always assembled.
 
-    Durations are 0.3 to 2 s and accuracies 1e-3 to 1e-10; every fourth scene asks for an accuracy
+    Durations are 0.3 to 2 s and accuracies 1e-3 to 1e-10; every fourth scene requests an accuracy
     of its contact forces too.
     """
     count = int(rng.integers(2, 5))

@@ -1,4 +1,4 @@
-"""Runs of sibling scenes that criteria compare with: made once, when a criterion asks."""
+"""Runs of sibling scenes that criteria compare with: made once, on demand."""
 
 from __future__ import annotations
 

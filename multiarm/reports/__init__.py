@@ -1,1 +1,1 @@
-"""A trajectory as one page."""
+"""A trajectory as one HTML page."""

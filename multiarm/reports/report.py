@@ -1,14 +1,14 @@
-"""The report of a run: one self-contained HTML page, to be read, mailed, printed and kept.
+"""The report of a run: one self-contained HTML page.
 
-The page answers in this order: did the run end well, how good is the result, what happened, and
-how can it be repeated. Figures are inline SVG whose ink follows the page's light or dark theme.
-Nothing is loaded from anywhere.
+The page shows, in this order, whether the run completed, how accurate the result is, motion, forces
+and events, and how to repeat the run.  Figures are inline SVG in the colours of the page's light or
+dark theme.  The page loads nothing.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,14 +17,13 @@ import yaml
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
-from multiarm.reports.certificate import certificate_section
-from multiarm.reports.events import events_section
-from multiarm.reports.parts import NOTHING, grid, inline_svg, number, quantity, words
-from multiarm.reports.style import CSS
+from multiarm.reports.parts import CSS, NOTHING, grid, inline_svg, number, quantity, words
+from multiarm.results.event_log import Event, Group, counts, grouped, who
 from multiarm.results.files import atomic_file, printable
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
+
 
 TIMES = "\N{MULTIPLICATION SIGN}"
 _CAPTIONS = {
@@ -34,11 +33,11 @@ _CAPTIONS = {
     "Joint torques": "What the controller applied. Passive effects are not included.",
     "Contact forces": "Along the contact normals; positive pushes the object. Friction is along "
     "the surface.",
-    "Contact states": "What each contact does. A change and its undoing between two samples are "
-    "seen by their events only.",
-    "Energy": "Work is that of control and effects since the start. What does not add up is "
-    "error of the integration.",
-    "Drift": "How far the contacts are from closing. Zeros are drawn at the bottom.",
+    "Contact states": "The state of each contact. A change that is undone between two samples is "
+    "visible as events only.",
+    "Energy": "Work is that of control and effects since the start. The balance is the error of "
+    "the integration.",
+    "Drift": "Gaps of the contacts and their rates. Zeros are drawn at the bottom.",
 }
 _STATISTICS = {
     "steps": "Steps",
@@ -149,7 +148,7 @@ def _figures(trajectory: Trajectory) -> Iterable[str]:
 
 
 def _works(trajectory: Trajectory) -> str:
-    """What each effect has done, and the rest: the control."""
+    """The work of each effect, and of the control."""
     works = plots.work_channels(trajectory.channels)
     if not works or not len(trajectory):
         return ""
@@ -204,10 +203,186 @@ def _footer(provenance: dict[str, Any]) -> str:
 
 
 def _scene_name(text: str) -> str:
-    """The name in the scene, which need not be loadable here: its robots may be elsewhere."""
+    """The scene's name; the scene itself may not load here, as its robots may be missing."""
     try:
         scene = yaml.safe_load(text)
     except yaml.YAMLError:
         scene = None
     name = scene.get("name") if isinstance(scene, dict) else None
     return str(name) if name else "A run without a name"
+
+
+KINDS = {
+    "position_m": ("Position", "m"),
+    "rotation_rad": ("Rotation", "rad"),
+    "force_N": ("Contact force", "N"),
+}
+CHECKS = {
+    "energy": "Energy and work in balance",
+    "residual": "Equations solved, relative",
+    "drift": "Contacts closed",
+}
+
+
+def certificate_section(certificate: Mapping[str, Any] | None, events: Sequence[Event] = ()) -> str:
+    """The section of a report; its figure shows the run's events. Empty if nothing was checked."""
+    if certificate is None:
+        return ""
+    if not {"met", "text", "asked", "estimated_error"} <= certificate.keys():
+        return _foreign(certificate)
+    tone = "completed" if certificate.get("met") else "interrupted"
+    verdict = "Accuracy met" if certificate.get("met") else "Accuracy not met"
+    text = str(certificate.get("text", "")).partition(": ")[2]
+    parts = [
+        f"<div class='verdict {tone}'><p class='status'><span>{verdict}</span></p>"
+        f"<p class='message'>{escape(text)}</p></div>",
+        _tolerances(certificate),
+        _course(certificate, events),
+        _outputs(certificate),
+        _checks(certificate),
+        _attempts(certificate),
+        f"<p class='note'>{escape(_meaning(certificate))}</p>",
+    ]
+    return f"<section class='certificate'><h2>Certificate</h2>{''.join(parts)}</section>\n"
+
+
+def _foreign(certificate: Mapping[str, Any]) -> str:
+    """A certificate in the form of another program, unchanged."""
+    rows = [(words(str(key)), number(value)) for key, value in certificate.items()]
+    return f"<section><h2>Certificate</h2>{grid(('', ''), rows)}</section>\n"
+
+
+def _meaning(certificate: Mapping[str, Any]) -> str:
+    return (
+        "Errors are estimates: the differences to a rerun with smaller tolerances, times "
+        f"{number(certificate.get('safety'))}, at the worst output time."
+    )
+
+
+def _tolerances(certificate: Mapping[str, Any]) -> str:
+    asked, found = certificate["asked"], certificate["estimated_error"]
+    rows = [
+        (name, quantity(asked[kind], unit), quantity(found[kind], unit), _mark(asked, found, kind))
+        for kind, (name, unit) in KINDS.items()
+        if asked[kind] is not None or found[kind] is not None
+    ]
+    return grid(("", "requested", "estimated error", ""), rows)
+
+
+def _mark(asked: Mapping[str, Any], found: Mapping[str, Any], kind: str) -> str:
+    if asked[kind] is None:
+        return "not requested"
+    if found[kind] is None:
+        return "not judged"
+    return "met" if found[kind] <= asked[kind] else "not met"
+
+
+def _outputs(certificate: Mapping[str, Any]) -> str:
+    rows = []
+    for name, output in certificate["by_output"].items():
+        left = output.get("samples_left_out")
+        note = f"forces left open by the equations at {number(left)} samples" if left else ""
+        when = quantity(output.get("time"), "s") if output["error"] is not None else NOTHING
+        rows.append((name, quantity(output["error"], output["unit"]), when, note))
+    return grid(("By output", "estimated error", "worst at", ""), rows)
+
+
+def _checks(certificate: Mapping[str, Any]) -> str:
+    rows = []
+    for name, check in certificate["checks"].items():
+        unit = "" if check["unit"] == "1" else check["unit"]
+        value, bound = (quantity(check[key], unit) if unit else number(check[key])
+                        for key in ("value", "bound"))  # fmt: skip
+        rows.append((CHECKS.get(name, name), value, bound, "yes" if check["passed"] else "no"))
+    return grid(("The run on its own", "largest", "bound", "passed"), rows)
+
+
+def _attempts(certificate: Mapping[str, Any]) -> str:
+    rows = []
+    for place, row in enumerate(certificate["attempts"], start=1):
+        errors = [
+            quantity(row[kind], unit) for kind, (_, unit) in KINDS.items() if row[kind] is not None
+        ]
+        rows.append(
+            (
+                f"{place}{' (this result)' if row.get('returned') else ''}",
+                str(row["integrator"]),
+                number(row["tolerance"]),
+                number(row["evaluations"]),
+                quantity(row["wall_time_s"], "s"),
+                ", ".join(errors) or NOTHING,
+            )
+        )
+    heads = ("Runs", "method", "tolerance of a step", "evaluations", "wall time", "estimated error")
+    return grid(heads, rows)
+
+
+def _course(certificate: Mapping[str, Any], events: Sequence[Event]) -> str:
+    if not certificate["over_time"]["time"]:
+        return ""
+    svg = inline_svg(plots.accuracy_course(certificate, events), "accuracy-")
+    return (
+        f"<figure>{svg}<figcaption>Estimated error over time, and the requested accuracy (dashed)."
+        f"{_growth(certificate)}</figcaption></figure>"
+    )
+
+
+def _growth(certificate: Mapping[str, Any]) -> str:
+    rate = certificate["growth_rate_per_s"]
+    return "" if rate is None else f" Errors grow about e<sup>{rate:.2g} t</sup>, t in s."
+
+
+SHOWN_EVENTS = 200
+HEADS = ("Time", "What", "Where", "Before \N{RIGHTWARDS ARROW} after")
+
+
+def events_section(events: Sequence[Event]) -> str:
+    """The section of a report; empty for a run without events."""
+    if not events:
+        return ""
+    groups = grouped(events)
+    rows = [_row(group) for group in groups[:SHOWN_EVENTS]]
+    table = f"<div class='events'>{grid(HEADS, rows)}</div>" if rows else ""
+    listed = {id(event) for group in groups for event in group.events}
+    others = _others([event for event in events if id(event) not in listed])
+    parts = [_counted(events), table, others, _rest(groups)]
+    return f"<section><h2>Events</h2>{''.join(parts)}</section>\n"
+
+
+def _row(group: Group) -> tuple[str, str, str, str]:
+    first, last = group.first, group.last
+    time = f"{number(first['time'])} s"
+    if len(group.events) > 1:
+        time = f"{number(first['time'])} to {number(last['time'])} s"
+    return time, group.what(), _where(first), group.change()
+
+
+def _where(event: Event) -> str:
+    place = event.get("where")
+    if not isinstance(place, list | tuple):
+        return who(event)
+    at = ", ".join(f"{value:.3g}" for value in place)
+    return f"{who(event)} at ({at}) m".lstrip()
+
+
+def _counted(events: Sequence[Event]) -> str:
+    kinds = [f"{kind.kind}: {number(kind.count)}" for kind in counts(events)]
+    return f"<p class='note'>{escape(', '.join(kinds))}</p>" if len(kinds) > 1 else ""
+
+
+def _rest(groups: Sequence[Group]) -> str:
+    more = sum(len(group.events) for group in groups[SHOWN_EVENTS:])
+    if not more:
+        return ""
+    return f"<p class='note'>and {number(more)} more, in the trajectory's <code>events</code></p>"
+
+
+def _others(events: Sequence[dict[str, Any]]) -> str:
+    """Events in the form of another program, unchanged."""
+    if not events:
+        return ""
+    items = "".join(
+        f"<li>{escape(', '.join(f'{name}: {number(value)}' for name, value in event.items()))}</li>"
+        for event in events[:SHOWN_EVENTS]
+    )
+    return f"<ol>{items}</ol>"

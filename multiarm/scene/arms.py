@@ -66,7 +66,7 @@ class _FromUrdf(Spec):
 
 
 class ToolSpec(_FromUrdf):
-    """A tool, from a URDF of its own or made of fingers, fixed to a link of the robot.
+    """A tool, from another URDF or made of fingers, fixed to a link of the robot.
 
     Attributes
     ----------
@@ -330,7 +330,7 @@ def _locked(
     if silently:
         positions = ", ".join(f"{name}: {locked[name]:g}" for name in silently)
         found.warnings.append(
-            f"joints beside the way to the tip are locked at {{{positions}}}; "
+            f"joints that are not on the way to the tip are locked at {{{positions}}}; "
             "'lock' chooses other positions"
         )
     return locked

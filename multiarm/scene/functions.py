@@ -17,8 +17,8 @@ A function is loaded only
 * by a plain name, and not if the standard library defines it: ``tools.py:system`` after
   ``from os import system`` is refused as ``os:system`` is.
 
-These rules keep a file from reaching, without code of its own, what can delete or start something.
-Code that is loaded can do anything: looking at a stranger's file loads none.
+These rules keep a file without code from reaching functions that delete or start something.  Loaded
+code can do anything: inspecting a file from an unknown author loads none.
 """
 
 from __future__ import annotations

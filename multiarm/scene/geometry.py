@@ -74,7 +74,7 @@ class _SurfaceSpec(Spec):
 
 
 class _Turned(_SurfaceSpec):
-    """A surface with axes of its own.
+    """A surface with its own axes.
 
     Attributes
     ----------

@@ -47,7 +47,7 @@ def load_scene(path: Path | str, code: bool = True) -> Scene:
     Returns
     -------
     Scene
-        Named after the file if it has no name of its own.
+        Named after the file if it has no name.
 
     Raises
     ------

@@ -50,7 +50,7 @@ class AccuracySpec(Spec):
     @model_validator(mode="after")
     def _bounds_something(self) -> Self:
         if self.position is None and self.rotation is None and self.force is None:
-            raise fault("asks for nothing; name 'position' [m], 'rotation' [rad] or 'force' [N]")
+            raise fault("is empty; name 'position' [m], 'rotation' [rad] or 'force' [N]")
         return self
 
     @property

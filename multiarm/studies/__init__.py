@@ -1,1 +1,1 @@
-"""Measurements: they print figures and judge nothing."""
+"""Measurements of accuracy, effects, cost and hard cases, and comparisons with other programs."""

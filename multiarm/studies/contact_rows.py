@@ -1,6 +1,6 @@
 """The cost of one row of W, for every kind of surface and of row.
 
-Timed is the very function that an evaluation calls for the contacts of an arm
+The timed function is the one that an evaluation calls for the contacts of an arm
 (:func:`multiarm.contacts.kernel.write_rows`), on tables of many rows of one kind between two moving
 bodies, in interleaved bursts of which the fastest counts.
 """

@@ -19,8 +19,8 @@ import numpy as np
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
-from multiarm.studies.courses import Course, Grid
-from multiarm.studies.probes import Sinusoid
+from multiarm.studies.observables import Sinusoid
+from multiarm.studies.time_series import Grid, TimeSeries
 
 EXPRESSIBLE = ("weld", "ball", "revolute")
 """Kinds of joint that can be written with Drake's constraints."""
@@ -183,7 +183,7 @@ class DrakeModel:
             self.system.model.layout,
         )
 
-    def follow(self, course: Course, grid: Grid, start: State) -> None:
+    def follow(self, series: TimeSeries, grid: Grid, start: State) -> None:
         """Step from output to output and record the motion, with the steps alone on the clock.
 
         It ends early when the state is no longer finite.
@@ -192,19 +192,19 @@ class DrakeModel:
 
         count = grid.steps(self.plant.time_step())
         self.place(start)
-        course.positions.append(start.position.copy())
+        series.positions.append(start.position.copy())
         simulator = Simulator(self._diagram, self._context)
         simulator.Initialize()
         for time in grid.times[1:]:
-            course.start()
+            series.start()
             simulator.AdvanceTo(time)
-            course.stop()
-            course.steps += count
-            course.evaluations += count
+            series.stop()
+            series.steps += count
+            series.evaluations += count
             position = self.state().position
             if not np.all(np.isfinite(position)):
                 return
-            course.positions.append(position)
+            series.positions.append(position)
 
 
 def _controller(model: DrakeModel, torque: Callable[[float, State], np.ndarray]) -> Any:

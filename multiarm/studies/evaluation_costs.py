@@ -1,11 +1,11 @@
-"""The cost of one acceleration evaluation against the number of arms, beside Pinocchio's own.
+"""The cost of one acceleration evaluation over the number of arms, compared with Pinocchio's.
 
 Measured on one scene (:func:`multiarm.problems.ring_of_arms`) at one random state that moves with
 the constraints.  *multiarm* is the evaluation as the time loop performs it: Pinocchio's two calls,
 contact kinematics, control, node algorithm, slope of the state; *compiled arms* is the same with
 copies of the arms in place of Pinocchio.  *arm terms* are Pinocchio's two calls alone,
 *constraintDynamics* and *lcaba* Pinocchio's own closed-loop algorithms, called from Python (which
-adds about a microsecond): with the object as a body of its own, and (*tree*) hung on the last arm,
+adds about a microsecond): with the object as a free body, and (*tree*) attached to the last arm,
 which is one loop less.  *dense KKT* is the reference of :mod:`multiarm.dynamics.solver.dense` in
 place of the node algorithm.  The fastest burst of each counts.
 """
@@ -31,7 +31,10 @@ from multiarm.integration.stepper import begin_chart, evaluate_slope, make_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_python
 from multiarm.problems import ring_of_arms
-from multiarm.studies.bursts import (
+from multiarm.studies.peer_trials import BYTES_PER_CUBE
+from multiarm.studies.peers import PinocchioForest
+from multiarm.studies.pinocchio_motion import PinocchioMotion
+from multiarm.studies.timing import (
     Burst,
     fastest,
     fitted_slope,
@@ -40,9 +43,6 @@ from multiarm.studies.bursts import (
     python_burst,
     upper_half,
 )
-from multiarm.studies.peer_trials import BYTES_PER_CUBE
-from multiarm.studies.peers import PinocchioForest
-from multiarm.studies.pinocchio_motion import PinocchioMotion
 from multiarm.tableaus import RK4
 
 BURSTS_PER_ROUND = 40
@@ -65,9 +65,9 @@ def evaluation_costs(
     -------
     dict
         ``rows``: a list with, for every kind and number of arms, ``kind``, ``arms``,
-        ``microseconds`` (method -> an evaluation; None where it was not asked), ``relative_error``
+        ``microseconds`` (method -> an evaluation; None where it was not run), ``relative_error``
         (method -> largest relative deviation from the dense solution), ``ratio_to_best_peer``
-        (for ``multiarm`` and ``compiled``) and ``remarks`` (method -> why it was not asked).
+        (for ``multiarm`` and ``compiled``) and ``remarks`` (method -> why it was not run).
         ``exponents``, ``upper_exponents``: kind -> method -> slope of log cost over log number of
         arms, over all numbers and over the larger half of them.
         ``growth``: kind -> cost at the most arms over cost at the fewest.
@@ -165,7 +165,7 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
 
 
 def ratio_to_best_peer(cost: dict[str, float | None], method: str = OURS) -> float | None:
-    """Cost of the cheapest peer over that of one of ours; None when no peer was asked."""
+    """Cost of the cheapest peer over that of one of ours; None when no peer was run."""
     ours, peers = cost[method], [cost[name] for name in PEERS]
     known = [peer for peer in peers if peer is not None]
     return min(known) / ours if known and ours is not None else None
@@ -180,7 +180,7 @@ def too_large_for_pinocchio(joints: int, free: float | None = None) -> str:
     need = BYTES_PER_CUBE * (6 + joints) ** 3  # both algorithms' Data together
     if need <= SHARE_OF_MEMORY * free:
         return ""
-    return f"not asked: Pinocchio's Data would take {need / 1e9:.1f} of {free / 1e9:.1f} GB free"
+    return f"not run: Pinocchio's Data would take {need / 1e9:.1f} of {free / 1e9:.1f} GB free"
 
 
 def free_memory() -> float:

@@ -1,9 +1,9 @@
 """Run the hard cases and judge them by their own criteria.
 
-:func:`run_case` turns one :class:`multiarm.problems.HardCase` into a :class:`CaseResult`: what each
-criterion measured against its bound, what happened to the rank, what the run cost, and what other
-programs make of the same case.  It passes when the run is completed and every criterion is within
-its bound; there is no other judgement anywhere.  A case that cannot even be run is a result too.
+:func:`run_case` turns one :class:`multiarm.problems.HardCase` into a :class:`CaseResult`: each
+criterion measured against its bound, the rank, the cost of the run, and the results of other
+programs on the same case.  A case passes when the run is completed and every criterion is within
+its bound.  A case that cannot be run is a result too.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from multiarm.results.sinks import provenance
 from multiarm.results.trajectory import Trajectory, plain
 from multiarm.scene import dump_scene
 from multiarm.simulation.simulate import simulate
-from multiarm.studies.peer_trials import Answer, Trial, ask_everyone
+from multiarm.studies.peer_trials import Answer, Trial, all_answers
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import System
@@ -51,7 +51,7 @@ SOLVER_EVENTS = frozenset(
         "rank rises",
     }
 )
-"""Kinds of event that tell of the rank and of lost directions."""
+"""Kinds of event about the rank and lost directions."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and which part of the case is done, 0 to 1."""
@@ -99,17 +99,17 @@ class CaseResult:
         What the run said, or why it could not begin.
     criteria : tuple of CriterionResult
     events : tuple of dict
-        What happened on the way: time, kind, arm, text.
+        Events of the run: time, kind, arm, text.
     statistics : dict
         Of the run: steps, evaluations, coupled_steps, lowest_rank, highest_rank, ...
     wall_time_s : float
         Of the run, without compilation; 0 when not run.
     hardest_s : float
-        The moment at which the solvers were asked.
+        The instant at which the solvers are compared.
     window_s : float
         Length of their short run.
     answers : tuple of Answer
-        Ours and the peers'; empty when they were not asked.
+        Ours and the peers'; empty if peers were not run.
     history : dict of str to list
         time [s], gap [m], gap_rate [m/s], energy_balance [J], residual [1], rank, coupled_arms.
     scene : str
@@ -196,7 +196,7 @@ def run_suite(
     cases : mapping of str to HardCase, optional
         Where the names are looked up; ``multiarm.problems.HARD_CASES`` when left out.
     peers : bool
-        Ask other programs too.
+        Run other programs too.
     progress : callable, optional
         ``progress(text, cases done)``, now and then.
 
@@ -212,11 +212,11 @@ def run_suite(
     results = []
     for number, case in enumerate(chosen):
 
-        def tell(what: str, part: float, number: int = number, name: str = case.name) -> None:
+        def report(what: str, part: float, number: int = number, name: str = case.name) -> None:
             if progress is not None:
                 progress(f"{name}: {what}", number + part)
 
-        results.append(run_case(case, peers=peers, progress=tell))
+        results.append(run_case(case, peers=peers, progress=report))
     if progress is not None:
         progress("done", float(len(results)))
     return SuiteResult(tuple(results), machine(), time.perf_counter() - begin)
@@ -247,10 +247,10 @@ def run_case(case: HardCase, *, peers: bool = True, progress: Progress | None = 
 
     Whatever is raised on the way, except Ctrl-C, becomes a result that did not pass.
     """
-    tell = progress or (lambda _what, _part: None)
+    report = progress or (lambda _what, _part: None)
     about = (case.name, case.title, case.difficulty)
     text = ""
-    tell("compiling", 0.0)
+    report("compiling", 0.0)
     try:
         scene = case.scene()
         text = dump_scene(scene)
@@ -259,11 +259,11 @@ def run_case(case: HardCase, *, peers: bool = True, progress: Progress | None = 
         duration = scene.run.duration
         trajectory = simulate(
             system,
-            progress=lambda t: tell("simulating", span * min(1.0, t / duration)),
+            progress=lambda t: report("simulating", span * min(1.0, t / duration)),
             certificate=False,
         )
     except Exception as error:
-        return CaseResult(*about, False, NOT_RUN, _told(error), scene=text)
+        return CaseResult(*about, False, NOT_RUN, _error_text(error), scene=text)
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt
     criteria = tuple(_measured(item, trajectory, system) for item in case.criteria)
@@ -275,8 +275,8 @@ def run_case(case: HardCase, *, peers: bool = True, progress: Progress | None = 
         trial = Trial(system, trajectory, case.hardest)
         hardest, window = trial.time, trial.window
         if peers:
-            tell("asking peers", 0.8)
-            answers = ask_everyone(trial)
+            report("running peers", 0.8)
+            answers = all_answers(trial)
     return CaseResult(
         *about,
         passed=trajectory.status == "completed" and all(item.passed for item in criteria),
@@ -326,7 +326,7 @@ def _measured(criterion: Criterion, trajectory: Trajectory, system: System) -> C
     try:
         value = float(criterion.measure(trajectory, system))
     except Exception as error:  # a run that broke off may lack what is measured
-        return CriterionResult(*about, None, False, _told(error))
+        return CriterionResult(*about, None, False, _error_text(error))
     if not math.isfinite(value):
         return CriterionResult(*about, None, False, f"measured {value}")
     return CriterionResult(*about, value, value <= criterion.bound)
@@ -357,7 +357,7 @@ def _history(trajectory: Trajectory) -> dict[str, list[float | None]]:
 
 
 def _processor() -> str:
-    """The processor's name where the system tells it."""
+    """The processor's name if the system gives it."""
     with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as lines:
         for line in lines:
             if line.startswith("model name"):
@@ -365,7 +365,7 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def _told(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     """What was raised: our own errors are sentences, others need their names."""
     text = str(error).strip()
     return text if isinstance(error, MultiarmError) else f"{type(error).__name__}: {text}"

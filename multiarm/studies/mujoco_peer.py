@@ -1,17 +1,18 @@
-"""The same system in MuJoCo: as shipped, and at its best.
+"""The same system in MuJoCo: as shipped, and with the best settings.
 
 The model is built from the arms' own models, link by link, the object on a free joint; a weld of a
 scene becomes MuJoCo's ``weld``, a ball its ``connect``, a hinge two of them on its axis.
 
-MuJoCo's constraints are springs and dampers, soft as shipped.  What sets their softness is the
-largest impedance, at most 0.9999, and ``body_invweight0``: scaled by ``HARDNESS`` it makes a weld's
-accelerations right to 1e-9, at no other cost.  With this, its Runge-Kutta method and a quarter of
-the shipped step, MuJoCo is at its best here.  (Version 4, that is: 3.3 leaves out ``dJ/dt v`` and
-is off by a percent in motion, however hard its constraints.)
+MuJoCo's constraints are springs and dampers, soft as shipped.  Their softness is set by the largest
+impedance, at most 0.9999, and ``body_invweight0``: scaled by ``HARDNESS`` it makes a weld's
+accelerations right to 1e-9, at no other cost.  The best settings are these with MuJoCo's
+Runge-Kutta method and a quarter of the shipped step.  (This holds for version 4: 3.3 leaves out
+``dJ/dt v`` and is off by a percent in motion, however hard its constraints.)
 
-MuJoCo asks for torques by a callback, at every stage of a step.  Torques that depend on time alone
-are played to it from a tape by compiled code, and a whole interval between two outputs is one call:
-no Python is in its loop (which saves it a tenth of its time).
+MuJoCo requests torques by a callback, at every stage of a step.  Torques that depend on time alone
+are tabulated row by row, in the order of the calls; a compiled callback copies the next row to
+where MuJoCo reads it, and a whole interval between two outputs is one call.  So no Python is in
+MuJoCo's loop, which saves a tenth of its time.
 
 Two traps of ``MjSpec``: a body with its own inertia has no place for its centre of mass until
 ``ipos`` is set, and a run that diverges starts again at time zero unless that is switched off.
@@ -25,13 +26,14 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numba import cfunc, types
 
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
-from multiarm.studies.courses import Course, Grid
-from multiarm.studies.probes import Sinusoid
-from multiarm.studies.torque_tape import TorqueTape
+from multiarm.jit.structs import floats_at, struct_at
+from multiarm.studies.observables import Sinusoid
+from multiarm.studies.time_series import Grid, TimeSeries
 
 HARDNESS = 1e-6
 _HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]
@@ -42,7 +44,7 @@ _INTEGRATORS = {
     "implicitfast": (mujoco.mjtIntegrator.mjINT_IMPLICITFAST, (0.0,)),
     "RK4": (mujoco.mjtIntegrator.mjINT_RK4, (0.0, 0.5, 0.5, 1.0)),
 }
-# and the stages of a step at which the torques are asked for
+# and the stages of a step at which MuJoCo calls for torques
 INTEGRATORS = tuple(_INTEGRATORS)
 
 
@@ -123,8 +125,8 @@ class MujocoModel:
     ) -> Iterator[tuple[float, State]]:
         """Step on and on from a state; yields time since the start [s] and state.
 
-        ``torque(time since the start, state)`` is asked at every stage of a step.  It ends when the
-        state is no longer finite.
+        ``torque(time since the start, state)`` is called at every stage of a step.  The sequence
+        ends when the state is no longer finite.
         """
         d = self.data
         self.place(state)
@@ -137,7 +139,7 @@ class MujocoModel:
 
     def follow(
         self,
-        course: Course,
+        series: TimeSeries,
         grid: Grid,
         start: State,
         integrator: str,
@@ -153,7 +155,7 @@ class MujocoModel:
         d, n, count = self.data, self.system.model.layout.joints, grid.steps(step)
         self.model.opt.integrator, self.model.opt.timestep = kind, step
         self.place(start)
-        course.positions.append(start.position.copy())
+        series.positions.append(start.position.copy())
         played: tuple[TorqueTape, Sinusoid] | None = None
         control: Any = None
         if not isinstance(drive, Sinusoid):
@@ -169,14 +171,14 @@ class MujocoModel:
                 if played is not None:
                     tape, torques = played
                     tape.load(torques.at(k * grid.interval + step * offsets))
-                course.start()
+                series.start()
                 mujoco.mj_step(self.model, d, nstep=count)
-                course.stop()
-                course.steps += count
-                course.evaluations += count * len(stages)
+                series.stop()
+                series.steps += count
+                series.evaluations += count * len(stages)
                 if not (np.all(np.isfinite(d.qpos)) and np.all(np.isfinite(d.qvel))):
                     return
-                course.positions.append(self.state().position)
+                series.positions.append(self.state().position)
 
     def _control(self, torque: Callable[[float, State], np.ndarray]) -> Callable[[Any, Any], None]:
         """MuJoCo's callback for torques of time and state."""
@@ -277,3 +279,53 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
     return quaternion
+
+
+_NEXT, _WIDTH, _LAST = 1, 2, 3
+
+
+class TorqueTape:
+    """Rows of torques that :attr:`play` copies to ``target``, one a call; the last one stays.
+
+    Parameters
+    ----------
+    target : ndarray, shape (n,)
+        Where the program reads its torques; must stay where it is.
+
+    Attributes
+    ----------
+    play : ctypes function ``void (void *, void *)``
+        It looks at none of its arguments.
+    """
+
+    def __init__(self, target: np.ndarray):
+        assert target.flags.c_contiguous and target.dtype == np.float64
+        # address of the next row's tape, next row, width, last row; address of the target
+        self._state = np.array([0, 0, target.size, 0, target.ctypes.data], dtype=np.int64)
+        self._rows = np.zeros((0, target.size))
+        self._target = target
+        address = self._state.ctypes.data
+
+        @cfunc(types.void(types.intp, types.intp))
+        def play(_model, _data):
+            state = struct_at(address, 5)
+            width = state[_WIDTH]
+            row = floats_at(state[0] + 8 * width * state[_NEXT], width)
+            out = floats_at(state[4], width)
+            for i in range(width):
+                out[i] = row[i]
+            state[_NEXT] = min(state[_NEXT] + 1, state[_LAST])
+
+        self._function = play
+        self.play = play.ctypes
+
+    def load(self, rows: np.ndarray) -> None:
+        """Put rows (K, n) on the tape, and go to the first."""
+        self._rows = np.ascontiguousarray(rows, dtype=float)
+        self._state[0] = self._rows.ctypes.data
+        self._state[_NEXT], self._state[_LAST] = 0, len(rows) - 1
+
+    @property
+    def played(self) -> int:
+        """Number of the next row."""
+        return int(self._state[_NEXT])

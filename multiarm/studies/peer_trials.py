@@ -1,15 +1,15 @@
-"""What other programs make of a hard case: their accelerations at its worst, and a short run.
+"""Hard cases in other programs: their accelerations at the hardest instant, and a short run.
 
-Two questions are put to each solver, at states of our own run.
+Each solver gets two tasks, at states of our own run.
 
-1. The accelerations at the case's hardest moment, compared with the dense minimum-norm reference
+1. The accelerations at the case's hardest instant, compared with the dense minimum-norm reference
    (:mod:`multiarm.dynamics.solver.dense`).  An error is relative to the largest of them, or to 1
    m/s^2 and 1 rad/s^2 where all are smaller.
-2. The same motion for ``WINDOW`` seconds around that moment: how far the loops have come apart and
-   how much energy has appeared.  Pinocchio's algorithms, which have no integrator, are integrated
-   by SciPy's DOP853 at a relative tolerance of 1e-9; MuJoCo steps by itself.
+2. The same motion for ``WINDOW`` seconds around that instant: largest gap of the loops and error of
+   the energy.  Pinocchio's algorithms, which have no integrator, are integrated by SciPy's DOP853
+   at a relative tolerance of 1e-9; MuJoCo has its own steps.
 
-Nobody is asked to go on for longer than ``PATIENCE``.  A peer's exception or NaN is an answer.
+A run ends after ``PATIENCE``.  A peer's exception or NaN is an answer.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from multiarm.errors import ModelError, MultiarmError
 from multiarm.events.evaluation import evaluate
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.simulate import simulate
-from multiarm.studies.probes import (
+from multiarm.studies.observables import (
     control_torque,
     inexpressible_effects,
     is_controlled,
@@ -63,7 +63,7 @@ class Answer:
     ----------
     solver : str
     refusal : str
-        Why it was not asked: it cannot express the case, or is not installed.  Else empty.
+        Why it was not run: it cannot express the case, or is not installed.  Else empty.
     object_error, joint_error : float or None
         Relative errors of the accelerations at the hardest moment.
     accelerations : str
@@ -117,7 +117,7 @@ class Trial:
         try:
             dense = evaluate(system.with_solver("dense"), self.time, self.worst)
         except (MultiarmError, np.linalg.LinAlgError):
-            return  # then errors are not told
+            return  # without a reference there are no errors
         self.reference = np.concatenate(
             [dense.object_acceleration, *dense.joint_accelerations.values()]
         )
@@ -169,7 +169,7 @@ class Trial:
         return found[0], found[1]
 
 
-class NotAsked(Exception):
+class Refused(Exception):
     """A peer is spared the question; the text says why."""
 
 
@@ -181,22 +181,22 @@ Motion = Iterator[tuple[float, State, float]]
 """States of a short run: time since its start [s], state, work done since then [J]."""
 
 
-def ask_everyone(trial: Trial) -> tuple[Answer, ...]:
-    """Ask all solvers, ours first."""
-    answers = [_ask_ours(trial)]
+def all_answers(trial: Trial) -> tuple[Answer, ...]:
+    """The answers of all solvers, ours first."""
+    answers = [_our_answer(trial)]
     for algorithm in PINOCCHIO:
-        answers.append(ask(trial, algorithm, pinocchio_peer(trial, algorithm)))
+        answers.append(answer_of(trial, algorithm, pinocchio_peer(trial, algorithm)))
     for name, as_shipped in MUJOCO.items():
-        answers.append(ask(trial, name, mujoco_peer(trial, as_shipped)))
+        answers.append(answer_of(trial, name, mujoco_peer(trial, as_shipped)))
     return tuple(answers)
 
 
-Asked = Callable[[], tuple[Callable[[State, np.ndarray], np.ndarray], Callable[[State], Motion]]]
+MakePeer = Callable[[], tuple[Callable[[State, np.ndarray], np.ndarray], Callable[[State], Motion]]]
 """Makes a peer's model; returns its accelerations (6 + n,) and its motion as functions."""
 
 
-def ask(trial: Trial, solver: str, make: Asked) -> Answer:
-    """Put both questions to a peer; whatever it raises is told in the answer."""
+def answer_of(trial: Trial, solver: str, make: MakePeer) -> Answer:
+    """Give both tasks to a peer; the answer reports any exception."""
     strange = inexpressible_effects(trial.system)
     if strange:
         return Answer(solver, refusal=f"cannot express {', '.join(strange)}")
@@ -205,8 +205,8 @@ def ask(trial: Trial, solver: str, make: Asked) -> Answer:
             accelerations, motion = make()
         except ModelError as error:
             return Answer(solver, refusal=f"cannot express it: {error}")
-        except NotAsked as reason:
-            return Answer(solver, refusal=f"not asked: {reason}")
+        except Refused as reason:
+            return Answer(solver, refusal=f"not run: {reason}")
         except ImportError:
             return Answer(solver, refusal=NOT_INSTALLED)
         object_error = joint_error = None
@@ -220,12 +220,12 @@ def ask(trial: Trial, solver: str, make: Asked) -> Answer:
             else:
                 trouble = "NaN"
         except Exception as error:
-            trouble = _told(error)
-        course = _follow(trial, motion)
+            trouble = _error_text(error)
+        course = _short_run(trial, motion)
     return Answer(solver, "", object_error, joint_error, trouble, *course)
 
 
-class _Course(NamedTuple):
+class _ShortRun(NamedTuple):
     """How a short run went; the fields are those of :class:`Answer`."""
 
     simulated: float
@@ -235,7 +235,7 @@ class _Course(NamedTuple):
     out_of_time: bool
 
 
-def _follow(trial: Trial, motion: Callable[[State], Motion]) -> _Course:
+def _short_run(trial: Trial, motion: Callable[[State], Motion]) -> _ShortRun:
     """Watch a short run to its end, or to what ends it."""
     start = trial.state(trial.first)
     energy = trial.energy(start)
@@ -258,13 +258,13 @@ def _follow(trial: Trial, motion: Callable[[State], Motion]) -> _Course:
     except TimeoutError:
         late, ended = True, f"only {reached:.3g} s in {PATIENCE:g} s of wall time"
     except Exception as error:
-        ended = f"{_told(error)} after {reached:.3g} s"
+        ended = f"{_error_text(error)} after {reached:.3g} s"
     if not reached:  # then nothing was found but the start itself
-        return _Course(reached, None, None, ended, late)
-    return _Course(reached, drift, off, ended, late)
+        return _ShortRun(reached, None, None, ended, late)
+    return _ShortRun(reached, drift, off, ended, late)
 
 
-def _ask_ours(trial: Trial) -> Answer:
+def _our_answer(trial: Trial) -> Answer:
     """Our own evaluation, and the same window of our own run."""
     object_error = joint_error = None
     trouble = ""
@@ -288,15 +288,15 @@ def _ask_ours(trial: Trial) -> Answer:
     )
 
 
-def pinocchio_peer(trial: Trial, algorithm: str) -> Asked:
-    """One of Pinocchio's algorithms, to be asked."""
+def pinocchio_peer(trial: Trial, algorithm: str) -> MakePeer:
+    """A function that makes one of Pinocchio's algorithms."""
 
     def make():
         from multiarm.studies.peers import PinocchioForest
 
         memory = BYTES_PER_CUBE * (6 + trial.system.model.layout.joints) ** 3
         if memory > MOST_MEMORY:
-            raise NotAsked(f"Pinocchio's Data for it takes about {memory / 1e9:.1f} GB")
+            raise Refused(f"Pinocchio's Data for it takes about {memory / 1e9:.1f} GB")
         forest = PinocchioForest(trial.system)
 
         def accelerations(state: State, torque: np.ndarray) -> np.ndarray:
@@ -307,8 +307,8 @@ def pinocchio_peer(trial: Trial, algorithm: str) -> Asked:
     return make
 
 
-def mujoco_peer(trial: Trial, as_shipped: bool) -> Asked:
-    """MuJoCo, to be asked."""
+def mujoco_peer(trial: Trial, as_shipped: bool) -> MakePeer:
+    """A function that makes the MuJoCo model."""
 
     def make():
         from multiarm.studies.mujoco_peer import MujocoModel
@@ -392,7 +392,7 @@ def _sample_at(times: np.ndarray, t: float) -> int:
     return int(np.argmin(np.abs(times - t)))
 
 
-def _told(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     """The first line of what was raised."""
     lines = str(error).strip().splitlines()
     text = lines[0] if lines else type(error).__name__

@@ -1,12 +1,12 @@
 """The motion of a system by Pinocchio's ``constraintDynamics`` and an integrator in Python.
 
-Pinocchio has no integrator.  To be at its best it gets as few coordinates as it can do with: the
-object hangs on the last arm by a joint of Pinocchio's own (a weld makes it part of that arm's last
-link, a hinge and a ball add their own coordinates), and only the other arms' joints are rigid
+Pinocchio has no integrator.  For its best performance it gets as few coordinates as possible: the
+object is attached to the last arm by one of Pinocchio's joints (a weld makes it part of that arm's
+last link, a hinge and a ball add their own coordinates), and only the other arms' joints are rigid
 constraints.  On two welded UR5s this takes two thirds of the time of a free object with two welds.
 
-The state is ``y``: one number a joint, the object's own coordinates, all velocities.  Nothing draws
-it back to the constraints.
+The state is ``y``: one number a joint, the object's own coordinates, all velocities.  It is not
+projected onto the constraints.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ import pinocchio as pin
 from multiarm.arms.arm import named_with_prefix
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.studies.courses import Course, Grid, OutOfTime
+from multiarm.studies.observables import Sinusoid
 from multiarm.studies.peers import rigid_parts
-from multiarm.studies.probes import Sinusoid
+from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
 
 METHODS = {"RK4": "step", "SciPy DOP853": "tolerance"}
 """Integrators, and what sets their accuracy."""
@@ -99,7 +99,7 @@ class PinocchioMotion:
 
     def follow(
         self,
-        course: Course,
+        series: TimeSeries,
         grid: Grid,
         start: State,
         method: str,
@@ -111,17 +111,17 @@ class PinocchioMotion:
         ``method`` is one of ``METHODS``, ``value`` its step [s] or its tolerance, ``drive`` the
         torques, of time alone or of time and state.
         """
-        slope, y = self.slope(course, drive), self.coordinates(start)
-        found = (self._fixed if method == "RK4" else self._adaptive)(course, grid, slope, y, value)
+        slope, y = self.slope(series, drive), self.coordinates(start)
+        found = (self._fixed if method == "RK4" else self._adaptive)(series, grid, slope, y, value)
         for y in found:
             if not np.all(np.isfinite(y)):
                 return
-            course.positions.append(self.state(y).position)
+            series.positions.append(self.state(y).position)
 
-    def _fixed(self, course: Course, grid: Grid, f: Slope, y: np.ndarray, h: float):
+    def _fixed(self, series: TimeSeries, grid: Grid, f: Slope, y: np.ndarray, h: float):
         count, found = grid.steps(h), [y]
         for k in range(grid.intervals):
-            course.start()
+            series.start()
             for i in range(count):
                 t = k * grid.interval + i * h
                 a = f(t, y)
@@ -129,23 +129,23 @@ class PinocchioMotion:
                 c = f(t + 0.5 * h, y + (0.5 * h) * b)
                 d = f(t + h, y + h * c)
                 y = y + (h / 6.0) * (a + 2.0 * (b + c) + d)
-            course.steps += count
-            course.stop()
+            series.steps += count
+            series.stop()
             found.append(y)
         return found
 
-    def _adaptive(self, course: Course, grid: Grid, f: Slope, y: np.ndarray, tolerance: float):
+    def _adaptive(self, series: TimeSeries, grid: Grid, f: Slope, y: np.ndarray, tolerance: float):
         times = grid.times
-        course.start()
+        series.start()
         run = self._solve_ivp(
             f, (0.0, times[-1]), y, "DOP853", t_eval=times, rtol=tolerance, atol=tolerance
         )
-        course.stop()
-        course.steps = (course.evaluations - 2) // 12  # rejected ones too; more for its output
+        series.stop()
+        series.steps = (series.evaluations - 2) // 12  # rejected ones too; more for its output
         return run.y.T
 
     def slope(
-        self, course: Course, drive: Sinusoid | Callable[[float, State], np.ndarray]
+        self, series: TimeSeries, drive: Sinusoid | Callable[[float, State], np.ndarray]
     ) -> Slope:
         """``dy/dt`` as a function of time and ``y``; it counts its calls and watches the clock."""
         model, data = self.model, self.data
@@ -156,10 +156,10 @@ class PinocchioMotion:
         torque, damping = np.zeros(model.nv), self.damping
         torques = self._torques(drive)
         damped, ball, hinge = bool(np.any(damping)), self._kind == "ball", self._kind == "revolute"
-        deadline = time.perf_counter() + course.limit_s
+        deadline = time.perf_counter() + series.limit_s
 
         def f(t: float, y: np.ndarray) -> np.ndarray:
-            course.evaluations += 1
+            series.evaluations += 1
             if time.perf_counter() > deadline:
                 raise OutOfTime
             v = y[split:]

@@ -1,7 +1,7 @@
-"""The scaling study: what grows how with the number of arms, and where the time goes.
+"""The scaling study: cost over the number of arms, and shares of the time.
 
-Four studies, each in a module of its own: the cost of one evaluation beside Pinocchio's algorithms
-(:mod:`multiarm.studies.evaluation_costs`), section 4.4 of the thesis
+Four studies, each in its own module: the cost of one evaluation compared with Pinocchio's
+algorithms (:mod:`multiarm.studies.evaluation_costs`), section 4.4 of the thesis
 (:mod:`multiarm.studies.solver_study`), the parts of an evaluation and of a step
 (:mod:`multiarm.studies.time_shares`), the cost of a contact row
 (:mod:`multiarm.studies.contact_rows`).
@@ -47,7 +47,7 @@ class Plan:
 
     @property
     def measurements(self) -> int:
-        """How often :func:`run_scaling` tells what it is about to measure."""
+        """Number of progress reports of :func:`run_scaling`."""
         each = {
             EVALUATIONS: len(self.kinds) * len(self.arms),
             THESIS: len(self.thesis_arms),
@@ -72,7 +72,7 @@ def run_scaling(plan: Plan, progress: Callable[[str], None] | None = None) -> di
     -------
     dict
         ``machine``, ``rounds``, ``wall_time_s``, ``waited`` (share of it in which this process did
-        not run: others were disturbing it); and of the studies that were asked for
+        not run, as other programs disturbed it); and of the requested studies
         ``evaluations`` (:func:`~multiarm.studies.evaluation_costs.evaluation_costs`), ``thesis``
         (:func:`~multiarm.studies.solver_study.solver_study`), ``shares``
         (:func:`~multiarm.studies.time_shares.time_shares`) and ``contact_rows`` (kind of row ->

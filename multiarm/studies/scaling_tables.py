@@ -1,4 +1,4 @@
-"""The tables of the scaling study as texts, for the terminal and for the page alike."""
+"""The tables of the scaling study as text, for the terminal and for the page."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def _thesis_notes(found: dict[str, Any]) -> Iterator[str]:
     )
     yield (
         "t: coefficients of (4.9); t1: node algorithm; t2: direct elimination by LU, the matrix "
-        "filled beforehand; total: (t2 + t) / (t1 + t). NumPy: t and t1 as a plain script, beside "
+        "filled beforehand; total: (t2 + t) / (t1 + t). NumPy: t and t1 as a plain script, next to "
         "LAPACK's LU; 1995: the thesis's Matlab."
     )
     yield (
@@ -201,7 +201,7 @@ def _shares(found: dict[str, Any]) -> Iterator[Table]:
     )
     heads = ["integrator", "steps", "evaluations\na step", "us\na step", "us an\nevaluation",
              "overhead"]  # fmt: skip
-    title = f"What a step costs beside its evaluations, n = {found['overheads'][0]['arms']}"
+    title = f"Cost of a step besides its evaluations, n = {found['overheads'][0]['arms']}"
     yield _table("shares", title, heads, lines, [note])
 
 
@@ -243,7 +243,7 @@ def plain(value: float) -> str:
 
 
 def exponent(value: float | None) -> str:
-    """A fitted exponent, two digits behind the point."""
+    """A fitted exponent with two decimals."""
     return NOTHING if value is None else f"{value:.2f}"
 
 

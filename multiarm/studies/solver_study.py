@@ -1,4 +1,4 @@
-"""Section 4.4 of the thesis repeated: node algorithm against direct elimination.
+r"""Section 4.4 of the thesis repeated: node algorithm against direct elimination.
 
 Arms of 6 joints, one contact each, an object; ``t`` is the time to build the coefficients of (4.9),
 ``t1`` that of the node algorithm and ``t2`` that of direct elimination, on identical coefficients.
@@ -8,9 +8,25 @@ The thesis measured Matlab programs; here the same is measured twice.
 NumPy loop (and over all arms at once), direct elimination by LAPACK, which is compiled, as Matlab's
 was.  *compiled*: coefficients and node algorithm as the time loop performs them.
 
-Direct elimination is given its best form: LAPACK's LU on one thread, without the assembly of the
-matrix, which is timed on its own; beside it the symmetric factorisation.  The time of the node
-algorithm includes loading its inertias and constraint matrices.  Medians over bursts count.
+Direct elimination has its best form: LAPACK's LU on one thread, without the assembly of the matrix,
+which is timed separately; the symmetric factorisation is measured too.  The time of the node
+algorithm includes loading its inertias and constraint matrices.  Figures are medians over bursts.
+
+Operation counts: every addition, subtraction, multiplication, division and square root counts as
+one.  For ``n`` arms of ``d`` joints and ``N`` contacts each, direct elimination of the matrix of
+order :math:`k = 6 + n (d + N)` takes :math:`\tfrac23 k^3 + O(k^2)`, cubic in the arms.  The node
+algorithm takes, an arm,
+
+.. math::
+    \underbrace{\tfrac13 d^3}_{M_i} + \underbrace{2 d^2 (N + 1)}_{M_i^{-1}[W_i, h_i]} +
+    \underbrace{2 d N (N + 1)}_{K_i,\, r_i} + \underbrace{\tfrac13 N^3 + 14 N^2}_{K_i^{-1}[W_{oi}^T,
+    r_i]} + \underbrace{84 N}_{A,\, b} + \underbrace{12 N}_{\mu_i} +
+    \underbrace{2 d N + 2 d^2}_{q_i}
+
+to leading orders when the equations (4.10) - (4.12) of the thesis are carried out as written, and
+:math:`\tfrac13 6^3 + 2 \cdot 6^2` for the object: linear.  The actual number of
+:mod:`multiarm.dynamics.solver.batched` is smaller, since it uses triangular factors and symmetric
+halves twice; :func:`node_operations` counts it exactly, without padding of arms to SIMD packs.
 """
 
 from __future__ import annotations
@@ -22,10 +38,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
+from multiarm.dynamics.arrays import OK, open_data
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.batched import solve_batched
+from multiarm.dynamics.solver.node import ELIMINATED, make_work
+from multiarm.errors import SolverError
+from multiarm.jit.kernels import kernel
+from multiarm.jit.pointers import call_cfunc
 from multiarm.problems import ring_of_arms
 from multiarm.scene import Scene
-from multiarm.studies import operation_counts, solver_forms
-from multiarm.studies.bursts import (
+from multiarm.studies import solver_forms
+from multiarm.studies.evaluation_costs import moving_state
+from multiarm.studies.solver_forms import Coefficients, Solution, assemble
+from multiarm.studies.timing import (
     Burst,
     fitted_slope,
     measure,
@@ -34,9 +59,6 @@ from multiarm.studies.bursts import (
     python_burst,
     upper_half,
 )
-from multiarm.studies.evaluation_costs import moving_state
-from multiarm.studies.solver_forms import Coefficients, Solution
-from multiarm.studies.solver_loops import CompiledNode, assembly_burst, build_burst
 
 ARMS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 20, 50, 100)
 BURSTS_PER_ROUND = 12
@@ -221,8 +243,8 @@ def _measure(count: int, rounds: int) -> dict[str, Any]:
         for picture, parts in (("compiled", COMPILED), ("interpreted", INTERPRETED))
     }
     node, direct = (
-        operation_counts.node_operations(count),
-        operation_counts.direct_operations(count),
+        node_operations(count),
+        direct_operations(count),
     )
     return {
         "arms": count,
@@ -235,7 +257,7 @@ def _measure(count: int, rounds: int) -> dict[str, Any]:
             "node": node,
             "direct": direct,
             "ratio": direct / node,
-            "ratio_as_written": operation_counts.ratio_as_written(count),
+            "ratio_as_written": ratio_as_written(count),
         },
         "deviation": deviations(s),
     }
@@ -249,3 +271,151 @@ def _slopes(
         part: fitted_slope(arms, [row["microseconds"][picture][part] for row in rows])
         for part in parts
     }
+
+
+def node_operations(arms: int, joints: int = 6, rows: int = 1) -> int:
+    """Operations of elimination and solution, as the time loop performs them."""
+    d, right = joints, joints + rows
+    filling = 8 * rows
+    # row i: factors and pivot, its inverse, what is right of it; the pivot's relative size
+    elimination = sum(3 * i + 1 + 2 * i * (right - i) for i in range(right)) + rows
+    elimination += joints + rows + 2  # the diagonal relative to the mobility
+    elimination += sum(12 * (i - d) for i in range(d, right))  # the object's columns
+    share = 6 * 2 * rows + 2 * 27 * rows
+    backward = right * right + 12 * rows
+    addition = 27 * (3 + 1)  # of the four sums of shares, and of the object's own
+    node = 75 + 2 * 6 + 40 + 36  # below the diagonal, pivots, above it, backward
+    return arms * (filling + elimination + share + backward) + addition + node
+
+
+def direct_operations(arms: int, joints: int = 6, rows: int = 1) -> int:
+    """Operations of Gaussian elimination of the whole matrix and of its two triangular solves."""
+    k = order(arms, joints, rows)
+    # column by column: k - 1 - j quotients, and twice its square in the rest of the matrix
+    factor = k * (k - 1) // 2 + k * (k - 1) * (2 * k - 1) // 3
+    return factor + k * (k - 1) + k * k
+
+
+def order(arms: int, joints: int = 6, rows: int = 1) -> int:
+    """Number of unknowns: object, joints and contact forces."""
+    return 6 + arms * (joints + rows)
+
+
+def ratio_as_written(arms: int, joints: int = 6, rows: int = 1) -> float:
+    """Operations of direct elimination over those of (4.10) - (4.12) as written, leading orders."""
+    k, d, m = order(arms, joints, rows), joints, rows
+    direct = 2.0 / 3.0 * k**3 + 2.0 * k**2
+    an_arm = (
+        d**3 / 3 + 2 * d**2 * (m + 1) + 2 * d * m * (m + 1) + m**3 / 3 + 14 * m**2
+        + 84 * m + 12 * m + 2 * d * m + 2 * d**2
+    )  # fmt: skip
+    return direct / (arms * an_arm + 6**3 / 3 + 2 * 6**2)
+
+
+class CompiledNode:
+    """The node algorithm of the time loop (``dynamics.solver.batched``) on coefficients."""
+
+    def __init__(self, s: Coefficients) -> None:
+        n, d, N = s.W.shape
+        self._work = make_work([d] * n, [N] * n)
+        self._given = tuple(
+            np.ascontiguousarray(array)
+            for array in (
+                s.M, s.W, s.W_o.transpose(0, 2, 1).reshape(n * N, 6), s.M_o, s.h_o,
+                s.h.ravel(), s.c.ravel(),
+            )
+        )  # fmt: skip
+        self._found = np.zeros(6), np.zeros(n * d), np.zeros(n * N)
+        self._shape = n, d, N
+
+    def burst(self, count: int) -> None:
+        """Eliminate and solve that many times."""
+        if _node_often(self._work, *self._given, *self._found, count) != ELIMINATED:
+            raise SolverError("an arm of the study is singular; put it in a regular posture")
+
+    def solve(self) -> Solution:
+        """Accelerations and forces."""
+        self.burst(1)
+        n, d, N = self._shape
+        q_o, q, force = (array.copy() for array in self._found)
+        return Solution(q_o, q.reshape(n, d), force.reshape(n, N))
+
+
+def build_burst(data: Data) -> Burst:
+    """The coefficients of (4.9) at the state in the data, with ``W`` and all forces."""
+    struct = data.struct
+
+    def burst(count: int) -> None:
+        if _build_often(struct, count) != OK:
+            data.reraise()
+            raise SolverError("the coefficients of the study cannot be built")
+
+    return burst
+
+
+def assembly_burst(s: Coefficients) -> Burst:
+    """Filling the whole matrix and its right-hand side."""
+    matrix, right = (np.zeros_like(array) for array in assemble(s))
+    matrix = np.ascontiguousarray(matrix)  # it is symmetric
+
+    def burst(count: int) -> None:
+        _assemble_often(s.M_o, s.h_o, s.M, s.h, s.W_o, s.W, s.c, matrix, right, count)
+
+    return burst
+
+
+@kernel
+def _build_often(struct, count):
+    """Coefficients of the system in the struct: Pinocchio, contacts, forces."""
+    functions = open_data(struct).functions
+    status = OK
+    for _ in range(count):
+        status = call_cfunc(functions.kinematics, struct, 0.0, 0.0)
+        if status == OK:
+            status = call_cfunc(functions.forces, struct, 0.0, 0.0)
+        if status != OK:
+            return status
+    return status
+
+
+@kernel
+def _node_often(work, M, W, Wo, M_o, h_o, h, c, q_o, q, force, count):
+    """Load, eliminate, solve."""
+    status = ELIMINATED
+    for _ in range(count):
+        for i in range(M.shape[0]):
+            for a in range(M.shape[1]):
+                for b in range(a + 1):
+                    work.L[i, a, b] = M[i, a, b]
+                for b in range(W.shape[2]):
+                    work.Y[i, a, b] = W[i, a, b]
+        status = solve_batched(work, Wo, M_o, h_o, h, c, q_o, q, force)
+        if status != ELIMINATED:
+            return status
+    return status
+
+
+@kernel
+def _assemble_often(M_o, h_o, M, h, W_o, W, c, matrix, right, count):
+    """What :func:`multiarm.studies.solver_forms.assemble` does."""
+    n, d, m = W.shape
+    for _ in range(count):
+        for a in range(matrix.shape[0]):
+            for b in range(matrix.shape[1]):
+                matrix[a, b] = 0.0
+        for a in range(6):
+            right[a] = h_o[a]
+            for b in range(6):
+                matrix[a, b] = M_o[a, b]
+        for i in range(n):
+            j0, r0 = 6 + i * d, 6 + n * d + i * m
+            for a in range(d):
+                right[j0 + a] = h[i, a]
+                for b in range(d):
+                    matrix[j0 + a, j0 + b] = M[i, a, b]
+            for k in range(m):
+                right[r0 + k] = c[i, k]
+                for a in range(d):
+                    matrix[j0 + a, r0 + k] = matrix[r0 + k, j0 + a] = W[i, a, k]
+                for a in range(6):
+                    matrix[a, r0 + k] = matrix[r0 + k, a] = W_o[i, a, k]

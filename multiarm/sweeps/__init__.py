@@ -1,4 +1,4 @@
-"""Sweeps: one scene, hundreds or thousands of runs, planned, carried out and kept.
+"""Sweeps: one scene, hundreds or thousands of runs, one file.
 
-scene + sweep file -> plan -> runs, pure functions of (scene, values) -> rows, in one file
+scene + sweep file -> plan -> jobs -> executor -> records -> one file
 """

@@ -1,49 +1,184 @@
-"""Axes of a sweep: what may stand beside a path of the scene.
+"""Axes of a sweep: the values of one path of the scene, or of several that vary together.
 
-    a list of values, {linspace: [5, 50, 10]}, ...         gone through, one value after the other
-    {uniform: [-0.01, 0.01]}, {normal: {mean: ...}}, ...   drawn at random, anew for every run
+    a list of values, {linspace: [5, 50, 10]}, ...         enumerated, one value after the other
+    {uniform: [-0.01, 0.01]}, {normal: {mean: ...}}, ...   drawn at random, independently each run
 
-What is gone through is a sequence that is computed entry by entry, however long it is.
+Enumerated values are computed one by one, so that long axes need no memory.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, model_validator
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, model_validator
 from typing_extensions import Self
 
-from multiarm.scene.faults import fault, listed
-from multiarm.scene.values import Number, Positive, Spec
-from multiarm.sweeps.axis_values import (
-    bounds,
-    counted,
-    exponents,
-    items,
-    positive_bounds,
-    ratios,
-    spaced,
-    whole_bounds,
-)
-from multiarm.sweeps.draws import Law, LogNormal, LogUniform, Normal, OneOf, Uniform
+from multiarm.scene.faults import fault, listed, shown
+from multiarm.scene.values import Number, Positive, Spec, number_list
+from multiarm.sweeps.sampling import Distribution, LogNormal, LogUniform, Normal, OneOf, Uniform
 
-__all__ = ["Axis", "AxisSpec", "paths_of"]
+__all__ = [
+    "Axis",
+    "AxisSpec",
+    "Count",
+    "NonNegativeCount",
+    "bounds",
+    "counted",
+    "exponents",
+    "items",
+    "paths_of",
+    "plain_value",
+    "positive_bounds",
+    "ratios",
+    "spaced",
+    "whole_bounds",
+]
+
+
+def plain_value(value: Any) -> Any:
+    """The value in types that a YAML file can hold; a fault if there are none."""
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json", exclude_unset=True)
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain_value(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain_value(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_value(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if value is None or isinstance(value, (str, bool, int, float)):
+        return value
+    raise fault(f"{shown(value)} is nothing that a YAML file can hold; give numbers, texts, lists")
+
+
+def _whole(least: int, value: Any) -> int:
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise fault(f"must be a whole number, got {shown(value)}")
+    if value < least:
+        raise fault(f"must be at least {least}, got {value}")
+    return int(value)
+
+
+def _from_zero(value: Any) -> int:
+    return _whole(0, value)
+
+
+def _from_one(value: Any) -> int:
+    return _whole(1, value)
+
+
+# Values that an axis may have, and its largest whole number: up to there floats are exact.
+MOST_VALUES, LARGEST = 10**9, 2**53
+
+
+Count = Annotated[int, BeforeValidator(_from_one)]
+NonNegativeCount = Annotated[int, BeforeValidator(_from_zero)]
+
+
+def items(value: Any) -> list[Any]:
+    """A list of at least one value."""
+    value = plain_value(value)
+    if not isinstance(value, list) or not value:
+        raise fault(f"must be a list of at least one value, got {shown(value)}")
+    return value
+
+
+def spaced(value: Any) -> list[Any]:
+    """First value, last value and number of values."""
+    value = items(value)
+    if len(value) != 3:
+        raise fault(f"must be [first, last, how many], got {shown(value)}")
+    try:
+        count = _whole(1, value[2])
+    except Exception as error:
+        raise fault(f"how many values there are, the third entry, {error}") from None
+    if count > MOST_VALUES:
+        raise fault(f"has at most {MOST_VALUES:,} values, got {count:,}")
+    return [*number_list(value[:2]), count]
+
+
+def exponents(value: Any) -> list[Any]:
+    """First exponent of ten, last one and number of values."""
+    value = spaced(value)
+    if max(abs(value[0]), abs(value[1])) > 300.0:
+        raise fault(f"are exponents of ten, of at most 300, got {shown(value)}")
+    return value
+
+
+def ratios(value: Any) -> list[Any]:
+    """First value, last value and number of values, with equal ratios."""
+    value = spaced(value)
+    if not (value[0] > 0.0 and value[1] > 0.0):
+        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
+    return value
+
+
+def counted(value: Any) -> list[int]:
+    """Arguments of Python's range."""
+    value = items(value)
+    whole = all(isinstance(item, int) and not isinstance(item, bool) for item in value)
+    if len(value) > 3 or not whole:
+        raise fault(
+            f"must be whole numbers [stop], [start, stop] or [start, stop, step] as Python's range "
+            f"takes them, got {shown(value)}; of other numbers make a 'linspace'"
+        )
+    if max(map(abs, value)) > LARGEST:
+        raise fault(f"must be whole numbers of at most {LARGEST:,}, got {shown(value)}")
+    if value[2:] != [0] and len(range(*value)) > MOST_VALUES:
+        raise fault(f"has at most {MOST_VALUES:,} values, got {len(range(*value)):,}")
+    if value[2:] == [0] or not range(*value):
+        raise fault(f"has no values: range({', '.join(map(str, value))}) is empty")
+    return value
+
+
+def bounds(value: Any) -> list[float]:
+    """The lowest and the highest value."""
+    value = items(value)
+    if len(value) != 2:
+        raise fault(f"must be [lowest, highest], got {shown(value)}")
+    low, high = number_list(value)
+    if not low < high:
+        raise fault(f"the lowest must be below the highest, got {shown(value)}")
+    return [low, high]
+
+
+def positive_bounds(value: Any) -> list[float]:
+    """The lowest and the highest value, both positive."""
+    value = bounds(value)
+    if not value[0] > 0.0:
+        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
+    return value
+
+
+def whole_bounds(value: Any) -> list[int]:
+    """The lowest and the highest value, both whole numbers."""
+    low, high = bounds(value)
+    if not (low.is_integer() and high.is_integer()):
+        raise fault(f"must be whole numbers, got {shown(value)}; of others make it 'uniform'")
+    if max(abs(low), abs(high)) > LARGEST:
+        raise fault(f"must be whole numbers of at most {LARGEST:,}, got {shown(value)}")
+    return [int(low), int(high)]
 
 
 @dataclass(frozen=True)
 class Axis:
-    """What happens to one path of the scene, or to several that move together.
+    """The values of one path of the scene, or of several that vary together.
 
     Attributes
     ----------
     paths : tuple of str
     written : str
-        How the key is written in the sweep file.
+        The key in the sweep file.
     spec : AxisSpec
     """
 
@@ -54,30 +189,30 @@ class Axis:
     @property
     def drawn(self) -> bool:
         """Whether its values are drawn at random."""
-        return self.spec.law is not None
+        return self.spec.distribution is not None
 
     @property
     def count(self) -> int:
-        """How many values are gone through; 1 of what is drawn."""
+        """Number of enumerated values; 1 if they are drawn."""
         return 1 if self.drawn else len(self.spec.steps)
 
     def at(self, number: int) -> dict[str, Any]:
-        """Path -> value, of a value that is gone through, counted from 0."""
+        """Path -> value, of an enumerated value; the first has number 0."""
         return self._changes(self.spec.steps[number])
 
     def drawn_at(self, u: float) -> dict[str, Any]:
-        """Path -> value, of the value below which a share ``u`` of all lies."""
-        assert self.spec.law is not None, "the axis is drawn"
-        return self._changes(self.spec.law.quantile(u))
+        """Path -> value, of the quantile of ``u`` in (0, 1)."""
+        assert self.spec.distribution is not None, "the axis is drawn"
+        return self._changes(self.spec.distribution.quantile(u))
 
     def _changes(self, value: Any) -> dict[str, Any]:
-        own = value if self.spec.rows is not None else [value] * len(self.paths)
-        return dict(zip(self.paths, own, strict=True))
+        values = value if self.spec.rows is not None else [value] * len(self.paths)
+        return dict(zip(self.paths, values, strict=True))
 
 
 @dataclass(frozen=True)
 class _Spaced(Sequence):
-    """Values from one bound to the other: at equal differences, or as ``between`` has them."""
+    """Values from one bound to the other: with equal differences, or as ``between`` gives them."""
 
     start: float
     stop: float
@@ -95,7 +230,7 @@ class _Spaced(Sequence):
             return self.stop
         if self.between is not None:
             return self.between(self.start, self.stop, k / (self.size - 1))
-        # the steps that NumPy takes
+        # as numpy.linspace rounds
         return self.start + k * ((self.stop - self.start) / (self.size - 1))
 
 
@@ -105,17 +240,13 @@ def _in_ratio(start: float, stop: float, share: float) -> float:
 
 
 def paths_of(key: str) -> tuple[str, ...]:
-    """The paths in a key of ``over``: one, or several with commas between them."""
+    """The paths in a key of ``over``: one, or several separated by commas."""
     parts = re.split(r""",(?=(?:[^'"]|'[^']*'|"[^"]*")*$)""", key)
     return tuple(part.strip() for part in parts)
 
 
-# So many deviations above its median a drawn value may be.
-FARTHEST = 9.0
-
-
 class NormalSpec(Spec):
-    """Bell curve: mean and standard deviation, in the unit of the value."""
+    """Normal distribution: mean and standard deviation, in the unit of the value."""
 
     mean: Number
     deviation: Positive
@@ -129,33 +260,33 @@ class LogNormalSpec(Spec):
 
     @model_validator(mode="after")
     def _stays_finite(self) -> Self:
-        if math.log(self.median) + FARTHEST * self.deviation > math.log(1e300):
+        if math.log(self.median) + 9.0 * self.deviation > math.log(1e300):
             raise fault(
-                f"values {FARTHEST:g} deviations above the median are beyond all numbers; the "
-                f"deviation is that of the logarithm, 0.1 spreads by a tenth"
+                "values 9 deviations above the median exceed the range of floats; the deviation "
+                "is that of the logarithm: 0.1 is a relative deviation of a tenth"
             )
         return self
 
 
 class AxisSpec(Spec):
-    """One of these.
+    """The values of an axis; exactly one of these keys.
 
     Attributes
     ----------
     values : list
-        Gone through; may be written as the list alone.
+        Enumerated; the list alone means the same.
     linspace, logspace, geomspace : [first, last, how many]
         With equal differences; powers of ten with equally spaced exponents; with equal ratios.
     range : [stop], [start, stop] or [start, stop, step]
         Whole numbers, without the stop.
     rows : list of lists
-        For several paths that move together: a value for each of them.
+        For several paths that vary together: a value for each of them.
     uniform, loguniform : [lowest, highest]
-        Drawn.
+        Drawn at random, like the following ones.
     normal : {mean, deviation}
     lognormal : {median, deviation}
     integers : [lowest, highest]
-        Both can be drawn.
+        Both ends are included.
     choice : list
     """
 
@@ -181,28 +312,28 @@ class AxisSpec(Spec):
                 f"{', '.join(type(self).model_fields)}; got {given}"
             )
         if getattr(self, self.name) is None:
-            raise fault(f"'{self.name}' is empty; write what it takes behind it")
+            raise fault(f"'{self.name}' is empty; write its values after the colon")
         return self
 
     @property
     def name(self) -> str:
-        """Which of them it is."""
+        """The key that is given."""
         return next(iter(self.model_fields_set))
 
     @cached_property
     def steps(self) -> Sequence[Any]:
-        """The values that are gone through; empty where they are drawn."""
+        """The enumerated values; empty if they are drawn."""
         given = getattr(self, self.name)
         return _STEPS[self.name](given) if self.name in _STEPS else ()
 
     @cached_property
-    def law(self) -> Law | None:
-        """The law by which values are drawn; None where they are gone through."""
+    def distribution(self) -> Distribution | None:
+        """The distribution of drawn values; None if they are enumerated."""
         given = getattr(self, self.name)
-        return _LAWS[self.name](given) if self.name in _LAWS else None
+        return _DISTRIBUTIONS[self.name](given) if self.name in _DISTRIBUTIONS else None
 
     def written(self) -> Any:
-        """The axis as it stands in a sweep file."""
+        """The axis as in a sweep file."""
         return self.values if self.values is not None else self.model_dump(exclude_unset=True)
 
 
@@ -214,7 +345,7 @@ _STEPS: dict[str, Callable[[Any], Sequence[Any]]] = {
     "geomspace": lambda given: _Spaced(given[0], given[1], given[2], _in_ratio),
     "logspace": lambda given: _Spaced(10.0 ** given[0], 10.0 ** given[1], given[2], _in_ratio),
 }
-_LAWS: dict[str, Callable[[Any], Law]] = {
+_DISTRIBUTIONS: dict[str, Callable[[Any], Distribution]] = {
     "uniform": lambda given: Uniform(*given),
     "loguniform": lambda given: LogUniform(*given),
     "normal": lambda given: Normal(given.mean, given.deviation),

@@ -1,8 +1,8 @@
-"""Whether a sweep fits its scene: paths that are not there, values that make no scene.
+"""Checks of a sweep against its scene: unknown paths, and values that make no valid scene.
 
-Every fault is told at its place in the sweep, in the words that the scene has for it.  A scene is
-made of the first values of all axes, of the last ones, and of each axis's values beside the first
-ones of the others; of long axes only some.
+Every fault is reported at its place in the sweep, with the scene's message.  Scenes are made from
+the first values of all axes, from the last ones, and from each axis's values with the first ones of
+all other axes; of long axes only some values are tried.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ if TYPE_CHECKING:
 
 __all__ = ["axis_faults", "quantity_faults", "sweep_code", "value_faults"]
 
-# A value that names a function; after the colon of an address, such as package://, is no name.
+# A value that names a function; an address such as package:// has no name after the colon.
 _FUNCTION = re.compile(r"[^:\s][^\n]*:[A-Za-z_][\w.]*")
 
 MOST_QUANTITIES = 500
-"""Of a sweep: the description of a row has a limited length in HDF5."""
+"""Of a sweep: HDF5 limits the length of a row's description."""
 TRIED = 24
-"""Values of an axis that are tried; all of an axis that has no more."""
+"""Values of an axis that are tried, at most."""
 TAILS = (0.5, 0.001, 0.999)
-"""What is tried of a drawn axis: the shares of values that lie below."""
+"""Quantiles of a drawn axis that are tried."""
 MOST_RUNS = 100_000_000
 """Of one sweep."""
 
 
 def axis_faults(spec: SweepSpec) -> list[str]:
-    """What is wrong with the axes, whatever the scene."""
+    """Faults of the axes that do not depend on the scene."""
     faults = []
     for axis in spec.axes:
-        faults += [f"{_place(axis)}: {text}" for text in _own_faults(axis)]
+        faults += [f"{_place(axis)}: {text}" for text in _axis_faults(axis)]
     paths = [path for axis in spec.axes for path in axis.paths]
     for path in sorted({path for path in paths if paths.count(path) > 1}):
         faults.append(f"{place(('over', path))}: stands twice in the sweep; keep one of the two")
@@ -61,8 +61,8 @@ def axis_faults(spec: SweepSpec) -> list[str]:
         )
     elif spec.repeat == 1 and spec.sampling != "random":
         faults.append(
-            f"$.sampling: {spec.sampling!r} spreads the draws at one point of the grid, and there "
-            "is one; say in 'repeat' how many there are to be"
+            f"$.sampling: {spec.sampling!r} spreads the runs of one point of the grid, and there "
+            "is one; set their number with 'repeat'"
         )
     count = spec.repeat
     for axis in steps[:1] if spec.combine == "zip" else steps:
@@ -73,9 +73,9 @@ def axis_faults(spec: SweepSpec) -> list[str]:
 
 
 def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
-    """What is wrong with the quantities: functions that are not there, names that stand twice.
+    """Faults of the quantities: missing functions, duplicate names.
 
-    Functions are loaded.  Those of a file lie in its ``folder``.
+    Functions are loaded.  Those of a sweep file lie in its ``folder``.
     """
     faults = []
     for _, function in _functions(spec):
@@ -86,13 +86,13 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
         except MultiarmError as error:
             reason = str(error)
         if reason:
-            # the words are those for functions that a scene names
+            # the message was written for functions that a scene names
             faults.append(f"$.keep: {reason}".replace("the scene's folder", "the sweep's folder"))
     names = [quantity.name for quantity in spec.quantities()]
     if len(names) > MOST_QUANTITIES:
         faults.append(
             f"$.keep: {len(names):,} quantities, at most {MOST_QUANTITIES} fit into a row; keep "
-            f"fewer, and simulate single runs again for the rest"
+            f"fewer, and simulate single runs again for the others"
         )
     for name in sorted({name for name in names if names.count(name) > 1}):
         faults.append(f"$.keep: {name!r} stands twice; give one of them another 'name'")
@@ -100,7 +100,7 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
 
 
 def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
-    """The code that a sweep names: its quantities, and what its values bring into the scene."""
+    """The code that a sweep names: its quantities, and the functions and effects of its values."""
     found = [NamedCode.function(("keep", k), function) for k, function in _functions(spec)]
     effects = {*own_effect_names()}.difference(scene.effects.model_extra or {})
     for axis in spec.axes:
@@ -115,7 +115,7 @@ def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
 
 
 def _functions(spec: SweepSpec) -> Iterator[tuple[int, FunctionReference]]:
-    """Functions that are named as quantities, and which entries of ``keep`` they are."""
+    """Functions that are named as quantities, with their index in ``keep``."""
     for k, entry in enumerate(spec.keep):
         function = getattr(entry, "function", None)
         if isinstance(function, FunctionReference):
@@ -123,7 +123,7 @@ def _functions(spec: SweepSpec) -> Iterator[tuple[int, FunctionReference]]:
 
 
 def _words(value: Any) -> Iterator[str]:
-    """All texts in values, keys of tables among them."""
+    """All strings in values, including keys of tables."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
@@ -134,12 +134,12 @@ def _words(value: Any) -> Iterator[str]:
 
 
 def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
-    """What is wrong with paths and values in a scene; axes with faults of their own are left out.
+    """Faults of paths and values in a scene; axes with faults of their own are skipped.
 
-    Of values that are computed the first wrong one is told.
+    Of computed values only the first wrong one is reported.
     """
-    axes = tuple(axis for axis in spec.axes if not any(_own_faults(axis)))
-    told: dict[tuple[str, ...], str] = {}
+    axes = tuple(axis for axis in spec.axes if not any(_axis_faults(axis)))
+    found: dict[tuple[str, ...], str] = {}
     for entries in _trials(axes, spec.combine == "zip"):
         values: dict[str, Any] = {}
         for axis, entry in zip(axes, entries, strict=True):
@@ -148,11 +148,11 @@ def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
             changed(scene, values)
         except SceneError as error:
             for fault in error.faults:
-                told.setdefault(*_at_its_axis(fault, axes, entries))
-    return list(told.values())
+                found.setdefault(*_at_its_axis(fault, axes, entries))
+    return list(found.values())
 
 
-def _own_faults(axis: Axis) -> Iterator[str]:
+def _axis_faults(axis: Axis) -> Iterator[str]:
     for path in axis.paths:
         try:
             parse_path(path)
@@ -167,24 +167,24 @@ def _own_faults(axis: Axis) -> Iterator[str]:
 
 
 def _trials(axes: tuple[Axis, ...], zipped: bool) -> Iterator[list[Any]]:
-    """Entries of all axes: the first ones, the last ones, and those of each axis by itself."""
+    """Entries of all axes: the first ones, the last ones, and those of each axis in turn."""
     steps = [k for k, axis in enumerate(axes) if not axis.drawn]
     shortest = min((axes[k].count for k in steps), default=1)
     options: list[list[Any]] = [
         list(TAILS) if axis.drawn else _some(shortest if zipped else axis.count) for axis in axes
     ]
-    first = [own[0] for own in options]
+    first = [entries[0] for entries in options]
     yield first
-    yield [own[-1] for own in options]
+    yield [entries[-1] for entries in options]
     together = [steps] if zipped and steps else [[k] for k in steps]
     together += [[k] for k, axis in enumerate(axes) if axis.drawn]
     for group in together:
         for entry in options[group[0]][1:]:
-            yield [entry if k in group else own for k, own in enumerate(first)]
+            yield [entry if k in group else other for k, other in enumerate(first)]
 
 
 def _some(count: int) -> list[int]:
-    """Numbers from 0 to the count, both ends among them."""
+    """Indices below the count, evenly spread, with the first and the last."""
     if count <= TRIED:
         return list(range(count))
     return sorted({round(k * (count - 1) / (TRIED - 1)) for k in range(TRIED)})
@@ -197,7 +197,7 @@ def _values(axis: Axis, entry: Any) -> dict[str, Any]:
 def _at_its_axis(
     fault: str, axes: tuple[Axis, ...], entries: list[Any]
 ) -> tuple[tuple[str, ...], str]:
-    """A fault of the scene, told at the place in the sweep that it comes from; and what it is."""
+    """A key of a fault of the scene, and its message at the place in the sweep that causes it."""
     where, _, text = fault.partition(": ")
     found = [
         (place(parse_path(path)), axis, entry, path)
@@ -224,13 +224,13 @@ def _at_its_axis(
 
 
 def _of_path(text: str) -> bool:
-    """Whether a fault is about a path, not about a value at it."""
-    lost = "is a list with", "is no list", "nothing is below it"
-    return text.startswith(("unknown key", "unknown effect")) or any(own in text for own in lost)
+    """Whether a fault concerns a path, not its value."""
+    phrases = "is a list with", "is no list", "nothing is below it"
+    return text.startswith(("unknown key", "unknown effect")) or any(p in text for p in phrases)
 
 
 def _meet(path: str, where: str) -> bool:
-    """Whether one place lies in the other, or is it."""
+    """Whether one place contains the other or equals it."""
     long, short = (path, where) if len(path) >= len(where) else (where, path)
     return long.startswith(short) and (len(long) == len(short) or long[len(short)] in ".[")
 

@@ -1,10 +1,10 @@
-"""The plan of a sweep: how many runs there are, and what is other in the scene of each.
+"""The plan of a sweep: the number of runs and the values of each.
 
     run = 1 + point * repeat + repetition
 
-A point of the grid is a number whose digits are the entries of the axes, the last one fastest.
-Values of a run are computed when they are asked for, from its number alone: a plan of a million
-runs takes no more memory than one of ten.
+A point of the grid is a number whose digits are the entries of the axes, the last axis fastest.
+The values of a run are computed on demand from its number alone: a plan of a million runs takes no
+more memory than one of ten.
 """
 
 from __future__ import annotations
@@ -13,21 +13,22 @@ import hashlib
 import importlib.metadata
 import math
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import Scene, changed, dump_scene, load_scene
 from multiarm.sweeps.axes import Axis
 from multiarm.sweeps.checking import axis_faults, quantity_faults, value_faults
-from multiarm.sweeps.draws import Draws
-from multiarm.sweeps.named_files import digests
 from multiarm.sweeps.quantities import Quantity
+from multiarm.sweeps.sampling import Sampler
 from multiarm.sweeps.spec import SweepSpec, examined, parse_sweep, read_sweep
 
-__all__ = ["SweepPlan", "make_plan", "plan_of", "program_version"]
+__all__ = ["SweepPlan", "digests", "make_plan", "plan_of", "program_version"]
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,10 @@ class SweepPlan:
     Attributes
     ----------
     scene : Scene
-        With the sweep's entries of ``run`` in it.
+        With the sweep's entries of ``run``.
     spec : SweepSpec
     quantities : tuple of Quantity
-        What is kept of every run, beside what is measured.
+        Outputs of every run, besides its wall time.
     """
 
     scene: Scene
@@ -49,17 +50,17 @@ class SweepPlan:
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
-        """The axes, in the order in which they are written."""
+        """The axes, in the order of the file."""
         return self.spec.axes
 
     @cached_property
     def paths(self) -> tuple[str, ...]:
-        """The paths that vary, as they are written."""
+        """The paths that vary."""
         return tuple(path for axis in self.axes for path in axis.paths)
 
     @cached_property
     def sizes(self) -> tuple[int, ...]:
-        """Entries of the axes that are gone through together: one number of a zip."""
+        """Size of the grid along each enumerated axis; a zip has one size."""
         counts = [axis.count for axis in self.axes if not axis.drawn]
         if self.spec.combine == "zip":
             return tuple(counts[:1])
@@ -72,17 +73,17 @@ class SweepPlan:
 
     @property
     def count(self) -> int:
-        """How many runs there are."""
+        """Number of runs."""
         return self.points * self.spec.repeat
 
     @property
     def seed(self) -> int:
-        """Of all draws."""
+        """Seed of all random samples."""
         return self.spec.seed
 
     @cached_property
     def text(self) -> str:
-        """The sweep as YAML that is the same for the same sweep."""
+        """The sweep as canonical YAML."""
         return self.spec.text()
 
     @cached_property
@@ -92,15 +93,28 @@ class SweepPlan:
 
     @cached_property
     def files(self) -> dict[str, str]:
-        """Path -> digest of the files that the scene or its values name."""
-        listed = (axis.spec.written() for axis in self.axes)
-        return digests(self.scene, listed)
+        """Path -> SHA-256 of the files that the scene or values of the sweep name.
+
+        Runs give other numbers when such a file changes.  Robots by name belong to installed
+        packages, whose versions are in the file's provenance.
+        """
+        texts = [self.scene.model_dump(mode="json"), [axis.spec.written() for axis in self.axes]]
+        found: dict[str, str] = {}
+        for text in _texts(texts):
+            function = _FUNCTION.fullmatch(text)
+            name = function[1] if function else text
+            if not name.lower().endswith(_ENDINGS):
+                continue
+            path = (self.scene.folder / Path(name).expanduser()).resolve()
+            if str(path) not in found and path.is_file():
+                found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
+        return dict(sorted(found.items()))
 
     @cached_property
     def fingerprint(self) -> str:
-        """The same for plans whose runs give the same numbers.
+        """Digest of all that decides on the numbers of the runs.
 
-        Scene, sweep, functions, the files that they name, and the version of the program.
+        Version of the program, scene, sweep, functions, and the files that they name.
         """
         parts = [
             program_version(),
@@ -126,17 +140,17 @@ class SweepPlan:
         """
         if not 1 <= run <= self.count:
             raise SweepError(f"there is no run {run}; runs are 1 to {self.count}")
-        return self._values(run, self._draws())
+        return self._values(run, self._sampler())
 
     def runs(self, start: int = 1) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Numbers and values of all runs from one on, one after the other."""
+        """Numbers and values of all runs from ``start`` on."""
         return self.among(range(start, self.count + 1))
 
     def among(self, runs: Iterable[int]) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Numbers and values of some runs, one after the other."""
-        draws = self._draws()
+        """Numbers and values of some runs."""
+        sampler = self._sampler()
         for run in runs:
-            yield run, self._values(run, draws)
+            yield run, self._values(run, sampler)
 
     def scene_of(self, run: int) -> Scene:
         """The scene of a run.
@@ -150,20 +164,20 @@ class SweepPlan:
         """
         return changed(self.scene, self.values(run))
 
-    def _draws(self) -> Draws:
+    def _sampler(self) -> Sampler:
         drawn = sum(axis.drawn for axis in self.axes)
-        return Draws(self.spec.sampling, self.spec.seed, drawn, self.spec.repeat)
+        return Sampler(self.spec.sampling, self.spec.seed, drawn, self.spec.repeat)
 
-    def _values(self, run: int, draws: Draws) -> dict[str, Any]:
+    def _values(self, run: int, sampler: Sampler) -> dict[str, Any]:
         entries = iter(self._entries((run - 1) // self.spec.repeat))
-        numbers = iter(draws.at(run))
+        numbers = iter(sampler.at(run))
         found: dict[str, Any] = {}
         for axis in self.axes:
             found |= axis.drawn_at(float(next(numbers))) if axis.drawn else axis.at(next(entries))
         return found
 
     def _entries(self, point: int) -> list[int]:
-        """Which entry each axis that is gone through has at a point of the grid."""
+        """Indices of the values of the enumerated axes at a point of the grid."""
         if self.spec.combine == "zip":
             return [point] * sum(not axis.drawn for axis in self.axes)
         entries = []
@@ -178,24 +192,24 @@ def make_plan(
     over: str | os.PathLike | Mapping[str, Any] | None,
     **changes: Any,
 ) -> SweepPlan:
-    """Plan a sweep, and check it: all faults of the sweep's text, or of its paths and values.
+    """Plan a sweep and check it: its text, and its paths and values in the scene.
 
     Parameters
     ----------
     scene : Scene or path
     over : path or mapping, optional
-        A sweep file, a table such as it holds, or its ``over`` alone.
+        A sweep file, its content as a table, or its ``over`` alone.
     **changes
-        Keys of a sweep that take the place of those in ``over``.
+        Keys of a sweep that replace those in ``over``.
 
     Raises
     ------
     SceneError
         When the scene cannot be read.
     SweepError
-        Naming every fault.  Of axes with very many values some are tried, among them the first and
-        the last, of drawn ones the middle and both tails: a run whose scene turns out to be wrong
-        nevertheless has status "failed".
+        Naming every fault.  Some values of every axis are tried, among them the first and the last
+        of enumerated ones, and the median and both tails of drawn ones.  A run whose scene turns
+        out to be invalid later has status "failed".
     """
     if not isinstance(scene, Scene):
         scene = load_scene(_path_of(scene))
@@ -203,10 +217,10 @@ def make_plan(
     data, folder = read_sweep(over, changes)
     spec, faults = examined(data, folder)
     if spec is not None:
-        # what is given in Python may name any file of the user's
+        # a function that is named in Python may lie in any folder
         within = None if source is None or "keep" in changes else folder
         faults += [*axis_faults(spec), *quantity_faults(spec, within)]
-        try:  # the places of the sweep's `run` are those of the scene's
+        try:  # faults of `run` have the same place in the sweep as in the scene
             scene = changed(scene, {f"run.{key}": value for key, value in spec.run.items()})
         except SceneError as error:
             faults += error.faults
@@ -219,19 +233,19 @@ def make_plan(
 def plan_of(scene: Scene, text: str) -> SweepPlan:
     """The plan of a stored sweep, from its scene and its text.
 
-    It was checked when it was made; functions of the user's need not be there.
+    It was checked when it was made; user-defined functions may be missing now.
 
     Raises
     ------
     SweepError
-        When the text is of another version, and cannot be read.
+        When the text was written by another version and cannot be read.
     """
     spec = parse_sweep(text)
     return SweepPlan(scene, spec, spec.quantities())
 
 
 def program_version() -> str:
-    """Of multiarm: another one may give other numbers."""
+    """The version of multiarm."""
     try:
         return importlib.metadata.version("multiarm")
     except importlib.metadata.PackageNotFoundError:  # a checkout that is not installed
@@ -245,3 +259,42 @@ def _path_of(scene: Any) -> Any:
         f"a sweep needs a scene, or the path of its file; got {type(scene).__name__} (a system has "
         "its scene as `system.scene`)"
     )
+
+
+# A user-defined function in a file.
+_FUNCTION = re.compile(r"(.+\.py):\w+")
+# Endings of strings that may name a file.
+_ENDINGS = (".urdf", ".stl", ".obj", ".dae", ".csv", ".py", ".yaml", ".yml")
+
+
+def digests(scene: Scene, values: Iterable[Any]) -> dict[str, str]:
+    """Path -> digest of every file that the scene names, or the values that take places in it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Relative paths start at its folder.
+    values : iterable
+        Of the axes: whatever may stand in a scene.
+    """
+    found: dict[str, str] = {}
+    for text in [*_texts(scene.model_dump(mode="json")), *_texts(list(values))]:
+        function = _FUNCTION.fullmatch(text)
+        name = function[1] if function else text
+        if not name.lower().endswith(_ENDINGS):
+            continue
+        path = (scene.folder / Path(name).expanduser()).resolve()
+        if str(path) not in found and path.is_file():
+            found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return dict(sorted(found.items()))
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            yield from _texts(item)
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            yield from _texts(item)

@@ -1,7 +1,7 @@
-"""Quantities: the few numbers that a sweep keeps of every run.
+"""Quantities: the few numbers that a sweep stores of every run.
 
-Those with a name of their own are listed in :data:`KNOWN`.  Any function of the user's is another,
-``f(trajectory) -> number``, or ``-> {name: number}`` where its entry says which names it gives.
+Built-in quantities are listed in :data:`KNOWN`.  Any user function is another one,
+``f(trajectory) -> number``, or ``-> {name: number}`` if its entry lists the names.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["KNOWN", "MEASURED", "Quantity", "digest", "measure"]
 
 MEASURED = "wall_time"
-"""May be named among the quantities; every row has it anyway, beside what can be repeated."""
+"""May be listed among the quantities; every record has it anyway, as it is not reproducible."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class Quantity:
     name : str
     unit : str
     words : str
-        What it is.
+        Description.
     function : callable or FunctionReference, optional
-        The user's function, or where it is.
+        The user's function, or its place.
     key : str, optional
-        Of the table that the function gives.
+        Of the table that the function returns.
     digest : str
-        Of the function's text: another text is another function.
+        Of the function's source text.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Quantity:
 def measure(
     quantities: Sequence[Quantity], trajectory: Trajectory
 ) -> tuple[dict[str, float | None], str]:
-    """The quantities of a run that was completed.
+    """The quantities of a completed run.
 
     Parameters
     ----------
@@ -71,22 +71,22 @@ def measure(
     numbers : dict
         Name -> number; None where the quantity is not defined for this run, or its function failed.
     fault : str
-        What went wrong in functions of the user's; empty if nothing did.
+        Errors of user-defined functions; empty if there are none.
     """
     numbers: dict[str, float | None] = {}
     faults = []
     for function, group in groupby(quantities, lambda one: (one.function, one.digest)):
-        own = list(group)
+        members = list(group)
         try:
-            numbers |= _measured(function[0], own, trajectory)
+            numbers |= _measured(function[0], members, trajectory)
         except _Fault as fault:
             faults.append(str(fault))
-            numbers |= dict.fromkeys([one.name for one in own])
+            numbers |= dict.fromkeys([one.name for one in members])
     return numbers, "; ".join(faults)
 
 
 def digest(function: Callable | str) -> str:
-    """A short text that changes when the function's does, as far as that can be seen."""
+    """A digest of the function's source text; empty if the text is not available."""
     try:
         if isinstance(function, str):
             file = FunctionReference(function).file
@@ -99,31 +99,31 @@ def digest(function: Callable | str) -> str:
 
 
 class _Fault(Exception):
-    """What a function of the user's did wrong."""
+    """An error of a user-defined function."""
 
 
 def _measured(
-    function: Callable | FunctionReference | None, own: list[Quantity], trajectory: Trajectory
+    function: Callable | FunctionReference | None, members: list[Quantity], trajectory: Trajectory
 ) -> dict[str, float | None]:
     if function is None:
-        return {one.name: KNOWN[one.name].function(trajectory) for one in own}
-    key = own[0].key
-    name = own[0].name if key is None else own[0].name.removesuffix(f".{key}")
+        return {one.name: KNOWN[one.name].function(trajectory) for one in members}
+    key = members[0].key
+    name = members[0].name if key is None else members[0].name.removesuffix(f".{key}")
     try:
-        given = _loaded(function, own[0].digest)(trajectory)
+        given = _loaded(function, members[0].digest)(trajectory)
     except USER_FAULTS as error:
         raise _Fault(f"quantity {name!r} raised {type(error).__name__}: {error}") from error
     if key is None:
-        return {own[0].name: _number(given, name)}
+        return {members[0].name: _number(given, name)}
     if not isinstance(given, Mapping):
         raise _Fault(f"quantity {name!r} must give a table of numbers, it gave {given!r:.60}")
-    keys = {one.key for one in own}
+    keys = {one.key for one in members}
     if set(given) != keys:
         raise _Fault(
-            f"quantity {name!r} gave {', '.join(map(str, given)) or 'nothing'}; it was said to "
-            f"give {', '.join(map(str, sorted(map(str, keys))))}"
+            f"quantity {name!r} gave {', '.join(map(str, given)) or 'nothing'}; its 'gives' lists "
+            f"{', '.join(map(str, sorted(map(str, keys))))}"
         )
-    return {one.name: _number(given[one.key], f"{name} [{one.key}]") for one in own}
+    return {one.name: _number(given[one.key], f"{name} [{one.key}]") for one in members}
 
 
 def _number(value: Any, name: str) -> float:
@@ -132,17 +132,17 @@ def _number(value: Any, name: str) -> float:
     if not isinstance(value, (Real, np.bool_)):
         raise _Fault(f"quantity {name!r} must give a number, it gave {value!r:.60}")
     if not math.isfinite(value):
-        raise _Fault(f"quantity {name!r} gave {float(value)}, which is no number to keep")
+        raise _Fault(f"quantity {name!r} gave {float(value)}, which is not finite")
     return float(value)
 
 
 @lru_cache(maxsize=64)
 def _loaded(function: Callable | FunctionReference, _digest: str) -> Callable:
-    """The function; one in a file is read again when its text is another."""
+    """The function; the digest makes a changed file be read again."""
     return load_function(function)
 
 
-# --- what has a name of its own -------------------------------------------------------------------
+# --- built-in quantities --------------------------------------------------------------------------
 
 
 def _largest(values: np.ndarray) -> float:
@@ -157,10 +157,10 @@ def _last(values: np.ndarray) -> float:
     return float(values[-1])
 
 
-def _led_to(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Position and quaternion to which the control leads the object at the end of the run.
+def _desired_pose(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Desired position and quaternion of the object at the end of the run.
 
-    Between waypoints the way is s^3 (10 - 15 s + 6 s^2); without a path it is the pose at t = 0.
+    Between waypoints they follow s^3 (10 - 15 s + 6 s^2); without a path they stay at t = 0.
     """
     from multiarm.spatial import difference, matrix_to_quaternion, retract
 
@@ -176,18 +176,18 @@ def _led_to(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
         return stops[-1][1:]
     (t0, p0, q0), (t1, p1, q1) = stops[later - 1 : later + 1]
     s = (end - t0) / (t1 - t0)
-    way = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-    return p0 + way * (p1 - p0), retract(q0, way * difference(q0, q1))
+    share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    return p0 + share * (p1 - p0), retract(q0, share * difference(q0, q1))
 
 
 def _position_error(trajectory: Trajectory) -> float:
-    return float(np.linalg.norm(trajectory.object_position[-1] - _led_to(trajectory)[0]))
+    return float(np.linalg.norm(trajectory.object_position[-1] - _desired_pose(trajectory)[0]))
 
 
 def _rotation_error(trajectory: Trajectory) -> float:
     from multiarm.spatial import difference
 
-    turned = difference(_led_to(trajectory)[1], trajectory.object_quaternion_xyzw[-1].copy())
+    turned = difference(_desired_pose(trajectory)[1], trajectory.object_quaternion_xyzw[-1].copy())
     return float(np.linalg.norm(turned))
 
 
@@ -240,7 +240,7 @@ def _known() -> Iterator[tuple[str, str, str, Callable[[Any], float | None]]]:
     yield "final_energy", "J", "kinetic plus potential, at the end", lambda t: _last(t.energy)
     yield "work", "J", "done by control and effects", lambda t: _last(t.work)
     yield "estimated_error", "m", "of positions, by the run's check", _estimated_error
-    yield "events", "1", "how many things happened on the way", lambda t: float(len(t.events))
+    yield "events", "1", "number of events", lambda t: float(len(t.events))
     yield "steps", "1", "of the integration", _counted("steps")
     yield "evaluations", "1", "of the equations of motion", _counted("evaluations")
 
@@ -253,4 +253,4 @@ class _Known:
 
 
 KNOWN: dict[str, _Known] = {name: _Known(unit, words, own) for name, unit, words, own in _known()}
-"""Quantities with a name of their own: unit, words, function of the trajectory."""
+"""The built-in quantities by name."""

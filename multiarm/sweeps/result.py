@@ -1,7 +1,7 @@
-"""The result of a sweep: its table, read when it is asked for, and any of its runs once more.
+"""The result of a sweep: its table, read on demand, and the trajectory of any of its runs.
 
-A run follows from scene, sweep and its number, so that its trajectory need not be kept: it is
-simulated again when it is looked at, bit for bit as it was.
+A run follows from the scene, the sweep and its number, so its trajectory is not stored: it is
+simulated again when it is requested, and is the same bit for bit.
 """
 
 from __future__ import annotations
@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import SweepError
-from multiarm.sweeps.export import write_csv, write_parquet
-from multiarm.sweeps.row import Row
+from multiarm.sweeps.records import Record
 from multiarm.sweeps.store import differences
 from multiarm.sweeps.summary import SweepSummary, status_counts, summarise
-from multiarm.sweeps.table import Column, SweepTable, cell, collected
+from multiarm.sweeps.table import Column, SweepTable, cell, collected, write_csv, write_parquet
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
@@ -31,13 +30,13 @@ __all__ = ["Sweep", "load_sweep"]
 
 
 class Sweep:
-    """A sweep as it is in its file.  Read-only; what is added to the file later is not seen.
+    """A sweep's file, read-only; rows that are appended later are not seen.
 
     Parameters
     ----------
     path : path-like
     code : bool
-        Whether a run that is simulated again may load the code that its scene names.
+        Whether :meth:`trajectory` may load the code that the scene names.
 
     Raises
     ------
@@ -54,12 +53,12 @@ class Sweep:
         return len(self._table)
 
     def __repr__(self) -> str:
-        told = ", ".join(f"{count} {status}" for status, count in self.status_counts.items())
-        return f"Sweep({len(self)} of {self.count} runs{': ' if told else ''}{told})"
+        counts = ", ".join(f"{count} {status}" for status, count in self.status_counts.items())
+        return f"Sweep({len(self)} of {self.count} runs{': ' if counts else ''}{counts})"
 
     @property
     def count(self) -> int:
-        """Runs that there are to be."""
+        """Number of planned runs."""
         return self._table.header["count"]
 
     @property
@@ -74,22 +73,22 @@ class Sweep:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Columns of the table: run, status, message, values, quantities, and what was measured."""
+        """Columns of the table: run, status, message, values, quantities, wall time, worker."""
         return self._table.columns
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """What is other from run to run: paths in the scene."""
+        """Paths in the scene that vary."""
         return tuple(self._table.header["paths"])
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What is kept of each run."""
+        """Outputs of each run."""
         return tuple(own["name"] for own in self._table.header["quantities"])
 
     @property
     def provenance(self) -> Mapping[str, Any]:
-        """Version, computer and time of the beginning."""
+        """Version, computer and time of the start."""
         return dict(self._table.header["provenance"])
 
     @property
@@ -107,12 +106,12 @@ class Sweep:
 
     @property
     def text(self) -> str:
-        """What is varied, as YAML text."""
+        """The sweep as YAML."""
         return self._table.text("sweep")
 
     @cached_property
     def plan(self) -> SweepPlan:
-        """What the runs are."""
+        """The plan: values of each run."""
         from multiarm.sweeps.plan import plan_of
 
         return plan_of(self.scene, self.text)
@@ -124,9 +123,9 @@ class Sweep:
 
     @cached_property
     def table(self) -> dict[str, np.ndarray]:
-        """All columns by name, in the order of the runs; numbers that are not there are NaN.
+        """All columns by name, in the order of the runs; missing numbers are NaN.
 
-        ``pandas.DataFrame(sweep.table)`` takes it as it is.
+        ``pandas.DataFrame(sweep.table)`` makes a data frame of it.
         """
         return self.select()
 
@@ -142,11 +141,11 @@ class Sweep:
         Parameters
         ----------
         columns : iterable of str, optional
-            All when left out.
+            Default: all.
         status : str, optional
-            Of the runs.
+            Select runs with this status.
         where : mapping, optional
-            Name of a column -> what it must hold: a value, or (lowest, highest) of a number.
+            Select runs by name of a column -> value, or (lowest, highest) of a number.
 
         Raises
         ------
@@ -157,27 +156,27 @@ class Sweep:
         wanted = (
             [table.column(name) for name in columns] if columns is not None else list(self.columns)
         )
-        asked = {table.column(name): value for name, value in (where or {}).items()}
+        conditions = {table.column(name): value for name, value in (where or {}).items()}
         if status is not None:
-            asked[table.column("status")] = status
+            conditions[table.column("status")] = status
         found: dict[str, list] = {column.name: [] for column in wanted}
         for row in table.rows():
-            if all(_fits(cell(row, column), value) for column, value in asked.items()):
+            if all(_fits(cell(row, column), value) for column, value in conditions.items()):
                 for column in wanted:
                     found[column.name].append(cell(row, column))
         return {column.name: collected(column, found[column.name]) for column in wanted}
 
-    def rows(self) -> Iterator[Row]:
-        """The rows in the order of the runs, a bounded number in memory."""
+    def rows(self) -> Iterator[Record]:
+        """The records in the order of the runs, read in blocks."""
         return self._table.rows()
 
-    def row(self, run: int) -> Row:
-        """The row of one run.
+    def row(self, run: int) -> Record:
+        """The record of one run.
 
         Raises
         ------
         SweepError
-            There is no such run, or it has no row yet.
+            There is no such run, or it has no record yet.
         """
         self._check(run)
         found = self._table.row(run)
@@ -186,11 +185,11 @@ class Sweep:
         return found
 
     def summary(self) -> SweepSummary:
-        """How the runs ended and how each quantity spreads, read in constant memory."""
-        return summarise(self)
+        """How the runs ended and how each quantity spreads."""
+        return summarise(self._table)
 
     def values_of(self, run: int) -> dict[str, Any]:
-        """Path -> value in the scene of one run, whether it has been made or not.
+        """Path -> value in the scene of one run, also of a run that has not been made.
 
         Raises
         ------
@@ -214,17 +213,17 @@ class Sweep:
     def trajectory(self, run: int) -> Trajectory:
         """Simulate one run once more.
 
-        A warning tells when something that decides on its numbers is no longer what it was: the
-        version of the program, a file or a function that the sweep names.
+        Warns when the version of the program, a file or a function that the sweep names has
+        changed: the numbers may differ then.
 
         Raises
         ------
         SweepError
             There is no such run.
         SceneError
-            Its scene names code, which :func:`load_sweep` was not allowed to load.
+            Its scene names code, and :func:`load_sweep` was called without ``code``.
         """
-        from multiarm.sweeps.work import simulate_run
+        from multiarm.sweeps.worker import simulate_run
 
         self._check(run)
         texts = {"scene": self._table.text("scene"), "sweep": self.text}
@@ -267,14 +266,14 @@ class Sweep:
 
 
 def load_sweep(path: str | os.PathLike, code: bool = False) -> Sweep:
-    """Read the file of a sweep, whole or as far as it has come; nothing that it names is loaded.
+    """Read the file of a sweep, complete or not, without loading the code that it names.
 
     Parameters
     ----------
     path : path-like
     code : bool
-        Whether a run that is simulated again, ``sweep.trajectory(run)``, may load the functions and
-        effects of packages that its scene names; without, it is refused if there are any.
+        Whether ``sweep.trajectory(run)``, which simulates a run again, may load the functions and
+        effects of packages that the scene names; without, it raises if there are any.
 
     Raises
     ------
@@ -284,8 +283,8 @@ def load_sweep(path: str | os.PathLike, code: bool = False) -> Sweep:
     return Sweep(path, code)
 
 
-def _fits(value: Any, asked: Any) -> bool:
-    if isinstance(asked, tuple):
+def _fits(value: Any, condition: Any) -> bool:
+    if isinstance(condition, tuple):
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return number and asked[0] <= value <= asked[1]
-    return bool(value == asked)
+        return number and condition[0] <= value <= condition[1]
+    return bool(value == condition)

@@ -1,12 +1,12 @@
-"""What a user writes about many runs: which values of the scene vary, how, and what is kept.
+"""The schema of a sweep file: which values of the scene vary, how, and which outputs are kept.
 
-Only the text is judged here; whether its paths and values fit a scene is found out in
-:mod:`multiarm.sweeps.checking`, where both are there.
+This module checks the text only; :mod:`multiarm.sweeps.checking` checks it against a scene.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,16 +16,99 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 from typing_extensions import Self
 
 from multiarm.errors import SceneError, SweepError
-from multiarm.scene import STEPS_CHOSEN_BY
-from multiarm.scene.faults import explain, fault, listed, shown
+from multiarm.scene import STEPS_CHOSEN_BY, function_text
+from multiarm.scene.faults import explain, fault, listed, shown, unknown
+from multiarm.scene.functions import UserFunction, located
 from multiarm.scene.loading import parse_yaml
 from multiarm.scene.values import Spec
-from multiarm.sweeps.axes import Axis, AxisSpec, paths_of
-from multiarm.sweeps.axis_values import Count, NonNegativeCount, plain_value
-from multiarm.sweeps.keeping import DEFAULT_KEEP, Kept, OwnQuantity
-from multiarm.sweeps.quantities import KNOWN, MEASURED, Quantity
+from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, paths_of, plain_value
+from multiarm.sweeps.quantities import KNOWN, MEASURED, Quantity, digest
 
-__all__ = ["SweepSpec", "examined", "parse_sweep", "read_sweep"]
+__all__ = [
+    "DEFAULT_KEEP",
+    "Kept",
+    "OwnQuantity",
+    "SweepSpec",
+    "examined",
+    "parse_sweep",
+    "read_sweep",
+]
+
+
+DEFAULT_KEEP = (
+    "final_position_error",
+    "final_rotation_error",
+    "largest_contact_force",
+    "position_drift",
+    "energy_balance",
+)
+"""Outputs of a sweep that names none."""
+
+
+def _column(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][\w.\-]*", value):
+        raise fault(
+            f"{shown(value)} cannot name a quantity; use letters, digits, '_', '-' and '.', with "
+            "a letter first (names become columns of tables)"
+        )
+    return value
+
+
+Column = Annotated[str, BeforeValidator(_column)]
+
+
+class OwnQuantity(Spec):
+    """A user-defined function of a run's trajectory.
+
+    Attributes
+    ----------
+    function : callable or str
+        ``f(trajectory) -> number``, or its place: ``file.py:name``, ``package.module:name``.
+    name : str, optional
+        Of the quantity; by default the function's name.
+    gives : list of str, optional
+        The function returns a table with these names; each is a quantity ``name.entry``.
+    unit, words : str
+        Unit and description of the number.
+    """
+
+    function: UserFunction = Field(description="file.py:name of a function of the trajectory")
+    name: Column | None = None
+    gives: Annotated[tuple[Column, ...], Field(min_length=1)] | None = None
+    unit: str = "1"
+    words: str = ""
+
+    def quantities(self) -> list[Quantity]:
+        """The quantities that the function gives."""
+        own = re.sub(r"\W", "", function_text(self.function).rpartition(":")[2].split(".")[-1])
+        name, text = self.name or own or "quantity", digest(self.function)
+        if self.gives is None:
+            return [Quantity(name, self.unit, self.words, self.function, None, text)]
+        return [
+            Quantity(f"{name}.{key}", self.unit, self.words, self.function, key, text)
+            for key in self.gives
+        ]
+
+    def located(self, folder: Path) -> OwnQuantity:
+        """A copy with the absolute path of its file."""
+        return self.model_copy(update={"function": located(self.function, folder)})
+
+
+def _kept(value: Any) -> Any:
+    """A quantity by its name, or a function: as a table, by its place, or itself."""
+    if isinstance(value, (Mapping, OwnQuantity)):
+        return TypeAdapter(OwnQuantity).validate_python(value)
+    if callable(value) or (isinstance(value, str) and ":" in value):
+        return TypeAdapter(OwnQuantity).validate_python({"function": value})
+    if isinstance(value, str) and (value in KNOWN or value == MEASURED):
+        return value
+    names = [*KNOWN, MEASURED]
+    problem = unknown("quantity", value, names, "quantities")
+    raise fault(f"{problem}; your own quantity is 'file.py:name', f(trajectory) -> number")
+
+
+Kept = Annotated[Any, BeforeValidator(_kept)]
+"""An entry of ``keep``: the name of a quantity, or an :class:`OwnQuantity`."""
 
 
 def _axis(value: Any) -> Any:
@@ -35,14 +118,14 @@ def _axis(value: Any) -> Any:
 
 
 def _by_text(value: Any) -> Any:
-    """The table with texts as keys: in Python a tuple of paths may be one."""
+    """The table with strings as keys; in Python a key may be a tuple of paths."""
     if not isinstance(value, Mapping) or not value:
         raise fault(
             "must be a table 'path: values' with at least one path of the scene, such as "
             f"(object.mass: [5, 10, 20]), got {shown(value)}"
         )
     return {
-        ", ".join(key) if isinstance(key, tuple) else str(key): own for key, own in value.items()
+        ", ".join(key) if isinstance(key, tuple) else str(key): axis for key, axis in value.items()
     }
 
 
@@ -53,24 +136,24 @@ def _plain_table(value: Any) -> Any:
 
 
 class SweepSpec(Spec):
-    """Many runs, as they are written.
+    """A sweep as it is written.
 
     Attributes
     ----------
     over : table
-        Path of the scene, or several with commas between them, -> its values.
+        Path of the scene, or several separated by commas, -> values.
     combine : 'product' or 'zip'
         Every value of an axis with every one of the others; or the first with the first, and so on.
     repeat : int
-        Runs of each point of the grid; needs axes that are drawn.
+        Runs of each point of the grid; needs random axes.
     sampling : 'random', 'latin_hypercube' or 'sobol'
-        How the drawn axes are drawn.
+        How the random axes are sampled.
     seed : int
-        Of all draws.
+        Of all random samples.
     keep : list
-        Quantities.
+        Outputs: quantities.
     certificate : bool
-        Runs of some accuracy are checked, as :func:`multiarm.simulate` does.
+        Check runs of some accuracy, as :func:`multiarm.simulate` does.
     run : table
         Replaces entries of the scene's ``run``.
     """
@@ -88,11 +171,11 @@ class SweepSpec(Spec):
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """The axes, in the order in which they are written."""
+        """The axes, in the order of the file."""
         return tuple(Axis(paths_of(key), key, spec) for key, spec in self.over.items())
 
     def quantities(self) -> tuple[Quantity, ...]:
-        """The quantities that are kept, but for what is measured of every run anyway."""
+        """The outputs, except the wall time, which every record has anyway."""
         found: list[Quantity] = []
         for entry in self.keep:
             if isinstance(entry, OwnQuantity):
@@ -103,7 +186,7 @@ class SweepSpec(Spec):
         return tuple(found)
 
     def located(self, folder: Path) -> Self:
-        """The same with the paths of functions' files made absolute."""
+        """A copy with absolute paths of the functions' files."""
         keep = [
             entry.located(folder) if isinstance(entry, OwnQuantity) else entry
             for entry in self.keep
@@ -111,7 +194,7 @@ class SweepSpec(Spec):
         return self.model_copy(update={"keep": tuple(keep)})
 
     def text(self) -> str:
-        """YAML that :func:`parse_sweep` reads back; the same for the same sweep."""
+        """Canonical YAML that :func:`parse_sweep` reads back."""
         keep = [
             entry.model_dump(mode="json", exclude_none=True)
             if isinstance(entry, OwnQuantity)
@@ -160,15 +243,15 @@ def parse_sweep(source: str | Mapping[str, Any], folder: Path | str | None = Non
 def read_sweep(
     source: str | os.PathLike | Mapping[str, Any] | None, changes: Mapping[str, Any]
 ) -> tuple[Any, Path]:
-    """The table of a sweep, from its file or from Python, and where relative paths in it start.
+    """The table of a sweep, from a file or from Python, and the folder of its relative paths.
 
     Parameters
     ----------
     source : path or mapping, optional
-        A YAML file; a table such as it holds; or its ``over`` alone.
+        A YAML file, its content as a table, or its ``over`` alone.
     changes : mapping
-        Keys of a sweep that take the place of those in ``source``.  Entries of ``run`` are replaced
-        one by one.
+        Keys of a sweep that replace those in ``source``.  Entries of ``run`` are replaced one by
+        one.
 
     Raises
     ------
@@ -189,7 +272,7 @@ def read_sweep(
 
 
 def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[str]]:
-    """The sweep that a table describes, and its faults: where it has any, the sweep without them.
+    """The sweep that a table describes, without its faulty parts, and the faults.
 
     Parameters
     ----------
@@ -200,7 +283,7 @@ def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[str]]:
     Returns
     -------
     spec : SweepSpec or None
-        None: too little is sound.
+        None if too little is valid.
     faults : list of str
     """
     if not isinstance(data, Mapping):
@@ -212,15 +295,15 @@ def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[str]]:
         return reader.validate_python(dict(data)).located(folder), []
     except ValidationError as error:
         faults = explain(error, SweepSpec)
-        sound = _without(data, [details["loc"] for details in error.errors()])
+        valid = _without(data, [details["loc"] for details in error.errors()])
     try:
-        return reader.validate_python(sound).located(folder), faults
+        return reader.validate_python(valid).located(folder), faults
     except ValidationError:
         return None, faults
 
 
 def _without(data: Mapping[str, Any], faults: Sequence[Sequence[Any]]) -> dict[str, Any]:
-    """A sweep's table without what faults lie in: single paths, single quantities, else keys."""
+    """A sweep's table without its faulty parts: single paths, single quantities, else keys."""
     places = [tuple(loc) for loc in faults]
     whole = {loc[0] for loc in places if len(loc) == 1 or loc[0] not in ("over", "keep")}
     kept = {key: value for key, value in data.items() if key not in whole}

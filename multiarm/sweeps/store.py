@@ -1,8 +1,7 @@
-"""The one file of a sweep, to which rows are appended as runs end, and which goes on after a kill.
+"""The file of a sweep: rows are appended as runs end, and a killed sweep resumes from it.
 
-On resuming, the rows that are whole are put into a new file beside, which then takes the place of
-the old one: a kill at any moment leaves the one or the other.  Which runs are done is a set of
-bits, so that the memory needed does not follow the runs.
+To resume, the complete rows are copied to a new file next to the old one, which it then replaces: a
+kill at any moment leaves one of the two.  The set of finished runs takes one bit a run.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from typing_extensions import Self
 
 from multiarm.errors import SweepError
 from multiarm.results.sinks import provenance
-from multiarm.sweeps.packing import fields_of, pack
-from multiarm.sweeps.row import Row
+from multiarm.sweeps.records import Record, fields_of, pack
 from multiarm.sweeps.row_file import Block, RowReader, RowWriter, WriterLock
 
 if TYPE_CHECKING:
@@ -31,19 +29,15 @@ __all__ = ["RunSet", "SweepFile"]
 
 BLOCK = 1024
 """Rows that are copied at once."""
-DIFFERENCES = 6
-"""Lines of two texts that differ, told at most."""
-AGAIN = b"interrupted"
-"""Status of rows that are done again."""
 
 
 class RunSet:
-    """Runs of a sweep, a bit each.
+    """A set of runs, one bit each.
 
     Parameters
     ----------
     count : int
-        Of all runs, numbered from 1 on.
+        Of all runs; the first has number 1.
     """
 
     def __init__(self, count: int):
@@ -56,24 +50,24 @@ class RunSet:
         return 1 <= run <= self.count and bool(self._bits[run // 8] >> run % 8 & 1)
 
     def add(self, run: int) -> None:
-        """Put one of the runs in."""
+        """Add a run."""
         if run not in self:
             self._bits[run // 8] |= 1 << run % 8
             self._members += 1
 
     def missing(self) -> Iterator[int]:
-        """The runs that are not in it, in order."""
+        """The runs that are not in the set, in order."""
         return (run for run in range(1, self.count + 1) if run not in self)
 
 
 class SweepFile:
-    """A file of a sweep that is being written; make one with :meth:`open`.
+    """A file of a sweep, open for writing; make one with :meth:`open`.
 
     Attributes
     ----------
     path : Path
     done : RunSet
-        Runs whose rows are safe.
+        Runs whose rows are in the file.
     """
 
     def __init__(
@@ -84,20 +78,20 @@ class SweepFile:
 
     @classmethod
     def open(cls, path: str | os.PathLike, plan: SweepPlan, *, fresh: bool = False) -> Self:
-        """Begin a file, or go on with one of the same plan.
+        """Create a file, or resume one of the same plan.
 
         Parameters
         ----------
         path : path-like
         plan : SweepPlan
         fresh : bool
-            Begin anew, and give up what is there.
+            Overwrite an existing file.
 
         Raises
         ------
         SweepError
-            The file is that of another sweep, with what differs; is being written by another
-            process; or cannot be written.
+            The file belongs to another sweep (the message lists the differences), is being written
+            by another process, or cannot be written.
         """
         target = RowReader.writable_target(path)
         fields = fields_of(plan.paths, [quantity.name for quantity in plan.quantities])
@@ -112,17 +106,17 @@ class SweepFile:
             lock.release()
             raise
 
-    def append(self, rows: Iterable[Row]) -> None:
-        """Add rows of runs that have ended; they are safe when this returns.
+    def append(self, rows: Iterable[Record]) -> None:
+        """Append records; they are on the disk when this returns.
 
-        A run that is there already is not put in twice: every worker gives the same row.
+        A record of a run that is in the file already is dropped: it is the same.
 
         Raises
         ------
         SweepError
-            The disk takes no more, or a row is of no run of this sweep.
+            The disk is full, or a record has no valid run number.
         """
-        new: dict[int, Row] = {}
+        new: dict[int, Record] = {}
         for row in rows:
             if not 1 <= row.run <= self.done.count:
                 raise SweepError(f"there is no run {row.run}; runs are 1 to {self.done.count}")
@@ -135,7 +129,7 @@ class SweepFile:
             self.done.add(run)
 
     def close(self) -> None:
-        """Close the file and let others write to it."""
+        """Close the file and release its lock."""
         self._writer.close()
         self._lock.release()
 
@@ -152,7 +146,7 @@ class SweepFile:
 
 
 def _earlier(path: Path, plan: SweepPlan, done: RunSet) -> tuple[dict[str, str], Iterator[Block]]:
-    """Texts and rows of a file of the same sweep."""
+    """Texts and rows of an existing file of the same sweep."""
     reader = RowReader(path)
     texts = {name: reader.text(name) for name in ("scene", "sweep", "header")}
     _check_same(path, texts, plan)
@@ -164,12 +158,12 @@ def _no_rows() -> Iterator[Block]:
 
 
 def _kept(reader: RowReader, done: RunSet) -> Iterator[Block]:
-    """The rows of a file that need not be done again, each once; they are marked as done."""
+    """The rows of a file without duplicates and interrupted runs; marks them as done."""
     for start in range(0, reader.count, BLOCK):
         rows, texts = reader.block(start, start + BLOCK)
         keep = []
         for k, (run, status) in enumerate(zip(rows["run"], rows["status"], strict=True)):
-            if 1 <= run <= done.count and int(run) not in done and status != AGAIN:
+            if 1 <= run <= done.count and int(run) not in done and status != b"interrupted":
                 done.add(int(run))
                 keep.append(k)
         yield rows[keep], [texts[k] for k in keep]
@@ -177,13 +171,13 @@ def _kept(reader: RowReader, done: RunSet) -> Iterator[Block]:
 
 
 def _texts(plan: SweepPlan) -> dict[str, str]:
-    """What describes the rows of a new file."""
+    """Scene, sweep and header of a new file."""
     header = json.dumps(_header(plan))
     return {"scene": plan.scene_text, "sweep": plan.text, "header": header}
 
 
 def _header(plan: SweepPlan) -> dict[str, Any]:
-    """What the file says of itself beside scene and sweep."""
+    """Metadata of a new file, as JSON."""
     return {
         "fingerprint": plan.fingerprint,
         "count": plan.count,
@@ -198,12 +192,11 @@ def _header(plan: SweepPlan) -> dict[str, Any]:
 
 
 def _provenance() -> dict[str, Any]:
-    told = provenance("")
-    return {key: value for key, value in told.items() if key != "scene"}
+    return {key: value for key, value in provenance("").items() if key != "scene"}
 
 
 def differences(header: Mapping[str, Any], texts: Mapping[str, str], plan: SweepPlan) -> list[str]:
-    """What decides on trajectories and is not the same in a file and in a plan, in words.
+    """Differences between a file and a plan that change the numbers of runs, as text.
 
     Parameters
     ----------
@@ -221,7 +214,7 @@ def differences(header: Mapping[str, Any], texts: Mapping[str, str], plan: Sweep
     then = header.get("files", {})
     for name in sorted({*then, *plan.files}):
         if then.get(name) != plan.files.get(name):
-            differs.append(f"the file '{name}' has another text, or is gone")
+            differs.append(f"the file '{name}' has changed, or is missing")
     return differs
 
 
@@ -234,14 +227,14 @@ def _check_same(path: Path, texts: Mapping[str, str], plan: SweepPlan) -> None:
     differs = differs or ["the text of a function that gives a quantity"]
     lines = "\n".join(f"  {line}" for line in differs)
     raise SweepError(
-        f"'{path}' holds another sweep; choose another file, or begin afresh and give it up. "
-        f"What differs (- there, + here):\n{lines}"
+        f"'{path}' holds another sweep; choose another file, or begin afresh and overwrite it. "
+        f"Differences (- there, + here):\n{lines}"
     )
 
 
 def _differences(what: str, there: str, here: str) -> list[str]:
     lines = difflib.unified_diff(there.splitlines(), here.splitlines(), n=0, lineterm="")
     changed = [line for line in lines if line[0] in "+-" and line[:3] not in ("+++", "---")]
-    more = len(changed) - DIFFERENCES
-    told = [f"{what}: {line}" for line in changed[:DIFFERENCES]]
-    return [*told, f"{what}: and {more} more lines"] if more > 0 else told
+    shown = [f"{what}: {line}" for line in changed[:6]]
+    more = len(changed) - len(shown)
+    return [*shown, f"{what}: and {more} more lines"] if more > 0 else shown

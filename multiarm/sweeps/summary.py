@@ -1,7 +1,7 @@
-"""What a sweep says as a whole: how its runs ended, and how each quantity spreads.
+"""Summary of a sweep: how its runs ended, and how each quantity spreads.
 
-Everything is read from the file block by block.  Quantiles are exact (see `order_statistics`), sums
-are rounded once, so that neither depends on the order in which runs ended.
+One quantity is in memory at a time.  Sums are rounded once, so that no number depends on the order
+in which runs ended.
 """
 
 from __future__ import annotations
@@ -9,30 +9,26 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from multiarm.sweeps.order_statistics import quantiles
 from multiarm.sweeps.table import BLOCK, Column, SweepTable
-
-if TYPE_CHECKING:
-    from multiarm.sweeps.result import Sweep
 
 __all__ = ["LEVELS", "Failure", "Spread", "SweepSummary", "summarise"]
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles of every quantity."""
 FAILURES = 8
-"""Different messages of runs that did not complete, kept at most."""
+"""Different messages of failed runs in a summary, at most."""
 _NUMBER = re.compile(r"\d[\d.]*(?:e[-+]?\d+)?")
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How a quantity spreads over the runs that have it.
+    """Statistics of a quantity over the runs that have it.
 
     Attributes
     ----------
@@ -40,9 +36,9 @@ class Spread:
     count : int
         Runs that have it.
     smallest, largest, mean : float or None
-        None where no run has it, or where it is infinite.
+        None if no run has it, or it is infinite.
     smallest_run, largest_run : int or None
-        The first runs that have these.
+        The first runs with these values.
     quantiles : dict
         Level, 0 to 1 -> value.
     """
@@ -51,17 +47,17 @@ class Spread:
     unit: str
     words: str
     count: int
-    smallest: float | None
-    smallest_run: int | None
-    largest: float | None
-    largest_run: int | None
-    mean: float | None
-    quantiles: dict[float, float | None]
+    smallest: float | None = None
+    smallest_run: int | None = None
+    largest: float | None = None
+    largest_run: int | None = None
+    mean: float | None = None
+    quantiles: dict[float, float | None] = field(default_factory=lambda: dict.fromkeys(LEVELS))
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Runs that ended with one message, but for the numbers in it; that of the first of them."""
+    """Runs whose messages differ in numbers only; status, message and number of the first one."""
 
     status: str
     message: str
@@ -71,19 +67,19 @@ class Failure:
 
 @dataclass(frozen=True)
 class SweepSummary:
-    """A sweep as a whole.
+    """A summary of a sweep.
 
     Attributes
     ----------
     count, done : int
-        Runs that there are to be, and those that have ended.
+        Planned and finished runs.
     statuses : dict
         Status -> runs.
     wall_time : float
-        [s] of all runs, one after the other.
+        [s] Sum over all runs.
     spreads : tuple of Spread
     failures : tuple of Failure
-        The messages of the first runs that did not complete.
+        Messages of runs that did not complete, at most 8 different ones.
     """
 
     count: int
@@ -94,25 +90,23 @@ class SweepSummary:
     failures: tuple[Failure, ...]
 
     def figures(self) -> dict[str, Any]:
-        """All of it, in what JSON knows."""
+        """The summary as JSON data."""
         data = asdict(self)
         for spread in data["spreads"]:
             spread["quantiles"] = {f"{level:g}": v for level, v in spread["quantiles"].items()}
         return data
 
 
-def summarise(sweep: Sweep) -> SweepSummary:
-    """Read a sweep through, in constant memory."""
-    table = sweep.rows_table
+def summarise(table: SweepTable) -> SweepSummary:
+    """Read a sweep's table, one quantity at a time."""
     statuses = status_counts(table)
-    shown = [column for column in table.columns if column.group == "quantities"]
-    wall_time = math.fsum(_stream(table, table.column("wall_time")))
+    quantities = [column for column in table.columns if column.group == "quantities"]
     return SweepSummary(
-        count=sweep.count,
+        count=table.header["count"],
         done=len(table),
         statuses=statuses,
-        wall_time=wall_time,
-        spreads=tuple(_spread(table, column) for column in shown),
+        wall_time=math.fsum(_numbers(table, table.column("wall_time"))),
+        spreads=tuple(_spread(table, column) for column in quantities),
         failures=_failures(table, statuses),
     )
 
@@ -128,71 +122,57 @@ def status_counts(table: SweepTable) -> dict[str, int]:
 
 
 def _spread(table: SweepTable, column: Column) -> Spread:
-    count, extremes = 0, _Extremes()
-    runs = table.column("run")
-    for low in range(0, len(table), BLOCK):
-        values = table.numbers(column, low, low + BLOCK)
-        there = ~np.isnan(values)
-        count += int(np.count_nonzero(there))
-        extremes.see(values[there], table.numbers(runs, low, low + BLOCK)[there])
-    levels = dict.fromkeys(LEVELS)
-    if count:
-        found = quantiles(lambda: _parts(table, column), count, LEVELS)
-        levels = {level: _finite(value) for level, value in zip(LEVELS, found, strict=True)}
+    values, runs = _numbers(table, column), _numbers(table, table.column("run"))
+    present = ~np.isnan(values)
+    values, runs = values[present], runs[present]
+    unit = Spread(column.name, column.unit, column.words, len(values))
+    if not len(values):
+        return unit
+    smallest, largest = values.min(), values.max()
     mean = None
-    if count and extremes.are_finite:
+    if math.isfinite(smallest) and math.isfinite(largest):
         try:
-            mean = math.fsum(_stream(table, column)) / count
-        except OverflowError:  # only their sum is beyond all numbers
-            mean = math.fsum(value / count for value in _stream(table, column))
-    return Spread(
-        name=column.name,
-        unit=column.unit,
-        words=column.words,
-        count=count,
-        smallest=_finite(extremes.smallest[0]) if count else None,
-        smallest_run=int(extremes.smallest[1]) if count else None,
-        largest=_finite(-extremes.largest[0]) if count else None,
-        largest_run=int(extremes.largest[1]) if count else None,
+            mean = math.fsum(values) / len(values)
+        except OverflowError:  # the sum exceeds the range of floats, the mean does not
+            mean = math.fsum(value / len(values) for value in values)
+    return replace(
+        unit,
+        smallest=_finite(smallest),
+        smallest_run=int(runs[values == smallest].min()),
+        largest=_finite(largest),
+        largest_run=int(runs[values == largest].min()),
         mean=mean,
-        quantiles=levels,
+        quantiles=dict(zip(LEVELS, map(_finite, quantiles(values, LEVELS)), strict=True)),
     )
 
 
-class _Extremes:
-    """The smallest and the largest number seen, and the first run that has it."""
+def quantiles(values: np.ndarray, levels: Sequence[float]) -> list[float]:
+    """Quantiles, linear between neighbours as in ``numpy.quantile``, also next to infinite values.
 
-    def __init__(self) -> None:
-        self.smallest = self.largest = (math.inf, math.inf)
-
-    @property
-    def are_finite(self) -> bool:
-        return math.isfinite(self.smallest[0]) and math.isfinite(self.largest[0])
-
-    def see(self, values: np.ndarray, runs: np.ndarray) -> None:
-        if len(values):
-            self.smallest = min(self.smallest, _first(values, runs))
-            self.largest = min(self.largest, _first(-values, runs))
-
-
-def _first(values: np.ndarray, runs: np.ndarray) -> tuple[float, float]:
-    lowest = values.min()
-    return float(lowest), float(runs[values == lowest].min())
+    Parameters
+    ----------
+    values : ndarray
+        At least one, none of them NaN.
+    levels : sequence of float
+        0 to 1.
+    """
+    ordered, found = np.sort(values), []
+    for level in levels:
+        place = level * (len(values) - 1)
+        low, high = float(ordered[math.floor(place)]), float(ordered[math.ceil(place)])
+        share = place - math.floor(place)
+        found.append(low if low == high else low + share * (high - low))
+    return found
 
 
-def _parts(table: SweepTable, column: Column) -> Iterator[np.ndarray]:
-    for low in range(0, len(table), BLOCK):
-        values = table.numbers(column, low, low + BLOCK)
-        yield values[~np.isnan(values)]
-
-
-def _stream(table: SweepTable, column: Column) -> Iterator[float]:
-    for part in _parts(table, column):
-        yield from part.tolist()
+def _numbers(table: SweepTable, column: Column) -> np.ndarray:
+    """The numbers of a column in the order of the file, read in blocks; -0.0 becomes 0.0."""
+    blocks = [table.numbers(column, low, low + BLOCK) for low in range(0, len(table), BLOCK)]
+    return np.concatenate(blocks) + 0.0 if blocks else np.zeros(0)
 
 
 def _failures(table: SweepTable, statuses: dict[str, int]) -> tuple[Failure, ...]:
-    """What runs that did not complete say; of more than a few things, the first ones."""
+    """The different messages of runs that did not complete, the first few."""
     found: dict[tuple[str, str], Failure] = {}
     if set(statuses) <= {"completed"}:
         return ()

@@ -1,1 +1,1 @@
-"""What commands print with: consoles, tables, progress bars."""
+"""Terminal output of the commands: consoles, tables, progress bars."""

@@ -1,7 +1,7 @@
-"""What all commands print with: messages on stderr, tables on stdout, numbers in one style.
+"""Output of all commands: messages on stderr, tables on stdout, numbers in one style.
 
-Texts that come from users (names, paths, messages) are never read as markup, and what would steer
-the terminal is written out.
+Texts from users (names, paths, messages) are never read as markup, and control characters are
+escaped.
 """
 
 from __future__ import annotations
@@ -99,12 +99,12 @@ def number(value: float | None, unit: str = "") -> str:
     return f"{text} {unit}".rstrip()
 
 
-def accuracy(asked: float | dict[str, float]) -> str:
-    """``1e-06 m or rad``, or the named parts of what was asked: ``position 1e-06 m, ...``."""
-    if not isinstance(asked, dict):
-        return f"{number(asked)} m or rad"
+def accuracy(requested: float | dict[str, float]) -> str:
+    """``1e-06 m or rad``, or the named parts: ``position 1e-06 m, ...``."""
+    if not isinstance(requested, dict):
+        return f"{number(requested)} m or rad"
     units = {"position": "m", "rotation": "rad", "force": "N"}
-    return ", ".join(f"{name} {number(value, units[name])}" for name, value in asked.items())
+    return ", ".join(f"{name} {number(value, units[name])}" for name, value in requested.items())
 
 
 def vector(values: Sequence[float], unit: str = "", digits: int = 4) -> str:

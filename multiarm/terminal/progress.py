@@ -75,7 +75,7 @@ class RunProgress:
     quiet : bool
         Show nothing.
     integrator : str, optional
-        The method that is asked for.
+        The requested method.
 
     Attributes
     ----------
@@ -213,7 +213,7 @@ class StudyProgress:
         """Take the bar away."""
         self._bar.stop()
 
-    def tell(self, text: str, done: float | None = None, total: float = 0.0) -> None:
+    def report(self, text: str, done: float | None = None, total: float = 0.0) -> None:
         """Show what is being done, and how many parts are done of how many there may be.
 
         Without ``done``, what was shown before is done; a ``total`` of 0 says nothing new.

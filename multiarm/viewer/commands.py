@@ -1,8 +1,8 @@
-"""Words of Meshcat's protocol: commands as plain data, with NumPy arrays as leaves.
+"""Meshcat's protocol: commands as plain data, with NumPy arrays as leaves.
 
-A command is a dictionary as the Meshcat viewer takes it. Typed arrays stay NumPy arrays until
-one of two encoders writes them: MessagePack for a live server (`live`), shared binary blocks for
-a page (`page`). Animations are written as whole tracks, not key by key.
+A command is a dictionary as the Meshcat viewer takes it.  Typed arrays stay NumPy arrays until
+one of two encoders writes them: MessagePack for a live server (`server`), shared binary blocks for
+a page (`page`).  Animations are written as whole tracks, not key by key.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def line_object(points: np.ndarray, rgba: np.ndarray) -> dict[str, Any]:
 
 
 def shadow_catcher(side: float, opacity: float) -> dict[str, Any]:
-    """Return a square in the x-y plane that shows nothing but the shadows that fall on it."""
+    """Return a square in the x-y plane that shows only the shadows on it."""
     plane = {"uuid": _uuid(), "type": "PlaneGeometry", "width": side, "height": side}
     return _drawable(
         "Mesh",
@@ -129,7 +129,7 @@ def flat(color: np.ndarray) -> dict[str, Any]:
 
 
 def ghost(color: np.ndarray, opacity: float) -> dict[str, Any]:
-    """Return a material that shines faintly through whatever stands in front."""
+    """Return a material that shines faintly through bodies in front of it."""
     return _material(
         "MeshBasicMaterial",
         color=hexadecimal(color),
@@ -203,3 +203,41 @@ def _material(kind: str, **properties: Any) -> dict[str, Any]:
 def _uuid() -> str:
     """Return a name unique within this process; equal films still compress to equal pages."""
     return f"multiarm-{next(_counter)}"
+
+
+ROOT = "/world"  # the node below which poses are those of the animation
+STILL = 1e-9  # a property that changes less than this does not move
+
+
+class Script:
+    """Commands in order, and the tracks of moving nodes; paths are below the world's node."""
+
+    def __init__(self) -> None:
+        self._commands: list[Command] = []
+        self._tracks: dict[str, dict[str, np.ndarray]] = {}
+
+    def add(self, *given: Command) -> None:
+        """Append commands as they are."""
+        self._commands += given
+
+    def put(self, path: str, thing: dict[str, Any]) -> None:
+        """Put an object, made by a function of `commands`, at a path."""
+        self.add(set_object(f"{ROOT}/{path}", thing))
+
+    def set(self, path: str, name: str, values: np.ndarray) -> None:
+        """Give a property its values (K, n): the first now, all in the animation if they differ."""
+        node = f"{ROOT}/{path}"
+        self.add(set_property(node, name, values[0].tolist()))
+        if np.ptp(values, axis=0).max() > STILL:
+            self._tracks.setdefault(node, {})[name] = values
+
+    def move(self, path: str, position: np.ndarray, quaternion_xyzw: np.ndarray) -> None:
+        """Move a node through positions (K, 3) [m] and orientations (K, 4)."""
+        self.set(path, "position", position)
+        self.set(path, "quaternion", quaternion_xyzw)
+
+    def finished(self, time: np.ndarray) -> list[Command]:
+        """Return all commands; frame k is shown `time[k]` [s] after the start."""
+        if len(time) < 2 or not self._tracks:
+            return self._commands
+        return [*self._commands, set_animation(time, self._tracks)]

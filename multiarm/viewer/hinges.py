@@ -1,4 +1,4 @@
-"""Draw joints as one would build them: an axle, a rail, a sleeve or a ball, and their limits.
+"""Glyphs of joints: an axle, a rail, a sleeve or a ball, and their limits.
 
 An axis is a slim rod on the body that carries it: with a head at both ends (it is turned about),
 with arrowheads (it is slid along), or with arrowheads and a sleeve (both). A ball is a ball. An
@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from multiarm.viewer import commands
-from multiarm.viewer.film import Dial, Film, HingeTracks, continuous, rotations
-from multiarm.viewer.marks import HAIR, arrow, seen_through
+from multiarm.viewer.animation import Animation, Dial, HingeTracks, continuous, rotations
+from multiarm.viewer.commands import Script
+from multiarm.viewer.glyphs import HAIR, arrow, seen_through
 from multiarm.viewer.mesh import Mesh, cylinder, merge, revolve, shade, sphere
-from multiarm.viewer.script import Script
 
 DARK = 0.55  # of the arm's colour: what is drawn on, not part of the arm
 BEYOND = np.array([0.84, 0.15, 0.13])
@@ -29,17 +29,17 @@ FULL_TURN = 2 * np.pi
 
 
 class Hinges:
-    """Shapes and sizes [m] of all joints of a film, in proportion to its size.
+    """Shapes and sizes [m] of all joints of an animation, in proportion to its size.
 
     Parameters
     ----------
-    film : Film
+    animation : Animation
     size : float
-        The film's size [m].
+        The animation's size [m].
     """
 
-    def __init__(self, film: Film, size: float) -> None:
-        body = float(np.linalg.norm(np.ptp(film.bodies[0].mesh.bounds(), axis=0)))
+    def __init__(self, animation: Animation, size: float) -> None:
+        body = float(np.linalg.norm(np.ptp(animation.bodies[0].mesh.bounds(), axis=0)))
         self.length = min(0.15 * size, 0.5 * body)  # of an axis without limits
 
     def points(self, hinge: HingeTracks) -> np.ndarray:

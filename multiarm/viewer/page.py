@@ -1,8 +1,12 @@
-"""Write commands as one HTML file that needs nothing else: no server, no network.
+"""Write commands as one HTML file that needs no server and no network.
 
-The page holds Meshcat's own viewer, a small player (``player.html``) and the commands: JSON in
-which every typed array is a place in one block of bytes. Equal arrays are stored once, so that
-arms of a kind share their meshes, and the block is compressed; the browser unpacks it by itself.
+The page holds Meshcat's own viewer, a small player (``player.html``), the commands and the facts
+that the player shows.  Typed arrays are stored in one block of bytes, to which the JSON refers.
+Equal arrays are stored once, so that arms of a kind share their meshes.  The block is compressed;
+the browser unpacks it.
+
+A run may have thousands of events.  The page gets a bounded number of ticks, each for all events of
+a short interval, and of rows, each for a group of events of one contact or joint.
 """
 
 from __future__ import annotations
@@ -12,15 +16,35 @@ import gzip
 import html
 import importlib.util
 import json
+import math
 import re
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multiarm.errors import ReplayError
-from multiarm.viewer.commands import Command
+from multiarm.results.channels import CONTACT_STATES
+from multiarm.results.event_log import (
+    FAMILIES,
+    STATE_COLOURS,
+    STATE_SIGNS,
+    Event,
+    Group,
+    family_of,
+    grouped,
+    timed,
+    who,
+)
+from multiarm.viewer.animation import Animation, Dial, HingeTracks
+from multiarm.viewer.commands import Command, hexadecimal
+from multiarm.viewer.drawing import ASPECT
+
+if TYPE_CHECKING:
+    pass
+
 
 ALIGNMENT = 8  # [bytes] of the arrays in the block
 
@@ -31,13 +55,9 @@ def render(commands: list[Command], facts: dict[str, Any]) -> str:
     Parameters
     ----------
     commands : list of dict
-        What the viewer is told, in order.
+        In order.
     facts : dict
-        What the player shows and needs: ``title``, ``note``, ``start`` [s], ``speed``, ``aspect``,
-        ``legend`` (pairs of name and colour), ``force_scale`` and ``peak_force`` [N], ``times``
-        (K,) [s], ``states`` of contacts (name, sign, colour), ``events`` (see
-        `happenings.time_line`) and ``dials``: coordinates with limits, each a table of ``arm``,
-        ``unit``, ``limits`` and ``values`` (K,).
+        Of :func:`page_facts`.
     """
     block = _Block()
     text = json.dumps(block.lower({"facts": facts, "commands": commands}), allow_nan=False)
@@ -50,8 +70,47 @@ def render(commands: list[Command], facts: dict[str, Any]) -> str:
         "{{payload}}": base64.b64encode(gzip.compress(payload, mtime=0)).decode(),
     }
     page = resources.files("multiarm.viewer").joinpath("player.html").read_text("utf-8")
-    # in one pass: a mark in what was filled in stays as it is
+    # in one pass: a placeholder inside a filled-in text is left as it is
     return re.sub("|".join(map(re.escape, filling)), lambda found: filling[found[0]], page)
+
+
+def page_facts(animation: Animation, speed: float) -> dict[str, Any]:
+    """Return what the player shows besides the commands.
+
+    ``title``, ``note``, ``start`` [s], ``speed``, ``aspect``, ``legend`` (pairs of name and
+    colour), ``force_scale`` and ``peak_force`` [N], ``times`` (K,) [s], ``states`` of contacts
+    (name, sign, colour), ``events`` (see :func:`time_line`) and ``dials``: coordinates with
+    limits, each a table of ``arm``, ``unit``, ``limits`` and ``values`` (K,).
+    """
+    return {
+        "title": animation.title,
+        "note": animation.note,
+        "start": float(animation.time[0]),
+        "speed": speed,
+        "aspect": ASPECT,
+        "legend": [[c.arm, f"#{hexadecimal(c.color):06x}"] for c in animation.contacts],
+        "force_scale": animation.force_scale,
+        "peak_force": animation.peak_force,
+        "times": animation.time - animation.time[0],
+        "states": _states(animation),
+        "events": time_line(animation.events, animation.time, speed),
+        "dials": [_dial(hinge, dial) for hinge in animation.hinges for dial in hinge.dials],
+    }
+
+
+def _states(animation: Animation) -> list[list[str]]:
+    """Return name, sign and colour of each state that a contact of the animation has."""
+    found = {
+        int(code) for c in animation.contacts if c.state is not None for code in set(c.state.flat)
+    }
+    return [[CONTACT_STATES[k], STATE_SIGNS[k], STATE_COLOURS[k]] for k in sorted(found)]
+
+
+def _dial(hinge: HingeTracks, dial: Dial) -> dict[str, Any]:
+    """Return a joint's coordinate in degrees or millimetres."""
+    scale, unit = (180 / math.pi, "°") if dial.turns else (1000.0, " mm")
+    limits = [scale * limit for limit in dial.limits]
+    return {"arm": hinge.arm, "unit": unit, "limits": limits, "values": scale * dial.value}
 
 
 class _Block:
@@ -83,3 +142,81 @@ def _viewer_script() -> str:
         raise ReplayError("a replay needs the package meshcat; install it: pip install meshcat")
     viewer = Path(found.origin).parent / "viewer" / "dist" / "main.min.js"
     return viewer.read_text("utf-8").replace("</script", "<\\/script")
+
+
+MOST_TICKS = 160
+MOST_ROWS = 300
+NAMED = 3  # kinds in the words of a tick
+
+
+def time_line(events: Sequence[Event], time: np.ndarray, speed: float) -> dict[str, Any]:
+    """Return a run's events for the page: ticks, rows of a list, and the legend of signs.
+
+    Times are those of the viewer, in seconds after the first frame, of the first frame at or after
+    an event.
+
+    Parameters
+    ----------
+    events : sequence of dict
+        As in `Trajectory.events`.
+    time : array, shape (K,)
+        Of the frames [s].
+    speed : float
+        Seconds of the animation per second of the viewer.
+    """
+    events = timed(events)
+    shown = _frames(time, [event["time"] for event in events])
+    groups = grouped(events)
+    first = _frames(time, [group.first["time"] for group in groups[:MOST_ROWS]])
+    return {
+        "count": len(events),
+        "families": [[f.name, f.sign, f.colour] for f in FAMILIES],
+        "ticks": _ticks(events, (shown - time[0]) / speed, (time[-1] - time[0]) / speed),
+        "rows": [
+            {
+                "at": (frame - time[0]) / speed,
+                "family": _family(group.first),
+                "words": _words(group),
+            }
+            for frame, group in zip(first, groups, strict=False)
+        ],
+        "unlisted": sum(len(group.events) for group in groups[MOST_ROWS:]),
+    }
+
+
+def _ticks(events: Sequence[Event], at: np.ndarray, duration: float) -> list[dict[str, Any]]:
+    part = np.minimum(at / duration * MOST_TICKS if duration else 0 * at, MOST_TICKS - 1).astype(
+        int
+    )
+    ticks: list[dict[str, Any]] = []
+    for interval in np.unique(part):
+        inside = [int(i) for i in np.flatnonzero(part == interval)]
+        kinds = list(dict.fromkeys(events[i]["kind"] for i in inside))
+        more = f" and {len(kinds) - NAMED} more kinds" if len(kinds) > NAMED else ""
+        number = f"{len(inside)} events: " if len(inside) > 1 else ""
+        when = f"{events[inside[0]]['time']:.4g} s"
+        ticks.append(
+            {
+                "at": float(at[inside[0]]),
+                "families": sorted({_family(events[i]) for i in inside}),
+                "words": f"{when}, {number}{', '.join(kinds[:NAMED])}{more}",
+            }
+        )
+    return ticks
+
+
+def _words(group: Group) -> list[str]:
+    """Return interval, contact or joint with the kind of event, and the change."""
+    first, last = group.first["time"], group.last["time"]
+    span = f"{first:.4g} s" if len(group.events) == 1 else f"{first:.4g} \N{EN DASH} {last:.4g} s"
+    whose = f"{who(group.first)} " if who(group.first) else ""
+    return [span, f"{whose}{group.what()}", group.change()]
+
+
+def _frames(time: np.ndarray, times: Sequence[float]) -> np.ndarray:
+    """Return the times of the first frames at or after some times, or of the last frame."""
+    return time[np.minimum(np.searchsorted(time, np.array(times, float)), len(time) - 1)]
+
+
+def _family(event: Event) -> int:
+    return FAMILIES.index(family_of(event["kind"]))

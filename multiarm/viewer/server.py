@@ -1,8 +1,7 @@
-"""A live replay: Meshcat's server in a thread of this process, and the commands that it shows.
+"""A live replay: Meshcat's server in a thread of this process.
 
-A thread ends with its process, however that ends, and the listening socket with it.  The server
-listens at one address, which only this computer reaches unless another one is named; the process
-itself talks to it in memory.
+The thread and its listening socket end with the process.  The server listens at one address, by
+default one that only this computer reaches; the process itself sends commands in memory.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ EXTENSIONS = {
 
 
 def serve(commands: list[Command], host: str = LOOPBACK, port: int = 0) -> meshcat.Visualizer:
-    """Start a Meshcat server that shows what the `commands` say; return its visualizer.
+    """Start a Meshcat server, send it the `commands` and return its visualizer.
 
     Parameters
     ----------

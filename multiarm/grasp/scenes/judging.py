@@ -18,7 +18,7 @@ from multiarm.grasp.object_frame import object_frame_on_body
 from multiarm.grasp.scenes.reading import SceneGrasp, read_grasp
 from multiarm.grasp.stability import configuration_stability
 
-# Deviation of a measured contact point for which the deviation of the pose is told [m].
+# Standard deviation of a measured contact point, for that of the pose [m].
 MEASURED = 1e-4
 
 
@@ -114,7 +114,7 @@ class GraspJudgement:
         None without gravity, or where pushes alone do not carry it.
     frame_position, frame_rotation : float or None
         Standard deviation of the object's frame [m, rad] when it is computed from contact points
-        that are known to 0.1 mm; None where faces are not known or points do not tell the pose.
+        that are known to 0.1 mm; None if faces are unknown or the points do not determine the pose.
     """
 
     scene: str

@@ -6,7 +6,7 @@ A posture is found by least squares on the pose error
 
 ``theta`` the rotation vector from the wanted orientation to the tip's, within the joints' limits,
 from starts spread over them.  Of the postures found the one is best that is farthest from singular
-postures and from its limits, in every place that is asked for.
+postures and from its limits, in every requested place.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def find_posture(
     starts: int = 24,
     clear: Callable[[np.ndarray, int], float] | None = None,
 ) -> Reach | None:
-    """The best posture found with which an arm reaches a place, and goes on to others.
+    """The best posture found with which an arm reaches a place, and then others.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-r"""How hard fingertips must press so that none of them lets go along a path.
+r"""The squeeze that keeps all fingertips in contact along a path.
 
 The control lets the contacts share a wrench ``w`` with the forces
 (:mod:`multiarm.control.force_distribution`)

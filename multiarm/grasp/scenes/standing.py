@@ -19,13 +19,13 @@ import numpy as np
 from multiarm.arms.arm import Arm
 from multiarm.assembly.compilation import arm_files
 from multiarm.errors import GraspError
-from multiarm.grasp.grasp import Grasp, Gripper
+from multiarm.grasp.face_contacts import FaceContacts, Gripper
 from multiarm.grasp.scenes.hands import hand_pose
 from multiarm.grasp.scenes.postures import Reach, find_posture
 from multiarm.scene import ArmSpec, resolve_arm
 
 # Heights of the lowest corner that are tried, of pedestals, and distances of a base from its corner
-# over the ground, all in reaches of the arm; directions of the base beside the diagonal; how
+# over the ground, all in reaches of the arm; directions of the base relative to the diagonal; how
 # steeply a hand comes, and its turns.
 HEIGHTS = (0.2, 0.35)
 PEDESTALS = (0.0, 0.2, 0.4)
@@ -69,7 +69,7 @@ class Stand:
 
 
 def stand_arms(
-    grasp: Grasp,
+    grasp: FaceContacts,
     arms: list[ArmSpec],
     course: list[np.ndarray],
     tip_radius: float,
@@ -81,7 +81,7 @@ def stand_arms(
 
     Parameters
     ----------
-    grasp : Grasp
+    grasp : FaceContacts
         Its body centred at the origin.
     arms : list of ArmSpec
         Robots without base and tool, one for each gripper; ``tip`` is the mount.
@@ -94,7 +94,7 @@ def stand_arms(
     rng : numpy.random.Generator
         Where searches for postures start.
     progress : callable, optional
-        Told the part that is done, and what is being done.
+        Called with the finished fraction and the current stage.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def _worst(stands: list[Stand]) -> float:
 class _Search:
     """The search for a place of one arm, with the object at one height."""
 
-    grasp: Grasp
+    grasp: FaceContacts
     gripper: Gripper
     robot: Arm
     poses: list[np.ndarray]

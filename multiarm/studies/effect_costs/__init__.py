@@ -1,6 +1,6 @@
-"""What each effect of a scene costs, and what it changes: the ledger.
+"""The cost of each effect of a scene, and the changes that it makes: the ledger.
 
-A scene is run once more without each effect that it names (and with each that it might name), to
-the accuracy that it asks for.  Beside the time stands what is moved by it; what stays below the
-accuracy can be left out.  *An evaluation* is looked at by itself too: what an effect adds to it.
+A scene is run once more without each of its effects (and with each further one), to the requested
+accuracy.  The ledger lists times and changes of the motion; an effect whose changes stay below the
+accuracy can be left out.  `evaluations` measures what an effect adds to one evaluation.
 """

@@ -1,14 +1,59 @@
-"""The ledger's entries: what one thing costs, beside what it changes."""
+r"""Entries of the ledger: the cost of one effect or setting, and the changes that it makes.
+
+Costs are differences of times that were measured in turns.  Of pairs :math:`(a_k, b_k)`, one after
+the other, the estimate is the median of :math:`a_k - b_k`: disturbances affect both of a pair.  The
+uncertainty is twice the standard error of that median, :math:`\sigma \sqrt{\pi / 2 n}`, with
+:math:`\sigma` from the quartiles of the differences, so that single outliers do not count.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+
 from multiarm.results.trajectory import plain
-from multiarm.studies.effect_costs.estimates import Estimate
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT
+
+QUARTILES = 1.349
+"""Distance of the quartiles of a normal distribution, in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A measured difference.
+
+    Attributes
+    ----------
+    value : float
+    uncertainty : float
+        Twice its standard error.
+    """
+
+    value: float
+    uncertainty: float
+
+    @property
+    def within_noise(self) -> bool:
+        """Whether it may as well be zero."""
+        return not abs(self.value) > self.uncertainty
+
+    def scaled(self, factor: float) -> Estimate:
+        """The estimate in another unit."""
+        return Estimate(factor * self.value, abs(factor) * self.uncertainty)
+
+
+def paired_difference(first: np.ndarray, second: np.ndarray) -> Estimate:
+    """Estimate of ``first - second``, measured in turn, shapes (n,)."""
+    assert first.shape == second.shape and first.size, "measured in turn"
+    apart = first - second
+    low, high = np.percentile(apart, (25.0, 75.0))
+    error = (high - low) / QUARTILES * math.sqrt(math.pi / 2.0 / apart.size)
+    return Estimate(float(np.median(apart)), 2.0 * float(error))
+
 
 PATH, TURN, JOINTS, SLIDES, FORCE = "path", "turn", "joints", "slides", "force"
 QUANTITIES = {
@@ -52,7 +97,7 @@ class Entry:
     about : str
         What was done: "left out", "added as ...".
     trouble : str
-        Why there are no numbers, or what happened to the run; empty where all went well.
+        Why there are no numbers, or how the run failed; empty after a success.
     milliseconds : Estimate or None
         Of wall time a simulated second that it costs; negative where it saves time.
     share : Estimate or None
@@ -62,7 +107,7 @@ class Entry:
     changes : mapping
         Quantity -> Change.
     certified : bool
-        Its run is known to be as accurate as was asked, or the scene asks for no accuracy.
+        Its run meets the requested accuracy, or the scene requests none.
     """
 
     name: str
@@ -90,9 +135,9 @@ class Ledger:
     scene : dict
         name, duration_s, output_step_s, text.
     asked : dict
-        Quantity -> accuracy that is asked for; changes below it cannot be told from errors.
+        Quantity -> requested accuracy; changes below it are not distinguishable from errors.
     asked_by_scene : bool
-        The scene itself asks for that accuracy.
+        The scene itself requests that accuracy.
     run : dict
         The scene's own run: status, integrator, stabilization, evaluations, milliseconds (of wall
         time a simulated second), certificate (its sentence), repeats.
@@ -115,7 +160,7 @@ class Ledger:
         return [entry for entry in self.entries if entry.kind == kind]
 
     def moves(self, entry: Entry) -> str | None:
-        """The quantity that an entry changes most, in units of what is asked for.
+        """The quantity that an entry changes most, in units of the requested accuracy.
 
         None where every change of the motion, and of the forces, is below that.
         """
@@ -127,7 +172,7 @@ class Ledger:
         return next((quantity for quantity in QUANTITIES if quantity in above), None)
 
     def can_go(self, entry: Entry) -> bool:
-        """Whether an effect's changes are known to be below the accuracy that is asked for."""
+        """Whether an effect's changes are known to be below the requested accuracy."""
         known = entry.kind in (PRESENT, CANDIDATE) and not entry.trouble and entry.certified
         return known and bool(entry.changes) and self.moves(entry) is None
 

@@ -1,8 +1,7 @@
-"""What each effect adds to one evaluation: time, numbers, constraints, calls into Python.
+"""The cost of each effect in one evaluation: time, arrays, states, rows, calls into Python.
 
 The scene is compiled once more without each of its effects, and evaluations of all these systems at
-the start are timed in interleaved bursts.  What one of them has more than another is what the
-effect added, wherever it put it.
+the start are timed in interleaved bursts.  The differences are the costs of the effects.
 """
 
 from __future__ import annotations
@@ -17,14 +16,14 @@ from multiarm.dynamics.system import System
 from multiarm.events.evaluation import evaluate_data, mode_at
 from multiarm.events.modes import Mode
 from multiarm.simulation.inspection import EffectFacts
-from multiarm.studies.bursts import Burst, measure, one_thread
-from multiarm.studies.effect_costs.estimates import paired_difference
-from multiarm.studies.effect_costs.variants import left_out, told
+from multiarm.studies.effect_costs.entries import paired_difference
+from multiarm.studies.effect_costs.variants import error_text, left_out
 from multiarm.studies.evaluation_costs import slope_burst
+from multiarm.studies.timing import Burst, measure, one_thread
 
 TURNS = 40
 """Bursts of about a millisecond, of every system."""
-BESIDE = {"pinocchio_energy", "coriolis"}
+OUTSIDE_EVALUATIONS = {"pinocchio_energy", "coriolis"}
 """Functions in Python that samples or one method call, evaluations never."""
 
 
@@ -52,7 +51,7 @@ def effects_of_evaluation(system: System, turns: int = TURNS) -> dict[str, Effec
             bursts[variant.name] = _burst_at_start(other)
             others[variant.name] = other
         except Exception as error:  # one that fails must not hide the others
-            found[variant.name] = EffectFacts(trouble=f"not without it: {told(error)}")
+            found[variant.name] = EffectFacts(trouble=f"not without it: {error_text(error)}")
     if not others:
         return found
     bursts[""] = _burst_at_start(system)
@@ -75,7 +74,7 @@ def effects_of_evaluation(system: System, turns: int = TURNS) -> dict[str, Effec
 
 
 def _burst_at_start(system: System) -> Burst:
-    """Evaluations at the start; where contacts come and go, those of the mode there."""
+    """Evaluations at the start; with unilateral contacts, in the contact mode of the start."""
     data, start = system.model.data(), system.initial_state()
     evaluate_data(data, 0.0, start)
     if system.model.unilateral is None:
@@ -108,5 +107,5 @@ class _Size:
             bytes=sum({id(array): array.nbytes for array in arrays}.values()),
             states=system.model.effects.states,
             rows=system.model.layout.contacts,
-            callbacks=len(data.callbacks.keys() - BESIDE),
+            callbacks=len(data.callbacks.keys() - OUTSIDE_EVALUATIONS),
         )

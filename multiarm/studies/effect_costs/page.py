@@ -1,23 +1,121 @@
-"""The ledger as one self-contained HTML page: what it says, the figure, the numbers, the scene."""
+"""The ledger as a figure and as one self-contained HTML page.
+
+The figure shows costs on the left and changes on the right, in units of the requested accuracy: an
+effect left of the line at 1 can be left out.
+"""
 
 from __future__ import annotations
 
 from html import escape
 from pathlib import Path
 
-from multiarm.reports.parts import NOTHING, inline_svg, quantity
-from multiarm.reports.style import CSS
-from multiarm.results.files import save_page
-from multiarm.studies.effect_costs.entries import QUANTITIES, Entry, Ledger
-from multiarm.studies.effect_costs.plots import ledger_figure
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from multiarm.plots import GRID, INK, STYLE
+from multiarm.reports.parts import CSS, NOTHING, inline_svg, quantity
+from multiarm.results.files import save_figure, save_page
+from multiarm.studies.effect_costs.entries import (
+    FORCE,
+    JOINTS,
+    PATH,
+    QUANTITIES,
+    SLIDES,
+    TURN,
+    Entry,
+    Ledger,
+)
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING
 from multiarm.studies.effect_costs.words import (
     accuracy_text,
+    change_text,
     percent,
-    said,
     sentence,
     verdict,
 )
+
+COLOURS = {"present": "#3b7dd8", CANDIDATE: "#d9822b", SETTING: "#8a96a3"}
+MARKS = {PATH: "o", TURN: "s", JOINTS: "^", SLIDES: "v", FORCE: "D"}
+LABELS = {PATH: "path", TURN: "turn", JOINTS: "joints", SLIDES: "sliding joints", FORCE: "force"}
+LEAST = 1e-6
+"""Changes are drawn down to this part of the accuracy."""
+
+
+def ledger_figure(found: Ledger, on_page: bool = False) -> Figure:
+    """Time and changes of every entry that has both, so not of the certificate.
+
+    On a page the figure has neither title nor background.
+    """
+    shown = [entry for entry in found.entries if entry.share is not None and entry.changes]
+    with matplotlib.rc_context(STYLE):
+        height = 1.6 + 0.36 * max(len(shown), 3)
+        figure = Figure(figsize=(11.0, height), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1, 1.35))
+        _draw_costs(left, shown)
+        _draw_changes(right, shown, found)
+        figure.legend(handles=_legend(), loc="outside lower right", frameon=False, ncols=5)
+        if on_page:
+            figure.patch.set_alpha(0)
+        else:
+            figure.suptitle(found.scene["name"], fontsize=12, color=INK, parse_math=False)
+    return figure
+
+
+def write_plot(found: Ledger, path: Path) -> None:
+    """Draw the figure to a file; its ending is the format."""
+    save_figure(ledger_figure(found), path)
+
+
+def _draw_costs(axes: Axes, shown: list[Entry]) -> None:
+    shares = [entry.share for entry in shown if entry.share is not None]
+    axes.barh(
+        range(len(shown)),
+        [100.0 * share.value for share in shares],
+        xerr=[100.0 * share.uncertainty for share in shares],
+        color=[COLOURS[entry.kind] for entry in shown],
+        height=0.6,
+        error_kw={"ecolor": INK, "elinewidth": 1.0},
+    )
+    axes.axvline(0.0, color=INK, linewidth=0.8)
+    names = [f"+ {entry.name}" if entry.kind == CANDIDATE else entry.name for entry in shown]
+    axes.set_yticks(range(len(shown)), names, parse_math=False)
+    axes.set_ylim(len(shown) - 0.5, -0.5)
+    axes.set_xlabel("% of the time of the scene's own run")
+    axes.set_title("What it costs")
+    axes.set_axisbelow(True)
+
+
+def _draw_changes(axes: Axes, shown: list[Entry], found: Ledger) -> None:
+    sizes = [
+        (k, quantity, max(change.value / found.asked[quantity], LEAST), COLOURS[entry.kind])
+        for k, entry in enumerate(shown)
+        for quantity, change in entry.changes.items()
+    ]
+    axes.set_xscale("log")
+    axes.set_xlim(LEAST, 3.0 * max([10.0, *(size for _, _, size, _ in sizes)]))
+    axes.axvspan(LEAST, 1.0, color=GRID, alpha=0.5, linewidth=0)
+    axes.axvline(1.0, color=INK, linewidth=0.8)
+    for k, name, size, colour in sizes:
+        axes.plot(
+            size, k, MARKS[name], color=colour, markersize=6.5, clip_on=False, zorder=3,
+            markerfacecolor="none" if name == FORCE else colour,
+        )  # fmt: skip
+    axes.set_xlabel("largest change, in units of the accuracy")
+    axes.set_title("What it changes")
+    axes.set_axisbelow(True)
+
+
+def _legend() -> list[Line2D]:
+    return [
+        Line2D(
+            [], [], marker=mark, color=INK, linestyle="none", label=LABELS[quantity],
+            markerfacecolor="none" if quantity == FORCE else INK,
+        )
+        for quantity, mark in MARKS.items()
+    ]  # fmt: skip
+
 
 _CSS = """
 main { max-width: 78rem; }
@@ -74,10 +172,10 @@ def _header(found: Ledger) -> str:
         f"<li class='{_tone(found, entry)}'>{escape(sentence(found, entry))}</li>"
         for entry in effects
     )
-    said_so = lines or "<li>No effects: nothing is added, and nothing can be left out.</li>"
+    items = lines or "<li>No effects: nothing is added, and nothing can be left out.</li>"
     return (
         "<header><p class='kicker'>multiarm · what effects cost and change</p>"
-        f"<h1>{escape(found.scene['name'])}</h1><ul class='said'>{said_so}</ul>"
+        f"<h1>{escape(found.scene['name'])}</h1><ul class='said'>{items}</ul>"
         f"<p class='message'>{escape(accuracy_text(found))}\n"
         f"{escape(found.run['certificate'])}\n"
         f"{escape(str(about['processor']))}, {escape(str(about['platform']))}\n"
@@ -92,8 +190,9 @@ def _diagram(found: Ledger) -> str:
     drawn = inline_svg(ledger_figure(found, on_page=True), "ledger-")
     return (
         f"<section><h2>Costs and changes</h2><figure>{drawn}<figcaption>Left: time, with its "
-        "uncertainty. Right: the largest changes, in units of the accuracy that is asked for; what "
-        "lies in the shaded part cannot be told from the errors of the runs.</figcaption></figure>"
+        "uncertainty. Right: the largest changes, in units of the requested accuracy; a "
+        "change in the shaded part is not distinguishable from the errors of the "
+        "runs.</figcaption></figure>"
         "</section>\n"
     )
 
@@ -135,7 +234,7 @@ def _change(found: Ledger, entry: Entry, name: str) -> str:
     tone = "" if change.value > found.asked[name] else " small"
     where = f"{change.arm}, " if change.arm else ""
     return (
-        f"<td class='n{tone}'>{said(change, name)}<br><small>{escape(where)}"
+        f"<td class='n{tone}'>{change_text(change, name)}<br><small>{escape(where)}"
         f"at {change.time:.3g} s</small></td>"
     )
 
@@ -157,7 +256,7 @@ def _footer(found: Ledger) -> str:
     when = escape(str(found.machine["created_utc"]))
     return (
         "<footer><h2>How to read it</h2><p>The scene is run once more without each of its effects. "
-        "All runs are made to the accuracy that the scene asks for, and checked where it names "
+        "All runs are made to the accuracy that the scene requests, and checked where it names "
         "one; a change is the largest difference of two such runs at an output time. Times are "
         "the processor's, of runs in turn on one thread; ± is twice the standard error, and what "
         "is pale lies within it. Leaving gravity out also leaves out what the control does about "

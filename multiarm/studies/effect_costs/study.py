@@ -1,8 +1,11 @@
-"""The study: every variant is run once to the accuracy asked, and then timed in turn.
+"""The study: every variant is run once to the requested accuracy, and then timed in turns.
 
 The first run of each is checked (:mod:`multiarm.simulation.certificate`), so that differences
-between two of them are the effect's and not the method's.  The timed runs are unchecked; in every
-round each variant runs once, after the scene itself, and what the two differ by is taken.
+between two of them are caused by the effect and not by the method.  The timed runs are unchecked:
+in every round each variant runs once after the scene itself, and the differences count.
+
+A change is the largest difference of a quantity between two runs.  With an effect a contact may
+have forces that it lacks without it, such as those of friction; these are not compared.
 """
 
 from __future__ import annotations
@@ -21,20 +24,20 @@ from multiarm.errors import SolverError
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, Scene, dump_scene
 from multiarm.scene.run import DEFAULT_ACCURACY
+from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
 from multiarm.simulation.simulate import simulate
-from multiarm.studies.bursts import one_thread
-from multiarm.studies.clocked_run import clocked_run
-from multiarm.studies.effect_costs.changes import changes, last_changes
 from multiarm.studies.effect_costs.entries import (
     FORCE,
     JOINTS,
     PATH,
     SLIDES,
     TURN,
+    Change,
     Entry,
+    Estimate,
     Ledger,
+    paired_difference,
 )
-from multiarm.studies.effect_costs.estimates import Estimate, paired_difference
 from multiarm.studies.effect_costs.variants import (
     CANDIDATE,
     CERTIFICATE,
@@ -42,18 +45,99 @@ from multiarm.studies.effect_costs.variants import (
     SETTING,
     Variant,
     added,
+    error_text,
     left_out,
     simpler_settings,
-    told,
 )
 from multiarm.studies.hard_cases import machine
+from multiarm.studies.timing import clocked_run, one_thread
+
+_QUANTITY_OF = {
+    "object position": PATH,
+    "object rotation": TURN,
+    "joints": JOINTS,
+    "sliding joints": SLIDES,
+    "contact forces": FORCE,
+}
+
+
+def changes(system: System, run: Trajectory, other: Trajectory) -> dict[str, Change]:
+    """Largest differences of two runs with the same output times, as far as both go.
+
+    Parameters
+    ----------
+    system : System
+        Of the first run; says which contact forces its equations leave open.
+    run, other : Trajectory
+    """
+    found: dict[str, Change] = {}
+    if not len(run) or not len(other):
+        return found
+    first, second = _Shared(run, other), _Shared(other, run)
+    with system.borrow() as data:
+        # of the floor too, which is not compared
+        open_forces = undetermined_forces(data, run)
+    lost = {arm: first.own(arm, open_forces[arm]) for arm in run.arm_names if arm in open_forces}
+    for name, difference in compare(_seen(first), _seen(second), lost).outputs.items():
+        arm, _, noun = name.rpartition(": ")
+        quantity = _QUANTITY_OF[noun]
+        worse = quantity not in found or difference.worst > found[quantity].value
+        if difference.compared and worse:
+            found[quantity] = Change(difference.worst, difference.time, arm)
+    return found
+
+
+def last_changes(_system: System, run: Trajectory, other: Trajectory) -> dict[str, Change]:
+    """Differences of the object's pose at the end of two runs, whatever they recorded before."""
+    time = float(run.time[-1])
+    off = np.linalg.norm(run.object_position[-1] - other.object_position[-1])
+    turned = rotation_apart(run.object_quaternion_xyzw[-1:], other.object_quaternion_xyzw[-1:])
+    return {PATH: Change(float(off), time), TURN: Change(float(turned[0]), time)}
+
+
+class _Shared:
+    """A run, of whose contact forces only those are seen that another run has too."""
+
+    def __init__(self, run: Trajectory, other: Trajectory) -> None:
+        self._run, self._columns = run, {}  # type: ignore[var-annotated]
+        self.arm_names, self.channels = run.arm_names, dict(run.channels)
+        for arm in run.arm_names:
+            name = _forces(arm)
+            labels, others = (r.channels[name].labels for r in (run, other))
+            kept = [k for k, label in enumerate(labels) if label in others]
+            self._columns[name] = np.array(kept, dtype=int)
+            self.channels[name] = replace(
+                self.channels[name], shape=(len(kept),), labels=tuple(labels[k] for k in kept)
+            )
+
+    def __len__(self) -> int:
+        return len(self._run)
+
+    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Samples start..stop of a channel."""
+        values = self._run.read(name, start, stop)
+        return values[:, self._columns[name]] if name in self._columns else values
+
+    def own(self, arm: str, values: np.ndarray) -> np.ndarray:
+        """Of one value for each contact of an arm, those of the contacts that are seen."""
+        return values[self._columns[_forces(arm)]]
+
+
+def _forces(arm: str) -> str:
+    return f"arms/{arm}/contact_force"
+
+
+def _seen(run: _Shared) -> Any:
+    """As what it stands for: a trajectory, as far as :func:`compare` reads one."""
+    return run
+
 
 REPEATS = 9
 LEAST_REPEATS = 3
 BUDGET = 3.0
 """All timed runs of one variant take about so long together [s]: slow ones are repeated less."""
 FORCE_ACCURACY = 1e-3
-"""Of contact forces where the scene asks for none, as a fraction of the largest one."""
+"""Accuracy of contact forces if the scene requests none, as a fraction of the largest one."""
 
 Progress = Callable[[str, float, float], None]
 """Called with what is being done, how much is done, and how much there is."""
@@ -86,14 +170,14 @@ def ledger(
         Ctrl-C.
     """
     begin = time.perf_counter()
-    tell = progress or (lambda _text, _done, _total: None)
+    report = progress or (lambda _text, _done, _total: None)
     variants = [*left_out(scene), *simpler_settings(scene)]
     if candidates:
         variants += added(scene, defaults(scene))
     with one_thread():
-        own, benches = _run_all(scene, variants, tell)
+        own, benches = _run_all(scene, variants, report)
         able = {key: bench for key, bench in benches.items() if isinstance(bench, _Bench)}
-        times = _times({_OWN: own, **able}, repeats, tell)
+        times = _times({_OWN: own, **able}, repeats, report)
     entries = [
         _entry(variant, benches[_key(variant)], own, times.get(_key(variant)), times[_OWN])
         for variant in variants
@@ -106,7 +190,7 @@ def ledger(
             "output_step_s": scene.run.output_step,
             "text": dump_scene(scene),
         },
-        asked=_asked(scene.run, own.run),
+        asked=_accuracies(scene.run, own.run),
         asked_by_scene=scene.run.accuracy is not None,
         run=_about(own.run, times[_OWN]),
         entries=(*entries, *([] if cost is None else [cost])),
@@ -134,21 +218,21 @@ class _Bench:
 
 
 def _run_all(
-    scene: Scene, variants: Sequence[Variant], tell: Progress
+    scene: Scene, variants: Sequence[Variant], report: Progress
 ) -> tuple[_Bench, dict[str, _Bench | str]]:
     """Bench of the scene, and of each variant: its bench, or why there is none."""
     total = 2.0 * (1 + len(variants))
-    tell(_OWN, 0.0, total)
+    report(_OWN, 0.0, total)
     own = _Bench.of(compile_system(scene))
     if own.run.status != "completed":
         raise SolverError(f"the scene itself does not run: {own.run.message}")
     found: dict[str, _Bench | str] = {}
     for number, variant in enumerate(variants):
-        tell(f"{variant.name}, {variant.about}", number + 1.0, total)
+        report(f"{variant.name}, {variant.about}", number + 1.0, total)
         try:
             found[_key(variant)] = _Bench.of(compile_system(variant.scene()))
         except Exception as error:  # one that fails must not hide the others
-            found[_key(variant)] = told(error)
+            found[_key(variant)] = error_text(error)
     return own, found
 
 
@@ -156,7 +240,7 @@ def _key(variant: Variant) -> str:
     return f"{variant.kind}/{variant.name}"
 
 
-def _times(benches: Mapping[str, _Bench], repeats: int, tell: Progress) -> dict[str, np.ndarray]:
+def _times(benches: Mapping[str, _Bench], repeats: int, report: Progress) -> dict[str, np.ndarray]:
     """Seconds a simulated second of each variant that runs, in rounds.
 
     A variant that has spent its time takes no part any more; the first, the scene itself, does.
@@ -165,7 +249,7 @@ def _times(benches: Mapping[str, _Bench], repeats: int, tell: Progress) -> dict[
     found: dict[str, list[float]] = {key: [] for key in running}
     left = dict.fromkeys(running, BUDGET)
     for turn in range(repeats):
-        tell("timing", float(repeats + turn), 2.0 * repeats)
+        report("timing", float(repeats + turn), 2.0 * repeats)
         for key in [k for k in running if left[k] > 0.0 or k == _OWN or turn < LEAST_REPEATS]:
             _, seconds = clocked_run(running[key].system)
             left[key] -= seconds
@@ -226,14 +310,14 @@ def _is_certified(run: Trajectory) -> bool:
     return run.certificate is None or bool(run.certificate["met"])
 
 
-def _asked(spec: RunSpec, run: Trajectory) -> dict[str, float]:
-    """The accuracy asked for, by quantity."""
-    asked = spec.accuracy
-    smallest = DEFAULT_ACCURACY if asked is None else asked.smallest
-    position = (asked and asked.position) or smallest
-    rotation = (asked and asked.rotation) or smallest
+def _accuracies(spec: RunSpec, run: Trajectory) -> dict[str, float]:
+    """The requested or default accuracy, by quantity."""
+    accuracy = spec.accuracy
+    smallest = DEFAULT_ACCURACY if accuracy is None else accuracy.smallest
+    position = (accuracy and accuracy.position) or smallest
+    rotation = (accuracy and accuracy.rotation) or smallest
     largest = max(run.summary()["contact_force_max_N"].values(), default=0.0)
-    force = (asked and asked.force) or max(FORCE_ACCURACY * largest, FORCE_ACCURACY)
+    force = (accuracy and accuracy.force) or max(FORCE_ACCURACY * largest, FORCE_ACCURACY)
     return {PATH: position, TURN: rotation, JOINTS: rotation, SLIDES: position, FORCE: force}
 
 

@@ -1,4 +1,4 @@
-"""The scenes of the ledger: one less of an effect, one more of another, one setting changed."""
+"""Variants of a scene: without one effect, with one more, or with one simpler setting."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ def simpler_settings(scene: Scene) -> list[Variant]:
     return found
 
 
-def told(error: Exception) -> str:
-    """Why a variant does not run; an error that nobody foresaw with its kind."""
+def error_text(error: Exception) -> str:
+    """Why a variant does not run; unexpected errors are named with their class."""
     return str(error) if isinstance(error, MultiarmError) else f"{type(error).__name__}: {error}"
 
 

@@ -1,7 +1,7 @@
-"""The ledger in words: one sentence for each entry, and one line of them all.
+"""The ledger as text: one sentence for each entry, and one line for all.
 
 ``joint_damping: 3 % of the time, changes the object's path by 41 mm; drag: 2 % of the time, changes
-it by 0.02 mm, below the accuracy asked for: leave it out``
+it by 0.02 mm, below the requested accuracy: leave it out``
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from multiarm.studies.effect_costs.entries import (
     TURN,
     Change,
     Entry,
+    Estimate,
     Ledger,
 )
-from multiarm.studies.effect_costs.estimates import Estimate
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, RECORDING, SETTING
 
 SHOWN = {
@@ -34,7 +34,7 @@ SHOWN = {
 
 
 def summary(found: Ledger) -> str:
-    """All effects in one line; what is said of settings stands in the table."""
+    """All effects in one line; settings are in the table."""
     present = [sentence(found, entry, PATH) for entry in found.of_kind(PRESENT)]
     more = [sentence(found, entry, PATH) for entry in found.of_kind(CANDIDATE)]
     if not present and not more:
@@ -51,7 +51,7 @@ def sentence(found: Ledger, entry: Entry, known: str = "") -> str:
     if not found.can_go(entry):
         return ", ".join(parts)
     if any(change.value for change in entry.changes.values()):
-        parts.append("below the accuracy asked for")
+        parts.append("below the requested accuracy")
     return f"{', '.join(parts)}: leave it out"
 
 
@@ -82,7 +82,7 @@ def trouble(entry: Entry) -> str:
     return f"the scene does not run {'with it' if entry.kind == CANDIDATE else 'so'}: {first}"
 
 
-def said(change: Change | None, quantity: str, with_unit: bool = True) -> str:
+def change_text(change: Change | None, quantity: str, with_unit: bool = True) -> str:
     """A change in the unit in which people read it; a dash for None."""
     if change is None:
         return "-"
@@ -108,16 +108,17 @@ def percent(share: Estimate) -> str:
 
 def accuracy_text(found: Ledger) -> str:
     """What changes are measured against, and how the scene itself ran."""
-    asked = ", ".join(
+    accuracies = ", ".join(
         f"{QUANTITIES[name][0]} {value:.2g} {QUANTITIES[name][1]}"
         for name, value in found.asked.items()
         if name in (PATH, TURN, FORCE)
     )
-    by = "asked for" if found.asked_by_scene else "taken, as the scene asks for none"
+    by = "requested" if found.asked_by_scene else "default, as the scene requests none"
     run = found.run
     return (
         f"{found.scene['duration_s']:g} s by {run['integrator']}: {run['milliseconds']:.3g} ms of "
-        f"time a simulated second, {run['evaluations']:,} evaluations. Accuracy {by}: {asked}. "
+        f"time a simulated second, {run['evaluations']:,} evaluations. "
+        f"Accuracy ({by}): {accuracies}. "
         f"Every run is made to it; times are medians of {run['repeats']} rounds in turn."
     )
 
@@ -148,7 +149,7 @@ def _change(found: Ledger, entry: Entry) -> list[str]:
     if not any(one.value for one in entry.changes.values()):
         return [f"{would} nothing"]
     whose = f"{change.arm}'s " if change.arm else "the "
-    text = f"{would} {whose}{QUANTITIES[quantity][0]} by {said(change, quantity)}"
+    text = f"{would} {whose}{QUANTITIES[quantity][0]} by {change_text(change, quantity)}"
     if entry.name == RECORDING and entry.kind == SETTING:
         text += " at the end"
     return [text]

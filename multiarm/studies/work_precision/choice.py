@@ -1,7 +1,7 @@
-"""What a study comes to: the cheapest setting for each decade of accuracy.
+"""The results of a study: the cheapest setting for each decade of accuracy.
 
-A point counts for a level when its error and the reference's digits together are within it: what
-the reference cannot tell apart is not ranked.
+A point counts for a level when its error plus the reference's digits is within it: errors that the
+reference cannot resolve are not ranked.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Series:
         return self.points[0].setting.ours
 
     def best(self, quantity: str) -> Point | None:
-        """The point of the least error; None where nobody tells it."""
+        """The point of the least error; None if no point has one."""
         able = [point for point in self.points if point.error(quantity) is not None]
         return min(able, key=lambda point: point.error(quantity) or 0.0, default=None)
 

@@ -1,7 +1,7 @@
-"""Look and life of the page: its style sheet, and the script that draws the diagram.
+"""Style sheet and script of the page.
 
-The script draws from the numbers that the page carries, so that another quantity, a hidden method
-or a dark theme need no other figure.  It asks nothing of anybody: no library, no request.
+The script draws from the numbers in the page, so that another quantity, a hidden method or a dark
+theme need no other figure.  It uses no library and makes no request.
 """
 
 CSS = """
@@ -113,7 +113,7 @@ function draw(figure, work, label) {
   const places = data.series.flatMap(s => s.points.map(p => place(p, work))).filter(p => p);
   if (!places.length) {
     element("text", {x: WIDTH / 2, y: HEIGHT / 2, "text-anchor": "middle", class: "soft"}, svg)
-      .textContent = "nobody tells it";
+      .textContent = "no values";
     old ? old.replaceWith(svg) : figure.append(svg);
     return;
   }
@@ -170,14 +170,14 @@ function draw(figure, work, label) {
       if (point.key in best) element("circle", {cx: x, cy: y, r: 7.5, class: "best"}, group);
       const hit = element("circle", {cx: x, cy: y, r: 9, fill: "transparent", "class": "hit",
         "data-key": point.key, tabindex: -1}, group);
-      hit.addEventListener("pointerenter", event => tell(event, series, point));
+      hit.addEventListener("pointerenter", event => showTip(event, series, point));
       hit.addEventListener("pointerleave", quiet);
     }
   }
   old ? old.replaceWith(svg) : figure.append(svg);
 }
 const tip = document.getElementById("tip");
-function tell(event, series, point) {
+function showTip(event, series, point) {
   const [what, unit] = data.quantities[quantity];
   const rows = [["error, " + what, number(point.errors[quantity], unit.split(",")[0])],
     ["wall time", number(1e3 * point.wall_time_s, "ms")],

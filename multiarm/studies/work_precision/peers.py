@@ -1,8 +1,8 @@
-"""Other programs on the same scene: who there is, what they can be asked, and why not.
+"""Other programs on the same scene: which of them can run it, and why the others cannot.
 
-Each peer is at its best: models are built and torques tabulated off the clock, no Python is in a
-loop whose program can do without, and a feedback controller, which is ours and is called back,
-costs the peer nothing.
+Each peer has its best settings: models are built and torques tabulated outside the measured time,
+no Python is in a loop that can do without, and a feedback controller, which is ours and is called
+back, costs the peer nothing.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ import numpy as np
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
-from multiarm.studies.courses import Course, Grid, OutOfTime
-from multiarm.studies.peer_trials import NOT_INSTALLED
-from multiarm.studies.probes import (
+from multiarm.studies.observables import (
     Sinusoid,
     control_torque,
     inexpressible_effects,
     joint_damping,
     sinusoid,
 )
-from multiarm.studies.work_precision.points import FAILED, Point, point_of_course, too_slow
+from multiarm.studies.peer_trials import NOT_INSTALLED
+from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
+from multiarm.studies.work_precision.points import FAILED, Point, point_of_series, too_slow
 from multiarm.studies.work_precision.reference import Reference
 from multiarm.studies.work_precision.settings import Ladder, Setting, peer_ladder
 
-Follow = Callable[[Course, State, str, float, Any], None]
-"""Runs a course from a state by a method and its step or tolerance, driven by torques."""
+Follow = Callable[[TimeSeries, State, str, float, Any], None]
+"""Runs a series from a state by a method and its step or tolerance, driven by torques."""
 
 
 @dataclass(frozen=True)
@@ -90,24 +90,24 @@ class Peers:
 
     def measure(self, setting: Setting, reference: Reference, limit_s: float) -> Point:
         """Run a peer's setting and compare it; whatever it raises becomes a failed point."""
-        course = Course(limit_s)
+        series = TimeSeries(limit_s)
         peer = self.able[setting.solver]
         try:
             with np.errstate(all="ignore"):
                 peer.follow(
-                    course, self._start, setting.method, setting.value, self._torques(course)
+                    series, self._start, setting.method, setting.value, self._torques(series)
                 )
         except OutOfTime:
             return too_slow(setting, limit_s)
         except Exception as error:
             return Point(setting, FAILED, f"{type(error).__name__}: {error}".splitlines()[0])
-        return point_of_course(self.system, setting, reference, self.grid, course)
+        return point_of_series(self.system, setting, reference, self.grid, series)
 
-    def _torques(self, course: Course) -> Sinusoid | Callable[[float, State], np.ndarray]:
+    def _torques(self, series: TimeSeries) -> Sinusoid | Callable[[float, State], np.ndarray]:
         if self._drive is not None:
             return self._drive
         system = self.system
-        return course.off_the_clock(lambda t, state: control_torque(system, t, state))
+        return series.off_the_clock(lambda t, state: control_torque(system, t, state))
 
 
 def _mujoco(as_shipped: bool):
@@ -116,8 +116,8 @@ def _mujoco(as_shipped: bool):
 
         model = MujocoModel(system, damping, as_shipped)
 
-        def follow(course, start, method, value, drive):
-            model.follow(course, grid, start, method, value, drive)
+        def follow(series, start, method, value, drive):
+            model.follow(series, grid, start, method, value, drive)
 
         return dict.fromkeys(INTEGRATORS, "step"), follow
 
@@ -129,8 +129,8 @@ def _pinocchio(system: System, damping: np.ndarray, grid: Grid):
 
     model = PinocchioMotion(system, damping)
 
-    def follow(course, start, method, value, drive):
-        model.follow(course, grid, start, method, value, drive)
+    def follow(series, start, method, value, drive):
+        model.follow(series, grid, start, method, value, drive)
 
     return METHODS, follow
 
@@ -140,8 +140,8 @@ def _drake(system: System, damping: np.ndarray, grid: Grid):
 
     DrakeModel(system, damping, grid.interval, Sinusoid.none(damping.size))  # refuses now, or never
 
-    def follow(course, start, method, value, drive):
-        DrakeModel(system, damping, value, drive).follow(course, grid, start)
+    def follow(series, start, method, value, drive):
+        DrakeModel(system, damping, value, drive).follow(series, grid, start)
 
     return METHODS, follow
 

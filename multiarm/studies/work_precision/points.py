@@ -12,8 +12,8 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import plain
-from multiarm.studies.courses import Course, Grid, OutOfTime
-from multiarm.studies.probes import largest_gap
+from multiarm.studies.observables import largest_gap
+from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
 from multiarm.studies.work_precision.reference import Motion, Reference, limited, motion_error
 from multiarm.studies.work_precision.settings import Setting
 
@@ -110,11 +110,11 @@ def measure_ours(system: System, setting: Setting, reference: Reference, limit_s
     )
 
 
-def point_of_course(
-    system: System, setting: Setting, reference: Reference, grid: Grid, course: Course
+def point_of_series(
+    system: System, setting: Setting, reference: Reference, grid: Grid, series: TimeSeries
 ) -> Point:
-    """A peer's point from its course."""
-    found = np.array(course.positions)
+    """A peer's point from its series."""
+    found = np.array(series.positions)
     if len(found) <= grid.intervals:
         reached = (len(found) - 1) * grid.interval
         return Point(setting, FAILED, f"the state is no longer finite after {reached:.3g} s")
@@ -123,9 +123,9 @@ def point_of_course(
     return Point(
         setting,
         COMPLETED,
-        wall_time_s=course.wall_time_s,
-        steps=course.steps,
-        evaluations=course.evaluations,
+        wall_time_s=series.wall_time_s,
+        steps=series.steps,
+        evaluations=series.evaluations,
         errors=Motion(found).errors(reference.motion),
         gap_m=max(gaps),
     )

@@ -1,9 +1,9 @@
-"""The reference: a tight run, and another path through the program that says how far it is right.
+"""The reference: a tight run, and an independent run that determines its digits.
 
-The run is that of the node algorithm with a method of high order.  The path that checks it shares
-nothing with it but the model: the dense solution of all equations at once
-(:mod:`multiarm.dynamics.solver.dense`), and another method.  What the two differ by are the digits
-of the reference: errors below them say nothing.
+The reference is a run of the node algorithm with a method of high order.  Its check shares nothing
+with it but the model: the dense solution of all equations at once
+(:mod:`multiarm.dynamics.solver.dense`), and another method.  The differences of the two are the
+digits of the reference: errors below them are not significant.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.comparison import rotation_apart
 from multiarm.simulation.simulate import simulate
-from multiarm.studies.courses import OutOfTime
+from multiarm.studies.time_series import OutOfTime
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS
 
 QUANTITIES = {
@@ -42,7 +42,7 @@ CHECK_TOLERANCES = (1e-9, 1e-11, 1e-13)
 PATIENCE = 20.0
 """Wall time for the reference, and for its check [s]."""
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -155,15 +155,15 @@ def limited(system: System, limit_s: float, **options: Any) -> Trajectory:
 
 
 def make_reference(
-    system: System, tell: Tell | None = None, known: Mapping[str, Any] | None = None
+    system: System, report: Report | None = None, known: Mapping[str, Any] | None = None
 ) -> Reference:
     """Compute the reference of a system's scene, and check it.
 
     Parameters
     ----------
     system : System
-    tell : callable, optional
-        Told what is being done.
+    report : callable, optional
+        Called with a description of each stage.
     known : mapping, optional
         ``digits`` and ``about`` of an earlier check of the same scene, which then is not repeated.
 
@@ -172,8 +172,8 @@ def make_reference(
     MultiarmError
         Where no tight run comes to its end, or none of the independent ones does.
     """
-    tell = tell or (lambda _text: None)
-    tell("reference")
+    report = report or (lambda _text: None)
+    report("reference")
     run, method, tolerance = _tight_run(system)
     motion, counted = Motion.of(run), run.statistics
     made = {
@@ -186,7 +186,7 @@ def make_reference(
         digits, about = known["digits"], known["about"]
     else:
         methods = CHECKS if method == METHODS[0] else CHECKS[::-1]
-        digits, check = _checked(system, motion, methods, tell)
+        digits, check = _checked(system, motion, methods, report)
         about = {**made, "check": check}
     return Reference(
         motion,
@@ -219,13 +219,13 @@ def _tight_run(system: System) -> tuple[Trajectory, str, float]:
 
 
 def _checked(
-    system: System, motion: Motion, methods: Sequence[str], tell: Tell
+    system: System, motion: Motion, methods: Sequence[str], report: Report
 ) -> tuple[dict[str, float], dict[str, Any]]:
     """Digits of the motion, and how they were found."""
     for solver in ("dense", "node"):
         for method in methods:
             if method in ADAPTIVE_INTEGRATORS:
-                found = _check(system, motion, solver, method, tell)
+                found = _check(system, motion, solver, method, report)
                 if found is not None:
                     return found
     raise MultiarmError(
@@ -235,13 +235,13 @@ def _checked(
 
 
 def _check(
-    system: System, motion: Motion, solver: str, method: str, tell: Tell
+    system: System, motion: Motion, solver: str, method: str, report: Report
 ) -> tuple[dict[str, float], dict[str, Any]] | None:
     """The check by one solver and method, tighter and tighter as long as time and gain allow."""
     best: tuple[dict[str, float], dict[str, Any]] | None = None
     left = PATIENCE
     for tolerance in CHECK_TOLERANCES:
-        tell(f"checking the reference: {solver} solver, {method}, tolerance {tolerance:g}")
+        report(f"checking the reference: {solver} solver, {method}, tolerance {tolerance:g}")
         begin = time.perf_counter()
         try:
             run = limited(

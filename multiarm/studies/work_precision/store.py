@@ -1,7 +1,7 @@
-"""The file of a study: everything that was measured, written as it comes in.
+"""The file of a study: every point is written as soon as it is measured.
 
-An interrupted study goes on where it was, and pages and plots are drawn from the file alone.  It
-belongs to a scene, to versions and to a machine: times of another machine are no yardstick.
+An interrupted study resumes from it, and pages and plots are drawn from the file alone.  It belongs
+to a scene, to versions and to a machine: times of different machines are not comparable.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FORMAT = "multiarm accuracy, 1"
 WRITE_INTERVAL = 1.0
 """The file is written at most so often [s]."""
 DEFAULT_FORCE_ACCURACY = 1e-3
-"""Error of contact forces that is aimed at where the scene asks for none [N]."""
+"""Target error of contact forces if the scene requests none [N]."""
 # How the scene itself is to be run has no influence on the study.
 _NO_INFLUENCE = ("accuracy", "integrator", "step", "tolerance", "stabilization", "solver")
 _OF_MACHINE = ("processor", "version", "python", "dependencies")
@@ -158,14 +158,14 @@ def read_results(path: Path) -> Results:
 
 def _targets(run: RunSpec) -> dict[str, float]:
     """The error that the scene aims at, for each quantity."""
-    asked = run.accuracy
-    motion = DEFAULT_ACCURACY if asked is None else asked.smallest
+    accuracy = run.accuracy
+    motion = DEFAULT_ACCURACY if accuracy is None else accuracy.smallest
     return {
         "motion": motion,
-        "position": (asked and asked.position) or motion,
-        "rotation": (asked and asked.rotation) or motion,
+        "position": (accuracy and accuracy.position) or motion,
+        "rotation": (accuracy and accuracy.rotation) or motion,
         "joints": motion,
-        "force": (asked and asked.force) or DEFAULT_FORCE_ACCURACY,
+        "force": (accuracy and accuracy.force) or DEFAULT_FORCE_ACCURACY,
     }
 
 

@@ -1,8 +1,8 @@
-"""The study: all ladders of a scene, climbed side by side, and measured again and again.
+"""The study: all settings of a scene are measured, and then repeated in rounds.
 
-First every ladder is climbed, one setting of each in turn, until its error sinks into the digits of
-the reference, no longer falls, or a run takes longer than its limit.  Then all runs are repeated in
-rounds, so that what else the machine does hits all of them alike; the fastest run counts.
+First every ladder is run from coarse to fine, one setting of each in turn, until its error reaches
+the digits of the reference, no longer falls, or a run exceeds its time limit.  Then all runs are
+repeated in rounds, so that disturbances affect all of them alike; the fastest run counts.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.scene import Scene
-from multiarm.studies.bursts import one_thread
 from multiarm.studies.hard_cases import machine
+from multiarm.studies.timing import one_thread
 from multiarm.studies.work_precision.peers import Peers
 from multiarm.studies.work_precision.points import TOO_SLOW, Point, measure_ours
 from multiarm.studies.work_precision.reference import Reference, make_reference
@@ -66,20 +66,22 @@ def run_study(
         Ctrl-C; what was measured is in the results.
     """
     results = Results.of(scene, machine()) if results is None else results
-    tell = progress or (lambda _text, _done, _total: None)
+    report = progress or (lambda _text, _done, _total: None)
     begin = time.perf_counter()
     try:
         with one_thread():
             system = compile_system(scene)
-            reference = make_reference(system, lambda text: tell(text, 0.0, 0.0), results.reference)
+            reference = make_reference(
+                system, lambda text: report(text, 0.0, 0.0), results.reference
+            )
             results.found_reference(reference)
-            asked = Peers(system) if peers else None
-            results.refusals = {} if asked is None else asked.refusals
-            bench = _Bench(system, reference, asked, results)
+            others = Peers(system) if peers else None
+            results.refusals = {} if others is None else others.refusals
+            bench = _Bench(system, reference, others, results)
             digits = reference.digits["motion"]
             climbs = [_Climb(ladder, digits) for ladder in bench.ladders(scene, quick)]
-            _climb_all(climbs, bench, tell)
-            _repeat_all(climbs, bench, tell, QUICK_REPEATS if quick else REPEATS)
+            _climb_all(climbs, bench, report)
+            _repeat_all(climbs, bench, report, QUICK_REPEATS if quick else REPEATS)
     finally:
         results.wall_time_s += time.perf_counter() - begin
         results.write()
@@ -143,7 +145,7 @@ class _Climb:
             self._left = []
 
 
-def _climb_all(climbs: list[_Climb], bench: _Bench, tell: Progress) -> None:
+def _climb_all(climbs: list[_Climb], bench: _Bench, report: Progress) -> None:
     """Measure each setting once, one of each ladder in turn."""
     done = 0
     while any(climb.left for climb in climbs):
@@ -153,16 +155,16 @@ def _climb_all(climbs: list[_Climb], bench: _Bench, tell: Progress) -> None:
             setting = climb.take()
             point = bench.results.points.get(setting.key)
             if point is None:
-                tell(setting.text, done, done + 1 + sum(other.left for other in climbs))
+                report(setting.text, done, done + 1 + sum(other.left for other in climbs))
                 point = bench.measure(setting)
                 if point.status == TOO_SLOW and not climb.points:
-                    point = bench.measure(setting)  # nothing else tells that it was not an accident
+                    point = bench.measure(setting)  # the only check that the time was no outlier
                 bench.results.add(point)
             climb.saw(point, bench.limit_s)
             done += 1
 
 
-def _repeat_all(climbs: list[_Climb], bench: _Bench, tell: Progress, repeats: int) -> None:
+def _repeat_all(climbs: list[_Climb], bench: _Bench, report: Progress, repeats: int) -> None:
     """Repeat what is quick, in rounds over all settings."""
     settings = [point.setting for climb in climbs for point in climb.points if point.completed]
     for turn in range(1, repeats):
@@ -171,6 +173,6 @@ def _repeat_all(climbs: list[_Climb], bench: _Bench, tell: Progress, repeats: in
             spent = (known.wall_time_s or 0.0) * (turn + 1)
             if known.repeats > turn or spent > REPEAT_BUDGET:
                 continue
-            tell(f"once more: {setting.text}", number + turn * len(settings),
+            report(f"once more: {setting.text}", number + turn * len(settings),
                  repeats * len(settings))  # fmt: skip
             bench.results.add(known.again(bench.measure(setting).wall_time_s))

@@ -1,4 +1,4 @@
-"""A study in words: the recommendation, the settings, the reference; and its figures."""
+"""A study as text: recommendation, settings and reference; and its figures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def recommendation(results: Results, quantity: str = "motion") -> str:
     assert taken is not None, "only levels that we reach are looked at"
     duration = results.about["scene"]["duration_s"]
     text = (
-        f"{apology}For errors below {short(first.level)}{_of(quantity)} take {told(taken)}: "
+        f"{apology}For errors below {short(first.level)}{_of(quantity)} take {described(taken)}: "
         f"{1e3 * wall_time(taken):.3g} ms for {duration:g} s of motion"
     )
     second = _at(reached, FARTHER * first.level) or reached[-1]
@@ -53,7 +53,7 @@ def comparison(results: Results, quantity: str = "motion") -> str:
     return f"The best peer takes {', and '.join(parts)}." if parts else ""
 
 
-def told(point: Point) -> str:
+def described(point: Point) -> str:
     """A setting as a piece of advice: ``accuracy 1e-5 (dop853, projection)``."""
     setting = point.setting
     if not setting.ours:
@@ -101,7 +101,7 @@ def figures(results: Results, quantity: str = "motion") -> dict[str, Any]:
 
 
 def _at(found: Sequence[Decade], level: float) -> Decade | None:
-    """The coarsest level that is at least as fine as the one asked for."""
+    """The coarsest decade that is at least as fine as a level."""
     fine = [decade for decade in found if decade.level <= level * (1.0 + 1e-9)]
     return fine[0] if fine else None
 

@@ -1,8 +1,8 @@
-"""What a replay shows, free of any renderer and of any robot library.
+"""An animation: what a replay shows, independent of renderers and of robot libraries.
 
-A film is a list of bodies (a mesh and its pose at every frame), the contacts of each arm (point,
-normal, force at every frame), the hinges of its joint, and the few facts around them. `filming`
-makes it from a trajectory, `drawing` draws it.
+It is a list of bodies (a mesh and its pose at every frame), the contacts of each arm (point,
+normal, force at every frame), the axes of its joint, and the events.  `animate` makes it from a
+trajectory, `drawing` draws it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Body:
     mesh : Mesh
         Shape in the body's frame [m].
     position : array, shape (K, 3)
-        Origin of the body's frame at each frame of the film, world axes [m].
+        Origin of the body's frame at each frame of the animation, world axes [m].
     quaternion_xyzw : array, shape (K, 4)
         Its orientation.
     color : array, shape (3,)
@@ -37,7 +37,7 @@ class Body:
     opacity : float
         1 hides what is inside.
     touched : bool array, shape (K,), optional
-        False where the body is a surface that nothing touches: it is faint then.
+        False in frames in which nothing touches this surface: it is faint then.
     """
 
     name: str
@@ -66,11 +66,11 @@ class ContactTracks:
     force : array, shape (K, N)
         Force along the normal [N]; positive pushes the object.
     state : int array, shape (K, N), optional
-        Codes of `channels.CONTACT_STATES`; absent where contacts hold in every way.
+        Codes of `channels.CONTACT_STATES`; absent for permanent contacts.
     names : tuple of str
-        By which events know the contacts.
+        Of the contacts, as in events.
     friction : tuple of bool
-        Which of them are friction at another one's point: arrows without a mark.
+        True for a row of friction at another contact's point: an arrow without a mark.
     """
 
     arm: str
@@ -103,7 +103,7 @@ class Dial:
 
 @dataclass(frozen=True)
 class HingeTracks:
-    """What one would see of a joint: an axle, a rail, a sleeve or a ball.
+    """The visible form of a joint: an axle, a rail, a sleeve or a ball.
 
     Parameters
     ----------
@@ -132,8 +132,8 @@ class HingeTracks:
 
 
 @dataclass(frozen=True)
-class Moment:
-    """Something that happens at a place.
+class EventPlace:
+    """The place of an event.
 
     Parameters
     ----------
@@ -151,8 +151,8 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Film:
-    """A scene in motion over K frames.
+class Animation:
+    """A moving scene of K frames.
 
     Parameters
     ----------
@@ -166,11 +166,11 @@ class Film:
     floor : float
         Height of the floor [m].
     note : str
-        A remark for the viewer, such as why the run ended early; may be empty.
-    moments : list of Moment
-        What flashes.
+        Shown in the viewer, such as why the run ended early; may be empty.
+    event_places : list of EventPlace
+        Events that are shown at a place.
     events : list of dict
-        What happened, as in `Trajectory.events`.
+        As in `Trajectory.events`.
     """
 
     title: str
@@ -180,20 +180,20 @@ class Film:
     hinges: list[HingeTracks] = field(default_factory=list)
     floor: float = 0.0
     note: str = ""
-    moments: list[Moment] = field(default_factory=list)
+    event_places: list[EventPlace] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
     @property
     def peak_force(self) -> float:
-        """The largest magnitude of a contact force in the film [N]; 0 without any."""
+        """The largest magnitude of a contact force in the animation [N]; 0 without any."""
         return float(self._peaks().max())
 
     @property
     def force_scale(self) -> float:
         """The force that the longest arrow stands for [N]; 0 without any force.
 
-        The peak, unless it is a spike, beside which the rest of the film would show no arrows: then
-        what all but one frame in twenty stay below. Larger forces are drawn at full length.
+        It is the peak, or the 95th percentile over the frames if the peak is a spike next to which
+        all other arrows would vanish. Larger forces are drawn at full length.
         """
         usual = float(np.percentile(self._peaks(), 95))
         return usual if 0 < SPIKE * usual < self.peak_force else self.peak_force
@@ -227,7 +227,7 @@ class Film:
         return np.concatenate([np.empty((0, 3)), *(e.reshape(-1, 3) for e in ends)])
 
     def size(self) -> float:
-        """Return the diagonal of the film's bounding box [m], the measure of all decoration."""
+        """Return the diagonal of the bounding box [m], to which all glyphs are scaled."""
         return float(np.linalg.norm(np.ptp(self.extent(), axis=0)))
 
 

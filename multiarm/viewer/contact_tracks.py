@@ -1,12 +1,15 @@
-"""The surfaces that touch, drawn where the contacts of a joint have them.
+"""The contacts of a run in an animation: places from the system, forces and states as recorded.
 
-A surface that goes on for ever is shown around the place where it is touched at the start, and of
-one with a patch only the patch; a user's surface is shown when it is a parametrisation.
+A channel of forces has a column for each row of W.  Rows that belong to a joint of an arm have no
+place and are not shown; rows of friction are arrows only, at their contact's point.
+
+An unbounded contact surface is shown around the point where it is touched at the start, a surface
+with a patch only there; a user-defined surface is shown if it is a parametrisation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,16 +27,140 @@ from multiarm.contacts.records import (
 )
 from multiarm.contacts.smooth import ParametricSurface
 from multiarm.dynamics.contact_geometry import contact_places
-from multiarm.results.channels import OPEN
-from multiarm.viewer.film import Body
+from multiarm.results.channels import OPEN, TOUCHING, channels_of
+from multiarm.results.event_log import Event, family_of, timed
+from multiarm.viewer.animation import Body, ContactTracks, EventPlace
 from multiarm.viewer.mesh import Mesh
-from multiarm.viewer.touching import row_states, rows_of
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import System
     from multiarm.results.trajectory import Trajectory
 
-# Joints whose surfaces are things that one could touch, rather than ways to write a hinge.
+
+FLOOR_COLOR = np.array([0.36, 0.40, 0.46])
+
+
+def contacts_of(
+    system: System, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
+) -> list[ContactTracks]:
+    """Return the contacts of each arm, and of the floor, at some samples (`rows`) of a run."""
+    places = [_places(system, trajectory, row) for row in rows]
+    points, normals = (np.array(side) for side in zip(*places, strict=True))  # (K, N, 3)
+    tracks = []
+    for owner, channel in channels_of(trajectory.channels, "contact_force").items():
+        own = rows_of(system, owner)
+        shown = {k: r for k in own if isinstance(r := system.model.records[k], Contact)}
+        if not shown:
+            continue
+        k, records = list(shown), list(shown.values())
+        columns = np.array(k) - own.start
+        labels = trajectory.channels[channel].labels
+        if len(labels) != len(own):  # contacts of code that was not loaded are missing
+            columns = np.array([labels.index(record.name) for record in records])
+        tracks.append(
+            ContactTracks(
+                arm=owner,
+                color=colors.get(owner, FLOOR_COLOR),
+                point=points[:, k],
+                normal=normals[:, k],
+                force=trajectory.read(channel)[rows][:, columns],
+                state=row_states(trajectory, owner, records, rows),
+                names=tuple(record.name for record in records),
+                friction=tuple(_is_friction(trajectory, owner, record) for record in records),
+            )
+        )
+    return tracks
+
+
+def event_places(
+    trajectory: Trajectory, time: np.ndarray, contacts: Sequence[ContactTracks]
+) -> list[EventPlace]:
+    """Return the events of a run that name a point or a visible contact.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    time : array, shape (K,)
+        Of the frames [s].
+    contacts : sequence of ContactTracks
+    """
+    tracks = {c.arm: c for c in contacts}
+    event_places = []
+    for event in timed(trajectory.events):
+        where = _place(event, time, tracks)
+        if where is not None:
+            event_places.append(EventPlace(float(event["time"]), family_of(event["kind"]), where))
+    return event_places
+
+
+def row_states(
+    trajectory: Trajectory, owner: str, records: Sequence[Contact], rows: np.ndarray
+) -> np.ndarray | None:
+    """Return the states of contacts at some samples, codes (K, N); None if all are permanent.
+
+    A row of friction has the state of its contact; a contact without a state is touching.
+    """
+    labels = _labels(trajectory, owner)
+    if not labels:
+        return None
+    states = trajectory.contact_states[owner][rows]
+    codes = np.full((len(rows), len(records)), TOUCHING)
+    for k, record in enumerate(records):
+        name = record.name if record.name in labels else _rubbing(record)
+        if name in labels:
+            codes[:, k] = np.round(states[:, labels.index(name)])
+    return codes
+
+
+def rows_of(system: System, owner: str) -> range:
+    """Rows of W of an arm, or of the object's own contacts."""
+    if owner not in system.arm_names:
+        around = system.model.layout.surroundings
+        return range(around.start, around.stop)
+    i = system.arm_names.index(owner)
+    return range(system.model.layout.rows[i], system.model.layout.rows[i + 1])
+
+
+def _place(
+    event: Event, time: np.ndarray, tracks: Mapping[str, ContactTracks]
+) -> np.ndarray | None:
+    where = event.get("where")
+    if where is not None:
+        point = np.array(where, dtype=float)
+        return point if point.shape == (3,) and np.isfinite(point).all() else None
+    track, contact = tracks.get(event.get("arm", "")), event.get("contact")
+    if track is None or contact not in track.names:
+        return None
+    frame = int(np.abs(time - event["time"]).argmin())
+    return track.point[frame, track.names.index(contact)]
+
+
+def _is_friction(trajectory: Trajectory, owner: str, record: Contact) -> bool:
+    return bool(record.tangent) and _rubbing(record) in _labels(trajectory, owner)
+
+
+def _rubbing(record: Contact) -> str:
+    """Name of the contact to which a row of friction belongs."""
+    return record.name.rpartition(", ")[0]
+
+
+def _labels(trajectory: Trajectory, owner: str) -> tuple[str, ...]:
+    """Names of the contacts that have states."""
+    channel = channels_of(trajectory.channels, "contact_state").get(owner)
+    return () if channel is None else trajectory.channels[channel].labels
+
+
+def _places(system: System, trajectory: Trajectory, row: int) -> tuple[np.ndarray, np.ndarray]:
+    state = system.state(
+        object_position=trajectory.object_position[row],
+        object_quaternion_xyzw=trajectory.object_quaternion_xyzw[row],
+        joint_positions={name: trajectory.joint_positions[name][row] for name in system.arm_names},
+    )
+    with system.borrow() as data:
+        return contact_places(data, state)
+
+
+# Joints with physical surfaces; those of other kinds only serve to define a hinge.
 SHOWN = ("contacts", "point_on_plane", "point_on_cylinder", "point_on_sphere")
 OPACITY = 0.45
 # Squares of a grid along each of its two directions.
@@ -49,7 +176,7 @@ def surface_bodies(
 ) -> list[Body]:
     """Return the contact surfaces of all joints of the ``SHOWN`` kinds at some samples (`rows`).
 
-    Plane faces of the object only where ``faces`` asks for them.
+    Plane faces of the object are included if ``faces`` is true.
     """
     on_object = trajectory.object_position[rows], trajectory.object_quaternion_xyzw[rows]
     extent = max(np.ptp(trajectory.object_position, axis=0).max(), object_size(system))
@@ -78,7 +205,7 @@ def surface_bodies(
 
 
 def _surfaces(contacts: Sequence[Contact]) -> dict[tuple, list[int]]:
-    """Return which contacts each surface has: the same surface may be touched at many points."""
+    """Return the contacts of each surface: one surface may be touched at many points."""
     found: dict[tuple, list[int]] = {}
     for k, contact in enumerate(contacts):
         for side in ("arm", "object"):
@@ -89,15 +216,15 @@ def _surfaces(contacts: Sequence[Contact]) -> dict[tuple, list[int]]:
 
 
 def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> Mesh | None:
-    """Return a surface as triangles in its body's frame; None where there is nothing to draw.
+    """Return a surface as triangles in its body's frame; None if there is nothing to draw.
 
     Parameters
     ----------
     surface : Surface
     touched : array, shape (3,)
-        Where it is touched at the start, in its body's frame [m].
+        The contact point at the start, in the body's frame [m].
     extent : float
-        How far an endless surface is shown [m].
+        Size to which an unbounded surface is cut [m].
     """
     around = surface.axes.T @ (touched - surface.origin)
     points = _grid(surface, around, 0.5 * extent)

@@ -1,4 +1,4 @@
-"""What benchmarks ask of a system: torques, gap and energy at one state, damping, a drive."""
+"""Observables of a system at one state: torques, gap, energy, damping; torques of time alone."""
 
 from __future__ import annotations
 

@@ -1,15 +1,15 @@
-"""Draws at random that depend on the seed and on the run's number, and on nothing else.
+"""Random samples that depend only on the seed and the number of the run.
 
-A value is the quantile Q(u) of a number u in (0, 1), so that one way of drawing serves all laws.
+A value is the quantile Q(u) of a number u in (0, 1), so that one sampler serves all distributions.
 The numbers u of a run come from a generator that is keyed by the seed and the run:
 
     random            u = Philox(seed, run), independent for every run
     latin_hypercube   the runs of one grid point fill `repeat` layers of every axis once
     sobol             the runs of one grid point are a scrambled Sobol sequence
 
-The last two are SciPy's; every grid point has a sample of its own, keyed by the seed and the point.
-Of Sobol's sequence one point is computed at a time.  A Latin hypercube is made as a whole: it needs
-8 bytes for each axis and repetition, whatever the number of grid points.
+The last two are SciPy's; every grid point has its own sample, keyed by the seed and the point.
+Sobol points are computed one at a time.  A Latin hypercube is made as a whole: it needs 8 bytes for
+each axis and repetition, whatever the number of grid points.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from typing import Any, Protocol
 import numpy as np
 
 SMALLEST = 2.0**-54
-"""Draws are kept away from 0 and 1 by this: there many quantiles are infinite."""
+"""Distance of u from 0 and 1, where many quantiles are infinite."""
 
 
-class Law(Protocol):
-    """A distribution."""
+class Distribution(Protocol):
+    """A distribution, by its quantile function: a share ``u`` of all values lies below Q(u)."""
 
     def quantile(self, u: float) -> Any:
-        """The value that a share ``u`` of all values lies below."""
+        """Q(u), u in (0, 1)."""
         ...
 
 
@@ -41,7 +41,7 @@ class Uniform:
     high: float
 
     def quantile(self, u: float) -> float:
-        """The value that a share ``u`` of all values lies below."""
+        """Q(u), u in (0, 1)."""
         return self.low + u * (self.high - self.low)
 
 
@@ -53,19 +53,19 @@ class LogUniform:
     high: float
 
     def quantile(self, u: float) -> float:
-        """The value that a share ``u`` of all values lies below."""
+        """Q(u), u in (0, 1)."""
         return self.low * (self.high / self.low) ** u
 
 
 @dataclass(frozen=True)
 class Normal:
-    """The bell curve, by its mean and standard deviation."""
+    """The normal distribution, by its mean and standard deviation."""
 
     mean: float
     deviation: float
 
     def quantile(self, u: float) -> float:
-        """The value that a share ``u`` of all values lies below."""
+        """Q(u), u in (0, 1)."""
         from scipy.special import ndtri
 
         return self.mean + self.deviation * float(ndtri(u))
@@ -79,7 +79,7 @@ class LogNormal:
     deviation: float
 
     def quantile(self, u: float) -> float:
-        """The value that a share ``u`` of all values lies below."""
+        """Q(u), u in (0, 1)."""
         from scipy.special import ndtri
 
         return self.median * math.exp(self.deviation * float(ndtri(u)))
@@ -87,17 +87,17 @@ class LogNormal:
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of several values, each as likely as the others."""
+    """One of several values, all equally likely."""
 
     values: Sequence[Any]
 
     def quantile(self, u: float) -> Any:
-        """The value in whose share of (0, 1) ``u`` lies."""
+        """The value whose interval of (0, 1) contains u."""
         return self.values[int(u * len(self.values))]
 
 
 @dataclass
-class Draws:
+class Sampler:
     """Numbers in (0, 1), one for each drawn axis, for any run.
 
     Parameters
@@ -114,7 +114,7 @@ class Draws:
     seed: int
     axes: int
     repeat: int
-    # the sample of the grid point that was asked for last: runs mostly come in their order
+    # the sample of the last grid point: runs mostly come in order
     _point: int = field(default=-1, init=False)
     _sample: Any = field(default=None, init=False, repr=False)
 
@@ -139,8 +139,8 @@ class Draws:
         if point != self._point:
             from scipy.stats.qmc import LatinHypercube
 
-            maker = LatinHypercube(self.axes, rng=self._generator(point))
-            self._point, self._sample = point, maker.random(self.repeat)
+            hypercube = LatinHypercube(self.axes, rng=self._generator(point))
+            self._point, self._sample = point, hypercube.random(self.repeat)
         return self._sample
 
     def _sobol(self, point: int, repetition: int) -> np.ndarray:

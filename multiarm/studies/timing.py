@@ -1,10 +1,10 @@
-"""How the benchmarks measure time: short interleaved bursts of calls, and slopes fitted to them.
+"""How the studies measure time: short interleaved bursts of calls, and slopes fitted to them.
 
-What is compared is measured in turn, a burst of each after the other, so that whatever else the
-machine does meets all alike.  Everything runs on one thread, and counted is the time that the
-processor spends on it: the wall time on a quiet machine, and not much more on a busy one.  Of the
-bursts of one contestant either the *fastest* counts (others can only slow a burst down, through
-shared caches) or the *median*.
+Contestants are measured in turns, one burst of each after the other, so that disturbances by other
+programs affect all alike.  Everything runs on one thread; the time is the processor's time for it,
+which is the wall time on a quiet machine, and not much more on a busy one.  The figure of a
+contestant is the *fastest* of its bursts (others can only slow a burst down, through shared caches)
+or the *median*.
 """
 
 from __future__ import annotations
@@ -15,6 +15,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+
+from multiarm.dynamics.system import System
+from multiarm.results.trajectory import Trajectory
+from multiarm.simulation.simulate import simulate
 
 BURST = 1e-3
 """Length of a burst [s], about; a single call that takes longer is a burst."""
@@ -64,7 +68,7 @@ def measure(
 
 def calls_a_burst(burst: Burst) -> int:
     """How many calls make a burst of about the usual length."""
-    burst(1)  # whatever happens the first time only
+    burst(1)  # warm-up
     begin = time.thread_time()
     burst(2)
     return max(1, round(BURST / max((time.thread_time() - begin) / 2, 1e-7)))
@@ -112,3 +116,34 @@ def one_thread() -> Iterator[None]:
 
     with threadpool_limits(limits=1):
         yield
+
+
+def clocked_run(system: System, **options: Any) -> tuple[Trajectory, float]:
+    """Simulate, unchecked.
+
+    Returns
+    -------
+    trajectory : Trajectory
+    seconds : float
+        Its wall time without that for which the processor did something else.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Ctrl-C, which ``simulate`` makes an end in good order, ends the whole benchmark.
+    MultiarmError
+        What ``simulate`` raises.
+    """
+    clocks: list[tuple[float, float]] = []
+
+    def look(_: float) -> None:  # called before the first step and after the last
+        clocks.append((time.perf_counter(), time.thread_time()))
+
+    run = simulate(system, progress=look, certificate=False, **options)
+    if run.status == "interrupted":
+        raise KeyboardInterrupt
+    if len(clocks) < 2:
+        return run, run.statistics["wall_time_s"]
+    (begin, begin_busy), (end, end_busy) = clocks[0], clocks[-1]
+    waited = max(0.0, (end - begin) - (end_busy - begin_busy))
+    return run, run.statistics["wall_time_s"] - waited

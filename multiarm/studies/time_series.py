@@ -1,4 +1,4 @@
-"""A motion at the times at which it is looked at, whoever computed it, and what that cost."""
+"""A motion at given output times, from any program, with its cost."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Grid:
 
 
 @dataclass
-class Course:
+class TimeSeries:
     """A motion at the times of a grid, as it is recorded.
 
     Attributes

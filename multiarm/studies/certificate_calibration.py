@@ -1,11 +1,12 @@
-"""Are certificates honest? Random scenes, each against references that were made in other ways.
+"""Calibration of certificates: estimated errors of random scenes against independent references.
 
-``python -m multiarm.studies.honesty [COUNT] [FIRST]`` simulates random scenes as anybody would
-and compares every result with a reference: another method at the tightest tolerance, for some
-scenes evaluated by the dense solver. A second reference, by the run's own method at its tightest,
-tells how many digits the first one has. A certificate is dishonest when it says *met* and the true
-error exceeds what was asked. Where the two references differ by more than a tenth of what was
-asked, they decide nothing: such scenes are marked with a question mark and counted apart.
+``python -m multiarm.studies.certificate_calibration [COUNT] [FIRST]`` simulates random scenes with
+default settings and compares every result with a reference: another method at the tightest
+tolerance, for some scenes evaluated by the dense solver. A second reference, by the run's own
+method at its tightest, gives the digits of the first one. A certificate is a false positive when it
+says *met* and the true error exceeds the requested accuracy. Where the two references differ by
+more than a tenth of it, they decide nothing: such scenes are marked with a question mark and
+counted separately.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ TOLERANCES = (1e-13, 1e-12, 1e-11, 1e-10, 1e-9)
 MOST_EVALUATIONS = 1_500_000
 ORDERS = {"dopri5": 5, "dop853": 8}
 UNSURE = 0.1
-"""A certificate is judged if the references differ by at most this part of what was asked."""
+"""A certificate is judged if the references differ by at most this part of the tolerance."""
 DENSE_TOLERANCE = 1e-10
 DENSE_EVERY, DENSE_LONGEST = 5, 0.6
 """Every so many-th scene is also run by the dense solver, for at most so long [s]."""
@@ -58,24 +59,24 @@ class Trial:
         What the certificate says; None: there is none.
     text : str
         The certificate, or why there is none.
-    asked, estimated, true, unsure : dict of str to float or None
-        By kind (position_m, ...): accuracy asked, error estimated, error against the reference,
+    requested, estimated, true, unsure : dict of str to float or None
+        By kind (position_m, ...): requested accuracy, estimated error, error against the reference,
         difference of the two references.
     first_share : float or None
-        Largest ratio of the error estimated of the first run to the one asked.
+        Largest ratio of the error estimated of the first run to the requested one.
     runs : int
         Made until the verdict.
     run_s, all_s : float
         Wall time of the first run, and of everything that ``simulate`` did.
     dense : bool
-        The reference was evaluated by the dense solver too, and agreed as well as was asked.
+        The reference was evaluated by the dense solver too, and agreed within the tolerance.
     """
 
     seed: int
     status: str
     met: bool | None = None
     text: str = ""
-    asked: dict[str, float | None] = field(default_factory=dict)
+    requested: dict[str, float | None] = field(default_factory=dict)
     estimated: dict[str, float | None] = field(default_factory=dict)
     true: dict[str, float | None] = field(default_factory=dict)
     unsure: dict[str, float | None] = field(default_factory=dict)
@@ -88,16 +89,16 @@ class Trial:
     @property
     def decided(self) -> bool:
         """Whether the references are good enough to hold the certificate against them."""
-        pairs = [(self.unsure.get(kind), asked) for kind, asked in self.asked.items()]
+        pairs = [(self.unsure.get(kind), requested) for kind, requested in self.requested.items()]
         return all(
-            unsure is not None and unsure <= UNSURE * asked
-            for unsure, asked in pairs
-            if asked is not None
+            unsure is not None and unsure <= UNSURE * requested
+            for unsure, requested in pairs
+            if requested is not None
         )
 
     @property
-    def dishonest(self) -> bool:
-        """Says *met*, and the true error exceeds what was asked."""
+    def false_positive(self) -> bool:
+        """Says *met*, and the true error exceeds the requested accuracy."""
         share = self.share()
         return bool(self.met) and self.decided and share is not None and share > 1.0
 
@@ -113,8 +114,8 @@ class Trial:
         return found
 
     def share(self) -> float | None:
-        """Largest ratio of the true error to the one asked."""
-        return _share(self.asked, self.true)
+        """Largest ratio of the true error to the requested one."""
+        return _share(self.requested, self.true)
 
 
 def run_trial(seed: int) -> Trial:
@@ -171,19 +172,19 @@ def summary(trials: list[Trial]) -> str:
     costs = [trial.all_s / trial.run_s for trial in judged if trial.run_s > 0] or [float("nan")]
     firsts = [share for trial in judged if (share := trial.first_share) is not None]
     open_ = [trial.seed for trial in met if not trial.decided]
-    dishonest = [trial.seed for trial in trials if trial.dishonest]
+    false_positive = [trial.seed for trial in trials if trial.false_positive]
     return "\n".join(
         (
             f"scenes {len(trials)}: met {len(met)}, not met {len(judged) - len(met)}, "
             f"no certificate {len(trials) - len(judged)}; references by the dense solver too: "
             f"{sum(trial.dense for trial in trials)}",
-            f"dishonest: {len(dishonest)} {dishonest or ''}; not decided by the references: "
-            f"{len(open_)} {open_ or ''}",
+            f"false positives: {len(false_positive)} {false_positive or ''}; not decided by the "
+            f"references: {len(open_)} {open_ or ''}",
             f"first run sufficed: {sum(trial.runs == 2 for trial in met)} of {len(met)}",
-            f"estimated error of the first run / asked: {_quantiles(firsts)}",
+            f"estimated error of the first run / requested: {_quantiles(firsts)}",
             f"true / estimated error: median {median(ratios):.2g}, "
             f"{min(ratios):.2g} to {max(ratios):.2g}",
-            f"true / asked error of what was met: median {median(shares):.2g}, "
+            f"true / requested error of what was met: median {median(shares):.2g}, "
             f"{min(shares):.2g} to {max(shares):.2g}",
             f"everything / first run, wall time: median {median(costs):.2g}, "
             f"{min(costs):.2g} to {max(costs):.2g}",
@@ -191,16 +192,16 @@ def summary(trials: list[Trial]) -> str:
     )
 
 
-def row(trial: Trial) -> str:
+def report_line(trial: Trial) -> str:
     """One trial in a line."""
     if trial.met is None:
         return f"{trial.seed:5d}  {trial.status}: {trial.text[:90]}"
     numbers = "".join(
         f"  {_number(d.get(kind))}"
         for kind in LENGTHS
-        for d in (trial.asked, trial.estimated, trial.true, trial.unsure)
+        for d in (trial.requested, trial.estimated, trial.true, trial.unsure)
     )
-    verdict = "DISHONEST" if trial.dishonest else "met" if trial.met else "not met"
+    verdict = "DISHONEST" if trial.false_positive else "met" if trial.met else "not met"
     verdict += "" if trial.decided else "?"
     return f"{trial.seed:5d}  {verdict:9s}{numbers}  {trial.runs} runs, {trial.all_s:.2f} s"
 
@@ -209,13 +210,13 @@ def main() -> None:
     """Run the benchmark and print its table."""
     given = [int(text) for text in sys.argv[1:]]
     count, first = (*given, *(SCENES, 0)[len(given) :])
-    print("seed   verdict    position: asked, estimated, true, unsure;  rotation: the same")
+    print("seed   verdict    position: requested, estimated, true, unsure;  rotation: the same")
     trials = []
     for trial in run_trials(range(first, first + count)):
-        print(row(trial), flush=True)
+        print(report_line(trial), flush=True)
         trials.append(trial)
     print(summary(trials))
-    if any(trial.dishonest for trial in trials):
+    if any(trial.false_positive for trial in trials):
         raise SystemExit(1)
 
 
@@ -247,8 +248,10 @@ def _apart(system: System, run: Trajectory, other: Trajectory) -> dict[str, floa
     return {kind: comparison.worst(kind) for kind in KINDS}
 
 
-def _dense_agrees(system: System, reference: Trajectory, asked: dict[str, float | None]) -> bool:
-    """Whether the dense solver's run is where the reference is, as exactly as was asked."""
+def _dense_agrees(
+    system: System, reference: Trajectory, requested: dict[str, float | None]
+) -> bool:
+    """Whether the dense solver's run is where the reference is, within the requested accuracy."""
     duration = min(DENSE_LONGEST, system.scene.run.duration)
     dense = simulate(
         system, duration, integrator="dop853", tolerance=DENSE_TOLERANCE, solver="dense",
@@ -258,12 +261,12 @@ def _dense_agrees(system: System, reference: Trajectory, asked: dict[str, float 
         return False
     last = len(dense) - 2  # the last sample may lie between two of the reference
     gap = np.abs(dense.object_position[:last] - reference.object_position[:last]).max()
-    return bool(gap <= max(asked["position_m"] or 0.0, 1e3 * DENSE_TOLERANCE))
+    return bool(gap <= max(requested["position_m"] or 0.0, 1e3 * DENSE_TOLERANCE))
 
 
-def _share(asked: Mapping[str, float | None], found: Mapping[str, Any]) -> float | None:
-    """Largest ratio of an error to the one asked."""
-    pairs = [(found.get(kind), value) for kind, value in asked.items()]
+def _share(requested: Mapping[str, float | None], found: Mapping[str, Any]) -> float | None:
+    """Largest ratio of an error to the requested one."""
+    pairs = [(found.get(kind), value) for kind, value in requested.items()]
     return max((error / value for error, value in pairs if error and value), default=None)
 
 

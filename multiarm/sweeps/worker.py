@@ -1,8 +1,8 @@
-"""What a worker does: a run from its number and values to its row, and nothing besides.
+"""What a worker does: it simulates a job and returns its record.
 
 A run is a pure function of (scene, values).  Every worker compiles the scene of the sweep once and
-makes the system of each run from it, never from that of the run before, so that the same run gives
-the same numbers in any company and in any order.
+makes the system of each run from it, never from the system of the previous run, so that a run gives
+the same numbers on every worker and in every order.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from multiarm.simulation.certified import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import SweepPlan, program_version
 from multiarm.sweeps.quantities import Quantity, measure
-from multiarm.sweeps.row import Row
+from multiarm.sweeps.records import Record
 
-__all__ = ["Job", "Work", "perform", "perform_all", "simulate_run", "warm"]
+__all__ = ["Job", "JobContext", "run_job", "run_jobs", "simulate_run", "warm_up"]
 
 
 @dataclass(frozen=True)
 class Job:
-    """One run: its number, and what is other in its scene."""
+    """One run: its number, and the values that it sets in the scene."""
 
     run: int
     values: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Work:
-    """What all runs of a sweep have in common; made to be sent to workers.
+class JobContext:
+    """What all jobs of a sweep share; it is sent to the workers.
 
     Attributes
     ----------
@@ -51,16 +51,16 @@ class Work:
         As YAML text.
     quantities : tuple of Quantity
     certificate : bool
-        Runs of some accuracy are checked.
+        Check runs of some accuracy.
     effects : tuple of type
-        Effects of the user's that were registered where the sweep was begun.
+        User-defined effects that were registered in the process that began the sweep.
     version : str
         Of multiarm: another one may give other numbers.
     folder : str
         Where relative paths of the scene, and of values in it, start.
     session : str
-        A new one for each sweep that is begun: files that the scene names may have changed since
-        the last one, which a worker may remember.
+        Unique to each call of :func:`multiarm.sweep`: files that the scene names may have changed
+        since an earlier call, whose compiled scene a worker may still hold.
     """
 
     scene: str
@@ -72,10 +72,10 @@ class Work:
     session: str = ""
 
     @classmethod
-    def of(cls, plan: SweepPlan, session: str = "") -> Work:
-        """The work of a plan."""
+    def of(cls, plan: SweepPlan, session: str = "") -> JobContext:
+        """The context of a plan."""
         named = {*(plan.scene.effects.model_extra or {})}
-        for path in plan.paths:  # one may be named by the sweep alone
+        for path in plan.paths:  # an effect may occur in the sweep only
             named |= {part for part in parse_path(path) if isinstance(part, str)}
         return cls(
             scene=plan.scene_text,
@@ -88,122 +88,122 @@ class Work:
         )
 
 
-def perform_all(work: Work, jobs: Sequence[Job]) -> list[Row]:
-    """Carry out some runs, one after the other.
+def run_jobs(context: JobContext, jobs: Sequence[Job]) -> list[Record]:
+    """Carry out some jobs, one after the other.
 
     Raises
     ------
     SweepError
         When this worker has another version of multiarm.
     KeyboardInterrupt
-        When Ctrl-C was pressed: what was done is lost, and is done again some day.
+        When Ctrl-C was pressed: these jobs are lost and are repeated when the sweep is resumed.
     """
     here = program_version()
-    if work.version != here:
+    if context.version != here:
         raise SweepError(
             f"worker {_worker()} has multiarm {here}, the sweep was begun by "
-            f"{work.version}; install the same version everywhere: others may give other numbers"
+            f"{context.version}; install the same version everywhere: others may give other numbers"
         )
-    warm(work)  # which loads the libraries that are limited now
+    warm_up(context)  # loads the libraries whose threads are limited below
     with threadpool_limits(1):  # workers share the processors already
-        return [perform(work, job) for job in jobs]
+        return [run_job(context, job) for job in jobs]
 
 
-def warm(work: Work) -> None:
-    """Compile the scene of a sweep in this process, and load what a run needs.
+def warm_up(context: JobContext) -> None:
+    """Compile the scene of a sweep in this process and load the libraries of a run.
 
     Raises
     ------
     SceneError
         When the scene cannot be read here.
     """
-    _base(work)
+    _base(context)
 
 
-def perform(work: Work, job: Job) -> Row:
-    """Carry out one run.
+def run_job(context: JobContext, job: Job) -> Record:
+    """Carry out one job.
 
     Returns
     -------
-    Row
-        Of a run that fails too, whatever went wrong.
+    Record
+        A run that fails gives one too.
 
     Raises
     ------
     KeyboardInterrupt
         When Ctrl-C was pressed: a part of a run is no result.
     """
-    warm(work)
+    warm_up(context)
     began = time.perf_counter()
-    numbers: dict[str, float | None] = dict.fromkeys([own.name for own in work.quantities])
+    numbers: dict[str, float | None] = dict.fromkeys([own.name for own in context.quantities])
     try:
-        trajectory = _simulated(work, job.values)
+        trajectory = _simulated(context, job.values)
         status, message = trajectory.status, trajectory.message
         _raise_interrupt(trajectory)
         if status == "completed":
-            numbers, fault = measure(work.quantities, trajectory)
+            numbers, fault = measure(context.quantities, trajectory)
             status, message = ("failed", fault) if fault else (status, message)
     except MultiarmError as error:
         status, message = "failed", f"the run could not begin: {error}"
-    except USER_FAULTS as error:  # functions and effects of the user's may do anything
+    except USER_FAULTS as error:  # user-defined functions and effects may raise anything
         status, message = "failed", f"the run broke off: {type(error).__name__}: {error}"
     wall = time.perf_counter() - began
-    return Row(job.run, status, message, job.values, numbers, wall, _worker())
+    return Record(job.run, status, message, job.values, numbers, wall, _worker())
 
 
 def simulate_run(plan: SweepPlan, run: int) -> Trajectory:
-    """One run of a plan, as a worker carries it out, with all its samples.
+    """Simulate one run of a plan as a worker does; returns all samples.
 
     Raises
     ------
     MultiarmError
         When it cannot begin.
     """
-    system = compile_system(plan.scene_of(run))  # files that it names may be others than before
+    system = compile_system(plan.scene_of(run))  # not cached: files that it names may have changed
     with threadpool_limits(1):
         return simulate(system, certificate=plan.spec.certificate)
 
 
-def _simulated(work: Work, values: Mapping[str, Any]) -> Trajectory:
-    base = _base(work)
+def _simulated(context: JobContext, values: Mapping[str, Any]) -> Trajectory:
+    base = _base(context)
     system = compile_system(changed(base.scene, values), like=base.system)
-    return simulate(system, certificate=work.certificate)
+    return simulate(system, certificate=context.certificate)
 
 
 @dataclass(frozen=True)
 class _Base:
-    """The scene of a sweep and its system; None where it cannot be compiled without changes."""
+    """The scene of a sweep and its system; None if it compiles only with a run's values."""
 
     scene: Scene
     system: System | None
 
 
-# A worker's memory: the scene that it compiled last. Clusters run several threads in a process, and
-# the arrays of a system are for one of them.
+# The scene that a worker compiled last.  Clusters run several threads in a process, and the arrays
+# of a system serve one thread.
 _memory = threading.local()
 
 
-def _base(work: Work) -> _Base:
-    """The compiled scene; a short run warms up what is compiled or loaded when it is first used."""
-    key = work.scene, work.session, work.effects
+def _base(context: JobContext) -> _Base:
+    """The compiled scene; a short run compiles or loads whatever the first use of it needs."""
+    key = context.scene, context.session, context.effects
     if getattr(_memory, "key", None) == key:
         return _memory.base
-    for effect in work.effects:
+    for effect in context.effects:
         register_effect(effect)
-    scene = parse_scene(work.scene, work.folder)
+    scene = parse_scene(context.scene, context.folder)
     system: System | None = None
     try:
         system = compile_system(scene)
         short = min(scene.run.duration, scene.run.output_step)
         _raise_interrupt(simulate(system, short, certificate=False))
     except USER_FAULTS:
-        pass  # what is wrong is told by every run that meets it
+        pass  # every run that has this fault reports it
     _memory.key, _memory.base = key, _Base(scene, system)
     return _memory.base
 
 
 def _raise_interrupt(trajectory: Trajectory) -> None:
-    """Let Ctrl-C act: a run that it ended, or whose check it ended, is no result."""
+    """Raise if Ctrl-C ended the run or its check: then there is no result."""
     reason = (trajectory.certificate or {}).get("reason")
     unchecked = trajectory.message.endswith(INTERRUPTED_WORDS)
     if unchecked or INTERRUPTED in (trajectory.status, reason):

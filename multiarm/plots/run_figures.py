@@ -1,21 +1,30 @@
-"""Figures of a run: what moved, what it took, and how far the result can be trusted."""
+"""Figures of a run: motion, forces, energy, drift, estimated errors and contact states.
+
+Contact states have one row a contact with a bar for each state.  The height and the fill of a bar
+show the state, as its colour does: a thin line for open, a low bar for touching, a dotted one for
+resting, a hatched one for sliding, a full one for sticking.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from multiarm.plots.decimation import POINTS, RotationSinceStart, decimate
-from multiarm.plots.panels import Panel, draw
-from multiarm.plots.style import AXIS_COLOURS, ROLES, family
-from multiarm.results.channels import Channel, channels_of
-from multiarm.results.event_log import Event
+from multiarm.plots.panels import LEGEND_ROW, EventMarks, Panel, draw, sheet
+from multiarm.plots.style import AXIS_COLOURS, GRID, ROLES, STYLE, family
+from multiarm.results.channels import CONTACT_STATES, Channel, channels_of
+from multiarm.results.event_log import STATE_COLOURS, Event
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
+
 
 DRIFT_DECADES = 6
 """Drift further below its peak is drawn at this depth: 0 has no place on a logarithmic axis."""
@@ -72,9 +81,9 @@ def contact_forces(trajectory: Trajectory) -> Figure:
 
 
 def energy(trajectory: Trajectory) -> Figure:
-    """Kinetic energy, change of potential energy and work; below, what does not add up.
+    """Kinetic energy, change of potential energy and work; below them the balance error.
 
-    The work of each effect by name has axes of its own, where the run has effects.
+    If the run has effects, the work of each of them has another pair of axes.
     """
     names = ["energy/kinetic", "energy/potential", "energy/work"]
     kinetic_start, potential_start = (trajectory.read(name, 0, 1).sum() for name in names[:2])
@@ -117,16 +126,16 @@ def drift(trajectory: Trajectory) -> Figure:
 
 
 def accuracy_course(certificate: Mapping[str, Any], events: Iterable[Event] = ()) -> Figure:
-    """Estimated errors over time on logarithmic axes, and what was asked as dashed lines.
+    """Estimated errors over time on logarithmic axes, and the tolerances as dashed lines.
 
-    Forces have axes of their own, where an accuracy of forces was asked.
+    If the run has a tolerance of forces, their errors have another pair of axes.
     """
-    course, asked = certificate["over_time"], certificate["asked"]
+    course, tolerances = certificate["over_time"], certificate["asked"]
     time = np.array(course["time"])
     groups: list[tuple[str, str, tuple[str, ...]]] = [
         ("Estimated error", "error [m, rad]", ("position_m", "rotation_rad"))
     ]
-    if asked["force_N"] is not None:
+    if tolerances["force_N"] is not None:
         groups.append(("Estimated error of contact forces", "error [N]", ("force_N",)))
     names = {"position_m": "position", "rotation_rad": "rotation", "force_N": "force"}
     colours = dict(zip(names, (*AXIS_COLOURS[1:], ROLES["kinetic"]), strict=True))
@@ -134,7 +143,7 @@ def accuracy_course(certificate: Mapping[str, Any], events: Iterable[Event] = ()
         Panel(
             title, quantity, time, np.column_stack([course[kind] for kind in kinds]),
             tuple(names[kind] for kind in kinds), [colours[kind] for kind in kinds],
-            log=True, levels=tuple(asked[kind] for kind in kinds),
+            log=True, levels=tuple(tolerances[kind] for kind in kinds),
         )
         for title, quantity, kinds in groups
     ]  # fmt: skip
@@ -192,7 +201,111 @@ def _short(labels: Sequence[str]) -> list[str]:
 
 
 def _prefixed(unit: str, values: np.ndarray) -> tuple[str, float]:
-    """Unit with the prefix that suits the largest value, and what to divide by."""
+    """The unit with a prefix for the largest value, and the divisor."""
     peak = float(np.abs(values).max()) if values.size else 0.0
     scale = next((s for s in _PREFIXES if peak >= s), 1.0 if peak == 0 else 1e-12)
     return f"{_PREFIXES[scale]}{unit}", scale
+
+
+ROW = 0.24
+"""Height of a row [in]."""
+MOST_ROWS = 64
+"""Contacts in the figure; of more, the first are shown and the others counted."""
+STRIP_POINTS = 12_000
+"""Changes of all rows together."""
+_HEIGHTS = (0.06, 0.35, 0.8, 0.8, 0.35)  # of a bar, by the code of its state, of a row
+_HATCHES = ("", "", "////", "", "....")
+
+
+def contact_states(trajectory: Trajectory) -> Figure | None:
+    """A row for each contact that can open, slide or stick; None for a run without such contacts.
+
+    Bars change at samples; changes between two samples are visible as events only.
+    """
+    named = channels_of(trajectory.channels, "contact_state")
+    rows = [
+        (channel, column, f"{bearer}: {label}")
+        for bearer, channel in named.items()
+        for column, label in enumerate(trajectory.channels[channel].labels)
+    ]
+    if not rows:
+        return None
+    shown, left_out = rows[:MOST_ROWS], len(rows) - MOST_ROWS
+    marks = EventMarks(trajectory.events)
+    with matplotlib.rc_context(STYLE):
+        longest = max(len(name) for _, _, name in shown)
+        figure = sheet(1, 1, ROW * len(shown) + LEGEND_ROW, longest, marks)
+        (axes,) = figure.subplots(1, 1, squeeze=False).ravel()
+        axes.set_title("Contact states", parse_math=False)
+        used = _draw_rows(axes, trajectory, shown)
+        _dress(axes, [name for _, _, name in shown], left_out)
+        _add_legend(axes, used)
+        if len(trajectory):
+            marks.draw(axes)
+    return figure
+
+
+def _draw_rows(axes: Axes, trajectory: Trajectory, rows: list[tuple[str, int, str]]) -> set[int]:
+    """Draw the bars; returns the codes that occur."""
+    points = min(POINTS, max(200, STRIP_POINTS // len(rows)))
+    used: set[int] = set()
+    columns: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for place, (channel, column, _) in enumerate(rows):
+        if channel not in columns:
+            columns[channel] = decimate(trajectory, [channel], points=points)
+        time, codes = columns[channel]
+        if not len(time):
+            continue
+        begins, ends, states = spans(time, codes[:, column])
+        for code in np.unique(states):
+            used.add(int(code))
+            of_it = states == code
+            bars = np.column_stack([begins[of_it], (ends - begins)[of_it]])
+            height = _HEIGHTS[code]
+            low = place + 0.5 - height / 2
+            axes.broken_barh([(b, w) for b, w in bars], (low, height), **_style(int(code)))
+    return used
+
+
+def spans(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Begin, end (the next one's begin) and code of intervals of one state; samples have (K,)."""
+    states = np.round(codes).astype(int)
+    first = np.flatnonzero(np.diff(states, prepend=-1))
+    ends = np.append(time[first[1:]], time[-1])
+    return time[first], ends, states[first]
+
+
+def _dress(axes: Axes, names: list[str], left_out: int) -> None:
+    axes.set_ylim(len(names), 0)
+    axes.set_yticks([])
+    axes.margins(x=0)
+    axes.autoscale_view(scaley=False)
+    axes.grid(False)
+    axes.set_axisbelow(True)
+    for place in range(1, len(names)):
+        axes.axhline(place, color=GRID, linewidth=0.6, zorder=0.5)
+    style: dict[str, Any] = {"va": "center", "fontsize": 8.5, "parse_math": False}
+    for place, name in enumerate(names):
+        axes.text(1.012, place + 0.5, name, transform=axes.get_yaxis_transform(), **style)
+    more = f"; {left_out} more contacts are not shown" if left_out > 0 else ""
+    axes.set_xlabel(f"time [s]{more}")
+
+
+def _add_legend(axes: Axes, used: set[int]) -> None:
+    keys = [Patch(**_style(code), label=CONTACT_STATES[code]) for code in sorted(used)]
+    if keys:
+        axes.legend(
+            handles=keys, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(keys),
+            frameon=False, fontsize=8.5, borderaxespad=0.2, handlelength=1.6, columnspacing=1.4,
+        )  # fmt: skip
+
+
+def _style(code: int) -> dict[str, Any]:
+    colour = STATE_COLOURS[code]
+    hollow = bool(_HATCHES[code])
+    return {
+        "facecolor": "none" if hollow else colour,
+        "edgecolor": colour,
+        "hatch": _HATCHES[code],
+        "linewidth": 0.6,
+    }

@@ -1,0 +1,458 @@
+"""`simulate_many`: many runs of one scene, from other starts or with other values, in threads.
+
+The compiled time loop releases the GIL; Python code, around a run and wherever a run calls it, is
+executed by one thread at a time.  Every run borrows its own Data of the system, so that it gives
+the same numbers in whichever thread it runs.
+
+The calling thread polls the progress of the runs and Ctrl-C.  After Ctrl-C the active runs end with
+their samples, and no other run begins.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from multiarm.assembly.compilation import compile_system
+from multiarm.dynamics.callbacks import ControlFunction
+from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.errors import ModelError, MultiarmError, TrajectoryError
+from multiarm.results.sinks import Hdf5Sink, MemorySink
+from multiarm.results.trajectory import Trajectory
+from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, RunSpec, Scene, changed_scenes
+from multiarm.simulation.interrupts import deferred_interrupt
+from multiarm.simulation.run import leave_undone
+from multiarm.simulation.setup import positive, run_spec
+from multiarm.simulation.simulate import simulate
+
+
+def simulate_many(
+    system: System,
+    duration: float | None = None,
+    *,
+    states: Iterable[State] | None = None,
+    parameters: Iterable[Mapping[str, Any]] | None = None,
+    threads: int | None = None,
+    progress: bool | ManyProgress | None = None,
+    out: str | os.PathLike | None = None,
+    accuracy: float | Mapping[str, float] | AccuracySpec | None = None,
+    integrator: str | None = None,
+    step: float | None = None,
+    tolerance: float | None = None,
+    stabilization: str | dict | None = None,
+    output_step: float | None = None,
+    max_step: float | None = None,
+    solver: str | None = None,
+    control: ControlFunction | None = None,
+    certificate: bool = True,
+) -> list[Trajectory]:
+    """Simulate a system many times in several threads: from other starts, with other values.
+
+    Every run gives the same numbers as :func:`multiarm.simulate`, bit for bit, with any number of
+    threads.
+
+    Parameters
+    ----------
+    system : System
+        Its own Data is not used, so that it may be evaluated meanwhile.
+    duration : float, optional
+        [s]
+    states : list of State, optional
+        Where the runs begin; by default the scene's start.
+    parameters : list of dict, optional
+        Changes of the scene for each run, by path: ``{"object.mass": 10.0,
+        "arms.left.base.xyz[2]": 0.1, "joints[1].at.xyz": [0.6, 0, 0]}``.  Paths are written as in
+        error messages.  Naming one of ``run.accuracy``, ``run.integrator``, ``run.step`` and
+        ``run.tolerance`` replaces the scene's choice of all four.  If ``states`` is given too, both
+        lists have one entry for each run.
+    threads : int, optional
+        Number of simultaneous runs.  By default the number of processors, or one if evaluations of
+        ``system`` call Python: Pinocchio's arm terms, the dense solver, user-defined controllers,
+        effects and surfaces.  Such threads only wait for each other, and so do runs whose loop
+        takes less than half a millisecond.
+    progress : bool or callable, optional
+        True: a bar on the terminal.  A function is called repeatedly in the calling thread with the
+        simulated time of all runs together [s] and the number of finished runs; it may raise
+        ``KeyboardInterrupt`` to end them all.
+    out : path-like, optional
+        Samples are streamed to HDF5 files ``run_0001.h5`` and so on in this folder, or to files of
+        a pattern such as ``"runs/box_{:03d}.h5"``.  Memory then does not grow with the runs.
+    accuracy, integrator, step, tolerance, stabilization, output_step, max_step, solver, certificate
+        As in :func:`multiarm.simulate`, for all runs.
+    control : callable, optional
+        ``f(t, state) -> {arm: torques}`` in place of the scene's control.  One function serves all
+        runs and is called from several threads: it must not keep state between calls.  The same
+        holds for functions that a scene names; user-defined effects have one instance per thread.
+
+    Returns
+    -------
+    list of Trajectory
+        In the order of the runs.  A run that fails or cannot begin (a start that violates the
+        joints, an unusable robot) has status "failed".  After Ctrl-C, active runs have status
+        "interrupted" and the samples so far, those that had not begun have no samples, and finished
+        runs are complete.
+
+    Raises
+    ------
+    SceneError
+        When parameters are wrong (the message lists all faults of all runs), or settings contradict
+        each other.
+    ModelError
+        When ``states`` are not states of this system, or ``threads`` is not a positive integer.
+    TrajectoryError
+        When ``out`` cannot be written.
+    """
+    options = {
+        "duration": duration,
+        "accuracy": accuracy,
+        "integrator": integrator,
+        "step": step,
+        "tolerance": tolerance,
+        "stabilization": stabilization,
+        "output_step": output_step,
+        "max_step": max_step,
+        "solver": solver,
+        "control": control,
+        "certificate": certificate,
+    }
+    threads = _threads(threads, system, control)
+    cases = describe(system, states, parameters, out, options)
+    if progress is not True:
+        return run_cases(cases, system, threads, progress or None)
+    from multiarm.terminal.progress import ManyRunsProgress
+
+    ends = (case.scene.run.duration if duration is None else duration for case in cases)
+    with ManyRunsProgress(len(cases), sum(ends)) as bar:
+        return run_cases(cases, system, threads, bar)
+
+
+def _threads(threads: int | None, system: System, control: ControlFunction | None) -> int:
+    if threads is None and (control is not None or system.model.calls_python):
+        return 1
+    if threads is None:
+        has_affinity = hasattr(os, "sched_getaffinity")
+        return len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
+        raise ModelError(f"threads: must be a number from 1 on, got {threads!r}")
+    return threads
+
+
+@dataclass(frozen=True)
+class Case:
+    """The description of one run, which any thread can carry out.
+
+    Attributes
+    ----------
+    number : int
+        From 1 on.
+    scene : Scene
+    state : State or None
+        Initial state; None: the scene's start.
+    out : Path or None
+        File of the samples; None: memory.
+    options : mapping
+        Further keywords of :func:`multiarm.simulate`.
+    """
+
+    number: int
+    scene: Scene
+    state: State | None
+    out: Path | None
+    options: Mapping[str, Any]
+
+
+def describe(
+    system: System,
+    states: Iterable[State] | None,
+    parameters: Iterable[Mapping[str, Any]] | None,
+    out: str | os.PathLike | None,
+    options: Mapping[str, Any],
+) -> list[Case]:
+    """The cases of a call of :func:`simulate_many`, all checked before the first one begins.
+
+    Raises
+    ------
+    SceneError
+        Naming all faults of all parameters, or contradicting settings.
+    ModelError
+        A state is invalid or belongs to another system; states and parameters differ in number.
+    TrajectoryError
+        A result cannot be written.
+    """
+    if states is None and parameters is None:
+        raise ModelError("simulate_many needs `states`, `parameters`, or equally many of both")
+    if isinstance(parameters, Mapping):
+        raise ModelError("parameters is one table; give a list of tables, one for each run")
+    starts = None if states is None else list(states)
+    tables = None if parameters is None else list(parameters)
+    if starts is not None and tables is not None and len(starts) != len(tables):
+        raise ModelError(
+            f"there are {len(starts)} states and {len(tables)} sets of parameters; give one of "
+            "each for every run, or leave one of the two out"
+        )
+    count = len(starts if starts is not None else tables or ())
+    _check_states(system, starts or [], tables is None)
+    scenes = [system.scene] * count if tables is None else changed_scenes(system.scene, tables)
+    _check_settings(scenes if tables is not None else [system.scene], options)
+    files = run_files(out, count)
+    return [
+        Case(k + 1, scenes[k], None if starts is None else starts[k], files[k], options)
+        for k in range(count)
+    ]
+
+
+def run_case(case: Case, system: System, progress: Callable[[float], None] | None) -> Trajectory:
+    """Carry out a case in this thread.
+
+    Parameters
+    ----------
+    case : Case
+    system : System
+        Of the case's scene, or of a similar one.
+    progress : callable, optional
+        As :func:`multiarm.simulate` calls it.
+
+    Returns
+    -------
+    Trajectory
+        A case that cannot begin gives one with status "failed" and no samples.
+    """
+    try:
+        if case.scene is not system.scene:
+            system = compile_system(case.scene, _control_of(system), like=system)
+        return simulate(
+            system, state=case.state, out=case.out, progress=progress, **case.options
+        ).close_between_reads()
+    except MultiarmError as error:
+        return empty_result(case, system, "failed", f"the run could not begin: {error}")
+
+
+def _control_of(system: System) -> ControlFunction | None:
+    control = system.model.python_control
+    return None if control is None else control.function
+
+
+def empty_result(
+    case: Case, system: System, status: str, message: str, write: bool = True
+) -> Trajectory:
+    """The result of a case that did not begin; ``write`` it to its file if it has one."""
+    system, given = replace(system, scene=case.scene), case.state is not None
+    if case.out is not None and write:
+        try:
+            sink = Hdf5Sink(case.out)
+            return leave_undone(system, given, sink, status, message).close_between_reads()
+        except TrajectoryError:
+            pass  # which may be why it could not begin
+    return leave_undone(system, given, MemorySink(), status, message)
+
+
+def _check_states(system: System, states: list[Any], same_arms: bool) -> None:
+    faults = []
+    for number, state in enumerate(states, start=1):
+        if not isinstance(state, State):
+            faults.append(f"run {number}: {type(state).__name__} is no state")
+        elif not (np.all(np.isfinite(state.position)) and np.all(np.isfinite(state.velocity))):
+            faults.append(f"run {number}: the state is not finite")
+        elif same_arms and not state.layout.same_joints(system.model.layout):
+            arms = ", ".join(state.layout.names)
+            faults.append(f"run {number}: the state belongs to a system with arms {arms}")
+    if faults:
+        lines = "\n".join(f"  {fault}" for fault in faults)
+        raise ModelError(f"states: make them with `system.state(...)`:\n{lines}")
+
+
+def _check_settings(scenes: list[Scene], options: Mapping[str, Any]) -> None:
+    def given(*names: str) -> dict[str, Any]:
+        return {name: options.get(name) for name in names}
+
+    changes = given("duration", "stabilization", "output_step")
+    choice = given(*STEPS_CHOSEN_BY)
+    checked: list[RunSpec] = []
+    for scene in scenes:
+        if not any(scene.run is run for run in checked):
+            run_spec(scene.run, changes, choice, options.get("solver"))
+            checked.append(scene.run)
+    if options.get("max_step") is not None:
+        positive("max_step", options["max_step"])
+
+
+POLL = 0.05
+"""[s] between two polls of progress and Ctrl-C."""
+
+ManyProgress = Callable[[float, int], None]
+
+
+def run_cases(
+    cases: Sequence[Case], system: System, threads: int, progress: ManyProgress | None = None
+) -> list[Trajectory]:
+    """Carry out all cases.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        Of the system's scene, or of changes of it.
+    system : System
+    threads : int
+    progress : callable, optional
+        Called in this thread with the simulated time of all runs together [s] and the number of
+        finished runs; may raise ``KeyboardInterrupt`` to end them all.
+
+    Returns
+    -------
+    list of Trajectory
+        In the order of the cases.
+
+    Raises
+    ------
+    Exception
+        An error of the program, not of a run; raised after the other runs have ended.
+    """
+    runs = _Runs(cases)
+    count = max(1, min(threads, len(cases)))
+    with deferred_interrupt() as interrupt, ThreadPoolExecutor(count, "multiarm") as pool:
+        try:
+            workers = [pool.submit(runs.work, system) for _ in range(count)]
+            while wait(workers, POLL).not_done:
+                if interrupt.pressed:
+                    runs.stop()
+                runs.report(progress)
+        finally:
+            runs.stop()  # else the pool would wait for all remaining cases
+    for worker in workers:
+        worker.result()
+    runs.report(progress)
+    never = "interrupted", "stopped by the user before it began"
+    return [
+        empty_result(case, system, *never, write=False) if result is None else result
+        for case, result in zip(cases, runs.results, strict=True)
+    ]
+
+
+class _Runs:
+    """Queue, results and progress of the runs, shared by the worker threads and the caller.
+
+    Attributes
+    ----------
+    results : list of Trajectory or None
+        None: not finished.
+    times : list of float
+        Simulated time of each run [s].
+    """
+
+    def __init__(self, cases: Sequence[Case]) -> None:
+        self.results: list[Trajectory | None] = [None] * len(cases)
+        self.times = [0.0] * len(cases)
+        self._queue: SimpleQueue[tuple[int, Case]] = SimpleQueue()
+        for item in enumerate(cases):
+            self._queue.put(item)
+        self._stopped = threading.Event()
+
+    def work(self, system: System) -> None:
+        """Carry out cases from the queue until it is empty."""
+        while not self._stopped.is_set():
+            try:
+                k, case = self._queue.get_nowait()
+            except Empty:
+                return
+            try:
+                self.results[k] = run_case(case, system, _Progress(self, k))
+            except BaseException:
+                self.stop()
+                raise
+
+    def stop(self) -> None:
+        """End the active runs at their next call of progress, and begin no other."""
+        self._stopped.set()
+
+    def check(self) -> None:
+        """End the calling run if all are to end."""
+        if self._stopped.is_set():
+            raise KeyboardInterrupt
+
+    def report(self, progress: ManyProgress | None) -> None:
+        """Call ``progress``."""
+        if progress is None:
+            return
+        try:
+            progress(sum(self.times), sum(result is not None for result in self.results))
+        except KeyboardInterrupt:
+            self.stop()
+
+
+class _Progress:
+    """The progress callback of one run."""
+
+    def __init__(self, runs: _Runs, number: int) -> None:
+        self._runs, self._number = runs, number
+
+    def __call__(self, t: float) -> None:
+        self._runs.times[self._number] = t
+        self._runs.check()
+
+    def checking(self, _t: float, _number: int) -> None:
+        """Called while the run's accuracy is checked."""
+        self._runs.check()
+
+
+def run_files(out: str | os.PathLike | None, count: int) -> list[Path | None]:
+    """One file for each run.
+
+    Parameters
+    ----------
+    out : path-like, optional
+        A folder, created if missing, for ``run_0001.h5`` and so on; or a pattern of files such as
+        ``"runs/box_{:03d}.h5"``, filled with the number of the run, from 1 on.
+    count : int
+        Number of runs.
+
+    Raises
+    ------
+    TrajectoryError
+        A file cannot be written, or exists and was not written by multiarm.
+    """
+    if out is None:
+        return [None] * count
+    from multiarm.results.trajectory_file import TrajectoryReader
+
+    paths = _by_pattern(str(out), count) if "{" in str(out) else _in_folder(Path(out), count)
+    for path in paths:
+        TrajectoryReader.writable_target(path)
+    return [*paths]
+
+
+def _in_folder(folder: Path, count: int) -> list[Path]:
+    folder = folder.expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TrajectoryError(
+            f"cannot make the folder '{folder}' for the runs: {error.strerror}; name another, or a "
+            "pattern of files such as 'box_{:03d}.h5'"
+        ) from error
+    digits = max(4, len(str(count)))  # sorted names are runs in order
+    return [folder / f"run_{number:0{digits}d}.h5" for number in range(1, count + 1)]
+
+
+def _by_pattern(pattern: str, count: int) -> list[Path]:
+    try:
+        names = [pattern.format(number) for number in range(1, count + 1)]
+    except (ValueError, IndexError, KeyError, AttributeError) as error:
+        raise TrajectoryError(
+            f"'{pattern}' is no pattern of files ({error}); write the number's place as in "
+            "'box_{:03d}.h5'"
+        ) from None
+    if len(set(names)) < count:
+        raise TrajectoryError(
+            f"'{pattern}' names one file for several runs; write the number's place as in "
+            "'box_{:03d}.h5'"
+        )
+    return [Path(name) for name in names]

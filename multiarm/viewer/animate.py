@@ -1,0 +1,442 @@
+"""From a trajectory to an animation: the only place where a replay meets robots and dynamics.
+
+Frames are samples of the trajectory, never interpolations between them, so that the replay shows
+computed states only.  Link poses come from each arm's kinematics, contact points and normals from
+the system's evaluation, contact forces, states and events from the trajectory, and the axes of
+joints from their frames: a joint's frame has the axis as its z axis
+(:class:`multiarm.contacts.joint.JointFrame`).
+
+Grasps in form closure by pushing contacts on plane faces also show, on each face, the region in
+which a contact keeps the grasp closed; the other contacts stay where they are at the start.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import warnings
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from multiarm.assembly.compilation import compile_for_inspection, compile_system
+from multiarm.contacts.joint import axis_travel, limits_of
+from multiarm.errors import GraspError, ReplayError
+from multiarm.grasp.scenes.reading import SceneGrasp, read_grasp
+from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks, along, rotations
+from multiarm.viewer.commands import rgb
+from multiarm.viewer.contact_tracks import contacts_of, event_places, object_size, surface_bodies
+from multiarm.viewer.mesh import Mesh, box, capsule, cylinder, merge
+from multiarm.viewer.shapes import PLAIN, geometry_mesh, object_mesh
+
+if TYPE_CHECKING:
+    from multiarm.arms.arm import Arm
+    from multiarm.contacts.joint import JointFrame
+    from multiarm.dynamics.system import System
+    from multiarm.grasp.seventh_contact import ContactRegion
+    from multiarm.results.trajectory import Trajectory
+    from multiarm.scene import JointSpec
+
+
+PALETTE = ("#4a80c9", "#f08a45", "#4fa36a", "#9b6bc2", "#d9596a", "#2fa3a8", "#d3a62f", "#7a8797")
+OBJECT_COLOR, OBJECT_OPACITY = np.array([0.94, 0.78, 0.60]), 0.5
+MOST_FRAMES = 6000
+
+
+def animate(
+    trajectory: Trajectory, *, fps: float, speed: float, meshes: bool, code: bool = False
+) -> Animation:
+    """Return the animation of a trajectory; a failed run is shown up to its last sample.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    fps : float
+        Frames per second of the viewer; at most one per sample.
+    speed : float
+        Seconds of the trajectory per second of the viewer.
+    meshes : bool
+        False shows simple bars in place of mesh files: a small page.
+    code : bool
+        Whether the code that a stored scene names may be loaded.
+
+    Raises
+    ------
+    ReplayError
+        The trajectory has no samples.
+    """
+    rows = frame_rows(trajectory.time, fps / speed)
+    system, missing = _system(trajectory, code)
+    colors = arm_colors(system)
+    bodies = [_object(trajectory, rows)]
+    cache: dict[tuple, Mesh] = {}
+    for name in system.arm_names:
+        arm, angles = system.arms[name], trajectory.joint_positions[name][rows]
+        bodies += _links(arm, angles, colors[name], meshes, cache)
+    grasp = None if missing else scene_grasp(system)  # regions depend on all contacts
+    if grasp is not None:
+        bodies += region_bodies(grasp, trajectory, rows, colors)
+    plain = grasp is not None and grasp.body is not None  # its faces are the object's own
+    bodies += surface_bodies(system, trajectory, rows, colors, faces=not plain)
+    ground = ground_bodies(trajectory, rows, object_size(system))
+    bodies += ground
+    bases = {name: spec.base.matrix() for name, spec in trajectory.scene.arms.items()}
+    floor = min([base[2, 3] for base in bases.values()] + [lowest(body) for body in ground])
+    bodies += columns(bases, floor, len(rows))
+    contacts = contacts_of(system, trajectory, rows, colors)
+    note = "" if trajectory.status == "completed" else trajectory.message
+    notes = [f"{trajectory.status}: {note}"] if note else []
+    return Animation(
+        title=trajectory.scene.name,
+        time=trajectory.time[rows],
+        bodies=bodies,
+        contacts=contacts,
+        hinges=hinges_of(system, trajectory, rows, colors),
+        floor=float(floor),
+        note="; ".join([*notes, *missing]),
+        event_places=event_places(trajectory, trajectory.time[rows], contacts),
+        events=trajectory.events,
+    )
+
+
+def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
+    """The system to be drawn, and a message about contacts that need code to be drawn."""
+    scene = trajectory.simulated_scene
+    if code:
+        return compile_system(scene, code=True), []
+    system, left = compile_for_inspection(scene)
+    unseen = [one for one in left if one.arm]
+    if not unseen:
+        return system, []
+    missing = (
+        f"contacts and surfaces of {', '.join(dict.fromkeys(f'arm {one.arm!r}' for one in unseen))}"
+        f" that need {', '.join(dict.fromkeys(one.what for one in unseen))} are not drawn, since "
+        "code that a result names is not loaded; if you trust its author, allow it with --code "
+        "(`code=True` in Python)"
+    )
+    warnings.warn(missing, stacklevel=4)
+    return system, [missing]
+
+
+def frame_rows(time: np.ndarray, rate: float) -> np.ndarray:
+    """Return the indices of the samples nearest to a uniform `rate` [1/s], first and last too."""
+    if len(time) == 0:
+        raise ReplayError(
+            "the trajectory holds no samples: there is nothing to replay; "
+            "run the scene again and look at its message"
+        )
+    span = time[-1] - time[0]
+    count = int(np.ceil(span * rate - 1e-9)) + 1
+    if count > MOST_FRAMES:
+        warnings.warn(
+            f"the replay shows {MOST_FRAMES} of {count} frames, one every "
+            f"{span / MOST_FRAMES:.3g} s; replay a shorter run for finer motion",
+            stacklevel=3,
+        )
+        count = MOST_FRAMES
+    wanted = np.linspace(time[0], time[-1], count)
+    after = np.clip(np.searchsorted(time, wanted), 1, max(1, len(time) - 1))
+    after = np.minimum(after, len(time) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(wanted - time[before] < time[after] - wanted, before, after)
+    rows = np.unique(nearest)
+    return rows[np.diff(time[rows], prepend=-np.inf) > 0]
+
+
+def arm_colors(system: System) -> dict[str, np.ndarray]:
+    """Return a colour, sRGB (3,) in 0..1, for each arm: its own, or one of a palette."""
+    chosen = {name: spec.color for name, spec in system.scene.arms.items()}
+    return {
+        name: np.array(color[:3]) if color is not None else _palette_color(i)
+        for i, (name, color) in enumerate(chosen.items())
+    }
+
+
+def _palette_color(i: int) -> np.ndarray:
+    if i < len(PALETTE):
+        return rgb(PALETTE[i])
+    return np.array(colorsys.hsv_to_rgb(0.618034 * i % 1.0, 0.55, 0.8))  # hues far apart
+
+
+def _object(trajectory: Trajectory, rows: np.ndarray) -> Body:
+    spec = trajectory.scene.object
+    color, opacity = OBJECT_COLOR, OBJECT_OPACITY
+    if spec.color is not None:
+        color = np.array(spec.color[:3])
+        opacity = spec.color[3] if spec.color[3] < 1 else OBJECT_OPACITY
+    return Body(
+        "object",
+        object_mesh(spec),
+        trajectory.object_position[rows],
+        trajectory.object_quaternion_xyzw[rows],
+        color,
+        opacity,
+    )
+
+
+def _links(
+    arm: Arm, angles: np.ndarray, color: np.ndarray, meshes: bool, cache: dict[tuple, Mesh]
+) -> list[Body]:
+    """Return the links of an arm; bars replace links without a shape."""
+    visuals = [item for item in arm.visual_model().geometryObjects if meshes or not item.meshPath]
+    parts = [
+        _Part(item.name, item.parentJoint, item.placement, _shared_mesh(item, cache))
+        for item in visuals
+    ]
+    parts += _bars(arm, set(range(arm.model.njoints)) - {part.joint for part in parts})
+    poses = np.empty((len(parts), len(angles), 7))
+    data = arm.model.createData()
+    for k, row in enumerate(angles):
+        pin.forwardKinematics(arm.model, data, arm.configuration(row))
+        placed = [pin.SE3ToXYZQUAT(data.oMi[p.joint] * p.placement) for p in parts]
+        poses[:, k] = np.reshape(placed, (-1, 7))
+    names = _distinct([part.name.replace("/", "_") for part in parts])
+    return [
+        Body(f"arms/{arm.name}/{name}", part.mesh, pose[:, :3], pose[:, 3:], color)
+        for name, part, pose in zip(names, parts, poses, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A shape fixed to a joint's moving frame (joint 0: the world)."""
+
+    name: str
+    joint: int
+    placement: pin.SE3
+    mesh: Mesh
+
+
+def _shared_mesh(item: pin.GeometryObject, cache: dict[tuple, Mesh]) -> Mesh:
+    """Return the visual's mesh; the same file for two arms is read once."""
+    if not item.meshPath:
+        return geometry_mesh(item)
+    key = (item.meshPath, *item.meshScale, item.overrideMaterial, *item.meshColor)
+    if key not in cache:
+        cache[key] = geometry_mesh(item)
+    return cache[key]
+
+
+def _bars(arm: Arm, joints: set[int]) -> list[_Part]:
+    """Return bars from each of the `joints` to the next joint or the tip."""
+    model = arm.model
+    ends: dict[int, list[np.ndarray]] = {joint: [] for joint in range(model.njoints)}
+    for child in range(1, model.njoints):
+        ends[model.parents[child]].append(model.jointPlacements[child].translation)
+    ends[arm.tip_joint].append(arm.tip_translation)
+    base = arm.files.base[:3, 3]  # joint 0 is the world, where the arm begins at its base
+    starts = {joint: base if joint == 0 else np.zeros(3) for joint in joints}
+    reach = sum(np.linalg.norm(e - starts.get(j, base * (j == 0))) for j in ends for e in ends[j])
+    parts = []
+    for joint, start in starts.items():
+        bars = [
+            _bar(start, end, 0.03 * reach)
+            for end in ends[joint]
+            if np.linalg.norm(end - start) > 1e-3 * reach
+        ]
+        if bars:
+            parts.append(
+                _Part(
+                    f"{model.names[joint]}_bar",
+                    joint,
+                    pin.SE3.Identity(),
+                    merge(bars).painted(PLAIN),
+                )
+            )
+    return parts
+
+
+def _bar(start: np.ndarray, end: np.ndarray, radius: float) -> Mesh:
+    span = end - start
+    length = float(np.linalg.norm(span))
+    pose = np.eye(4)
+    pose[:3, :3] = rotations(along(span[None, None] / length)[0])[0]
+    pose[:3, 3] = (start + end) / 2
+    return capsule(radius, length).moved(pose)
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """Number the names that occur more than once: a node of the scene tree has one name."""
+    counts = Counter(names)
+    seen: Counter[str] = Counter()
+    result = []
+    for name in names:
+        seen[name] += 1
+        result.append(name if counts[name] == 1 else f"{name}_{seen[name]}")
+    return result
+
+
+# Kinds that are drawn as one thing on the object; a universal joint has two axles.
+SHAPES = {"revolute": "axle", "prismatic": "rail", "cylindrical": "sleeve", "ball": "ball"}
+CYCLE = np.eye(4)[[2, 0, 1, 3]]  # its columns are the axes y, z, x: F @ CYCLE has z along F's x
+CENTRED = 0.05  # an axis that passes the object's centre nearer than this, of its distance
+
+
+def hinges_of(
+    system: System, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
+) -> list[HingeTracks]:
+    """Return the visible joints at some samples (`rows`) of a run."""
+    object_poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    object_poses[:, :3, :3] = rotations(trajectory.object_quaternion_xyzw[rows])
+    object_poses[:, :3, 3] = trajectory.object_position[rows]
+    hinges = []
+    for joint in system.scene.joints:
+        if joint.kind not in SHAPES and joint.kind != "universal":
+            continue
+        arm, frame = system.arms[joint.arm], system.frames[joint.arm]
+        angles = trajectory.joint_positions[joint.arm][rows]
+        tip_poses = np.array([arm.tip_pose(row) for row in angles])
+        hinges += _hinges(joint, frame, object_poses, tip_poses, colors[joint.arm])
+    return hinges
+
+
+def _hinges(
+    joint: JointSpec,
+    frame: JointFrame,
+    object_poses: np.ndarray,
+    tip_poses: np.ndarray,
+    color: np.ndarray,
+) -> list[HingeTracks]:
+    on_object, on_tip = object_poses @ frame.on_object, tip_poses @ frame.on_tip  # (K, 4, 4)
+    if joint.kind == "universal":  # about the object's x and the arm's y axis
+        axles = (on_object @ CYCLE, on_tip @ CYCLE.T)
+        return [
+            HingeTracks(joint.arm, f"{joint.arm}/{k}", "axle", color, *_placed(axle))
+            for k, axle in enumerate(axles, start=1)
+        ]
+    turn, slide = axis_travel(on_object, on_tip)
+    dials = tuple(
+        Dial(limit.turns, (limit.low, limit.high), turn if limit.turns else slide)
+        for limit in limits_of(joint)
+    )
+    placed = _placed(on_object @ _turned_outwards(frame.on_object))
+    return [HingeTracks(joint.arm, joint.arm, SHAPES[joint.kind], color, *placed, dials)]
+
+
+def _turned_outwards(on_object: np.ndarray) -> np.ndarray:
+    """Return the turn about z that points x away from the object's centre, where a sector is
+    visible best; the identity if the axis passes through the centre.
+    """
+    x, y, _ = on_object[:3, :3].T @ on_object[:3, 3]
+    turn, away = np.eye(4), np.hypot(x, y)
+    if away > CENTRED * np.linalg.norm(on_object[:3, 3]):
+        turn[:2, :2] = np.array([[x, -y], [y, x]]) / away
+    return turn
+
+
+def _placed(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions (K, 3) and quaternions (K, 4), scalar last, of poses (K, 4, 4)."""
+    packed = np.array([pin.SE3ToXYZQUAT(pin.SE3(pose)) for pose in poses])
+    return packed[:, :3], packed[:, 3:]
+
+
+COLOR = np.array([0.62, 0.65, 0.69])
+# Thickness of the slab over its shorter side, and its margin over the object's size.
+THICKNESS, MARGIN = 0.02, 3.0
+# Radius of a column over its height, at least and at most [m]; lower ones are not drawn.
+SLENDER, THINNEST, THICKEST, LOWEST = 0.2, 0.03, 0.1, 0.02
+
+
+def ground_bodies(trajectory: Trajectory, rows: np.ndarray, size: float) -> list[Body]:
+    """Return the floor at some samples (`rows`) as a fixed body; an empty list without a floor.
+
+    ``size`` is about half that of the object [m].  An unbounded floor is drawn below the whole path
+    of the object with a margin.
+    """
+    spec = trajectory.scene.effects.floor
+    if spec is None:
+        return []
+    pose = spec.at.matrix()
+    over = (trajectory.object_position - pose[:3, 3]) @ pose[:3, :3]
+    middle, sides = np.zeros(3), np.zeros(3)
+    if spec.size is None:
+        low, high = over.min(axis=0), over.max(axis=0)
+        middle[:2] = 0.5 * (low + high)[:2]
+        sides[:2] = (high - low)[:2] + 2.0 * MARGIN * size
+    else:
+        sides[:2] = spec.size
+    sides[2] = THICKNESS * sides[:2].min()
+    middle[2] = -0.5 * sides[2]
+    place = pin.SE3ToXYZQUAT(pin.SE3(pose) * pin.SE3(np.eye(3), middle))
+    still = np.tile(place, (len(rows), 1))
+    return [Body("floor", box(sides), still[:, :3], still[:, 3:], COLOR)]
+
+
+def columns(bases: dict[str, np.ndarray], floor: float, frames: int) -> list[Body]:
+    """Return a column for each upright base above the floor.
+
+    Parameters
+    ----------
+    bases : table 'arm: pose (4, 4)'
+        In the world.
+    floor : float
+        Height of the floor [m].
+    frames : int
+        Of the animation.
+    """
+    bodies = []
+    for name, base in bases.items():
+        height = float(base[2, 3] - floor)
+        if height < LOWEST or base[2, 2] < 0.99:
+            continue
+        mesh = cylinder(float(np.clip(SLENDER * height, THINNEST, THICKEST)), height)
+        middle = np.array([*base[:2, 3], floor + 0.5 * height])
+        still = np.tile(np.array([0.0, 0.0, 0.0, 1.0]), (frames, 1))
+        bodies.append(Body(f"columns/{name}", mesh, np.tile(middle, (frames, 1)), still, COLOR))
+    return bodies
+
+
+def lowest(body: Body) -> float:
+    """Return the height of a resting body's lowest point [m]."""
+    turned = body.mesh.vertices @ rotations(body.quaternion_xyzw[:1])[0].T
+    return float(body.position[0, 2] + turned[:, 2].min())
+
+
+OPACITY = 0.35
+# Height over the face in sizes of the object, so that both are distinct; regions of several
+# contacts on one face lie one over the other.
+LIFT = 1e-3
+
+
+def scene_grasp(system: System) -> SceneGrasp | None:
+    """The grasp at the start if it has regions to show; else None."""
+    if not any(contact.pushes_only for own in system.contacts.values() for contact in own):
+        return None
+    try:
+        grasp = read_grasp(system)
+    except GraspError:
+        return None
+    return grasp if grasp.only_pushes and grasp.closure else None
+
+
+def region_bodies(
+    grasp: SceneGrasp, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
+) -> list[Body]:
+    """The regions of all contacts at some samples (`rows`), as thin sheets on the object."""
+    poses = trajectory.object_position[rows], trajectory.object_quaternion_xyzw[rows]
+    bodies = []
+    layers: dict[int | None, int] = {}
+    for (arm, k), face, region in zip(grasp.rows, grasp.faces, grasp.regions, strict=True):
+        if region is None or grasp.body is None:
+            continue
+        layers[face] = layers.get(face, 0) + 1
+        mesh = sheet(region, layers[face] * LIFT * grasp.body.size)
+        bodies.append(Body(f"regions/{arm}/{k + 1}", mesh, *poses, colors[arm], OPACITY))
+    return bodies
+
+
+def sheet(region: ContactRegion, lift: float) -> Mesh:
+    """A region as triangles, lifted off its face by a distance [m]."""
+    import shapely
+
+    corners: list[np.ndarray] = []
+    triangles = []
+    for part in shapely.constrained_delaunay_triangles(region.shape).geoms:
+        ring = np.array(part.exterior.coords)[:3]
+        if np.cross(*np.pad(np.diff(ring, axis=0), ((0, 0), (0, 1))))[2] < 0.0:
+            ring = ring[::-1]
+        triangles.append(np.arange(3) + len(corners))
+        corners.extend(region.face.at(ring) + lift * region.face.normal)
+    return Mesh(np.array(corners), np.array(triangles))
