@@ -363,8 +363,8 @@ def synthetic() -> Ledger:
 def test_the_summary_says_what_to_keep_and_what_to_leave_out():
     assert summary(synthetic()) == (
         "joint_damping: 3 % of the time, changes the object's path by 41 mm; "
-        "drag: 2 % of the time, changes the object's path by 0.02 mm, below the accuracy asked "
-        "for: leave it out; "
+        "drag: 2 % of the time, changes the object's path by 0.02 mm, below the requested "
+        "accuracy: leave it out; "
         "friction: no time that can be measured, changes left & <right>'s contact forces by "
         "3.2 N; "
         "limits: saves 5 % of the time, changes the object's path by 2000 mm; "

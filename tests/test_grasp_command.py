@@ -77,7 +77,7 @@ def test_a_scene_goes_to_standard_output_and_nothing_else_does(designed):
     assert result.stdout.startswith("# multiarm")
 
 
-def test_a_body_that_is_not_convex_gets_a_mesh_beside_its_scene(tmp_path):
+def test_a_body_that_is_not_convex_gets_a_mesh_next_to_its_scene(tmp_path):
     ell = Polyhedron.prism([[0, 0], [0.8, 0], [0.8, 0.3], [0.3, 0.3], [0.3, 0.7], [0, 0.7]], 0.4)
     ell.save(tmp_path / "ell.stl")
     refused = grasp("design", tmp_path / "ell.stl")
@@ -86,7 +86,7 @@ def test_a_body_that_is_not_convex_gets_a_mesh_beside_its_scene(tmp_path):
     before = (tmp_path / "ell.stl").read_bytes()
     refused = grasp("design", tmp_path / "ell.stl", "--out", tmp_path / "ell.yaml")
     assert refused.exit_code == 2
-    assert "would take the place of" in refused.stderr
+    assert "would replace" in refused.stderr
     assert (tmp_path / "ell.stl").read_bytes() == before
     result = grasp("design", tmp_path / "ell.stl", "--out", tmp_path / "held.yaml")
     assert result.exit_code == 0, result.output

@@ -501,12 +501,12 @@ def test_what_would_take_all_memory_is_left_out_with_a_word(monkeypatch, tmp_pat
         assert row["ratio_to_best_peer"] == {"multiarm": None, "compiled": None}
     texts = texts_of(found)
     assert (
-        "constraintDynamics, tree, lcaba at n = 3: not asked: Pinocchio's Data would take"
+        "constraintDynamics, tree, lcaba at n = 3: not run: Pinocchio's Data would take"
         in " ".join(texts)
     )
     assert "-" in texts
     plot_scaling(found, tmp_path / "plot.png")
-    assert "not asked" in render(found)
+    assert "not run" in render(found)
 
 
 def test_memory_is_asked_of_the_machine():

@@ -519,7 +519,7 @@ def test_the_hardest_moment_is_met_exactly_between_samples_too():
 def test_a_peer_is_spared_what_would_take_all_memory(healthy_trial, monkeypatch):
     monkeypatch.setattr(peer_trials, "MOST_MEMORY", 1e3)
     for answer in peer_trials.all_answers(healthy_trial)[1:4]:
-        assert answer.refusal.startswith("not asked: Pinocchio's Data for it takes about ")
+        assert answer.refusal.startswith("not run: Pinocchio's Data for it takes about ")
 
 
 def test_page_lives_in_one_file(suite, tmp_path: Path):

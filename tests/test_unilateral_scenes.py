@@ -211,7 +211,7 @@ def test_the_commands_take_such_scenes(tmp_path):
     runner = CliRunner()
     checked = runner.invoke(app, ["check", str(path)])
     assert checked.exit_code == 0, checked.output
-    assert "come and go" in checked.output
+    assert "unilateral" in checked.output
     ran = runner.invoke(app, ["run", str(path), "--out", str(tmp_path / "box.h5")])
     assert ran.exit_code == 0, ran.output
     loaded = ma.load_trajectory(tmp_path / "box.h5")

@@ -153,7 +153,7 @@ def length_of(value: Any, what: str) -> float:
 
 
 def size_of_gripper(value: Any) -> float | None:
-    """What a gripper's size is to be [m], or nothing; a GraspError if it is not positive."""
+    """The requested size of a gripper [m] or None; a GraspError if it is not positive."""
     if value is None:
         return None
     size = length_of(value, "the size of a gripper")

@@ -100,7 +100,7 @@ class Evenest:
 
 
 def rounding(reach: Any, length: Any) -> Any:
-    """What rounding may do to a scaled wrench: points are coarse far from the origin.
+    """The rounding of a scaled wrench: points are coarse far from the origin.
 
     ``reach`` is the largest coordinate, ``length`` the spread of the points [m].
     """

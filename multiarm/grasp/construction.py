@@ -80,7 +80,7 @@ def design_grasp(
 
 
 def _refuse_round(body: Polyhedron) -> tuple[str, ...]:
-    """Refuse a body of revolution; what to say about one that may stand for such a body."""
+    """Refuse a body of revolution; return a remark on one that may approximate such a body."""
     found = roundness(body)
     axis = ", ".join(f"{x:.3g}" for x in np.round(found.axis, 3) + 0.0)
     if found:

@@ -1,4 +1,4 @@
-r"""Frictionless point contacts between fingers and one rigid body: what a grasp is made of.
+r"""Frictionless point contacts between fingers and one rigid body.
 
 A contact j is a point :math:`p_j` and a unit normal :math:`e_j` that points **into** the body. It
 can only push; pushing with the force :math:`\lambda_j \ge 0` it exerts the wrench
@@ -39,7 +39,7 @@ class Contacts:
     normals : array-like, shape (N, d)
         Unit vectors into the body.
     names : sequence of str, optional
-        What messages and pictures call the contacts; ``contact 1`` to ``contact N`` otherwise.
+        Names of the contacts in messages and figures; by default ``contact 1`` to ``contact N``.
 
     Raises
     ------
@@ -204,7 +204,7 @@ class Contacts:
 
 
 class HeldByContacts(Protocol):
-    """What has contacts, such as a grasp."""
+    """An object with contacts, such as a grasp."""
 
     @property
     def contacts(self) -> Contacts:
@@ -254,7 +254,7 @@ def _table(values: Any, what: str) -> np.ndarray:
 
 
 def _kept(values: Any, table: np.ndarray) -> Any:
-    """What was given, in memory of our own: fractions as they are, all other numbers as floats."""
+    """A copy of the input: fractions unchanged, all other numbers as floats."""
     given = np.asarray(values)
     return tuple(map(tuple, given.tolist())) if given.dtype == object else table
 

@@ -118,7 +118,7 @@ class CornerPattern:
 
     @property
     def faulty(self) -> str:
-        """What keeps the region from reaching the line y = f; nothing when it does."""
+        """The obstacle between the region and the line y = f; empty if there is none."""
         (a, _), (c, _) = self.in_face_offsets
         if abs(self.G1 - self.G2) <= SAME * float(np.abs(self.corner).max()):
             return MEETING

@@ -1,4 +1,4 @@
-r"""What half-planes leave of a face: one polygon, or several pieces of a face that is not convex.
+r"""A face cut by half-planes: one polygon, or several pieces of a face that is not convex.
 
 A convex face is cut by one half-plane :math:`a \cdot y \le b` after the other, in coordinates about
 a point in the middle of the face: corners on the far side go, and where an edge crosses the line a
@@ -18,7 +18,7 @@ from multiarm.grasp.face import Face
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
 
-# What is left below this part of the face's area is nothing: no finger could be placed on it.
+# Pieces below this part of the face's area are dropped: no finger could be placed on them.
 NO_AREA = 1e-9
 # Corners closer than this, in face sizes, are one.
 SAME_CORNER = 1e-12
@@ -29,7 +29,7 @@ Pieces = tuple[tuple[np.ndarray, ...], tuple[tuple[np.ndarray, ...], ...]]
 
 
 def cut_face(face: Face, half_planes: np.ndarray, middle: np.ndarray) -> Pieces:
-    """Outlines and holes, in face coordinates, of what half-planes leave of a face.
+    """Outlines and holes, in face coordinates, of a face cut by half-planes.
 
     Parameters
     ----------

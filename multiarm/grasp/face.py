@@ -46,7 +46,7 @@ class Face:
     holes : sequence of array-like, shape (H, 3)
         Corners of holes, clockwise as seen from outside.
     name : str
-        What messages and pictures call it.
+        Its name in messages and figures.
 
     Raises
     ------

@@ -102,7 +102,7 @@ class _Problem:
 
     @property
     def room(self) -> float:
-        """What counts as rounding in a bound of a force."""
+        """The tolerance of rounding in a bound of a force."""
         return min(self.blur, SLACK)
 
 
@@ -120,7 +120,7 @@ def distribute_forces(
     ----------
     contacts : Contacts, or a grasp
     wrench : array-like, shape (6,); (3,) in the plane
-        What the contacts exert on the body: force [N] and moment [N m] about the frame's origin.
+        Wrench of the contacts on the body: force [N] and moment [N m] about the frame's origin.
     minimum : float or array-like, shape (N,)
         Least push of each contact, not negative [N].
     objective : str
@@ -166,7 +166,7 @@ def distribute_forces(
 def _any_forces(
     contacts: Contacts, target: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """``lam_0``, a basis of the internal forces, and what of the wrench no forces exert, if any."""
+    """``lam_0``, a basis of the internal forces, and the part of the wrench that no forces exert."""
     W = contacts.scaled_wrenches
     U, s, Vt = np.linalg.svd(W)
     floor = rounding(float(np.abs(contacts.points).max()), contacts.length)
@@ -179,7 +179,7 @@ def _any_forces(
 
 
 def _blur(contacts: Contacts) -> float:
-    """What rounding may do to a unit of internal forces: that of the wrenches over their least s.
+    """The rounding of a unit of internal forces: that of the wrenches over their least s.
 
     Rows of the basis that are smaller may be zero, and singular values of it too.
     """

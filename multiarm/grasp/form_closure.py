@@ -52,7 +52,7 @@ class FormClosure:
     distance : float
         Closure survives every change of each scaled wrench by less than this; 0 when open.
     tolerance : float
-        What ``distance`` must exceed: 1e-10, and what rounding does to points far from the origin.
+        Bound that ``distance`` must exceed: 1e-10, and the rounding of points far from the origin.
     borderline : bool
         Open, but within the tolerance of closure (or closed by less than it): a change of
         the points or normals that small may decide otherwise.  Wrenches whose rank is missing
@@ -106,7 +106,7 @@ class FormClosure:
 
     @cached_property
     def immobility(self) -> Immobility:
-        """Form closure, or held by what turning does to flat faces later, or movable."""
+        """Form closure, held to second order by the flat faces, or movable."""
         return immobility(self.contacts, self.closed)
 
     @property

@@ -1,4 +1,4 @@
-"""What is known about contacts of a body whose pose is sought: points, planes, polygons, noise.
+"""Data for the pose of a body from its contacts: points, planes, polygons, noise.
 
 Points are kept from their mean, planes from the point of the body that lies nearest to all of them:
 a body far from the origin of its own frame, or far from that of the world, loses no digits.
@@ -106,7 +106,7 @@ def contact_data(
     convex: bool = True,
     point_covariance: Any = None,
 ) -> ContactData:
-    """Check and centre what the caller gives.
+    """Check and centre the caller's data.
 
     Raises
     ------

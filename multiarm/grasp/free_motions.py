@@ -52,7 +52,7 @@ def leaving_contacts(contacts: Contacts, motion: np.ndarray) -> tuple[int, ...]:
 
 
 def motion_in_words(contacts: Contacts, motion: np.ndarray) -> str:
-    """What a twist does: ``slide along (1, 0, 0)``, ``turn about the line through ...``."""
+    """A twist as text: ``slide along (1, 0, 0)``, ``turn about the line through ...``."""
     d = contacts.dimension
     angular = motion[d:]
     middle = motion[:d] + _across(angular, contacts.centre)
@@ -95,13 +95,13 @@ def explanation(contacts: Contacts, motion: np.ndarray, rank: int, borderline: b
 
 
 def vector_in_words(vector: np.ndarray, size: float = 1.0) -> str:
-    """Components with four digits; what is nothing next to ``size`` is 0."""
+    """Components with four digits; those that are negligible next to ``size`` are 0."""
     shown = np.where(np.abs(vector) > STILL * size, vector, 0.0)
     return "(" + ", ".join(f"{value:.4g}" for value in shown) + ")"
 
 
 def _pattern(contacts: Contacts, motion: np.ndarray) -> str | None:
-    """What the normal lines have in common when a motion leaves every gap as it is."""
+    """The common property of the normal lines when a motion leaves every gap unchanged."""
     d, p, e = contacts.dimension, contacts.points, contacts.normals
     across = e - np.outer(e @ e[0], e[0])
     if np.abs(across).max() <= STILL:
@@ -128,7 +128,7 @@ def _pattern(contacts: Contacts, motion: np.ndarray) -> str | None:
 
 
 def _still(contacts: Contacts) -> float:
-    """``STILL``, and what rounding does to points far from the origin."""
+    """``STILL``, and the rounding of points far from the origin."""
     return STILL + rounding(float(np.abs(contacts.points).max()), contacts.length)
 
 

@@ -1,4 +1,4 @@
-r"""What makes one grasp of seven contacts better than another, and what no grasp can exceed.
+r"""Objectives of grasps with seven contacts, and their upper bounds.
 
 Seven wrenches have one balance :math:`W n = 0, \sum n_i = 1`; closure is n > 0. With G the inverse
 of :math:`[W; 1 \dots 1]`, whose last column is n and whose other columns are :math:`g_i`:
@@ -86,7 +86,7 @@ class Objective(ABC):
     def reaches(
         self, low: np.ndarray, high: np.ndarray, normals: np.ndarray, twists: np.ndarray
     ) -> np.ndarray:
-        """What R single regions contribute to quick bounds from twists (C, 6), shape (R, C).
+        """Contributions of R single regions to quick bounds from twists (C, 6), shape (R, C).
 
         ``low`` and ``high`` (R, C) are the extremes of w . xi over each; ``normals`` (R, 3).
         """
@@ -206,7 +206,7 @@ class Stability(Objective):
     generations = 120
 
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
-        """Radii along the twists found; above the true ones by what these miss."""
+        """Radii along the twists found; upper bounds of the true ones."""
         radii = np.zeros(len(y))
         closed = np.flatnonzero(balances(touches.wrenches(y))[..., 6].min(axis=1) > 0.0)
         xi = self._losing(touches, y[closed])  # (M, 7, 6)

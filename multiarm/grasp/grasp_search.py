@@ -41,7 +41,7 @@ CHUNK = 2000
 
 @dataclass(frozen=True)
 class Limits:
-    """What placements must keep to, and when the search ends.
+    """Constraints of placements, and the end of the search.
 
     Attributes
     ----------
@@ -257,7 +257,7 @@ class Search:
             self.tops[part] = np.minimum(self.tops[part], tops)
 
     def _renew(self) -> None:
-        """Queue the choices that were never looked at by what is known of them now."""
+        """Queue the choices that were not examined, by their current bounds."""
         self._sharpen()
         renewed = []
         for key, count, number, node in self.queue:

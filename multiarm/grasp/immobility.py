@@ -1,4 +1,4 @@
-r"""Order of immobility: a body that is not form-closed may be held by what turning does later.
+r"""Order of immobility: a body that is not form-closed may be held to second order.
 
 Along a motion with the twist :math:`[v; \omega]`, the gap between a point finger and the flat face
 that it touches has, seen from the body,

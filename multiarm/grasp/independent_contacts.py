@@ -123,7 +123,7 @@ def independence(contacts: Contacts | HeldByContacts) -> Independence:
     """Decide whether the wrenches of six contacts are independent, and say why if not.
 
     They are dependent when the smallest singular value of the scaled wrenches is no more than
-    1e-10 of the largest, and what rounding does to points far from the origin.
+    1e-10 of the largest, and the rounding of points far from the origin.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-r"""What contacts of limited force can carry: the worst of some loads, multiples, a map.
+r"""Loads that contacts of limited force can carry: the worst of some loads, multiples, a map.
 
 With forces :math:`0 \le \lambda \le \lambda_{\max}` the contacts exert the wrenches of a convex
 polytope, :math:`\{W \lambda\}`.  Three questions about it (conventions of
@@ -138,7 +138,7 @@ def liftable(
     wrench : array-like, shape (6,); (3,) in the plane
         ``w_0``: the load at (0, 0), about the frame's origin [N, N m].
     directions : array-like, shape (2, 6) or (2, 3)
-        ``d_1`` and ``d_2``: what x and y add to the load.
+        ``d_1`` and ``d_2``: the loads of unit x and y.
     minimum : float or array-like, shape (N,)
         Least push of each contact [N].
 

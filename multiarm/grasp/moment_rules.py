@@ -1,4 +1,4 @@
-r"""Three contacts with independent moments: what remains of independence in special grasps.
+r"""Three contacts with independent moments: the remaining conditions of independence.
 
 The moment of a push at p along e about a point o is :math:`m = (p - o) \times e = c \times e`,
 where :math:`c = (p - o) - (e \cdot (p - o)) e` leads from the projection of o onto the face to the

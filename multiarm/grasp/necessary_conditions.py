@@ -79,7 +79,7 @@ def violated_conditions(contacts: Contacts | HeldByContacts) -> tuple[Violation,
 
 
 def incidence(points: np.ndarray, length: float) -> float:
-    """Tolerance of incidence: 1e-9, and what rounding does to points far from the origin."""
+    """Tolerance of incidence: 1e-9, and the rounding of points far from the origin."""
     return INCIDENCE + rounding(float(np.abs(points).max()), length)
 
 
@@ -99,7 +99,7 @@ def named(contacts: Contacts, numbers: tuple[int, ...]) -> str:
 
 
 class _Lines:
-    """Normal lines in scaled coordinates: what sets of them have in common."""
+    """Normal lines in scaled coordinates, and common points and planes of sets of them."""
 
     def __init__(self, contacts: Contacts) -> None:
         self.centre, self.length = contacts.centre, contacts.length

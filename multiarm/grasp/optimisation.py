@@ -17,8 +17,8 @@ by evolution at the start and then among what the programs propose. So at any ti
 
 (for forces the other way round). The search ends when they are within ``gap``, or when its budget
 of nodes is used up; then the gap is larger. The margin needs a node for each choice of faces or
-fewer. For forces a gap of a third to a half is left after some hundred nodes, and for stability
-the bound remains several times the value: it is true, not sharp.
+fewer. For forces a gap of a third to a half is left after some hundred nodes, and for stability the
+bound remains several times the value: it is true, not sharp.
 
 The margin alone says nothing about leverage: contacts can share the load evenly and yet hardly
 resist a rotation. So a floor on the conditioning of the scaled wrenches goes with every objective,
@@ -55,7 +55,7 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class OptimisedGrasp:
-    """The best grasp found and what is proven about all others.
+    """The best grasp found, and the proven bound of all others.
 
     Attributes
     ----------

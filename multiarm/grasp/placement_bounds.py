@@ -34,7 +34,7 @@ SHARE = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """Cells of seven contacts and what is known about them.
+    """Cells of seven contacts, with their bounds.
 
     Attributes
     ----------

@@ -40,7 +40,7 @@ class Polyhedron:
         For each face the numbers of its corners, counter-clockwise as seen from outside; then one
         clockwise loop for each hole.
     names : sequence of str, optional
-        What messages and pictures call the faces; ``face 0`` and so on otherwise.
+        Names of the faces in messages and figures; by default ``face 0`` and so on.
 
     Raises
     ------
@@ -150,7 +150,7 @@ class Polyhedron:
         """
         return cls(*mesh.read_mesh(file, scale))
 
-    # --- what it is ----------------------------------------------------------------------------
+    # --- properties ----------------------------------------------------------------------------
 
     @cached_property
     def faces(self) -> tuple[Face, ...]:

@@ -59,7 +59,7 @@ class ContactRegion:
     holes : tuple of tuple of ndarray, shape (H, 2)
         For each piece the corners of its holes.
     reason : str
-        Why the region is empty, or what is special about it; often nothing.
+        Why the region is empty, or a remark on it; often empty.
     """
 
     contacts: Contacts
@@ -265,7 +265,7 @@ def _rows(cone: WrenchCone, plane: Face, method: str) -> np.ndarray:
 
 
 def _rounding_room(contacts: Contacts, plane: Face) -> float:
-    """What counts as zero for the longest wrench of a unit push on the face."""
+    """The tolerance of zero for the longest wrench of a unit push on the face."""
     offsets = plane.outline - plane.coordinates(contacts.centre)
     reach = float(np.linalg.norm(offsets, axis=1).max()) / contacts.length
     return strictness(contacts, plane.vertices) * float(np.hypot(1.0, reach))

@@ -1,4 +1,4 @@
-r"""Configuration stability: what small displacements of the contacts do to a grasp (thesis, 2.3).
+r"""Configuration stability: the effect of small displacements of the contacts (thesis, 2.3).
 
 **Six independent contacts** (2.3.1). With normals :math:`e_A = [e_1 e_2 e_3]` invertible,
 :math:`T_1 = -e_A^{-1} e_B` and :math:`a = a_A T_1 + a_B` the contacts are independent while a is
@@ -57,7 +57,7 @@ class ConfigurationStability:
     ----------
     contacts : Contacts
     displacement : ndarray, shape (N,)
-        What each contact may be displaced by [m].
+        The distance by which each contact may be displaced [m].
     six : tuple of int
         The six independent contacts, numbers from 0; the first three have independent normals.
         The first six in their order, if that is possible.

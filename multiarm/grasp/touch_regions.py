@@ -98,7 +98,7 @@ def touch_regions(
 def _shapes(
     body: Polyhedron, clearance: float, faces: Iterable[int] | dict[int, Any] | None
 ) -> dict[int, Polygon]:
-    """What may be touched of each face, whatever the place, in face coordinates."""
+    """The part of each face that may be touched, in face coordinates."""
     from shapely.geometry import Polygon
 
     allowed = faces if isinstance(faces, dict) else dict.fromkeys(_numbers(body, faces))

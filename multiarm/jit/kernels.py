@@ -48,7 +48,7 @@ _MAKING = threading.Lock()
 
 
 def _stamp_of(function: Callable) -> str:
-    """What must not change for the cached code of a kernel to be fresh.
+    """Digest of all that the cached code of a kernel depends on.
 
     For a kernel outside the package, the text of its file as well.
     """

@@ -27,7 +27,7 @@ class LazyFunction(GuardedCall):
         The same for a number that is set to 1 when the function could not be compiled, such as
         after a Ctrl-C.
     failed : int
-        What the call returns then.
+        The value that the call returns then.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""How kernels become machine code: what is only part of others is optimised and translated there.
+"""Linking kernels: a kernel that is inlined is optimised and translated in its callers only.
 
 Numba optimises every function on its own, translates it, and does both again in every caller it is
 compiled into.  Most functions here are only ever parts of a few large kernels that are called from

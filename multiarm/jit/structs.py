@@ -54,7 +54,7 @@ from numba.extending import (
 )
 from numba.np.arrayobj import populate_array
 
-# What a field of a NamedTuple may be: C-contiguous arrays of float64 or int64, and their axes, or
+# Types of a field of a NamedTuple: C-contiguous arrays of float64 or int64, and their axes, or
 # numbers.
 Float = Annotated[float, (types.float64, 0)]
 Int = Annotated[int, (types.int64, 0)]
@@ -109,7 +109,7 @@ def struct_of(*holders: tuple) -> np.ndarray:
 
 @functools.cache
 def _numbers_of(holder: type) -> dict[int, Callable[[Any], float]]:
-    """Places of the fields that are numbers, and what makes such a number."""
+    """Places of the fields that are numbers, and their constructors."""
     kinds = [dtype if axes == 0 else None for dtype, axes in _fields_of(holder)]
     made = {types.float64: float, types.int64: int}
     return {k: made[kind] for k, kind in enumerate(kinds) if kind is not None}
@@ -123,7 +123,7 @@ class Numbers:
     Attributes
     ----------
     struct : ndarray of int64, shape (4 k,)
-        What kernels take; it is the memory of the fields.
+        The argument of kernels; it is the memory of the fields.
     """
 
     _fields: ClassVar[tuple[str, ...]] = ()

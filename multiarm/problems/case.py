@@ -1,4 +1,4 @@
-"""What a hard case is: a scene, why it is hard, and the numbers that a good run keeps below.
+"""A hard case: a scene, its difficulty, and the bounds that a good run keeps.
 
 A criterion measures something of a finished run and has a bound that was known before the run: it
 follows from the requested accuracy, from the roundings of the coordinates, or from an
@@ -39,7 +39,7 @@ class Criterion:
     Attributes
     ----------
     quantity : str
-        What is measured, in words.
+        Description of the measured quantity.
     bound : float
         The run passes when the measured number is at most this.
     unit : str
@@ -64,7 +64,7 @@ class HardCase:
         On the command line.
     title : str
     difficulty : str
-        What is hard, and why solvers break on it.
+        The difficulty, and why solvers break on it.
     scene : callable
         Returns the scene; its ``run`` holds duration and accuracy.
     criteria : tuple of Criterion

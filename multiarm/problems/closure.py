@@ -71,7 +71,7 @@ def _touches(count: int) -> tuple:
 
 @dataclass(frozen=True)
 class Fall:
-    """What fingers and block do.
+    """The motion of fingers and block.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a user writes: scenes, their parts, and the robots they may name."""
+"""The scene file: its schema, loading and checks, and the robots that it may name."""
 
 from multiarm.scene.arms import ArmSpec, ResolvedArm, ToolSpec, resolve_arm
 from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at

@@ -61,7 +61,7 @@ class _FromUrdf(Spec):
         return self
 
     def _sources(self) -> dict[str, str]:
-        """Keys of which exactly one says where the model comes from, and what they hold."""
+        """The keys, of which exactly one gives the model, with their values."""
         return {"robot": "a name", "urdf": "a file"}
 
 
@@ -164,7 +164,7 @@ class ResolvedArm:
 
 @dataclass
 class Examination(KnownArm):
-    """What was found out about one arm.
+    """The facts of one arm.
 
     Attributes
     ----------

@@ -77,7 +77,7 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     scene : Scene
         Stays as it is.
     changes : mapping
-        Path -> value.  What is optional and not there is made: ``joints[0].at.xyz`` gives a pose to
+        Path -> value.  Missing optional parts are made: ``joints[0].at.xyz`` gives a pose to
         a joint that has none.  Naming one of ``run.accuracy``, ``run.integrator``,
         ``run.step`` and ``run.tolerance`` replaces the scene's choice of all four.
 
@@ -165,7 +165,7 @@ def _given(value: Any) -> dict[str, Any]:
 
 
 def _below(value: Any, part: str | int, here: Parts, leaf: bool = False) -> Any:
-    """What is at a part of a path; None where something optional is not there.
+    """The value at a part of a path; None if an optional part is missing.
 
     A ``leaf`` is going to be replaced: a table may get a new entry, which the scene's own check
     judges.

@@ -161,7 +161,7 @@ ContactForces = Annotated[
 
 
 class _ObjectControl(Spec):
-    """What both laws have in common."""
+    """Keys of both control laws."""
 
     path: ObjectPath = None
     relative_damping: NonNegative = 10.0
@@ -196,7 +196,7 @@ class ComputedTorqueControl(_ObjectControl):
         press so hard in the mean; arms with idealised joints each press so hard towards the
         middle of all grips.
     internal_forces : table 'arm: forces'
-        [N], one for each contact of the arm's joint; what is not internal in them is taken away.
+        [N], one for each contact of the arm's joint; the part that is not internal is removed.
     """
 
     kind: Literal["computed_torque"] = "computed_torque"

@@ -123,12 +123,12 @@ class JointFriction(Spec):
         return _FRICTION_SPEED if self.speed is None else self.speed
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """What does not fit the arms."""
+        """Faults with respect to the arms."""
         found = gain_faults(self.torque, arms, friction_of, "<dynamics friction>")
         return _below(("torque",), found)
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """What is probably not meant."""
+        """Warnings about probable mistakes."""
         found = urdf_warnings(self.torque, arms, friction_of, "<dynamics friction>")
         return _below(("torque",), found)
 
@@ -136,14 +136,14 @@ class JointFriction(Spec):
 class ActuatorLag(Spec):
     """Drives whose torque follows the command with a delay: T torque' = command - torque.
 
-    May be written as ``time_constant`` alone.  Acts on what ``torque_limits`` leave of the command.
+    May be written as ``time_constant`` alone.  Acts on the command after ``torque_limits``.
 
     Attributes
     ----------
     time_constant : number or table 'arm: values'
         T [s]; joints that are not named, or have 0, follow at once.
     start : 'command' or 'zero'
-        The torque at the start of a run: what is commanded there, or none.
+        The torque at the start of a run: the command, or zero.
     """
 
     has_states: ClassVar[bool] = True
@@ -152,7 +152,7 @@ class ActuatorLag(Spec):
     start: Literal["command", "zero"] = "command"
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """What does not fit the arms."""
+        """Faults with respect to the arms."""
         return _below(("time_constant",), gain_faults(self.time_constant, arms))
 
 
@@ -186,7 +186,7 @@ class SomeContacts(Spec):
     contacts: tuple[str, ...] | None = None
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """What does not fit the arms; contacts are looked for once they are known."""
+        """Faults with respect to the arms; contacts are checked once they are known."""
         owners = [name.partition("/")[0] for name in self.contacts or ()]
         found: Faults = [
             (("contacts", k), unknown("arm", owner, arms))
@@ -276,7 +276,7 @@ class FloorSpec(Spec):
     points: tuple[Vec3, ...] | None = None
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """What does not fit the arms."""
+        """Faults with respect to the arms."""
         if self.points == ():
             return [(("points",), "is empty; list points of the object, or leave it out")]
         if "floor" in arms:
@@ -299,7 +299,7 @@ class JointLimitsSpec(Spec):
     restitution: Restitution = 0.0
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """What does not fit the arms."""
+        """Faults with respect to the arms."""
         found: Faults = []
         for arm, joints in {} if self.range == "urdf" else self.range.items():
             if arm not in arms:
@@ -315,7 +315,7 @@ class JointLimitsSpec(Spec):
         return found
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """What is probably not meant."""
+        """Warnings about probable mistakes."""
         if self.range != "urdf":
             return []
         text = "the URDF of arm {!r} gives no joint a range; write a table 'joint: [lower, upper]'"
@@ -337,7 +337,7 @@ def _some(wrenches: tuple[ExternalWrench, ...] | None) -> tuple[ExternalWrench, 
 
 
 class EffectsSpec(Spec):
-    """Optional physics; what is not named is not modelled and costs nothing.
+    """Optional physics; an effect that is not named is not modelled and costs nothing.
 
     A name that is none of the attributes below is a user effect, see
     :mod:`multiarm.scene.registry`.
@@ -425,7 +425,7 @@ class EffectsSpec(Spec):
         return tuple(name for name, spec in named if getattr(spec, "has_states", False))
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """What does not fit the arms of the scene."""
+        """Faults with respect to the arms of the scene."""
         found = gain_faults(self.joint_damping, arms, damping_of, "<dynamics damping>")
         faults = _below(("joint_damping",), found)
         faults += _below(("rotor_inertia",), gain_faults(self.rotor_inertia, arms))
@@ -435,7 +435,7 @@ class EffectsSpec(Spec):
         return faults
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """What is probably not meant."""
+        """Warnings about probable mistakes."""
         found = urdf_warnings(self.joint_damping, arms, damping_of, "<dynamics damping>")
         warnings = _below(("joint_damping",), found)
         found = urdf_warnings(self.torque_limits, arms, _has_effort_limit, "<limit effort>")

@@ -1,4 +1,4 @@
-"""Faults of a scene as sentences: what is wrong, where, what is possible instead, the remedy.
+"""Faults of a scene as sentences: place, fault, alternatives, remedy.
 
 A message about a name offers the names that exist, the most similar first, so that a typing error
 is corrected without opening the manual.  Pydantic reports a location (``("joints", 1, "ball",
@@ -91,7 +91,7 @@ def sentences(
     return found
 
 
-# What the keys of some tables are called, in the singular and the plural.
+# Names of the keys of some tables, in the singular and the plural.
 _KEY_NOUNS = {"EffectsSpec": ("effect", "effects"), "Shape": ("shape", "shapes")}
 _KIND_NOUNS = {"joints": "joint kind", "control": "control kind"}
 _EXPECTED = {
@@ -147,7 +147,7 @@ def _missing(part: str | int, owner: type[BaseModel]) -> str:
 def _walk(
     loc: Sequence[str | int], root: type[BaseModel]
 ) -> tuple[list[str | int], type[BaseModel], list[type[BaseModel]]]:
-    """The location without union branches, the model of its last key, what may follow."""
+    """The location without union branches, the model of its last key, and its possible keys."""
     parts: list[str | int] = []
     owner, models, inside_container = root, [root], False
     for part in loc:

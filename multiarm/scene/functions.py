@@ -66,7 +66,7 @@ class LoadedFunction:
 
     def __init__(self, reference: FunctionReference, function: Callable) -> None:
         self.reference, self.function = reference, function
-        self.__qualname__ = str(reference)  # what messages call it
+        self.__qualname__ = str(reference)  # its name in messages
 
     def __call__(self, *arguments):
         """Call the function."""

@@ -68,7 +68,7 @@ class PatchSpec(Spec):
 
 
 class _SurfaceSpec(Spec):
-    """What all surfaces share."""
+    """Keys of all surfaces."""
 
     patch: PatchSpec | None = Field(None, description="the part of it that exists: a box")
 
@@ -361,7 +361,7 @@ class ContactSpec(Spec):
 
 
 def _obstacle(a: Geometry, b: Geometry) -> str | None:
-    """Why two geometries cannot touch in a point, and what can be done; None when they can."""
+    """Why two geometries cannot touch in a point, with the remedy; None when they can."""
     if a.shape == b.shape == "point":
         return "two points have no normal; give one body a surface"
     if a.is_hollow and b.is_hollow:
@@ -404,7 +404,7 @@ def _curvatures(geometry: Geometry) -> tuple[float, float]:
 
 
 def _named(geometry: Geometry) -> str:
-    """What a geometry is called: with its radius where that decides."""
+    """The name of a geometry in messages: with its radius where that decides."""
     noun = f"hollow {geometry.shape}" if geometry.is_hollow else geometry.shape
     article = "an" if noun[0] in "aeiou" else "a"
     if geometry.shape in ("sphere", "cylinder"):

@@ -65,7 +65,7 @@ TipRadius = Annotated[
 
 
 class JointBase(Spec):
-    """What all joints share.
+    """Keys of all joints.
 
     Attributes
     ----------

@@ -83,7 +83,7 @@ def parse_scene(
     Parameters
     ----------
     source : str or mapping
-        The text, or what it stands for.
+        The text, or its content.
     folder : path, optional
         Where relative paths start; the current folder by default.
     stored : bool
@@ -104,7 +104,7 @@ def parse_scene(
 def dump_scene(scene: Scene) -> str:
     """The scene as YAML text with absolute paths; it loads again to an equal scene."""
     data = scene.model_dump(mode="json", exclude_defaults=True)
-    # A run that names nothing aims at the default accuracy: write what holds.
+    # A run without settings has the default accuracy: write it out.
     data["run"] = scene.run.model_dump(mode="json", exclude_none=True)
     return yaml.safe_dump(
         data, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
@@ -112,7 +112,7 @@ def dump_scene(scene: Scene) -> str:
 
 
 def parse_yaml(text: str) -> Any:
-    """What a YAML text stands for, without the habits above.
+    """The content of a YAML text, without the habits above.
 
     Raises
     ------
@@ -180,7 +180,7 @@ class NamedCode:
     place : str
         Where it is named, such as ``$.effects.external_wrenches[0].function``.
     what : str
-        What it is: which function of which file or module, which effect of which package.
+        The function with its file or module, or the effect with its package.
     arm : str or None
         Whose joint needs it.
     """

@@ -25,7 +25,7 @@ from multiarm.scene.values import (
     list_of,
 )
 
-_OBJECT = "object"  # what a wrench acts on that does not act on a link
+_OBJECT = "object"  # target of a wrench that does not act on a link
 _TABLE_COLUMNS = ("t", "fx", "fy", "fz", "mx", "my", "mz")  # [s], [N], [N m]
 
 
@@ -75,7 +75,7 @@ class Drag(Spec):
         return self
 
     def per_axis(self) -> tuple[float, float, float]:
-        """What multiplies |u| u, for each axis of the object [N s^2/m^2]."""
+        """Coefficients of |u| u, for each axis of the object [N s^2/m^2]."""
         area, coefficient = self.area or (0.0,) * 3, self.coefficient or (0.0,) * 3
         x, y, z = (
             q + 0.5 * self.density * a * c
@@ -120,7 +120,7 @@ def _increasing(times: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _time_fault(times: tuple[float, ...]) -> str:
-    """What is wrong with the times of a table; empty when nothing is."""
+    """The fault of the times of a table; empty if there is none."""
     if len(times) < 2:
         return f"a table needs at least 2 times, got {len(times)}"
     for number, (before, after) in enumerate(pairwise(times), start=2):
@@ -165,7 +165,7 @@ class WrenchTable(Spec):
 
 
 def read_wrench_table(path: Path) -> tuple[list[list[float]], str]:
-    """Rows of a CSV file of wrenches, 7 numbers each, and what is wrong with it."""
+    """Rows of a CSV file of wrenches, 7 numbers each, and its faults."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except FileNotFoundError:
@@ -208,7 +208,7 @@ class ExternalWrench(Spec):
     Attributes
     ----------
     on : 'object' or 'arm/link'
-        What it acts on; the link is one of the robot's URDF or of its tool's.
+        Its target; the link is one of the robot's URDF or of its tool's.
     at : 3 numbers
         The point where the force acts, in the frame of the object or of the link [m].
     axes : 'world' or 'body'
@@ -260,7 +260,7 @@ class ExternalWrench(Spec):
         return None if self.on == _OBJECT else (arm, link)
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """What does not fit the arms, or is wrong in the file."""
+        """Faults with respect to the arms, and faults of the file."""
         found: Faults = []
         target = self._target_fault(arms)
         if target:

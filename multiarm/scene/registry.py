@@ -114,7 +114,7 @@ def registered_effects() -> tuple[type, ...]:
 
 @dataclass(frozen=True)
 class Named:
-    """An entry under ``effects`` that is no field: its name, what stands there, our own names."""
+    """An entry under ``effects`` that is no field: its name, its value, the built-in names."""
 
     name: str
     value: Any
@@ -145,7 +145,7 @@ def _read(entry: Any, info: ValidationInfo) -> Any:
 
 
 def _validated(effect: Any, value: Any) -> Any:
-    """What an effect's ``Spec`` makes of the scene's text, every fault at its own place."""
+    """The scene's text read by an effect's ``Spec``, every fault at its place."""
     try:
         return TypeAdapter(effect.Spec).validate_python(value)
     except ValidationError as error:
@@ -167,7 +167,7 @@ OwnEffect = Annotated[Any, BeforeValidator(_read)]
 
 
 def _check(effect: Any, trouble: str, name: str | None = None) -> None:
-    """Refuse what is no effect, or one without the name it is offered under."""
+    """Raise unless this is an effect with the registered name."""
     lacks = getattr(effect, "lacks", None)
     if not isinstance(effect, type) or lacks is None:
         raise ModelError(f"{effect!r} {trouble}: it is no subclass of multiarm.Effect")

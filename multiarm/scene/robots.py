@@ -1,4 +1,4 @@
-"""Robots by name, and what a scene must know of their URDF files.
+"""Robots by name, and the outlines of their URDF files.
 
 ``robot: ur5`` stands for the path of a URDF file.  Two collections are known.  The project's own
 robots lie in ``robots/<name>/<name>.urdf`` (inside the installed package, or at the top of a
@@ -222,7 +222,7 @@ class UrdfOutline:
     Attributes
     ----------
     path : Path
-        The file; where there is none, what messages call it.
+        The file; if there is none, the name in messages.
     links : tuple of str
         All link names.
     joints : tuple of JointOutline
@@ -286,7 +286,7 @@ def read_urdf(path: Path | str) -> UrdfOutline:
 
 @lru_cache(maxsize=128)
 def outline_of_text(text: str, name: str) -> UrdfOutline:
-    """The outline of a URDF that is no file; `name` is what messages call it."""
+    """The outline of a URDF that is no file; `name` is its name in messages."""
     return replace(_outline(ElementTree.fromstring(text), Path(name)), text=text)
 
 

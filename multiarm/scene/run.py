@@ -18,7 +18,7 @@ else:
     Integrator = Literal[tuple(METHODS)]
 ArmTerms = Literal["pinocchio", "compiled"]
 ARM_TERMS: tuple[str, ...] = get_args(ArmTerms)
-"""Who computes inertia, forces and motion of the arms."""
+"""Backends of the arms' inertia, forces and motion."""
 STEPS_CHOSEN_BY = ("accuracy", "integrator", "step", "tolerance")
 """Settings of a run that say together how long its steps are."""
 DEFAULT_ACCURACY = 1e-6
@@ -28,7 +28,7 @@ _positive = TypeAdapter(Positive).validate_python
 
 
 class AccuracySpec(Spec):
-    """Largest error of the whole run, at the worst output time; what is not named is not bounded.
+    """Largest error of the whole run, at the worst output time; other errors are not bounded.
 
     A single number in place of the table is meant for position and rotation alike, and the two
     forms compare equal: ``AccuracySpec(position=1e-6, rotation=1e-6) == 1e-6``.
@@ -129,7 +129,7 @@ class RunSpec(Spec):
         [s]
     accuracy : AccuracySpec or float, optional
         Largest error of the whole run at the worst output time: a number [m and rad], or a table
-        ``{position: [m], rotation: [rad], force: [N]}`` of what is bounded. The program chooses
+        ``{position: [m], rotation: [rad], force: [N]}``, some of them. The program chooses
         method and steps, checks the result against a tightened rerun and repeats the run with
         smaller tolerances if need be. 1e-6 by default.
     integrator : str, optional
@@ -151,7 +151,7 @@ class RunSpec(Spec):
     solver : 'node' or 'dense'
         The node algorithm, or the whole linear system at once (for comparison).
     arms : 'pinocchio' or 'compiled'
-        Who computes inertia, forces and motion of the arms: Pinocchio, or compiled code, which is
+        Backend of the arms' inertia, forces and motion: Pinocchio, or compiled code, which is
         several times as fast and verified against Pinocchio whenever the scene is compiled.  An arm
         that cannot be compiled stays with Pinocchio and says so.
     """

@@ -1,4 +1,4 @@
-"""The scene: arms joined to one common object, what drives them, how the run is carried out.
+"""The scene: arms joined to one common object, control, effects and settings of the run.
 
 A :class:`Scene` that exists is valid: its numbers are physical, its arms, frames and joints exist
 and fit together.  Whether it comes from YAML or is built in Python, one SceneError names all
@@ -36,11 +36,11 @@ from multiarm.scene.run import RunSpec
 from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3, gain_faults
 
 _Examined = dict[str, tuple[ArmSpec, Examination]]
-"""Arms by name, with what was found out about them."""
+"""Arms by name, with their facts."""
 
 
 class Scene(Spec):
-    """Arms joined to one common object, what drives them, and how the run is carried out.
+    """Arms joined to one common object, with control, effects and settings of the run.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Scene(Spec):
     joints : list of joints
         One for each arm.
     control, effects, run
-        What drives the arms, which optional physics is modelled, how the run is carried out.
+        Control of the arms, optional physics, settings of the run.
 
     Raises
     ------
@@ -153,7 +153,7 @@ class Scene(Spec):
 
     @property
     def warnings(self) -> list[str]:
-        """What is unusual but not wrong: locked joints, missing meshes, exceeded limits."""
+        """Warnings: locked joints, missing meshes, exceeded limits."""
         return list(self._warnings)
 
     def __eq__(self, other: Any) -> bool:

@@ -36,9 +36,9 @@ from multiarm.scene.faults import Parts, explain, fault, listed, shown, unknown
 from multiarm.scene.robots import JointOutline
 
 Faults = list[tuple[Parts, str]]
-"""Pairs of a place, relative to that of the value, and what is wrong there."""
+"""Pairs of a place, relative to that of the value, and the fault there."""
 URDF = "urdf"
-"""What is written in place of numbers that are in the robot's file."""
+"""Stands for the numbers in the robot's file."""
 
 
 class Spec(BaseModel):
@@ -125,7 +125,7 @@ def as_list(value: Any) -> Any:
 
 
 def list_of(text: str, length: int | None = None, least: int = 0) -> BeforeValidator:
-    """Refuse with a text what is no list of a length, or of at least so many entries."""
+    """Raise a fault unless the value is a list of this length, or of at least this length."""
 
     def check(value: Any) -> Any:
         value = as_list(value)
@@ -397,7 +397,7 @@ def gain_vector(
 def joint_value_faults(
     values: float | Sequence[float] | Mapping[str, float] | None, joint_names: Sequence[str]
 ) -> Faults:
-    """What does not fit the joints."""
+    """Faults with respect to the joints."""
     names = list(joint_names)
     if isinstance(values, Mapping):
         return [((j,), unknown("joint", j, names)) for j in values if j not in names]
@@ -412,7 +412,7 @@ def joint_value_faults(
 
 @dataclass
 class KnownArm:
-    """What is known of an arm when a scene is checked; None where it is faulty itself.
+    """The facts of an arm for the checks of a scene; None if the arm has faults.
 
     Attributes
     ----------
@@ -440,7 +440,7 @@ def gain_faults(
     in_urdf: Callable[[JointOutline], float] | None = None,
     what: str = "",
 ) -> Faults:
-    """What does not fit the arms in a value for all of them, or in a table by arm.
+    """Faults of a value for all arms, or of a table by arm, with respect to the arms.
 
     ``in_urdf`` gives a joint the number, called ``what``, of the robot's file, which must not be
     negative where ``value`` refers to it.

@@ -161,7 +161,7 @@ def _require_hold(grasp: FaceContacts, arms: Sequence[str]) -> None:
 
 
 def _require_numbers(positive: dict[str, Any], chosen: dict[str, Any]) -> None:
-    """Refuse what is no number before the long search; ``chosen`` ones may be left out."""
+    """Check the numbers before the long search; ``chosen`` ones may be left out."""
     given = {**positive, **{name: value for name, value in chosen.items() if value is not None}}
     for name, value in given.items():
         if not isinstance(value, Real) or not math.isfinite(value):

@@ -59,7 +59,7 @@ class ContactFacts:
 
 @dataclass(frozen=True)
 class StabilityFacts:
-    """What small displacements of contacts that only push do to the grasp.
+    """The effect of small displacements of contacts that only push.
 
     Attributes
     ----------
@@ -100,13 +100,13 @@ class GraspJudgement:
     borderline : bool
         Whether roundings decide.
     verdict : str
-        The same in words, with what is missing.
+        The same as text, with the missing condition.
     margin, distance : float or None
         The smallest coefficient at best; changes of scaled wrenches that closure survives.
     motion : list of float or None
         When open: a motion that the contacts leave, twist about the object's origin.
     immobility_order : int or None
-        1: closed; 2: held by what turning does to flat faces later; 0: movable.
+        1: closed; 2: held to second order by the flat faces; 0: movable.
     stability : StabilityFacts or None
         For grasps by contacts that only push.
     carrying_force : float or None

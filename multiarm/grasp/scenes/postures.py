@@ -52,7 +52,7 @@ class Reach:
 
     @property
     def quality(self) -> float:
-        """What the best posture has most of."""
+        """The score that the best posture maximises."""
         return self.dexterity * min(1.0, 2.0 * self.room) * self.clearance
 
 

@@ -34,7 +34,7 @@ ON_FACE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SceneGrasp:
-    """What holds the object of a scene, in the object's frame.
+    """The contacts that hold the object of a scene, in the object's frame.
 
     Attributes
     ----------

@@ -67,7 +67,7 @@ def needed_squeeze(contacts: Contacts, wrenches: np.ndarray, least: float) -> fl
     contacts : Contacts
         In form closure; their frame's origin is the centre of mass.
     wrenches : ndarray, shape (K, 6)
-        What the contacts shall exert.
+        The wrenches that the contacts are to exert.
 
     Raises
     ------

@@ -33,7 +33,7 @@ DISTANCES = (0.3, 0.4, 0.5)
 SIDEWAYS = (-0.6, 0.0, 0.6)
 LEVELS = (1.0, 0.4)
 TURNS = tuple(np.arange(6) * np.pi / 3.0)
-# What a pedestal must be worth.
+# Least gain for which a pedestal is used.
 PEDESTAL_COST = 0.8
 # The most promising places are looked at again, from more starts and at every pose.
 FINALISTS, FEW, MANY = 8, 2, 16
