@@ -182,7 +182,8 @@ def test_every_thread_has_an_instance_of_an_own_effect(monkeypatch, welded_ur5_s
     used.clear()
     found = ma.simulate_many(system, 0.1, states=states, threads=4, accuracy=1e-4)
     threads, instances = zip(*used, strict=True)
-    assert len(used) == len(set(threads)) == len(set(instances)) == 4
+    # a thread may carry out several runs, one after the other
+    assert len(used) == len(set(threads)) == len(set(instances)) > 1
     for one, other in zip(found, expected, strict=True):
         assert_same_run(one, other)
 

@@ -78,10 +78,10 @@ def check_certainty(
     name: str, differences: Differences, derivative: UserFunction, x: np.ndarray, scale: float
 ) -> None:
     """Raise a ModelError where halving the steps of the differences changes the derivatives."""
-    coarse = derivative(x)
-    differences.lengths *= 0.5
+    coarse, lengths = derivative(x), differences.lengths
+    differences.lengths = 0.5 * lengths  # in place, it would be that of all threads
     error = float(np.max(np.abs(derivative(x) - coarse))) / scale
-    differences.lengths *= 2.0
+    differences.lengths = lengths
     if not error <= 1e-7:
         raise ModelError(
             f"differences of {name} are uncertain by {error:.1e} (relative) at {shown(x)}; set "
