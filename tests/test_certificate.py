@@ -680,7 +680,7 @@ def test_the_report_shows_verdict_numbers_and_attempts(ring, accuracy):
 def test_a_random_scene_that_is_certified_is_as_accurate_as_asked(seed):
     trial = run_trial(seed)
     assert trial.status == "completed" and trial.met is not None
-    assert trial.decided and not trial.dishonest
+    assert trial.decided and not trial.false_positive
     # the estimate itself is above the true error wherever that is known
     assert all(ratio <= 1.0 for ratio in trial.ratios())
     assert SAFETY > 1.0

@@ -159,7 +159,8 @@ def test_a_controller_in_python_is_asked_by_all(welded_ur5_system):
 def test_every_thread_has_an_instance_of_an_own_effect(monkeypatch, welded_ur5_system):
     """One that remembers is seen to give the numbers of a run alone, if its instance is its own."""
     monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
-    used: set[tuple[int, int]] = set()
+    used: dict[int, int] = {}  # thread -> instance
+    all_run = threading.Barrier(4)
 
     class Scratch(ma.Effect):
         name = "scratch"
@@ -169,7 +170,10 @@ def test_every_thread_has_an_instance_of_an_own_effect(monkeypatch, welded_ur5_s
             self.wrench = np.zeros(6)  # reused at every call
 
         def forces(self, t, state):
-            used.add((threading.get_ident(), id(self)))
+            thread = threading.get_ident()
+            if thread != threading.main_thread().ident and thread not in used:
+                used[thread] = id(self)
+                all_run.wait(60)
             self.wrench[:] = 0.0
             for k in range(3):
                 self.wrench[k] = -5.0 * state.object_twist[k]
@@ -179,11 +183,8 @@ def test_every_thread_has_an_instance_of_an_own_effect(monkeypatch, welded_ur5_s
     system = ma.compile_system(ur5_pair(WELD, WELD, effects={"scratch": {}}))
     states = random_states(system, 4)
     expected = [ma.simulate(system, 0.1, state=s, accuracy=1e-4) for s in states]
-    used.clear()
     found = ma.simulate_many(system, 0.1, states=states, threads=4, accuracy=1e-4)
-    threads, instances = zip(*used, strict=True)
-    # a thread may carry out several runs, one after the other
-    assert len(used) == len(set(threads)) == len(set(instances)) > 1
+    assert len(used) == len(set(used.values())) == 4
     for one, other in zip(found, expected, strict=True):
         assert_same_run(one, other)
 

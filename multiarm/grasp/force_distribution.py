@@ -166,7 +166,7 @@ def distribute_forces(
 def _any_forces(
     contacts: Contacts, target: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """``lam_0``, a basis of the internal forces, and the part of the wrench that no forces exert."""
+    """``lam_0``, a basis of the internal forces, and the remainder of the wrench."""
     W = contacts.scaled_wrenches
     U, s, Vt = np.linalg.svd(W)
     floor = rounding(float(np.abs(contacts.points).max()), contacts.length)
