@@ -422,4 +422,4 @@ def test_effects_that_are_not_named_are_not_imported():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.rpartition(".")[2] for name in done.stdout.split()}
-    assert loaded == {"building", "joint_damping"}
+    assert loaded == {"building", "joint_damping", "unilateral"}

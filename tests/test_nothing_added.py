@@ -125,4 +125,4 @@ def test_of_all_effects_only_those_of_the_scene_are_imported(effects, imported):
     assert result.returncode == 0, result.stderr
     ours, rest = json.loads(result.stdout)
     assert ours == imported
-    assert rest == ["building"]
+    assert rest == ["building", "unilateral"]

@@ -38,8 +38,8 @@ from multiarm.effects.building import (
     BuildContext,
     effect_program,
     joint_numbers,
-    unilateral_kernels,
 )
+from multiarm.effects.unilateral import unilateral_kernels
 from multiarm.errors import ModelError
 from multiarm.integration.monitors import make_monitors
 from multiarm.integration.near_singular import evaluate_near_singular
