@@ -14,25 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Grasp(FaceContacts):
-    """Contacts of grippers on the faces of a polyhedron.
-
-    Attributes
-    ----------
-    body : Polyhedron
-    contacts : Contacts
-        In the body's frame; normals are those of the faces, turned inward.
-    faces : tuple of int
-        Contact j lies on ``body.faces[faces[j]]``.
-    grippers : tuple of Gripper
-        Together they carry every contact once.
-    notes : tuple of str
-        Remarks of the design, in sentences.
-
-    Raises
-    ------
-    GraspError
-        A contact that is not on its face, or not carried by exactly one gripper.
-    """
+    """A grasp: :class:`multiarm.grasp.face_contacts.FaceContacts` that can be made a scene."""
 
     def to_scene(self, arms: Sequence[str] = ("panda", "panda"), **options: Any) -> Scene:
         """A scene that runs: hands on arms, postures, a path, a control that squeezes.

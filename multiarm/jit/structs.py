@@ -135,6 +135,7 @@ class Numbers:
 
     def __init__(self, **values: float) -> None:
         self.struct = np.zeros(WIDTH * len(self._fields), dtype=np.int64)
+        self._floats = self.struct.view(np.float64)
         for name, value in values.items():
             setattr(self, name, value)
 
@@ -154,10 +155,10 @@ def _number_property(place: int, real: bool) -> property:
     """A field of :class:`Numbers` at one place of its struct."""
 
     def read(numbers: Numbers) -> float:
-        return (numbers.struct.view(np.float64) if real else numbers.struct)[place].item()
+        return (numbers._floats if real else numbers.struct)[place].item()
 
     def write(numbers: Numbers, value: float) -> None:
-        (numbers.struct.view(np.float64) if real else numbers.struct)[place] = value
+        (numbers._floats if real else numbers.struct)[place] = value
 
     return property(read, write)
 

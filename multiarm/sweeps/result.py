@@ -91,11 +91,6 @@ class Sweep:
         """Version, computer and time of the start."""
         return dict(self._table.header["provenance"])
 
-    @property
-    def rows_table(self) -> SweepTable:
-        """The table, to be read block by block."""
-        return self._table
-
     @cached_property
     def scene(self) -> Scene:
         """The scene that is varied."""
