@@ -7,8 +7,8 @@
   angular velocity in world axes is then the rate of ``theta`` at ``theta = 0``.
 * ``skew(a) @ b == cross(a, b)``.
 
-Everything here is compiled, works on plain ``float64`` arrays and may be called from Python and
-from other kernels alike.  Functions that write into an argument say so and return nothing.
+Functions that take and return arrays are for Python; those on tuples, and those that write into an
+argument, are also compiled into kernels.
 """
 
 from __future__ import annotations
@@ -17,24 +17,19 @@ import math
 
 import numpy as np
 
-from multiarm.jit.kernels import allocating, kernel
+from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.vectors import add_scaled, cross, put, vec
 
 # Below this angle [rad] the closed forms lose digits to cancellation and their series are used.
 _SERIES_ANGLE = 1e-2
 
 
-@allocating
 def skew(a: np.ndarray) -> np.ndarray:
     """Matrix ``S(a)``, shape (3, 3), with ``S(a) @ b = a x b``."""
-    s = np.zeros((3, 3))
-    s[0, 1], s[0, 2] = -a[2], a[1]
-    s[1, 0], s[1, 2] = a[2], -a[0]
-    s[2, 0], s[2, 1] = -a[1], a[0]
-    return s
+    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
 
 
-@kernel
+@inlined
 def write_matrix(quaternion: np.ndarray, rotation: np.ndarray) -> None:
     """Write the rotation matrix of a unit quaternion (xyzw) into ``rotation[0:9]``, row by row."""
     x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
@@ -49,49 +44,38 @@ def write_matrix(quaternion: np.ndarray, rotation: np.ndarray) -> None:
     rotation[8] = 1.0 - 2.0 * (x * x + y * y)
 
 
-@allocating
 def quaternion_to_matrix(quaternion: np.ndarray) -> np.ndarray:
     """Rotation matrix, shape (3, 3), of a unit quaternion ``xyzw``, shape (4,)."""
     rotation = np.empty(9)
     write_matrix(quaternion, rotation)
-    return rotation.reshape((3, 3))
+    return rotation.reshape(3, 3)
 
 
-@allocating
 def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
     """Unit quaternion ``xyzw`` with ``w >= 0`` of a rotation matrix, shape (3, 3).
 
     Shepperd's method: the largest of the four components is computed first, so that no division
     is by a small number.
     """
-    q = np.empty(4)
-    trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
-    largest = 3
-    best = trace
-    for i in range(3):
-        if rotation[i, i] > best:
-            best, largest = rotation[i, i], i
-    if largest == 3:
-        q[3] = 1.0 + trace
-        q[0] = rotation[2, 1] - rotation[1, 2]
-        q[1] = rotation[0, 2] - rotation[2, 0]
-        q[2] = rotation[1, 0] - rotation[0, 1]
-    else:
-        i = largest
+    R = rotation.tolist()
+    trace = R[0][0] + R[1][1] + R[2][2]
+    i = max(range(3), key=lambda k: R[k][k])
+    q = [0.0, 0.0, 0.0, 0.0]
+    if R[i][i] > trace:
         j, k = (i + 1) % 3, (i + 2) % 3
-        q[i] = 1.0 + 2.0 * rotation[i, i] - trace
-        q[j] = rotation[j, i] + rotation[i, j]
-        q[k] = rotation[k, i] + rotation[i, k]
-        q[3] = rotation[k, j] - rotation[j, k]
-    q /= math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    if q[3] < 0.0:
-        q = -q
-    return q
+        q[i] = 1.0 + 2.0 * R[i][i] - trace
+        q[j] = R[j][i] + R[i][j]
+        q[k] = R[k][i] + R[i][k]
+        q[3] = R[k][j] - R[j][k]
+    else:
+        q = [R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1], 1.0 + trace]
+    norm = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    return np.array(q) / (-norm if q[3] < 0.0 else norm)
 
 
-@kernel
-def retract_into(base: np.ndarray, theta: np.ndarray, out: np.ndarray) -> None:
-    """Write ``exp(theta) * base`` into ``out[0:4]``, may be ``base``; ``theta`` (3,) [rad]."""
+@inlined
+def retracted(base, theta):
+    """Unit quaternion ``exp(theta) * base`` as a tuple ``xyzw``; ``theta`` (3,) [rad]."""
     angle_squared = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
     angle = math.sqrt(angle_squared)
     if angle < _SERIES_ANGLE:
@@ -106,23 +90,23 @@ def retract_into(base: np.ndarray, theta: np.ndarray, out: np.ndarray) -> None:
     oz = dw * z + dz * w + dx * y - dy * x
     ow = dw * w - dx * x - dy * y - dz * z
     norm = 1.0 / math.sqrt(ox * ox + oy * oy + oz * oz + ow * ow)
-    out[0], out[1], out[2], out[3] = ox * norm, oy * norm, oz * norm, ow * norm
+    return ox * norm, oy * norm, oz * norm, ow * norm
 
 
-@allocating
+@inlined
+def retract_into(base, theta, out):
+    """Write :func:`retracted` into ``out[0:4]``, which may be ``base``."""
+    out[0], out[1], out[2], out[3] = retracted(base, theta)
+
+
 def retract(base: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """Unit quaternion ``exp(theta) * base``; ``theta`` (3,) is a rotation vector in world axes."""
-    out = np.empty(4)
-    retract_into(base, theta, out)
-    return out
+    return np.array(retracted(base.tolist(), theta.tolist()))
 
 
-@allocating
-def difference(base: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """Rotation vector ``theta`` (3,), world axes [rad], with ``retract(base, theta) = quaternion``.
-
-    The shorter way round is taken: ``|theta| <= pi``.
-    """
+@inlined
+def rotation_between(base, quaternion):
+    """:func:`difference` as a tuple."""
     x, y, z, w = -base[0], -base[1], -base[2], base[3]
     a, b, c, d = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     rx = d * x + a * w + b * z - c * y
@@ -134,7 +118,15 @@ def difference(base: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     sine = math.sqrt(rx * rx + ry * ry + rz * rz)
     # atan2 keeps all digits at small and at large angles; 2 is the limit of angle / sine at zero
     scale = 2.0 if sine == 0.0 else 2.0 * math.atan2(sine, rw) / sine
-    return np.array([scale * rx, scale * ry, scale * rz])
+    return scale * rx, scale * ry, scale * rz
+
+
+def difference(base: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """Rotation vector ``theta`` (3,), world axes [rad], with ``retract(base, theta) = quaternion``.
+
+    The shorter way round is taken: ``|theta| <= pi``.
+    """
+    return np.array(rotation_between(base.tolist(), quaternion.tolist()))
 
 
 @kernel
@@ -159,19 +151,3 @@ def write_chart_rate(theta: np.ndarray, omega: np.ndarray, out: np.ndarray) -> N
     turn, rate = vec(theta, 0), vec(omega, 0)
     c = cross(turn, rate)
     put(out, 0, add_scaled(add_scaled(rate, -0.5, c), gamma, cross(turn, c)))
-
-
-@allocating
-def wrench_map(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    r"""Matrix ``X``, shape (6, 6), that moves a wrench from frame m to frame o (thesis, 3.11).
-
-    .. math:: X = \begin{bmatrix} R & 0 \\ S(x) R & R \end{bmatrix}
-
-    ``rotation`` (3, 3) turns m-components into o-components, ``translation`` (3,) is m's origin
-    seen from o, in o-axes.  Contact wrenches of the two bodies obey ``W_o = -X W_m``.
-    """
-    x = np.zeros((6, 6))
-    x[0:3, 0:3] = rotation
-    x[3:6, 0:3] = skew(translation) @ np.ascontiguousarray(rotation)
-    x[3:6, 3:6] = rotation
-    return x

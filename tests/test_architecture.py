@@ -37,12 +37,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "distributed": ("sweeps.executors", "sweeps.sweep"),
     "h5py": ("results.hdf5", "sweeps.row_file", "results.trajectory_file"),
     "joblib": ("sweeps.executors",),
-    "llvmlite": (
-        "jit.linking",
-        "jit.pointers",
-        "jit.simd",
-        "jit.structs",
-    ),
+    "llvmlite": ("jit",),
     "matplotlib": (
         "plots",
         "reports.parts",
@@ -53,14 +48,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     ),
     "meshcat": ("viewer",),
     "mujoco": ("studies.mujoco_peer",),
-    "numba": (
-        "jit.kernels",
-        "jit.linking",
-        "jit.pointers",
-        "jit.simd",
-        "jit.structs",
-        "studies.mujoco_peer",
-    ),
+    "numba": ("jit", "studies.mujoco_peer"),
     "pinocchio": (
         "arms.arm",
         "arms.backends",

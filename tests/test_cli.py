@@ -135,7 +135,8 @@ def test_module_and_command_are_one_program():
 
 
 @pytest.mark.parametrize(
-    "command", ["run", "check", "effects", "joints", "replay", "report", "scaling", "stability"]
+    "command",
+    ["run", "check", "effects", "joints", "replay", "report", "scaling", "stability", "warmup"],
 )
 def test_every_command_has_help(command):
     result = multiarm(command, "--help")

@@ -14,7 +14,9 @@ import pytest
 from mechanics import data_of
 
 import multiarm as ma
-from multiarm.jit.kernels import cfunc, kernel
+from multiarm.errors import MultiarmError
+from multiarm.jit.ahead import all_kernels, argument_types, compile_ahead, compile_all
+from multiarm.jit.kernels import INT, NUMBER, NUMBERS, cfunc, kernel
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import (
     Flag,
@@ -171,3 +173,68 @@ def test_what_regular_scenes_do_without_is_compiled_where_it_is_called():
     assert compiled not in (before, data_of(fresh).arrays.functions.coupled)
     assert data_of(regular).arrays.functions.coupled == before, "a regular scene does without"
     assert data_of(regular).arrays.functions.row != 0
+
+
+def test_kernels_that_python_calls_get_the_types_that_they_are_compiled_for(welded_ur5_system):
+    """Else they would be compiled ahead for nothing."""
+    ma.simulate(welded_ur5_system, 0.002, accuracy=1e-3)
+    called = [kernel for kernel in all_kernels() if not kernel.is_called_by_address]
+    assert len(called) > 5
+    compiled = 0
+    for one in called:
+        if one.whole.signatures:
+            assert one.whole.signatures == [argument_types(one)]
+            compiled += 1
+    assert compiled > 3
+
+
+AHEAD = """
+from multiarm.integration.stepper import begin_chart as one, evaluate_slope as other
+from multiarm.jit.ahead import argument_types, compile_ahead, compile_all
+
+if __name__ == "__main__":
+    compile_all([one], progress=print)
+    compile_ahead([one, other])
+    print(one._wait, other._wait is not None)
+    for kernel in (one, other):
+        kernel.whole.compile(argument_types(kernel))
+        print(sum(kernel.whole.stats.cache_hits.values()))
+"""
+
+
+def test_kernels_compiled_by_other_processes_are_loaded(tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", AHEAD], env=environment, capture_output=True, text=True, check=True
+    )
+    first, waits, *hits = done.stdout.splitlines()
+    assert first == "multiarm.integration.stepper:begin_chart"
+    assert waits == "None True"  # the first one is in the cache already
+    assert hits == ["1", "1"]
+
+
+@kernel
+def doubled(x: NUMBER):
+    return 2.0 * x
+
+
+@kernel
+def partly(x: NUMBERS, count):
+    return x[0] * count
+
+
+def test_only_kernels_with_all_types_known_are_compiled_ahead():
+    assert argument_types(doubled) == (NUMBER,)
+    assert argument_types(partly) is None
+    assert INT in argument_types(told)
+
+
+def test_a_process_that_fails_is_an_error_and_no_obstacle(monkeypatch, capfd):
+    """This test's module is none that another process could import."""
+    monkeypatch.setattr(doubled.py_func, "__module__", "no_such_module")
+    monkeypatch.setattr(doubled, "is_cached", lambda: False)
+    with pytest.raises(MultiarmError, match="no_such_module:doubled could not be compiled"):
+        compile_all([doubled], processes=1)
+    compile_ahead([doubled])
+    assert doubled(2.0) == 4.0
+    assert "No module named 'no_such_module'" in capfd.readouterr().err

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from mechanics import EPS, WORKED, first_difference
+from mechanics import EPS, first_difference
 from scipy.spatial.transform import Rotation
 
 from multiarm.spatial import (
@@ -18,7 +17,6 @@ from multiarm.spatial import (
     quaternion_to_matrix,
     retract,
     skew,
-    wrench_map,
     write_chart_rate,
 )
 
@@ -106,12 +104,3 @@ def test_chart_rate_is_continuous_where_the_series_ends(direction):
         chart_rate(direction * 0.01000001, omega),
     )
     np.testing.assert_allclose(below, above, atol=2e-8)
-
-
-def test_wrench_map_is_pinocchios_dual_action_and_gives_the_worked_example():
-    data = WORKED["W_map"]["inputs"]
-    R, x = np.array(data["R_m_in_o"]), np.array(data["x_m_in_o"])
-    X = wrench_map(R, x)
-    np.testing.assert_allclose(X, pin.SE3(R, x).toDualActionMatrix(), atol=1e-15)
-    W_o = -X @ np.array(data["W_m"])
-    np.testing.assert_allclose(W_o, WORKED["W_map"]["expected"]["W_o"], atol=1e-9)

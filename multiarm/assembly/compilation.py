@@ -32,6 +32,7 @@ from multiarm.dynamics.equations import (
     write_general_row,
 )
 from multiarm.dynamics.model import Data, Model, with_effects, with_rows
+from multiarm.dynamics.solver_monitor import compare_solution, record_solution
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import StartReport, System
 from multiarm.effects.building import (
@@ -43,6 +44,9 @@ from multiarm.effects.unilateral import unilateral_kernels
 from multiarm.errors import ModelError
 from multiarm.integration.monitors import make_monitors
 from multiarm.integration.near_singular import evaluate_near_singular
+from multiarm.integration.stepper import evaluate_slope
+from multiarm.integration.time_loop import advance
+from multiarm.jit.ahead import compile_ahead
 from multiarm.scene import (
     ARM_TERMS,
     ArmSpec,
@@ -63,6 +67,8 @@ FUNCTIONS = {
     "forces": right_hand_sides,
     "solve": solve,
     "project": solve,
+    "record": record_solution,
+    "compare": compare_solution,
 }
 LAZY_FUNCTIONS = {
     "coupled": solve_deficient,
@@ -107,6 +113,7 @@ def compile_system(
         robot's.
     """
     scene = with_code(_with_arms(scene, arms), code)
+    compile_ahead([advance, evaluate_slope])  # a run needs them: the first time in the background
     robots = load_robots(scene, like)  # URDF -> arms with tips and limits
     joints = scene_joints(scene, robots, like)  # contact records, from the catalogue or as written
     rows = contact_rows(scene, robots, joints)  # all rows of W, unilateral ones too
@@ -425,7 +432,7 @@ def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
     pose, resolved = scene.object.pose.matrix(), robots.resolved.values()
     position = [
         pose[:3, 3],
-        matrix_to_quaternion(np.ascontiguousarray(pose[:3, :3])),
+        matrix_to_quaternion(pose[:3, :3]),
         *(r.posture for r in resolved),
     ]
     twist = np.zeros(6) if scene.object.twist is None else np.array(scene.object.twist)

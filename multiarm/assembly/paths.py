@@ -146,8 +146,8 @@ def follow_object(
         )
     )
     tolerance = projection_tolerance(data)
-    base = matrix_to_quaternion(np.ascontiguousarray(begin[:3, :3]))
-    turn = difference(base, matrix_to_quaternion(np.ascontiguousarray(end[:3, :3])))
+    base = matrix_to_quaternion(begin[:3, :3])
+    turn = difference(base, matrix_to_quaternion(end[:3, :3]))
     state, angles = start.copy(), []
     state.velocity[:] = 0.0
     before = 0.0

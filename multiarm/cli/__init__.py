@@ -1,5 +1,5 @@
 """The command line: ``multiarm run``, ``check``, ``joints``, ``replay``, ``report``, ``accuracy``,
-``effects``, ``scaling``, ``stability``, ``sweep``, ``grasp``.
+``effects``, ``scaling``, ``stability``, ``sweep``, ``warmup``, ``grasp``.
 
 Each command is a function in a module of the same name; heavy libraries are imported when a command
 runs, so that ``--help`` answers at once.  Exit codes: 0 success; 1 a run failed or was interrupted,
@@ -25,6 +25,7 @@ from multiarm.cli.scaling import scaling
 from multiarm.cli.show import replay, report
 from multiarm.cli.stability import stability
 from multiarm.cli.sweep import sweep
+from multiarm.cli.warmup import warmup
 from multiarm.errors import MultiarmError
 from multiarm.results.files import printable
 from multiarm.terminal.console import print_error, print_warnings
@@ -100,6 +101,9 @@ def _program(
     """
 
 
-for _command in (run, check, joints, replay, report, accuracy, effects, scaling, stability, sweep):
+_COMMANDS = (
+    run, check, joints, replay, report, accuracy, effects, scaling, stability, sweep, warmup,
+)  # fmt: skip
+for _command in _COMMANDS:
     app.command()(_command)
 app.add_typer(grasp_app, name="grasp")

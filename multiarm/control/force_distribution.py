@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from multiarm.dynamics.solver.factors import solve_semidefinite
-from multiarm.jit.kernels import allocating
+from multiarm.jit.kernels import allocating, copy
 
 
 @allocating
@@ -31,9 +31,9 @@ def static_forces(Wo, weight, force):
     longest = 1e-6
     for k in range(Wo.shape[0]):
         longest = max(longest, math.sqrt(Wo[k, 3] ** 2 + Wo[k, 4] ** 2 + Wo[k, 5] ** 2))
-    scale = np.ones(6)
-    scale[3:] = 1.0 / longest
-    A, b, x = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    A, b, x, scale = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.empty(6)
+    for i in range(6):
+        scale[i] = 1.0 if i < 3 else 1.0 / longest
     for i in range(6):
         b[i] = scale[i] * weight[i]
         for j in range(6):
@@ -64,10 +64,13 @@ def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
         centre of mass, its axes).  Only their internal part remains.
     force : (N,), written
     """
-    desired = offsets.copy()
+    desired, rest = np.empty(offsets.size), np.empty(6)
+    copy(offsets, desired)
     for i in range(rows.size - 1):
-        own = pressing[6 * i : 6 * i + 6]
-        if np.any(own != 0.0):
+        own, any_pressing = pressing[6 * i : 6 * i + 6], False
+        for a in range(6):
+            any_pressing = any_pressing or own[a] != 0.0
+        if any_pressing:
             r0, r1, world = rows[i], rows[i + 1], np.zeros(6)
             for a in range(3):
                 for b in range(3):
@@ -76,7 +79,7 @@ def share_load(wrench, Wo, rows, rotation, offsets, pressing, force):
             static_forces(Wo[r0:r1], world, force[r0:r1])
             for k in range(r0, r1):
                 desired[k] += force[k]
-    rest = wrench.copy()
+    copy(wrench, rest)
     for k in range(desired.size):
         for i in range(6):
             rest[i] -= Wo[k, i] * desired[k]

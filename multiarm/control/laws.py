@@ -36,7 +36,7 @@ from multiarm.dynamics.callbacks import NO_CONTROL
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
-from multiarm.jit.kernels import Kernel, cfunc, clear, kernel
+from multiarm.jit.kernels import INTS, Kernel, cfunc, clear, kernel
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import struct_at
 from multiarm.scene import Scene, gain_vector
@@ -269,7 +269,7 @@ def add_gravity_compensation(model, data, work, torque):
 
 
 @kernel
-def write_holding_torque(struct):
+def write_holding_torque(struct: INTS):
     """Write the torques that hold the configuration in ``data`` into ``data.torque``.
 
     Needs its kinematics and ``gravity_torque`` in ``data``.

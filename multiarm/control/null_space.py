@@ -20,13 +20,15 @@ those with this property that are nearest to the preferred ones in the metric of
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from multiarm.arms.terms import J_AT
 from multiarm.contacts.joint import ON_LINK, ON_OBJECT, write_relative
 from multiarm.contacts.kernel import ACCELERATION, ORIGIN_AT, SPIN, SPIN_RATE
 from multiarm.dynamics.solver.factors import factor_cholesky, forward_columns, solve_semidefinite
-from multiarm.jit.kernels import allocating
+from multiarm.jit.kernels import allocating, copy
 from multiarm.jit.structs import floats_at
 from multiarm.jit.vectors import (
     add,
@@ -58,9 +60,13 @@ def nearest_accelerations(inertia, W, preferred, target, result):
     result : (n,), written
     """
     n, m = preferred.size, target.size
-    L, Y = inertia[:n, :n].copy(), W[:n, :m].copy()
-    K, rest, kappa, scale = np.zeros((m, m)), target.copy(), np.zeros(m), np.ones(m)
+    L, Y, K = np.empty((n, n)), np.empty((n, m)), np.zeros((m, m))
+    rest, kappa, scale = np.empty(m), np.zeros(m), np.empty(m)
+    for j in range(n):
+        copy(inertia[j, :n], L[j])
+        copy(W[j, :m], Y[j])
     for a in range(m):
+        rest[a] = target[a]
         for j in range(n):
             rest[a] -= Y[j, a] * preferred[j]
     factor_cholesky(L, n)
@@ -70,8 +76,7 @@ def nearest_accelerations(inertia, W, preferred, target, result):
             for b in range(a + 1):
                 K[a, b] += Y[j, a] * Y[j, b]
     for a in range(m):
-        if K[a, a] > 0.0:
-            scale[a] = 1.0 / np.sqrt(K[a, a])
+        scale[a] = 1.0 / math.sqrt(K[a, a]) if K[a, a] > 0.0 else 1.0
         rest[a] *= scale[a]
     for a in range(m):
         for b in range(a + 1):
@@ -129,4 +134,4 @@ def hold_pose(i, stiffness, rate, along, model, data, work, preferred):
         put(W[column], 0, add_cross(v, w, p))
         put(W[column], 3, w)
     nearest_accelerations(work.L[i], W, preferred, target, result)
-    preferred[:] = result
+    copy(result, preferred)

@@ -54,12 +54,14 @@ from multiarm.dynamics.state import State
 from multiarm.errors import ControlError, GraspError
 from multiarm.jit.kernels import allocating, cfunc, kernel
 from multiarm.jit.structs import struct_at
+from multiarm.jit.vectors import add_scaled, scale, sub, vec
 from multiarm.scene import Pose
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl, Waypoint
 from multiarm.spatial import (
     difference,
     matrix_to_quaternion,
-    retract_into,
+    retracted,
+    rotation_between,
     skew,
     write_chart_rate,
 )
@@ -116,14 +118,12 @@ def object_law(data: Data, start: State, control: ObjectControl) -> tuple[np.nda
 
 
 def packed_path(times: Sequence[float], poses: Sequence[np.ndarray]) -> np.ndarray:
-    """Parameters of :func:`write_reference` for poses (4, 4) at times [s].
+    """Parameters of :func:`reference_pose` for poses (4, 4) at times [s].
 
     Number of segments, times, and for each segment first position, displacement, first quaternion,
     and rotation vector to the next pose (world axes).
     """
-    quaternions = np.array(
-        [matrix_to_quaternion(np.ascontiguousarray(pose[:3, :3])) for pose in poses]
-    )
+    quaternions = np.array([matrix_to_quaternion(pose[:3, :3]) for pose in poses])
     turns = np.array([difference(a, b) for a, b in pairwise(quaternions)])
     positions = np.array([pose[:3, 3] for pose in poses])
     table = np.hstack([positions[:-1], np.diff(positions, axis=0), quaternions[:-1], turns])
@@ -279,12 +279,14 @@ def object_impedance(address, size, place, t):
     return 0
 
 
-@allocating
-def write_reference(t, parameters, at, pose, twist, acceleration):
-    """Write the reference of the object at ``t``: pose (7,), twist (6,), acceleration (6,).
+@kernel
+def reference_pose(t, parameters, at):
+    """Reference of the object at ``t``: position (3,), quaternion (4,), and the way it moves.
 
     From one waypoint to the next it moves along a line and about a fixed axis, from rest to rest,
-    by the quintic law of time; before the first and after the last it rests.
+    by the quintic law of time; before the first and after the last it rests.  The way: place of the
+    segment's displacement and rotation vector among the parameters, rate [1/s] and second
+    derivative [1/s^2] of the part of them that has been covered.
     """
     segments = int(parameters[at])
     bounds = at + 1
@@ -293,42 +295,55 @@ def write_reference(t, parameters, at, pose, twist, acceleration):
         s += 1
     begin, length = parameters[bounds + s], parameters[bounds + s + 1] - parameters[bounds + s]
     x = min(max((t - begin) / length, 0.0), 1.0)
-    way = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
+    part = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
     rate = 30.0 * (x * (1.0 - x)) ** 2 / length
     second = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / length**2
     first = bounds + segments + 1 + SEGMENT_WIDTH * s
-    shift, turn = parameters[first + 3 : first + 6], parameters[first + 10 : first + 13]
-    for k in range(3):
-        pose[k] = parameters[first + k] + way * shift[k]
-        twist[k], twist[3 + k] = rate * shift[k], rate * turn[k]
-        acceleration[k], acceleration[3 + k] = second * shift[k], second * turn[k]
-    retract_into(parameters[first + 6 : first + 10], way * turn, pose[3:7])
+    shift, turn = vec(parameters, first + 3), vec(parameters, first + 10)
+    position = add_scaled(vec(parameters, first), part, shift)
+    quaternion = retracted(parameters[first + 6 : first + 10], scale(part, turn))
+    return position, quaternion, shift, turn, rate, second
 
 
-@allocating
+def reference_motion(t: float, parameters: np.ndarray, at: int) -> tuple[np.ndarray, ...]:
+    """Reference of the object at ``t``: quaternion xyzw (4,), twist (6,), acceleration (6,)."""
+    _, quaternion, shift, turn, rate, second = reference_pose(t, parameters, at)
+    way = np.array([*shift, *turn])
+    return np.array(quaternion), rate * way, second * way
+
+
+@kernel
 def write_object_acceleration(t, parameters, at, path, position, velocity, desired):
     """Write the object's acceleration that computed torque commands into ``desired`` (6,)."""
-    pose, twist, error = np.empty(7), np.empty(6), np.empty(6)
-    write_reference(t, parameters, path, pose, twist, desired)
-    error[:3] = pose[:3] - position[:3]
-    error[3:] = difference(position[3:7], pose[3:7])
-    for k in range(6):
-        desired[k] += parameters[at + DAMPING + k] * (twist[k] - velocity[k])
-        desired[k] += parameters[at + STIFFNESS + k] * error[k]
+    place, quaternion, shift, turn, rate, second = reference_pose(t, parameters, path)
+    ahead, turned = sub(place, vec(position, 0)), rotation_between(position[3:7], quaternion)
+    for k in range(3):
+        stiffness, damping = parameters[at + STIFFNESS + k], parameters[at + DAMPING + k]
+        slower = rate * shift[k] - velocity[k]
+        desired[k] = second * shift[k] + damping * slower + stiffness * ahead[k]
+    for k in range(3):
+        stiffness, damping = parameters[at + STIFFNESS + 3 + k], parameters[at + DAMPING + 3 + k]
+        slower = rate * turn[k] - velocity[3 + k]
+        desired[3 + k] = second * turn[k] + damping * slower + stiffness * turned[k]
 
 
-@allocating
+@kernel
 def write_spring_wrench(t, parameters, at, path, position, velocity, wrench):
     """Write the wrench of the impedance's spring and damper on the object into ``wrench`` (6,)."""
-    pose, twist, acceleration = np.empty(7), np.empty(6), np.empty(6)
-    write_reference(t, parameters, path, pose, twist, acceleration)
-    turn = difference(position[3:7], pose[3:7])
+    place, quaternion, shift, turn, rate, _ = reference_pose(t, parameters, path)
+    ahead, turned = sub(place, vec(position, 0)), rotation_between(position[3:7], quaternion)
+    pull = (
+        parameters[at + STIFFNESS + 3] * turned[0],
+        parameters[at + STIFFNESS + 4] * turned[1],
+        parameters[at + STIFFNESS + 5] * turned[2],
+    )
+    write_chart_rate(turned, pull, wrench[3:6])
     for k in range(3):
-        wrench[k] = parameters[at + STIFFNESS + k] * (pose[k] - position[k])
-    pull = parameters[at + STIFFNESS + 3 : at + STIFFNESS + 6] * turn
-    write_chart_rate(turn, pull, wrench[3:6])
-    for k in range(6):
-        wrench[k] += parameters[at + DAMPING + k] * (twist[k] - velocity[k])
+        slower, spin = rate * shift[k] - velocity[k], rate * turn[k] - velocity[3 + k]
+        wrench[k] = (
+            parameters[at + STIFFNESS + k] * ahead[k] + parameters[at + DAMPING + k] * slower
+        )
+        wrench[3 + k] += parameters[at + DAMPING + 3 + k] * spin
 
 
 @allocating

@@ -102,6 +102,8 @@ class Functions(Numbers):
     coupled: Int  # the system with deficient arms
     row: Int  # a contact other than a tip on a plane, sphere or cylinder
     near_singular: Int  # an evaluation near a loss of rank
+    record: Int  # rank and residual of the last solution
+    compare: Int  # the recorded solution with that of the previous step
     contact_forces: Int  # with unilateral contacts
     guards: Int  # with unilateral contacts
     arms: Int  # terms of compiled arms, with address and size of their struct

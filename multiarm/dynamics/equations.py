@@ -49,7 +49,7 @@ from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.factors import norm
 from multiarm.dynamics.solver.node import ELIMINATED, IMBALANCE_BOUND, eliminate_arms
 from multiarm.dynamics.solver.singular import couple, solve_coupled
-from multiarm.jit.kernels import cfunc, clear, inlined, kernel
+from multiarm.jit.kernels import INTS, NUMBER, cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import broadcast, load_pack, store_pack
 from multiarm.jit.structs import floats_at, struct_at
@@ -59,7 +59,7 @@ AT_REST = 1e-9
 
 
 @kernel
-def evaluate_state(struct, alpha, beta):
+def evaluate_state(struct: INTS, alpha: NUMBER, beta: NUMBER):
     """Accelerations and contact forces at the state in ``data``; returns a status.
 
     Calls :func:`kinematics`, :func:`right_hand_sides` and :func:`solve`, or what replaces them.
@@ -76,7 +76,7 @@ def evaluate_state(struct, alpha, beta):
 
 
 @kernel
-def update_kinematics(struct):
+def update_kinematics(struct: INTS):
     """Terms of arms and object, and all contact rows, at the state in ``data``.
 
     Writes ``W`` to ``work.Y`` and the inertias to ``work.L``, as the elimination needs them.
@@ -86,7 +86,7 @@ def update_kinematics(struct):
 
 
 @kernel
-def solve_constrained(struct):
+def solve_constrained(struct: INTS):
     """Solve for ``q_o, qdd, force`` with the right-hand sides ``h_o, h, c`` in ``data``.
 
     Contact forces act along their normals, without friction, as projections need.  Call
@@ -321,7 +321,7 @@ def renew_kinematics(struct):
 
 
 @kernel
-def update_rows(struct):
+def update_rows(struct: INTS):
     """Contact rows alone; the motion of the bodies is that of a Data which shares it."""
     model, data, work = open_system(struct)
     for i in range(data.pointers.shape[0]):

@@ -27,7 +27,9 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.dynamics.solver.batched import largest_free_rate
 from multiarm.dynamics.solver.node import COUPLED_BELOW
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.kernels import INTS, NUMBERS, cfunc, inlined, kernel
+from multiarm.jit.pointers import call_cfunc
+from multiarm.jit.structs import struct_at
 
 # Largest constraint residual of a solution, relative to the largest term of its equation.
 RESIDUAL_BOUND = 1e-5
@@ -39,7 +41,7 @@ LOST, REGAINED = 1e-3, 2.0
 
 
 @kernel
-def evaluate_and_check(struct, found):
+def evaluate_and_check(struct: INTS, found: NUMBERS):
     """Evaluate the state in ``data``, and insert the result into the equations.
 
     Writes into ``found`` (6,) the residuals of arms, object and constraints
@@ -50,8 +52,8 @@ def evaluate_and_check(struct, found):
     status = evaluate_state(struct, 0.0, 0.0)
     if status != OK:
         return status
-    note_solution(struct)
     _, data, work = open_system(struct)
+    call_cfunc(data.functions.record, struct, 0.0, 0.0)
     found[5] = 1.0 if believable(struct, data.status.residual) else 0.0
     if work.factored[0] != 0:
         status = renew_kinematics(struct)
@@ -106,12 +108,13 @@ def larger(worst, left):
     return abs(left) if abs(left) > worst or left != left else worst
 
 
-@kernel
-def note_solution(struct):
+@cfunc
+def record_solution(address, size, _a, _b):
     """Write rank, coupled arms and residual of the last solution into ``data.status``.
 
     Where the residual is too large, the equations are solved again with every arm decomposed.
     """
+    struct = struct_at(address, size)
     model, data, work = open_system(struct)
     coupled = open_coupled(struct)
     status, arms = data.status, data.pointers.shape[0]
@@ -128,6 +131,7 @@ def note_solution(struct):
         status.rank = data.force.size
         if coupled.status.arms > 0:
             status.rank += coupled.status.rank - coupled.status.unknowns
+    return OK
 
 
 @inlined
@@ -199,9 +203,10 @@ def free_acceleration(data):
     return force / data.inertia[0, 0]
 
 
-@kernel
-def watch_solver(struct):
-    """Compare with the previous step; returns the number of changes."""
+@cfunc
+def compare_solution(address, size, _a, _b):
+    """Compare the recorded solution with that of the previous step; returns the changes' number."""
+    struct = struct_at(address, size)
     model, data, work = open_system(struct)
     changes = 0
     rank = data.status.rank

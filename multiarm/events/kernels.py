@@ -55,8 +55,7 @@ from multiarm.dynamics.solver.reactions import (
     eliminate_with_reactions,
     solve_for_reactions,
 )
-from multiarm.dynamics.solver_monitor import note_solution, watch_solver
-from multiarm.jit.kernels import cfunc, inlined, kernel
+from multiarm.jit.kernels import INTS, cfunc, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, make_struct, struct_at, view
 
@@ -507,11 +506,11 @@ def accept_guards(mode, full):
 
 
 @kernel
-def start_guards(struct):
+def start_guards(struct: INTS):
     """Initialise the guards and the solver monitor at the state evaluated last."""
-    note_solution(struct)
-    watch_solver(struct)
     data = open_data(struct)
+    call_cfunc(data.functions.record, struct, 0.0, 0.0)
+    call_cfunc(data.functions.compare, struct, 0.0, 0.0)
     mode = open_mode(struct_at(data.modes.guards, 0))
     write_values(mode, data)
     accept_guards(mode, open_data(struct_at(data.modes.full, 0)))

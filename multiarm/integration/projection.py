@@ -25,7 +25,7 @@ import math
 from multiarm.contacts.kernel import GAP, GAP_RATE
 from multiarm.dynamics.arrays import OK, PROJECTION_FAILED, open_coupled, open_system
 from multiarm.dynamics.equations import largest, solve_constrained, update_kinematics
-from multiarm.jit.kernels import clear, inlined, kernel
+from multiarm.jit.kernels import INT, INTS, NUMBER, TRUTH, clear, inlined, kernel
 from multiarm.spatial import retract_into
 
 # alpha = beta = FEEDBACK_RATIO / step
@@ -45,7 +45,9 @@ def project(struct, tolerance):
 
 
 @kernel
-def project_positions(struct, tolerance, hold_object, longest, iterations):
+def project_positions(
+    struct: INTS, tolerance: NUMBER, hold_object: TRUTH, longest: NUMBER, iterations: INT
+):
     """Newton's method for ``phi = 0`` in the inertia metric; moves ``position`` and ``angles``.
 
     Parameters

@@ -32,7 +32,7 @@ from multiarm.dynamics.arrays import NOT_FINITE, OK, open_data, open_system
 from multiarm.dynamics.equations import finite
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import project
-from multiarm.jit.kernels import clear, copy, inlined, kernel
+from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, clear, copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import Float, Floats1, Floats2, Int, Numbers, view
 from multiarm.spatial import retract_into, write_chart_rate
@@ -184,7 +184,7 @@ def store(data, base, z):
 
 
 @kernel
-def begin_chart(struct, base, z):
+def begin_chart(struct: INTS, base: NUMBERS, z: NUMBERS):
     """Begin a chart at the state of the system with this struct, see :func:`store`."""
     store(open_data(struct), base, z)
 
@@ -210,7 +210,9 @@ def write_slope(z, data, slope):
 
 
 @kernel
-def evaluate_slope(struct, t, z, base, alpha, beta, slope):
+def evaluate_slope(
+    struct: INTS, t: NUMBER, z: NUMBERS, base: NUMBERS, alpha: NUMBER, beta: NUMBER, slope: NUMBERS
+):
     """Rate of ``z`` at time ``t`` of the system with this struct; returns a status.
 
     Times after ``data.time.latest`` are replaced by it: a step that ends at a discontinuity must

@@ -17,7 +17,6 @@ import numpy as np
 from multiarm.contacts.kernel import GAP
 from multiarm.dynamics.arrays import CALLBACK_FAILED, NOT_FINITE, OK, open_system
 from multiarm.dynamics.equations import finite, largest
-from multiarm.dynamics.solver_monitor import note_solution, watch_solver
 from multiarm.integration.monitors import update_monitors
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import near_loss, project
@@ -58,7 +57,7 @@ from multiarm.integration.stepper import (
     store,
     write_slope,
 )
-from multiarm.jit.kernels import clear, copy, kernel, unlocked
+from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, kernel, unlocked
 from multiarm.jit.pointers import call_cfunc
 from multiarm.tableaus import EXPLICIT, SEMI_IMPLICIT, VARIATIONAL
 
@@ -68,7 +67,7 @@ RETRY_STEPS = 3
 
 
 @unlocked
-def advance(struct, arrays, clock, settings, block, budget):
+def advance(struct: INTS, arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT):
     """Integrate until the end, a full block, the budget of evaluations, an event, or a failure.
 
     ``struct`` is the system's, ``arrays`` that of the method and its step; ``clock`` and
@@ -122,13 +121,13 @@ def advance(struct, arrays, clock, settings, block, budget):
 
 
 @kernel
-def start_monitors(struct):
+def start_monitors(struct: INTS):
     """Store joint coordinates, monitors and the solution at the start of a run."""
     model, data, _ = open_system(struct)
     follow_joints(model, data)
     update_monitors(struct, 0.0, 0.0)
-    note_solution(struct)
-    watch_solver(struct)
+    call_cfunc(data.functions.record, struct, 0.0, 0.0)
+    call_cfunc(data.functions.compare, struct, 0.0, 0.0)
 
 
 @kernel
@@ -180,7 +179,7 @@ def emit_samples(struct, method, step, clock, settings, block):
         status = project_and_evaluate(struct, clock, settings, projected, due, alpha, beta)
         if status != OK:
             return status
-        note_solution(struct)
+        call_cfunc(data.functions.record, struct, 0.0, 0.0)
         write_sample(struct, due, works, block[rows])
         if data.status.failed:
             return CALLBACK_FAILED
@@ -238,7 +237,7 @@ def complete_step(struct, method, step, clock, settings, h, end):
     status = project_and_evaluate(struct, clock, settings, projected, latest, alpha, beta)
     if status != OK:
         return status
-    note_solution(struct)
+    call_cfunc(data.functions.record, struct, 0.0, 0.0)
     status = check_solution(struct, clock, settings)
     if status != OK:
         return status
@@ -292,4 +291,4 @@ def count_solution(struct, clock):
     clock.worst_correction = max(
         clock.worst_correction, status.position_change, status.velocity_change
     )
-    clock.solver_changes += watch_solver(struct)
+    clock.solver_changes += call_cfunc(data.functions.compare, struct, 0.0, 0.0)

@@ -1,9 +1,11 @@
 """Compiled code: the only package that knows Numba's internals.
 
 - :mod:`~multiarm.jit.kernels`: functions that are compiled, cached and inlined into each other;
+- :mod:`~multiarm.jit.typing`: types of built-in operations, found once;
 - :mod:`~multiarm.jit.linking`: how their parts become one unit of machine code;
 - :mod:`~multiarm.jit.pointers`: calls through addresses, and callbacks into Python;
 - :mod:`~multiarm.jit.lazy`: functions that are compiled at their first call;
+- :mod:`~multiarm.jit.ahead`: compilation ahead of the first call, in several processes;
 - :mod:`~multiarm.jit.structs`: many arrays and numbers as one argument, read and set by name;
 - :mod:`~multiarm.jit.simd`: the numbers of four arms in one vector register;
 - :mod:`~multiarm.jit.vectors`: vectors, rotations and symmetric matrices as tuples.

@@ -1,7 +1,8 @@
 """Kernels: functions that Numba compiles, caches and compiles into each other.
 
 A kernel is compiled whole when Python calls it, or when its address is taken; where another kernel
-calls it, it becomes part of that one.  Its code is cached on disk and stays fresh until the source
+calls it, it becomes part of that one.  Small ones that are only ever parts run as plain Python when
+Python calls them.  A whole's code is cached on disk and stays fresh until the source
 of any kernel, or a constant that one reads, changes.
 """
 
@@ -15,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+from numba import njit, types
 
 from multiarm.jit.linking import PART, WHOLE
 
@@ -24,22 +25,40 @@ _KERNEL = re.compile(rb"^@(kernel|unlocked|inlined|fused|cfunc|allocating)\b", r
 _IMPORTED = re.compile(rb"^from multiarm\.([\w.]+) import", re.MULTILINE)
 
 
+# Types of arguments, to annotate kernels with that Python calls: these can be compiled ahead.
+INT, NUMBER, TRUTH = types.int64, types.float64, types.boolean
+INTS, NUMBERS, TABLE = types.int64[::1], types.float64[::1], types.float64[:, ::1]
+
+
+def _kernel_sources() -> dict[Path, bytes]:
+    """The package's files that have kernels; studies compile nothing into others' kernels."""
+    sources = {path: path.read_bytes() for path in sorted(_PACKAGE.rglob("*.py"))}
+    return {
+        path: text
+        for path, text in sources.items()
+        if _KERNEL.search(text) and path.parent.name != "studies"
+    }
+
+
+def kernel_modules() -> list[str]:
+    """Names of the package's modules that have kernels."""
+    paths = (path.relative_to(_PACKAGE).with_suffix("") for path in _kernel_sources())
+    return [".".join(("multiarm", *path.parts)) for path in paths]
+
+
 def _source_stamp() -> str:
     """Digest of the sources of all kernels and of the modules they import (their constants).
 
     Numba looks only at a kernel's own file to see whether its cached code is fresh; a kernel that
     was compiled into another one from another file would stay as it was.
     """
-    sources = {path: path.read_bytes() for path in sorted(_PACKAGE.rglob("*.py"))}
-    # nothing is compiled from studies into other kernels
-    used = {Path(__file__)}
+    sources, used = _kernel_sources(), {Path(__file__)}
     for path, text in sources.items():
-        if _KERNEL.search(text) and path.parent.name != "studies":
-            imported = (name.decode().replace(".", "/") for name in _IMPORTED.findall(text))
-            used |= {path, *(_PACKAGE / f"{name}.py" for name in imported)}
+        imported = (name.decode().replace(".", "/") for name in _IMPORTED.findall(text))
+        used |= {path, *(_PACKAGE / f"{name}.py" for name in imported)}
     digest = hashlib.sha256()
-    for path in sorted(used & sources.keys()):
-        digest.update(path.name.encode() + sources[path])
+    for path in sorted(filter(Path.is_file, used)):
+        digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()
 
 
@@ -64,20 +83,26 @@ class Kernel:
     Each of the two is compiled at its first use.
     """
 
-    def __init__(self, function: Callable, **options: Any) -> None:
+    def __init__(self, function: Callable, small: bool = False, **options: Any) -> None:
         # as in NumPy, a division by zero gives inf or NaN, which the callers look for
         self.py_func = function
+        self._small = small
         self._options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
         part = {**self._options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         self._part = njit(**PART, **part)(function)
         self._numba_type_ = self._part._numba_type_  # Numba reads the type of a global here
         self._whole: Any = None
+        self._wait: Callable[[], object] | None = None
+        self.is_called_by_address = not options.get("no_cfunc_wrapper", True)
         functools.update_wrapper(self, function)
 
     @property
     def whole(self) -> Any:
         """Numba's dispatcher of the function as a whole, cached while no kernel has changed."""
         with _MAKING:  # threads must not make two
+            if self._wait is not None:
+                self._wait()
+                self._wait = None
             if self._whole is None:
                 self._whole = njit(cache=True, **WHOLE, **self._options)(self.py_func)
                 file = _cache_file(self._whole)
@@ -87,8 +112,12 @@ class Kernel:
         return self._whole
 
     def __call__(self, *arguments: Any) -> Any:
-        """Run the whole."""
-        return self.whole(*arguments)
+        """Run the whole, or a small kernel's Python."""
+        return self.py_func(*arguments) if self._small else self.whole(*arguments)
+
+    def expect_in_cache(self, wait: Callable[[], object]) -> None:
+        """Somebody else compiles this kernel; its next use calls ``wait()`` first."""
+        self._wait = wait
 
     def is_cached(self) -> bool:
         """Whether fresh machine code is in the cache."""
@@ -102,9 +131,9 @@ def _decorator(**options: Any) -> Callable[[Callable], Kernel]:
 # Kernels that make no arrays are compiled without Numba's reference counting (`_nrt`): it would
 # count every slice they hand to each other, which doubles the cost of an evaluation.
 kernel = _decorator(_nrt=False)
-inlined = _decorator(_nrt=False, forceinline=True)
+inlined = _decorator(small=True, _nrt=False, forceinline=True)
 # A product that is added at once is rounded once, where the processor can.
-fused = _decorator(_nrt=False, forceinline=True, fastmath={"contract"})
+fused = _decorator(small=True, _nrt=False, forceinline=True, fastmath={"contract"})
 # A kernel during which other threads may run Python; callbacks wait for their turn.
 unlocked = _decorator(_nrt=False, nogil=True)
 # For kernels that do make arrays; they must not return them to one of the other kind.

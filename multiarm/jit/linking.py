@@ -19,6 +19,8 @@ from llvmlite import binding
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
+from multiarm.jit.typing import RememberingContext
+
 
 class _NoEnvironment:
     """Stands in for a part's code generator where Numba would store the part's Python objects."""
@@ -87,6 +89,9 @@ def _with_parts(libraries: Any) -> list[Any]:
 
 class _PartCompiler(Compiler):
     library = _Part
+
+    def __init__(self, typing_context: Any, *arguments: Any) -> None:
+        super().__init__(RememberingContext.around(typing_context), *arguments)
 
     def define_pipelines(self) -> list:
         codegen = self.state.targetctx.codegen()

@@ -88,7 +88,7 @@ def grips_on_box() -> dict[str, dict]:
         base = np.diag([sign, sign, 1.0, 1.0])
         base[0, 3] = -1.1 * sign
         pose = base @ tip
-        turn = matrix_to_quaternion(np.ascontiguousarray(pose[:3, :3]))
+        turn = matrix_to_quaternion(pose[:3, :3])
         grips[arm] = {
             "xyz": (pose[:3, 3] - [0.0, 0.0, 0.5]).tolist(),
             "quaternion_xyzw": turn.tolist(),

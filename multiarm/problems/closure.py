@@ -188,7 +188,7 @@ def _along(normal: np.ndarray) -> np.ndarray:
 def _pose(place: np.ndarray, turn: np.ndarray) -> dict:
     from multiarm.spatial import matrix_to_quaternion
 
-    quaternion = matrix_to_quaternion(np.ascontiguousarray(turn))
+    quaternion = matrix_to_quaternion(turn)
     return {"xyz": place.tolist(), "quaternion_xyzw": quaternion.tolist()}
 
 

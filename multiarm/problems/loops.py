@@ -209,7 +209,7 @@ def bricard_scene() -> Scene:
 def _quaternion(R: np.ndarray) -> list[float]:
     from multiarm.spatial import matrix_to_quaternion
 
-    return matrix_to_quaternion(np.ascontiguousarray(R)).tolist()
+    return matrix_to_quaternion(R).tolist()
 
 
 def two_joint_arms_scene(**changes) -> Scene:

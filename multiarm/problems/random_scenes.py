@@ -175,5 +175,5 @@ def _accuracy(rng: np.random.Generator) -> float | dict[str, float]:
 def _pose(X: np.ndarray) -> dict[str, Any]:
     from multiarm.spatial import matrix_to_quaternion
 
-    turn = matrix_to_quaternion(np.ascontiguousarray(X[:3, :3]))
+    turn = matrix_to_quaternion(X[:3, :3])
     return {"xyz": X[:3, 3].tolist(), "quaternion_xyzw": turn.tolist()}

@@ -434,7 +434,7 @@ def _limit_facts(system: System, joint: JointSpec, state: State) -> list[LimitFa
 
 
 def _placement(matrix: np.ndarray) -> tuple[list[float], list[float]]:
-    quaternion = matrix_to_quaternion(np.ascontiguousarray(matrix[:3, :3]))
+    quaternion = matrix_to_quaternion(matrix[:3, :3])
     return matrix[:3, 3].tolist(), np.asarray(quaternion).tolist()
 
 

@@ -168,7 +168,7 @@ def _desired_pose(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     stops = [(0.0, *start)]
     for waypoint in getattr(trajectory.scene.control, "path", None) or ():
         X = waypoint.matrix()
-        turned = matrix_to_quaternion(np.ascontiguousarray(X[:3, :3]))
+        turned = matrix_to_quaternion(X[:3, :3])
         stops.append((waypoint.time, X[:3, 3], turned))
     end = float(trajectory.time[-1])
     later = next((k for k, stop in enumerate(stops) if stop[0] > end), None)

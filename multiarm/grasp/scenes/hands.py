@@ -126,7 +126,7 @@ def contacts(grasp: FaceContacts, gripper: Gripper, tip_radius: float) -> list[d
 
 def pose_table(pose: np.ndarray) -> dict[str, list[float]]:
     """A pose (4, 4) as a scene writes it."""
-    quaternion = matrix_to_quaternion(np.ascontiguousarray(pose[:3, :3]))
+    quaternion = matrix_to_quaternion(pose[:3, :3])
     return {"xyz": _rounded(pose[:3, 3]), "quaternion_xyzw": _rounded(quaternion, DIRECTION_DIGITS)}
 
 

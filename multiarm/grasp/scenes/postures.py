@@ -116,8 +116,8 @@ def _bounds(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
 def _error(arm: Arm, place: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pose error (6,) and its Jacobian (6, n), lengths over :data:`LENGTH`."""
     terms = arm.terms(q, np.zeros(arm.dof))
-    wanted = matrix_to_quaternion(np.ascontiguousarray(place[:3, :3]))
-    turn = difference(wanted, matrix_to_quaternion(np.ascontiguousarray(terms.tip_rotation)))
+    wanted = matrix_to_quaternion(place[:3, :3])
+    turn = difference(wanted, matrix_to_quaternion(terms.tip_rotation))
     error = np.concatenate([(terms.tip_position - place[:3, 3]) / LENGTH, turn])
     J = terms.J.copy()
     J[:3] /= LENGTH

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from multiarm.contacts.internal_forces import distribute, internal_forces
-from multiarm.control.object_control import packed_path, write_reference
+from multiarm.control.object_control import packed_path, reference_motion
 from multiarm.grasp.contacts import Contacts
 from multiarm.scene import Waypoint
 from multiarm.spatial import quaternion_to_matrix
@@ -45,13 +45,12 @@ def motion_wrenches(
         World axes [m/s^2].
     """
     parameters = packed_path([w.time for w in path], [w.matrix() for w in path])
-    pose, twist, change = np.empty(7), np.empty(6), np.empty(6)
     found = []
     for begin, end in pairwise(path):
         for x in SAMPLES:
             t = begin.time + x * (end.time - begin.time)
-            write_reference(t, parameters, 0, pose, twist, change)
-            R = quaternion_to_matrix(pose[3:])
+            quaternion, twist, change = reference_motion(t, parameters, 0)
+            R = quaternion_to_matrix(quaternion)
             omega, alpha = R.T @ twist[3:], R.T @ change[3:]
             force = mass * R.T @ (change[:3] - gravity)
             moment = inertia @ alpha + np.cross(omega, inertia @ omega)

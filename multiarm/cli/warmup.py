@@ -1,0 +1,44 @@
+"""``multiarm warmup``: compile the kernels that any scene may need."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated
+
+import typer
+
+from multiarm.terminal.console import output
+from multiarm.terminal.progress import StudyProgress
+
+__all__ = ["warmup"]
+
+
+def warmup(
+    processes: Annotated[
+        int | None,
+        typer.Option(min=1, help="How many kernels at a time.", show_default="one a processor"),
+    ] = None,
+) -> None:
+    """Compile the kernels that any scene may need, on all processors.
+
+    Scenes compile what they need when they first run; after this, they find it in the cache.
+    Needed once after installing or changing multiarm, and by no means necessary.
+    """
+    with StudyProgress(counted=True) as progress:
+        from multiarm.jit.ahead import all_kernels, compile_all
+
+        began, kernels = time.perf_counter(), all_kernels()
+        cached = sum(kernel.is_cached() for kernel in kernels)
+        done = 0
+
+        def note(name: str) -> None:
+            nonlocal done
+            done += 1
+            progress.report(f"compiling, done: {name.rpartition(':')[2]}", done, len(kernels))
+
+        compile_all(kernels, processes, note)
+    took = time.perf_counter() - began
+    output().print(
+        f"{len(kernels)} kernels are in the cache; {len(kernels) - cached} of them compiled now, "
+        f"in {took:.1f} s"
+    )
