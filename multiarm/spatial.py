@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.kernels import kernel, plain
 from multiarm.jit.vectors import add_scaled, cross, put, vec
 
 # Below this angle [rad] the closed forms lose digits to cancellation and their series are used.
@@ -29,7 +29,7 @@ def skew(a: np.ndarray) -> np.ndarray:
     return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
 
 
-@inlined
+@plain
 def write_matrix(quaternion: np.ndarray, rotation: np.ndarray) -> None:
     """Write the rotation matrix of a unit quaternion (xyzw) into ``rotation[0:9]``, row by row."""
     x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
@@ -73,7 +73,7 @@ def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
     return np.array(q) / (-norm if q[3] < 0.0 else norm)
 
 
-@inlined
+@plain
 def retracted(base, theta):
     """Unit quaternion ``exp(theta) * base`` as a tuple ``xyzw``; ``theta`` (3,) [rad]."""
     angle_squared = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
@@ -93,7 +93,7 @@ def retracted(base, theta):
     return ox * norm, oy * norm, oz * norm, ow * norm
 
 
-@inlined
+@plain
 def retract_into(base, theta, out):
     """Write :func:`retracted` into ``out[0:4]``, which may be ``base``."""
     out[0], out[1], out[2], out[3] = retracted(base, theta)
@@ -104,7 +104,7 @@ def retract(base: np.ndarray, theta: np.ndarray) -> np.ndarray:
     return np.array(retracted(base.tolist(), theta.tolist()))
 
 
-@inlined
+@plain
 def rotation_between(base, quaternion):
     """:func:`difference` as a tuple."""
     x, y, z, w = -base[0], -base[1], -base[2], base[3]

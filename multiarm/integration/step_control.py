@@ -23,7 +23,7 @@ import numpy as np
 from multiarm.dynamics.arrays import CONTRADICTION, OK, open_coupled, open_system
 from multiarm.dynamics.solver_monitor import believable
 from multiarm.integration.projection import FEEDBACK_RATIO, near_loss
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.kernels import kernel, plain
 from multiarm.jit.structs import Flag, Float, Floats1, Int, Numbers, view
 
 # Why the loop returned; values from -1 up to the number of arms are an evaluation's status.
@@ -118,7 +118,7 @@ def make_clock(settings: Settings) -> Clock:
     )
 
 
-@inlined
+@plain
 def gains(settings, h):
     """Feedback gains of a step of length ``h``."""
     if settings.stabilization != FEEDBACK:

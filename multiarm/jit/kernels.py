@@ -1,9 +1,9 @@
 """Kernels: functions that Numba compiles, caches and compiles into each other.
 
 A kernel is compiled whole when Python calls it, or when its address is taken; where another kernel
-calls it, it becomes part of that one.  Small ones that are only ever parts run as plain Python when
-Python calls them.  A whole's code is cached on disk and stays fresh until the source
-of any kernel, or a constant that one reads, changes.
+calls it, it becomes part of that one.  Plain ones run as Python when Python calls them.  The code
+of a whole is cached on disk and stays fresh until the source of any kernel, or a constant that one
+reads, changes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numba import njit, types
 from multiarm.jit.linking import PART, WHOLE
 
 _PACKAGE = Path(__file__).parents[1]
-_KERNEL = re.compile(rb"^@(kernel|unlocked|inlined|fused|cfunc|allocating)\b", re.MULTILINE)
+_KERNEL = re.compile(rb"^@(kernel|unlocked|inlined|plain|fused|cfunc|allocating)\b", re.MULTILINE)
 _IMPORTED = re.compile(rb"^from multiarm\.([\w.]+) import", re.MULTILINE)
 
 
@@ -83,10 +83,10 @@ class Kernel:
     Each of the two is compiled at its first use.
     """
 
-    def __init__(self, function: Callable, small: bool = False, **options: Any) -> None:
+    def __init__(self, function: Callable, plain: bool = False, **options: Any) -> None:
         # as in NumPy, a division by zero gives inf or NaN, which the callers look for
         self.py_func = function
-        self._small = small
+        self._plain = plain
         self._options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
         part = {**self._options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         self._part = njit(**PART, **part)(function)
@@ -112,8 +112,8 @@ class Kernel:
         return self._whole
 
     def __call__(self, *arguments: Any) -> Any:
-        """Run the whole, or a small kernel's Python."""
-        return self.py_func(*arguments) if self._small else self.whole(*arguments)
+        """Run the whole, or a plain kernel's Python."""
+        return self.py_func(*arguments) if self._plain else self.whole(*arguments)
 
     def expect_in_cache(self, wait: Callable[[], object]) -> None:
         """Somebody else compiles this kernel; its next use calls ``wait()`` first."""
@@ -131,9 +131,11 @@ def _decorator(**options: Any) -> Callable[[Callable], Kernel]:
 # Kernels that make no arrays are compiled without Numba's reference counting (`_nrt`): it would
 # count every slice they hand to each other, which doubles the cost of an evaluation.
 kernel = _decorator(_nrt=False)
-inlined = _decorator(small=True, _nrt=False, forceinline=True)
+inlined = _decorator(_nrt=False, forceinline=True)
+# Few scalar operations, for which Python need not wait for the compiler.
+plain = _decorator(plain=True, _nrt=False, forceinline=True)
 # A product that is added at once is rounded once, where the processor can.
-fused = _decorator(small=True, _nrt=False, forceinline=True, fastmath={"contract"})
+fused = _decorator(_nrt=False, forceinline=True, fastmath={"contract"})
 # A kernel during which other threads may run Python; callbacks wait for their turn.
 unlocked = _decorator(_nrt=False, nogil=True)
 # For kernels that do make arrays; they must not return them to one of the other kind.
