@@ -251,7 +251,7 @@ def test_a_ball_leaves_a_shaken_plate_at_a_sample_and_lands_between_samples(meth
     assert run.status == "completed", run.message
     found, (plate, body) = shaken_by_samples(T, end)
     assert len(found) >= 4
-    np.testing.assert_allclose(times(run, "lets go", "comes to rest"), found, atol=1e-6)
+    np.testing.assert_allclose(times(run, "lets go", "touches"), found, atol=1e-6)
     assert run.joint_positions["plate"][-1, 0] == pytest.approx(plate, abs=1e-6)
     assert run.object_position[-1, 2] - 0.05 == pytest.approx(body, abs=1e-6)
 
