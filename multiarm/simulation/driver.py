@@ -33,7 +33,7 @@ from multiarm.integration.step_control import (
 )
 from multiarm.integration.time_loop import advance
 from multiarm.integration.variational import NOT_CONVERGED
-from multiarm.jit.structs import struct_of
+from multiarm.jit.structs import rewrite, struct_of
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.setup import Run, make_stepping
 
@@ -59,6 +59,20 @@ class Driver:
     def __init__(self, run: Run, events: EventHandler | None) -> None:
         self.run, self.events, self.event_stops = run, events, 0
         self._switch = Switch()
+        self._settings, self._struct = run.settings, struct_of(run.settings)
+
+    @property
+    def settings_struct(self) -> np.ndarray:
+        """Struct of the run's settings, made anew where these were replaced."""
+        if self.run.settings is not self._settings:
+            self._settings, self._struct = self.run.settings, struct_of(self.run.settings)
+        return self._struct
+
+    def extend(self, end: float, samples: int) -> None:
+        """Move the end [s] of the run on, and the number of samples until then."""
+        struct = self.settings_struct
+        self._settings = rewrite(struct, self._settings, end=end, samples=samples)
+        self.run.settings = self._settings
 
     def advance(self, budget: int) -> tuple[int, str]:
         """Call the loop with a budget of evaluations.
@@ -67,7 +81,7 @@ class Driver:
         """
         run, events, fault = self.run, self.events, ""
         reason = advance(
-            run.data.struct, run.stepping.struct, run.clock.struct, struct_of(run.settings),
+            run.data.struct, run.stepping.struct, run.clock.struct, self.settings_struct,
             run.block, budget,
         )  # fmt: skip
         collect_events(run.data, run.log)

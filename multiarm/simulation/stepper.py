@@ -21,7 +21,6 @@ from multiarm.errors import ControlError, SolverError
 from multiarm.integration.samples import sample_columns
 from multiarm.integration.step_control import BLOCK_FULL, FINISHED
 from multiarm.integration.time_loop import observe
-from multiarm.jit.structs import struct_of
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
@@ -256,12 +255,12 @@ class Stepper:
 
     def _extend(self, end: float) -> None:
         """Move the end of the run on; samples at its new end belong to the next call."""
-        run, count = self._run, 0
+        count = 0
         if self._records:
-            step = run.settings.sample_step
+            step = self._run.settings.sample_step
             self._record_present(step)
             count = math.ceil(end / step - SAME_TIME)
-        run.settings = run.settings._replace(end=end, samples=count)
+        self._driver.extend(end, count)
 
     def _record_present(self, step: float) -> None:
         """Record the present if a sample is due, with the torques that act from now on."""
@@ -311,10 +310,10 @@ class Stepper:
     def _observe(self) -> np.ndarray:
         """The present as a row of samples."""
         run = self._run
-        settings = run.settings._replace(end=max(run.settings.end, run.clock.t))
         status = observe(
-            run.data.struct, run.stepping.struct, run.clock.struct, struct_of(settings), self._row
-        )
+            run.data.struct, run.stepping.struct, run.clock.struct, self._driver.settings_struct,
+            self._row,
+        )  # fmt: skip
         if status != OK:
             self._fail(status)
         return self._row
