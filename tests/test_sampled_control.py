@@ -172,14 +172,20 @@ def test_python_is_asked_at_the_samples_only_and_steps_may_be_as_long(tmp_path):
     assert run.statistics["largest_step_s"] > 0.02
 
 
-@pytest.mark.parametrize("method", [{"accuracy": 1e-6}, {"integrator": "rk4", "step": 0.1}])
-@pytest.mark.parametrize("duration", [0.3, 0.6, 0.7, 0.65])
-def test_samples_that_meet_the_end_but_for_roundings_make_no_tiny_steps(tmp_path, duration, method):
-    system = cart(tmp_path, spring(sample_time=0.1))
+@pytest.mark.parametrize("method", [{"accuracy": 1e-6}, {"integrator": "rk4", "step": 0.01}])
+@pytest.mark.parametrize(
+    ("T", "duration"),
+    # in floating point the last sample lies after the end, before it, well before it
+    [(0.1, 0.3), (0.1, 0.7), (0.03, 0.33), (0.03, 0.9), (0.1, 0.65)],
+)
+def test_samples_that_meet_the_end_but_for_roundings_make_no_tiny_steps(
+    tmp_path, T, duration, method
+):
+    system = cart(tmp_path, spring(sample_time=T))
     run = ma.simulate(system, duration, certificate=False, **method)
     assert run.status == "completed"
     assert run.statistics["smallest_step_s"] > 1e-4
-    assert run.statistics["control_samples"] == math.floor(duration / 0.1 + 1e-9) + 1
+    assert run.statistics["control_samples"] == math.floor(duration / T + 1e-9) + 1
 
 
 def test_control_without_samples_calls_its_laws_and_nothing_else(tmp_path):
@@ -278,6 +284,7 @@ def test_many_runs_give_the_same_bits(tmp_path):
         alone = ma.simulate(system, 0.3, state=state, control=pull, **sampled)
         np.testing.assert_array_equal(run.object_twist, alone.object_twist)
     driven = ma.compile_system(system.scene, pull, sample_time=SLOW, sample_delay=True)
+    assert driven.model.calls_python  # so that one thread is the default
     (heavy,) = ma.simulate_many(driven, 0.3, parameters=[{"object.mass": 7.0}], certificate=False)
     assert heavy.statistics["control_samples"] == 7
 

@@ -243,6 +243,27 @@ def test_a_run_that_hardly_gets_on_is_ended(ur5_system, monkeypatch):
         stepper.advance(0.1, {})
 
 
+def test_a_sampled_control_that_fails_is_asked_again_and_keeps_its_times(tmp_path):
+    """The samples after the failure are still the multiples of the sample time."""
+    asked, failing = [], [True]
+
+    def flaky(t, state):
+        asked.append(t)
+        if failing[0] and t > 0.05:
+            raise ValueError("no signal")
+        return {"cart": [5.0]}
+
+    scene = parse_scene(cart_with_box(tmp_path, {}))
+    stepper = ma.Stepper(ma.compile_system(scene, flaky, sample_time=0.02))
+    with pytest.raises(SolverError, match=r"at t = 0\.06 s .*no signal"):
+        stepper.advance(0.1)
+    failing[0] = False
+    state = stepper.advance(0.05)
+    np.testing.assert_allclose(np.unique(asked), [0.0, 0.02, 0.04, 0.06, 0.08, 0.1], atol=1e-15)
+    assert state.joint_velocities["cart"][0] == pytest.approx(0.11, abs=1e-12)
+    assert state.layout == stepper.state.layout
+
+
 @pytest.mark.parametrize("duration", [0.0, -1.0, math.nan, math.inf])
 def test_a_duration_is_positive(ur5_system, duration):
     stepper = ma.Stepper(ur5_system)

@@ -134,9 +134,10 @@ class Model:
 
     @property
     def calls_python(self) -> bool:
-        """Whether every evaluation calls Python, which runs one thread at a time."""
+        """Whether evaluations or samples call Python, which runs one thread at a time."""
         pinocchio = any(backend == "pinocchio" for backend in self.backends.by_arm.values())
-        return bool(self.calls_user or self.surfaces or self.constants.dense or pinocchio)
+        user = self.calls_user or self.python_control is not None
+        return bool(user or self.surfaces or self.constants.dense or pinocchio)
 
     @property
     def contacts_with_states(self) -> dict[str, tuple[str, ...]] | None:

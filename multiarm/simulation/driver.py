@@ -17,7 +17,7 @@ import numpy as np
 
 from multiarm.dynamics.arrays import CALLBACK_FAILED, NOT_FINITE
 from multiarm.dynamics.diagnosis import failure_text, lost_contact_text
-from multiarm.dynamics.state import State
+from multiarm.dynamics.state import Layout, State
 from multiarm.errors import USER_FAULTS, MultiarmError, SolverError
 from multiarm.integration.monitors import collect_events
 from multiarm.integration.step_control import (
@@ -96,7 +96,7 @@ class Driver:
         elif reason == SOLVER_CHANGED and events is not None:
             run.solver_log.reset(run.data)  # unilateral contacts have their own events
         elif reason == SOLVER_CHANGED:
-            run.solver_log.collect(run.data, run.clock.t, state_of(run))
+            run.solver_log.collect(run.data, run.clock.t, state_of(run, run.data.model.layout))
         return reason, fault
 
 
@@ -147,13 +147,13 @@ def _step_evaluations(run: Run) -> int:
     return clock.evaluations - clock.sample * (3 if projected else 1)
 
 
-def state_of(run: Run) -> State:
+def state_of(run: Run, layout: Layout) -> State:
     """The state at the beginning of the next step."""
-    n, z = run.data.model.layout.joints, run.stepping.step.z
+    n, z = layout.joints, run.stepping.step.z
     return State(
         np.concatenate([z[:3], run.stepping.step.base, z[6 : 6 + n]]),
         z[6 + n : 12 + 2 * n].copy(),
-        run.data.model.layout,
+        layout,
     )
 
 

@@ -103,7 +103,7 @@ class Stepper:
     @property
     def state(self) -> State:
         """The state there, a copy."""
-        return state_of(self._run)
+        return state_of(self._run, self._layout)
 
     @property
     def contact_forces(self) -> dict[str, np.ndarray]:
@@ -199,7 +199,7 @@ class Stepper:
             self._drive()
         finally:
             self._wall += time.perf_counter() - started
-        return state_of(self._run)
+        return state_of(self._run, self._layout)
 
     def _begin(self, torques: np.ndarray | None) -> None:
         """Bring the task to its start, where ``torques`` are held, or those of its own control."""
@@ -297,7 +297,6 @@ class Stepper:
         run.data.forgive()
         run.settings = run.settings._replace(stop=math.inf)
         run.clock.h, run.clock.retry_steps = run.settings.step, 0
-        run.clock.control_due = run.clock.t  # its slope may be that of the failed evaluation
         if status == "interrupted":
             raise KeyboardInterrupt
         raise SolverError(text)
