@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from multiarm.scene import Scene, load_scene
     from multiarm.scene.effects import register_effect
     from multiarm.simulation.simulate import simulate
+    from multiarm.simulation.stepper import Stepper
     from multiarm.sweeps.many import simulate_many
     from multiarm.sweeps.result import Sweep, load_sweep
     from multiarm.sweeps.sweep import sweep
@@ -41,6 +42,7 @@ _HOMES = {
     "Loads": "effects.effect",
     "Scene": "scene",
     "State": "dynamics.state",
+    "Stepper": "simulation.stepper",
     "Sweep": "sweeps.result",
     "System": "dynamics.system",
     "Trajectory": "results.trajectory",
@@ -65,6 +67,7 @@ __all__ = [
     "MultiarmError",
     "Scene",
     "State",
+    "Stepper",
     "Sweep",
     "System",
     "Trajectory",

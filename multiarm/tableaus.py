@@ -2,7 +2,7 @@
 
 A method is a :class:`Tableau`, listed in :data:`METHODS`.  Scene files, the command line and error
 messages take the names from there.  Explicit Runge-Kutta methods need no more than a tableau and
-the stepper (:mod:`multiarm.integration.stepper`).  A Rosenbrock method has further coefficients and
+the stepper (:mod:`multiarm.integration.step`).  A Rosenbrock method has further coefficients and
 a step of its own (:mod:`multiarm.integration.rosenbrock`), and so has the variational method
 (:mod:`multiarm.integration.variational`), whose tableau only states its order.
 

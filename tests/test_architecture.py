@@ -35,7 +35,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "coal": ("contacts.unilateral", "viewer.shapes"),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
-    "h5py": ("results.hdf5", "sweeps.row_file", "results.trajectory_file"),
+    "h5py": ("control.tables", "results.hdf5", "sweeps.row_file", "results.trajectory_file"),
     "joblib": ("sweeps.executors",),
     "llvmlite": ("jit",),
     "matplotlib": (
@@ -56,7 +56,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "studies.peers",
         "studies.pinocchio_motion",
     ),
-    "pyarrow": ("sweeps.table",),
+    "pyarrow": ("control.tables", "sweeps.table"),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
     "pydrake": ("studies.drake_peer",),
@@ -65,6 +65,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "contacts.unilateral",
         "grasp",
         "events.event_detection",
+        "control.recorded",
         "dynamics.solver.dense",
         "assembly.loop_closure",
         "contacts.internal_forces",
@@ -98,6 +99,7 @@ PUBLIC_ATTRIBUTES = {
     "Scene": "name gravity object arms joints control effects run",
     "State": "position velocity object_position object_quaternion_xyzw object_twist "
     "joint_positions joint_velocities",
+    "Stepper": "advance reset time state contact_forces events trajectory",
     "Sweep": "scene plan count complete runs paths quantities columns table status_counts select "
     "rows row summary values_of scene_of trajectory to_csv to_parquet provenance",
     "System": "scene arm_names arms initial_state state",
@@ -107,7 +109,7 @@ PUBLIC_ATTRIBUTES = {
     "certificate events statistics provenance scene save arm_names",
 }
 PUBLIC_PARAMETERS = {
-    "compile_system": "scene control like",
+    "compile_system": "scene control sample_time sample_delay like",
     "evaluate": "system t state",
     "inverse_dynamics": "system state object_acceleration relative_acceleration internal_forces",
     "load_scene": "path",
@@ -116,10 +118,11 @@ PUBLIC_PARAMETERS = {
     "register_effect": "effect",
     "replay": "trajectory path open_browser fps speed",
     "report": "trajectory path",
-    "simulate": "system duration state control accuracy integrator step stabilization "
-    "output_step solver out progress",
+    "simulate": "system duration state control sample_time sample_delay accuracy integrator step "
+    "stabilization output_step solver out progress",
     "simulate_many": "system duration states parameters threads progress out accuracy integrator "
-    "step tolerance stabilization output_step max_step solver control certificate",
+    "step tolerance stabilization output_step max_step solver control sample_time "
+    "sample_delay certificate",
     "sweep": "scene over out workers dask keep repeat combine sampling seed certificate progress "
     "resume run",
 }

@@ -11,7 +11,7 @@ from test_certificate import SHORT, true_error
 import multiarm as ma
 from multiarm.errors import TrajectoryError
 from multiarm.problems import HARD_CASES, ring_of_arms
-from multiarm.simulation import run as run_module
+from multiarm.simulation import driver as driver_module
 from multiarm.simulation import setup as preparation
 
 
@@ -98,8 +98,8 @@ def test_a_failed_trial_of_a_stiff_method_leaves_the_pending_samples_right(ring,
     asked = {"duration": 0.02, "accuracy": 1e-6, "certificate": False}
     calm = ma.simulate(damped, output_step=2e-6, **asked)
     assert [event["kind"] for event in calm.events].count("method") == 1
-    monkeypatch.setattr(run_module.Switch, "_is_faster", lambda self, run: False)
-    monkeypatch.setattr(run_module, "TRIAL_STEPS", 4)
+    monkeypatch.setattr(driver_module.Switch, "_is_faster", lambda self, run: False)
+    monkeypatch.setattr(driver_module, "TRIAL_STEPS", 4)
     hasty = ma.simulate(damped, output_step=2e-6, **asked)
     assert [event["kind"] for event in hasty.events].count("method") == 2
     assert len(hasty) > preparation.BLOCK_NUMBERS // 100

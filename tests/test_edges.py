@@ -16,7 +16,7 @@ from multiarm.assembly.loop_closure import projection_tolerance, scene_size
 from multiarm.control.force_distribution import static_forces
 from multiarm.dynamics.equations import largest
 from multiarm.errors import ControlError, ModelError
-from multiarm.integration.stepper import error_estimate, make_method, make_step
+from multiarm.integration.step import error_estimate, make_method, make_step
 from multiarm.problems import ring_of_arms
 from multiarm.results.trajectory import load_trajectory
 from multiarm.tableaus import DOPRI5

@@ -197,6 +197,17 @@ def test_many_runs_tell_where_the_box_ends(printed, tmp_path):
     assert (tmp_path / "ends.png").stat().st_size > 10_000
 
 
+def test_a_digital_controller_holds_a_box_that_is_pushed(printed, tmp_path):
+    text = printed("12_closed_loop_1khz.py", "--replay", tmp_path / "run.html")
+    ((end, rate, factor),) = figures("(?m)^# s at# Hz:# times real time$", text)
+    assert (end, rate) == (1.0, 1000.0) and factor > 0.0
+    ((largest, last),) = figures("pushed by# mm and ends# mm away", text)
+    assert 5.0 < largest < 15.0 and last < 0.1
+    # two contacts of the left grip share half of the box's 196 N
+    assert figures("grip of# contacts carries up to# N", text)[0] == (6.0, 49.0)
+    assert (tmp_path / "run.html").stat().st_size > 10_000
+
+
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"

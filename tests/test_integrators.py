@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.integration.stepper import make_method
+from multiarm.integration.step import make_method
 from multiarm.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL, Tableau
 
 COEFFICIENTS = {name: make_method(tableau) for name, tableau in METHODS.items()}

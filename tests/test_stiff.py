@@ -21,8 +21,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
+from multiarm.integration.step import make_method
 from multiarm.integration.step_control import FINISHED
-from multiarm.integration.stepper import make_method
 from multiarm.integration.time_loop import advance
 from multiarm.jit.structs import struct_of
 from multiarm.problems import HARD_CASES, ring_of_arms

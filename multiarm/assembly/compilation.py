@@ -31,10 +31,11 @@ from multiarm.dynamics.equations import (
     solve_deficient,
     write_general_row,
 )
+from multiarm.dynamics.held_control import with_held_control
 from multiarm.dynamics.model import Data, Model, with_effects, with_rows
 from multiarm.dynamics.solver_monitor import compare_solution, record_solution
 from multiarm.dynamics.state import Layout, State
-from multiarm.dynamics.system import StartReport, System
+from multiarm.dynamics.system import StartReport, System, require_control
 from multiarm.effects.building import (
     BuildContext,
     effect_program,
@@ -81,6 +82,8 @@ def compile_system(
     scene: Scene,
     control: ControlFunction | None = None,
     *,
+    sample_time: float | None = None,
+    sample_delay: bool = False,
     arms: str | None = None,
     like: System | None = None,
     code: bool | None = None,
@@ -93,6 +96,9 @@ def compile_system(
     control : callable, optional
         ``f(t, state) -> {arm: torques}`` in place of the scene's control; arms that it leaves out
         get no torque.
+    sample_time, sample_delay
+        Of ``control``: it is called every ``sample_time`` [s] only, see
+        :meth:`multiarm.System.with_control`.  A control of the scene has keys of these names.
     arms : {"pinocchio", "compiled"}, optional
         Backend of the arm dynamics, in place of ``run.arms`` of the scene.
     like : System, optional
@@ -111,7 +117,10 @@ def compile_system(
     ModelError
         When a robot cannot be used, a function cannot be loaded, or a compiled arm is not the
         robot's.
+    ControlError
+        When ``sample_time`` cannot be used.
     """
+    require_control(control, sample_time, sample_delay)
     scene = with_code(_with_arms(scene, arms), code)
     compile_ahead([advance, evaluate_slope])  # a run needs them: the first time in the background
     robots = load_robots(scene, like)  # URDF -> arms with tips and limits
@@ -126,7 +135,7 @@ def compile_system(
     model = finished_model(draft, data, frames, law)
     system = System(scene, model, report, start)
     system.keep(data.view(model))
-    return system if control is None else system.with_control(control)
+    return system if control is None else system.with_control(control, sample_time, sample_delay)
 
 
 def compile_for_inspection(scene: Scene, arms: str | None = None) -> tuple[System, list[NamedCode]]:
@@ -367,6 +376,7 @@ def draft_model(
         gravity=_gravity(scene),
         control=NO_CONTROL,
         parameters=np.zeros(0),
+        sampled=NO_CONTROL,
         effects=np.zeros((0, 2), dtype=np.int64),
         passive_end=0,
         actuator_end=0,
@@ -411,15 +421,20 @@ def finished_model(
         free_bounds=np.array(_bounds([len(frame.free) for frame in frames.values()])),
         free=np.array(free, dtype=np.int64).reshape(-1, 2),
     )
-    breakpoints = draft.breakpoints
+    breakpoints, sampling, span = draft.breakpoints, None, None
     if law is not None:
         constants = constants._replace(control=law.laws, parameters=law.parameters)
         breakpoints = np.union1d(breakpoints, law.breakpoints)
+        sampling, span = law.sampling, law.span
+    if law is not None and sampling is not None:
+        constants = with_held_control(constants, law.laws, sampling.delay)
     return replace(
         draft,
         frames=frames,
         constants=constants,
         breakpoints=breakpoints,
+        sampling=sampling,
+        control_span=span,
         pair_places=data.model.pair_places,
     )
 

@@ -5,6 +5,7 @@ A control program is a list of laws: the address of a compiled function that add
 are compiled; a scene without control has an empty program.
 
 * *harmonic*: :math:`\tau_j = \tau_{0j} + A_j \sin(2\pi f t + \psi_j)`; constant torques have no A.
+* *recorded*: torques or references from a table, see :mod:`multiarm.control.recorded`.
 * *gravity compensation*: the torques that hold the whole system at rest,
   :math:`\tau_i = g_i(q_i) - W_i\lambda_i`, with the contact forces of least norm that carry the
   object, :math:`W_o\lambda = [-m g; 0]` (thesis, 3.4 and 3.10 at rest).
@@ -13,6 +14,8 @@ are compiled; a scene without control has an empty program.
 * *computed torque* and *object impedance* move the object, see
   :mod:`multiarm.control.object_control`.
 * *Python*: a user function, see :mod:`multiarm.dynamics.callbacks`.
+
+Any of them but constant torques can be sampled, see :mod:`multiarm.dynamics.held_control`.
 """
 
 from __future__ import annotations
@@ -31,10 +34,18 @@ from multiarm.control.object_control import (
     object_law,
     take_contact_forces,
 )
+from multiarm.control.recorded import (
+    pack_table,
+    recorded_position,
+    recorded_torque,
+    rough_times,
+)
+from multiarm.control.tables import read_table
 from multiarm.dynamics.arrays import OK, open_system
 from multiarm.dynamics.callbacks import NO_CONTROL
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.held_control import Sampling
+from multiarm.dynamics.model import ControlSpan, Data
 from multiarm.dynamics.state import State
 from multiarm.jit.kernels import INTS, Kernel, cfunc, clear, kernel
 from multiarm.jit.pointers import address_of
@@ -48,6 +59,8 @@ from multiarm.scene.control import (
     JointPDControl,
     NoControl,
     ObjectImpedanceControl,
+    RecordedControl,
+    SampledControl,
 )
 
 
@@ -64,6 +77,8 @@ class ControlProgram(NamedTuple):
     laws: np.ndarray  # ``Constants.control``
     parameters: np.ndarray  # ``Constants.parameters``
     breakpoints: np.ndarray  # times at which the torques are not smooth [s]
+    sampling: Sampling | None = None  # None: evaluated all the time
+    span: ControlSpan | None = None  # None: defined at all times
 
 
 def needs_gravity_torque(scene: Scene) -> bool:
@@ -71,6 +86,8 @@ def needs_gravity_torque(scene: Scene) -> bool:
     control = scene.control
     if scene.gravity is None:
         return False
+    if control.kind == "recorded":
+        return control.compensates_gravity
     return control.kind in ("gravity_compensation", "object_impedance") or (
         control.kind == "joint_pd" and control.gravity_compensation
     )
@@ -94,7 +111,21 @@ def control_program(
     ------
     ControlError
         When the contacts cannot have the forces that the control commands.
+    SceneError
+        When a recorded table cannot be used.
     """
+    program = _continuous_program(scene, data, start, joint_path)
+    control = scene.control
+    if not isinstance(control, SampledControl) or control.sample_time is None:
+        return program
+    sampling = Sampling(control.sample_time, control.sample_delay)
+    # held torques change at samples only
+    return program._replace(sampling=sampling, breakpoints=np.zeros(0))
+
+
+def _continuous_program(
+    scene: Scene, data: Data, start: State, joint_path: Callable[..., JointPath]
+) -> ControlProgram:
     none = np.zeros(0)
     match scene.control:
         case ConstantControl() as control:
@@ -112,6 +143,8 @@ def control_program(
             return ControlProgram(_laws(computed_torque), *object_law(data, start, control))
         case ObjectImpedanceControl() as control:
             return ControlProgram(_laws(object_impedance), *object_law(data, start, control))
+        case RecordedControl() as control:
+            return _recorded(scene, data, start, control)
         case NoControl():
             return ControlProgram(NO_CONTROL, none, none)
     raise AssertionError(f"no control law for {scene.control!r}")
@@ -119,9 +152,40 @@ def control_program(
 
 def _harmonic(data: Data, start: State, control: HarmonicControl) -> np.ndarray:
     arms = data.model.arms
-    hold = holding_torque(data, start) if control.hold else np.zeros(data.model.layout.joints)
+    constant = _stacked(control.offset, arms)
+    if control.hold:
+        constant += holding_torque(data, start)
     return pack_harmonic(
-        control.frequency, hold, _stacked(control.amplitude, arms), _stacked(control.phase, arms)
+        control.frequency,
+        constant,
+        _stacked(control.amplitude, arms),
+        _stacked(control.phase, arms),
+    )
+
+
+def _recorded(scene: Scene, data: Data, start: State, control: RecordedControl) -> ControlProgram:
+    arms = data.model.arms
+    names = [f"{name}/{joint}" for name, arm in arms.items() for joint in arm.joint_names]
+    table = read_table(control, names)
+    zero, laws, gains = control.outside == "zero", [recorded_torque], np.zeros(0)
+    values = table.stacked(names, np.zeros(len(names)))
+    if control.quantity == "position":
+        values = table.stacked(names, start.position[7:])
+        gains = np.concatenate([_stacked(control.stiffness, arms), _stacked(control.damping, arms)])
+        laws = [recorded_position]
+        if needs_gravity_torque(scene):
+            laws.append(gravity_compensation)
+    shape = table.times, values, control.interpolation, zero
+    return ControlProgram(
+        _laws(*laws),
+        np.concatenate([gains, pack_table(*shape)]),
+        rough_times(*shape),
+        span=ControlSpan(
+            f"the table {control.file.name}",
+            float(table.times[0]),
+            float(table.times[-1]),
+            control.where_no_rows_are,
+        ),
     )
 
 

@@ -57,6 +57,8 @@ class Constants(NamedTuple):
     gravity: Floats1  # (3,) world axes [m/s^2]
     control: Ints2  # (k, 2) address of each control law, offset of its numbers in ``parameters``
     parameters: Floats1
+    # (k, 2) the laws of a control that is sampled, see multiarm.dynamics.held_control
+    sampled: Ints2
     # (k, 2): address of each effect's kernel, index of its first array in the system's struct; in
     # the order of the phases, and the end of each phase, see multiarm.dynamics.effect_kernels
     effects: Ints2
@@ -89,6 +91,19 @@ class Status(Numbers):
     stage_gap: Float  # gap to which stages are projected before evaluation [m]; negative: are not
     branch_gap: Float  # gap to which neighbours of a state near a loss of rank are projected [m]
     potential_energy: Float  # of Pinocchio's arms [J], at samples only
+
+
+# When the laws of a control that can be held are evaluated: not at all, at the next evaluation, at
+# every one.
+HELD, ONCE, ALWAYS = 0, 1, 2
+
+
+class SamplingStatus(Numbers):
+    """State of a control that can be held; of use to no other."""
+
+    mode: Int  # what a sample, and the beginning of a run, makes of ``due``
+    due: Int  # HELD, ONCE or ALWAYS
+    samples: Int  # taken since the beginning
 
 
 class Functions(Numbers):
@@ -169,6 +184,8 @@ class Variables(NamedTuple):
     # states of all contacts
     shown: Floats1
     torque: Floats1  # (joints,) of the control
+    sampling: SamplingStatus
+    held: Floats2  # (2, joints) of a control that can be held: torques that act, and the last ones
     gravity_torque: Floats1  # (joints,) gravity forces, for control that needs them
     weight: Floats1  # (6,) wrench on the object that the control commands
     static_force: Floats1  # (N,) contact forces for this wrench
@@ -206,9 +223,9 @@ def make_variables(
         "position": 7, "angles": joints, "twist": 6, "q": configuration, "v": joints,
         "arms": (arms, BODY_WIDTH), "body": BODY_WIDTH, "relative": RELATIVE_WIDTH,
         "query": RELATIVE_WIDTH + QUERY_WIDTH, "inertia": (6, 6), "h_o": 6, "h": joints, "q_o": 6,
-        "qdd": joints, "torque": joints, "gravity_torque": joints, "weight": 6, "power": 1 + works,
-        "inner": states, "inner_rate": states, "residual": joints, "kept": 13 + 2 * joints,
-        "mixed": 6 + joints, "signs": arms,
+        "qdd": joints, "torque": joints, "held": (2, joints), "gravity_torque": joints,
+        "weight": 6, "power": 1 + works, "inner": states, "inner_rate": states,
+        "residual": joints, "kept": 13 + 2 * joints, "mixed": 6 + joints, "signs": arms,
         # between two calls of the time loop; further events are only counted
         "events": (512 if monitors else 0, 3),
     }  # fmt: skip
@@ -217,6 +234,7 @@ def make_variables(
         status=Status(stage_gap=-1.0, branch_gap=-1.0),
         functions=Functions(),
         modes=ModeStructs(),
+        sampling=SamplingStatus(mode=ALWAYS),
         pointers=pointers,
         link_poses=np.zeros(0, dtype=np.int64),
         coordinates=np.full((arms, 6), np.nan),

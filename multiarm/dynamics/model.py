@@ -41,8 +41,11 @@ from multiarm.contacts.records import (
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints
 from multiarm.dynamics.arrays import (
+    ALWAYS,
     CALLBACK_FAILED,
     FUNCTIONS,
+    HELD,
+    ONCE,
     STATUS,
     Constants,
     Functions,
@@ -52,8 +55,9 @@ from multiarm.dynamics.arrays import (
     row_variables,
     system_struct,
 )
-from multiarm.dynamics.callbacks import PythonControl, UserCallback, dense_solver
+from multiarm.dynamics.callbacks import NO_CONTROL, PythonControl, UserCallback, dense_solver
 from multiarm.dynamics.effect_kernels import EffectProgram
+from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.solver.node import NodeWork, make_work
 from multiarm.dynamics.solver.singular import CoupledWork, make_coupled
 from multiarm.dynamics.state import Layout, State
@@ -62,6 +66,16 @@ from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
 from multiarm.scene import ResolvedArm
+
+
+@dataclass(frozen=True)
+class ControlSpan:
+    """Times at which a control is defined, that of a table."""
+
+    what: str  # the table, for messages
+    begin: float  # [s]
+    end: float  # [s]
+    outside: str  # what happens at other times; "error": a run must not come there
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +104,8 @@ class Model:
     # ``Variables.places`` at the start, (S, 3)
     pair_places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     python_control: PythonControl | None = None  # in place of the scene's control
+    sampling: Sampling | None = None  # None: control is evaluated all the time
+    control_span: ControlSpan | None = None  # None: control is defined at all times
     # Which rows can open, slide and stick.  Such a model has all rows that can ever be closed; only
     # models with selected rows are solved.
     unilateral: UnilateralConstraints | None = None
@@ -113,13 +129,15 @@ class Model:
     @property
     def calls_user(self) -> bool:
         """Whether evaluations call user functions ``f(t, state)``: a controller, effects."""
-        return self.python_control is not None or self.effects.calls_user
+        controller = self.python_control is not None and self.sampling is None
+        return controller or self.effects.calls_user
 
     @property
     def calls_python(self) -> bool:
-        """Whether every evaluation calls Python, which runs one thread at a time."""
+        """Whether evaluations or samples call Python, which runs one thread at a time."""
         pinocchio = any(backend == "pinocchio" for backend in self.backends.by_arm.values())
-        return bool(self.calls_user or self.surfaces or self.constants.dense or pinocchio)
+        user = self.calls_user or self.python_control is not None
+        return bool(user or self.surfaces or self.constants.dense or pinocchio)
 
     @property
     def contacts_with_states(self) -> dict[str, tuple[str, ...]] | None:
@@ -147,6 +165,29 @@ class Model:
         return [unit for arm in self.arms.values() for unit in arm.joint_units.values()]
 
     # --- models of the same bodies --------------------------------------------------------------
+
+    def with_python_control(self, control: PythonControl, sampling: Sampling | None) -> Model:
+        """The same model driven by a controller in Python."""
+        model = replace(
+            self,
+            python_control=control,
+            sampling=sampling,
+            control_span=None,
+            breakpoints=self.effects.breakpoints,
+        )
+        user = model.calls_user or bool(self.surfaces)
+        constants = self.constants._replace(calls_user=user)
+        if sampling is None:
+            constants = constants._replace(control=control.laws, sampled=NO_CONTROL)
+        else:
+            constants = with_held_control(constants, control.laws, sampling.delay)
+        return replace(model, constants=constants)
+
+    def with_held_control(self) -> Model:
+        """The same model with control that can be held, see :meth:`Data.hold`."""
+        if self.sampling is not None:
+            return self
+        return replace(self, constants=with_held_control(self.constants, self.constants.control))
 
     def with_constants(self, **changes: Any) -> Model:
         """The same model with other constants for kernels."""
@@ -295,6 +336,7 @@ class Data:
             self._add_callback(name, LazyFunction(function, place, flag, CALLBACK_FAILED))
         self._connect_rows()
         self._connect_user_functions()
+        self.hold(None)
 
     def view(self, model: Model) -> Data:
         """Data of a model with the same bodies and effects, which shares state and bodies' motion.
@@ -315,6 +357,8 @@ class Data:
             other._connect_rows()
         if model.python_control is not self.model.python_control:
             other._connect_user_functions()
+        if model.sampling != self.model.sampling:
+            other.hold(None)
         return other
 
     def with_contacts_closed(self) -> Data:
@@ -409,6 +453,7 @@ class Data:
         b.time.now, b.time.latest = t, np.inf
         self.move_to(state)
         b.torque[:] = 0.0  # those of another control
+        b.sampling.due, b.sampling.samples = b.sampling.mode, 0
         b.inner[:] = b.inner_rate[:] = 0.0
         b.places[:] = self.model.pair_places
         b.coordinates[:] = np.nan
@@ -427,6 +472,19 @@ class Data:
         b = self.arrays
         b.position[:], b.angles[:] = state.position[:7], state.position[7:]
         b.twist[:], b.v[:] = state.velocity[:6], state.velocity[6:]
+
+    def hold(self, torques: np.ndarray | None) -> None:
+        """Hold torques (n,) from now on, in a model whose control can be held.
+
+        None: its laws compute them, from the next sample or start on.
+        """
+        sampling = self.arrays.sampling
+        if torques is not None:
+            sampling.mode = sampling.due = HELD
+            self.arrays.held[:] = torques
+        else:
+            sampling.mode = ALWAYS if self.model.sampling is None else ONCE
+            sampling.samples = 0
 
     def get_state(self) -> State:
         """A copy of the state."""

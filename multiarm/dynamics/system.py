@@ -18,11 +18,28 @@ from multiarm.arms.arm import Arm
 from multiarm.contacts.joint import COMPONENTS, UNITS, JointFrame
 from multiarm.contacts.records import Contact
 from multiarm.dynamics.callbacks import ControlFunction, PythonControl
+from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector, fill_by_arm
-from multiarm.errors import ModelError
+from multiarm.errors import ControlError, ModelError
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.scene import Scene
+
+
+def require_control(
+    control: ControlFunction | None, sample_time: float | None, sample_delay: bool
+) -> None:
+    """Refuse the settings of samples where there is no controller in Python that they are for.
+
+    Raises
+    ------
+    ControlError
+    """
+    if control is None and (sample_time is not None or sample_delay):
+        raise ControlError(
+            "sample_time: belongs to a `control` that is given with it; in a scene write "
+            "`control: {kind: ..., sample_time: ...}`"
+        )
 
 
 @dataclass(frozen=True)
@@ -188,19 +205,36 @@ class System:
         fill_by_arm("joint_velocities", state.joint_velocities, joint_velocities or {})
         return state
 
-    def with_control(self, control: ControlFunction) -> System:
+    def with_control(
+        self,
+        control: ControlFunction,
+        sample_time: float | None = None,
+        sample_delay: bool = False,
+    ) -> System:
         """The same system driven by a Python function ``f(t, state) -> {arm: torques}``.
 
         Arms that the function leaves out have no torque.  It may evaluate systems without this
         control, such as this one.  In :func:`multiarm.simulate_many` all threads call the same
         function.
+
+        Parameters
+        ----------
+        control : callable
+        sample_time : float, optional
+            The function is called every ``sample_time`` [s] only, with the state at the end of a
+            step, and its torques are held.  None: it is called in every evaluation.
+        sample_delay : bool
+            Torques act one sample later; those of the start act until the second sample.
+
+        Raises
+        ------
+        ControlError
+            When ``sample_time`` is not a positive number, or missing although there is a delay.
         """
-        python = PythonControl(control)
-        model = replace(
-            self.model.with_constants(control=python.laws, calls_user=True),
-            python_control=python,
-            breakpoints=self.model.effects.breakpoints,
-        )
+        if sample_time is None and sample_delay:
+            raise ControlError("sample_delay: a delay of one sample needs `sample_time` [s]")
+        sampling = None if sample_time is None else Sampling(sample_time, sample_delay)
+        model = self.model.with_python_control(PythonControl(control), sampling)
         return replace(self, model=model)
 
     def with_solver(self, solver: str) -> System:

@@ -26,7 +26,7 @@ from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.events.kernels import QUIET, spring_length, write_guards
 from multiarm.events.modes import GAP_THRESHOLD, OPEN, Choice, Modes
-from multiarm.integration.stepper import interpolate, load, open_step
+from multiarm.integration.step import interpolate, load, open_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import address_of, call_cfunc
 

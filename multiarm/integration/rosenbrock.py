@@ -40,7 +40,7 @@ import numpy as np
 from multiarm.dynamics.arrays import NOT_FINITE, OK, open_system
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu
-from multiarm.integration.stepper import IMPLICIT_WORK, Step, combine, evaluate_slope, open_step
+from multiarm.integration.step import IMPLICIT_WORK, Step, combine, evaluate_slope, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.structs import Floats1, Floats2, Ints1, struct_at, view
 

@@ -2,7 +2,8 @@
 
 *Length.*  The error of a step in units of the tolerance sets the length of the next one by a PI
 controller (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.4, and II, IV.2).
-Steps of adaptive methods end at breakpoints, where forces are discontinuous.
+Steps of adaptive methods end at breakpoints, where forces are discontinuous, and those of all
+methods at the samples of a control that is sampled.
 
 *Retries.*  Where the constraints are near a loss of rank, stages off the constraints make even
 short steps fail.  Such a step is retried, and the next ones are made, with projected stages.
@@ -51,7 +52,8 @@ class Settings(NamedTuple):
     begin: Float  # [s]
     end: Float
     sample_step: Float  # [s]: samples are taken at its multiples from ``begin``, and at ``end``
-    samples: Int
+    samples: Int  # number of them
+    final_sample: Int  # the one that is taken at ``end``; negative: none
     adaptive: Flag
     step: Float  # [s], the fixed step, or the first one of an adaptive method
     longest_step: Float  # [s], of an adaptive method
@@ -65,6 +67,7 @@ class Settings(NamedTuple):
     # Increasing times of discontinuities.  An adaptive method ends a step there; the end of that
     # step is evaluated just before the breakpoint, the next step begins just after it.
     breakpoints: Floats1
+    control_step: Float  # [s] between samples of the control; infinite: it is not sampled
     switch: Flag  # return when stiffness limits the steps of an explicit method
     stop: Float  # [s], where a step ends and the loop returns, before the end; infinite: none
 
@@ -92,6 +95,8 @@ class Clock(Numbers):
     sample: Int  # the next one
     block_first: Int  # first sample of the block
     breakpoint: Int  # the next one
+    control_due: Float  # time of the next sample of the control [s]; infinite: there is none
+    control_samples: Int  # number of the next one, from the beginning
     cause: Int  # why the last step was rejected
     coupled_steps: Int  # steps that ended with deficient arms
     lowest_rank: Int
@@ -110,6 +115,8 @@ def make_clock(settings: Settings) -> Clock:
     return Clock(
         t=settings.begin,
         h=settings.step,
+        control_due=settings.begin + settings.control_step,
+        control_samples=1,  # that of the beginning has been taken
         error_before=1.0,
         smallest_step=math.inf,
         stiff_since=math.nan,
@@ -136,14 +143,15 @@ def planned_step(clock, settings):
     near = CLOSE_IN_TIME * (1.0 + settings.end)
     while clock.breakpoint < breakpoints.size and breakpoints[clock.breakpoint] <= t + near:
         clock.breakpoint += 1
+    stop = min(settings.end, settings.stop)
+    if clock.control_due < stop - near:
+        stop = clock.control_due
     if not settings.adaptive:
         past = math.floor((t - settings.begin) / settings.step + 1e-9)
         end = settings.begin + (past + 1) * settings.step
-        last = min(settings.end, settings.stop)
-        if end > last - 1e-9 * settings.step:
-            end = last
+        if end > stop - 1e-9 * settings.step:
+            end = stop
         return end - t, end
-    stop = min(settings.end, settings.stop)
     if clock.breakpoint < breakpoints.size and breakpoints[clock.breakpoint] < stop - near:
         stop = breakpoints[clock.breakpoint]
     h = min(clock.h, settings.longest_step)
@@ -152,6 +160,12 @@ def planned_step(clock, settings):
     if t + 2.0 * h > stop:
         h = 0.5 * (stop - t)  # two equal steps rather than a long and a tiny one
     return h, t + h
+
+
+@kernel
+def control_is_due(clock, settings):
+    """Whether a sample of the control is to be taken now."""
+    return clock.control_due <= clock.t + CLOSE_IN_TIME * (1.0 + settings.end)
 
 
 @kernel

@@ -21,6 +21,17 @@ from multiarm.integration.monitors import update_monitors
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import near_loss, project
 from multiarm.integration.samples import follow_joints, write_sample
+from multiarm.integration.step import (
+    error_estimate,
+    evaluate_slope,
+    interpolate,
+    load,
+    open_step,
+    prepare_dense,
+    run_stages,
+    store,
+    write_slope,
+)
 from multiarm.integration.step_control import (
     BLOCK_FULL,
     BUDGET_USED,
@@ -37,6 +48,7 @@ from multiarm.integration.step_control import (
     breakpoint_at,
     check_solution,
     choose_stage_projection,
+    control_is_due,
     detect_stiffness,
     gains,
     length_after_rejection,
@@ -45,17 +57,6 @@ from multiarm.integration.step_control import (
     stay_before_breakpoint,
     view_clock,
     view_settings,
-)
-from multiarm.integration.stepper import (
-    error_estimate,
-    evaluate_slope,
-    interpolate,
-    load,
-    open_step,
-    prepare_dense,
-    run_stages,
-    store,
-    write_slope,
 )
 from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, kernel, unlocked
 from multiarm.jit.pointers import call_cfunc
@@ -133,7 +134,7 @@ def start_monitors(struct: INTS):
 @kernel
 def sample_time(settings, k):
     """Time of sample ``k``."""
-    if k == settings.samples - 1:
+    if k == settings.final_sample:
         return settings.end
     return settings.begin + k * settings.sample_step
 
@@ -154,14 +155,59 @@ def project_and_evaluate(struct, clock, settings, projected, t, alpha, beta):
 
 
 @kernel
+def sample_control(struct, step, clock, settings):
+    """Sample the control at the beginning of the next step, and evaluate it again from there.
+
+    Returns a status.
+    """
+    _, data, _ = open_system(struct)
+    alpha, beta = gains(settings, max(clock.h_before, settings.step))
+    load(step.z, step.base, data)
+    data.sampling.due = data.sampling.mode
+    status = project_and_evaluate(struct, clock, settings, True, clock.t, alpha, beta)
+    if status == OK:
+        write_slope(step.z, data, step.slope)
+        clock.control_samples += 1
+        clock.control_due = settings.begin + clock.control_samples * settings.control_step
+    return status
+
+
+@unlocked
+def observe(struct, arrays, clock, settings, row):
+    """Evaluate the beginning of the next step, and write it as a sample; returns a status."""
+    _, step = open_step(arrays)
+    clock, settings = view_clock(clock), view_settings(settings)
+    _, data, _ = open_system(struct)
+    if control_is_due(clock, settings):
+        status = sample_control(struct, step, clock, settings)
+        if status != OK:
+            return status
+    alpha, beta = gains(settings, max(clock.h_before, settings.step))
+    load(step.z, step.base, data)
+    status = project_and_evaluate(struct, clock, settings, True, clock.t, alpha, beta)
+    if status == OK:
+        write_sample(struct, clock.t, step.z[step.tolerance.size :], row)
+    return CALLBACK_FAILED if data.status.failed else status
+
+
+@kernel
 def emit_samples(struct, method, step, clock, settings, block):
-    """Write the samples that are due up to now; returns a status (``OK``: all written)."""
+    """Write the samples that are due up to now; returns a status (``OK``: all written).
+
+    A sample of the control that is due now comes after those within the last step.
+    """
     _, data, _ = open_system(struct)
     t = clock.t
     rows = clock.sample - clock.block_first
     near = 1e-9 * max(clock.h_before, 1e-12)
-    while clock.sample < settings.samples:
-        due = sample_time(settings, clock.sample)
+    while True:
+        due = math.inf
+        if clock.sample < settings.samples:
+            due = sample_time(settings, clock.sample)
+        if due >= t - near and control_is_due(clock, settings):
+            status = sample_control(struct, step, clock, settings)
+            if status != OK:
+                return status
         if due > t + near:
             return OK
         if rows >= block.shape[0]:
@@ -185,7 +231,6 @@ def emit_samples(struct, method, step, clock, settings, block):
             return CALLBACK_FAILED
         rows += 1
         clock.sample += 1
-    return OK
 
 
 @kernel

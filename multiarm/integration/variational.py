@@ -48,7 +48,7 @@ from multiarm.contacts.records import KIND, TANGENT
 from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_system
 from multiarm.dynamics.equations import finite, solve_constrained, update_kinematics
 from multiarm.dynamics.model import Data
-from multiarm.integration.stepper import IMPLICIT_WORK, Step, load, open_step
+from multiarm.integration.step import IMPLICIT_WORK, Step, load, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, floats_at, struct_at, view

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter
+from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, model_validator
+from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
 from multiarm.scene.values import (
@@ -50,6 +52,28 @@ def _ordered(path: tuple[Waypoint, ...] | None) -> tuple[Waypoint, ...] | None:
 ObjectPath = Annotated[tuple[Waypoint, ...] | None, AfterValidator(_ordered)]
 
 
+class SampledControl(Spec):
+    """Keys of all control that changes with time or state.
+
+    Attributes
+    ----------
+    sample_time : float, optional
+        The torques are computed every ``sample_time`` [s] only, from the state at that time, and
+        held in between, as by a digital controller. Absent: they are computed all the time.
+    sample_delay : bool
+        Torques act one sample later; those of the start act until the second sample.
+    """
+
+    sample_time: Positive | None = None
+    sample_delay: bool = False
+
+    @model_validator(mode="after")
+    def _delay_belongs_to_samples(self) -> Self:
+        if self.sample_delay and self.sample_time is None:
+            raise fault("'sample_delay' needs 'sample_time' [s], of which it is the delay")
+        return self
+
+
 class NoControl(Spec):
     """The joints are free: no torque."""
 
@@ -63,13 +87,13 @@ class ConstantControl(Spec):
     torques: PerArm = Field(description="a table 'arm: torques'")
 
 
-class GravityCompensationControl(Spec):
+class GravityCompensationControl(SampledControl):
     """The arms carry themselves and the object: torques that hold the whole system still."""
 
     kind: Literal["gravity_compensation"] = "gravity_compensation"
 
 
-class JointPDControl(Spec):
+class JointPDControl(SampledControl):
     """Joint springs and dampers about a reference, which may follow a path of the object.
 
     Attributes
@@ -92,8 +116,8 @@ class JointPDControl(Spec):
     path: ObjectPath = None
 
 
-class HarmonicControl(Spec):
-    """Torques amplitude * sin(2 pi frequency t + phase).
+class HarmonicControl(SampledControl):
+    """Torques offset + amplitude * sin(2 pi frequency t + phase).
 
     Attributes
     ----------
@@ -103,6 +127,8 @@ class HarmonicControl(Spec):
         [Hz]
     phase : table 'arm: values'
         [rad], 0 where it is not named.
+    offset : table 'arm: values'
+        Constant torques [N m] or forces [N], 0 where it is not named.
     hold : bool
         Add the constant torques that would hold the start at rest.
     """
@@ -111,6 +137,7 @@ class HarmonicControl(Spec):
     amplitude: PerArm = Field(description="a table 'arm: amplitudes'")
     frequency: Positive = Field(description="in Hz")
     phase: PerArm = Field(default_factory=dict)
+    offset: PerArm = Field(default_factory=dict)
     hold: bool = True
 
 
@@ -160,7 +187,7 @@ ContactForces = Annotated[
 ]
 
 
-class _ObjectControl(Spec):
+class _ObjectControl(SampledControl):
     """Keys of both control laws."""
 
     path: ObjectPath = None
@@ -235,6 +262,76 @@ class ObjectImpedanceControl(_ObjectControl):
     )
 
 
+class RecordedControl(SampledControl):
+    """Torques, or references of joint springs and dampers, from a table over time.
+
+    Attributes
+    ----------
+    file : path
+        A table in CSV, Parquet or HDF5: a column of times [s], which increase, and one column for
+        each joint. Joints without a column get no torque, or are referred to the start.
+    time : str
+        Name of the column with the times.
+    columns : table 'arm/joint: column', optional
+        The columns to be used. Absent: all of them, and each is named as its joint.
+    quantity : 'torque' or 'position'
+        What the columns are: torques [N m, N], or positions [rad, m] to which springs and dampers
+        pull.
+    interpolation : 'linear', 'cubic' or 'hold'
+        Between two rows: a line, a spline with continuous second derivatives, or the earlier value.
+    outside : 'error', 'hold' or 'zero', optional
+        Before the first row and after the last one: a run that comes there is refused; the nearest
+        row holds, at rest; there is no torque. Absent: 'error' for torques, 'hold' for positions.
+    stiffness, damping : number, list or table
+        Of positions only: [N m/rad], [N m s/rad], as with joint_pd.
+    gravity_compensation : bool
+        Of positions only: add the torques that hold the whole system, arms and object, still.
+    """
+
+    kind: Literal["recorded"] = "recorded"
+    file: Path = Field(description="a table in CSV, Parquet or HDF5")
+    time: str = "time"
+    columns: dict[str, str] | None = None
+    quantity: Literal["torque", "position"] = "torque"
+    interpolation: Literal["linear", "cubic", "hold"] = "linear"
+    outside: Literal["error", "hold", "zero"] | None = None
+    stiffness: Gain | None = None
+    damping: Gain | None = None
+    gravity_compensation: bool | None = None
+
+    @model_validator(mode="after")
+    def _gains_belong_to_positions(self) -> Self:
+        gains = {"stiffness": self.stiffness, "damping": self.damping}
+        given = {**gains, "gravity_compensation": self.gravity_compensation}
+        if self.quantity == "torque":
+            named = [key for key, value in given.items() if value is not None]
+            if named:
+                raise fault(f"'{named[0]}' belongs to 'quantity: position', not to torques")
+            return self
+        missing = [key for key, value in gains.items() if value is None]
+        if missing:
+            raise fault(f"'quantity: position' needs '{missing[0]}', of the springs and dampers")
+        if self.outside == "zero":
+            raise fault("'outside: zero' belongs to torques; positions are held, or end the run")
+        return self
+
+    @model_validator(mode="after")
+    def _some_columns(self) -> Self:
+        if self.columns is not None and not self.columns:
+            raise fault("'columns' is empty; name columns as 'arm/joint: column', or leave it out")
+        return self
+
+    @property
+    def where_no_rows_are(self) -> str:
+        """``outside`` with its default."""
+        return self.outside or ("error" if self.quantity == "torque" else "hold")
+
+    @property
+    def compensates_gravity(self) -> bool:
+        """``gravity_compensation`` with its default."""
+        return self.quantity == "position" and self.gravity_compensation is not False
+
+
 def _by_name(value: Any) -> Any:
     """Let ``control: gravity_compensation`` stand for ``control: {kind: ...}``."""
     name = "none" if value is None else value
@@ -248,7 +345,8 @@ ControlSpec = Annotated[
     | JointPDControl
     | HarmonicControl
     | ComputedTorqueControl
-    | ObjectImpedanceControl,
+    | ObjectImpedanceControl
+    | RecordedControl,
     Field(discriminator="kind"),
     BeforeValidator(_by_name),
 ]

@@ -161,7 +161,7 @@ class Scene(Spec):
 
     __hash__ = None  # type: ignore[assignment]
 
-    @field_validator("object", "arms", "joints", "effects", mode="after")
+    @field_validator("object", "arms", "joints", "control", "effects", mode="after")
     @classmethod
     def _paths_are_absolute(cls, value: Any, info: ValidationInfo) -> Any:
         assert info.context is not None, "a scene is read with its folder"
@@ -351,14 +351,30 @@ def _check_control(control: Any, arms: Mapping[str, KnownArm], findings: _Findin
     by_joint = {
         "constant": ("torques",),
         "joint_pd": ("stiffness", "damping"),
-        "harmonic": ("amplitude", "phase"),
+        "harmonic": ("amplitude", "phase", "offset"),
+        "recorded": ("stiffness", "damping"),
     }
     for key in by_joint.get(getattr(control, "kind", ""), ()):
         for where, text in gain_faults(getattr(control, key), arms):
             findings.fault(("control", key, *where), text)
+    for address in getattr(control, "columns", None) or {}:
+        text = _address_fault(address, arms)
+        if text:
+            findings.fault(("control", "columns", address), text)
     for arm in getattr(control, "internal_forces", None) or {}:
         if arm not in arms:
             findings.fault(("control", "internal_forces", arm), unknown("arm", arm, arms))
+
+
+def _address_fault(address: str, arms: Mapping[str, KnownArm]) -> str:
+    """Why ``arm/joint`` is no joint of the scene; empty when it is one."""
+    arm, _, joint = address.partition("/")
+    if not joint:
+        return f"must be 'arm/joint', got {shown(address)}"
+    if arm not in arms:
+        return unknown("arm", arm, arms)
+    names = arms[arm].joint_names
+    return "" if names is None or joint in names else unknown("joint", joint, names)
 
 
 def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findings) -> None:

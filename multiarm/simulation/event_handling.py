@@ -42,8 +42,8 @@ from multiarm.events.kernels import (
 from multiarm.events.modes import GAP_THRESHOLD, Choice, Mode, Modes
 from multiarm.events.transition import Decision, Transition, decision_events
 from multiarm.integration.projection import project
+from multiarm.integration.step import begin_chart, evaluate_slope
 from multiarm.integration.step_control import gains
-from multiarm.integration.stepper import begin_chart, evaluate_slope
 from multiarm.results.event_log import EventLog
 from multiarm.simulation.setup import Run, Tolerance, make_stepping
 

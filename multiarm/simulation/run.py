@@ -2,12 +2,6 @@
 
 The setup of a run is in :mod:`multiarm.simulation.setup`; :mod:`multiarm.simulation.certified`
 judges its accuracy afterwards.
-
-*Stiffness switching.*  Damping, stiff springs or stiff gains make motions that die out at once but
-keep the steps of an explicit method short.  The loop detects that
-(:func:`multiarm.integration.step_control.detect_stiffness`).  If the user named no method, the
-linearly implicit one then takes over, on trial: each of its steps takes many evaluations, and it
-stays only if it advances further with each of them.
 """
 
 from __future__ import annotations
@@ -19,39 +13,26 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from multiarm.dynamics.arrays import CALLBACK_FAILED, NOT_FINITE
-from multiarm.dynamics.diagnosis import failure_text, lost_contact_text
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.errors import USER_FAULTS, MultiarmError, SolverError, TrajectoryError
-from multiarm.integration.monitors import collect_events
+from multiarm.errors import TrajectoryError
 from multiarm.integration.samples import sample_columns
-from multiarm.integration.step_control import (
-    BLOCK_FULL,
-    BUDGET_USED,
-    DIVERGED,
-    EVENT,
-    FINISHED,
-    LARGE_CORRECTION,
-    SOLVER_CHANGED,
-    STEP_TOO_SMALL,
-    STIFF,
-    STIFF_AFTER,
-    STOPPED,
-)
-from multiarm.integration.time_loop import advance
-from multiarm.integration.variational import NOT_CONVERGED
-from multiarm.jit.structs import struct_of
+from multiarm.integration.step_control import BLOCK_FULL, FINISHED, STIFF_AFTER
 from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink, provenance
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import RunSpec, dump_scene
+from multiarm.simulation.driver import FOR_STIFF_SCENES, GOES_ON, Driver, failure_of, where_of
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.interrupts import Interrupt, deferred_interrupt
-from multiarm.simulation.setup import Run, make_stepping, method_and_tolerance, prepare
+from multiarm.simulation.setup import (
+    Run,
+    check_control_span,
+    method_and_tolerance,
+    prepare,
+    span_notice,
+)
 from multiarm.tableaus import EXPLICIT
 
 BUDGET = 4000  # evaluations between two calls of progress, and checks of time and Ctrl-C
@@ -62,9 +43,6 @@ JUDGED_STEPS, EVENT_STEPS = 5000, 5
 # Steps longer than this part of those that the user set are not too short.
 SHORT_SHARE = 0.01
 MESSAGE_LENGTH = 600  # [characters], including the summary of events
-FOR_STIFF_SCENES = "rodas5p"
-# Steps after which a trial shows how long the steps of that method are.
-TRIAL_STEPS = 16
 
 TOO_MANY = "steps became so short that the run hardly got on"
 
@@ -111,33 +89,51 @@ def carry_out(
     TrajectoryError
         When the sink cannot be opened.
     """
-    system, full, spec, state = task.system, task.data, task.spec, task.state
-    log, data, events, given = EventLog(), full, None, state is not None
-    if full.model.unilateral is not None:
-        events = EventHandler(full, method_and_tolerance(spec, tighten)[1], spec.step, log)
-        start = system.initial_state() if state is None else state
-        data, state = events.begin(start, given)
-    run = prepare(system, data, spec, state, sink, task.longest_step, log, tighten)
-    if events is not None:
-        events.arm(run)
-    run.sink.open(system.channels, _metadata(system, spec, given), sample_columns)
+    system, spec, given = task.system, task.spec, task.state is not None
+    check_control_span(task.data.model, spec.duration)
+    driver = begin(task, sink, tighten)
+    run, log = driver.run, driver.run.log
+    log.add(span_notice(task.data.model, spec.duration))
+    run.sink.open(system.channels, run_metadata(system, spec, given), sample_columns)
     interrupt = Interrupt()
     try:
         pace = Pace(run, spec)
-        status, message, wall = _drive(run, events, progress, most_evaluations, pace, interrupt)
+        status, message, wall = _drive(driver, progress, most_evaluations, pace, interrupt)
     except BaseException as error:
         # the error passes through, but the samples are kept
         with suppress(TrajectoryError):
             _flush(run)
-        statistics = _statistics(run, events, task, 0.0)
-        run.sink.finish("failed", f"{_where(run)}: {error!r}", statistics, log.all())
+        statistics = run_statistics(driver, task, 0.0)
+        run.sink.finish("failed", f"{where_of(run)}: {error!r}", statistics, log.all())
         raise
     message += _stiffness_remark(run)
     message += log.summary(MESSAGE_LENGTH - len(message))
-    statistics = _statistics(run, events, task, wall)
+    statistics = run_statistics(driver, task, wall)
     trajectory = run.sink.finish(status, message, statistics, log.all())
     interrupt.deliver()
     return trajectory
+
+
+def begin(task: Task, sink: Sink, tighten: float = 1.0) -> Driver:
+    """Bring a task to its start: the initial mode of its contacts, the first evaluation and step.
+
+    ``tighten`` as in :func:`carry_out`; the sink is not opened yet.
+
+    Raises
+    ------
+    SolverError, ControlError
+        When the very first evaluation is impossible.
+    """
+    system, data, spec, state = task.system, task.data, task.spec, task.state
+    log, events = EventLog(), None
+    if data.model.unilateral is not None:
+        events = EventHandler(data, method_and_tolerance(spec, tighten)[1], spec.step, log)
+        start = system.initial_state() if state is None else state
+        data, state = events.begin(start, state is not None)
+    run = prepare(system, data, spec, state, sink, task.longest_step, log, tighten)
+    if events is not None:
+        events.arm(run)
+    return Driver(run, events)
 
 
 def leave_undone(system: System, given: bool, sink: Sink, status: str, message: str) -> Trajectory:
@@ -148,7 +144,7 @@ def leave_undone(system: System, given: bool, sink: Sink, status: str, message: 
     TrajectoryError
         When the sink cannot be opened.
     """
-    sink.open(system.channels, _metadata(system, system.scene.run, given), sample_columns)
+    sink.open(system.channels, run_metadata(system, system.scene.run, given), sample_columns)
     return sink.finish(status, message, {"simulated_s": 0.0, "wall_time_s": 0.0})
 
 
@@ -188,53 +184,6 @@ class Pace:
         )
 
 
-class Switch:
-    """Stiffness switching: which method a run continues with."""
-
-    def __init__(self) -> None:
-        self._explicit: str | None = None  # the method that a trial replaces
-        self._explicit_pace = 0.0  # [s] an evaluation
-        self._until = self._spent = 0
-        self._since = 0.0
-
-    def begin_trial(self, run: Run) -> None:
-        """Continue with the method for stiff scenes, on trial."""
-        method, clock = run.stepping.method, run.clock
-        self._explicit = run.stepping.tableau.name
-        # besides the stages, an explicit step takes three: two for projection, one at its end
-        self._explicit_pace = clock.h_before / (method.stages + 2)
-        self._change(run, FOR_STIFF_SCENES, "the scene is stiff")
-
-    def end_trial(self, run: Run) -> None:
-        """At the end of a trial that failed, continue with the explicit method."""
-        if self._explicit is not None and run.clock.steps >= self._until:
-            explicit, self._explicit = self._explicit, None
-            if not self._is_faster(run):
-                self._change(run, explicit, f"steps of {FOR_STIFF_SCENES} are too costly here")
-
-    def _is_faster(self, run: Run) -> bool:
-        """Whether the method on trial advances further with an evaluation."""
-        advanced = run.clock.t - self._since
-        return advanced > self._explicit_pace * (_step_evaluations(run) - self._spent)
-
-    def _change(self, run: Run, name: str, why: str) -> None:
-        """Change the method of a run, at its state."""
-        old, run.stepping = run.stepping.step, make_stepping(run.data, name, run.tolerance)
-        new = run.stepping.step
-        new.z[:], new.base[:], new.slope[:] = old.z, old.base, old.slope
-        run.settings = run.settings._replace(switch=False)
-        self._until, self._spent = run.clock.steps + TRIAL_STEPS, _step_evaluations(run)
-        self._since = run.clock.t
-        text = f"{why}: the run goes on with {name}"
-        run.log.add([{"time": run.clock.t, "kind": "method", "text": text}])
-
-
-def _step_evaluations(run: Run) -> int:
-    """Evaluations without those of the samples, which take the same with any method."""
-    clock, projected = run.clock, run.settings.gap_tolerance >= 0.0
-    return clock.evaluations - clock.sample * (3 if projected else 1)
-
-
 def _stiffness_remark(run: Run) -> str:
     """For the message of a stiff scene: what was done, or the remedy; else empty."""
     clock = run.clock
@@ -249,7 +198,7 @@ def _stiffness_remark(run: Run) -> str:
     return f"; the scene is {since}: `integrator: {FOR_STIFF_SCENES}` takes longer steps there"
 
 
-def _metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dict[str, Any]]:
+def run_metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dict[str, Any]]:
     """Provenance, on access: writing the scene takes longer than a short run.
 
     ``given``: the start is not the scene's.
@@ -257,18 +206,21 @@ def _metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dict[s
     scene = system.scene  # a result must not keep its system alive
     python = system.model.python_control is not None
     control = "python function" if python else scene.control.kind
+    sampling = system.model.sampling if python else None  # a scene has its own keys
+    times = (
+        {} if sampling is None else {"sample_time": sampling.time, "sample_delay": sampling.delay}
+    )
     start, created = "given state" if given else "scene", time.time()
 
     def metadata() -> dict[str, Any]:
         text = dump_scene(scene.model_copy(update={"run": spec}))
-        return {**provenance(text, created), "control": control, "start": start}
+        return {**provenance(text, created), "control": control, **times, "start": start}
 
     return metadata
 
 
 def _drive(
-    run: Run,
-    events: EventHandler | None,
+    driver: Driver,
     progress: Progress | None,
     most_evaluations: float,
     pace: Pace,
@@ -278,26 +230,14 @@ def _drive(
 
     A Ctrl-C that came too late to end the run is left in ``interrupt``.
     """
-    switch = Switch()
-    reason = _advance(run, 0)  # may compile the loop, which does not count as time of the run
+    run = driver.run
+    reason, fault = driver.advance(
+        0
+    )  # may compile the loop, which does not count as time of the run
     started = time.perf_counter()
     next_checkpoint = started + CHECKPOINT_INTERVAL
     with deferred_interrupt(interrupt):
         while True:
-            collect_events(run.data, run.log)
-            fault = ""
-            if events is not None and reason in (EVENT, STOPPED):
-                pace.event_stops += 1
-                fault = events.handle(run, reason == STOPPED)
-                reason = BUDGET_USED
-            if reason == STIFF:
-                switch.begin_trial(run)
-            elif reason == BUDGET_USED:  # all due samples are written
-                switch.end_trial(run)
-            elif reason == SOLVER_CHANGED and events is not None:
-                run.solver_log.reset(run.data)  # unilateral contacts have their own events
-            elif reason == SOLVER_CHANGED:
-                run.solver_log.collect(run.data, run.clock.t, _state(run))
             try:
                 if progress is not None:
                     progress(run.clock.t)
@@ -308,15 +248,16 @@ def _drive(
                 ended = "completed", "the run reached its end"
             elif interrupt.pressed:
                 interrupt.pressed = False
-                ended = "interrupted", f"stopped by the user {_where(run)}"
-            elif reason not in (BUDGET_USED, BLOCK_FULL, SOLVER_CHANGED, STIFF):
-                ended = _failure(run, reason)
+                ended = "interrupted", f"stopped by the user {where_of(run)}"
+            elif reason not in GOES_ON:
+                ended = failure_of(run, reason)
             else:
                 if not fault:
+                    pace.event_stops = driver.event_stops
                     too_many = run.clock.evaluations > most_evaluations
                     fault = TOO_MANY if too_many else pace.judge(run)
                 if fault:
-                    ended = "failed", f"{_where(run)}: {fault}"
+                    ended = "failed", f"{where_of(run)}: {fault}"
             due = time.perf_counter() >= next_checkpoint
             try:
                 if ended or due or reason == BLOCK_FULL:
@@ -325,75 +266,10 @@ def _drive(
                     run.sink.checkpoint()
                     next_checkpoint = time.perf_counter() + CHECKPOINT_INTERVAL
             except TrajectoryError as error:
-                ended = "failed", f"{_where(run)}: {error}"
+                ended = "failed", f"{where_of(run)}: {error}"
             if ended:
                 return *ended, time.perf_counter() - started
-            reason = _advance(run, BUDGET)
-
-
-def _advance(run: Run, budget: int) -> int:
-    """Call the compiled loop with a budget of evaluations; returns why it stopped."""
-    return advance(
-        run.data.struct, run.stepping.struct, run.clock.struct, struct_of(run.settings),
-        run.block, budget,
-    )  # fmt: skip
-
-
-def _state(run: Run) -> State:
-    """The state at the beginning of the next step."""
-    n, z = run.data.model.layout.joints, run.stepping.step.z
-    return State(
-        np.concatenate([z[:3], run.stepping.step.base, z[6 : 6 + n]]),
-        z[6 + n : 12 + 2 * n].copy(),
-        run.data.model.layout,
-    )
-
-
-def _where(run: Run) -> str:
-    return f"at t = {run.clock.t:.9g} s (step {run.clock.steps})"
-
-
-def _failure(run: Run, reason: int) -> tuple[str, str]:
-    """Status and message of a run that ended early."""
-    where = _where(run)
-    smaller = "a smaller `accuracy`" if run.settings.adaptive else "a smaller `step`"
-    if reason == CALLBACK_FAILED:
-        try:
-            run.data.reraise()
-        except KeyboardInterrupt:
-            return "interrupted", f"stopped by the user {where}"
-        except SolverError as error:
-            return "failed", f"{where}: {lost_contact_text(run.data) or error}"
-        except MultiarmError as error:
-            return "failed", f"{where}: {error}"
-        except USER_FAULTS as error:
-            return "failed", f"{where}: a callback raised {type(error).__name__}: {error}"
-    if reason == STEP_TOO_SMALL:
-        fault = (
-            f"the step became too small ({run.clock.h:.2g} s) for the required accuracy; loosen "
-            f"`accuracy`, or look for a discontinuous controller or a singular posture there"
-        )
-    elif reason == DIVERGED:
-        fault = (
-            f"the joints came apart by more than {run.settings.divergence_bound:.2g} m, the run "
-            f"has diverged; take {smaller}, or `stabilization: projection`"
-        )
-    elif reason == LARGE_CORRECTION:
-        fault = (
-            "every step, however short, ends far from the joints; look for a motion that they "
-            "cannot follow, or start elsewhere"
-        )
-    elif reason == NOT_CONVERGED:
-        fault = (
-            "the equations of a variational step could not be solved; take a smaller `step`, or "
-            "`integrator: dop853` where damping is strong or linkages lie flat"
-        )
-    elif reason == NOT_FINITE:
-        lost = lost_contact_text(run.data)
-        fault = lost or f"the state is no longer finite; take {smaller}"
-    else:
-        fault = failure_text(run.data, reason)
-    return "failed", f"{where}: {fault}"
+            reason, fault = driver.advance(BUDGET)
 
 
 def _flush(run: Run) -> None:
@@ -406,7 +282,9 @@ def _flush(run: Run) -> None:
     run.sink.append(run.block[:rows])
 
 
-def _statistics(run: Run, events: EventHandler | None, task: Task, wall: float) -> dict:
+def run_statistics(driver: Driver, task: Task, wall: float) -> dict:
+    """What a run took, for its result; ``wall`` [s] is its time."""
+    run, events, sampling = driver.run, driver.events, task.data.model.sampling
     clock, settings, spec = run.clock, run.settings, task.spec
     backends = task.data.model.backends
     simulated = clock.t
@@ -432,6 +310,7 @@ def _statistics(run: Run, events: EventHandler | None, task: Task, wall: float) 
         "residual_max": clock.worst_residual,
         "correction_max": clock.worst_correction,
         **({} if events is None else events.statistics()),
+        **({} if sampling is None else {"control_samples": clock.control_samples}),
         "wall_time_s": wall,
         "realtime_factor": simulated / wall if wall > 0.0 else None,
     }

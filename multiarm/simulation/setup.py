@@ -11,12 +11,20 @@ from multiarm.assembly.start import project_start
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.diagnosis import failure_text
-from multiarm.dynamics.model import Data
+from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import SceneError, SolverError
 from multiarm.integration.rosenbrock import make_rosenbrock, rosenbrock_step
 from multiarm.integration.samples import sample_width
+from multiarm.integration.step import (
+    Method,
+    Step,
+    begin_chart,
+    evaluate_slope,
+    make_method,
+    make_step,
+)
 from multiarm.integration.step_control import (
     FEEDBACK,
     NONE,
@@ -25,14 +33,6 @@ from multiarm.integration.step_control import (
     Settings,
     gains,
     make_clock,
-)
-from multiarm.integration.stepper import (
-    Method,
-    Step,
-    begin_chart,
-    evaluate_slope,
-    make_method,
-    make_step,
 )
 from multiarm.integration.time_loop import start_monitors
 from multiarm.integration.variational import make_variational, variational_step
@@ -159,6 +159,7 @@ def prepare(
 ) -> Run:
     """Settings, arrays and the first evaluation; ``tighten`` multiplies the tolerances."""
     name, tolerance = method_and_tolerance(spec, tighten)
+    _check_samples(data.model, spec)
     if METHODS[name].kind == VARIATIONAL:
         with_states = data.model.effects.with_states
         fault = method_fault(name, with_states, system.scene.effects.with_events)
@@ -214,6 +215,46 @@ def positive(name: str, value: float) -> float:
     return float(value)
 
 
+def _check_samples(model: Model, spec: RunSpec) -> None:
+    """Refuse a control with absurdly many samples, each of which ends a step."""
+    if model.sampling is None:
+        return
+    time, unit = model.sampling.time, min(1.0, spec.duration)
+    if unit / time > spec.most_steps:
+        raise SolverError(
+            f"sample_time: {time:g} s is {unit / time:.3g} samples of the control in {unit:.3g} s, "
+            f"each of which ends a step; more than {spec.most_steps:.2g} (`run.most_steps`) are "
+            f"not made: give seconds, such as 0.001, or raise `most_steps`"
+        )
+
+
+def check_control_span(model: Model, end: float) -> None:
+    """Refuse a run until ``end`` [s] with a control that is not defined all the time.
+
+    Raises
+    ------
+    SolverError
+    """
+    span = model.control_span
+    if span is None or span.outside != "error":
+        return
+    if span.begin > 0.0 or end > span.end * (1.0 + 1e-12):
+        raise SolverError(
+            f"control: {span.what} is from {span.begin:.9g} s to {span.end:.9g} s, the run from 0 "
+            f"to {end:.9g} s; shorten the run, complete the table, or let `outside: hold` or "
+            f"`outside: zero` say what the torques are there"
+        )
+
+
+def span_notice(model: Model, end: float) -> list[dict]:
+    """An event where a run until ``end`` [s] leaves the times at which its control is defined."""
+    span = model.control_span
+    if span is None or span.end >= end:
+        return []
+    rest = "is zero" if span.outside == "zero" else "holds its last row"
+    return [{"time": span.end, "kind": "control", "text": f"{span.what} ends and {rest}"}]
+
+
 def _settings(data: Data, spec: RunSpec, tolerance: Tolerance | None, max_step: float) -> Settings:
     """Settings, with placeholders for what depends on the start."""
     stabilization = spec.stabilization
@@ -226,6 +267,7 @@ def _settings(data: Data, spec: RunSpec, tolerance: Tolerance | None, max_step: 
         end=float(spec.duration),
         sample_step=float(spec.output_step),
         samples=samples,
+        final_sample=samples - 1,
         adaptive=tolerance is not None,
         step=float(spec.step) if spec.step is not None else 1e-3,
         longest_step=positive("max_step", max_step),
@@ -236,6 +278,7 @@ def _settings(data: Data, spec: RunSpec, tolerance: Tolerance | None, max_step: 
         gap_tolerance=0.0 if stabilization.kind == "projection" else -1.0,
         divergence_bound=np.inf,
         breakpoints=np.array(data.model.breakpoints, dtype=float),
+        control_step=np.inf if data.model.sampling is None else float(data.model.sampling.time),
         switch=tolerance is not None and spec.integrator is None,
         stop=np.inf,
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System
+from multiarm.dynamics.system import System, require_control
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts
@@ -32,6 +32,8 @@ def simulate(
     solver: str | None = None,
     state: State | None = None,
     control: ControlFunction | None = None,
+    sample_time: float | None = None,
+    sample_delay: bool = False,
     out: str | os.PathLike | None = None,
     progress: Progress | None = None,
     certificate: bool = True,
@@ -64,12 +66,19 @@ def simulate(
         Time between samples [s].
     max_step : float, optional
         Longest step of an adaptive method [s].  By default unlimited; with user callbacks the time
-        between samples, so that no sudden change of their values is stepped over.
+        between samples, so that no sudden change of their values is stepped over.  A sampled
+        control is none of them: steps end at its samples.
     solver : {"node", "dense"}, optional
     state : State, optional
         Initial state; the scene's start by default.  Actuators with lag begin as at any start.
     control : callable, optional
         ``f(t, state) -> {arm: torques}`` in place of the scene's control.
+    sample_time : float, optional
+        ``control`` is called every ``sample_time`` [s] only, with the state at that time, and its
+        torques are held in between.  By default it is called in every evaluation.
+    sample_delay : bool
+        The torques of ``control`` act one sample later; those of the start act until the second
+        sample.
     out : path-like, optional
         HDF5 file that the samples are streamed to; memory then does not grow with the run.
     progress : callable, optional
@@ -93,7 +102,8 @@ def simulate(
     SceneError
         When the settings contradict each other.
     SolverError, ControlError
-        When the very first evaluation is impossible.
+        When the very first evaluation is impossible, ``sample_time`` cannot be used, or a recorded
+        control ends before the run.
     TrajectoryError
         When ``out`` cannot be written.
     """
@@ -104,8 +114,9 @@ def simulate(
         solver,
     )
     system = system.with_solver(spec.solver)
+    require_control(control, sample_time, sample_delay)
     if control is not None:
-        system = system.with_control(control)
+        system = system.with_control(control, sample_time, sample_delay)
     if max_step is None:
         max_step = spec.output_step if system.model.calls_user else np.inf
     with system.borrow() as data:

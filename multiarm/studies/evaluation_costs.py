@@ -27,7 +27,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate
-from multiarm.integration.stepper import begin_chart, evaluate_slope, make_step
+from multiarm.integration.step import begin_chart, evaluate_slope, make_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_python
 from multiarm.problems import ring_of_arms

@@ -31,7 +31,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.integration.projection import project
 from multiarm.integration.samples import sample_width, write_sample
-from multiarm.integration.stepper import (
+from multiarm.integration.step import (
     begin_chart,
     combine,
     error_estimate,

@@ -24,7 +24,7 @@ import numpy as np
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System
+from multiarm.dynamics.system import System, require_control
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
@@ -53,6 +53,8 @@ def simulate_many(
     max_step: float | None = None,
     solver: str | None = None,
     control: ControlFunction | None = None,
+    sample_time: float | None = None,
+    sample_delay: bool = False,
     certificate: bool = True,
 ) -> list[Trajectory]:
     """Simulate a system many times in several threads: from other starts, with other values.
@@ -92,6 +94,8 @@ def simulate_many(
         ``f(t, state) -> {arm: torques}`` in place of the scene's control.  One function serves all
         runs and is called from several threads: it must not keep state between calls.  The same
         holds for functions that a scene names; user-defined effects have one instance per thread.
+    sample_time, sample_delay
+        Of ``control``, as in :func:`multiarm.simulate`.
 
     Returns
     -------
@@ -122,8 +126,11 @@ def simulate_many(
         "max_step": max_step,
         "solver": solver,
         "control": control,
+        "sample_time": sample_time,
+        "sample_delay": sample_delay,
         "certificate": certificate,
     }
+    require_control(control, sample_time, sample_delay)
     threads = _threads(threads, system, control)
     cases = describe(system, states, parameters, out, options)
     if progress is not True:
@@ -228,7 +235,7 @@ def run_case(case: Case, system: System, progress: Callable[[float], None] | Non
     """
     try:
         if case.scene is not system.scene:
-            system = compile_system(case.scene, _control_of(system), like=system)
+            system = _compiled(case.scene, system)
         return simulate(
             system, state=case.state, out=case.out, progress=progress, **case.options
         ).close_between_reads()
@@ -236,9 +243,20 @@ def run_case(case: Case, system: System, progress: Callable[[float], None] | Non
         return empty_result(case, system, "failed", f"the run could not begin: {error}")
 
 
-def _control_of(system: System) -> ControlFunction | None:
-    control = system.model.python_control
-    return None if control is None else control.function
+def _compiled(scene: Scene, like: System) -> System:
+    """The system of a similar scene, with the same controller in Python if there is one."""
+    control, sampling = like.model.python_control, like.model.sampling
+    if control is None:
+        return compile_system(scene, like=like)
+    if sampling is None:
+        return compile_system(scene, control.function, like=like)
+    return compile_system(
+        scene,
+        control.function,
+        sample_time=sampling.time,
+        sample_delay=sampling.delay,
+        like=like,
+    )
 
 
 def empty_result(

@@ -25,6 +25,7 @@ from multiarm.assembly.compilation import compile_for_inspection, compile_system
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.errors import GraspError, ReplayError
 from multiarm.grasp.scenes.reading import SceneGrasp, read_grasp
+from multiarm.scene.control import NoControl
 from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks, along, rotations
 from multiarm.viewer.commands import rgb
 from multiarm.viewer.contact_tracks import contacts_of, event_places, object_size, surface_bodies
@@ -103,7 +104,8 @@ def animate(
 
 def _system(trajectory: Trajectory, code: bool) -> tuple[System, list[str]]:
     """The system to be drawn, and a message about contacts that need code to be drawn."""
-    scene = trajectory.simulated_scene
+    # without its control, whose tables need not exist any more
+    scene = trajectory.simulated_scene.model_copy(update={"control": NoControl()})
     if code:
         return compile_system(scene, code=True), []
     system, left = compile_for_inspection(scene)

@@ -1,0 +1,86 @@
+r"""Sampled control: torques are computed at the samples of a digital controller, and held between.
+
+With the sample time :math:`T`, control laws :math:`u` and the state :math:`x` at the end of a step,
+
+.. math::
+    \tau(t) = u(kT, x(kT)), \qquad kT \le t < (k + 1) T,
+
+or, with a delay of one sample, :math:`\tau(t) = u((k - 1) T, x((k - 1) T))`.  Before the second
+sample there is no earlier one: the torques of the start act, as if the system had been there long.
+
+Laws that are held stand in ``Constants.sampled``; the only row of ``Constants.control`` is then
+:func:`hold_torques`.  So a model whose control is evaluated all the time does nothing else than
+before.  The time loop sets ``data.sampling.due`` at a sample: the first evaluation there calls the
+laws, with all terms that they need at hand, and the next ones use what it has stored.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy as np
+
+from multiarm.dynamics.arrays import HELD, ONCE, Constants, open_system
+from multiarm.errors import ControlError
+from multiarm.jit.kernels import cfunc, copy
+from multiarm.jit.pointers import address_of, call_cfunc
+from multiarm.jit.structs import struct_at
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """When a control is evaluated.
+
+    Attributes
+    ----------
+    time : float
+        From one sample to the next [s].
+    delay : bool
+        Whether torques act one sample later.
+
+    Raises
+    ------
+    ControlError
+        When the time is not a positive number.
+    """
+
+    time: float
+    delay: bool = False
+
+    def __post_init__(self) -> None:
+        time = self.time
+        usable = isinstance(time, Real) and not isinstance(time, bool)
+        if not (usable and 0.0 < time < math.inf):
+            raise ControlError(
+                f"sample_time: must be a time in seconds greater than 0, got {time!r}; leave it "
+                f"out for a control that is evaluated all the time"
+            )
+
+
+def with_held_control(constants: Constants, laws: np.ndarray, delay: bool = False) -> Constants:
+    """Constants with control ``laws`` that are evaluated at samples only."""
+    row = [address_of(hold_torques), int(delay)]
+    return constants._replace(control=np.array([row], dtype=np.int64), sampled=laws)
+
+
+@cfunc
+def hold_torques(address, size, delayed, _t):
+    """Write the held torques; where a sample is due, let the laws compute them."""
+    struct = struct_at(address, size)
+    model, data, _ = open_system(struct)
+    sampling, held = data.sampling, data.held
+    if sampling.due != HELD:
+        for k in range(model.sampled.shape[0]):
+            law, at = model.sampled[k, 0], float(model.sampled[k, 1])
+            call_cfunc(law, struct, at, data.time.now)
+        at_once = delayed == 0.0 or sampling.samples == 0
+        for j in range(data.torque.size):
+            held[0, j] = data.torque[j] if at_once else held[1, j]
+            held[1, j] = data.torque[j]
+        sampling.samples += 1
+        if sampling.due == ONCE:
+            sampling.due = HELD
+    copy(held[0], data.torque)
+    return 0

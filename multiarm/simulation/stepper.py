@@ -1,0 +1,318 @@
+"""`Stepper`: a simulation that is advanced from outside, as a control loop or a learner does.
+
+A stepper holds one run (:mod:`multiarm.simulation.run`) and moves its end on with every call.  It
+has the steps, events and numbers of a run whose control is sampled where the calls begin.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.state import State, fill_by_arm
+from multiarm.dynamics.system import System
+from multiarm.errors import ControlError, SolverError
+from multiarm.integration.samples import sample_columns
+from multiarm.integration.step_control import BLOCK_FULL, FINISHED
+from multiarm.integration.time_loop import observe
+from multiarm.results.sinks import MemorySink
+from multiarm.results.trajectory import Trajectory
+from multiarm.scene import AccuracySpec
+from multiarm.simulation.driver import GOES_ON, Driver, failure_of, state_of, where_of
+from multiarm.simulation.run import BUDGET, Pace, Task, begin, run_metadata, run_statistics
+from multiarm.simulation.setup import Run, check_control_span, run_spec
+
+Torques = Mapping[str, np.ndarray]
+# Durations are equal, and times are those of samples, up to this part of them.
+SAME_TIME = 1e-9
+
+
+class Stepper:
+    """A system that is advanced by pieces of time, with torques that are held over each.
+
+    The state between two calls is on the constraints.  What is not given is taken from the scene's
+    ``run``, as in :func:`multiarm.simulate`; there is no certificate.
+
+    Parameters
+    ----------
+    system : System
+    state : State, optional
+        Where it begins, at t = 0; the scene's start by default.
+    accuracy : float or dict, optional
+        Chooses method and tolerances, as for an unchecked run of this accuracy [m, rad].
+    integrator, step, tolerance, stabilization, solver, max_step
+        As in :func:`multiarm.simulate`.
+    record : bool
+        Keep samples for :meth:`trajectory`.
+    output_step : float, optional
+        Time between recorded samples [s].
+
+    Raises
+    ------
+    SceneError
+        When the settings contradict each other.
+    SolverError, ControlError
+        When the start cannot be evaluated.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        state: State | None = None,
+        accuracy: float | Mapping[str, float] | AccuracySpec | None = None,
+        *,
+        integrator: str | None = None,
+        step: float | None = None,
+        tolerance: float | None = None,
+        stabilization: str | dict | None = None,
+        solver: str | None = None,
+        max_step: float | None = None,
+        record: bool = False,
+        output_step: float | None = None,
+    ) -> None:
+        spec = run_spec(
+            system.scene.run,
+            {"stabilization": stabilization, "output_step": output_step},
+            {"accuracy": accuracy, "integrator": integrator, "step": step, "tolerance": tolerance},
+            solver,
+        )
+        system = system.with_solver(spec.solver)
+        if max_step is None:
+            max_step = spec.output_step if system.model.calls_user else math.inf
+        held = replace(system, model=system.model.with_held_control())
+        self._task = Task(held, held.model.data(), spec, state, max_step)
+        self._records = record
+        self._layout = system.model.layout
+        self._torques = np.zeros(self._layout.joints)
+        self._by_arm = self._layout.split_joints(self._torques)
+        self.reset()
+
+    # --- what it shows ------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Where it is [s]."""
+        return self._run.clock.t
+
+    @property
+    def state(self) -> State:
+        """The state there, a copy."""
+        return state_of(self._run, self._layout)
+
+    @property
+    def contact_forces(self) -> dict[str, np.ndarray]:
+        """Contact forces of each arm's joint [N] there, under the torques of the last call.
+
+        As in :attr:`multiarm.Evaluation.contact_forces`; those of open contacts are zero.
+        """
+        self._observe()
+        shown = self._run.data.arrays.shown[: self._layout.contacts]
+        return self._layout.split_contacts(shown.copy())
+
+    @property
+    def events(self) -> list[dict]:
+        """Events since the start, as in :attr:`multiarm.Trajectory.events`."""
+        return self._run.log.all()
+
+    def trajectory(self) -> Trajectory:
+        """The recorded samples up to now, and the present, as the result of a run.
+
+        Raises
+        ------
+        SolverError
+            When nothing was recorded.
+        """
+        if not self._records:
+            raise SolverError("trajectory: nothing was recorded; make it `Stepper(record=True)`")
+        run, task, clock = self._run, self._task, self._run.clock
+        sink = MemorySink()
+        sink.open(task.system.channels, self._metadata(), sample_columns)
+        rows = run.block[: clock.sample - clock.block_first]
+        for block in (*self._blocks, rows, self._observe()[None]):
+            sink.append(block)
+        message = f"advanced to t = {self.time:.9g} s"
+        statistics = run_statistics(self._driver, task, self._wall)
+        return sink.finish("completed", message, statistics, run.log.all()).of(task.system.scene)
+
+    def _metadata(self) -> dict[str, Any]:
+        """Provenance; the scene's run is as long as this one is now."""
+        task = self._task
+        spec = task.spec.model_copy(update={"duration": self.time or task.spec.duration})
+        found = run_metadata(task.system, spec, task.state is not None)()
+        return {**found, "control": "torques given to a stepper"} if self._driven else found
+
+    # --- what it does -------------------------------------------------------------------------
+
+    def reset(self, state: State | None = None) -> None:
+        """Go back to t = 0, to ``state``; by default to where it began last.
+
+        Raises
+        ------
+        SolverError, ControlError
+            When the start cannot be evaluated.
+        """
+        if state is not None:
+            self._task = replace(self._task, state=state.copy())
+        self._broken = ""
+        # times are multiples of equal durations, so that they do not add up roundings
+        self._from, self._count, self._duration = 0.0, 0, 0.0
+        self._begin(None)
+
+    def advance(self, duration: float, torques: Torques | None = None) -> State:
+        """Advance by a duration [s]; returns the state at its end.
+
+        Parameters
+        ----------
+        duration : float
+            [s]
+        torques : dict, optional
+            Arm -> joint torques [N m] or forces [N], which are held over the call; arms that are
+            not named get none.  None: the control of the system goes on, evaluated all the time or
+            at its samples, which are the multiples of its ``sample_time``; after other torques
+            it takes one at once.
+
+        Raises
+        ------
+        ControlError
+            For torques that do not fit the arms.
+        SolverError
+            When the motion cannot go on, with the place and a remedy; the stepper stays at the end
+            of the last good step.  It can be advanced with other torques from there, or be reset.
+        """
+        if not 0.0 < duration < math.inf:
+            raise SolverError(f"advance: the duration must be greater than 0 s, got {duration!r}")
+        if self._broken:
+            raise SolverError(f"{self._broken}; `reset` it")
+        end = self._end_after(duration)
+        if torques is None:
+            check_control_span(self._task.data.model, end)
+        self._control(torques)
+        self._extend(end)
+        started = time.perf_counter()
+        try:
+            self._drive()
+        finally:
+            self._wall += time.perf_counter() - started
+        return state_of(self._run, self._layout)
+
+    def _begin(self, torques: np.ndarray | None) -> None:
+        """Bring the task to its start, where ``torques`` are held, or those of its own control."""
+        self._task.data.hold(torques)
+        self._driver: Driver = begin(self._task, MemorySink())
+        run = self._driver.run
+        run.settings = run.settings._replace(final_sample=-1)
+        if torques is not None:
+            run.clock.control_due = math.inf
+            run.settings = run.settings._replace(control_step=math.inf)
+        self._held = self._driven = torques is not None
+        self._run: Run = run
+        self._pace = Pace(run, self._task.spec)
+        self._blocks: list[np.ndarray] = []
+        self._row = np.zeros(run.block.shape[1])
+        self._wall = 0.0
+
+    def _end_after(self, duration: float) -> float:
+        t = self._run.clock.t
+        count = self._count + 1
+        if duration != self._duration or self._from + self._count * duration != t:
+            self._from, self._duration, count = t, duration, 1
+        self._count = count
+        return self._from + count * duration
+
+    def _control(self, torques: Torques | None) -> None:
+        """Let the torques act from now on; None: those of the system's control."""
+        run = self._run
+        if torques is None:
+            if self._held:
+                run.data.hold(None)
+                self._held = False
+                self._resume_samples(run)
+            return
+        self._torques[:] = 0.0
+        fill_by_arm("torques", self._by_arm, torques, ControlError)
+        if run.clock.steps == 0:  # the start, and the first step, are those under these torques
+            self._begin(self._torques)
+            return
+        run.data.hold(self._torques)
+        if not self._held:
+            run.settings = run.settings._replace(control_step=math.inf)
+            self._held = self._driven = True
+        run.clock.control_due = run.clock.t
+
+    def _resume_samples(self, run: Run) -> None:
+        """Evaluate the system's control now, and where it is sampled at the multiples from now."""
+        sampling, t = self._task.data.model.sampling, run.clock.t
+        if sampling is not None:
+            run.settings = run.settings._replace(control_step=sampling.time)
+            run.clock.control_samples = math.floor(t / sampling.time * (1.0 + SAME_TIME))
+        run.clock.control_due = t
+
+    def _extend(self, end: float) -> None:
+        """Move the end of the run on; samples at its new end belong to the next call."""
+        count = 0
+        if self._records:
+            step = self._run.settings.sample_step
+            self._record_present(step)
+            count = math.ceil(end / step - SAME_TIME)
+        self._driver.extend(end, count)
+
+    def _record_present(self, step: float) -> None:
+        """Record the present if a sample is due, with the torques that act from now on."""
+        clock, block = self._run.clock, self._run.block
+        if abs(clock.sample * step - clock.t) > SAME_TIME * step:
+            return
+        if clock.sample - clock.block_first == len(block):
+            self._flush()
+        block[clock.sample - clock.block_first] = self._observe()
+        clock.sample += 1
+
+    def _drive(self) -> None:
+        driver, run, reason = self._driver, self._run, BLOCK_FULL
+        while reason != FINISHED:
+            reason, fault = driver.advance(BUDGET)
+            if reason == BLOCK_FULL:
+                self._flush()
+            if fault:
+                self._broken = f"{where_of(run)}: {fault}"
+                raise SolverError(self._broken)
+            if reason == FINISHED:
+                return
+            if reason not in GOES_ON:
+                self._fail(reason)
+            self._pace.event_stops = driver.event_stops
+            fault = self._pace.judge(run)
+            if fault:
+                raise SolverError(f"{where_of(run)}: {fault}")
+
+    def _fail(self, reason: int) -> None:
+        """Raise the error of a step that failed; the next call begins with a usual step again."""
+        run = self._run
+        status, text = failure_of(run, reason)
+        run.data.forgive()
+        run.settings = run.settings._replace(stop=math.inf)
+        run.clock.h, run.clock.retry_steps = run.settings.step, 0
+        if status == "interrupted":
+            raise KeyboardInterrupt
+        raise SolverError(text)
+
+    def _flush(self) -> None:
+        clock = self._run.clock
+        self._blocks.append(self._run.block[: clock.sample - clock.block_first].copy())
+        clock.block_first = clock.sample
+
+    def _observe(self) -> np.ndarray:
+        """The present as a row of samples."""
+        run = self._run
+        status = observe(
+            run.data.struct, run.stepping.struct, run.clock.struct, self._driver.settings_struct,
+            self._row,
+        )  # fmt: skip
+        if status != OK:
+            self._fail(status)
+        return self._row
