@@ -9,8 +9,9 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame, surface_offset
-from multiarm.contacts.records import COMBINED, PLANE, TANGENT, pack
+from multiarm.contacts.table import COMBINED, TANGENT, pack
 from multiarm.errors import ModelError
+from multiarm.geometry.records import PLANE
 from multiarm.scene import (
     BallJoint,
     ContactsJoint,

@@ -149,7 +149,7 @@ def test_what_accuracy_costs_meets_what_it_asks_for(printed):
 
 def test_a_magnet_in_python_and_a_compiled_one_move_the_object_alike(printed, monkeypatch):
     monkeypatch.setattr(sys, "path", list(sys.path))  # the example adds its package's folder
-    monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
     text = printed("07_own_effect.py")
     moved = figures("completed, moves the object by# mm, does# mJ of work, .* balanced to# J", text)
     assert moved[0][:2] == moved[1][:2] and moved[0][0] > 1.0

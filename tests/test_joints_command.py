@@ -19,7 +19,7 @@ from multiarm.cli.joint_cards import (
     surface_cards,
 )
 from multiarm.contacts.catalogue import CATALOGUE
-from multiarm.contacts.screws import free_motions, wrenches_in_frame
+from multiarm.geometry.screws import free_motions, wrenches_in_frame
 from multiarm.scene import ContactSpec, Geometry, parse_scene
 
 KINDS = sorted(CATALOGUE)

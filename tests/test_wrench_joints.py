@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame
-from multiarm.contacts.records import Contact, plane, point
+from multiarm.geometry.records import Contact, plane, point
 from multiarm.scene import (
     BallJoint,
     CylindricalJoint,

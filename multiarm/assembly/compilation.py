@@ -18,7 +18,7 @@ from multiarm.assembly.paths import joint_path
 from multiarm.assembly.start import assemble, check_patches, check_unilateral
 from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame, surface_offset
 from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
-from multiarm.contacts.records import ContactTable, pack
+from multiarm.contacts.table import ContactTable, pack
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
 from multiarm.control.laws import ControlProgram, JointPath, control_program, needs_gravity_torque
 from multiarm.dynamics.arrays import Constants

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 
 from multiarm.contacts.catalogue import joint_contacts, joint_frame, surface_offset
-from multiarm.contacts.records import (
+from multiarm.geometry.records import (
     CONE,
     CYLINDER,
     ELLIPSOID,
@@ -31,7 +31,7 @@ from multiarm.contacts.records import (
     Surface,
     basis,
 )
-from multiarm.contacts.screws import free_motions, wrenches_in_frame
+from multiarm.geometry.screws import free_motions, wrenches_in_frame
 from multiarm.scene import ContactSpec, Geometry, JointBase, JointSpec
 
 # Kind of joint: an everyday example, and the lines after its kind in a scene.

@@ -25,7 +25,7 @@ A ball is written with three coincident points on three planes rather than with 
 the same wrenches through the centre, and this one has them at every relative orientation.
 
 *A joint given by the wrenches it transmits.*  The wrench on the object is :math:`\gamma` times one
-contact, or the difference of two (thesis, appendix C; :func:`multiarm.contacts.screws.zero_pitch`).
+contact, or the difference of two (thesis, appendix C; :func:`multiarm.geometry.screws.zero_pitch`).
 Each contact is a plane on the body that carries the wrench, and a point on the other body that
 starts on it.  The wrenches determine which motions are free at the start; the finite motion of the
 joint depends on the pairs.  They are chosen so that a hinge, a slider, a ball or a universal joint
@@ -42,8 +42,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts import records
-from multiarm.contacts.records import (
+from multiarm.geometry import records
+from multiarm.geometry.records import (
     Contact,
     Patch,
     Surface,
@@ -54,8 +54,8 @@ from multiarm.contacts.records import (
     point,
     sphere,
 )
-from multiarm.contacts.screws import ZeroPitch, zero_pitch
-from multiarm.contacts.smooth import ParametricSurface, SignedDistanceSurface
+from multiarm.geometry.screws import ZeroPitch, zero_pitch
+from multiarm.geometry.smooth import ParametricSurface, SignedDistanceSurface
 
 X, Y, Z = np.eye(3)
 ZERO = np.zeros(3)

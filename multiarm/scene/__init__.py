@@ -3,7 +3,14 @@
 from multiarm.scene.arms import ArmSpec, ResolvedArm, ToolSpec, resolve_arm
 from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
 from multiarm.scene.control import Waypoint
-from multiarm.scene.effects import EffectsSpec, damping_of, effort_limit_of, friction_of
+from multiarm.scene.effects import (
+    EFFECTS,
+    WITH_EVENTS,
+    EffectsSpec,
+    damping_of,
+    effort_limit_of,
+    friction_of,
+)
 from multiarm.scene.functions import function_text
 from multiarm.scene.geometry import ContactSpec, Geometry
 from multiarm.scene.joints import (
@@ -55,7 +62,9 @@ from multiarm.scene.values import Pose, gain_vector, joint_vector
 
 __all__ = [
     "ARM_TERMS",
+    "EFFECTS",
     "STEPS_CHOSEN_BY",
+    "WITH_EVENTS",
     "AccuracySpec",
     "ArmSpec",
     "BallJoint",

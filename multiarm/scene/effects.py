@@ -15,7 +15,7 @@ from typing_extensions import Self
 
 from multiarm.scene.faults import Parts, fault, unknown
 from multiarm.scene.loads import Drag, ExternalWrench
-from multiarm.scene.registry import Named, OwnEffect, add_effect
+from multiarm.scene.registry import Registry
 from multiarm.scene.robots import JointOutline
 from multiarm.scene.values import (
     Faults,
@@ -44,6 +44,17 @@ _FRICTION_SPEED = 0.01
 """Speed at which smooth friction is 76 % of the full one [rad/s] or [m/s]."""
 
 AnyEffect = TypeVar("AnyEffect", bound=type)
+
+EFFECTS: Registry[Any] = Registry(
+    noun="effect",
+    plural="effects",
+    group="multiarm.effects",
+    base="multiarm.Effect",
+    register="multiarm.register_effect",
+    built_in=lambda: EffectsSpec.model_fields,
+    parameters_of=attrgetter("Spec"),
+)
+"""User effects; what the class must offer says :class:`multiarm.effects.effect.Effect`."""
 
 damping_of: Callable[[JointOutline], float] = attrgetter("damping")
 """Viscous friction that the robot's file gives a joint."""
@@ -83,7 +94,7 @@ def register_effect(effect: AnyEffect) -> AnyEffect:
     ModelError
         It lacks something, or another effect has its name.
     """
-    add_effect(effect, reserved=EffectsSpec.model_fields)
+    EFFECTS.add(effect)
     return effect
 
 
@@ -390,18 +401,12 @@ class EffectsSpec(Spec):
     ) = None
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, OwnEffect]
+    __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(EFFECTS.read)]]
 
     @model_validator(mode="before")
     @classmethod
     def _set_user_effects_apart(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping):
-            return data
-        ours = cls.model_fields
-        return {
-            name: value if name in ours or not isinstance(name, str) else Named(name, value, ours)
-            for name, value in data.items()
-        }
+        return EFFECTS.set_apart(data)
 
     @property
     def named(self) -> dict[str, Any]:

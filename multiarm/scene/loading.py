@@ -21,6 +21,7 @@ import yaml
 from pydantic import BaseModel
 
 from multiarm.errors import ModelError, SceneError
+from multiarm.scene.effects import EFFECTS
 from multiarm.scene.faults import Parts, place
 from multiarm.scene.functions import (
     FunctionReference,
@@ -29,7 +30,6 @@ from multiarm.scene.functions import (
     load_function,
     mapped,
 )
-from multiarm.scene.registry import known_effect, offered_words
 from multiarm.scene.schema import Scene
 
 
@@ -197,7 +197,7 @@ class NamedCode:
     @classmethod
     def effect(cls, parts: Parts, name: str) -> NamedCode:
         """An effect of an installed package that is named at a place."""
-        return cls(place(parts), f"the effect {name!r} of {offered_words(name)}")
+        return cls(place(parts), f"the effect {name!r} of {EFFECTS.offers(name)}")
 
 
 def named_code(scene: Scene) -> list[NamedCode]:
@@ -211,7 +211,7 @@ def named_code(scene: Scene) -> list[NamedCode]:
     found += [
         NamedCode.effect(("effects", name), name)
         for name in _available(_unvalidated_effects(scene))
-        if known_effect(name) is None
+        if EFFECTS.known(name) is None
     ]
     return found
 
@@ -310,7 +310,7 @@ def _unvalidated_effects(scene: Scene) -> list[str]:
 
 
 def _available(names: Iterable[str]) -> list[str]:
-    return [name for name in names if known_effect(name) or offered_words(name)]
+    return [name for name in names if EFFECTS.known(name) or EFFECTS.offers(name)]
 
 
 def _without_contacts(joint: Any) -> Any:

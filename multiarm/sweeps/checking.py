@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, SceneError
-from multiarm.scene import NamedCode, Scene, changed, parse_path
+from multiarm.scene import EFFECTS, NamedCode, Scene, changed, parse_path
 from multiarm.scene.faults import place, shown
 from multiarm.scene.functions import (
     FunctionReference,
@@ -21,7 +21,6 @@ from multiarm.scene.functions import (
     located,
     reference_fault,
 )
-from multiarm.scene.registry import own_effect_names
 from multiarm.sweeps.axes import Axis
 
 if TYPE_CHECKING:
@@ -102,7 +101,7 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
 def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
     """The code that a sweep names: its quantities, and the functions and effects of its values."""
     found = [NamedCode.function(("keep", k), function) for k, function in _functions(spec)]
-    effects = {*own_effect_names()}.difference(scene.effects.model_extra or {})
+    effects = {*EFFECTS.names()}.difference(scene.effects.model_extra or {})
     for axis in spec.axes:
         at = ("over", axis.written)
         texts = {*_words([axis.spec.written(), *map(parse_path, axis.paths)])}

@@ -21,9 +21,8 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene import Scene, changed, parse_path, parse_scene
+from multiarm.scene import EFFECTS, Scene, changed, parse_path, parse_scene
 from multiarm.scene.effects import register_effect
-from multiarm.scene.registry import registered_effects
 from multiarm.simulation.certified import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.plan import SweepPlan, program_version
@@ -82,7 +81,7 @@ class JobContext:
             quantities=plan.quantities,
             certificate=plan.spec.certificate,
             version=program_version(),
-            effects=tuple(one for one in registered_effects() if one.name in named),  # type: ignore[attr-defined]
+            effects=tuple(one for name, one in EFFECTS.registered.items() if name in named),
             folder=str(plan.scene.folder),
             session=session,
         )

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from multiarm.contacts.records import (
+from multiarm.dynamics.contact_geometry import contact_places
+from multiarm.geometry.records import (
     CONE,
     CYLINDER,
     ELLIPSOID,
@@ -25,8 +26,7 @@ from multiarm.contacts.records import (
     Contact,
     Surface,
 )
-from multiarm.contacts.smooth import ParametricSurface
-from multiarm.dynamics.contact_geometry import contact_places
+from multiarm.geometry.smooth import ParametricSurface
 from multiarm.results.channels import OPEN, TOUCHING, channels_of
 from multiarm.results.event_log import Event, family_of, timed
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
