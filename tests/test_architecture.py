@@ -96,7 +96,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
     "umsgpack": ("viewer",),
-    "yaml": ("reports.report", "scene", "cli.joint_cards", "sweeps.spec"),
+    "yaml": ("reports.report", "scene", "sweeps.spec"),
 }
 
 HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydantic"}
@@ -106,10 +106,12 @@ PUBLIC_ATTRIBUTES = {
     "Effect": "name Spec forces build",
     "Evaluation": "object_acceleration joint_accelerations contact_forces contact_forces_unique "
     "contact_points contact_normals position_residual velocity_residual residuals",
+    "Joint": "kind arm name at at_tip records",
     "Loads": "object_wrench joint_torques",
     "Scene": "name gravity object arms joints control effects run",
     "State": "position velocity object_position object_quaternion_xyzw object_twist "
     "joint_positions joint_velocities",
+    "Surface": "name patch record",
     "Sweep": "scene plan count complete runs paths quantities columns table status_counts select "
     "rows row summary values_of scene_of trajectory to_csv to_parquet provenance",
     "System": "scene arm_names arms initial_state state",
@@ -126,6 +128,8 @@ PUBLIC_PARAMETERS = {
     "load_sweep": "path",
     "load_trajectory": "path",
     "register_effect": "effect",
+    "register_joint": "joint",
+    "register_surface": "surface",
     "replay": "trajectory path open_browser fps speed",
     "report": "trajectory path",
     "simulate": "system duration state control accuracy integrator step stabilization "

@@ -16,7 +16,6 @@ from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.paths import joint_path
 from multiarm.assembly.start import assemble, check_patches, check_unilateral
-from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame, surface_offset
 from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
 from multiarm.contacts.table import ContactTable, pack
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
@@ -108,7 +107,7 @@ def compile_system(
     """
     scene = with_code(_with_arms(scene, arms), code)
     robots = load_robots(scene, like)  # URDF -> arms with tips and limits
-    joints = scene_joints(scene, robots, like)  # contact records, from the catalogue or as written
+    joints = scene_joints(scene, robots, like)  # contact records of every joint
     rows = contact_rows(scene, robots, joints)  # all rows of W, unilateral ones too
     backends = arm_backends(scene, robots, like)  # Pinocchio or compiled copies
     draft = draft_model(scene, robots, joints, rows, backends)  # bodies, rows, effects
@@ -126,7 +125,7 @@ def compile_for_inspection(scene: Scene, arms: str | None = None) -> tuple[Syste
     """Build a system without the code that the scene names, and list that code.
 
     Where joints lack contacts without it, the start is as written, not assembled, the free motions
-    of joints are those of the catalogue only, and there is no control.
+    of joints are those that their kinds fix, and there is no control.
 
     Raises
     ------
@@ -270,19 +269,16 @@ def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> di
 
 def _make_joint(joint: Any, scene: Scene, arm: Arm, posture: np.ndarray) -> Joint:
     """Contacts, frame and limits of a joint; without ``at`` it is where the tip is at the start."""
-    if joint.at is not None:
-        pose = joint.at.matrix()
-    else:
-        offset = np.eye(4)
-        offset[:3, 3] = surface_offset(joint)
-        frame = arm.tip_pose(posture) @ joint.at_tip.matrix() @ offset
-        pose = np.linalg.solve(scene.object.pose.matrix(), frame)
-    on_tip, on_object = joint_frame(joint, pose)
     try:
-        contacts = joint_contacts(joint, pose)
+        if joint.at is not None:
+            pose = joint.at.matrix()
+        else:
+            frame = arm.tip_pose(posture) @ joint.at_tip.matrix() @ joint.start_shift()
+            pose = np.linalg.solve(scene.object.pose.matrix(), frame)
+        contacts, (on_tip, on_object) = joint.placed(pose), joint.frames(pose)
     except ModelError as error:
         raise ModelError(f"joint of arm '{joint.arm}': {error}") from error
-    frame = JointFrame(on_tip, on_object, CATALOGUE[joint.kind].free or ())
+    frame = JointFrame(on_tip, on_object, joint.free or ())
     return Joint(contacts, frame, joint.free_limits)
 
 
@@ -455,7 +451,7 @@ def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame
     closed, frames = data.with_contacts_closed(), {}
     for joint in scene.joints:
         frame = closed.model.frames[joint.arm]
-        if CATALOGUE[joint.kind].free is None:
+        if joint.free is None:
             frame = replace(frame, free=free_components(closed, joint.arm, start))
         frames[joint.arm] = frame
     return {name: frames[name] for name in closed.model.arm_names}

@@ -10,15 +10,19 @@ from multiarm.scene.effects import (
     damping_of,
     effort_limit_of,
     friction_of,
+    register_effect,
 )
 from multiarm.scene.functions import function_text
-from multiarm.scene.geometry import ContactSpec, Geometry
 from multiarm.scene.joints import (
+    JOINTS,
+    SURFACES,
     BallJoint,
     ContactsJoint,
+    ContactSpec,
     CornerGripperJoint,
     CylindricalJoint,
-    JointBase,
+    Geometry,
+    Joint,
     JointSpec,
     PlanarJoint,
     PointOnCylinderJoint,
@@ -27,8 +31,11 @@ from multiarm.scene.joints import (
     PrismaticJoint,
     RevoluteJoint,
     UniversalJoint,
+    UnloadedJoint,
     WeldJoint,
     WrenchesJoint,
+    register_joint,
+    register_surface,
 )
 from multiarm.scene.loading import (
     NamedCode,
@@ -58,12 +65,16 @@ from multiarm.scene.run import (
     StabilizationSpec,
 )
 from multiarm.scene.schema import Scene
+from multiarm.scene.surfaces import Surface
 from multiarm.scene.values import Pose, gain_vector, joint_vector
 
 __all__ = [
     "ARM_TERMS",
     "EFFECTS",
+    "JOINTS",
+    "REGISTRIES",
     "STEPS_CHOSEN_BY",
+    "SURFACES",
     "WITH_EVENTS",
     "AccuracySpec",
     "ArmSpec",
@@ -75,7 +86,7 @@ __all__ = [
     "EffectsSpec",
     "ExternalWrench",
     "Geometry",
-    "JointBase",
+    "Joint",
     "JointOutline",
     "JointSpec",
     "Mesh",
@@ -93,8 +104,10 @@ __all__ = [
     "Scene",
     "Shape",
     "StabilizationSpec",
+    "Surface",
     "ToolSpec",
     "UniversalJoint",
+    "UnloadedJoint",
     "Waypoint",
     "WeldJoint",
     "WrenchesJoint",
@@ -116,6 +129,9 @@ __all__ = [
     "read_urdf",
     "read_wrench_table",
     "refuse_code",
+    "register_effect",
+    "register_joint",
+    "register_surface",
     "resolve_arm",
     "resolve_mesh",
     "resolve_package_dirs",
@@ -123,3 +139,6 @@ __all__ = [
     "with_code",
     "without_code",
 ]
+
+REGISTRIES = (EFFECTS, JOINTS, SURFACES)
+"""The user classes of all sorts."""

@@ -28,7 +28,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from pydantic import ConfigDict, TypeAdapter, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from multiarm.errors import USER_FAULTS, ModelError
+from multiarm.errors import USER_FAULTS, ModelError, MultiarmError
 from multiarm.scene.faults import Parts, fault, sentences, unknown
 from multiarm.scene.values import Spec
 
@@ -146,6 +146,18 @@ class Registry(Generic[Kind]):
         points = metadata.entry_points(group=self.group)
         return sorted({*self.registered, *(point.name for point in points)})
 
+    def classes(self) -> tuple[dict[str, type[Kind]], list[str]]:
+        """All classes by name, for which packages are loaded, and why others cannot be used."""
+        found, faults = {}, []
+        for name in self.names():
+            try:
+                own = self.find(name)
+                assert own is not None, "it is registered or installed"
+                found[name] = own
+            except ModelError as error:
+                faults.append(str(error))
+        return found, faults
+
     def unknown(self, name: object) -> str:
         """The message for a name that no class has."""
         text = unknown(self.noun, name, [*self.built_in(), *self.names()], self.plural)
@@ -173,7 +185,7 @@ class Registry(Generic[Kind]):
         own = self.class_for(entry.name, info)
         if own is None or entry.value is None:
             return entry.value
-        return self.validated(own, entry.value, info)
+        return self.validated(entry.name, self.parameters_of(own), entry.value, info)
 
     def class_for(self, name: str, info: ValidationInfo) -> type[Kind] | None:
         """The class that a scene names; None where its parameters are kept as they are written.
@@ -192,21 +204,22 @@ class Registry(Generic[Kind]):
             raise fault(self.unknown(name))
         return own
 
-    def validated(self, own: type[Kind], value: Any, info: ValidationInfo, *where: str) -> Any:
-        """The scene's text read by a user class, every fault at its place below ``where``."""
-        model = self.parameters_of(own)
+    def validated(
+        self, name: str, model: Any, value: Any, info: ValidationInfo, *where: str
+    ) -> Any:
+        """The scene's text read by a model, every fault at its place below ``where``."""
         try:
             return TypeAdapter(model).validate_python(value, context=info.context)
         except ValidationError as error:
             found = [
                 ((*where, *parts), text, given) for parts, text, given in sentences(error, model)
             ]
-            raise faults_at(found, self.name_of(own)) from None
+            raise faults_at(found, name) from None
         except PydanticCustomError:
             raise
         except USER_FAULTS as error:
             raise fault(
-                f"the {model.__name__} of {self.noun} {self.name_of(own)!r} raised "
+                f"the {model.__name__} of {self.noun} {name!r} raised "
                 f"{type(error).__name__}: {error}"
             ) from None
 
@@ -232,6 +245,24 @@ def faults_at(found: list[tuple[Parts, str, Any]], title: str) -> ValidationErro
         for parts, text, given in found
     ]
     return ValidationError.from_exception_data(title, details)
+
+
+def called(function: Callable[[], Any], who: str) -> Any:
+    """What a method of a user class returns.
+
+    Raises
+    ------
+    ModelError
+        It raised something.
+    """
+    try:
+        return function()
+    except MultiarmError:
+        raise
+    except USER_FAULTS as error:
+        raise ModelError(
+            f"{who}: {function.__name__}() raised {type(error).__name__}: {error}"
+        ) from error
 
 
 def _offered(point: metadata.EntryPoint) -> str:

@@ -1,0 +1,151 @@
+"""The kinds of joint between an arm and the object: ours, and users'."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+from pydantic import Field, SerializeAsAny, ValidationInfo, WrapValidator
+from pydantic_core import PydanticCustomError
+
+from multiarm.scene.faults import fault, listed
+from multiarm.scene.joints.contacts import (
+    SURFACES,
+    ContactsJoint,
+    ContactSpec,
+    Geometry,
+    register_surface,
+)
+from multiarm.scene.joints.fingertips import (
+    CornerGripperJoint,
+    PointOnCylinderJoint,
+    PointOnPlaneJoint,
+    PointOnSphereJoint,
+)
+from multiarm.scene.joints.kind import Joint, UnloadedJoint
+from multiarm.scene.joints.pairs import (
+    BallJoint,
+    CylindricalJoint,
+    PlanarJoint,
+    PrismaticJoint,
+    RevoluteJoint,
+    UniversalJoint,
+    WeldJoint,
+)
+from multiarm.scene.joints.wrenches import WrenchesJoint
+from multiarm.scene.registry import Registry, faults_at
+from multiarm.scene.values import written
+
+__all__ = [
+    "JOINTS",
+    "SURFACES",
+    "BallJoint",
+    "ContactSpec",
+    "ContactsJoint",
+    "CornerGripperJoint",
+    "CylindricalJoint",
+    "Geometry",
+    "Joint",
+    "JointSpec",
+    "PlanarJoint",
+    "PointOnCylinderJoint",
+    "PointOnPlaneJoint",
+    "PointOnSphereJoint",
+    "PrismaticJoint",
+    "RevoluteJoint",
+    "UniversalJoint",
+    "UnloadedJoint",
+    "WeldJoint",
+    "WrenchesJoint",
+    "pushing_kinds",
+    "register_joint",
+    "register_surface",
+]
+
+AnyJoint = TypeVar("AnyJoint", bound=type)
+
+_OURS = (
+    WeldJoint,
+    BallJoint,
+    RevoluteJoint,
+    PrismaticJoint,
+    CylindricalJoint,
+    UniversalJoint,
+    PlanarJoint,
+    PointOnPlaneJoint,
+    PointOnCylinderJoint,
+    PointOnSphereJoint,
+    CornerGripperJoint,
+    ContactsJoint,
+    WrenchesJoint,
+)
+BUILT_IN: dict[str, type[Joint]] = {own.kind_name(): own for own in _OURS}
+"""Our kinds by name."""
+JOINTS: Registry[Joint] = Registry(
+    noun="joint kind",
+    plural="kinds",
+    group="multiarm.joints",
+    base="multiarm.Joint",
+    register="multiarm.register_joint",
+    built_in=lambda: BUILT_IN,
+    name_of=lambda own: own.kind_name(),
+)
+"""User kinds of joint."""
+
+
+def register_joint(joint: AnyJoint) -> AnyJoint:
+    """Let scenes name a user kind of joint; also a decorator of its class.
+
+    Parameters
+    ----------
+    joint : type
+        A subclass of :class:`multiarm.Joint`.  Defined and registered once more, as notebooks do,
+        it replaces the former one.
+
+    Returns
+    -------
+    type
+        The class.
+
+    Raises
+    ------
+    ModelError
+        It lacks something, or another kind has its name.
+    """
+    JOINTS.add(joint)
+    return joint
+
+
+def pushing_kinds() -> list[str]:
+    """Our kinds of joint with contacts that only push."""
+    return sorted(kind for kind, own in BUILT_IN.items() if own.sample().pushes)
+
+
+def _read(value: Any, handler: Callable[[Any], Any], info: ValidationInfo) -> Any:
+    """A joint of one of our kinds, read by its class; else one of a user kind."""
+    if not isinstance(value, (Mapping, Joint)):
+        return handler(value)
+    data = written(value)
+    if "kind" not in data:
+        raise fault(f"'kind' is missing; kinds are {listed([*BUILT_IN, *JOINTS.names()])}")
+    kind = data["kind"] if isinstance(data["kind"], str) else str(data["kind"])
+    if kind in BUILT_IN:
+        return handler(value)
+    try:
+        own = JOINTS.class_for(kind, info)
+    except PydanticCustomError as error:
+        raise faults_at([((kind, "kind"), error.message(), kind)], kind) from None
+    if own is not None and isinstance(value, own):
+        return value
+    return JOINTS.validated(kind, own or UnloadedJoint, data, info, kind)
+
+
+if TYPE_CHECKING:
+    JointSpec = Joint
+else:
+    JointSpec = Annotated[
+        SerializeAsAny[Annotated[reduce(or_, _OURS), Field(discriminator="kind")]],
+        WrapValidator(_read),
+    ]

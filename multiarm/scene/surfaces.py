@@ -1,0 +1,477 @@
+r"""Surfaces of contacts: parameters, checks, and the record that the contact kernel reads.
+
+A surface is one class, ours as well as a user's (:func:`multiarm.register_surface`); ours are the
+fields of :class:`multiarm.scene.Geometry`.  Principal curvatures
+are positive where the body bulges and negative in a hollow.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field, model_validator
+from typing_extensions import Self, override
+
+from multiarm.errors import SceneError
+from multiarm.geometry import ParametricSurface, SignedDistanceSurface, records
+from multiarm.scene.faults import fault, listed
+from multiarm.scene.functions import UserFunction
+from multiarm.scene.registry import OwnSpec
+from multiarm.scene.values import (
+    Direction,
+    Number,
+    Pose,
+    Positive,
+    Range,
+    Spec,
+    Vec3,
+    Vec4,
+    list_of,
+)
+
+_Z = (0.0, 0.0, 1.0)
+# A funnel is nowhere flat across its lines, but as flat as one likes far from the apex.
+_NEARLY_FLAT = 1e-300
+
+Bounds = Annotated[
+    tuple[Number | None, Number | None, Number | None],
+    list_of("must be a list of 3 numbers (null: no bound)", 3),
+]
+
+
+class PatchSpec(Spec):
+    """The part of a surface that exists: a box [m] in the frame in which the surface is given.
+
+    Attributes
+    ----------
+    min, max : 3 numbers or null each
+        Corners of the box; null where there is no bound.
+    """
+
+    min: Bounds = (None, None, None)
+    max: Bounds = (None, None, None)
+
+    @model_validator(mode="after")
+    def _is_a_box(self) -> Self:
+        for axis, low, high in zip("xyz", self.min, self.max, strict=True):
+            if low is not None and high is not None and not low < high:
+                raise fault(f"along {axis} 'min' {low:g} must be less than 'max' {high:g}")
+        return self
+
+    def record(self) -> records.Patch:
+        """The patch as the monitors read it."""
+        lower = [-np.inf if bound is None else bound for bound in self.min]
+        upper = [np.inf if bound is None else bound for bound in self.max]
+        return records.Patch(np.array(lower), np.array(upper))
+
+
+class Surface(OwnSpec):
+    """Base class of surfaces; define ``name``, fields and :meth:`record`.
+
+    Attributes
+    ----------
+    name : str
+        Key of the surface in scenes.
+    picture : str
+        An everyday example, for ``multiarm joints``.
+    example : str
+        One side of a contact in YAML.
+    """
+
+    name: ClassVar[str] = ""
+    picture: ClassVar[str] = ""
+    example: ClassVar[str] = ""
+
+    patch: PatchSpec | None = Field(None, description="the part of it that exists: a box")
+
+    def record(self) -> records.Surface:
+        """The whole surface in the joint frame, made by a function of :mod:`multiarm.geometry`."""
+        raise NotImplementedError
+
+    def curvatures(self) -> tuple[float, float] | None:
+        """Principal curvatures [1/m], the larger first, where it is easiest to touch.
+
+        None where they are not known: whether it can touch another surface is then not checked.
+        """
+        return None
+
+    @property
+    def is_hollow(self) -> bool:
+        """Whether it is the surface of a cavity, touched from within."""
+        return bool(getattr(self, "inside", False))
+
+    @property
+    def size(self) -> str:
+        """The size that decides whether it fits, for messages, such as ``of radius 0.1 m``."""
+        return ""
+
+    def described(self) -> str:
+        """The surface in messages, such as ``a hollow sphere of radius 0.1 m``."""
+        noun = f"hollow {self.name}" if self.is_hollow else self.name
+        return " ".join(filter(None, ["an" if noun[0] in "aeiou" else "a", noun, self.size]))
+
+    @classmethod
+    def lacks(cls) -> str:
+        """What the class lacks to be a surface, in words; empty when nothing is missing."""
+        if not isinstance(cls.name, str) or not cls.name.isidentifier():
+            return f"'name' must be a word that a scene can have as a key, it is {cls.name!r}"
+        return "it does not define 'record'" if cls.record is Surface.record else ""
+
+
+class _Turned(Surface):
+    """A surface with its own axes.
+
+    Attributes
+    ----------
+    rpy : 3 numbers
+        Turn of its axes: roll, pitch, yaw [rad] about fixed axes.
+    quaternion_xyzw : 4 numbers, optional
+        The same as a quaternion, instead of ``rpy``.
+    """
+
+    rpy: Vec3 = (0.0, 0.0, 0.0)
+    quaternion_xyzw: Vec4 | None = None
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> Self:
+        try:
+            self.axes()
+        except SceneError as error:
+            raise fault(error.faults[0].partition(": ")[2]) from None
+        return self
+
+    def axes(self) -> np.ndarray:
+        """Its axes, the columns of a rotation, shape (3, 3)."""
+        return Pose(rpy=self.rpy, quaternion_xyzw=self.quaternion_xyzw).rotation()
+
+
+class PointGeometry(Surface):
+    """A sharp point, which a scene writes as 3 numbers [m]."""
+
+    name = "point"
+    picture = "a needle's tip: it touches any surface of the other body"
+    example = "arm: {point: [0, 0, 0.1]}"
+
+    at: Vec3
+
+    @override
+    def record(self) -> records.Surface:
+        return records.point(self.at)
+
+    @override
+    def curvatures(self) -> tuple[float, float]:
+        return math.inf, math.inf
+
+
+class SphereGeometry(Surface):
+    """A sphere, solid or (``inside``) hollow.
+
+    Attributes
+    ----------
+    center : 3 numbers
+        Its centre [m].
+    radius : float
+        Its radius [m].
+    inside : bool
+        The sphere is hollow, touched from within.
+    """
+
+    name = "sphere"
+    picture = "a fingertip or a ball; inside: a socket or a bowl"
+    example = "object: {sphere: {center: [0, 0, 0], radius: 0.05, inside: true}}"
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    radius: Positive
+    inside: bool = False
+
+    @override
+    def record(self) -> records.Surface:
+        return records.sphere(self.center, self.radius, self.inside)
+
+    @override
+    def curvatures(self) -> tuple[float, float]:
+        bend = (-1.0 if self.inside else 1.0) / self.radius
+        return bend, bend
+
+    @property
+    @override
+    def size(self) -> str:
+        return f"of radius {self.radius:g} m"
+
+
+class PlaneGeometry(Surface):
+    """A flat face.
+
+    Attributes
+    ----------
+    point : 3 numbers
+        A point of it [m].
+    normal : 3 numbers
+        Direction out of the body that has the face.
+    """
+
+    name = "plane"
+    picture = "a table top; here with its edges, a patch"
+    example = (
+        "object: {plane: {point: [0, 0, 0.2], normal: [0, 0, 1], "
+        "patch: {min: [-0.3, -0.2, null], max: [0.3, 0.2, null]}}}"
+    )
+
+    point: Vec3 = (0.0, 0.0, 0.0)
+    normal: Direction
+
+    @override
+    def record(self) -> records.Surface:
+        return records.plane(self.point, self.normal)
+
+    @override
+    def curvatures(self) -> tuple[float, float]:
+        return 0.0, 0.0
+
+
+class CylinderGeometry(Surface):
+    """A cylinder, solid or (``inside``) a bore.
+
+    Attributes
+    ----------
+    point : 3 numbers
+        A point of its axis [m].
+    axis : 3 numbers
+        Direction of the axis.
+    radius : float
+        Its radius [m].
+    inside : bool
+        The cylinder is a bore, touched from within.
+    """
+
+    name = "cylinder"
+    picture = "a pipe or a rail; inside: a bore"
+    example = "object: {cylinder: {point: [0, 0, 0], axis: [0, 0, 1], radius: 0.05}}"
+
+    point: Vec3 = (0.0, 0.0, 0.0)
+    axis: Direction = _Z
+    radius: Positive
+    inside: bool = False
+
+    @override
+    def record(self) -> records.Surface:
+        return records.cylinder(self.point, self.axis, self.radius, self.inside)
+
+    @override
+    def curvatures(self) -> tuple[float, float]:
+        bend = (-1.0 if self.inside else 1.0) / self.radius
+        return max(0.0, bend), min(0.0, bend)
+
+    @property
+    @override
+    def size(self) -> str:
+        return f"of radius {self.radius:g} m"
+
+
+class ConeGeometry(Surface):
+    """A cone, solid or (``inside``) a funnel.
+
+    Attributes
+    ----------
+    apex : 3 numbers
+        Its point [m].
+    axis : 3 numbers
+        From the apex into the opening.
+    half_angle : float
+        Between axis and face [rad], less than a quarter turn.
+    inside : bool
+        The cone is a funnel, touched from within.
+    """
+
+    name = "cone"
+    picture = "a sharpened pencil; inside: a funnel"
+    example = "object: {cone: {apex: [0, 0, 0], axis: [0, 0, 1], half_angle: 0.6, inside: true}}"
+
+    apex: Vec3 = (0.0, 0.0, 0.0)
+    axis: Direction = _Z
+    half_angle: Positive
+    inside: bool = False
+
+    @model_validator(mode="after")
+    def _opens(self) -> Self:
+        if self.half_angle >= math.pi / 2:
+            raise fault(
+                f"'half_angle' lies between 0 and pi / 2 rad, got {self.half_angle:g}; a flat face "
+                "is a 'plane'"
+            )
+        return self
+
+    @override
+    def record(self) -> records.Surface:
+        return records.cone(self.apex, self.axis, self.half_angle, self.inside)
+
+    @override
+    def curvatures(self) -> tuple[float, float]:
+        return (0.0, -_NEARLY_FLAT) if self.inside else (math.inf, 0.0)
+
+
+class TorusGeometry(Surface):
+    """A tube about a circle.
+
+    Attributes
+    ----------
+    center : 3 numbers
+        The circle's centre [m].
+    axis : 3 numbers
+        Direction across the circle's plane.
+    circle_radius : float
+        Radius of the circle [m].
+    tube_radius : float
+        Radius of the tube [m]; the smaller one, so that the torus has a hole.
+    inside : bool
+        The tube is hollow, touched from within.
+    """
+
+    name = "torus"
+    picture = "a ring or a doughnut; inside: a curved tube"
+    example = (
+        "object: {torus: {center: [0, 0, 0], axis: [0, 0, 1], circle_radius: 0.1, "
+        "tube_radius: 0.02}}"
+    )
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    axis: Direction = _Z
+    circle_radius: Positive
+    tube_radius: Positive
+    inside: bool = False
+
+    @model_validator(mode="after")
+    def _has_a_hole(self) -> Self:
+        if self.tube_radius >= self.circle_radius:
+            raise fault(
+                f"a tube of radius {self.tube_radius:g} m about a circle of radius "
+                f"{self.circle_radius:g} m closes itself; 'tube_radius' must be the smaller one"
+            )
+        return self
+
+    @override
+    def record(self) -> records.Surface:
+        return records.torus(
+            self.center, self.axis, self.circle_radius, self.tube_radius, self.inside
+        )
+
+    @override
+    def curvatures(self) -> tuple[float, float]:
+        circle, tube = self.circle_radius, self.tube_radius
+        if self.inside:  # at the equator near the axis
+            return 1.0 / (circle - tube), -1.0 / tube
+        return 1.0 / tube, 1.0 / (circle + tube)
+
+    @property
+    @override
+    def size(self) -> str:
+        return f"with a tube of radius {self.tube_radius:g} m"
+
+
+class EllipsoidGeometry(_Turned):
+    """An ellipsoid.
+
+    Attributes
+    ----------
+    center : 3 numbers
+        Its centre [m].
+    semi_axes : 3 numbers
+        Half its lengths [m] along its own x, y and z axes.
+    inside : bool
+        The ellipsoid is hollow, touched from within.
+    """
+
+    name = "ellipsoid"
+    picture = "an egg or a melon; inside: a dish"
+    example = "object: {ellipsoid: {center: [0, 0, 0], semi_axes: [0.1, 0.07, 0.05]}}"
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    semi_axes: tuple[Positive, Positive, Positive]
+    inside: bool = False
+
+    @override
+    def record(self) -> records.Surface:
+        return records.ellipsoid(self.center, self.axes(), self.semi_axes, self.inside)
+
+    @override
+    def curvatures(self) -> tuple[float, float]:
+        short, middle, long = sorted(self.semi_axes)
+        if self.inside:  # at the end of the short axis
+            return -short / long**2, -short / middle**2
+        return long / short**2, long / middle**2
+
+
+class SurfaceGeometry(_Turned):
+    """A smooth surface as Python functions: a signed distance or a parametrisation.
+
+    Attributes
+    ----------
+    distance : function, f(p) -> [m]
+        Signed distance of a point p (3,) from the surface, positive outside of the body.
+    gradient, hessian : function, optional
+        Its derivatives g(p) -> (3,), h(p) -> (3, 3); by differences where absent.
+    parametrisation : function, x(u, v) -> (3,)
+        The alternative: points of the surface [m]. dx/du x dx/dv points out of the body.
+    derivatives : function, optional
+        d(u, v) -> (5, 3): rows x_u, x_v, x_uu, x_uv, x_vv; by differences where absent.
+    u, v : 2 numbers
+        Ranges of the parameters. One that closes (a full turn) is recognised.
+    flip : bool
+        dx/du x dx/dv points into the body.
+    length : float
+        Scale [m] on which the surface bends; steps of differences are a fraction of it.
+    origin : 3 numbers
+        Origin [m] of the frame of the functions, turned by rpy or quaternion.
+    inside : bool
+        The surface is that of a cavity, touched from within.
+    """
+
+    name = "surface"
+    picture = (
+        "any smooth shape of your own, a Python function: its signed distance or its "
+        "parametrisation"
+    )
+    example = 'object: {surface: {distance: "shapes.py:bump"}}'
+
+    distance: UserFunction | None = None
+    gradient: UserFunction | None = None
+    hessian: UserFunction | None = None
+    parametrisation: UserFunction | None = None
+    derivatives: UserFunction | None = None
+    u: Range | None = None
+    v: Range | None = None
+    flip: bool = False
+    length: Positive = 0.1
+    origin: Vec3 = (0.0, 0.0, 0.0)
+    inside: bool = False
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.distance is None) == (self.parametrisation is None):
+            given = "neither" if self.distance is None else "both"
+            raise fault(f"needs either 'distance' or 'parametrisation', got {given}")
+        used = "parametrisation" if self.distance is None else "distance"
+        of_the_other = {
+            "distance": ("derivatives", "u", "v", "flip"),
+            "parametrisation": ("gradient", "hessian"),
+        }
+        wrong = [name for name in of_the_other[used] if getattr(self, name)]
+        if wrong:
+            raise fault(f"{listed(wrong)} cannot be given with {used!r}; remove it")
+        if used == "parametrisation" and (self.u is None or self.v is None):
+            raise fault("a parametrisation needs the ranges 'u' and 'v', such as 'u: [-1, 1]'")
+        return self
+
+    @override
+    def record(self) -> records.Surface:
+        shape: SignedDistanceSurface | ParametricSurface
+        if self.distance is not None:
+            shape = SignedDistanceSurface(self.distance, self.gradient, self.hessian, self.length)
+        else:
+            assert self.parametrisation and self.u and self.v, "checked above"
+            shape = ParametricSurface(
+                self.parametrisation, self.u, self.v, self.derivatives, self.flip, self.length
+            )
+        return records.smooth(shape, self.origin, self.axes(), self.inside)
