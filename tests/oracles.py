@@ -31,7 +31,7 @@ from multiarm.geometry.records import (
     smooth,
     torus,
 )
-from multiarm.geometry.smooth import ParametricSurface, SignedDistanceSurface
+from multiarm.geometry.smooth_surfaces import ParametricSurface, SignedDistanceSurface
 
 # How far from a pair of two surfaces the kernel has to begin to look for it [m].
 NEAR = 0.01

@@ -289,7 +289,9 @@ def test_public_names_stay_functions_and_classes_after_all_modules_were_imported
     wrong = in_fresh_python(
         "import importlib, inspect, json, multiarm\n"
         f"for name in {names}: importlib.import_module(name)\n"
-        "kinds = {name: getattr(home, name) for home in (multiarm, multiarm.grasp)\n"
+        "from multiarm import geometry\n"
+        "homes = multiarm, multiarm.grasp, geometry\n"
+        "kinds = {name: getattr(home, name) for home in homes\n"
         "    for name in home.__all__ if name != 'grasp'}\n"
         "print(json.dumps([name for name, value in kinds.items()\n"
         "    if not (inspect.isfunction(value) or inspect.isclass(value))]))"

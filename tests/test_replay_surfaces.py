@@ -13,7 +13,7 @@ from multiarm.contacts.surfaces import DISTANCE, GRADIENT, PLACE, QUERY_WIDTH, l
 from multiarm.contacts.table import pack
 from multiarm.geometry import records
 from multiarm.geometry.records import Contact, Patch, Surface
-from multiarm.geometry.smooth import ParametricSurface
+from multiarm.geometry.smooth_surfaces import ParametricSurface
 from multiarm.viewer.animate import animate
 from multiarm.viewer.contact_tracks import surface_mesh
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from multiarm.errors import ModelError
-from multiarm.geometry.smooth import ParametricSurface, SignedDistanceSurface
+from multiarm.geometry.smooth_surfaces import ParametricSurface, SignedDistanceSurface
 
 TURN = (0.0, 2.0 * math.pi)
 POLES = (-0.5 * math.pi, 0.5 * math.pi)

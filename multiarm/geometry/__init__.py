@@ -19,7 +19,7 @@ from multiarm.geometry.records import (
     sphere,
     torus,
 )
-from multiarm.geometry.smooth import ParametricSurface, SignedDistanceSurface
+from multiarm.geometry.smooth_surfaces import ParametricSurface, SignedDistanceSurface
 
 __all__ = [
     "Contact",

@@ -225,10 +225,10 @@ class Registry(Generic[Kind]):
 
     def _check(self, own: Any, trouble: str, name: str | None = None) -> None:
         """Raise unless this is a class of the sort, with the name that its package offers."""
-        lacks = getattr(own, "lacks", None)
-        if not isinstance(own, type) or lacks is None:
+        bases = [one.__name__ for one in own.__mro__] if isinstance(own, type) else []
+        if not hasattr(own, "lacks") or self.base.rpartition(".")[2] not in bases:
             raise ModelError(f"{own!r} {trouble}: it is no subclass of {self.base}")
-        reason = lacks()
+        reason = own.lacks()
         if not reason and name is not None and self.name_of(own) != name:
             reason = f"its name is {self.name_of(own)!r}, not {name!r}"
         if reason:
@@ -248,7 +248,7 @@ def faults_at(found: list[tuple[Parts, str, Any]], title: str) -> ValidationErro
 
 
 def called(function: Callable[[], Any], who: str) -> Any:
-    """What a method of a user class returns.
+    """What a method of a user class returns; messages begin with ``who``.
 
     Raises
     ------
@@ -260,9 +260,7 @@ def called(function: Callable[[], Any], who: str) -> Any:
     except MultiarmError:
         raise
     except USER_FAULTS as error:
-        raise ModelError(
-            f"{who}: {function.__name__}() raised {type(error).__name__}: {error}"
-        ) from error
+        raise ModelError(f"{who} raised {type(error).__name__}: {error}") from error
 
 
 def _offered(point: metadata.EntryPoint) -> str:

@@ -35,7 +35,7 @@ from multiarm.geometry.records import (
     sphere,
     torus,
 )
-from multiarm.geometry.smooth import SignedDistanceSurface
+from multiarm.geometry.smooth_surfaces import SignedDistanceSurface
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
 

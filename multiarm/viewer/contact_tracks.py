@@ -26,7 +26,7 @@ from multiarm.geometry.records import (
     Contact,
     Surface,
 )
-from multiarm.geometry.smooth import ParametricSurface
+from multiarm.geometry.smooth_surfaces import ParametricSurface
 from multiarm.results.channels import OPEN, TOUCHING, channels_of
 from multiarm.results.event_log import Event, family_of, timed
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace

@@ -99,11 +99,12 @@ class Geometry(OneOf):
         """The part of the surface that exists, in the joint frame."""
         own = self.value
         assert own is not None, "compilation loads all classes"
-        found = called(own.record, f"surface {self.shape!r}")
+        who = f"surface {self.shape!r}: record()"
+        found = called(own.record, who)
         if not isinstance(found, records.Surface):
             raise ModelError(
-                f"surface {self.shape!r}: record() returned {type(found).__name__}; return a "
-                "surface of multiarm.geometry, such as sphere(...)"
+                f"{who} returned {type(found).__name__}; return a surface of multiarm.geometry, "
+                "such as sphere(...)"
             )
         return found if own.patch is None else replace(found, patch=own.patch.record())
 

@@ -15,7 +15,7 @@ import yaml
 from pydantic import AfterValidator, ConfigDict, Field
 from typing_extensions import Self
 
-from multiarm.errors import ModelError
+from multiarm.errors import USER_FAULTS, ModelError
 from multiarm.geometry import Contact
 from multiarm.geometry.records import Vector, basis
 from multiarm.scene.faults import fault
@@ -74,7 +74,7 @@ class Joint(OwnSpec):
     picture : str
         An everyday example, for ``multiarm joints``.
     example : str
-        The lines after ``kind: ...`` of a joint in YAML; empty if no parameter is needed.
+        The lines after ``kind: ...`` of a joint in YAML; may be empty if no parameter is required.
     free : tuple of int or None
         Components of the relative motion that stay free, in the axes of :meth:`frames`: 0 to 2 are
         translations along x, y, z, 3 to 5 rotations about them. None: they depend on the geometry
@@ -135,9 +135,10 @@ class Joint(OwnSpec):
     def start_shift(self) -> np.ndarray:
         """The offset as a pose, shape (4, 4)."""
         shift = np.eye(4)
-        offset = called(self.offset, f"joint kind {self.kind!r}")
+        who = f"joint kind {self.kind!r}: offset()"
+        offset = called(self.offset, who)
         if np.shape(offset) != (3,) or not np.all(np.isfinite(offset)):
-            raise ModelError(f"joint kind {self.kind!r}: offset() must return 3 numbers [m]")
+            raise ModelError(f"{who} must return 3 numbers [m], it returned {offset!r}")
         shift[:3, 3] = offset
         return shift
 
@@ -154,21 +155,20 @@ class Joint(OwnSpec):
         ModelError
             When a user class or function cannot be used.
         """
-        who = f"joint kind {self.kind!r}"
+        who = f"joint kind {self.kind!r}: records()"
         found = called(self.records, who)
         if not isinstance(found, (list, tuple)) or not all(isinstance(c, Contact) for c in found):
             raise ModelError(
-                f"{who}: records() returned {type(found).__name__}; return a list of "
-                "multiarm.geometry.Contact"
+                f"{who} returned {type(found).__name__}; return a list of multiarm.geometry.Contact"
             )
         if not found:
-            raise ModelError(f"{who}: records() returned no contact; a joint has at least one")
+            raise ModelError(f"{who} returned no contact; a joint has at least one")
         for contact in found:
             for surface in (contact.arm, contact.object):
                 if not np.all(np.isfinite([*surface.origin, *surface.axes.flat, *surface.sizes])):
                     raise ModelError(
-                        f"{who}: a number of contact {contact.name!r} is not finite, or a "
-                        "direction is zero; correct records()"
+                        f"{who} returned contact {contact.name!r} with a number that is not finite "
+                        "or a direction that is zero; correct it"
                     )
         on_tip = self.at_tip.matrix()
         return [moved(contact, on_tip, object_pose) for contact in found]
@@ -193,12 +193,12 @@ class Joint(OwnSpec):
     @classmethod
     def example_text(cls) -> str:
         """The example as part of a scene."""
-        first, separator, lines = cls.example.rstrip().partition("\n")
-        return (
-            f"joints:\n  - arm: left\n    kind: {cls.kind_name()}{first}"
-            + separator
-            + indent(dedent(lines), "    ")
-        )
+        head = f"joints:\n  - arm: left\n    kind: {cls.kind_name()}"
+        if not cls.example or cls.example[0].isspace():  # a comment on this line, and further lines
+            comment, *lines = cls.example.rstrip().split("\n")
+        else:
+            comment, lines = "", cls.example.rstrip().split("\n")
+        return head + comment + indent(dedent("".join(f"\n{line}" for line in lines)), "    ")
 
     @classmethod
     def sample(cls) -> Self:
@@ -220,6 +220,11 @@ class Joint(OwnSpec):
             return f"'limited' names {sorted(unlimited)[0]!r}, which is no field"
         if not {*(cls.free or ()), *cls.limited.values()} <= set(range(6)):
             return "'free' and 'limited' name components 0 to 5 of the relative motion"
+        try:
+            if cls.example:
+                cls.sample()
+        except USER_FAULTS as error:
+            return f"its example does not load, {type(error).__name__}: {error}"
         return ""
 
 
