@@ -442,6 +442,13 @@ class Idle(ma.Joint):
     kind: Literal["idle"] = "idle"
 
 
+class Vague(Nameless):
+    """Has a field of an unknown type."""
+
+    kind: Literal["vague"] = "vague"
+    size: Nobody  # noqa: F821
+
+
 class Misled(Nameless):
     """Limits what it does not have."""
 
@@ -461,6 +468,7 @@ class Flat(ma.Surface):
         (ma.register_joint, Nameless, "'kind' must be a word, written as kind: Literal"),
         (ma.register_joint, Idle, "it does not define 'records'"),
         (ma.register_joint, Misled, "'limited' names 'reach', which is no field"),
+        (ma.register_joint, Vague, "an annotation names what is not known where the class is def"),
         (ma.register_joint, dict, "it is no subclass of multiarm.Joint"),
         (ma.register_joint, Egg, "it is no subclass of multiarm.Joint"),
         (ma.register_surface, Hitch, "it is no subclass of multiarm.Surface"),
@@ -513,3 +521,12 @@ def test_an_effect_of_contacts_that_push_asks_the_records():
     assert "adds nothing, since no joint has contacts that only push" in warning
     egg = {"half": [0.1, 0.07, 0.05]}
     assert scene_of({"kind": "rest", "egg": egg}, effects=effects).warnings == []
+
+
+def test_a_patch_bounds_a_surface_of_one_s_own_too():
+    ma.register_surface(Marble)
+    joint = scene_of(
+        touching({"marble": {"radius": 0.05, "patch": {"min": [0, None, None]}}})
+    ).joints[0]
+    (contact,) = joint.placed(np.eye(4))
+    assert contact.object.patch.excess(np.array([-0.02, 9.0, 9.0])) == pytest.approx(0.02)

@@ -15,13 +15,10 @@ from multiarm.scene.effects import (
 from multiarm.scene.functions import function_text
 from multiarm.scene.joints import (
     JOINTS,
-    SURFACES,
     BallJoint,
     ContactsJoint,
-    ContactSpec,
     CornerGripperJoint,
     CylindricalJoint,
-    Geometry,
     Joint,
     JointSpec,
     PlanarJoint,
@@ -35,8 +32,8 @@ from multiarm.scene.joints import (
     WeldJoint,
     WrenchesJoint,
     register_joint,
-    register_surface,
 )
+from multiarm.scene.joints.contacts import SURFACES, ContactSpec, Geometry, register_surface
 from multiarm.scene.loading import (
     NamedCode,
     dump_scene,

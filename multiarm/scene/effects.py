@@ -8,14 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from operator import attrgetter
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import Parts, fault, unknown
 from multiarm.scene.loads import Drag, ExternalWrench
-from multiarm.scene.registry import Registry
+from multiarm.scene.registry import AnyClass, Registry
 from multiarm.scene.robots import JointOutline
 from multiarm.scene.values import (
     Faults,
@@ -42,8 +42,6 @@ WITH_EVENTS = (
 """Effects by which contacts and joints open, close, slide or stop, or are compliant."""
 _FRICTION_SPEED = 0.01
 """Speed at which smooth friction is 76 % of the full one [rad/s] or [m/s]."""
-
-AnyEffect = TypeVar("AnyEffect", bound=type)
 
 EFFECTS: Registry[Any] = Registry(
     noun="effect",
@@ -75,27 +73,17 @@ def _below(where: Parts, found: Faults) -> Faults:
     return [((*where, *further), text) for further, text in found]
 
 
-def register_effect(effect: AnyEffect) -> AnyEffect:
-    """Let scenes name a user effect; also a decorator of its class.
+def register_effect(effect: AnyClass) -> AnyClass:
+    """Let scenes name a user effect, a subclass of :class:`multiarm.Effect`; also a decorator.
 
-    Parameters
-    ----------
-    effect : type
-        A subclass of :class:`multiarm.Effect`.  Defined and registered once more, as notebooks do,
-        it replaces the former one.
-
-    Returns
-    -------
-    type
-        The class.
+    Defined and registered once more, as notebooks do, it replaces the former one.
 
     Raises
     ------
     ModelError
         It lacks something, or another effect has its name.
     """
-    EFFECTS.add(effect)
-    return effect
+    return EFFECTS.add(effect)
 
 
 # --- joints and their drives ---------------------------------------------------------------------

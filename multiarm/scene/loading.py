@@ -34,12 +34,10 @@ from multiarm.scene.functions import (
 )
 from multiarm.scene.joints import (
     JOINTS,
-    SURFACES,
-    ContactsJoint,
-    Geometry,
     Joint,
     UnloadedJoint,
 )
+from multiarm.scene.joints.contacts import SURFACES, ContactsJoint, Geometry
 from multiarm.scene.registry import Registry
 from multiarm.scene.schema import Scene, function_faults
 from multiarm.scene.values import written

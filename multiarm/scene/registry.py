@@ -33,12 +33,19 @@ from multiarm.scene.faults import Parts, fault, sentences, unknown
 from multiarm.scene.values import Spec
 
 Kind = TypeVar("Kind")
+AnyClass = TypeVar("AnyClass", bound=type)
 
 
 class OwnSpec(Spec):
     """Parameters of a user class: keys that are not declared, NaN and infinity are refused."""
 
     model_config = ConfigDict(allow_inf_nan=False)
+
+    @classmethod
+    def incomplete(cls) -> str:
+        """Why its fields are not known yet, in words; empty when they are."""
+        known = cls.model_rebuild(raise_errors=False) is not False
+        return "" if known else "an annotation names what is not known where the class is defined"
 
 
 class Named(NamedTuple):
@@ -79,7 +86,7 @@ class Registry(Generic[Kind]):
     registered: dict[str, type[Kind]] = field(default_factory=dict)
     loaded: dict[str, type[Kind]] = field(default_factory=dict)
 
-    def add(self, own: Any) -> None:
+    def add(self, own: AnyClass) -> AnyClass:
         """Let scenes name a class.  Defined and registered once more, it replaces the former one.
 
         Raises
@@ -101,6 +108,7 @@ class Registry(Generic[Kind]):
         if reason:
             raise ModelError(f"{self.noun} {name!r}: {reason}")
         self.registered[name] = own
+        return own
 
     def known(self, name: str) -> type[Kind] | None:
         """The class that was registered or loaded before; None where none was."""

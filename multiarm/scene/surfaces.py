@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
-from typing_extensions import Self, override
+from typing_extensions import Self
 
 from multiarm.errors import SceneError
 from multiarm.geometry import ParametricSurface, SignedDistanceSurface, records
@@ -78,11 +78,14 @@ class Surface(OwnSpec):
         An everyday example, for ``multiarm joints``.
     example : str
         One side of a contact in YAML.
+    size : str
+        What decides whether it fits, for messages, such as ``" of radius {radius:g} m"``.
     """
 
     name: ClassVar[str] = ""
     picture: ClassVar[str] = ""
     example: ClassVar[str] = ""
+    size: ClassVar[str] = ""
 
     patch: PatchSpec | None = Field(None, description="the part of it that exists: a box")
 
@@ -102,22 +105,20 @@ class Surface(OwnSpec):
         """Whether it is the surface of a cavity, touched from within."""
         return bool(getattr(self, "inside", False))
 
-    @property
-    def size(self) -> str:
-        """The size that decides whether it fits, for messages, such as ``of radius 0.1 m``."""
-        return ""
-
     def described(self) -> str:
         """The surface in messages, such as ``a hollow sphere of radius 0.1 m``."""
         noun = f"hollow {self.name}" if self.is_hollow else self.name
-        return " ".join(filter(None, ["an" if noun[0] in "aeiou" else "a", noun, self.size]))
+        article = "an" if noun[0] in "aeiou" else "a"
+        return f"{article} {noun}{self.size.format(**dict(self))}"
 
     @classmethod
     def lacks(cls) -> str:
         """What the class lacks to be a surface, in words; empty when nothing is missing."""
         if not isinstance(cls.name, str) or not cls.name.isidentifier():
             return f"'name' must be a word that a scene can have as a key, it is {cls.name!r}"
-        return "it does not define 'record'" if cls.record is Surface.record else ""
+        if cls.record is Surface.record:
+            return "it does not define 'record'"
+        return cls.incomplete()
 
 
 class _Turned(Surface):
@@ -156,11 +157,9 @@ class PointGeometry(Surface):
 
     at: Vec3
 
-    @override
     def record(self) -> records.Surface:
         return records.point(self.at)
 
-    @override
     def curvatures(self) -> tuple[float, float]:
         return math.inf, math.inf
 
@@ -179,6 +178,7 @@ class SphereGeometry(Surface):
     """
 
     name = "sphere"
+    size = " of radius {radius:g} m"
     picture = "a fingertip or a ball; inside: a socket or a bowl"
     example = "object: {sphere: {center: [0, 0, 0], radius: 0.05, inside: true}}"
 
@@ -186,19 +186,12 @@ class SphereGeometry(Surface):
     radius: Positive
     inside: bool = False
 
-    @override
     def record(self) -> records.Surface:
         return records.sphere(self.center, self.radius, self.inside)
 
-    @override
     def curvatures(self) -> tuple[float, float]:
         bend = (-1.0 if self.inside else 1.0) / self.radius
         return bend, bend
-
-    @property
-    @override
-    def size(self) -> str:
-        return f"of radius {self.radius:g} m"
 
 
 class PlaneGeometry(Surface):
@@ -222,11 +215,9 @@ class PlaneGeometry(Surface):
     point: Vec3 = (0.0, 0.0, 0.0)
     normal: Direction
 
-    @override
     def record(self) -> records.Surface:
         return records.plane(self.point, self.normal)
 
-    @override
     def curvatures(self) -> tuple[float, float]:
         return 0.0, 0.0
 
@@ -247,6 +238,7 @@ class CylinderGeometry(Surface):
     """
 
     name = "cylinder"
+    size = " of radius {radius:g} m"
     picture = "a pipe or a rail; inside: a bore"
     example = "object: {cylinder: {point: [0, 0, 0], axis: [0, 0, 1], radius: 0.05}}"
 
@@ -255,19 +247,12 @@ class CylinderGeometry(Surface):
     radius: Positive
     inside: bool = False
 
-    @override
     def record(self) -> records.Surface:
         return records.cylinder(self.point, self.axis, self.radius, self.inside)
 
-    @override
     def curvatures(self) -> tuple[float, float]:
         bend = (-1.0 if self.inside else 1.0) / self.radius
         return max(0.0, bend), min(0.0, bend)
-
-    @property
-    @override
-    def size(self) -> str:
-        return f"of radius {self.radius:g} m"
 
 
 class ConeGeometry(Surface):
@@ -303,11 +288,9 @@ class ConeGeometry(Surface):
             )
         return self
 
-    @override
     def record(self) -> records.Surface:
         return records.cone(self.apex, self.axis, self.half_angle, self.inside)
 
-    @override
     def curvatures(self) -> tuple[float, float]:
         return (0.0, -_NEARLY_FLAT) if self.inside else (math.inf, 0.0)
 
@@ -330,6 +313,7 @@ class TorusGeometry(Surface):
     """
 
     name = "torus"
+    size = " with a tube of radius {tube_radius:g} m"
     picture = "a ring or a doughnut; inside: a curved tube"
     example = (
         "object: {torus: {center: [0, 0, 0], axis: [0, 0, 1], circle_radius: 0.1, "
@@ -351,23 +335,16 @@ class TorusGeometry(Surface):
             )
         return self
 
-    @override
     def record(self) -> records.Surface:
         return records.torus(
             self.center, self.axis, self.circle_radius, self.tube_radius, self.inside
         )
 
-    @override
     def curvatures(self) -> tuple[float, float]:
         circle, tube = self.circle_radius, self.tube_radius
         if self.inside:  # at the equator near the axis
             return 1.0 / (circle - tube), -1.0 / tube
         return 1.0 / tube, 1.0 / (circle + tube)
-
-    @property
-    @override
-    def size(self) -> str:
-        return f"with a tube of radius {self.tube_radius:g} m"
 
 
 class EllipsoidGeometry(_Turned):
@@ -391,11 +368,9 @@ class EllipsoidGeometry(_Turned):
     semi_axes: tuple[Positive, Positive, Positive]
     inside: bool = False
 
-    @override
     def record(self) -> records.Surface:
         return records.ellipsoid(self.center, self.axes(), self.semi_axes, self.inside)
 
-    @override
     def curvatures(self) -> tuple[float, float]:
         short, middle, long = sorted(self.semi_axes)
         if self.inside:  # at the end of the short axis
@@ -464,7 +439,6 @@ class SurfaceGeometry(_Turned):
             raise fault("a parametrisation needs the ranges 'u' and 'v', such as 'u: [-1, 1]'")
         return self
 
-    @override
     def record(self) -> records.Surface:
         shape: SignedDistanceSurface | ParametricSurface
         if self.distance is not None:

@@ -5,19 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import reduce
 from operator import or_
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field, SerializeAsAny, ValidationInfo, WrapValidator
 from pydantic_core import PydanticCustomError
 
 from multiarm.scene.faults import fault, listed
-from multiarm.scene.joints.contacts import (
-    SURFACES,
-    ContactsJoint,
-    ContactSpec,
-    Geometry,
-    register_surface,
-)
+from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.fingertips import (
     CornerGripperJoint,
     PointOnCylinderJoint,
@@ -35,36 +29,8 @@ from multiarm.scene.joints.pairs import (
     WeldJoint,
 )
 from multiarm.scene.joints.wrenches import WrenchesJoint
-from multiarm.scene.registry import Registry, faults_at
+from multiarm.scene.registry import AnyClass, Registry, faults_at
 from multiarm.scene.values import written
-
-__all__ = [
-    "JOINTS",
-    "SURFACES",
-    "BallJoint",
-    "ContactSpec",
-    "ContactsJoint",
-    "CornerGripperJoint",
-    "CylindricalJoint",
-    "Geometry",
-    "Joint",
-    "JointSpec",
-    "PlanarJoint",
-    "PointOnCylinderJoint",
-    "PointOnPlaneJoint",
-    "PointOnSphereJoint",
-    "PrismaticJoint",
-    "RevoluteJoint",
-    "UniversalJoint",
-    "UnloadedJoint",
-    "WeldJoint",
-    "WrenchesJoint",
-    "pushing_kinds",
-    "register_joint",
-    "register_surface",
-]
-
-AnyJoint = TypeVar("AnyJoint", bound=type)
 
 _OURS = (
     WeldJoint,
@@ -95,27 +61,17 @@ JOINTS: Registry[Joint] = Registry(
 """User kinds of joint."""
 
 
-def register_joint(joint: AnyJoint) -> AnyJoint:
-    """Let scenes name a user kind of joint; also a decorator of its class.
+def register_joint(joint: AnyClass) -> AnyClass:
+    """Let scenes name a user kind of joint, a subclass of :class:`multiarm.Joint`; a decorator.
 
-    Parameters
-    ----------
-    joint : type
-        A subclass of :class:`multiarm.Joint`.  Defined and registered once more, as notebooks do,
-        it replaces the former one.
-
-    Returns
-    -------
-    type
-        The class.
+    Defined and registered once more, as notebooks do, it replaces the former one.
 
     Raises
     ------
     ModelError
         It lacks something, or another kind has its name.
     """
-    JOINTS.add(joint)
-    return joint
+    return JOINTS.add(joint)
 
 
 def pushing_kinds() -> list[str]:

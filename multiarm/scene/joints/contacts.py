@@ -15,7 +15,7 @@ into a bore that is wider than its tube.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
@@ -24,7 +24,7 @@ from multiarm.errors import ModelError
 from multiarm.geometry import Contact, records
 from multiarm.scene.faults import fault, models_in
 from multiarm.scene.joints.kind import Joint
-from multiarm.scene.registry import Registry, called
+from multiarm.scene.registry import AnyClass, Registry, called
 from multiarm.scene.surfaces import (
     ConeGeometry,
     CylinderGeometry,
@@ -37,9 +37,6 @@ from multiarm.scene.surfaces import (
     TorusGeometry,
 )
 from multiarm.scene.values import OneOf, Pose, Spec, Vec3
-
-AnySurface = TypeVar("AnySurface", bound=type)
-
 
 SURFACES: Registry[Surface] = Registry(
     noun="surface",
@@ -116,27 +113,17 @@ BUILT_IN: dict[str, Any] = {
 """Our surfaces by name."""
 
 
-def register_surface(surface: AnySurface) -> AnySurface:
-    """Let contacts of scenes name a user surface; also a decorator of its class.
+def register_surface(surface: AnyClass) -> AnyClass:
+    """Let contacts of scenes name a user surface, a subclass of :class:`multiarm.Surface`.
 
-    Parameters
-    ----------
-    surface : type
-        A subclass of :class:`multiarm.Surface`.  Defined and registered once more, it replaces the
-        former one.
-
-    Returns
-    -------
-    type
-        The class.
+    Also a decorator.  Defined and registered once more, it replaces the former one.
 
     Raises
     ------
     ModelError
         It lacks something, or another surface has its name.
     """
-    SURFACES.add(surface)
-    return surface
+    return SURFACES.add(surface)
 
 
 class ContactSpec(Spec):

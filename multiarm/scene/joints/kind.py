@@ -209,6 +209,8 @@ class Joint(OwnSpec):
     @classmethod
     def lacks(cls) -> str:
         """What the class lacks to be a kind of joint, in words; empty when nothing is missing."""
+        if cls.incomplete():
+            return cls.incomplete()
         kind = cls.kind_name()
         only = get_origin(annotation := cls.model_fields["kind"].annotation) is Literal
         if not only or get_args(annotation) != (kind,) or not str(kind).isidentifier():
