@@ -29,8 +29,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from multiarm.errors import USER_FAULTS, ModelError, MultiarmError
-from multiarm.scene.faults import Parts, fault, sentences, unknown
-from multiarm.scene.values import Spec
+from multiarm.scene.faults import Parts, fault, listed, sentences, unknown
+from multiarm.scene.values import Spec, written
 
 Kind = TypeVar("Kind")
 AnyClass = TypeVar("AnyClass", bound=type)
@@ -194,6 +194,32 @@ class Registry(Generic[Kind]):
         if own is None or entry.value is None:
             return entry.value
         return self.validated(entry.name, self.parameters_of(own), entry.value, info)
+
+    def read_kind(
+        self, value: Any, ours: Callable[[Any], Any], info: ValidationInfo, unloaded: type[Spec]
+    ) -> Any:
+        """A part of a scene with a key ``kind``, read by ``ours`` if its kind is ours.
+
+        Otherwise by a user class, or as ``unloaded`` where :meth:`class_for` finds no class.
+        """
+        if not isinstance(value, (Mapping, Spec)):
+            return ours(value)
+        data = written(value)
+        if "kind" not in data:
+            known = [*self.built_in(), *self.names()]
+            raise fault(f"'kind' is missing; kinds are {listed(known)}")
+        kind = data["kind"] if isinstance(data["kind"], str) else str(data["kind"])
+        if kind in self.built_in():
+            return ours(value)
+        try:
+            own = self.class_for(kind, info)
+        except PydanticCustomError as error:
+            raise faults_at([((kind, "kind"), error.message(), kind)], kind) from None
+        if own is None:
+            return self.validated(kind, unloaded, data, info, kind)
+        if isinstance(value, own):
+            return value
+        return self.validated(kind, self.parameters_of(own), data, info, kind)
 
     def class_for(self, name: str, info: ValidationInfo) -> type[Kind] | None:
         """The class that a scene names; None where its parameters are kept as they are written.

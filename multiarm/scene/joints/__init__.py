@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field, SerializeAsAny, ValidationInfo, WrapValidator
-from pydantic_core import PydanticCustomError
 
-from multiarm.scene.faults import fault, listed
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.fingertips import (
     CornerGripperJoint,
@@ -29,8 +27,7 @@ from multiarm.scene.joints.pairs import (
     WeldJoint,
 )
 from multiarm.scene.joints.wrenches import WrenchesJoint
-from multiarm.scene.registry import AnyClass, Registry, faults_at
-from multiarm.scene.values import written
+from multiarm.scene.registry import AnyClass, Registry
 
 _OURS = (
     WeldJoint,
@@ -80,22 +77,7 @@ def pushing_kinds() -> list[str]:
 
 
 def _read(value: Any, handler: Callable[[Any], Any], info: ValidationInfo) -> Any:
-    """A joint of one of our kinds, read by its class; else one of a user kind."""
-    if not isinstance(value, (Mapping, Joint)):
-        return handler(value)
-    data = written(value)
-    if "kind" not in data:
-        raise fault(f"'kind' is missing; kinds are {listed([*BUILT_IN, *JOINTS.names()])}")
-    kind = data["kind"] if isinstance(data["kind"], str) else str(data["kind"])
-    if kind in BUILT_IN:
-        return handler(value)
-    try:
-        own = JOINTS.class_for(kind, info)
-    except PydanticCustomError as error:
-        raise faults_at([((kind, "kind"), error.message(), kind)], kind) from None
-    if own is not None and isinstance(value, own):
-        return value
-    return JOINTS.validated(kind, own or UnloadedJoint, data, info, kind)
+    return JOINTS.read_kind(value, handler, info, UnloadedJoint)
 
 
 if TYPE_CHECKING:
