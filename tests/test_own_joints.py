@@ -417,6 +417,21 @@ def test_an_offset_is_three_numbers(offset):
         ma.compile_system(scene_of({"kind": "odd"}))
 
 
+@pytest.mark.parametrize("name", ["record", "shape", "copy"])
+def test_a_surface_may_have_the_name_of_anything_else(name):
+    ma.register_surface(type("Other", (Marble,), {"name": name}))
+    scene = scene_of(touching({name: {"radius": 0.05}}))
+    assert parse_scene(dump_scene(scene)) == scene
+    assert len(scene.joints[0].placed(np.eye(4))) == 1
+
+
+@pytest.mark.parametrize("free", [(3, 4), (0, 1, 2), (3, 3, 4)])
+def test_motions_that_a_kind_calls_free_are_those_that_its_contacts_leave(free):
+    joint_of(Hitch.records, free=free)
+    with pytest.raises(ma.MultiarmError, match="its contacts leave turn x, turn y, turn z free"):
+        ma.compile_system(scene_of({"kind": "odd"}))
+
+
 @pytest.mark.parametrize(
     ("found", "message"),
     [(lambda: 1 / 0, "raised ZeroDivisionError"), (lambda: "egg", "returned str; return a surf")],

@@ -16,13 +16,13 @@ from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.paths import joint_path
 from multiarm.assembly.start import assemble, check_patches, check_unilateral
-from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
+from multiarm.contacts.joint import COMPONENTS, FRAME_WIDTH, Joint, JointFrame
 from multiarm.contacts.table import ContactTable, pack
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
 from multiarm.control.laws import ControlProgram, JointPath, control_program, needs_gravity_torque
 from multiarm.dynamics.arrays import Constants
 from multiarm.dynamics.callbacks import NO_CONTROL, ControlFunction
-from multiarm.dynamics.contact_geometry import free_components, locate_pairs
+from multiarm.dynamics.contact_geometry import free_components, joint_wrenches, locate_pairs
 from multiarm.dynamics.equations import (
     kinematics,
     right_hand_sides,
@@ -31,6 +31,7 @@ from multiarm.dynamics.equations import (
     write_general_row,
 )
 from multiarm.dynamics.model import Data, Model, with_effects, with_rows
+from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import StartReport, System
 from multiarm.effects.building import (
@@ -45,6 +46,7 @@ from multiarm.integration.near_singular import evaluate_near_singular
 from multiarm.scene import (
     ARM_TERMS,
     ArmSpec,
+    JointSpec,
     NamedCode,
     ResolvedArm,
     Scene,
@@ -54,6 +56,7 @@ from multiarm.scene import (
     with_code,
     without_code,
 )
+from multiarm.scene.joints import BUILT_IN
 from multiarm.spatial import matrix_to_quaternion
 
 # Functions of an evaluation: compiled at once, and when first called.
@@ -453,8 +456,23 @@ def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame
         frame = closed.model.frames[joint.arm]
         if joint.free is None:
             frame = replace(frame, free=free_components(closed, joint.arm, start))
+        elif joint.kind not in BUILT_IN:
+            _check_free(joint, closed, start)
         frames[joint.arm] = frame
     return {name: frames[name] for name in closed.model.arm_names}
+
+
+def _check_free(joint: JointSpec, data: Data, start: State) -> None:
+    """Raise unless the components that a kind calls free are coordinates of its free motions."""
+    found = free_components(data, joint.arm, start)
+    space = null_space(joint_wrenches(data, joint.arm)).basis  # (6, m)
+    parts = space[list(joint.free or ())]
+    if len(parts) != len(found) or np.linalg.matrix_rank(parts, 1e-6) < len(found):
+        motions = ", ".join(COMPONENTS[k] for k in found) or "no motion"
+        raise ModelError(
+            f"joint of arm '{joint.arm}': joint kind {joint.kind!r} says free = {joint.free}, but "
+            f"its contacts leave {motions} free; correct it, or leave it out"
+        )
 
 
 def control_law(scene: Scene, data: Data, start: State) -> ControlProgram:

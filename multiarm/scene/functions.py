@@ -148,8 +148,7 @@ def located(value: Any, folder: Path) -> Any:
 def items(value: Any) -> Iterator[tuple[str | int, Any]]:
     """The parts of a part of a scene, with their keys or numbers."""
     if isinstance(value, BaseModel):
-        names = [*type(value).model_fields, *(value.model_extra or {})]
-        yield from ((name, getattr(value, name)) for name in names)
+        yield from value
     elif isinstance(value, Mapping):
         yield from value.items()
     elif isinstance(value, tuple):

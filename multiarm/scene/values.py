@@ -79,8 +79,7 @@ def written(value: Any) -> dict[str, Any]:
     """The entries of a table; of a part of a scene those that are written, and its kind."""
     if not isinstance(value, BaseModel):
         return dict(value) if isinstance(value, Mapping) else {}
-    names = [*type(value).model_fields, *(value.model_extra or {})]
-    return {n: getattr(value, n) for n in names if n in value.model_fields_set or n == "kind"}
+    return {name: v for name, v in value if name in value.model_fields_set or name == "kind"}
 
 
 def shorthand(key: str, *types: type) -> BeforeValidator:
@@ -98,15 +97,11 @@ class OneOf(Spec):
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
-        given = [name for name in self.names() if getattr(self, name) is not None]
+        given = [name for name, value in self if value is not None]
         if len(given) != 1:
             known = listed(type(self).model_fields)
             raise fault(f"needs exactly one of {known}, got {given or 'none'}")
         return self
-
-    def names(self) -> list[str]:
-        """Its keys, those of user classes too."""
-        return [*type(self).model_fields, *(self.model_extra or {})]
 
 
 # --- numbers and vectors -------------------------------------------------------------------------

@@ -82,14 +82,14 @@ class Geometry(OneOf):
     @property
     def shape(self) -> str:
         """Which one it is, such as ``plane``."""
-        return next(name for name in self.names() if getattr(self, name) is not None)
+        return next(name for name, value in self if value is not None)
 
     @property
     def value(self) -> Surface | None:
         """The surface; None if it is a user's whose class is not loaded."""
-        found = (
-            PointGeometry(at=self.point) if self.point is not None else getattr(self, self.shape)
-        )
+        found = dict(self)[self.shape]
+        if self.point is not None:
+            found = PointGeometry(at=self.point)
         return found if isinstance(found, Surface) else None
 
     def record(self) -> records.Surface:
