@@ -24,8 +24,15 @@ if TYPE_CHECKING:
     from multiarm.events.evaluation import evaluate
     from multiarm.reports.report import report
     from multiarm.results.trajectory import Trajectory, load_trajectory
-    from multiarm.scene import Scene, load_scene
-    from multiarm.scene.effects import register_effect
+    from multiarm.scene import (
+        Joint,
+        Scene,
+        Surface,
+        load_scene,
+        register_effect,
+        register_joint,
+        register_surface,
+    )
     from multiarm.simulation.simulate import simulate
     from multiarm.simulation.stepper import Stepper
     from multiarm.sweeps.many import simulate_many
@@ -39,10 +46,12 @@ _PACKAGES = ("grasp",)
 _HOMES = {
     "Effect": "effects.effect",
     "Evaluation": "dynamics.evaluation",
+    "Joint": "scene",
     "Loads": "effects.effect",
     "Scene": "scene",
     "State": "dynamics.state",
     "Stepper": "simulation.stepper",
+    "Surface": "scene",
     "Sweep": "sweeps.result",
     "System": "dynamics.system",
     "Trajectory": "results.trajectory",
@@ -52,7 +61,9 @@ _HOMES = {
     "load_scene": "scene",
     "load_sweep": "sweeps.result",
     "load_trajectory": "results.trajectory",
-    "register_effect": "scene.effects",
+    "register_effect": "scene",
+    "register_joint": "scene",
+    "register_surface": "scene",
     "replay": "viewer",
     "report": "reports.report",
     "simulate": "simulation.simulate",
@@ -63,11 +74,13 @@ _HOMES = {
 __all__ = [
     "Effect",
     "Evaluation",
+    "Joint",
     "Loads",
     "MultiarmError",
     "Scene",
     "State",
     "Stepper",
+    "Surface",
     "Sweep",
     "System",
     "Trajectory",
@@ -79,6 +92,8 @@ __all__ = [
     "load_sweep",
     "load_trajectory",
     "register_effect",
+    "register_joint",
+    "register_surface",
     "replay",
     "report",
     "simulate",

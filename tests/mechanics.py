@@ -17,20 +17,17 @@ from scipy.spatial.transform import Rotation
 
 from multiarm.contacts.kernel import BODY_WIDTH, CONTACT_WIDTH, write_row
 from multiarm.contacts.matrices import contact_matrices
-from multiarm.contacts.records import (
+from multiarm.contacts.surfaces import user_surface_callback
+from multiarm.contacts.table import KIND, LINK, PAIR, pack
+from multiarm.dynamics.arrays import Status
+from multiarm.geometry.records import (
     CONE,
     CYLINDER,
-    KIND,
-    LINK,
-    PAIR,
     PLANE,
     SPHERE,
     SURFACE_ON_OBJECT,
     TORUS,
-    pack,
 )
-from multiarm.contacts.surfaces import user_surface_callback
-from multiarm.dynamics.arrays import Status
 from multiarm.jit.pointers import PythonCallback
 from multiarm.scene import parse_scene
 

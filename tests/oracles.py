@@ -18,7 +18,7 @@ import pytest
 from mechanics import body_twist, carried, first_difference, kernel_rows, pose, second_difference
 from scipy.spatial.transform import Rotation
 
-from multiarm.contacts.records import (
+from multiarm.geometry.records import (
     CONE,
     CYLINDER,
     ELLIPSOID,
@@ -31,7 +31,7 @@ from multiarm.contacts.records import (
     smooth,
     torus,
 )
-from multiarm.contacts.smooth import ParametricSurface, SignedDistanceSurface
+from multiarm.geometry.smooth_surfaces import ParametricSurface, SignedDistanceSurface
 
 # How far from a pair of two surfaces the kernel has to begin to look for it [m].
 NEAR = 0.01

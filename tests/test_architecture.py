@@ -24,9 +24,9 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top.  A room is a module or a package directly below `multiarm`; it imports
 # rooms above it in this list only, wherever the import stands.  "multiarm" is the public surface.
 ROOMS = (
-    "errors", "jit", "spatial", "tableaus", "scene", "results", "contacts", "arms", "dynamics",
-    "control", "effects", "integration", "assembly", "events", "simulation", "terminal", "grasp",
-    "sweeps",
+    "errors", "geometry", "jit", "spatial", "tableaus", "scene", "results", "contacts", "arms",
+    "dynamics", "control", "effects", "integration", "assembly", "events", "simulation", "terminal",
+    "grasp", "sweeps",
     "plots", "viewer", "reports", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
@@ -85,7 +85,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
     "umsgpack": ("viewer",),
-    "yaml": ("reports.report", "scene", "cli.joint_cards", "sweeps.spec"),
+    "yaml": ("reports.report", "scene", "sweeps.spec"),
 }
 
 HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydantic"}
@@ -95,11 +95,13 @@ PUBLIC_ATTRIBUTES = {
     "Effect": "name Spec forces build",
     "Evaluation": "object_acceleration joint_accelerations contact_forces contact_forces_unique "
     "contact_points contact_normals position_residual velocity_residual residuals",
+    "Joint": "kind arm name at at_tip records",
     "Loads": "object_wrench joint_torques",
     "Scene": "name gravity object arms joints control effects run",
     "State": "position velocity object_position object_quaternion_xyzw object_twist "
     "joint_positions joint_velocities",
     "Stepper": "advance reset time state contact_forces events trajectory",
+    "Surface": "name patch record",
     "Sweep": "scene plan count complete runs paths quantities columns table status_counts select "
     "rows row summary values_of scene_of trajectory to_csv to_parquet provenance",
     "System": "scene arm_names arms initial_state state",
@@ -116,6 +118,8 @@ PUBLIC_PARAMETERS = {
     "load_sweep": "path",
     "load_trajectory": "path",
     "register_effect": "effect",
+    "register_joint": "joint",
+    "register_surface": "surface",
     "replay": "trajectory path open_browser fps speed",
     "report": "trajectory path",
     "simulate": "system duration state control sample_time sample_delay accuracy integrator step "
@@ -276,7 +280,9 @@ def test_public_names_stay_functions_and_classes_after_all_modules_were_imported
     wrong = in_fresh_python(
         "import importlib, inspect, json, multiarm\n"
         f"for name in {names}: importlib.import_module(name)\n"
-        "kinds = {name: getattr(home, name) for home in (multiarm, multiarm.grasp)\n"
+        "from multiarm import geometry\n"
+        "homes = multiarm, multiarm.grasp, geometry\n"
+        "kinds = {name: getattr(home, name) for home in homes\n"
         "    for name in home.__all__ if name != 'grasp'}\n"
         "print(json.dumps([name for name, value in kinds.items()\n"
         "    if not (inspect.isfunction(value) or inspect.isclass(value))]))"

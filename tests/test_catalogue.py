@@ -8,9 +8,9 @@ from mechanics import WORKED, carried, kernel_rows, pose, random_pose
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
-from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame, surface_offset
-from multiarm.contacts.records import COMBINED, PLANE, TANGENT, pack
+from multiarm.contacts.table import COMBINED, TANGENT, pack
 from multiarm.errors import ModelError
+from multiarm.geometry.records import PLANE
 from multiarm.scene import (
     BallJoint,
     ContactsJoint,
@@ -27,6 +27,7 @@ from multiarm.scene import (
     WeldJoint,
     WrenchesJoint,
 )
+from multiarm.scene.joints import BUILT_IN
 from multiarm.scene.loading import loaded_functions
 
 AXIS = (0.3, -0.5, 0.9)
@@ -111,7 +112,7 @@ IDS = [f"{joint.kind}_{k}" for k, joint in enumerate(JOINTS)]
 
 def rows_at(joint, X_OT, X_WO=None):
     X_WO = np.eye(4) if X_WO is None else X_WO
-    return kernel_rows(joint_contacts(joint, np.eye(4)), X_WO @ X_OT, X_WO)
+    return kernel_rows(joint.placed(np.eye(4)), X_WO @ X_OT, X_WO)
 
 
 @pytest.mark.parametrize("cls", WORKED_NAME, ids=lambda cls: cls.__name__)
@@ -150,7 +151,7 @@ def test_every_other_motion_opens_a_gap(joint, rng):
 def test_joint_frames_may_stand_anywhere(joint, rng):
     """Moved frames on both bodies change where a joint is, not what it is."""
     at_tip, X_OJ = Pose(xyz=(0.1, -0.2, 0.3), rpy=(0.4, -0.8, 1.2)), random_pose(rng)
-    moved = joint_contacts(joint.model_copy(update={"at_tip": at_tip}), X_OJ)
+    moved = joint.model_copy(update={"at_tip": at_tip}).placed(X_OJ)
     X_OT = X_OJ @ free_motion(joint, rng.uniform(-1, 1, 5)) @ np.linalg.inv(at_tip.matrix())
     X_WO = random_pose(rng)
     np.testing.assert_allclose(kernel_rows(moved, X_WO @ X_OT, X_WO).phi, 0.0, atol=1e-12)
@@ -159,7 +160,7 @@ def test_joint_frames_may_stand_anywhere(joint, rng):
 @pytest.mark.parametrize("joint", JOINTS, ids=IDS)
 def test_a_joint_placed_where_the_tip_is_is_closed(joint):
     """The offset puts a fingertip's face one radius away from its centre."""
-    X_JT = pose(np.eye(3), -surface_offset(joint))
+    X_JT = pose(np.eye(3), -joint.offset())
     np.testing.assert_allclose(rows_at(joint, X_JT).phi, 0.0, atol=1e-15)
 
 
@@ -170,7 +171,7 @@ def test_corner_gripper_is_example_3_1_of_the_thesis():
     joint = CornerGripperJoint(
         arm="a", points=example["inputs"]["points_in_object_frame"], at_tip=Pose(xyz=tuple(-first))
     )
-    contacts = joint_contacts(joint, np.eye(4))
+    contacts = joint.placed(np.eye(4))
     rows = kernel_rows(contacts, pose(np.eye(3), first), np.eye(4))
     np.testing.assert_allclose(rows.W_m, example["expected"]["W"], atol=1e-12)
     np.testing.assert_allclose(rows.W_m.T @ example["expected"]["T"], 0.0, atol=1e-9)
@@ -190,7 +191,7 @@ def test_welded_bodies_that_turn_need_a_centripetal_acceleration():
     example = WORKED["weld_bias"]
     data = example["inputs"]
     omega, x = np.array(data["omega"], float), np.array(data["x_m_minus_x_o"])
-    contacts = joint_contacts(WeldJoint(arm="a"), pose(np.eye(3), x))
+    contacts = WeldJoint(arm="a").placed(pose(np.eye(3), x))
     twist_O = np.concatenate([data["xdot_o"], omega])
     twist_T = np.concatenate([data["xdot_o"] + np.cross(omega, x), omega])
     rows = kernel_rows(contacts, pose(np.eye(3), x), np.eye(4), twist_T, twist_O)
@@ -211,37 +212,35 @@ def test_listed_contacts_meet_either_way_round():
 
 def test_every_kind_is_covered_here():
     tested = {joint.kind for joint in JOINTS} | {"corner_gripper", "contacts", "wrenches"}
-    assert tested == set(CATALOGUE)
+    assert tested == set(BUILT_IN)
 
 
 # --- the frame in which free motions are told -----------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "joint", [j for j in JOINTS if CATALOGUE[j.kind].free], ids=lambda j: j.kind
-)
+@pytest.mark.parametrize("joint", [j for j in JOINTS if j.free], ids=lambda j: j.kind)
 def test_free_components_are_the_motion_space_in_the_joints_frame(joint):
     at_tip, X_OJ = (
         Pose(xyz=(0.1, -0.2, 0.3), rpy=(0.4, -0.8, 1.2)),
         pose(turn([1, 2, 3], 0.7), AXIS),
     )
     joint = joint.model_copy(update={"at_tip": at_tip})
-    on_tip, on_object = joint_frame(joint, X_OJ)
+    on_tip, on_object = joint.frames(X_OJ)
     R, x = on_tip[:3, :3], on_tip[:3, 3]
-    W = kernel_rows(joint_contacts(joint, X_OJ), on_object @ np.linalg.inv(on_tip), np.eye(4)).W_m
+    W = kernel_rows(joint.placed(X_OJ), on_object @ np.linalg.inv(on_tip), np.eye(4)).W_m
     for k, way in enumerate(np.eye(6)):
         # a twist of the tip that is one component at the joint's frame, in the axes of the tip
         v, w = R @ way[:3], R @ way[3:]
         work = W.T @ np.concatenate([v + np.cross(x, w), w])
-        free = k in CATALOGUE[joint.kind].free
+        free = k in joint.free
         assert (np.max(np.abs(work)) < 1e-12) == free
 
 
 def test_the_joints_frame_has_the_axis_as_its_z_axis():
-    on_tip, on_object = joint_frame(RevoluteJoint(arm="a", axis=AXIS), np.eye(4))
+    on_tip, on_object = RevoluteJoint(arm="a", axis=AXIS).frames(np.eye(4))
     np.testing.assert_allclose(on_tip[:3, 2], along(AXIS, 1.0), atol=1e-15)
     np.testing.assert_array_equal(on_tip, on_object)
-    np.testing.assert_array_equal(joint_frame(UniversalJoint(arm="a"), np.eye(4))[0], np.eye(4))
+    np.testing.assert_array_equal(UniversalJoint(arm="a").frames(np.eye(4))[0], np.eye(4))
 
 
 # --- wrenches -------------------------------------------------------------------------------------
@@ -280,7 +279,7 @@ def test_directions_are_fixed_to_the_body_that_carries_them(carried_by, rng):
 
 def test_a_unit_force_is_a_plain_contact_and_other_wrenches_are_combinations():
     joint = WrenchesJoint(arm="a", wrenches=[[0.6, 0, 0.8, 0, 0.1, 0], couple([1, 0, 0])])
-    plain, combined = joint_contacts(joint, np.eye(4))
+    plain, combined = joint.placed(np.eye(4))
     assert (plain.is_combined, combined.is_combined) == (False, True)
     codes = pack([plain, combined]).codes
     assert list(codes[:2, 0]) == [PLANE, COMBINED]
@@ -337,7 +336,7 @@ def test_joints_of_wrenches_stay_closed_when_they_move_far(name, carried_by, rng
 
 def listed(arm, body, **more):
     joint = ContactsJoint(arm="a", contacts=[{"arm": arm, "object": body, **more}])
-    return joint_contacts(loaded_functions(joint), np.eye(4))
+    return loaded_functions(joint).placed(np.eye(4))
 
 
 HERE = [0.2, 0.0, 0.1]
@@ -388,7 +387,7 @@ def test_a_rolling_contact_has_two_rows_more():
 def test_contacts_that_stand_for_real_ones_are_known_to_push_only():
     real = {"point_on_plane", "point_on_cylinder", "point_on_sphere"}
     for joint in JOINTS:
-        told = {contact.pushes_only for contact in joint_contacts(joint, np.eye(4))}
+        told = {contact.pushes_only for contact in joint.placed(np.eye(4))}
         assert told == {joint.kind in real}
 
 
@@ -408,7 +407,7 @@ def test_a_patch_is_a_box_in_the_frame_of_the_joint_and_moves_with_it():
             }
         ],
     )
-    (contact,) = joint_contacts(joint, joint.at.matrix())
+    (contact,) = joint.placed(joint.at.matrix())
     patch = contact.object.patch
     assert contact.arm.patch is None
     assert patch.excess(np.array([1.25, -9.0, -9.0])) == pytest.approx(0.05)

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 import multiarm as ma
 from multiarm.cli import app
 from multiarm.errors import SceneError, SweepError
-from multiarm.scene import parse_scene, registry
+from multiarm.scene import EFFECTS, parse_scene
 
 MARKING = """
 from pathlib import Path
@@ -124,7 +124,7 @@ class Stranger:
         """Let this process be as one that has not loaded anything."""
         (self.folder / "marker").unlink(missing_ok=True)
         sys.modules.pop("strange_module", None)
-        registry._LOADED.clear()
+        EFFECTS.loaded.clear()
 
 
 @pytest.fixture
@@ -139,7 +139,7 @@ def folder(tmp_path, monkeypatch) -> Path:
         file.write_text(MARKING.format(folder=str(tmp_path)))
     (tmp_path / "gantry.urdf").write_text(slides())
     monkeypatch.syspath_prepend(installed)
-    monkeypatch.setattr(registry, "_LOADED", {})
+    monkeypatch.setattr(EFFECTS, "loaded", {})
     monkeypatch.setitem(sys.modules, "strange_module", None)
     del sys.modules["strange_module"]
     return tmp_path
@@ -455,7 +455,7 @@ def test_a_module_that_ends_the_program_on_import_is_an_error(kind, error, folde
 
 
 def test_controllers_quantities_and_effects_that_are_built_end_no_program(folder, monkeypatch):
-    monkeypatch.setattr(registry, "_REGISTERED", {})
+    monkeypatch.setattr(EFFECTS, "registered", {})
     scene = ma.load_scene(written(folder, "wrench").scene).replace(effects={})
 
     def leave(t, state):

@@ -21,7 +21,7 @@ from mechanics import (
     second_difference,
 )
 
-from multiarm.contacts.records import (
+from multiarm.geometry.records import (
     SURFACE_ON_ARM,
     SURFACE_ON_OBJECT,
     Contact,

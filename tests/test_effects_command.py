@@ -17,7 +17,7 @@ from multiarm.cli import app
 from multiarm.cli import check as check_command
 from multiarm.cli import effects as command
 from multiarm.effects.defaults import defaults
-from multiarm.scene import dump_scene, registry
+from multiarm.scene import EFFECTS, dump_scene
 from multiarm.simulation.comparison import rotation_apart
 from multiarm.studies.effect_costs import study
 from multiarm.studies.effect_costs.entries import (
@@ -60,7 +60,7 @@ def finite_json(text: str):
 @pytest.fixture
 def own(monkeypatch):
     """Register effects for one test."""
-    monkeypatch.setattr(registry, "_REGISTERED", {})
+    monkeypatch.setattr(EFFECTS, "registered", {})
 
     def effect(name: str, **body) -> None:
         body = {"forces": lambda self, t, state: ma.Loads(), **body, "name": name}

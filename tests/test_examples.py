@@ -12,7 +12,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from multiarm.scene import Scene
+from multiarm.scene import REGISTRIES, Scene
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 ROOT = Path(__file__).parents[1]
@@ -37,6 +37,8 @@ def printed(capsys, monkeypatch):
 def workshop(tmp_path, monkeypatch) -> Path:
     """A folder to work in that has the examples' scenes, like a checkout."""
     shutil.copytree(ROOT / "examples" / "scenes", tmp_path / "examples" / "scenes")
+    for own in REGISTRIES:
+        monkeypatch.setattr(own, "registered", {})
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -149,7 +151,7 @@ def test_what_accuracy_costs_meets_what_it_asks_for(printed):
 
 def test_a_magnet_in_python_and_a_compiled_one_move_the_object_alike(printed, monkeypatch):
     monkeypatch.setattr(sys, "path", list(sys.path))  # the example adds its package's folder
-    monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
     text = printed("07_own_effect.py")
     moved = figures("completed, moves the object by# mm, does# mJ of work, .* balanced to# J", text)
     assert moved[0][:2] == moved[1][:2] and moved[0][0] > 1.0
@@ -224,7 +226,7 @@ def test_all_python_of_the_readme_runs_and_prints_what_stands_below_it(workshop,
     pairs = re.findall(r"^```python\n(.*?)^```\n(?:\s*^```text\n(.*?)^```$)?", README, re.M | re.S)
     assert [code for code, _ in pairs] == blocks("python")
     for code, expected in pairs:
-        exec(compile(code, "README.md", "exec"), names)
+        exec(compile(code, "README.md", "exec", dont_inherit=True), names)
         printed = capsys.readouterr().out
         if expected:
             assert_same_print(printed, expected)

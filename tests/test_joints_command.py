@@ -15,14 +15,13 @@ from multiarm.cli.joint_cards import (
     common_parameters,
     contact_parameters,
     joint_cards,
-    joint_models,
     surface_cards,
 )
-from multiarm.contacts.catalogue import CATALOGUE
-from multiarm.contacts.screws import free_motions, wrenches_in_frame
+from multiarm.geometry.screws import free_motions, wrenches_in_frame
 from multiarm.scene import ContactSpec, Geometry, parse_scene
+from multiarm.scene.joints import BUILT_IN
 
-KINDS = sorted(CATALOGUE)
+KINDS = sorted(BUILT_IN)
 SURFACES = list(Geometry.model_fields)
 # Constraint rows of the joints that mechanisms are made of, as textbooks count them.
 ROWS = {
@@ -55,12 +54,12 @@ def flowing(text: str) -> str:
 
 @pytest.fixture(scope="module")
 def cards():
-    return joint_cards()
+    return joint_cards()[0]
 
 
 def test_every_kind_and_surface_of_the_schema_is_in_the_catalogue(cards):
-    assert set(cards) == set(CATALOGUE)
-    assert list(surface_cards()) == SURFACES
+    assert set(cards) == set(BUILT_IN)
+    assert list(surface_cards()[0]) == SURFACES
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -72,12 +71,12 @@ arms: {left: {robot: textbook_6r, tip: tool}}
     scene = parse_scene(text + cards[kind].example, folder=None)
     assert scene.joints[0].kind == kind
     (entry,) = yaml.safe_load(cards[kind].example)["joints"]
-    assert scene.joints == (joint_models()[kind].model_validate(entry),)
+    assert scene.joints == (BUILT_IN[kind].model_validate(entry),)
 
 
 @pytest.mark.parametrize("name", sorted(SURFACES))
 def test_every_example_of_a_surface_is_one_side_of_a_contact(name):
-    side = yaml.safe_load(surface_cards()[name].example)
+    side = yaml.safe_load(surface_cards()[0][name].example)
     other = {"object" if "arm" in side else "arm": {"point": [0, 0, 0]}}
     if name == "point":
         other = {"object": {"plane": {"normal": [0, 0, 1]}}}
@@ -96,13 +95,13 @@ def test_free_motions_are_those_of_the_textbook(kind, cards):
     assert cards[kind].free == FREE_MOTIONS[kind]
 
 
-@pytest.mark.parametrize("kind", sorted(k for k, own in CATALOGUE.items() if own.free is not None))
+@pytest.mark.parametrize("kind", sorted(k for k, own in BUILT_IN.items() if own.free is not None))
 def test_recorded_coordinates_are_the_free_motions(kind, cards):
     told = " ".join(cards[kind].free)
     slides, turns = (re.search(f"{verb} ([xyz, and]+)", told) for verb in ("along", "about"))
     found = [k for k, axis in enumerate("xyz") if slides and axis in slides[1].replace("and", "")]
     found += [k for k, axis in enumerate("xyz", 3) if turns and axis in turns[1].replace("and", "")]
-    assert tuple(found) == CATALOGUE[kind].free
+    assert tuple(found) == BUILT_IN[kind].free
 
 
 def test_a_fingertip_on_a_round_face_slides_across_its_normal(cards):
@@ -138,7 +137,7 @@ def test_a_force_through_a_frame_has_no_moment_in_it(rng):
 
 
 def test_parameters_carry_the_defaults_of_the_schema(cards):
-    for kind, model in joint_models().items():
+    for kind, model in BUILT_IN.items():
         for parameter in cards[kind].parameters:
             field = model.model_fields[parameter.name]
             if parameter.default in ("required", "none", "identity"):
@@ -149,7 +148,7 @@ def test_parameters_carry_the_defaults_of_the_schema(cards):
 
 
 def test_every_parameter_has_a_meaning_and_every_length_a_unit(cards):
-    owners = [*cards.values(), *surface_cards().values()]
+    owners = [*cards.values(), *surface_cards()[0].values()]
     parameters = [(owner, p) for owner in owners for p in owner.parameters]
     parameters += [("all", p) for p in [*common_parameters(), *contact_parameters()]]
     assert len(parameters) > 40

@@ -189,7 +189,7 @@ def test_kernels_that_python_calls_get_the_types_that_they_are_compiled_for(weld
 
 
 AHEAD = """
-from multiarm.integration.stepper import begin_chart as one, evaluate_slope as other
+from multiarm.integration.step import begin_chart as one, evaluate_slope as other
 from multiarm.jit.ahead import argument_types, compile_ahead, compile_all
 
 if __name__ == "__main__":
@@ -208,7 +208,7 @@ def test_kernels_compiled_by_other_processes_are_loaded(tmp_path):
         [sys.executable, "-c", AHEAD], env=environment, capture_output=True, text=True, check=True
     )
     first, waits, *hits = done.stdout.splitlines()
-    assert first == "multiarm.integration.stepper:begin_chart"
+    assert first == "multiarm.integration.step:begin_chart"
     assert waits == "None True"  # the first one is in the cache already
     assert hits == ["1", "1"]
 

@@ -45,8 +45,14 @@ from multiarm.contacts.motion_space import (
     motion_space,
     motion_space_in_rates,
 )
-from multiarm.contacts.records import Contact, cylinder, plane, point, sphere
 from multiarm.errors import GraspError, ModelError
+from multiarm.geometry.records import (
+    Contact,
+    cylinder,
+    plane,
+    point,
+    sphere,
+)
 
 CORNER = WORKED["example_3_1"]
 POINTS = np.array(CORNER["inputs"]["points_in_object_frame"])

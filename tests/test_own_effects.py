@@ -16,7 +16,7 @@ from mechanics import SCENES
 
 import multiarm as ma
 from multiarm.effects.defaults import defaults
-from multiarm.scene import dump_scene, parse_scene, registry
+from multiarm.scene import EFFECTS, dump_scene, parse_scene, registry
 
 ROOT = Path(__file__).parents[1]
 RING = ma.load_scene(SCENES / "ring_weld.yaml")
@@ -25,8 +25,8 @@ RING = ma.load_scene(SCENES / "ring_weld.yaml")
 @pytest.fixture(autouse=True)
 def empty_registry(monkeypatch):
     """Each test begins with no effects but ours, and leaves none behind."""
-    monkeypatch.setattr(registry, "_REGISTERED", {})
-    monkeypatch.setattr(registry, "_LOADED", {})
+    monkeypatch.setattr(EFFECTS, "registered", {})
+    monkeypatch.setattr(EFFECTS, "loaded", {})
     offered([], monkeypatch)
 
 
@@ -292,7 +292,7 @@ def test_a_stored_run_is_looked_at_without_the_effect(tmp_path):
     ma.register_effect(Spring)
     scene = RING.replace(effects={"spring": {"stiffness": 2.0}})
     ma.simulate(ma.compile_system(scene), 0.05).save(tmp_path / "run.h5")
-    registry._REGISTERED.clear()
+    EFFECTS.registered.clear()
     run = ma.load_trajectory(tmp_path / "run.h5")
     assert run.scene.effects.named == {"spring": {"stiffness": 2.0}}
     assert "effects/spring/work" in run.channels
@@ -396,7 +396,7 @@ def test_a_class_that_is_defined_again_replaces_the_former_one():
     first = effect_of(lambda t, s: ma.Loads())
     again = effect_of(lambda t, s: ma.Loads())
     assert first is not again
-    assert registry.find_effect("push") is again
+    assert EFFECTS.find("push") is again
 
 
 def test_what_build_returns_is_checked():

@@ -24,7 +24,7 @@ from oracles import (
     swapped,
 )
 
-from multiarm.contacts.records import (
+from multiarm.geometry.records import (
     Contact,
     cone,
     cylinder,

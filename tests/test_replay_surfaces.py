@@ -9,10 +9,11 @@ import pytest
 from mechanics import ur5_pair
 
 import multiarm as ma
-from multiarm.contacts import records
-from multiarm.contacts.records import Contact, Patch, Surface, pack
-from multiarm.contacts.smooth import ParametricSurface
 from multiarm.contacts.surfaces import DISTANCE, GRADIENT, PLACE, QUERY_WIDTH, local_distance
+from multiarm.contacts.table import pack
+from multiarm.geometry import records
+from multiarm.geometry.records import Contact, Patch, Surface
+from multiarm.geometry.smooth_surfaces import ParametricSurface
 from multiarm.viewer.animate import animate
 from multiarm.viewer.contact_tracks import surface_mesh
 

@@ -16,7 +16,14 @@ from oracles import Side, meeting, swapped
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.contacts.records import cone, cylinder, ellipsoid, plane, sphere, torus
+from multiarm.geometry.records import (
+    cone,
+    cylinder,
+    ellipsoid,
+    plane,
+    sphere,
+    torus,
+)
 
 ZERO, Z, AXES = np.zeros(3), np.array([0.0, 0.0, 1.0]), np.eye(3)
 EGG = ellipsoid(ZERO, AXES, (0.3, 0.2, 0.25))

@@ -481,7 +481,7 @@ def hollow(geometry, **changes):
             "object.ellipsoid: gives both 'rpy' and 'quaternion_xyzw'; keep one of them",
         ),
         (BALL, {"plane": {"normal": [0, 0, 1], "inside": True}}, "unknown key 'inside'"),
-        (BALL, {"ball": {}}, "unknown key 'ball'"),
+        (BALL, {"ball": {}}, "unknown surface 'ball'; surfaces are 'point', 'sphere'"),
         (BALL, {**FACE, **ROD}, "needs exactly one of 'point', 'sphere', 'plane', 'cylinder'"),
         (BALL, {"surface": {}}, "needs either 'distance' or 'parametrisation', got neither"),
         (BALL, {"surface": {"distance": 3}}, "must be a Python function, or name one as 'file.py"),

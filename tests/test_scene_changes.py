@@ -147,7 +147,7 @@ def test_naming_one_setting_of_the_steps_replaces_the_choice_of_all(scene):
 
 
 def test_parameters_of_own_effects_are_changed_and_checked(monkeypatch):
-    monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
 
     class Pull(ma.Effect):
         name = "pull"

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mechanics import EPS, WORKED
 
-from multiarm.contacts.screws import COUPLE_TOLERANCE, SHORTEST_LEVER, screw_system, zero_pitch
 from multiarm.errors import GraspError
+from multiarm.geometry.screws import COUPLE_TOLERANCE, SHORTEST_LEVER, screw_system, zero_pitch
 
 ZERO_PITCH = [name for name in WORKED if name.startswith("zero_pitch")]
 directions = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: math.hypot(*v) > 1e-2)

@@ -190,7 +190,7 @@ def test_a_run_that_cannot_begin_is_a_failed_one_and_the_others_go_on(system, st
 
 
 def test_a_run_that_fails_on_the_way_keeps_its_samples_and_leaves_the_others_alone(monkeypatch):
-    monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
 
     class Breaks(ma.Effect):
         name = "breaks"
@@ -214,7 +214,7 @@ def test_a_run_that_fails_on_the_way_keeps_its_samples_and_leaves_the_others_alo
 
 
 def test_what_is_no_trouble_of_a_run_is_raised_after_the_others_ended(monkeypatch):
-    monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
 
     class Odd(ma.Effect):
         name = "odd"

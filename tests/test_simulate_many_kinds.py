@@ -158,7 +158,7 @@ def test_a_controller_in_python_is_asked_by_all(welded_ur5_system):
 
 def test_every_thread_has_an_instance_of_an_own_effect(monkeypatch, welded_ur5_system):
     """One that remembers is seen to give the numbers of a run alone, if its instance is its own."""
-    monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
     used: dict[int, int] = {}  # thread -> instance
     all_run = threading.Barrier(4)
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from multiarm.contacts.smooth import ParametricSurface, SignedDistanceSurface
 from multiarm.errors import ModelError
+from multiarm.geometry.smooth_surfaces import ParametricSurface, SignedDistanceSurface
 
 TURN = (0.0, 2.0 * math.pi)
 POLES = (-0.5 * math.pi, 0.5 * math.pi)

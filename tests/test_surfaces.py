@@ -22,7 +22,14 @@ from oracles import (
     waves_side,
 )
 
-from multiarm.contacts.records import cone, cylinder, ellipsoid, plane, sphere, torus
+from multiarm.geometry.records import (
+    cone,
+    cylinder,
+    ellipsoid,
+    plane,
+    sphere,
+    torus,
+)
 
 ZERO, Z, AXES = np.zeros(3), np.array([0.0, 0.0, 1.0]), np.eye(3)
 STEP = 5e-3  # [s] of the order-8 differences

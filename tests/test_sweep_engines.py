@@ -322,7 +322,7 @@ def test_a_run_is_simulated_again_without_a_word_when_only_functions_are_another
 
 
 def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypatch):
-    monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
 
     class Pull(ma.Effect):
         name = "pull"
@@ -418,7 +418,7 @@ def test_a_sweep_that_is_stopped_goes_on_where_it_was(scene, expected, tmp_path)
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.99], ids=["run", "check", "end of check"])
 def test_a_run_that_ctrl_c_ended_is_no_row_nor_one_whose_check_it_ended(scene, share, monkeypatch):
-    monkeypatch.setattr("multiarm.scene.registry._REGISTERED", {})
+    monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
     calls, when = [], [None]
 
     class Press(ma.Effect):

@@ -11,10 +11,11 @@ from mechanics import scene_of, single_arm
 
 import multiarm as ma
 from multiarm.assembly.start import project_velocity
-from multiarm.contacts.records import SHAPE_WIDTH, ellipsoid, pack, point
-from multiarm.contacts.records import Contact as Record
 from multiarm.contacts.surfaces import DISTANCE, PLACE, QUERY_WIDTH, SECOND, local_distance
+from multiarm.contacts.table import SHAPE_WIDTH, pack
 from multiarm.errors import SceneError
+from multiarm.geometry.records import Contact as Record
+from multiarm.geometry.records import ellipsoid, point
 
 SLEDGE = """<robot name="sledge"><link name="ground"/>
 <joint name="rail" type="prismatic"><parent link="ground"/><child link="runner"/>

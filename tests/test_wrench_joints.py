@@ -24,8 +24,7 @@ from mechanics import (
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame
-from multiarm.contacts.records import Contact, plane, point
+from multiarm.geometry.records import Contact, plane, point
 from multiarm.scene import (
     BallJoint,
     CylindricalJoint,
@@ -92,7 +91,7 @@ def test_roundings_of_the_wrenches_do_not_move_the_contacts(kind, across, rng):
 
     def rows(wrenches):
         joint = WrenchesJoint(arm="a", wrenches=wrenches.tolist())
-        return kernel_rows(joint_contacts(joint, np.eye(4)), *poses).W_o
+        return kernel_rows(joint.placed(np.eye(4)), *poses).W_o
 
     expected = rows(wrenches)
     for _ in range(20):
@@ -146,7 +145,7 @@ def hinged():
 def test_hinge_of_wrenches_is_one_at_every_angle(basis, carried_by):
     """The gaps stay closed, and the rows as independent as they were."""
     joint = WrenchesJoint(arm="a", wrenches=basis, carried_by=carried_by)
-    contacts = joint_contacts(joint, np.eye(4))
+    contacts = joint.placed(np.eye(4))
     spread = []
     for angle in np.linspace(-math.pi, math.pi, 25):
         rows = kernel_rows(contacts, free_pose("revolute", (5,), [angle]), np.eye(4))
@@ -243,9 +242,9 @@ def free_pose(kind: str, free, values) -> np.ndarray:
 def test_a_joint_allows_its_own_finite_motions_and_nothing_else(joint, rng):
     """Gaps stay closed along whole turns and metres; the rows hold everything else everywhere."""
     joint = joint.model_copy(update={"at_tip": Pose(xyz=(0.1, -0.2, 0.3), rpy=(0.4, -0.8, 1.2))})
-    X_OJ, free = random_pose(rng), CATALOGUE[joint.kind].free
-    contacts = joint_contacts(joint, X_OJ)
-    on_tip, on_object = joint_frame(joint, X_OJ)
+    X_OJ, free = random_pose(rng), joint.free
+    contacts = joint.placed(X_OJ)
+    on_tip, on_object = joint.frames(X_OJ)
     ranges = [1.5 if k < 3 or joint.kind == "universal" else math.pi for k in free]
     for _ in range(20):
         X_JJ = free_pose(joint.kind, free, [rng.uniform(-r, r) for r in ranges])

@@ -16,14 +16,13 @@ from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.paths import joint_path
 from multiarm.assembly.start import assemble, check_patches, check_unilateral
-from multiarm.contacts.catalogue import CATALOGUE, joint_contacts, joint_frame, surface_offset
-from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
-from multiarm.contacts.records import ContactTable, pack
+from multiarm.contacts.joint import COMPONENTS, FRAME_WIDTH, Joint, JointFrame
+from multiarm.contacts.table import ContactTable, pack
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
 from multiarm.control.laws import ControlProgram, JointPath, control_program, needs_gravity_torque
 from multiarm.dynamics.arrays import Constants
 from multiarm.dynamics.callbacks import NO_CONTROL, ControlFunction
-from multiarm.dynamics.contact_geometry import free_components, locate_pairs
+from multiarm.dynamics.contact_geometry import free_components, joint_wrenches, locate_pairs
 from multiarm.dynamics.equations import (
     kinematics,
     right_hand_sides,
@@ -33,6 +32,7 @@ from multiarm.dynamics.equations import (
 )
 from multiarm.dynamics.held_control import with_held_control
 from multiarm.dynamics.model import Data, Model, with_effects, with_rows
+from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver_monitor import compare_solution, record_solution
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import StartReport, System, require_control
@@ -45,12 +45,13 @@ from multiarm.effects.unilateral import unilateral_kernels
 from multiarm.errors import ModelError
 from multiarm.integration.monitors import make_monitors
 from multiarm.integration.near_singular import evaluate_near_singular
-from multiarm.integration.stepper import evaluate_slope
+from multiarm.integration.step import evaluate_slope
 from multiarm.integration.time_loop import advance
 from multiarm.jit.ahead import compile_ahead
 from multiarm.scene import (
     ARM_TERMS,
     ArmSpec,
+    JointSpec,
     NamedCode,
     ResolvedArm,
     Scene,
@@ -60,6 +61,7 @@ from multiarm.scene import (
     with_code,
     without_code,
 )
+from multiarm.scene.joints import BUILT_IN
 from multiarm.spatial import matrix_to_quaternion
 
 # Functions of an evaluation: compiled at once, and when first called.
@@ -124,7 +126,7 @@ def compile_system(
     scene = with_code(_with_arms(scene, arms), code)
     compile_ahead([advance, evaluate_slope])  # a run needs them: the first time in the background
     robots = load_robots(scene, like)  # URDF -> arms with tips and limits
-    joints = scene_joints(scene, robots, like)  # contact records, from the catalogue or as written
+    joints = scene_joints(scene, robots, like)  # contact records of every joint
     rows = contact_rows(scene, robots, joints)  # all rows of W, unilateral ones too
     backends = arm_backends(scene, robots, like)  # Pinocchio or compiled copies
     draft = draft_model(scene, robots, joints, rows, backends)  # bodies, rows, effects
@@ -142,7 +144,7 @@ def compile_for_inspection(scene: Scene, arms: str | None = None) -> tuple[Syste
     """Build a system without the code that the scene names, and list that code.
 
     Where joints lack contacts without it, the start is as written, not assembled, the free motions
-    of joints are those of the catalogue only, and there is no control.
+    of joints are those that their kinds fix, and there is no control.
 
     Raises
     ------
@@ -286,19 +288,16 @@ def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> di
 
 def _make_joint(joint: Any, scene: Scene, arm: Arm, posture: np.ndarray) -> Joint:
     """Contacts, frame and limits of a joint; without ``at`` it is where the tip is at the start."""
-    if joint.at is not None:
-        pose = joint.at.matrix()
-    else:
-        offset = np.eye(4)
-        offset[:3, 3] = surface_offset(joint)
-        frame = arm.tip_pose(posture) @ joint.at_tip.matrix() @ offset
-        pose = np.linalg.solve(scene.object.pose.matrix(), frame)
-    on_tip, on_object = joint_frame(joint, pose)
     try:
-        contacts = joint_contacts(joint, pose)
+        if joint.at is not None:
+            pose = joint.at.matrix()
+        else:
+            frame = arm.tip_pose(posture) @ joint.at_tip.matrix() @ joint.start_shift()
+            pose = np.linalg.solve(scene.object.pose.matrix(), frame)
+        contacts, (on_tip, on_object) = joint.placed(pose), joint.frames(pose)
     except ModelError as error:
         raise ModelError(f"joint of arm '{joint.arm}': {error}") from error
-    frame = JointFrame(on_tip, on_object, CATALOGUE[joint.kind].free or ())
+    frame = JointFrame(on_tip, on_object, joint.free or ())
     return Joint(contacts, frame, joint.free_limits)
 
 
@@ -477,10 +476,25 @@ def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame
     closed, frames = data.with_contacts_closed(), {}
     for joint in scene.joints:
         frame = closed.model.frames[joint.arm]
-        if CATALOGUE[joint.kind].free is None:
+        if joint.free is None:
             frame = replace(frame, free=free_components(closed, joint.arm, start))
+        elif joint.kind not in BUILT_IN:
+            _check_free(joint, closed, start)
         frames[joint.arm] = frame
     return {name: frames[name] for name in closed.model.arm_names}
+
+
+def _check_free(joint: JointSpec, data: Data, start: State) -> None:
+    """Raise unless the components that a kind calls free are coordinates of its free motions."""
+    found = free_components(data, joint.arm, start)
+    space = null_space(joint_wrenches(data, joint.arm)).basis  # (6, m)
+    parts = space[list(joint.free or ())]
+    if len(parts) != len(found) or np.linalg.matrix_rank(parts, 1e-6) < len(found):
+        motions = ", ".join(COMPONENTS[k] for k in found) or "no motion"
+        raise ModelError(
+            f"joint of arm '{joint.arm}': joint kind {joint.kind!r} says free = {joint.free}, but "
+            f"its contacts leave {motions} free; correct it, or leave it out"
+        )
 
 
 def control_law(scene: Scene, data: Data, start: State) -> ControlProgram:

@@ -40,7 +40,7 @@ from functools import cached_property
 import numpy as np
 
 from multiarm.contacts.kernel import GAP
-from multiarm.contacts.records import KIND, TANGENT
+from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.kinematics import read_inertia

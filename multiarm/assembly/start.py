@@ -34,7 +34,7 @@ from multiarm.assembly.loop_closure import (
     scene_size,
 )
 from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.contacts.records import JointRow
+from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import LIMIT, SURROUNDINGS, Constraint
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_geometry import patch_margin, place_state

@@ -15,10 +15,11 @@ from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
 from multiarm.errors import MultiarmError
-from multiarm.terminal.console import columns, facts, output
+from multiarm.terminal.console import columns, facts, output, print_warnings
 
 if TYPE_CHECKING:
-    from multiarm.cli.joint_cards import JointCard, Parameter, SurfaceCard
+    from multiarm.cli.joint_cards import JointCard, SurfaceCard
+    from multiarm.cli.parameters import Parameter
 
 __all__ = ["joints"]
 
@@ -49,7 +50,8 @@ def joints(
     check_targets({"--json": json})
     from multiarm.cli import joint_cards as cards
 
-    joint_cards, surface_cards = cards.joint_cards(), cards.surface_cards()
+    (joint_cards, faults), (surface_cards, further) = cards.joint_cards(), cards.surface_cards()
+    print_warnings([*faults, *further])
     known = [*joint_cards, SURFACES, *surface_cards]
     if kind is not None and kind not in known:
         from multiarm.scene.faults import unknown
@@ -96,11 +98,11 @@ def _joint_listing(cards: dict[str, JointCard]) -> Table:
     for card in cards.values():
         lines = [Text(card.picture)]
         if not card.as_listed:
-            lines.append(_line("free", ", ".join(card.free) or "nothing"))
+            lines.append(_line("free", _motions(card, "nothing")))
             lines.append(_line("made of", card.made_of))
         if card.parameters:
             lines.append(_line("parameters", "; ".join(_brief(p) for p in card.parameters)))
-        count = "any" if card.as_listed else str(card.rows)
+        count = "any" if card.as_listed else str(card.rows or "")
         rows.append((Text(card.kind, "bold"), count, Group(*lines, "")))
     return columns("Joints", ("kind", "rows", "what it is"), rows)
 
@@ -119,8 +121,8 @@ def _one_joint(card: JointCard) -> list[RenderableType]:
     here = "; those of the example" if card.as_listed else ""
     about: dict[str, RenderableType] = {
         "what it is": card.picture,
-        "rows": f"{card.rows}, rank {card.rank}{here}",
-        "free motions": ", ".join(card.free) or "none",
+        "rows": f"{card.rows}, rank {card.rank}{here}" if card.rank else str(card.rows or ""),
+        "free motions": _motions(card, "none"),
         "made of": card.made_of,
         "names of the rows": ", ".join(card.row_names),
     }
@@ -128,6 +130,12 @@ def _one_joint(card: JointCard) -> list[RenderableType]:
     if card.parameters:
         parts.append(_parameter_table("Parameters", card.parameters))
     return parts
+
+
+def _motions(card: JointCard, none: str) -> str:
+    if card.free is None:
+        return "depend on the scene, see multiarm check"
+    return ", ".join(card.free) or none
 
 
 def _one_surface(card: SurfaceCard) -> list[RenderableType]:

@@ -29,7 +29,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.contacts.screws import (
+from multiarm.errors import GraspError
+from multiarm.geometry.screws import (
     COUPLE_TOLERANCE,
     RANK_TOLERANCE,
     canonical_basis,
@@ -40,7 +41,6 @@ from multiarm.contacts.screws import (
     screw_system,
     wrench_matrix,
 )
-from multiarm.errors import GraspError
 
 FORMS = ("orthonormal", "nonnegative", "echelon")
 # A combination presses all contacts when the weakest has this part of the strongest.

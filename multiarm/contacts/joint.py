@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.kernel import ORIGIN_AT, SPIN, VELOCITY
-from multiarm.contacts.records import Contact
+from multiarm.geometry.records import Contact
 from multiarm.jit.kernels import kernel
 from multiarm.jit.vectors import (
     add,
@@ -39,7 +39,7 @@ from multiarm.jit.vectors import (
     sub,
     vec,
 )
-from multiarm.scene import JointBase
+from multiarm.scene import JointSpec
 
 # A row of joint frames: the arm's in its link (rotation row by row, origin), the object's in it.
 ON_LINK, ON_OBJECT, FRAME_WIDTH = 0, 12, 24
@@ -97,9 +97,9 @@ class Joint(NamedTuple):
     contacts : list of Contact
         The arm's geometry in the tip frame.
     frame : JointFrame
-        Without free components where the catalogue does not fix them.
+        Without free components where the joint's kind does not fix them.
     limits : dict
-        By component of the relative motion, see :attr:`multiarm.scene.JointBase.free_limits`.
+        By component of the relative motion, see :attr:`multiarm.scene.Joint.free_limits`.
     """
 
     contacts: list[Contact]
@@ -139,7 +139,7 @@ class Limit:
         return UNITS[self.component]
 
 
-def limits_of(joint: JointBase) -> tuple[Limit, ...]:
+def limits_of(joint: JointSpec) -> tuple[Limit, ...]:
     """The limits of a scene's joint: none, or one for each coordinate that has them."""
     return tuple(Limit(component, *ends) for component, ends in joint.free_limits.items())
 

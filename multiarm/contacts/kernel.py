@@ -69,28 +69,26 @@ from __future__ import annotations
 
 import math
 
-from multiarm.contacts.records import (
+from multiarm.contacts.surfaces import DISTANCE, GRADIENT, SECOND, world_distance
+from multiarm.contacts.table import (
     AXIS,
     COMBINED,
     COUNT,
     CURVED,
-    CYLINDER,
     JOINT,
     KIND,
     LINK,
     ORIGIN,
     PAIR,
-    PLANE,
     POINT,
     RADIUS,
     SIDE,
     SURFACE_BODY,
-    SURFACE_ON_OBJECT,
     TANGENT,
     TIP_RADIUS,
     WEIGHT,
 )
-from multiarm.contacts.surfaces import DISTANCE, GRADIENT, SECOND, world_distance
+from multiarm.geometry.records import CYLINDER, PLANE, SURFACE_ON_OBJECT
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.vectors import (
@@ -189,7 +187,7 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
     into_object : float
         -1 when the surface is the object's (its outward normal then points out of the object).
     geometry : float64 (13,)
-        One row of a :class:`~multiarm.contacts.records.ContactTable`.
+        One row of a :class:`~multiarm.contacts.table.ContactTable`.
     a, b : float64 (24,)
         Kinematics of the body with the point and of the body with the surface.
     relative : float64 (15,)
@@ -255,7 +253,7 @@ def write_row(k, arm, body, codes, geometry, shapes, calls, rows, parts, scratch
     arm, body : (24,)
         Kinematics of the arm's link and of the object.
     codes, geometry, shapes
-        The contact table, see :class:`multiarm.contacts.records.ContactTable`.
+        The contact table, see :class:`multiarm.contacts.table.ContactTable`.
     calls : int
         Address of the callback for user surfaces.
     rows, parts : (N, 18), (P, 18), written

@@ -37,15 +37,15 @@ from multiarm.contacts.kernel import (
     SPIN,
     VELOCITY,
 )
-from multiarm.contacts.records import (
+from multiarm.contacts.table import (
     COMBINED,
     COUNT,
     KIND,
     LINK,
     SURFACE_BODY,
-    SURFACE_ON_OBJECT,
     WEIGHT,
 )
+from multiarm.geometry.records import SURFACE_ON_OBJECT
 
 
 class ContactTerms(NamedTuple):
@@ -99,7 +99,7 @@ def contact_matrices(
     Parameters
     ----------
     codes : int64 (N + P, 4), geometry : (N + P, 13)
-        The table, see :class:`multiarm.contacts.records.ContactTable`.
+        The table, see :class:`multiarm.contacts.table.ContactTable`.
     rows : (N + P, 18)
         Kinematics of its rows, followed by those of the parts of combined rows.
     wanted : int (k,)

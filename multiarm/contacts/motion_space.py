@@ -28,7 +28,8 @@ import numpy as np
 
 from multiarm.contacts.joint import COMPONENTS, JointFrame
 from multiarm.contacts.matrices import RelativeMotion
-from multiarm.contacts.screws import (
+from multiarm.errors import GraspError
+from multiarm.geometry.screws import (
     RANK_TOLERANCE,
     ScrewSystem,
     chosen_rows,
@@ -38,7 +39,6 @@ from multiarm.contacts.screws import (
     screw_system,
     wrench_matrix,
 )
-from multiarm.errors import GraspError
 from multiarm.spatial import skew
 
 # Rates whose smallest singular value on the free motions is below this cannot be coordinates.

@@ -22,17 +22,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-from multiarm.contacts.records import (
-    CONE,
-    CYLINDER,
-    ELLIPSOID,
-    PLANE,
+from multiarm.contacts.table import (
     SHAPE_AXES,
     SHAPE_FUNCTION,
     SHAPE_KIND,
     SHAPE_ORIGIN,
     SHAPE_SIDE,
     SHAPE_SIZES,
+)
+from multiarm.geometry.records import (
+    CONE,
+    CYLINDER,
+    ELLIPSOID,
+    PLANE,
     SPHERE,
     TORUS,
     SmoothShape,

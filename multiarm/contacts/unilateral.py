@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.records import Contact, JointRow, Patch, plane, sphere
+from multiarm.contacts.table import JointRow
 from multiarm.errors import SceneError
+from multiarm.geometry.records import Contact, Patch, plane, sphere
 from multiarm.scene import Mesh, Scene, Shape
 from multiarm.scene.effects import FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown

@@ -25,23 +25,15 @@ from multiarm.contacts.matrices import (
     contact_matrices,
     seen_from_object,
 )
-from multiarm.contacts.records import (
+from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
+from multiarm.contacts.table import (
     CURVED,
-    CYLINDER,
     KIND,
     LINK,
     PAIR,
-    PLANE,
-    SPHERE,
     SURFACE_BODY,
-    SURFACE_ON_ARM,
-    SURFACE_ON_OBJECT,
     TIP_RADIUS,
-    Contact,
-    Patch,
 )
-from multiarm.contacts.screws import first_largest
-from multiarm.contacts.surfaces import DISTANCE, SECOND, world_distance
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import update_kinematics
@@ -49,6 +41,16 @@ from multiarm.dynamics.model import Data, Evaluated, Model
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.errors import ModelError, SceneError
+from multiarm.geometry.records import (
+    CYLINDER,
+    PLANE,
+    SPHERE,
+    SURFACE_ON_ARM,
+    SURFACE_ON_OBJECT,
+    Contact,
+    Patch,
+)
+from multiarm.geometry.screws import first_largest
 from multiarm.spatial import quaternion_to_matrix
 
 

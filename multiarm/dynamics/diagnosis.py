@@ -22,12 +22,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.records import Contact
 from multiarm.dynamics.arrays import CONTRADICTION, NOT_FINITE, PROJECTION_FAILED
 from multiarm.dynamics.contact_geometry import joint_origin, joint_wrenches
 from multiarm.dynamics.model import Data, Evaluated
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.node import NO_INERTIA
+from multiarm.geometry.records import Contact
 
 # Motion along a direction, relative to that along the arm's best one, that counts as little ...
 LITTLE = 5e-3

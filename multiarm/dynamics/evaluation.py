@@ -22,7 +22,6 @@ from multiarm.contacts.motion_space import (
     motion_space,
     motion_space_in_rates,
 )
-from multiarm.contacts.records import Contact
 from multiarm.contacts.unilateral import SURROUNDINGS
 from multiarm.dynamics.arrays import OK, Variables
 from multiarm.dynamics.contact_geometry import (
@@ -46,6 +45,7 @@ from multiarm.dynamics.solver.singular import PART_TOLERANCE, CoupledWork, loose
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import SolverError
+from multiarm.geometry.records import Contact
 
 Rows = TypeVar("Rows", np.ndarray, tuple)
 Arrays = TypeVar("Arrays", Variables, NodeWork, CoupledWork)

@@ -24,7 +24,13 @@ from multiarm.contacts.kernel import (
     VELOCITY,
     write_rows,
 )
-from multiarm.contacts.records import COMBINED, KIND, RADIUS, SIDE, WEIGHT
+from multiarm.contacts.table import (
+    COMBINED,
+    KIND,
+    RADIUS,
+    SIDE,
+    WEIGHT,
+)
 from multiarm.jit.kernels import inlined
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack

@@ -25,20 +25,18 @@ from multiarm.arms.backends import ArmBackends, Ground
 from multiarm.arms.terms import Coriolis
 from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.contacts.kernel import RELATIVE_WIDTH
-from multiarm.contacts.records import (
+from multiarm.contacts.surfaces import user_surface_callback
+from multiarm.contacts.table import (
     COUNT,
     JOINT,
     KIND,
     LINK,
     PAIR,
     TANGENT,
-    Contact,
     ContactTable,
     JointRow,
-    SmoothShape,
     pack,
 )
-from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints
 from multiarm.dynamics.arrays import (
     ALWAYS,
@@ -62,6 +60,7 @@ from multiarm.dynamics.solver.node import NodeWork, make_work
 from multiarm.dynamics.solver.singular import CoupledWork, make_coupled
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import ModelError
+from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of

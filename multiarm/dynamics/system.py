@@ -16,12 +16,12 @@ import numpy as np
 
 from multiarm.arms.arm import Arm
 from multiarm.contacts.joint import COMPONENTS, UNITS, JointFrame
-from multiarm.contacts.records import Contact
 from multiarm.dynamics.callbacks import ControlFunction, PythonControl
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector, fill_by_arm
 from multiarm.errors import ControlError, ModelError
+from multiarm.geometry.records import Contact
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.scene import Scene
 

@@ -19,9 +19,7 @@ from multiarm.errors import ModelError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import call_python
 from multiarm.jit.structs import floats1, ints1, struct_at
-from multiarm.scene import JointOutline, Scene, joint_vector
-from multiarm.scene.effects import WITH_EVENTS
-from multiarm.scene.registry import find_effect
+from multiarm.scene import EFFECTS, WITH_EVENTS, JointOutline, Scene, joint_vector
 
 
 class Link(NamedTuple):
@@ -166,7 +164,7 @@ def joint_numbers(
 
 def _user_kernels(name: str, spec: Any, context: BuildContext) -> list[EffectKernel]:
     """The kernels of a user-defined effect."""
-    effect = find_effect(name)
+    effect = EFFECTS.find(name)
     if effect is None:
         raise ModelError(
             f"effects.{name}: the package of this effect is not installed; install it, or register "

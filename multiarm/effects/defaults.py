@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.scene import Scene, Shape
-from multiarm.scene.registry import find_effect, own_effect_names
+from multiarm.scene import EFFECTS, Scene, Shape
 
 
 def defaults(scene: Scene) -> dict[str, Any]:
@@ -20,7 +19,7 @@ def defaults(scene: Scene) -> dict[str, Any]:
 
     Of user-defined effects, those with a class attribute ``default``.
     """
-    own = {name: getattr(find_effect(name), "default", None) for name in own_effect_names()}
+    own = {name: getattr(EFFECTS.find(name), "default", None) for name in EFFECTS.names()}
     known = type(scene.effects).model_fields
     found = {name: make(scene) for name, make in _TYPICAL.items() if name in known}
     return {name: value for name, value in {**found, **own}.items() if value is not None}

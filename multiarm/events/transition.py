@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.contacts.records import JointRow
+from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import points_and_normals
 from multiarm.errors import SolverError

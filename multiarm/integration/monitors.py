@@ -19,10 +19,11 @@ import numpy as np
 
 from multiarm.contacts.joint import COMPONENTS
 from multiarm.contacts.kernel import AT, NORMAL
-from multiarm.contacts.records import SURFACE_BODY, SURFACE_ON_OBJECT, TIP_RADIUS, Contact, Patch
+from multiarm.contacts.table import SURFACE_BODY, TIP_RADIUS
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import Layout
+from multiarm.geometry.records import SURFACE_ON_OBJECT, Contact, Patch
 from multiarm.jit.kernels import kernel
 from multiarm.jit.structs import floats1
 from multiarm.results.event_log import EventLog

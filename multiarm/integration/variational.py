@@ -44,7 +44,7 @@ import numpy as np
 
 from multiarm.arms.terms import M_AT, M_STRIDE
 from multiarm.contacts.kernel import GAP, GAP_RATE
-from multiarm.contacts.records import KIND, TANGENT
+from multiarm.contacts.table import KIND, TANGENT
 from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_system
 from multiarm.dynamics.equations import finite, solve_constrained, update_kinematics
 from multiarm.dynamics.model import Data

@@ -3,15 +3,23 @@
 from multiarm.scene.arms import ArmSpec, ResolvedArm, ToolSpec, resolve_arm
 from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
 from multiarm.scene.control import Waypoint
-from multiarm.scene.effects import EffectsSpec, damping_of, effort_limit_of, friction_of
+from multiarm.scene.effects import (
+    EFFECTS,
+    WITH_EVENTS,
+    EffectsSpec,
+    damping_of,
+    effort_limit_of,
+    friction_of,
+    register_effect,
+)
 from multiarm.scene.functions import function_text
-from multiarm.scene.geometry import ContactSpec, Geometry
 from multiarm.scene.joints import (
+    JOINTS,
     BallJoint,
     ContactsJoint,
     CornerGripperJoint,
     CylindricalJoint,
-    JointBase,
+    Joint,
     JointSpec,
     PlanarJoint,
     PointOnCylinderJoint,
@@ -22,7 +30,9 @@ from multiarm.scene.joints import (
     UniversalJoint,
     WeldJoint,
     WrenchesJoint,
+    register_joint,
 )
+from multiarm.scene.joints.contacts import SURFACES, ContactSpec, Geometry, register_surface
 from multiarm.scene.loading import (
     NamedCode,
     dump_scene,
@@ -51,11 +61,17 @@ from multiarm.scene.run import (
     StabilizationSpec,
 )
 from multiarm.scene.schema import Scene
+from multiarm.scene.surfaces import Surface
 from multiarm.scene.values import Pose, gain_vector, joint_vector
 
 __all__ = [
     "ARM_TERMS",
+    "EFFECTS",
+    "JOINTS",
+    "REGISTRIES",
     "STEPS_CHOSEN_BY",
+    "SURFACES",
+    "WITH_EVENTS",
     "AccuracySpec",
     "ArmSpec",
     "BallJoint",
@@ -66,7 +82,7 @@ __all__ = [
     "EffectsSpec",
     "ExternalWrench",
     "Geometry",
-    "JointBase",
+    "Joint",
     "JointOutline",
     "JointSpec",
     "Mesh",
@@ -84,6 +100,7 @@ __all__ = [
     "Scene",
     "Shape",
     "StabilizationSpec",
+    "Surface",
     "ToolSpec",
     "UniversalJoint",
     "Waypoint",
@@ -107,6 +124,9 @@ __all__ = [
     "read_urdf",
     "read_wrench_table",
     "refuse_code",
+    "register_effect",
+    "register_joint",
+    "register_surface",
     "resolve_arm",
     "resolve_mesh",
     "resolve_package_dirs",
@@ -114,3 +134,6 @@ __all__ = [
     "with_code",
     "without_code",
 ]
+
+REGISTRIES = (EFFECTS, JOINTS, SURFACES)
+"""The user classes of all sorts."""

@@ -21,6 +21,7 @@ from multiarm.errors import SceneError
 from multiarm.scene.faults import Parts, listed, place, shown, unknown
 from multiarm.scene.run import STEPS_CHOSEN_BY
 from multiarm.scene.schema import Scene
+from multiarm.scene.values import written
 
 # A key, a key in quotes, a number in a list.
 _PART = re.compile(r"""\.?([^\s.\[\]'"]+)|\['([^']*)'\]|\["([^"]*)"\]|\[(\d+)\]""")
@@ -153,15 +154,7 @@ def _applied(value: Any, tree: Any, here: Parts, faults: list[str]) -> Any:
             faults += error.faults
     if isinstance(value, (tuple, list)):
         return [made.get(k, old) for k, old in enumerate(value)]
-    return {**_given(value), **made}
-
-
-def _given(value: Any) -> dict[str, Any]:
-    """The entries of a table, of a part of a scene those that are written, and its kind."""
-    if isinstance(value, BaseModel):
-        written = value.model_fields_set | {"kind"}
-        return {name: getattr(value, name) for name in _keys(value) if name in written}
-    return dict(value) if isinstance(value, Mapping) else {}
+    return {**written(value), **made}
 
 
 def _below(value: Any, part: str | int, here: Parts, leaf: bool = False) -> Any:

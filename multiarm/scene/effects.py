@@ -8,14 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from operator import attrgetter
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import Parts, fault, unknown
 from multiarm.scene.loads import Drag, ExternalWrench
-from multiarm.scene.registry import Named, OwnEffect, add_effect
+from multiarm.scene.registry import AnyClass, Registry
 from multiarm.scene.robots import JointOutline
 from multiarm.scene.values import (
     Faults,
@@ -43,7 +43,16 @@ WITH_EVENTS = (
 _FRICTION_SPEED = 0.01
 """Speed at which smooth friction is 76 % of the full one [rad/s] or [m/s]."""
 
-AnyEffect = TypeVar("AnyEffect", bound=type)
+EFFECTS: Registry[Any] = Registry(
+    noun="effect",
+    plural="effects",
+    group="multiarm.effects",
+    base="multiarm.Effect",
+    register="multiarm.register_effect",
+    built_in=lambda: EffectsSpec.model_fields,
+    parameters_of=attrgetter("Spec"),
+)
+"""User effects; what the class must offer says :class:`multiarm.effects.effect.Effect`."""
 
 damping_of: Callable[[JointOutline], float] = attrgetter("damping")
 """Viscous friction that the robot's file gives a joint."""
@@ -64,27 +73,17 @@ def _below(where: Parts, found: Faults) -> Faults:
     return [((*where, *further), text) for further, text in found]
 
 
-def register_effect(effect: AnyEffect) -> AnyEffect:
-    """Let scenes name a user effect; also a decorator of its class.
+def register_effect(effect: AnyClass) -> AnyClass:
+    """Let scenes name a user effect, a subclass of :class:`multiarm.Effect`; also a decorator.
 
-    Parameters
-    ----------
-    effect : type
-        A subclass of :class:`multiarm.Effect`.  Defined and registered once more, as notebooks do,
-        it replaces the former one.
-
-    Returns
-    -------
-    type
-        The class.
+    Defined and registered once more, as notebooks do, it replaces the former one.
 
     Raises
     ------
     ModelError
         It lacks something, or another effect has its name.
     """
-    add_effect(effect, reserved=EffectsSpec.model_fields)
-    return effect
+    return EFFECTS.add(effect)
 
 
 # --- joints and their drives ---------------------------------------------------------------------
@@ -390,18 +389,12 @@ class EffectsSpec(Spec):
     ) = None
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, OwnEffect]
+    __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(EFFECTS.read)]]
 
     @model_validator(mode="before")
     @classmethod
     def _set_user_effects_apart(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping):
-            return data
-        ours = cls.model_fields
-        return {
-            name: value if name in ours or not isinstance(name, str) else Named(name, value, ours)
-            for name, value in data.items()
-        }
+        return EFFECTS.set_apart(data)
 
     @property
     def named(self) -> dict[str, Any]:

@@ -162,16 +162,17 @@ def _walk(
             owner = models[0]
             field = owner.model_fields.get(str(part))
             annotation = None if field is None else field.annotation
-            models = _models_in(annotation)
+            models = models_in(annotation)
             inside_container = bool(models) and _has_container(annotation)
         parts.append(part)
     return parts, owner, models
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """The models that a field's annotation names."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [model for part in get_args(annotation) for model in _models_in(part)]
+    return [model for part in get_args(annotation) for model in models_in(part)]
 
 
 def _has_container(annotation: Any) -> bool:

@@ -114,17 +114,17 @@ def function_references(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, 
     """The functions that are named, and not loaded, in a part of a scene, with their places."""
     if isinstance(value, FunctionReference):
         yield parts, value
-    for key, item in _items(value):
+    for key, item in items(value):
         yield from function_references(item, (*parts, key))
 
 
 def mapped(value: Any, change: Callable[[Any, Parts], Any], parts: Parts = ()) -> Any:
     """A part of a scene with ``change(leaf, place)`` in place of every leaf; as it is if equal."""
-    items: dict[Any, Any] = dict(_items(value))
-    if not items:
+    parts_of: dict[Any, Any] = dict(items(value))
+    if not parts_of:
         return change(value, parts)
-    made = {key: mapped(item, change, (*parts, key)) for key, item in items.items()}
-    changes = {key: item for key, item in made.items() if item is not items[key]}
+    made = {key: mapped(item, change, (*parts, key)) for key, item in parts_of.items()}
+    changes = {key: item for key, item in made.items() if item is not parts_of[key]}
     if not changes:
         return value
     if isinstance(value, BaseModel):
@@ -145,9 +145,10 @@ def located(value: Any, folder: Path) -> Any:
     return mapped(value, absolute)
 
 
-def _items(value: Any) -> Iterator[tuple[str | int, Any]]:
+def items(value: Any) -> Iterator[tuple[str | int, Any]]:
+    """The parts of a part of a scene, with their keys or numbers."""
     if isinstance(value, BaseModel):
-        yield from ((name, getattr(value, name)) for name in type(value).model_fields)
+        yield from value
     elif isinstance(value, Mapping):
         yield from value.items()
     elif isinstance(value, tuple):

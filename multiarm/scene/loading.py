@@ -4,7 +4,8 @@ Three habits of YAML 1.1 that bite are avoided on reading: ``1e-6`` is a number 
 is a word (not true), and a key that stands twice in one table is a fault (not a silent loss of the
 first).
 
-A scene can name functions (surfaces, wrenches) and effects of installed packages.  Reading it loads
+A scene can name functions (surfaces, wrenches) and classes of installed packages (effects, joints,
+surfaces).  Reading it loads
 none of them.  :func:`with_code` loads them for a system that is to run; :func:`without_code` gives
 what can be looked at without them.
 """
@@ -12,7 +13,7 @@ what can be looked at without them.
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,16 +22,25 @@ import yaml
 from pydantic import BaseModel
 
 from multiarm.errors import ModelError, SceneError
+from multiarm.scene.effects import EFFECTS
 from multiarm.scene.faults import Parts, place
 from multiarm.scene.functions import (
     FunctionReference,
     LoadedFunction,
     function_references,
+    items,
     load_function,
     mapped,
 )
-from multiarm.scene.registry import known_effect, offered_words
-from multiarm.scene.schema import Scene
+from multiarm.scene.joints import (
+    JOINTS,
+    Joint,
+    UnloadedJoint,
+)
+from multiarm.scene.joints.contacts import SURFACES, ContactsJoint, Geometry
+from multiarm.scene.registry import Registry
+from multiarm.scene.schema import Scene, function_faults
+from multiarm.scene.values import written
 
 
 def load_scene(path: Path | str, code: bool = True) -> Scene:
@@ -180,7 +190,7 @@ class NamedCode:
     place : str
         Where it is named, such as ``$.effects.external_wrenches[0].function``.
     what : str
-        The function with its file or module, or the effect with its package.
+        The function with its file or module, or the class with its package.
     arm : str or None
         Whose joint needs it.
     """
@@ -195,9 +205,12 @@ class NamedCode:
         return cls(place(parts), f"the function {reference.name!r} of {reference.home}", arm)
 
     @classmethod
-    def effect(cls, parts: Parts, name: str) -> NamedCode:
-        """An effect of an installed package that is named at a place."""
-        return cls(place(parts), f"the effect {name!r} of {offered_words(name)}")
+    def user_class(
+        cls, parts: Parts, registry: Registry, name: str, arm: str | None = None
+    ) -> NamedCode:
+        """A user class that is named at a place."""
+        package = registry.offers(name) or "a package that is not installed"
+        return cls(place(parts), f"the {registry.noun} {name!r} of {package}", arm)
 
 
 def named_code(scene: Scene) -> list[NamedCode]:
@@ -206,12 +219,14 @@ def named_code(scene: Scene) -> list[NamedCode]:
     for k, joint in enumerate(scene.joints):
         for parts, reference in function_references(joint, ("joints", k)):
             found.append(NamedCode.function(parts, reference, joint.arm))
+        for parts, registry, name in _unloaded_classes(joint, ("joints", k)):
+            found.append(NamedCode.user_class(parts, registry, name, joint.arm))
     for parts, reference in function_references(scene.effects.external_wrenches, _WRENCHES):
         found.append(NamedCode.function(parts, reference))
     found += [
-        NamedCode.effect(("effects", name), name)
+        NamedCode.user_class(("effects", name), EFFECTS, name)
         for name in _available(_unvalidated_effects(scene))
-        if known_effect(name) is None
+        if EFFECTS.known(name) is None
     ]
     return found
 
@@ -234,7 +249,7 @@ def refuse_code(named: Iterable[NamedCode]) -> None:
 
 
 def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
-    """The scene with its functions loaded in place of their names, and its effects validated.
+    """The scene with its functions loaded in place of their names, and user classes validated.
 
     Parameters
     ----------
@@ -245,27 +260,38 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
     Raises
     ------
     SceneError
-        When code is named and not allowed, or a package refuses the parameters of its effect.
+        When code is named and not allowed, is not installed, or refuses its parameters.
     ModelError
         When a function cannot be loaded.
     """
     named, unvalidated = named_code(scene), _available(_unvalidated_effects(scene))
+    unloaded = [*_unloaded_classes(scene.joints, ("joints",))]
+    missing = [one for one in unloaded if not one[1].known(one[2]) and not one[1].offers(one[2])]
+    if missing:
+        raise SceneError(f"{place(parts)}: {own.unknown(name)}" for parts, own, name in missing)
     if not (scene.may_load_code if allowed is None else allowed):
         refuse_code(named)
+    if unvalidated or unloaded:
+        # validated as in a scene made in Python, which loads the classes that it names
+        joints = [_plain(joint) for joint in scene.joints] if unloaded else scene.joints
+        validated = scene.replace(effects=scene.effects.named, joints=joints)
+        faults = function_faults(validated, scene.folder) if scene.is_from_file else []
+        if faults:
+            raise SceneError(faults)
+        scene = validated
     if named:
         joints = loaded_functions(scene.joints, ("joints",))
         wrenches = loaded_functions(scene.effects.external_wrenches, _WRENCHES)
         effects = scene.effects.model_copy(update={"external_wrenches": wrenches})
         scene = scene.model_copy(update={"joints": joints, "effects": effects})
-    # `replace` validates as for a scene made in Python, which loads the effects that it names
-    return scene.replace(effects=scene.effects.named) if unvalidated else scene
+    return scene
 
 
 def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
     """The scene without what needs code that is not loaded, and that code.
 
-    Left out are wrenches by functions and effects of packages, and of joints the contacts on
-    surfaces by functions; the other contacts keep their names.
+    Left out are wrenches by functions and effects of packages, and of joints the contacts that
+    need functions or classes of packages; the other contacts keep their names.
     """
     left = named_code(scene)
     unvalidated = _unvalidated_effects(scene)
@@ -310,16 +336,40 @@ def _unvalidated_effects(scene: Scene) -> list[str]:
 
 
 def _available(names: Iterable[str]) -> list[str]:
-    return [name for name in names if known_effect(name) or offered_words(name)]
+    return [name for name in names if EFFECTS.known(name) or EFFECTS.offers(name)]
 
 
-def _without_contacts(joint: Any) -> Any:
-    """A joint without its contacts on surfaces that need functions."""
-    if not any(function_references(joint)):
+def _unloaded_classes(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, Registry, str]]:
+    """User classes of a joint that are not loaded: their place, sort and name."""
+    if isinstance(value, UnloadedJoint):
+        yield (*parts, "kind"), JOINTS, value.kind
+    elif isinstance(value, Geometry) and value.value is None:
+        yield (*parts, value.shape), SURFACES, value.shape
+    for key, item in items(value):
+        yield from _unloaded_classes(item, (*parts, key))
+
+
+def _plain(value: Any) -> Any:
+    """A part of a scene as tables and lists, to be validated again."""
+    if isinstance(value, BaseModel):
+        return {key: _plain(item) for key, item in written(value).items()}
+    return [_plain(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _without_contacts(joint: Joint) -> Joint:
+    """A joint without its contacts that need code; nothing is left of a kind that needs it."""
+
+    def needs_code(part: Any) -> bool:
+        return any(function_references(part)) or any(_unloaded_classes(part))
+
+    if not needs_code(joint):
         return joint
     contacts = tuple(
         contact.model_copy(update={"name": contact.name or f"contact {k + 1}"})
-        for k, contact in enumerate(joint.contacts)
-        if not any(function_references(contact))
+        for k, contact in enumerate(joint.contacts if isinstance(joint, ContactsJoint) else ())
+        if not needs_code(contact)
     )
-    return joint.model_copy(update={"contacts": contacts})
+    if contacts:
+        return joint.model_copy(update={"contacts": contacts})
+    frames = {name: getattr(joint, name) for name in Joint.model_fields}
+    return UnloadedJoint.model_construct(**frames)

@@ -24,13 +24,13 @@ from pydantic import (
 )
 from typing_extensions import Self
 
-from multiarm.errors import SceneError
+from multiarm.errors import USER_FAULTS, SceneError
 from multiarm.scene.arms import ArmSpec, Examination, examine_arm
 from multiarm.scene.control import ControlSpec, NoControl
 from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.faults import Parts, explain, listed, place, shown, unknown
 from multiarm.scene.functions import function_references, located, reference_fault
-from multiarm.scene.joints import JointSpec
+from multiarm.scene.joints import Joint, JointSpec, pushing_kinds
 from multiarm.scene.object import ObjectSpec
 from multiarm.scene.run import RunSpec
 from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3, gain_faults
@@ -184,7 +184,7 @@ class Scene(Spec):
             )
             parts = _Parts.of(self.__dict__, folder)
             if from_file:
-                faults = _function_faults(self, folder)
+                faults = function_faults(self, folder)
         except ValidationError as error:
             faults = explain(error, type(self))
             parts = _Parts.of(data, folder, load)
@@ -195,8 +195,8 @@ class Scene(Spec):
         self._warnings, self._examined = tuple(found.warnings), found.examined
 
 
-def _function_faults(scene: Scene, folder: Path) -> list[str]:
-    """Functions that a scene file may not name."""
+def function_faults(scene: Scene, folder: Path | None) -> list[str]:
+    """Functions that a scene, in a file in ``folder``, may not name."""
     named = [
         *function_references(scene.joints, ("joints",)),
         *function_references(scene.effects, ("effects",)),
@@ -206,9 +206,6 @@ def _function_faults(scene: Scene, folder: Path) -> list[str]:
 
 
 # --- whether the parts fit together --------------------------------------------------------------
-
-_PUSHING = {"contacts", "corner_gripper", "point_on_cylinder", "point_on_plane", "point_on_sphere"}
-"""Kinds of joints with contacts that only push."""
 
 
 @dataclass(frozen=True)
@@ -221,13 +218,16 @@ class _Parts:
         All arms that are written, valid or not.
     arms : dict
         The valid ones.
-    joints : list of (arm, kind)
-        As they are written, whatever that is; None where there is none.
+    joints : list
+        The arms that they name, as they are written, whatever that is; None where there is none.
+    pushes : bool
+        Whether there may be contacts that only push.
     """
 
     arm_names: list[str] | None
     arms: dict[str, ArmSpec]
-    joints: list[tuple[Any, Any]] | None
+    joints: list[Any] | None
+    pushes: bool
     object: ObjectSpec | None
     control: Any
     effects: EffectsSpec | None
@@ -240,14 +240,14 @@ class _Parts:
         Effects of packages are loaded only where ``load`` says so.
         """
         arms, joints = data.get("arms"), data.get("joints")
+        joints = joints if isinstance(joints, (list, tuple)) else None
         written = arms if isinstance(arms, Mapping) else {}
         valid = {str(name): _valid(ArmSpec, arm, folder) for name, arm in written.items()}
         return cls(
             arm_names=[str(name) for name in arms] if isinstance(arms, Mapping) else None,
             arms={name: arm for name, arm in valid.items() if arm is not None},
-            joints=[(_entry(joint, "arm"), _entry(joint, "kind")) for joint in joints]
-            if isinstance(joints, (list, tuple))
-            else None,
+            joints=None if joints is None else [_arm(joint) for joint in joints],
+            pushes=not joints or any(_pushes(joint) for joint in joints),
             object=_valid(ObjectSpec, data.get("object"), folder),
             control=_valid(ControlSpec, data.get("control"), folder),
             effects=_valid(EffectsSpec, data.get("effects", {}), folder, {"load": load}),
@@ -266,8 +266,16 @@ def _valid(kind: Any, data: Any, folder: Path, context: dict[str, Any] | None = 
         return None
 
 
-def _entry(joint: Any, key: str) -> Any:
-    return joint.get(key) if isinstance(joint, Mapping) else getattr(joint, key, None)
+def _arm(joint: Any) -> Any:
+    return joint.get("arm") if isinstance(joint, Mapping) else getattr(joint, "arm", None)
+
+
+def _pushes(joint: Any) -> bool:
+    """Whether a joint may have contacts that only push; a user's records may raise anything."""
+    try:
+        return not isinstance(joint, Joint) or joint.pushes
+    except USER_FAULTS:
+        return True
 
 
 @dataclass
@@ -309,18 +317,15 @@ def _check(parts: _Parts, examined: _Examined) -> _Findings:
     return findings
 
 
-def _check_connections(
-    names: list[str], joints: list[tuple[Any, Any]] | None, findings: _Findings
-) -> None:
+def _check_connections(names: list[str], connected: list[Any] | None, findings: _Findings) -> None:
     if not names:
         findings.fault(("arms",), "a scene needs at least one arm, such as {left: {...}}")
         return
-    connected = [arm for arm, _ in joints or ()]
-    for index, arm in enumerate(connected):
+    for index, arm in enumerate(connected or ()):
         if arm is not None and not (isinstance(arm, str) and arm in names):
             findings.fault(("joints", index, "arm"), unknown("arm", arm, names))
-    counts = Counter(arm for arm in connected if isinstance(arm, str))
-    all_named = joints is not None and all(arm is not None for arm in connected)
+    counts = Counter(arm for arm in connected or () if isinstance(arm, str))
+    all_named = connected is not None and None not in connected
     for name in names:
         if counts[name] == 0 and all_named:
             findings.fault(
@@ -389,15 +394,14 @@ def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findi
         message = method_fault(parts.run.integrator, effects.with_states, effects.with_events)
         if message:
             findings.fault(("run", "integrator"), message)
-    kinds = [kind for _, kind in parts.joints or () if isinstance(kind, str)]
-    if not kinds or len(kinds) < len(parts.joints or ()) or _PUSHING.intersection(kinds):
+    if parts.pushes:
         return
     for name in ("unilateral_contacts", "contact_friction"):
         if getattr(effects, name) is not None:
             findings.warning(
                 ("effects", name),
                 "adds nothing, since no joint has contacts that only push; such joints are "
-                f"{listed(sorted(_PUSHING))}",
+                f"{listed(pushing_kinds())}",
             )
 
 

@@ -75,6 +75,13 @@ class Spec(BaseModel):
         return data if kind is None else {"kind": kind, **data}
 
 
+def written(value: Any) -> dict[str, Any]:
+    """The entries of a table; of a part of a scene those that are written, and its kind."""
+    if not isinstance(value, BaseModel):
+        return dict(value) if isinstance(value, Mapping) else {}
+    return {name: v for name, v in value if name in value.model_fields_set or name == "kind"}
+
+
 def shorthand(key: str, *types: type) -> BeforeValidator:
     """Let a value of some types stand for a table with one key."""
 
@@ -90,10 +97,10 @@ class OneOf(Spec):
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
-        names = list(type(self).model_fields)
-        given = [name for name in names if getattr(self, name) is not None]
+        given = [name for name, value in self if value is not None]
         if len(given) != 1:
-            raise fault(f"needs exactly one of {listed(names)}, got {given or 'none'}")
+            known = listed(type(self).model_fields)
+            raise fault(f"needs exactly one of {known}, got {given or 'none'}")
         return self
 
 

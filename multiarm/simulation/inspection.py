@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from multiarm.contacts.joint import axis_travel, limits_of
-from multiarm.contacts.screws import free_motions, wrenches_in_frame
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.control.laws import needs_gravity_torque
 from multiarm.dynamics.arrays import OK
@@ -40,6 +39,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate
+from multiarm.geometry.screws import free_motions, wrenches_in_frame
 from multiarm.results.trajectory import plain
 from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
 from multiarm.simulation.setup import method_and_tolerance

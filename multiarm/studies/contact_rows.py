@@ -21,22 +21,21 @@ from multiarm.contacts.kernel import (
     write_row,
     write_rows,
 )
-from multiarm.contacts.records import (
+from multiarm.contacts.surfaces import QUERY_WIDTH, user_surface_callback
+from multiarm.contacts.table import KIND, pack
+from multiarm.geometry.records import (
     CYLINDER,
-    KIND,
     Contact,
     cone,
     cylinder,
     ellipsoid,
-    pack,
     plane,
     point,
     smooth,
     sphere,
     torus,
 )
-from multiarm.contacts.smooth import SignedDistanceSurface
-from multiarm.contacts.surfaces import QUERY_WIDTH, user_surface_callback
+from multiarm.geometry.smooth_surfaces import SignedDistanceSurface
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
 

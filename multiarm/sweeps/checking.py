@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, SceneError
-from multiarm.scene import NamedCode, Scene, changed, parse_path
+from multiarm.scene import REGISTRIES, NamedCode, Scene, changed, parse_path
 from multiarm.scene.faults import place, shown
 from multiarm.scene.functions import (
     FunctionReference,
@@ -21,13 +21,12 @@ from multiarm.scene.functions import (
     located,
     reference_fault,
 )
-from multiarm.scene.registry import own_effect_names
 from multiarm.sweeps.axes import Axis
 
 if TYPE_CHECKING:
     from multiarm.sweeps.spec import SweepSpec
 
-__all__ = ["axis_faults", "quantity_faults", "sweep_code", "value_faults"]
+__all__ = ["axis_faults", "quantity_faults", "sweep_code", "value_faults", "words"]
 
 # A value that names a function; an address such as package:// has no name after the colon.
 _FUNCTION = re.compile(r"[^:\s][^\n]*:[A-Za-z_][\w.]*")
@@ -100,13 +99,14 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
 
 
 def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
-    """The code that a sweep names: its quantities, and the functions and effects of its values."""
+    """The code that a sweep names: its quantities, and functions and user classes of its values."""
     found = [NamedCode.function(("keep", k), function) for k, function in _functions(spec)]
-    effects = {*own_effect_names()}.difference(scene.effects.model_extra or {})
+    used = {*words(scene.model_dump(mode="json"))}
+    classes = [(own, name) for own in REGISTRIES for name in own.names() if name not in used]
     for axis in spec.axes:
         at = ("over", axis.written)
-        texts = {*_words([axis.spec.written(), *map(parse_path, axis.paths)])}
-        found += [NamedCode.effect(at, name) for name in sorted(effects & texts)]
+        texts = {*words([axis.spec.written(), *map(parse_path, axis.paths)])}
+        found += [NamedCode.user_class(at, own, name) for own, name in classes if name in texts]
         for text in sorted(texts):
             if _FUNCTION.fullmatch(text):
                 function = located(FunctionReference(text), scene.folder)
@@ -122,15 +122,15 @@ def _functions(spec: SweepSpec) -> Iterator[tuple[int, FunctionReference]]:
             yield k, function
 
 
-def _words(value: Any) -> Iterator[str]:
+def words(value: Any) -> Iterator[str]:
     """All strings in values, including keys of tables."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
-        yield from _words(list(value.items()))
+        yield from words(list(value.items()))
     elif isinstance(value, (list, tuple)):
         for item in value:
-            yield from _words(item)
+            yield from words(item)
 
 
 def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
@@ -226,7 +226,8 @@ def _at_its_axis(
 def _of_path(text: str) -> bool:
     """Whether a fault concerns a path, not its value."""
     phrases = "is a list with", "is no list", "nothing is below it"
-    return text.startswith(("unknown key", "unknown effect")) or any(p in text for p in phrases)
+    names = "unknown key", "unknown effect", "unknown surface"
+    return text.startswith(names) or any(p in text for p in phrases)
 
 
 def _meet(path: str, where: str) -> bool:

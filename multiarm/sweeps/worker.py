@@ -21,11 +21,10 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene import Scene, changed, parse_path, parse_scene
-from multiarm.scene.effects import register_effect
-from multiarm.scene.registry import registered_effects
+from multiarm.scene import REGISTRIES, Scene, changed, parse_path, parse_scene
 from multiarm.simulation.certified import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.simulation.simulate import simulate
+from multiarm.sweeps.checking import words
 from multiarm.sweeps.plan import SweepPlan, program_version
 from multiarm.sweeps.quantities import Quantity, measure
 from multiarm.sweeps.records import Record
@@ -52,8 +51,9 @@ class JobContext:
     quantities : tuple of Quantity
     certificate : bool
         Check runs of some accuracy.
-    effects : tuple of type
-        User-defined effects that were registered in the process that began the sweep.
+    classes : tuple of (str, type)
+        User classes that were registered in the process that began the sweep, with the name of
+        their registry's group.
     version : str
         Of multiarm: another one may give other numbers.
     folder : str
@@ -67,22 +67,27 @@ class JobContext:
     quantities: tuple[Quantity, ...]
     certificate: bool
     version: str
-    effects: tuple[type, ...] = ()
+    classes: tuple[tuple[str, type], ...] = ()
     folder: str | None = None
     session: str = ""
 
     @classmethod
     def of(cls, plan: SweepPlan, session: str = "") -> JobContext:
         """The context of a plan."""
-        named = {*(plan.scene.effects.model_extra or {})}
-        for path in plan.paths:  # an effect may occur in the sweep only
-            named |= {part for part in parse_path(path) if isinstance(part, str)}
+        named = {*words(plan.scene.model_dump(mode="json"))}
+        for axis in plan.spec.axes:  # a class may occur in the sweep only
+            named |= {*words([axis.spec.written(), *map(parse_path, axis.paths)])}
         return cls(
             scene=plan.scene_text,
             quantities=plan.quantities,
             certificate=plan.spec.certificate,
             version=program_version(),
-            effects=tuple(one for one in registered_effects() if one.name in named),  # type: ignore[attr-defined]
+            classes=tuple(
+                (own.group, one)
+                for own in REGISTRIES
+                for name, one in own.registered.items()
+                if name in named
+            ),
             folder=str(plan.scene.folder),
             session=session,
         )
@@ -185,11 +190,12 @@ _memory = threading.local()
 
 def _base(context: JobContext) -> _Base:
     """The compiled scene; a short run compiles or loads whatever the first use of it needs."""
-    key = context.scene, context.session, context.effects
+    key = context.scene, context.session, context.classes
     if getattr(_memory, "key", None) == key:
         return _memory.base
-    for effect in context.effects:
-        register_effect(effect)
+    registries = {own.group: own for own in REGISTRIES}
+    for group, one in context.classes:
+        registries[group].add(one)
     scene = parse_scene(context.scene, context.folder)
     system: System | None = None
     try:

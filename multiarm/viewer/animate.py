@@ -270,8 +270,8 @@ def _distinct(names: list[str]) -> list[str]:
     return result
 
 
-# Kinds that are drawn as one thing on the object; a universal joint has two axles.
-SHAPES = {"revolute": "axle", "prismatic": "rail", "cylindrical": "sleeve", "ball": "ball"}
+# Joints that are drawn as one thing on the object; a cross has two axles.
+SHAPES = ("axle", "rail", "sleeve", "ball")
 CYCLE = np.eye(4)[[2, 0, 1, 3]]  # its columns are the axes y, z, x: F @ CYCLE has z along F's x
 CENTRED = 0.05  # an axis that passes the object's centre nearer than this, of its distance
 
@@ -285,7 +285,7 @@ def hinges_of(
     object_poses[:, :3, 3] = trajectory.object_position[rows]
     hinges = []
     for joint in system.scene.joints:
-        if joint.kind not in SHAPES and joint.kind != "universal":
+        if joint.drawn_as not in (*SHAPES, "cross"):
             continue
         arm, frame = system.arms[joint.arm], system.frames[joint.arm]
         angles = trajectory.joint_positions[joint.arm][rows]
@@ -302,7 +302,7 @@ def _hinges(
     color: np.ndarray,
 ) -> list[HingeTracks]:
     on_object, on_tip = object_poses @ frame.on_object, tip_poses @ frame.on_tip  # (K, 4, 4)
-    if joint.kind == "universal":  # about the object's x and the arm's y axis
+    if joint.drawn_as == "cross":  # about the object's x and the arm's y axis
         axles = (on_object @ CYCLE, on_tip @ CYCLE.T)
         return [
             HingeTracks(joint.arm, f"{joint.arm}/{k}", "axle", color, *_placed(axle))
@@ -314,7 +314,7 @@ def _hinges(
         for limit in limits_of(joint)
     )
     placed = _placed(on_object @ _turned_outwards(frame.on_object))
-    return [HingeTracks(joint.arm, joint.arm, SHAPES[joint.kind], color, *placed, dials)]
+    return [HingeTracks(joint.arm, joint.arm, joint.drawn_as, color, *placed, dials)]
 
 
 def _turned_outwards(on_object: np.ndarray) -> np.ndarray:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from multiarm.contacts.records import (
+from multiarm.dynamics.contact_geometry import contact_places
+from multiarm.geometry.records import (
     CONE,
     CYLINDER,
     ELLIPSOID,
@@ -25,8 +26,7 @@ from multiarm.contacts.records import (
     Contact,
     Surface,
 )
-from multiarm.contacts.smooth import ParametricSurface
-from multiarm.dynamics.contact_geometry import contact_places
+from multiarm.geometry.smooth_surfaces import ParametricSurface
 from multiarm.results.channels import OPEN, TOUCHING, channels_of
 from multiarm.results.event_log import Event, family_of, timed
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
@@ -160,8 +160,6 @@ def _places(system: System, trajectory: Trajectory, row: int) -> tuple[np.ndarra
         return contact_places(data, state)
 
 
-# Joints with physical surfaces; those of other kinds only serve to define a hinge.
-SHOWN = ("contacts", "point_on_plane", "point_on_cylinder", "point_on_sphere")
 OPACITY = 0.45
 # Squares of a grid along each of its two directions.
 CELLS = 40
@@ -174,15 +172,16 @@ def surface_bodies(
     colors: dict[str, np.ndarray],
     faces: bool = True,
 ) -> list[Body]:
-    """Return the contact surfaces of all joints of the ``SHOWN`` kinds at some samples (`rows`).
+    """Return the contact surfaces of joints that are drawn so at some samples (`rows`).
 
+    Those of other kinds only serve to define a hinge.
     Plane faces of the object are included if ``faces`` is true.
     """
     on_object = trajectory.object_position[rows], trajectory.object_quaternion_xyzw[rows]
     extent = max(np.ptp(trajectory.object_position, axis=0).max(), object_size(system))
     bodies = []
     for joint in system.scene.joints:
-        if joint.kind not in SHOWN:
+        if joint.drawn_as != "surfaces":
             continue
         name, arm = joint.arm, system.arms[joint.arm]
         angles = trajectory.joint_positions[name][rows]

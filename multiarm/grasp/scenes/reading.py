@@ -13,11 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
-from multiarm.contacts.records import Contact
 from multiarm.dynamics.contact_geometry import contact_places
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import GraspError
+from multiarm.geometry.records import Contact
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face_contacts import Gripper
 from multiarm.grasp.form_closure import FormClosure, is_form_closure

@@ -1,42 +1,31 @@
-r"""A joint is data: records of frictionless point contacts, and the tables that the kernel reads.
+r"""A joint is data: records of frictionless point contacts.
 
 A contact is two surfaces, one on the arm and one on the object, that touch in a point.  A sharp
 point is a sphere of radius 0, a fingertip one of positive radius.  Each surface is given in the
 frame of the body that carries it: the arm's in the tip frame, the object's in the object frame.
 Its normal is the outward normal of its body; a hollow surface (``inside``) is touched from within.
 
-A *row* of W is one contact's normal force.  Three further kinds of row cover every joint:
+A *row* of W is one contact's normal force.  Two further kinds of row cover every joint:
 
 * *combined rows*: a contact times a factor, or the difference of two contacts times a factor, which
   can be any wrench (thesis, appendix C);
 * *tangents*: no slip at a contact along one of two directions of the tangent plane; such a row
-  constrains velocities only, it has no position function (nonholonomic; thesis, 3.9.2);
-* *joint rows*: one joint of an arm, at a limit of its range or held by its friction; the object
-  takes no part in them.
+  constrains velocities only, it has no position function (nonholonomic; thesis, 3.9.2).
 
-Everything the dynamics need (W, dW/dt, c, phi) follows from the records in one kernel
-(:mod:`multiarm.contacts.kernel`).
+Everything the dynamics need (W, dW/dt, c, phi) follows from the records in one kernel.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
 # Kinds of surface.
 PLANE, SPHERE, CYLINDER, CONE, TORUS, ELLIPSOID, SMOOTH = range(7)
-# Kinds of row: a tip on a plane, sphere or cylinder has the surface's kind; these have their own.
-CURVED, PAIR, TANGENT, COMBINED, JOINT = range(7, 12)
 SURFACE_ON_OBJECT, SURFACE_ON_ARM = 0, 1
-
-# Columns of ContactTable.codes, .geometry and .shapes.
-KIND, SURFACE_BODY, LINK, COUNT, CODE_WIDTH = range(5)
-POINT, ORIGIN, AXIS, RADIUS, SIDE, TIP_RADIUS, WEIGHT, GEOMETRY_WIDTH = 0, 3, 6, 9, 10, 11, 12, 13
-SHAPE_KIND, SHAPE_AXES, SHAPE_ORIGIN, SHAPE_SIZES = 0, 1, 10, 13
-SHAPE_SIDE, SHAPE_FUNCTION, SHAPE_WIDTH = 16, 17, 18
 
 Vector = np.ndarray | tuple[float, float, float] | list[float]
 
@@ -241,160 +230,6 @@ class Contact:
     def follower(self) -> Surface:
         """The other one: a tip, or the arm's surface in a contact of two surfaces."""
         return self.arm if self.surface_body == SURFACE_ON_OBJECT else self.object
-
-
-@dataclass(frozen=True)
-class JointRow:
-    """One row of W that belongs to a joint of an arm; the object takes no part.
-
-    Attributes
-    ----------
-    name : str
-        Shown in messages and results.
-    joint : int
-        Number of the joint in its arm.
-    side : float
-        1: the force moves the joint forward, the gap is ``q - bound``; -1: backward, ``bound - q``.
-    bound : float or None
-        Position of zero gap [rad, m]; None: the row constrains velocities only.
-    """
-
-    name: str
-    joint: int
-    side: float = 1.0
-    bound: float | None = None
-    tangent: int = 0
-    pushes_only: bool = False
-
-    def moved_on_arm(self, rotation: np.ndarray, translation: np.ndarray) -> JointRow:
-        """The same row, which has no geometry."""
-        return self
-
-
-class ContactTable(NamedTuple):
-    """Records packed for the kernel.
-
-    codes : int64 (N + P, 4)
-        The N rows of W, arm after arm, then the P parts of the combined rows.  Columns: kind; the
-        body that carries the guiding surface; ``LINK``: first row in ``shapes`` (curved, pair),
-        number of the tangent, first part (combined), or number of the joint; number of parts.  A
-        tangent that does not follow its normal row has a copy of it among the parts, whose number
-        is in the last column.
-    geometry : float64 (N + P, 13)
-        Tip's centre (3); the guide's origin (3), axis (3), radius, side (+1 outer, -1 hollow); tip
-        radius; weight.  Of a tangent, axis and origin are two directions of the guide's body: the
-        first tangent is orthogonal to the first one (near its poles: to the second).
-    shapes : float64 (S, 18)
-        All other surfaces: kind, axes (9, row by row), origin (3), sizes (3), side, number of the
-        user function.  A pair has two, the guide first.
-    functions : list of SmoothShape
-    """
-
-    codes: np.ndarray
-    geometry: np.ndarray
-    shapes: np.ndarray
-    functions: list[SmoothShape]
-
-
-def pack(contacts: Sequence[Contact | JointRow]) -> ContactTable:
-    """Pack records for the kernel."""
-    codes: list[list[int]] = []
-    geometry: list[np.ndarray] = []
-    parts: list[Contact] = []
-    shapes: list[np.ndarray] = []
-    functions: list[SmoothShape] = []
-    for k, contact in enumerate(contacts):
-        if isinstance(contact, JointRow):
-            codes.append([JOINT, 0, contact.joint, 0])
-        elif contact.is_combined:
-            pieces = [replace(contact, minus=None, weight=1.0)]
-            pieces += [] if contact.minus is None else [contact.minus]
-            link = len(contacts) + len(parts)
-            codes.append([COMBINED, contact.surface_body, link, len(pieces)])
-            parts += pieces
-        elif contact.tangent:
-            place = 0
-            if not _follows_its_normal(contact, contacts, k):
-                place = len(contacts) + len(parts)
-                parts.append(replace(contact, tangent=0))
-            codes.append([TANGENT, contact.surface_body, contact.tangent, place])
-        else:
-            codes.append(_contact_codes(contact, shapes, functions))
-        geometry.append(_geometry_row(contact))
-    for part in parts:
-        codes.append(_contact_codes(part, shapes, functions))
-        geometry.append(_geometry_row(part))
-    return ContactTable(
-        np.array(codes, dtype=np.int64).reshape(-1, CODE_WIDTH),
-        np.array(geometry).reshape(-1, GEOMETRY_WIDTH),
-        np.array(shapes).reshape(-1, SHAPE_WIDTH),
-        functions,
-    )
-
-
-def _follows_its_normal(tangent: Contact, contacts: Sequence[Contact | JointRow], k: int) -> bool:
-    normal = contacts[k - tangent.tangent] if k >= tangent.tangent else None
-    return (
-        isinstance(normal, Contact)
-        and not normal.tangent
-        and (_same(normal.arm, tangent.arm) and _same(normal.object, tangent.object))
-    )
-
-
-def _same(a: Surface, b: Surface) -> bool:
-    """Whether two records describe one surface."""
-    return a is b or (
-        (a.kind, a.sizes, a.inside, a.function) == (b.kind, b.sizes, b.inside, b.function)
-        and np.array_equal(a.origin, b.origin)
-        and np.array_equal(a.axes, b.axes)
-    )
-
-
-def _contact_codes(contact: Contact, shapes: list, functions: list) -> list[int]:
-    guide, follower = contact.guide, contact.follower
-    if follower.is_tip and guide.kind in (PLANE, SPHERE, CYLINDER):
-        return [guide.kind, contact.surface_body, -1, 0]
-    first = len(shapes)
-    shapes.append(_shape_row(guide, functions))
-    if follower.is_tip:
-        return [CURVED, contact.surface_body, first, 0]
-    shapes.append(_shape_row(follower, functions))
-    return [PAIR, contact.surface_body, first, 0]
-
-
-def _geometry_row(contact: Contact | JointRow) -> np.ndarray:
-    row = np.zeros(GEOMETRY_WIDTH)
-    if isinstance(contact, JointRow):
-        row[SIDE], row[WEIGHT] = contact.side, float(contact.bound is not None)
-        row[RADIUS] = contact.bound or 0.0
-        return row
-    guide, follower = contact.guide, contact.follower
-    row[POINT : POINT + 3] = follower.origin
-    row[ORIGIN : ORIGIN + 3] = guide.origin
-    row[AXIS : AXIS + 3] = guide.axes[:, 2]
-    if contact.tangent:
-        # two directions orthogonal to the first tangent; a plane's normal cannot be one
-        first, other = (0, 1) if guide.kind == PLANE else (2, 0)
-        row[AXIS : AXIS + 3], row[ORIGIN : ORIGIN + 3] = guide.axes[:, first], guide.axes[:, other]
-    row[RADIUS] = guide.sizes[0]
-    row[SIDE] = -1.0 if guide.inside else 1.0
-    row[TIP_RADIUS] = follower.sizes[0] if follower.is_tip else 0.0
-    row[WEIGHT] = contact.weight
-    return row
-
-
-def _shape_row(surface: Surface, functions: list) -> np.ndarray:
-    row = np.zeros(SHAPE_WIDTH)
-    row[SHAPE_KIND] = surface.kind
-    row[SHAPE_AXES : SHAPE_AXES + 9] = surface.axes.ravel()
-    row[SHAPE_ORIGIN : SHAPE_ORIGIN + 3] = surface.origin
-    row[SHAPE_SIZES : SHAPE_SIZES + 3] = surface.sizes
-    row[SHAPE_SIDE] = -1.0 if surface.inside else 1.0
-    row[SHAPE_FUNCTION] = -1.0
-    if surface.function is not None:
-        row[SHAPE_FUNCTION] = len(functions)
-        functions.append(surface.function)
-    return row
 
 
 def basis(axis: Vector) -> np.ndarray:

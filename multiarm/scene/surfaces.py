@@ -1,32 +1,27 @@
-r"""Contacts as they are written: the surfaces of both bodies, and whether they touch in a point.
+r"""Surfaces of contacts: parameters, checks, and the record that the contact kernel reads.
 
-Two surfaces that touch share a tangent plane. They touch in that point only, and their common
-normal moves smoothly with the bodies, when the sum of their curvatures is positive in every
-direction of the plane (a curvature is positive where the body bulges, negative in a hollow). With
-principal curvatures :math:`a_1 \ge a_2` and :math:`b_1 \ge b_2` there is a way of turning the two
-such that this holds exactly if
-
-.. math:: a_1 + b_2 > 0 \quad\text{and}\quad a_2 + b_1 > 0 .
-
-So a plane meets no cylinder, a bore no cylinder, and a fingertip no narrower bore, but a ring fits
-into a bore that is wider than its tube.
+A surface is one class, ours as well as a user's (:func:`multiarm.register_surface`); ours are the
+fields of :class:`multiarm.scene.Geometry`.  Principal curvatures
+are positive where the body bulges and negative in a hollow.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated, ClassVar
 
+import numpy as np
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from multiarm.errors import SceneError
+from multiarm.geometry import ParametricSurface, SignedDistanceSurface, records
 from multiarm.scene.faults import fault, listed
 from multiarm.scene.functions import UserFunction
+from multiarm.scene.registry import OwnSpec
 from multiarm.scene.values import (
     Direction,
     Number,
-    OneOf,
     Pose,
     Positive,
     Range,
@@ -39,7 +34,6 @@ from multiarm.scene.values import (
 _Z = (0.0, 0.0, 1.0)
 # A funnel is nowhere flat across its lines, but as flat as one likes far from the apex.
 _NEARLY_FLAT = 1e-300
-
 
 Bounds = Annotated[
     tuple[Number | None, Number | None, Number | None],
@@ -66,14 +60,68 @@ class PatchSpec(Spec):
                 raise fault(f"along {axis} 'min' {low:g} must be less than 'max' {high:g}")
         return self
 
+    def record(self) -> records.Patch:
+        """The patch as the monitors read it."""
+        lower = [-np.inf if bound is None else bound for bound in self.min]
+        upper = [np.inf if bound is None else bound for bound in self.max]
+        return records.Patch(np.array(lower), np.array(upper))
 
-class _SurfaceSpec(Spec):
-    """Keys of all surfaces."""
+
+class Surface(OwnSpec):
+    """Base class of surfaces; define ``name``, fields and :meth:`record`.
+
+    Attributes
+    ----------
+    name : str
+        Key of the surface in scenes.
+    picture : str
+        An everyday example, for ``multiarm joints``.
+    example : str
+        One side of a contact in YAML.
+    size : str
+        What decides whether it fits, for messages, such as ``" of radius {radius:g} m"``.
+    """
+
+    name: ClassVar[str] = ""
+    picture: ClassVar[str] = ""
+    example: ClassVar[str] = ""
+    size: ClassVar[str] = ""
 
     patch: PatchSpec | None = Field(None, description="the part of it that exists: a box")
 
+    def record(self) -> records.Surface:
+        """The whole surface in the joint frame, made by a function of :mod:`multiarm.geometry`."""
+        raise NotImplementedError
 
-class _Turned(_SurfaceSpec):
+    def curvatures(self) -> tuple[float, float] | None:
+        """Principal curvatures [1/m], the larger first, where it is easiest to touch.
+
+        None where they are not known: whether it can touch another surface is then not checked.
+        """
+        return None
+
+    @property
+    def is_hollow(self) -> bool:
+        """Whether it is the surface of a cavity, touched from within."""
+        return bool(getattr(self, "inside", False))
+
+    def described(self) -> str:
+        """The surface in messages, such as ``a hollow sphere of radius 0.1 m``."""
+        noun = f"hollow {self.name}" if self.is_hollow else self.name
+        article = "an" if noun[0] in "aeiou" else "a"
+        return f"{article} {noun}{self.size.format(**dict(self))}"
+
+    @classmethod
+    def lacks(cls) -> str:
+        """What the class lacks to be a surface, in words; empty when nothing is missing."""
+        if not isinstance(cls.name, str) or not cls.name.isidentifier():
+            return f"'name' must be a word that a scene can have as a key, it is {cls.name!r}"
+        if cls.record is Surface.record:
+            return "it does not define 'record'"
+        return cls.incomplete()
+
+
+class _Turned(Surface):
     """A surface with its own axes.
 
     Attributes
@@ -90,17 +138,33 @@ class _Turned(_SurfaceSpec):
     @model_validator(mode="after")
     def _one_orientation(self) -> Self:
         try:
-            self.orientation()
+            self.axes()
         except SceneError as error:
             raise fault(error.faults[0].partition(": ")[2]) from None
         return self
 
-    def orientation(self) -> Pose:
-        """The turn of its axes, as a pose without translation."""
-        return Pose(rpy=self.rpy, quaternion_xyzw=self.quaternion_xyzw)
+    def axes(self) -> np.ndarray:
+        """Its axes, the columns of a rotation, shape (3, 3)."""
+        return Pose(rpy=self.rpy, quaternion_xyzw=self.quaternion_xyzw).rotation()
 
 
-class SphereGeometry(_SurfaceSpec):
+class PointGeometry(Surface):
+    """A sharp point, which a scene writes as 3 numbers [m]."""
+
+    name = "point"
+    picture = "a needle's tip: it touches any surface of the other body"
+    example = "arm: {point: [0, 0, 0.1]}"
+
+    at: Vec3
+
+    def record(self) -> records.Surface:
+        return records.point(self.at)
+
+    def curvatures(self) -> tuple[float, float]:
+        return math.inf, math.inf
+
+
+class SphereGeometry(Surface):
     """A sphere, solid or (``inside``) hollow.
 
     Attributes
@@ -113,12 +177,24 @@ class SphereGeometry(_SurfaceSpec):
         The sphere is hollow, touched from within.
     """
 
+    name = "sphere"
+    size = " of radius {radius:g} m"
+    picture = "a fingertip or a ball; inside: a socket or a bowl"
+    example = "object: {sphere: {center: [0, 0, 0], radius: 0.05, inside: true}}"
+
     center: Vec3 = (0.0, 0.0, 0.0)
     radius: Positive
     inside: bool = False
 
+    def record(self) -> records.Surface:
+        return records.sphere(self.center, self.radius, self.inside)
 
-class PlaneGeometry(_SurfaceSpec):
+    def curvatures(self) -> tuple[float, float]:
+        bend = (-1.0 if self.inside else 1.0) / self.radius
+        return bend, bend
+
+
+class PlaneGeometry(Surface):
     """A flat face.
 
     Attributes
@@ -129,11 +205,24 @@ class PlaneGeometry(_SurfaceSpec):
         Direction out of the body that has the face.
     """
 
+    name = "plane"
+    picture = "a table top; here with its edges, a patch"
+    example = (
+        "object: {plane: {point: [0, 0, 0.2], normal: [0, 0, 1], "
+        "patch: {min: [-0.3, -0.2, null], max: [0.3, 0.2, null]}}}"
+    )
+
     point: Vec3 = (0.0, 0.0, 0.0)
     normal: Direction
 
+    def record(self) -> records.Surface:
+        return records.plane(self.point, self.normal)
 
-class CylinderGeometry(_SurfaceSpec):
+    def curvatures(self) -> tuple[float, float]:
+        return 0.0, 0.0
+
+
+class CylinderGeometry(Surface):
     """A cylinder, solid or (``inside``) a bore.
 
     Attributes
@@ -148,13 +237,25 @@ class CylinderGeometry(_SurfaceSpec):
         The cylinder is a bore, touched from within.
     """
 
+    name = "cylinder"
+    size = " of radius {radius:g} m"
+    picture = "a pipe or a rail; inside: a bore"
+    example = "object: {cylinder: {point: [0, 0, 0], axis: [0, 0, 1], radius: 0.05}}"
+
     point: Vec3 = (0.0, 0.0, 0.0)
     axis: Direction = _Z
     radius: Positive
     inside: bool = False
 
+    def record(self) -> records.Surface:
+        return records.cylinder(self.point, self.axis, self.radius, self.inside)
 
-class ConeGeometry(_SurfaceSpec):
+    def curvatures(self) -> tuple[float, float]:
+        bend = (-1.0 if self.inside else 1.0) / self.radius
+        return max(0.0, bend), min(0.0, bend)
+
+
+class ConeGeometry(Surface):
     """A cone, solid or (``inside``) a funnel.
 
     Attributes
@@ -168,6 +269,10 @@ class ConeGeometry(_SurfaceSpec):
     inside : bool
         The cone is a funnel, touched from within.
     """
+
+    name = "cone"
+    picture = "a sharpened pencil; inside: a funnel"
+    example = "object: {cone: {apex: [0, 0, 0], axis: [0, 0, 1], half_angle: 0.6, inside: true}}"
 
     apex: Vec3 = (0.0, 0.0, 0.0)
     axis: Direction = _Z
@@ -183,8 +288,14 @@ class ConeGeometry(_SurfaceSpec):
             )
         return self
 
+    def record(self) -> records.Surface:
+        return records.cone(self.apex, self.axis, self.half_angle, self.inside)
 
-class TorusGeometry(_SurfaceSpec):
+    def curvatures(self) -> tuple[float, float]:
+        return (0.0, -_NEARLY_FLAT) if self.inside else (math.inf, 0.0)
+
+
+class TorusGeometry(Surface):
     """A tube about a circle.
 
     Attributes
@@ -201,6 +312,14 @@ class TorusGeometry(_SurfaceSpec):
         The tube is hollow, touched from within.
     """
 
+    name = "torus"
+    size = " with a tube of radius {tube_radius:g} m"
+    picture = "a ring or a doughnut; inside: a curved tube"
+    example = (
+        "object: {torus: {center: [0, 0, 0], axis: [0, 0, 1], circle_radius: 0.1, "
+        "tube_radius: 0.02}}"
+    )
+
     center: Vec3 = (0.0, 0.0, 0.0)
     axis: Direction = _Z
     circle_radius: Positive
@@ -216,6 +335,17 @@ class TorusGeometry(_SurfaceSpec):
             )
         return self
 
+    def record(self) -> records.Surface:
+        return records.torus(
+            self.center, self.axis, self.circle_radius, self.tube_radius, self.inside
+        )
+
+    def curvatures(self) -> tuple[float, float]:
+        circle, tube = self.circle_radius, self.tube_radius
+        if self.inside:  # at the equator near the axis
+            return 1.0 / (circle - tube), -1.0 / tube
+        return 1.0 / tube, 1.0 / (circle + tube)
+
 
 class EllipsoidGeometry(_Turned):
     """An ellipsoid.
@@ -230,9 +360,22 @@ class EllipsoidGeometry(_Turned):
         The ellipsoid is hollow, touched from within.
     """
 
+    name = "ellipsoid"
+    picture = "an egg or a melon; inside: a dish"
+    example = "object: {ellipsoid: {center: [0, 0, 0], semi_axes: [0.1, 0.07, 0.05]}}"
+
     center: Vec3 = (0.0, 0.0, 0.0)
     semi_axes: tuple[Positive, Positive, Positive]
     inside: bool = False
+
+    def record(self) -> records.Surface:
+        return records.ellipsoid(self.center, self.axes(), self.semi_axes, self.inside)
+
+    def curvatures(self) -> tuple[float, float]:
+        short, middle, long = sorted(self.semi_axes)
+        if self.inside:  # at the end of the short axis
+            return -short / long**2, -short / middle**2
+        return long / short**2, long / middle**2
 
 
 class SurfaceGeometry(_Turned):
@@ -259,6 +402,13 @@ class SurfaceGeometry(_Turned):
     inside : bool
         The surface is that of a cavity, touched from within.
     """
+
+    name = "surface"
+    picture = (
+        "any smooth shape of your own, a Python function: its signed distance or its "
+        "parametrisation"
+    )
+    example = 'object: {surface: {distance: "shapes.py:bump"}}'
 
     distance: UserFunction | None = None
     gradient: UserFunction | None = None
@@ -289,126 +439,13 @@ class SurfaceGeometry(_Turned):
             raise fault("a parametrisation needs the ranges 'u' and 'v', such as 'u: [-1, 1]'")
         return self
 
-
-class Geometry(OneOf):
-    """One body's side of a contact: exactly one of the attributes.
-
-    Attributes
-    ----------
-    point : 3 numbers
-        A sharp point [m].
-    sphere, plane, cylinder, cone, torus, ellipsoid
-        A surface of that form.
-    surface
-        A smooth surface as Python functions.
-    """
-
-    point: Vec3 | None = None
-    sphere: SphereGeometry | None = None
-    plane: PlaneGeometry | None = None
-    cylinder: CylinderGeometry | None = None
-    cone: ConeGeometry | None = None
-    torus: TorusGeometry | None = None
-    ellipsoid: EllipsoidGeometry | None = None
-    surface: SurfaceGeometry | None = None
-
-    @property
-    def shape(self) -> str:
-        """Which one it is, such as ``plane``."""
-        return next(n for n in type(self).model_fields if getattr(self, n) is not None)
-
-    @property
-    def value(self) -> Any:
-        """The point (3 numbers) or the surface."""
-        return getattr(self, self.shape)
-
-    @property
-    def is_hollow(self) -> bool:
-        """Whether it is the surface of a cavity, touched from within."""
-        return self.point is None and getattr(self.value, "inside", False)
-
-
-class ContactSpec(Spec):
-    """One frictionless contact: a surface of the arm and one of the object that touch.
-
-    Attributes
-    ----------
-    arm : Geometry
-        The arm's side, in the joint frame at the tip.
-    object : Geometry
-        The object's side, in the joint frame at the object.
-    rolling : bool
-        The surfaces do not slip where they touch: two rows more, for the velocities.
-    name : str, optional
-        A name for reports.
-    """
-
-    arm: Geometry = Field(description="the arm's side of the contact")
-    object: Geometry = Field(description="the object's side of the contact")
-    rolling: bool = False
-    name: str | None = None
-
-    @model_validator(mode="after")
-    def _touch_in_a_point(self) -> Self:
-        a, b = self.arm, self.object
-        reason = _obstacle(a, b)
-        if reason is not None:
-            raise fault(
-                f"{_named(a)} on the arm and {_named(b)} on the object make no point contact: "
-                f"{reason}"
+    def record(self) -> records.Surface:
+        shape: SignedDistanceSurface | ParametricSurface
+        if self.distance is not None:
+            shape = SignedDistanceSurface(self.distance, self.gradient, self.hessian, self.length)
+        else:
+            assert self.parametrisation and self.u and self.v, "checked above"
+            shape = ParametricSurface(
+                self.parametrisation, self.u, self.v, self.derivatives, self.flip, self.length
             )
-        return self
-
-
-def _obstacle(a: Geometry, b: Geometry) -> str | None:
-    """Why two geometries cannot touch in a point, with the remedy; None when they can."""
-    if a.shape == b.shape == "point":
-        return "two points have no normal; give one body a surface"
-    if a.is_hollow and b.is_hollow:
-        return "both are touched from within; leave out 'inside' on one body"
-    if "surface" in (a.shape, b.shape):
-        return None
-    (a_1, a_2), (b_1, b_2) = _curvatures(a), _curvatures(b)
-    if a_1 + b_2 > 0.0 and a_2 + b_1 > 0.0:
-        return None
-    if a.is_hollow or b.is_hollow:
-        inner = b if a.is_hollow else a
-        if inner.shape in ("plane", "cylinder", "cone"):
-            return f"a {inner.shape} is straight and cannot touch a hollow from within"
-        return "it does not fit; make the inner surface smaller or the hollow one larger"
-    return "they touch along a line or a face; use a sphere, a torus or an ellipsoid on one body"
-
-
-def _curvatures(geometry: Geometry) -> tuple[float, float]:
-    """Principal curvatures [1/m], the larger first, where the geometry is easiest to touch."""
-    g, side = geometry.value, -1.0 if geometry.is_hollow else 1.0
-    if geometry.shape == "point":
-        return math.inf, math.inf
-    if geometry.shape == "plane":
-        return 0.0, 0.0
-    if geometry.shape == "sphere":
-        return side / g.radius, side / g.radius
-    if geometry.shape == "cylinder":
-        return max(0.0, side / g.radius), min(0.0, side / g.radius)
-    if geometry.shape == "cone":
-        return (0.0, -_NEARLY_FLAT) if geometry.is_hollow else (math.inf, 0.0)
-    if geometry.shape == "torus":
-        circle, tube = g.circle_radius, g.tube_radius
-        if geometry.is_hollow:  # at the equator near the axis
-            return 1.0 / (circle - tube), -1.0 / tube
-        return 1.0 / tube, 1.0 / (circle + tube)
-    short, middle, long = sorted(g.semi_axes)
-    if geometry.is_hollow:  # at the end of the short axis
-        return -short / long**2, -short / middle**2
-    return long / short**2, long / middle**2
-
-
-def _named(geometry: Geometry) -> str:
-    """The name of a geometry in messages: with its radius where that decides."""
-    noun = f"hollow {geometry.shape}" if geometry.is_hollow else geometry.shape
-    article = "an" if noun[0] in "aeiou" else "a"
-    if geometry.shape in ("sphere", "cylinder"):
-        return f"{article} {noun} of radius {geometry.value.radius:g} m"
-    if geometry.shape == "torus":
-        return f"{article} {noun} with a tube of radius {geometry.value.tube_radius:g} m"
-    return f"{article} {noun}"
+        return records.smooth(shape, self.origin, self.axes(), self.inside)

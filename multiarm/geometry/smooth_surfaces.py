@@ -1,6 +1,6 @@
 r"""User-defined smooth surfaces: a signed distance, or a parametrisation.
 
-The kernel needs of a surface (:class:`multiarm.contacts.records.SmoothShape`) at a point :math:`y`
+The kernel needs of a surface (:class:`multiarm.geometry.records.SmoothShape`) at a point :math:`y`
 the signed distance :math:`s` (positive outside of the body), its gradient :math:`n` (the unit
 normal) and its second derivatives :math:`H`.
 
@@ -15,7 +15,7 @@ Newton's method, starting at the last foot, on
 
 .. math:: s = n\cdot(y - x), \qquad H = -J I^{-1}\mathit{II}\, (I - s \mathit{II})^{-1} J^T .
 
-Derivatives that are not given are computed numerically (:mod:`multiarm.contacts.differences`);
+Derivatives that are not given are computed numerically (:mod:`multiarm.geometry.differences`);
 those that are given are compared with numerical ones once.
 """
 
@@ -28,14 +28,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from multiarm.contacts.differences import (
+from multiarm.errors import ModelError
+from multiarm.geometry.differences import (
     Differences,
     check_agreement,
     check_certainty,
     checked,
     shown,
 )
-from multiarm.errors import ModelError
 
 Smooth = TypeVar("Smooth", "SignedDistanceSurface", "ParametricSurface")
 

@@ -1,0 +1,234 @@
+r"""A joint as a list of contacts: the surfaces of both bodies, and whether they touch in a point.
+
+Two surfaces that touch share a tangent plane. They touch in that point only, and their common
+normal moves smoothly with the bodies, when the sum of their curvatures is positive in every
+direction of the plane (a curvature is positive where the body bulges, negative in a hollow). With
+principal curvatures :math:`a_1 \ge a_2` and :math:`b_1 \ge b_2` there is a way of turning the two
+such that this holds exactly if
+
+.. math:: a_1 + b_2 > 0 \quad\text{and}\quad a_2 + b_1 > 0 .
+
+So a plane meets no cylinder, a bore no cylinder, and a fingertip no narrower bore, but a ring fits
+into a bore that is wider than its tube.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from typing_extensions import Self
+
+from multiarm.errors import ModelError
+from multiarm.geometry import Contact, records
+from multiarm.scene.faults import fault, models_in
+from multiarm.scene.joints.kind import Joint
+from multiarm.scene.registry import AnyClass, Registry, called
+from multiarm.scene.surfaces import (
+    ConeGeometry,
+    CylinderGeometry,
+    EllipsoidGeometry,
+    PlaneGeometry,
+    PointGeometry,
+    SphereGeometry,
+    Surface,
+    SurfaceGeometry,
+    TorusGeometry,
+)
+from multiarm.scene.values import OneOf, Pose, Spec, Vec3
+
+SURFACES: Registry[Surface] = Registry(
+    noun="surface",
+    plural="surfaces",
+    group="multiarm.surfaces",
+    base="multiarm.Surface",
+    register="multiarm.register_surface",
+    built_in=lambda: BUILT_IN,
+)
+"""User surfaces."""
+
+
+class Geometry(OneOf):
+    """One body's side of a contact: exactly one of the attributes, or a user surface.
+
+    Attributes
+    ----------
+    point : 3 numbers
+        A sharp point [m].
+    sphere, plane, cylinder, cone, torus, ellipsoid
+        A surface of that form.
+    surface
+        A smooth surface as Python functions.
+    """
+
+    point: Vec3 | None = None
+    sphere: SphereGeometry | None = None
+    plane: PlaneGeometry | None = None
+    cylinder: CylinderGeometry | None = None
+    cone: ConeGeometry | None = None
+    torus: TorusGeometry | None = None
+    ellipsoid: EllipsoidGeometry | None = None
+    surface: SurfaceGeometry | None = None
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(SURFACES.read)]]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _set_user_surfaces_apart(cls, data: Any) -> Any:
+        return SURFACES.set_apart(data)
+
+    @property
+    def shape(self) -> str:
+        """Which one it is, such as ``plane``."""
+        return next(name for name, value in self if value is not None)
+
+    @property
+    def value(self) -> Surface | None:
+        """The surface; None if it is a user's whose class is not loaded."""
+        found = dict(self)[self.shape]
+        if self.point is not None:
+            found = PointGeometry(at=self.point)
+        return found if isinstance(found, Surface) else None
+
+    def record(self) -> records.Surface:
+        """The part of the surface that exists, in the joint frame."""
+        own = self.value
+        assert own is not None, "compilation loads all classes"
+        who = f"surface {self.shape!r}: record()"
+        found = called(own.record, who)
+        if not isinstance(found, records.Surface):
+            raise ModelError(
+                f"{who} returned {type(found).__name__}; return a surface of multiarm.geometry, "
+                "such as sphere(...)"
+            )
+        return found if own.patch is None else replace(found, patch=own.patch.record())
+
+
+BUILT_IN: dict[str, Any] = {
+    key: next(iter(models_in(own.annotation)), PointGeometry)
+    for key, own in Geometry.model_fields.items()
+}
+"""Our surfaces by name."""
+
+
+def register_surface(surface: AnyClass) -> AnyClass:
+    """Let contacts of scenes name a user surface, a subclass of :class:`multiarm.Surface`.
+
+    Also a decorator.  Defined and registered once more, it replaces the former one.
+
+    Raises
+    ------
+    ModelError
+        It lacks something, or another surface has its name.
+    """
+    return SURFACES.add(surface)
+
+
+class ContactSpec(Spec):
+    """One frictionless contact: a surface of the arm and one of the object that touch.
+
+    Attributes
+    ----------
+    arm : Geometry
+        The arm's side, in the joint frame at the tip.
+    object : Geometry
+        The object's side, in the joint frame at the object.
+    rolling : bool
+        The surfaces do not slip where they touch: two rows more, for the velocities.
+    name : str, optional
+        A name for reports.
+    """
+
+    arm: Geometry = Field(description="the arm's side of the contact")
+    object: Geometry = Field(description="the object's side of the contact")
+    rolling: bool = False
+    name: str | None = None
+
+    @model_validator(mode="after")
+    def _touch_in_a_point(self) -> Self:
+        a, b = self.arm.value, self.object.value
+        reason = _obstacle(a, b) if a is not None and b is not None else None
+        if a is not None and b is not None and reason is not None:
+            raise fault(
+                f"{a.described()} on the arm and {b.described()} on the object make no point "
+                f"contact: {reason}"
+            )
+        return self
+
+
+def _obstacle(a: Surface, b: Surface) -> str | None:
+    """Why two surfaces cannot touch in a point, with the remedy; None when they can."""
+    if a.name == b.name == "point":
+        return "two points have no normal; give one body a surface"
+    if a.is_hollow and b.is_hollow:
+        return "both are touched from within; leave out 'inside' on one body"
+    of_a, of_b = a.curvatures(), b.curvatures()
+    if of_a is None or of_b is None:
+        return None
+    (a_1, a_2), (b_1, b_2) = of_a, of_b
+    if a_1 + b_2 > 0.0 and a_2 + b_1 > 0.0:
+        return None
+    if a.is_hollow or b.is_hollow:
+        inner, least = (b, b_2) if a.is_hollow else (a, a_2)
+        if least == 0.0:
+            return f"a {inner.name} is straight and cannot touch a hollow from within"
+        return "it does not fit; make the inner surface smaller or the hollow one larger"
+    return "they touch along a line or a face; use a sphere, a torus or an ellipsoid on one body"
+
+
+class ContactsJoint(Joint):
+    """Any list of frictionless point contacts.
+
+    A contact is bilateral: it holds the surfaces together. The report says where it pulls, which a
+    real one could not.
+
+    Attributes
+    ----------
+    at, at_tip : Pose
+        Frames in which the object's and the arm's geometry are given; by default the object
+        frame and the tip's frame themselves.
+    contacts : list of ContactSpec
+        The contacts, at least one; each is a table {arm: ..., object: ...}. The arm's geometry is
+        given in the tip's frame (at_tip), the object's in the object's frame (at), patches too.
+    """
+
+    picture = "a hand of your own: any list of fingertips and surfaces, each touching in one point"
+    example = """
+    contacts:
+      - arm: {sphere: {center: [0, 0.1, 0.21], radius: 0.01}}
+        object: {plane: {point: [0, 0, 0.2], normal: [0, 0, 1]}}
+        name: finger on the lid
+      - arm: {sphere: {center: [0.2, -0.1, 0.21], radius: 0.01}}
+        object: {plane: {point: [0, 0, 0.2], normal: [0, 0, 1]}}
+        rolling: true        # no slip"""
+    as_listed = True
+    drawn_as = "surfaces"
+
+    kind: Literal["contacts"] = "contacts"
+    at: Pose = Pose()
+    contacts: tuple[ContactSpec, ...] = Field(description="a list of {arm: ..., object: ...}")
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if not self.contacts:
+            raise fault("'contacts' is empty; list at least one contact {arm: ..., object: ...}")
+        return self
+
+    @property
+    def pushes(self) -> bool:
+        """All of them only push."""
+        return True
+
+    def records(self) -> list[Contact]:
+        """One row for each contact, two more for a rolling one; functions are loaded already."""
+        found = []
+        for k, spec in enumerate(self.contacts):
+            name = spec.name or f"contact {k + 1}"
+            normal = Contact(name, spec.arm.record(), spec.object.record(), pushes_only=True)
+            found.append(normal)
+            for tangent in (1, 2) if spec.rolling else ():
+                row = f"{name}, no slip {tangent}"
+                found.append(replace(normal, name=row, tangent=tangent, pushes_only=False))
+        return found

@@ -1,0 +1,260 @@
+"""The base class of joints: what a kind of joint says about itself.
+
+Every joint is, to the rest of the program, a set of frictionless point contacts (S.Y. Ho, "Analysis
+and Design of Multi-Arm Robotic Systems Manipulating Large Objects", CUHK MPhil thesis, 1995,
+section 3.9).  A kind is one class: its parameters, its contacts, and what people read about it.
+"""
+
+from __future__ import annotations
+
+from textwrap import dedent, indent
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
+
+import numpy as np
+import yaml
+from pydantic import AfterValidator, ConfigDict, Field
+from typing_extensions import Self
+
+from multiarm.errors import USER_FAULTS, ModelError
+from multiarm.geometry import Contact
+from multiarm.geometry.records import Vector, basis
+from multiarm.scene.faults import fault
+from multiarm.scene.registry import OwnSpec, called
+from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range
+
+X, Y, Z = np.eye(3)
+ZERO = np.zeros(3)
+
+
+def _around_the_start(limits: tuple[float, float]) -> tuple[float, float]:
+    if not limits[0] <= 0.0 <= limits[1]:
+        raise fault(
+            f"limits are counted from where the joint's two frames coincide, as they do at the "
+            f"start unless 'at' turns them, and must enclose 0, got [{limits[0]:g}, "
+            f"{limits[1]:g}]"
+        )
+    return limits
+
+
+Limits = Annotated[Range, AfterValidator(_around_the_start)]
+Line = Annotated[
+    Direction,
+    Field(description="Direction of the line through the joint frame's origin, joint frame."),
+]
+Spread = Annotated[
+    Positive,
+    Field(
+        description="How far the contacts are spread [m]; contact forces depend on it, motions do "
+        "not."
+    ),
+]
+TipRadius = Annotated[
+    NonNegative,
+    Field(description="Radius of the spherical fingertip [m]; 0 is a sharp point."),
+]
+
+
+class Joint(OwnSpec):
+    """Base class of joints; define ``kind``, fields and :meth:`records`.
+
+    The joint frame is given in the object frame (``at``) and in the tip's frame (``at_tip``); both
+    coincide at the start.
+
+    Attributes
+    ----------
+    arm : str
+        The arm whose tip is joined to the object.
+    name : str, optional
+        A name for reports.
+    at : Pose, optional
+        Joint frame in the object frame. Absent: where the arm's joint frame is at the start; kind
+        'contacts': the object's own frame.
+    at_tip : Pose
+        Joint frame in the frame of the arm's tip.
+    picture : str
+        An everyday example, for ``multiarm joints``.
+    example : str
+        The lines after ``kind: ...`` of a joint in YAML; may be empty if no parameter is required.
+    free : tuple of int or None
+        Components of the relative motion that stay free, in the axes of :meth:`frames`: 0 to 2 are
+        translations along x, y, z, 3 to 5 rotations about them. None: they depend on the geometry
+        and are determined at the start.
+    limited : dict
+        Component of the relative motion that each attribute limits.
+    as_listed : bool
+        The contacts are those that a user lists, so that their number and free motions vary.
+    drawn_as : str
+        How a replay draws it: one of the hinges of :mod:`multiarm.viewer.animate`, or
+        ``surfaces`` if those of its contacts are surfaces of bodies.
+    """
+
+    picture: ClassVar[str] = ""
+    example: ClassVar[str] = ""
+    free: ClassVar[tuple[int, ...] | None] = None
+    limited: ClassVar[dict[str, int]] = {}
+    as_listed: ClassVar[bool] = False
+    drawn_as: ClassVar[str] = ""
+
+    arm: str = Field(description="the name of the arm that this joint connects")
+    name: str | None = None
+    at: Pose | None = None
+    at_tip: Pose = Pose()
+    kind: str
+
+    def records(self) -> list[Contact]:
+        """The contacts in the joint frame; points usually on the arm, surfaces on the object."""
+        raise NotImplementedError
+
+    def offset(self) -> np.ndarray:
+        """Position of the joint frame relative to the tip at the start, shape (3,) [m].
+
+        Zero, but for joints whose contacts are not at the tip's centre; only without ``at``.
+        """
+        return ZERO
+
+    @property
+    def z_axis(self) -> Vector:
+        """Direction of the z axis of :meth:`frames` in the joint frame."""
+        return getattr(self, "axis", getattr(self, "normal", Z))
+
+    @property
+    def pushes(self) -> bool:
+        """Whether it has contacts that only push."""
+        return any(contact.pushes_only for contact in self.records())
+
+    @property
+    def free_limits(self) -> dict[int, tuple[float, float]]:
+        """Limits by component of the relative motion.
+
+        Components 0 to 2 are slides along [m], 3 to 5 turns about [rad] x, y, z of the joint frame
+        once that is turned so that z is the joint's axis.
+        """
+        limits = {component: getattr(self, name) for name, component in self.limited.items()}
+        return {component: ends for component, ends in limits.items() if ends is not None}
+
+    def start_shift(self) -> np.ndarray:
+        """The offset as a pose, shape (4, 4)."""
+        shift = np.eye(4)
+        who = f"joint kind {self.kind!r}: offset()"
+        offset = called(self.offset, who)
+        if np.shape(offset) != (3,) or not np.all(np.isfinite(offset)):
+            raise ModelError(f"{who} must return 3 numbers [m], it returned {offset!r}")
+        shift[:3, 3] = offset
+        return shift
+
+    def placed(self, object_pose: np.ndarray) -> list[Contact]:
+        """The contacts, the arm's geometry in the tip frame, the object's in the object frame.
+
+        Parameters
+        ----------
+        object_pose : ndarray, shape (4, 4)
+            Pose of the joint frame in the object frame.
+
+        Raises
+        ------
+        ModelError
+            When a user class or function cannot be used.
+        """
+        who = f"joint kind {self.kind!r}: records()"
+        found = called(self.records, who)
+        if not isinstance(found, (list, tuple)) or not all(isinstance(c, Contact) for c in found):
+            raise ModelError(
+                f"{who} returned {type(found).__name__}; return a list of multiarm.geometry.Contact"
+            )
+        if not found:
+            raise ModelError(f"{who} returned no contact; a joint has at least one")
+        for contact in found:
+            for surface in (contact.arm, contact.object):
+                if not np.all(np.isfinite([*surface.origin, *surface.axes.flat, *surface.sizes])):
+                    raise ModelError(
+                        f"{who} returned contact {contact.name!r} with a number that is not finite "
+                        "or a direction that is zero; correct it"
+                    )
+        on_tip = self.at_tip.matrix()
+        return [moved(contact, on_tip, object_pose) for contact in found]
+
+    def frames(self, object_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The frames in which its free motions are expressed, z its axis or normal.
+
+        Returns
+        -------
+        on_tip, on_object : ndarray, shape (4, 4)
+            Poses in the tip frame and in the object frame.
+        """
+        turn = np.eye(4)
+        turn[:3, :3] = basis(self.z_axis)
+        return self.at_tip.matrix() @ turn, object_pose @ turn
+
+    @classmethod
+    def kind_name(cls) -> Any:
+        """The value of ``kind`` in scenes."""
+        return cls.model_fields["kind"].default
+
+    @classmethod
+    def example_text(cls) -> str:
+        """The example as part of a scene."""
+        head = f"joints:\n  - arm: left\n    kind: {cls.kind_name()}"
+        if not cls.example or cls.example[0].isspace():  # a comment on this line, and further lines
+            comment, *lines = cls.example.rstrip().split("\n")
+        else:
+            comment, lines = "", cls.example.rstrip().split("\n")
+        return head + comment + indent(dedent("".join(f"\n{line}" for line in lines)), "    ")
+
+    @classmethod
+    def sample(cls) -> Self:
+        """The joint of the example."""
+        (entry,) = yaml.safe_load(cls.example_text())["joints"]
+        return cls.model_validate(entry)
+
+    @classmethod
+    def lacks(cls) -> str:
+        """What the class lacks to be a kind of joint, in words; empty when nothing is missing."""
+        if cls.incomplete():
+            return cls.incomplete()
+        kind = cls.kind_name()
+        only = get_origin(annotation := cls.model_fields["kind"].annotation) is Literal
+        if not only or get_args(annotation) != (kind,) or not str(kind).isidentifier():
+            return "'kind' must be a word, written as kind: Literal['word'] = 'word'"
+        if cls.records is Joint.records:
+            return "it does not define 'records'"
+        unlimited = set(cls.limited) - set(cls.model_fields)
+        if unlimited:
+            return f"'limited' names {sorted(unlimited)[0]!r}, which is no field"
+        if not {*(cls.free or ()), *cls.limited.values()} <= set(range(6)):
+            return "'free' and 'limited' name components 0 to 5 of the relative motion"
+        try:
+            if cls.example:
+                cls.sample()
+        except USER_FAULTS as error:
+            return f"its example does not load, {type(error).__name__}: {error}"
+        return ""
+
+
+class UnloadedJoint(Joint):
+    """A joint of which only the frames are known: its contacts need code that is not loaded."""
+
+    model_config = ConfigDict(extra="allow")
+
+    @property
+    def pushes(self) -> bool:
+        """Perhaps."""
+        return True
+
+    def placed(self, object_pose: np.ndarray) -> list[Contact]:
+        """No contacts."""
+        return []
+
+
+def moved(contact: Contact, on_arm: np.ndarray, on_object: np.ndarray) -> Contact:
+    """The contact with the arm's geometry moved by one pose and the object's by another."""
+    return contact.mapped(
+        lambda surface: surface.moved(on_arm[:3, :3], on_arm[:3, 3]),
+        lambda surface: surface.moved(on_object[:3, :3], on_object[:3, 3]),
+    )
+
+
+def turned(contacts: list[Contact], axis: Vector) -> list[Contact]:
+    """Contacts written for the z axis, turned so that it becomes ``axis``."""
+    turn = np.eye(4)
+    turn[:3, :3] = basis(axis)
+    return [moved(contact, turn, turn) for contact in contacts]
