@@ -170,7 +170,8 @@ def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool
     ``heavy`` has an object that does not move.  The compiled projection is fast; where it fails,
     near singular postures, the gaps are closed in small steps.
     """
-    data.set_state(0.0, state)
+    data.move_to(state)
+    data.arrays.places[:] = data.model.pair_places
     if project_positions(heavy.struct, tolerance, True, 0.3, 60) == OK:
         return True
     data.reraise()
