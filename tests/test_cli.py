@@ -134,6 +134,14 @@ def test_module_and_command_are_one_program():
     assert out.strip() == f"multiarm {ma.__version__}"
 
 
+def test_a_reader_that_goes_away_is_no_error_worth_a_message():
+    """As in ``multiarm joints | head``."""
+    program = start("joints")
+    program.stdout.close()
+    _, error = program.communicate(timeout=60)
+    assert (program.returncode, error) == (1, "")
+
+
 @pytest.mark.parametrize(
     "command",
     ["run", "check", "effects", "joints", "replay", "report", "scaling", "stability", "warmup"],

@@ -56,6 +56,8 @@ class _Commands(TyperGroup):
             print_error("interrupted")
             raise typer.Exit(1) from None
         except SystemExit as error:  # no command raises this itself
+            if isinstance(error.__context__, BrokenPipeError):  # Rich does, as in `| head`
+                raise typer.Exit(1) from None
             print_error(f"code that was loaded ended the program: SystemExit: {error}")
             raise typer.Exit(1) from None
 
