@@ -89,7 +89,7 @@ from multiarm.contacts.table import (
     WEIGHT,
 )
 from multiarm.geometry.records import CYLINDER, PLANE, SURFACE_ON_OBJECT
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.vectors import (
     ZERO,
@@ -442,3 +442,19 @@ def _combine(weight, parts, at, count, row):
     put(row, COUPLE, cross(sub(vec(other, AT), vec(first, AT)), e))
     for i in (GAP, GAP_RATE, GAP_BIAS):
         row[i] -= weight * other[i]
+
+
+@plain
+def depth_in_patch(patch, at):
+    """How far inside its patch a contact point ``at`` (3,) is [m]; negative outside.
+
+    ``patch`` (18,): its frame in the frame of ``at``, rotation row by row and origin; then the
+    lower and the upper corner of the box in it.
+    """
+    depth = math.inf
+    for j in range(3):
+        x = 0.0
+        for k in range(3):
+            x += patch[3 * k + j] * (at[k] - patch[9 + k])
+        depth = min(depth, x - patch[12 + j], patch[15 + j] - x)
+    return depth

@@ -17,6 +17,7 @@ from multiarm.contacts.kernel import (
     LINE_CONTACT,
     NORMAL,
     RELATIVE_WIDTH,
+    depth_in_patch,
     locate_pair,
 )
 from multiarm.contacts.matrices import (
@@ -268,9 +269,7 @@ def patch_margin(data: Data, constraint: Constraint) -> float:
     patch = patch_of(data.model, constraint)
     if patch is None:
         return np.inf
-    at = data.arrays.contacts[constraint.row, AT : AT + 3]
-    place = (at - patch[9:12]) @ patch[:9].reshape(3, 3)
-    return float(min(np.min(place - patch[12:15]), np.min(patch[15:] - place)))
+    return float(depth_in_patch(patch, data.arrays.contacts[constraint.row, AT : AT + 3]))
 
 
 def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:

@@ -35,7 +35,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import AT, GAP, GAP_RATE
+from multiarm.contacts.kernel import AT, GAP, GAP_RATE, depth_in_patch
 from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_coupled, open_data, open_system
 from multiarm.dynamics.equations import (
     add_torques,
@@ -57,7 +57,20 @@ from multiarm.dynamics.solver.reactions import (
 )
 from multiarm.jit.kernels import INTS, cfunc, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
-from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2, make_struct, struct_at, view
+from multiarm.jit.structs import (
+    Flag,
+    Float,
+    Floats1,
+    Floats2,
+    Int,
+    Ints1,
+    Ints2,
+    Numbers,
+    make_struct,
+    struct_at,
+    view,
+)
+from multiarm.jit.vectors import vec
 
 # Columns of ModeArrays.slides: held row, its arm, first tangent among the tangents' rows, and among
 # all rows.
@@ -82,18 +95,25 @@ PARAMETER, THRESHOLD, LEVEL_WIDTH = range(3)
 QUIET, FIRED, DIPPED = range(3)
 
 
+class ModeNumbers(Numbers):
+    """Numbers of one mode."""
+
+    slow: Float  # the speed ``s_0`` [m/s]
+    power: Int  # index of the power of sliding friction in ``data.power``
+    muted: Flag  # the current step ends at an event that has been located
+    stressed: Flag  # there are forces ``lambda_0``
+    begin: Float  # of the last step [s]
+    end: Float
+
+
 class ModeArrays(NamedTuple):
-    """Arrays of one mode.
+    """Numbers and arrays of one mode.
 
     held : int64 (m,)
         The held rows, among all rows.
     slides : int64 (s, 4), slide_mu : (s,), direction, turning : (s, 2), speed : (s,)
         Sliding contacts: rows, coefficients of friction, direction of slip at the end of the last
         step and at the state evaluated last, and the speed along it [m/s].
-    slow : (1,)
-        The speed ``s_0`` [m/s].
-    slots : int64 (1,)
-        Index of the power of sliding friction in ``data.power``.
     states : (u,)
         State of every contact, as it is recorded.
     guards : int64 (g, 5), levels : (g, 2)
@@ -104,28 +124,23 @@ class ModeArrays(NamedTuple):
         least value in the stages since.
     armed, found : int64 (g,)
         Whether it has been positive in this mode; its result for the last step.
-    muted : int64 (1,)
-        1: the current step ends at an event that has been located.
-    span : (2,)
-        Begin and end of the last step [s].
     patches : (g, 18)
         Of patch guards: frame of the patch (rotation row by row, origin) in its body, and corners.
     Wr : (m, 6)
         The object's rows of the reaction matrices.
-    prestress : (m,), stressed : int64 (1,)
-        The forces ``lambda_0``, and whether there are any.
+    prestress : (m,)
+        The forces ``lambda_0``.
     springs : int64 (s,), spring_force : (s,)
         Compliant contacts: their rows among all, and their forces.
     """
 
+    numbers: ModeNumbers
     held: Ints1
     slides: Ints2
     slide_mu: Floats1
     direction: Floats2
     turning: Floats2
     speed: Floats1
-    slow: Floats1
-    slots: Ints1
     states: Floats1
     guards: Ints2
     levels: Floats2
@@ -135,12 +150,9 @@ class ModeArrays(NamedTuple):
     least: Floats1
     armed: Ints1
     found: Ints1
-    muted: Ints1
-    span: Floats1
     patches: Floats2
     Wr: Floats2
     prestress: Floats1
-    stressed: Ints1
     springs: Ints1
     spring_force: Floats1
 
@@ -159,7 +171,7 @@ def forces_by_model(address, size, alpha, beta):
     """Right-hand sides of a mode; its control uses the model with all contacts."""
     model, data, work = open_system(struct_at(address, size))
     mode = open_mode(struct_at(data.modes.guards, 0))
-    data.power[mode.slots[0]] = 0.0
+    data.power[mode.numbers.power] = 0.0
     passive_forces(address, size, model, data, work)
     power = 0.0
     if model.control.shape[0] > 0:
@@ -182,10 +194,10 @@ def solve_held(address, size, _a, _b):
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
     mode = open_mode(struct_at(data.modes.guards, 0))
-    if mode.stressed[0] != 0:
+    if mode.numbers.stressed:
         add_prestress(mode, data.Wo, work.Y, data, work)
     status = call_cfunc(data.functions.project, struct, 0.0, 0.0)
-    if mode.stressed[0] != 0:
+    if mode.numbers.stressed:
         restore_forces(mode, data)
     update_least(data)
     return status
@@ -219,7 +231,7 @@ def solve_sliding(address, size, _a, _b):
     own = struct_at(data.modes.guards, 0)
     mode, reactions = open_mode(own), open_reactions(own)
     write_reactions(data, work, mode, reactions)
-    if mode.stressed[0] != 0:
+    if mode.numbers.stressed:
         add_prestress(mode, mode.Wr, reactions.Yr, data, work)
     data.status.imbalance = 0.0
     coupled = open_coupled(struct)
@@ -243,12 +255,12 @@ def solve_sliding(address, size, _a, _b):
             coupled.status.unknowns = reactions.status.rows
             coupled.status.rank = reactions.status.rank
             coupled.status.margin = math.inf
-    if mode.stressed[0] != 0:
+    if mode.numbers.stressed:
         restore_forces(mode, data)
     power = 0.0
     for s in range(mode.slides.shape[0]):
         power -= mode.slide_mu[s] * data.force[mode.slides[s, HELD]] * mode.speed[s]
-    data.power[mode.slots[0]] = power
+    data.power[mode.numbers.power] = power
     data.power[data.power.size - 1] += power
     update_least(data)
     return OK
@@ -296,7 +308,7 @@ def write_reactions(data, work, mode, reactions):
 @kernel
 def write_direction(s, mode, first, second):
     """Direction of slip from its two components, near to the last step's."""
-    d0, d1, slow = mode.direction[s, 0], mode.direction[s, 1], mode.slow[0]
+    d0, d1, slow = mode.direction[s, 0], mode.direction[s, 1], mode.numbers.slow
     along = first * d0 + second * d1
     p0, p1 = first - along * d0, second - along * d1
     root = math.sqrt(along * along + slow * slow)
@@ -366,18 +378,6 @@ def update_least(data):
             mode.least[g] = min(mode.least[g], force_guard(g, mode, data))
 
 
-@kernel
-def patch_guard(g, mode, contact):
-    """Distance of a contact of the surroundings inside its patch [m]."""
-    patch, inside = mode.patches[g], math.inf
-    for j in range(3):
-        x = 0.0
-        for k in range(3):
-            x += patch[3 * k + j] * (contact[AT + k] - patch[9 + k])
-        inside = min(inside, x - patch[12 + j], patch[15 + j] - x)
-    return inside
-
-
 @inlined
 def spring_length(gap, rate, lag):
     """Extension of a spring and damper that only push [m]; they push where it is negative.
@@ -412,7 +412,7 @@ def guard_value(g, mode, data, full):
         row = full.contacts[a]
         return mode.guards[g, C] * spring_length(row[GAP], row[GAP_RATE], parameter)
     if kind == PATCH_GUARD:
-        return mode.guards[g, C] * patch_guard(g, mode, full.contacts[a])
+        return mode.guards[g, C] * depth_in_patch(mode.patches[g], vec(full.contacts[a], AT))
     return force_guard(g, mode, data)
 
 
@@ -443,14 +443,14 @@ def check_guards(address, size, begin, end):
     if data.status.failed:
         return OK  # the time loop checks the flag
     full = open_data(struct_at(data.modes.full, 0))
-    mode.span[0], mode.span[1] = begin, end
+    mode.numbers.begin, mode.numbers.end = begin, end
     events = 0
     for g in range(mode.guards.shape[0]):
         mode.found[g] = judge_guard(g, mode, full, end - begin)
         events += 1 if mode.found[g] != QUIET else 0
-    if events > 0 and mode.muted[0] == 0:
+    if events > 0 and not mode.numbers.muted:
         return FIRED
-    mode.muted[0] = 0
+    mode.numbers.muted = False
     accept_guards(mode, full)
     return OK
 

@@ -30,6 +30,7 @@ from multiarm.events.kernels import (
     SLIP_GUARD,
     SPRING_GUARD,
     ModeArrays,
+    ModeNumbers,
     check_guards,
     forces_by_model,
     mode_struct,
@@ -120,7 +121,7 @@ class Mode:
     def set_prestress(self, forces: dict[int, float]) -> None:
         """Set the forces, by row, to which those of the mode are nearest."""
         self.arrays.prestress[:] = [forces.get(int(row), 0.0) for row in self.arrays.held]
-        self.arrays.stressed[0] = 1
+        self.arrays.numbers.stressed = True
 
 
 class Modes:
@@ -170,7 +171,8 @@ class Modes:
         arrays = mode.arrays
         for s, u in enumerate(choice.sliding(self.unilateral.constraints)):
             arrays.direction[s] = directions[u]
-        arrays.armed[:] = arrays.muted[:] = arrays.stressed[:] = 0
+        arrays.armed[:] = 0
+        arrays.numbers.muted = arrays.numbers.stressed = False
         arrays.least[:] = np.inf
         set_constraint_forces(self.full, choice)
         return mode
@@ -234,14 +236,13 @@ class Modes:
             if constraint.kind == CONTACT
         ]
         return ModeArrays(
+            numbers=ModeNumbers(slow=self.slow, power=slot),
             held=rows,
             slides=slides,
             slide_mu=np.array([constraints[u].mu for u in sliding]),
             direction=np.zeros((len(sliding), 2)),
             turning=np.zeros((len(sliding), 2)),
             speed=np.zeros(len(sliding)),
-            slow=np.array([self.slow]),
-            slots=np.array([slot], dtype=np.int64),
             states=np.array(states, dtype=float),
             guards=np.array(guards, dtype=np.int64).reshape(-1, GUARD_WIDTH),
             levels=np.array(levels).reshape(-1, LEVEL_WIDTH),
@@ -251,12 +252,9 @@ class Modes:
             least=np.full(g, np.inf),
             armed=np.zeros(g, dtype=np.int64),
             found=np.zeros(g, dtype=np.int64),
-            muted=np.zeros(1, dtype=np.int64),
-            span=np.zeros(2),
             patches=np.array(patches).reshape(-1, 18),
             Wr=np.zeros((len(rows), 6)),
             prestress=np.zeros(len(rows)),
-            stressed=np.zeros(1, dtype=np.int64),
             springs=np.zeros(0, dtype=np.int64) if springs is None else springs.rows,
             spring_force=np.zeros(0) if springs is None else full.effect(COMPLIANCE)[FORCE],
         )

@@ -11,14 +11,13 @@ negative within the allowed range.  The time of a sign change is interpolated li
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from multiarm.contacts.joint import COMPONENTS
-from multiarm.contacts.kernel import AT, NORMAL
+from multiarm.contacts.kernel import AT, NORMAL, depth_in_patch
 from multiarm.contacts.table import SURFACE_BODY, TIP_RADIUS
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.model import Data
@@ -26,6 +25,7 @@ from multiarm.dynamics.state import Layout
 from multiarm.geometry.records import SURFACE_ON_OBJECT, Contact, Patch
 from multiarm.jit.kernels import kernel
 from multiarm.jit.structs import floats1
+from multiarm.jit.vectors import add_scaled, rotate_back, rotation, sub, vec
 from multiarm.results.event_log import EventLog
 
 # Columns of a monitor, of shape (20,).
@@ -159,18 +159,9 @@ def margin_of(monitor, model, data):
     away = model.geometry[row, TIP_RADIUS]
     if model.codes[row, SURFACE_BODY] == SURFACE_ON_OBJECT:
         away = -away
-    d0 = contact[AT] - away * contact[NORMAL] - body[9]
-    d1 = contact[AT + 1] - away * contact[NORMAL + 1] - body[10]
-    d2 = contact[AT + 2] - away * contact[NORMAL + 2] - body[11]
-    at = POSE
-    p0 = body[0] * d0 + body[3] * d1 + body[6] * d2 - monitor[at + 9]
-    p1 = body[1] * d0 + body[4] * d1 + body[7] * d2 - monitor[at + 10]
-    p2 = body[2] * d0 + body[5] * d1 + body[8] * d2 - monitor[at + 11]
-    worst = -math.inf
-    for j in range(3):
-        p = monitor[at + j] * p0 + monitor[at + 3 + j] * p1 + monitor[at + 6 + j] * p2
-        worst = max(worst, monitor[LOWER + j] - p, p - monitor[UPPER + j])
-    return worst - ROUNDING
+    touching = add_scaled(vec(contact, AT), -away, vec(contact, NORMAL))
+    at = rotate_back(rotation(body, 0), sub(touching, vec(body, 9)))
+    return -depth_in_patch(monitor[POSE:], at) - ROUNDING
 
 
 @kernel

@@ -139,12 +139,12 @@ class EventHandler:
     def locate(self, run: Run) -> str:
         """Locate the first event in the last step, and let the loop stop there."""
         arrays, t = self.mode.arrays, run.clock.t
-        begin, end = arrays.span
+        begin, end = arrays.numbers.begin, arrays.numbers.end
         struct = run.data.struct
         probe = GuardValues(struct, run.stepping.struct, self.mode, begin, end)
         theta, guards = first_event(probe, arrays.found.copy(), arrays.levels[:, THRESHOLD])
         arrays.least[:] = np.inf
-        arrays.muted[0] = 1
+        arrays.numbers.muted = True
         if not guards:  # no root: the step is repeated and accepted
             return ""
         self._last_length = end - begin
