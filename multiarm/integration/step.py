@@ -24,6 +24,7 @@ Explicit methods are carried out here.  Implicit methods have compiled steps of 
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -91,8 +92,12 @@ class Step(NamedTuple):
     implicit: ImplicitStep
 
 
+@cache
 def make_method(tableau: Tableau) -> Method:
-    """The tableau in the kernels' form (all methods have the same types: nothing recompiles)."""
+    """The tableau in the kernels' form (all methods have the same types: nothing recompiles).
+
+    Runs share the arrays, which nothing writes.
+    """
 
     def matrix(rows: tuple) -> np.ndarray:
         return np.array(rows, dtype=float) if rows else np.zeros((0, 0))

@@ -86,7 +86,7 @@ def make_struct(entries: Sequence[np.ndarray | float | Numbers]) -> np.ndarray:
         if isinstance(entry, np.ndarray):
             assert entry.flags.c_contiguous and entry.dtype in _KINDS
             sizes = entry.shape
-            first = entry.__array_interface__["data"][0]
+            first = entry.ctypes.data
         else:
             sizes = ()
             whole = isinstance(entry, (int, np.integer))
