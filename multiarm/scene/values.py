@@ -48,7 +48,12 @@ class Spec(BaseModel):
     raises the same :class:`~multiarm.errors.SceneError`.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        arbitrary_types_allowed=True,
+        defer_build=True,  # at its first use: a scene uses few of all parts
+    )
 
     def __init__(self, /, **data: Any) -> None:
         try:
