@@ -2,7 +2,7 @@
 
 from multiarm.scene.arms import ArmSpec, ResolvedArm, ToolSpec, resolve_arm
 from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
-from multiarm.scene.control import Waypoint
+from multiarm.scene.control import CONTROLS, Waypoint, register_control
 from multiarm.scene.effects import (
     EFFECTS,
     WITH_EVENTS,
@@ -66,6 +66,7 @@ from multiarm.scene.values import Pose, gain_vector, joint_vector
 
 __all__ = [
     "ARM_TERMS",
+    "CONTROLS",
     "EFFECTS",
     "JOINTS",
     "REGISTRIES",
@@ -124,6 +125,7 @@ __all__ = [
     "read_urdf",
     "read_wrench_table",
     "refuse_code",
+    "register_control",
     "register_effect",
     "register_joint",
     "register_surface",
@@ -135,5 +137,5 @@ __all__ = [
     "without_code",
 ]
 
-REGISTRIES = (EFFECTS, JOINTS, SURFACES)
+REGISTRIES = (CONTROLS, EFFECTS, JOINTS, SURFACES)
 """The user classes of all sorts."""

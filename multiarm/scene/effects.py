@@ -27,6 +27,7 @@ from multiarm.scene.values import (
     Spec,
     UrdfGain,
     Vec3,
+    below,
     gain_faults,
     shorthand,
     urdf_warnings,
@@ -67,10 +68,6 @@ def effort_limit_of(joint: JointOutline) -> float:
 
 def _has_effort_limit(joint: JointOutline) -> bool:
     return math.isfinite(effort_limit_of(joint))
-
-
-def _below(where: Parts, found: Faults) -> Faults:
-    return [((*where, *further), text) for further, text in found]
 
 
 def register_effect(effect: AnyClass) -> AnyClass:
@@ -124,12 +121,12 @@ class JointFriction(Spec):
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms."""
         found = gain_faults(self.torque, arms, friction_of, "<dynamics friction>")
-        return _below(("torque",), found)
+        return below(("torque",), found)
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Warnings about probable mistakes."""
         found = urdf_warnings(self.torque, arms, friction_of, "<dynamics friction>")
-        return _below(("torque",), found)
+        return below(("torque",), found)
 
 
 class ActuatorLag(Spec):
@@ -152,7 +149,7 @@ class ActuatorLag(Spec):
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms."""
-        return _below(("time_constant",), gain_faults(self.time_constant, arms))
+        return below(("time_constant",), gain_faults(self.time_constant, arms))
 
 
 def _or_only(key: str, kind: type[Spec]) -> BeforeValidator:
@@ -420,21 +417,21 @@ class EffectsSpec(Spec):
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms of the scene."""
         found = gain_faults(self.joint_damping, arms, damping_of, "<dynamics damping>")
-        faults = _below(("joint_damping",), found)
-        faults += _below(("rotor_inertia",), gain_faults(self.rotor_inertia, arms))
-        faults += _below(("torque_limits",), gain_faults(self.torque_limits, arms))
+        faults = below(("joint_damping",), found)
+        faults += below(("rotor_inertia",), gain_faults(self.rotor_inertia, arms))
+        faults += below(("torque_limits",), gain_faults(self.torque_limits, arms))
         for where, spec in self._parts():
-            faults += _below(where, spec.faults(arms) if hasattr(spec, "faults") else [])
+            faults += below(where, spec.faults(arms) if hasattr(spec, "faults") else [])
         return faults
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Warnings about probable mistakes."""
         found = urdf_warnings(self.joint_damping, arms, damping_of, "<dynamics damping>")
-        warnings = _below(("joint_damping",), found)
+        warnings = below(("joint_damping",), found)
         found = urdf_warnings(self.torque_limits, arms, _has_effort_limit, "<limit effort>")
-        warnings += _below(("torque_limits",), found)
+        warnings += below(("torque_limits",), found)
         for where, spec in self._parts():
-            warnings += _below(where, spec.warnings(arms) if hasattr(spec, "warnings") else [])
+            warnings += below(where, spec.warnings(arms) if hasattr(spec, "warnings") else [])
         return warnings
 
     def _parts(self) -> Iterator[tuple[Parts, Any]]:

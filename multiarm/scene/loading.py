@@ -4,10 +4,9 @@ Three habits of YAML 1.1 that bite are avoided on reading: ``1e-6`` is a number 
 is a word (not true), and a key that stands twice in one table is a fault (not a silent loss of the
 first).
 
-A scene can name functions (surfaces, wrenches) and classes of installed packages (effects, joints,
-surfaces).  Reading it loads
-none of them.  :func:`with_code` loads them for a system that is to run; :func:`without_code` gives
-what can be looked at without them.
+A scene can name functions (surfaces, wrenches, control) and classes of installed packages (effects,
+joints, surfaces, controls).  Reading it loads none of them.  :func:`with_code` loads them for a
+system that is to run; :func:`without_code` gives what can be looked at without them.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ import yaml
 from pydantic import BaseModel
 
 from multiarm.errors import ModelError, SceneError
+from multiarm.scene.control import CONTROLS, ControlKind, UnloadedControl
 from multiarm.scene.effects import EFFECTS
 from multiarm.scene.faults import Parts, place
 from multiarm.scene.functions import (
@@ -178,6 +178,7 @@ def _neighbours(path: Path) -> str:
 # --- code that a scene names ----------------------------------------------------------------------
 
 
+_CONTROL = ("control",)
 _WRENCHES = ("effects", "external_wrenches")
 
 
@@ -221,6 +222,10 @@ def named_code(scene: Scene) -> list[NamedCode]:
             found.append(NamedCode.function(parts, reference, joint.arm))
         for parts, registry, name in _unloaded_classes(joint, ("joints", k)):
             found.append(NamedCode.user_class(parts, registry, name, joint.arm))
+    for parts, reference in function_references(scene.control, _CONTROL):
+        found.append(NamedCode.function(parts, reference))
+    for parts, registry, name in _unloaded_classes(scene.control, _CONTROL):
+        found.append(NamedCode.user_class(parts, registry, name))
     for parts, reference in function_references(scene.effects.external_wrenches, _WRENCHES):
         found.append(NamedCode.function(parts, reference))
     found += [
@@ -265,7 +270,10 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
         When a function cannot be loaded.
     """
     named, unvalidated = named_code(scene), _available(_unvalidated_effects(scene))
-    unloaded = [*_unloaded_classes(scene.joints, ("joints",))]
+    unloaded = [
+        *_unloaded_classes(scene.joints, ("joints",)),
+        *_unloaded_classes(scene.control, _CONTROL),
+    ]
     missing = [one for one in unloaded if not one[1].known(one[2]) and not one[1].offers(one[2])]
     if missing:
         raise SceneError(f"{place(parts)}: {own.unknown(name)}" for parts, own, name in missing)
@@ -273,25 +281,29 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
         refuse_code(named)
     if unvalidated or unloaded:
         # validated as in a scene made in Python, which loads the classes that it names
-        joints = [_plain(joint) for joint in scene.joints] if unloaded else scene.joints
-        validated = scene.replace(effects=scene.effects.named, joints=joints)
+        parts: dict[str, Any] = {"effects": scene.effects.named}
+        if unloaded:
+            parts |= {name: _plain(getattr(scene, name)) for name in ("joints", "control")}
+        validated = scene.replace(**parts)
         faults = function_faults(validated, scene.folder) if scene.is_from_file else []
         if faults:
             raise SceneError(faults)
         scene = validated
     if named:
         joints = loaded_functions(scene.joints, ("joints",))
+        control = loaded_functions(scene.control, _CONTROL)
         wrenches = loaded_functions(scene.effects.external_wrenches, _WRENCHES)
         effects = scene.effects.model_copy(update={"external_wrenches": wrenches})
-        scene = scene.model_copy(update={"joints": joints, "effects": effects})
+        changes = {"joints": joints, "control": control, "effects": effects}
+        scene = scene.model_copy(update=changes)
     return scene
 
 
 def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
     """The scene without what needs code that is not loaded, and that code.
 
-    Left out are wrenches by functions and effects of packages, and of joints the contacts that
-    need functions or classes of packages; the other contacts keep their names.
+    Left out are wrenches by functions, effects of packages, control that needs either, and of
+    joints the contacts that need functions or classes of packages; the others keep their names.
     """
     left = named_code(scene)
     unvalidated = _unvalidated_effects(scene)
@@ -303,7 +315,10 @@ def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
         update={"external_wrenches": kept or None, **dict.fromkeys(unvalidated)}
     )
     joints = tuple(_without_contacts(joint) for joint in scene.joints)
-    return scene.model_copy(update={"joints": joints, "effects": effects}), left
+    control = scene.control
+    if _needs_code(control):
+        control = ControlKind.model_construct(kind=control.kind)
+    return scene.model_copy(update={"joints": joints, "control": control, "effects": effects}), left
 
 
 def loaded_functions(value: Any, parts: Parts = ()) -> Any:
@@ -340,9 +355,11 @@ def _available(names: Iterable[str]) -> list[str]:
 
 
 def _unloaded_classes(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, Registry, str]]:
-    """User classes of a joint that are not loaded: their place, sort and name."""
+    """User classes in a part of a scene that are not loaded: their place, sort and name."""
     if isinstance(value, UnloadedJoint):
         yield (*parts, "kind"), JOINTS, value.kind
+    elif isinstance(value, UnloadedControl):
+        yield (*parts, "kind"), CONTROLS, value.kind
     elif isinstance(value, Geometry) and value.value is None:
         yield (*parts, value.shape), SURFACES, value.shape
     for key, item in items(value):
@@ -356,18 +373,18 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
+def _needs_code(part: Any) -> bool:
+    return any(function_references(part)) or any(_unloaded_classes(part))
+
+
 def _without_contacts(joint: Joint) -> Joint:
     """A joint without its contacts that need code; nothing is left of a kind that needs it."""
-
-    def needs_code(part: Any) -> bool:
-        return any(function_references(part)) or any(_unloaded_classes(part))
-
-    if not needs_code(joint):
+    if not _needs_code(joint):
         return joint
     contacts = tuple(
         contact.model_copy(update={"name": contact.name or f"contact {k + 1}"})
         for k, contact in enumerate(joint.contacts if isinstance(joint, ContactsJoint) else ())
-        if not needs_code(contact)
+        if not _needs_code(contact)
     )
     if contacts:
         return joint.model_copy(update={"contacts": contacts})

@@ -8,7 +8,7 @@ section 3.9).  A kind is one class: its parameters, its contacts, and what peopl
 from __future__ import annotations
 
 from textwrap import dedent, indent
-from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
+from typing import Annotated, ClassVar
 
 import numpy as np
 import yaml
@@ -186,11 +186,6 @@ class Joint(OwnSpec):
         return self.at_tip.matrix() @ turn, object_pose @ turn
 
     @classmethod
-    def kind_name(cls) -> Any:
-        """The value of ``kind`` in scenes."""
-        return cls.model_fields["kind"].default
-
-    @classmethod
     def example_text(cls) -> str:
         """The example as part of a scene."""
         head = f"joints:\n  - arm: left\n    kind: {cls.kind_name()}"
@@ -209,12 +204,8 @@ class Joint(OwnSpec):
     @classmethod
     def lacks(cls) -> str:
         """What the class lacks to be a kind of joint, in words; empty when nothing is missing."""
-        if cls.incomplete():
-            return cls.incomplete()
-        kind = cls.kind_name()
-        only = get_origin(annotation := cls.model_fields["kind"].annotation) is Literal
-        if not only or get_args(annotation) != (kind,) or not str(kind).isidentifier():
-            return "'kind' must be a word, written as kind: Literal['word'] = 'word'"
+        if cls.lacks_kind():
+            return cls.lacks_kind()
         if cls.records is Joint.records:
             return "it does not define 'records'"
         unlimited = set(cls.limited) - set(cls.model_fields)
