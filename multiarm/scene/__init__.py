@@ -5,13 +5,13 @@ from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
 from multiarm.scene.control import CONTROLS, Waypoint, register_control
 from multiarm.scene.effects import (
     EFFECTS,
-    WITH_EVENTS,
     EffectsSpec,
     damping_of,
     effort_limit_of,
     friction_of,
     register_effect,
 )
+from multiarm.scene.effects.loads import ExternalWrench, read_wrench_table
 from multiarm.scene.functions import function_text
 from multiarm.scene.joints import (
     JOINTS,
@@ -43,7 +43,6 @@ from multiarm.scene.loading import (
     with_code,
     without_code,
 )
-from multiarm.scene.loads import ExternalWrench, read_wrench_table
 from multiarm.scene.object import Mesh, ObjectSpec, Shape
 from multiarm.scene.robots import (
     JointOutline,
@@ -72,7 +71,6 @@ __all__ = [
     "REGISTRIES",
     "STEPS_CHOSEN_BY",
     "SURFACES",
-    "WITH_EVENTS",
     "AccuracySpec",
     "ArmSpec",
     "BallJoint",

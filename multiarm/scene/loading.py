@@ -1,9 +1,5 @@
 """Scene files: YAML text read with every fault at its place, written back, and their code.
 
-Three habits of YAML 1.1 that bite are avoided on reading: ``1e-6`` is a number (not text), ``on``
-is a word (not true), and a key that stands twice in one table is a fault (not a silent loss of the
-first).
-
 A scene can name functions (surfaces, wrenches, control) and classes of installed packages (effects,
 joints, surfaces, controls).  Reading it loads none of them.  :func:`with_code` loads them for a
 system that is to run; :func:`without_code` gives what can be looked at without them.
@@ -11,8 +7,7 @@ system that is to run; :func:`without_code` gives what can be looked at without 
 
 from __future__ import annotations
 
-import re
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +35,7 @@ from multiarm.scene.joints import (
 from multiarm.scene.joints.contacts import SURFACES, ContactsJoint, Geometry
 from multiarm.scene.registry import Registry
 from multiarm.scene.schema import Scene, function_faults
+from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import written
 
 
@@ -119,55 +115,6 @@ def dump_scene(scene: Scene) -> str:
     return yaml.safe_dump(
         data, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
     )
-
-
-def parse_yaml(text: str) -> Any:
-    """The content of a YAML text, without the habits above.
-
-    Raises
-    ------
-    SceneError
-        When it is not YAML, or a key stands twice.
-    """
-    try:
-        return yaml.load(text, Loader=_Loader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise SceneError(f"{where}{error.problem or error.context}; this is not YAML") from None
-    except yaml.YAMLError as error:
-        raise SceneError(f"this is not YAML: {error}") from None
-
-
-_MERGE, _TRUTH = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:bool"
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML with ``1e-6`` as a number, ``on`` as a word, and without repeated keys."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        """Refuse keys that stand twice."""
-        seen: set[Hashable] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if isinstance(key, Hashable) and key in seen and key_node.tag != _MERGE:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key!r} stands twice in one table", key_node.start_mark
-                )
-            seen.add(key if isinstance(key, Hashable) else str(key))
-        return super().construct_mapping(node, deep=deep)
-
-
-# of the truth values, only those of YAML 1.2
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in known if first in "tTfF" or tag != _TRUTH]
-    for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+$"),
-    list("-+0123456789"),
-)
 
 
 def _neighbours(path: Path) -> str:

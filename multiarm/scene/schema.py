@@ -381,13 +381,12 @@ def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findi
             findings.fault(("run", "integrator"), message)
     if parts.pushes:
         return
-    for name in ("unilateral_contacts", "contact_friction"):
-        if getattr(effects, name) is not None:
-            findings.warning(
-                ("effects", name),
-                "adds nothing, since no joint has contacts that only push; such joints are "
-                f"{listed(pushing_kinds())}",
-            )
+    for name in effects.of_pushing:
+        findings.warning(
+            ("effects", name),
+            "adds nothing, since no joint has contacts that only push; such joints are "
+            f"{listed(pushing_kinds())}",
+        )
 
 
 def method_fault(

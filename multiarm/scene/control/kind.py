@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import Annotated, ClassVar
 
-import yaml
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault
 from multiarm.scene.registry import OwnSpec
+from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import Faults, KnownArm, NonNegative, Pose, Positive, below, gain_faults
 
 
@@ -52,7 +52,7 @@ class ControlKind(OwnSpec):
     @classmethod
     def sample(cls) -> Self:
         """The control of the example."""
-        entry = yaml.safe_load(cls.example)["control"]
+        entry = parse_yaml(cls.example)["control"]
         return cls.model_validate({"kind": entry} if isinstance(entry, str) else entry)
 
 

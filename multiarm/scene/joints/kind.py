@@ -11,7 +11,6 @@ from textwrap import dedent, indent
 from typing import Annotated, ClassVar
 
 import numpy as np
-import yaml
 from pydantic import AfterValidator, ConfigDict, Field
 from typing_extensions import Self
 
@@ -20,6 +19,7 @@ from multiarm.geometry import Contact
 from multiarm.geometry.records import Vector, basis
 from multiarm.scene.faults import fault
 from multiarm.scene.registry import OwnSpec, called
+from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range
 
 X, Y, Z = np.eye(3)
@@ -198,7 +198,7 @@ class Joint(OwnSpec):
     @classmethod
     def sample(cls) -> Self:
         """The joint of the example."""
-        (entry,) = yaml.safe_load(cls.example_text())["joints"]
+        (entry,) = parse_yaml(cls.example_text())["joints"]
         return cls.model_validate(entry)
 
     @classmethod
