@@ -191,8 +191,12 @@ def test_an_installed_kind_is_loaded_when_a_scene_file_is_compiled(tmp_path, mon
     (code,) = named_code(scene)
     assert code.place == "$.control.kind" and f"({__name__}:Pull)" in code.what
     assert CONTROLS.loaded == {} and dump_scene(scene) == text
-    with pytest.raises(ma.MultiarmError, match="is not loaded, since code is not allowed"):
-        ma.compile_system(ma.load_scene(path, code=False))
+    strict = ma.load_scene(path, code=False)
+    for same in (strict, strict.replace(name="other"), parse_scene(text, stored=True)):
+        for other in (same, changed(same, {"control.stiffness": 2.0})):
+            with pytest.raises(ma.MultiarmError, match="is not loaded, since code is not allowed"):
+                ma.compile_system(other)
+            assert CONTROLS.loaded == {}
     looked = CliRunner().invoke(app, ["check", str(path)])
     assert looked.exit_code == 0, looked.output
     assert "control kind 'pull'" in " ".join(looked.output.split()) and CONTROLS.loaded == {}

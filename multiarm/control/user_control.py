@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multiarm.dynamics.state import State
-from multiarm.errors import USER_FAULTS
-from multiarm.scene.control import SampledControl
+from multiarm.scene.control.kind import SampledControl
 
 if TYPE_CHECKING:
     from multiarm.control.program import ControlContext, ControlProgram
@@ -76,9 +75,4 @@ class Control(SampledControl):
             return cls.lacks_kind()
         if cls.torques is Control.torques and cls.build is Control.build:
             return "it defines neither 'torques' nor 'build'"
-        try:
-            if cls.example:
-                cls.sample()
-        except USER_FAULTS as error:
-            return f"its example does not load, {type(error).__name__}: {error}"
-        return ""
+        return cls.lacks_sample()

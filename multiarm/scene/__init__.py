@@ -2,15 +2,10 @@
 
 from multiarm.scene.arms import ArmSpec, ResolvedArm, ToolSpec, resolve_arm
 from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
-from multiarm.scene.control import CONTROLS, Waypoint, register_control
-from multiarm.scene.effects import (
-    EFFECTS,
-    EffectsSpec,
-    damping_of,
-    effort_limit_of,
-    friction_of,
-    register_effect,
-)
+from multiarm.scene.control import CONTROLS, register_control
+from multiarm.scene.control.kind import Waypoint
+from multiarm.scene.effects import EFFECTS, EffectsSpec, register_effect
+from multiarm.scene.effects.drives import damping_of, effort_limit_of, friction_of
 from multiarm.scene.effects.loads import ExternalWrench, read_wrench_table
 from multiarm.scene.functions import function_text
 from multiarm.scene.joints import (

@@ -231,7 +231,10 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
         parts: dict[str, Any] = {"effects": scene.effects.named}
         if unloaded:
             parts |= {name: _plain(getattr(scene, name)) for name in ("joints", "control")}
-        validated = scene.replace(**parts)
+        allowing = scene.model_copy()
+        allowing._may_load_code = True
+        validated = allowing.replace(**parts)
+        validated._may_load_code = scene.may_load_code
         faults = function_faults(validated, scene.folder) if scene.is_from_file else []
         if faults:
             raise SceneError(faults)

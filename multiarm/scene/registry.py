@@ -23,10 +23,11 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from operator import attrgetter
-from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args, get_origin
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
+from typing_extensions import Self
 
 from multiarm.errors import USER_FAULTS, ModelError, MultiarmError
 from multiarm.scene.faults import Parts, fault, listed, sentences, unknown
@@ -46,6 +47,28 @@ class OwnSpec(Spec):
         """Why its fields are not known yet, in words; empty when they are."""
         known = cls.model_rebuild(raise_errors=False) is not False
         return "" if known else "an annotation names what is not known where the class is defined"
+
+
+class OwnKind(OwnSpec):
+    """Parameters of a class that scenes name by its key ``kind``."""
+
+    picture: ClassVar[str] = ""
+    example: ClassVar[str] = ""
+
+    @classmethod
+    def sample(cls) -> Self:
+        """What the example describes."""
+        raise NotImplementedError
+
+    @classmethod
+    def lacks_sample(cls) -> str:
+        """Why the example cannot be read; empty when it can, or there is none."""
+        try:
+            if cls.example:
+                cls.sample()
+        except USER_FAULTS as error:
+            return f"its example does not load, {type(error).__name__}: {error}"
+        return ""
 
     @classmethod
     def kind_name(cls) -> Any:

@@ -111,7 +111,8 @@ class Scene(Spec):
         stored : bool
             It is that of a run, to be looked at: user effects need not be installed.
         like : Scene, optional
-            Its arms are not examined again where they are the same, and it decides about code.
+            Its arms are not examined again where they are the same, and it decides about code:
+            packages of user classes are not loaded now if a system may not load them.
         from_file : bool
             Nothing is loaded now, and functions lie in ``folder`` or below.
         code : bool, optional
@@ -122,8 +123,7 @@ class Scene(Spec):
             raise SceneError(f"$: a scene is a table with the keys {keys}; got {shown(data)}")
         scene = cls.__new__(cls)
         scene._fill(data, folder, stored, like, from_file)
-        if like is not None:
-            code = like.may_load_code
+        code = code if like is None else like.may_load_code
         scene._may_load_code = not stored if code is None else code
         return scene
 
@@ -178,7 +178,7 @@ class Scene(Spec):
     ) -> None:
         folder = Path(folder or ".").expanduser().resolve()
         faults: list[str] = []
-        load = not (stored or from_file)
+        load = not (stored or from_file) and (like is None or like.may_load_code)
         try:
             self.__pydantic_validator__.validate_python(
                 data, self_instance=self, context={"folder": folder, "stored": stored, "load": load}

@@ -18,29 +18,9 @@ from multiarm.scene.control.joint_control import (
     NoControl,
     RecordedControl,
 )
-from multiarm.scene.control.kind import ControlKind, SampledControl, UnloadedControl, Waypoint
+from multiarm.scene.control.kind import ControlKind, UnloadedControl
 from multiarm.scene.control.object_control import ComputedTorqueControl, ObjectImpedanceControl
 from multiarm.scene.registry import AnyClass, Registry
-
-__all__ = [
-    "BUILT_IN",
-    "CONTROLS",
-    "ComputedTorqueControl",
-    "ConstantControl",
-    "ControlKind",
-    "ControlSpec",
-    "FunctionControl",
-    "GravityCompensationControl",
-    "HarmonicControl",
-    "JointPDControl",
-    "NoControl",
-    "ObjectImpedanceControl",
-    "RecordedControl",
-    "SampledControl",
-    "UnloadedControl",
-    "Waypoint",
-    "register_control",
-]
 
 _OURS = (
     NoControl,

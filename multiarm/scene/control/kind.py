@@ -10,12 +10,12 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault
-from multiarm.scene.registry import OwnSpec
+from multiarm.scene.registry import OwnKind
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import Faults, KnownArm, NonNegative, Pose, Positive, below, gain_faults
 
 
-class ControlKind(OwnSpec):
+class ControlKind(OwnKind):
     """Base class of control kinds; their laws are in :mod:`multiarm.control`.
 
     Attributes
@@ -28,8 +28,6 @@ class ControlKind(OwnSpec):
         Fields with values by arm and joint, which are checked against the arms.
     """
 
-    picture: ClassVar[str] = ""
-    example: ClassVar[str] = ""
     by_joint: ClassVar[tuple[str, ...]] = ()
 
     kind: str

@@ -17,7 +17,6 @@ from multiarm.scene.effects.contacts import (
     ContactFrictionSpec,
     FloorSpec,
     JointLimitsSpec,
-    SomeContacts,
     UnilateralContactsSpec,
 )
 from multiarm.scene.effects.drives import (
@@ -28,9 +27,6 @@ from multiarm.scene.effects.drives import (
     NumbersOf,
     RotorInertia,
     TorqueLimits,
-    damping_of,
-    effort_limit_of,
-    friction_of,
 )
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.effects.loads import Drag, ExternalWrench
@@ -45,19 +41,6 @@ from multiarm.scene.values import (
     below,
     shorthand,
 )
-
-__all__ = [
-    "BUILT_IN",
-    "EFFECTS",
-    "EffectKind",
-    "EffectsSpec",
-    "FloorSpec",
-    "SomeContacts",
-    "damping_of",
-    "effort_limit_of",
-    "friction_of",
-    "register_effect",
-]
 
 EFFECTS: Registry[Any] = Registry(
     noun="effect",

@@ -14,11 +14,11 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field
 from typing_extensions import Self
 
-from multiarm.errors import USER_FAULTS, ModelError
+from multiarm.errors import ModelError
 from multiarm.geometry import Contact
 from multiarm.geometry.records import Vector, basis
 from multiarm.scene.faults import fault
-from multiarm.scene.registry import OwnSpec, called
+from multiarm.scene.registry import OwnKind, called
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range
 
@@ -54,7 +54,7 @@ TipRadius = Annotated[
 ]
 
 
-class Joint(OwnSpec):
+class Joint(OwnKind):
     """Base class of joints; define ``kind``, fields and :meth:`records`.
 
     The joint frame is given in the object frame (``at``) and in the tip's frame (``at_tip``); both
@@ -88,8 +88,6 @@ class Joint(OwnSpec):
         ``surfaces`` if those of its contacts are surfaces of bodies.
     """
 
-    picture: ClassVar[str] = ""
-    example: ClassVar[str] = ""
     free: ClassVar[tuple[int, ...] | None] = None
     limited: ClassVar[dict[str, int]] = {}
     as_listed: ClassVar[bool] = False
@@ -213,12 +211,7 @@ class Joint(OwnSpec):
             return f"'limited' names {sorted(unlimited)[0]!r}, which is no field"
         if not {*(cls.free or ()), *cls.limited.values()} <= set(range(6)):
             return "'free' and 'limited' name components 0 to 5 of the relative motion"
-        try:
-            if cls.example:
-                cls.sample()
-        except USER_FAULTS as error:
-            return f"its example does not load, {type(error).__name__}: {error}"
-        return ""
+        return cls.lacks_sample()
 
 
 class UnloadedJoint(Joint):
