@@ -155,6 +155,20 @@ def test_a_run_with_a_control_in_python_is_certified():
     assert run.status == "completed" and run.certificate["met"]
 
 
+def test_a_stepper_and_a_controller_in_its_place_take_the_control_of_the_scene():
+    ma.register_control(Pull)
+    system = ma.compile_system(scene_of({"kind": "pull", "stiffness": 5.0, "sample_time": 0.01}))
+    run, stepper = ma.simulate(system, certificate=False), ma.Stepper(system)
+    states = [stepper.advance(0.01).object_position for _ in range(10)]
+    np.testing.assert_array_equal(states[-1], run.object_position[-1])
+
+    def brake(_t, state):
+        return {"left": -state.joint_velocities["left"]}
+
+    braked = ma.simulate(system, control=brake, certificate=False)
+    require_equal(braked, run_of("none", brake))
+
+
 # --- finding --------------------------------------------------------------------------------------
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -28,6 +28,8 @@ class SomeContacts(EffectKind):
         Arms, or contacts as 'arm/contact'; absent: all that the effect can be of.
     """
 
+    can_open = True
+
     contacts: tuple[str, ...] | None = None
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
@@ -41,11 +43,6 @@ class SomeContacts(EffectKind):
         if self.contacts == ():
             found.append((("contacts",), "is empty; name arms or contacts, or leave it out"))
         return found
-
-    @property
-    def has_events(self) -> bool:
-        """Always."""
-        return True
 
 
 class UnilateralContactsSpec(SomeContacts):
@@ -65,14 +62,10 @@ class UnilateralContactsSpec(SomeContacts):
     picture = "fingertips that are not glued on: they let go, and come back with a bounce"
     example = "effects: {unilateral_contacts: {restitution: 0.3}}"
     of_pushing = True
+    usual: ClassVar[Any] = {}
 
     restitution: Restitution = 0.0
     start: Literal["closed", "as_written"] = "closed"
-
-    @staticmethod
-    def typical(_scene: Scene) -> Mapping[str, Any]:
-        """Without a bounce."""
-        return {}
 
 
 class ContactFrictionSpec(SomeContacts):
@@ -88,14 +81,10 @@ class ContactFrictionSpec(SomeContacts):
 
     picture = "rubber fingertips: they grip the object by friction, until it slips"
     example = "effects: {contact_friction: 0.5}  # coefficient of friction"
+    usual = 0.3  # Coulomb's coefficient of dry metal
     of_pushing = True
 
     mu: NonNegative = Field(description="the coefficient of friction")
-
-    @staticmethod
-    def typical(_scene: Scene) -> float:
-        """Coulomb's coefficient of dry metal."""
-        return 0.3
 
 
 class ContactComplianceSpec(SomeContacts):
@@ -142,6 +131,7 @@ class FloorSpec(EffectKind):
 
     picture = "a table or the ground: the object can fall on it, rest and slide"
     example = "effects: {floor: {at: {xyz: [0, 0, 0.3]}, mu: 0.5}}"
+    can_open = True
 
     at: Pose = Pose()
     size: tuple[Positive, Positive] | None = None
@@ -157,13 +147,8 @@ class FloorSpec(EffectKind):
             return [((), "an arm is called 'floor' as well; give it another name")]
         return []
 
-    @property
-    def has_events(self) -> bool:
-        """Always."""
-        return True
-
-    @staticmethod
-    def typical(scene: Scene) -> Mapping[str, Any] | None:
+    @classmethod
+    def typical(cls, scene: Scene) -> Mapping[str, Any] | None:
         """A floor that a box, a hull or a sphere just touches at its start."""
         shape, pose = scene.object.shape, scene.object.pose.matrix()
         if shape.sphere is not None:
@@ -190,6 +175,8 @@ class JointLimitsSpec(EffectKind):
 
     picture = "end stops: a joint that reaches the end of its range stops there, or bounces"
     example = "effects: {joint_limits: urdf}  # ranges as the robot's file says"
+    can_open = True
+    usual = URDF
 
     range: Literal["urdf"] | dict[str, dict[str, tuple[float, float]]] = "urdf"
     restitution: Restitution = 0.0
@@ -221,13 +208,3 @@ class JointLimitsSpec(EffectKind):
             if known.joints is not None
             and not any(math.isfinite(j.lower) or math.isfinite(j.upper) for j in known.joints)
         ]
-
-    @property
-    def has_events(self) -> bool:
-        """Always."""
-        return True
-
-    @staticmethod
-    def typical(_scene: Scene) -> str:
-        """Ranges of the robots' files."""
-        return URDF

@@ -27,7 +27,7 @@ from multiarm.scene.values import (
 )
 
 if TYPE_CHECKING:
-    from multiarm.scene.schema import Scene
+    pass
 
 _FRICTION_SPEED = 0.01
 """Speed at which smooth friction is 76 % of the full one [rad/s] or [m/s]."""
@@ -69,6 +69,7 @@ class JointDamping(JointNumbers):
 
     picture = "oil in the joints: the faster a joint turns, the more it is slowed down"
     example = "effects: {joint_damping: 0.5}  # [N m s/rad], or urdf: as the robot's file says"
+    usual = URDF
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms."""
@@ -77,11 +78,6 @@ class JointDamping(JointNumbers):
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Warnings about probable mistakes."""
         return urdf_warnings(self.values, arms, damping_of, "<dynamics damping>")
-
-    @staticmethod
-    def typical(_scene: Scene) -> str:
-        """That of the robots' files."""
-        return URDF
 
 
 class JointFriction(EffectKind):
@@ -103,6 +99,7 @@ class JointFriction(EffectKind):
 
     picture = "dry bearings: a joint resists with the same torque at any speed, and may stick"
     example = "effects: {joint_friction: {torque: 2, model: set_valued}}  # [N m]"
+    usual = URDF
 
     torque: UrdfGain = Field(description="N m: a number, a table by arm, or 'urdf'")
     model: Literal["smooth", "set_valued"] = "smooth"
@@ -134,22 +131,13 @@ class JointFriction(EffectKind):
         """Where joints stick and slip."""
         return self.model == "set_valued"
 
-    @staticmethod
-    def typical(_scene: Scene) -> str:
-        """That of the robots' files."""
-        return URDF
-
 
 class RotorInertia(JointNumbers):
     """Inertia of the drives as seen from the joints."""
 
     picture = "heavy motors: each joint has a flywheel that its gear makes heavier still"
     example = "effects: {rotor_inertia: 0.1}  # at the joint [kg m^2]"
-
-    @staticmethod
-    def typical(_scene: Scene) -> float:
-        """At the joint [kg m^2, kg]."""
-        return 0.1
+    usual = 0.1  # at the joint [kg m^2, kg]
 
 
 class TorqueLimits(JointNumbers):
@@ -157,15 +145,11 @@ class TorqueLimits(JointNumbers):
 
     picture = "motors that are not strong enough: what is asked of them beyond their limit is lost"
     example = "effects: {torque_limits: urdf}  # as the robot's file says, or 150 [N m]"
+    usual = URDF
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Warnings about probable mistakes."""
         return urdf_warnings(self.values, arms, _has_effort_limit, "<limit effort>")
-
-    @staticmethod
-    def typical(_scene: Scene) -> str:
-        """Those of the robots' files."""
-        return URDF
 
 
 class ActuatorLag(EffectKind):
@@ -183,6 +167,7 @@ class ActuatorLag(EffectKind):
 
     picture = "sluggish drives: the torque follows its command a moment later"
     example = "effects: {actuator_lag: 0.02}  # time constant [s]"
+    usual = 0.01  # time constant of a drive [s]
     has_states = True
 
     time_constant: Gain = Field(description="in s: a number, a list or a table by arm")
@@ -191,8 +176,3 @@ class ActuatorLag(EffectKind):
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms."""
         return below(("time_constant",), gain_faults(self.time_constant, arms))
-
-    @staticmethod
-    def typical(_scene: Scene) -> float:
-        """Time constant of a drive [s]."""
-        return 0.01

@@ -22,6 +22,10 @@ class EffectKind(Spec):
         What it adds, in a sentence of everyday words.
     example : str
         The effect in YAML, as a scene has it.
+    usual : number, str or dict, optional
+        Typical parameters, where they are the same in all scenes.
+    can_open : bool
+        Whether it always has events, see :attr:`has_events`.
     has_states : bool
         Whether it has states besides positions and velocities.
     of_pushing : bool
@@ -30,21 +34,23 @@ class EffectKind(Spec):
 
     picture: ClassVar[str] = ""
     example: ClassVar[str] = ""
+    usual: ClassVar[Any] = None
+    can_open: ClassVar[bool] = False
     has_states: ClassVar[bool] = False
     of_pushing: ClassVar[bool] = False
 
     @property
     def has_events(self) -> bool:
         """Whether contacts and joints open, close, slide, stop or give way by it."""
-        return False
+        return self.can_open
 
-    @staticmethod
-    def typical(_scene: Scene) -> Any:
+    @classmethod
+    def typical(cls, _scene: Scene) -> Any:
         """Typical parameters, as in a scene, to estimate its influence; None if there are none.
 
         They are first guesses, and do not replace measured parameters.
         """
-        return None
+        return cls.usual
 
     def faults(self, _arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms."""

@@ -92,8 +92,8 @@ class Drag(EffectKind):
         )
         return x, y, z
 
-    @staticmethod
-    def typical(scene: Scene) -> Mapping[str, Any] | None:
+    @classmethod
+    def typical(cls, scene: Scene) -> Mapping[str, Any] | None:
         """Drag in air, of a blunt body with the faces of the box around the object."""
         half = _half_size(scene.object.shape)
         if half is None:
