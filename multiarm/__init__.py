@@ -16,6 +16,7 @@ from multiarm.errors import MultiarmError
 if TYPE_CHECKING:
     from multiarm import grasp
     from multiarm.assembly.compilation import compile_system
+    from multiarm.control.user_control import Control
     from multiarm.dynamics.evaluation import Evaluation
     from multiarm.dynamics.inverse import inverse_dynamics
     from multiarm.dynamics.state import State
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
         Scene,
         Surface,
         load_scene,
+        register_control,
         register_effect,
         register_joint,
         register_surface,
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 _PACKAGES = ("grasp",)
 # Public name -> module that has it.  Imported when first used, so that `import multiarm` is light.
 _HOMES = {
+    "Control": "control.user_control",
     "Effect": "effects.effect",
     "Evaluation": "dynamics.evaluation",
     "Joint": "scene",
@@ -61,6 +64,7 @@ _HOMES = {
     "load_scene": "scene",
     "load_sweep": "sweeps.result",
     "load_trajectory": "results.trajectory",
+    "register_control": "scene",
     "register_effect": "scene",
     "register_joint": "scene",
     "register_surface": "scene",
@@ -72,6 +76,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "Control",
     "Effect",
     "Evaluation",
     "Joint",
@@ -91,6 +96,7 @@ __all__ = [
     "load_scene",
     "load_sweep",
     "load_trajectory",
+    "register_control",
     "register_effect",
     "register_joint",
     "register_surface",

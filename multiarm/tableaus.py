@@ -51,6 +51,7 @@ class Tableau(NamedTuple):
     gamma: float = 0.0
     C: Matrix = ()  # (s, s)
     d: Vector = ()  # (s,)
+    use: str = ""  # when to choose it, in words
 
     @property
     def adaptive(self) -> bool:
@@ -148,7 +149,13 @@ _RODAS5P_D = (0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.
 # fmt: on
 
 SEMI_IMPLICIT_EULER = Tableau(
-    "semi_implicit_euler", order=1, A=((0.0,),), b=(1.0,), c=(0.0,), kind=SEMI_IMPLICIT
+    "semi_implicit_euler",
+    order=1,
+    A=((0.0,),),
+    b=(1.0,),
+    c=(0.0,),
+    kind=SEMI_IMPLICIT,
+    use="comparison with game and learning simulators, which step so; errors shrink with the step",
 )
 RK4 = Tableau(
     "rk4",
@@ -156,6 +163,7 @@ RK4 = Tableau(
     A=_matrix(4, 4, {1: {0: 0.5}, 2: {1: 0.5}, 3: {2: 1.0}}),
     b=(1 / 6, 2 / 6, 2 / 6, 1 / 6),
     c=(0.0, 0.5, 0.5, 1.0),
+    use="steps of one length, for comparison with other programs or a fixed cost per second",
 )
 DOPRI5 = Tableau(
     "dopri5",
@@ -168,6 +176,7 @@ DOPRI5 = Tableau(
     dense=_DOPRI5_DENSE,
     dense_kind=POLYNOMIAL,
     stability=3.25,
+    use="accuracies of 1e-3 and above; no stiff parts",
 )
 # Row 12 of Hairer's matrix repeats b: it is the end of the step, where the next one begins.
 DOP853 = Tableau(
@@ -181,6 +190,7 @@ DOP853 = Tableau(
     dense=_DOP853_DENSE,
     dense_kind=NESTED,
     stability=6.1,
+    use="accuracies below 1e-3; no stiff parts",
 )
 RODAS5P = Tableau(
     "rodas5p",
@@ -196,9 +206,16 @@ RODAS5P = Tableau(
     gamma=0.21193756319429014,
     C=_RODAS5P_C,
     d=_RODAS5P_D,
+    use="stiff parts, such as strong damping, hard springs and smooth friction; few arms",
 )
 VARIATIONAL_MIDPOINT = Tableau(
-    "variational", order=2, A=((0.0,),), b=(1.0,), c=(0.0,), kind=VARIATIONAL
+    "variational",
+    order=2,
+    A=((0.0,),),
+    b=(1.0,),
+    c=(0.0,),
+    kind=VARIATIONAL,
+    use="long undamped motions whose energy must not drift; no events, no states of drives",
 )
 
 METHODS = {

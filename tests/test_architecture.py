@@ -92,6 +92,7 @@ HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydant
 
 # What scripts written for this package rely on.
 PUBLIC_ATTRIBUTES = {
+    "Control": "picture example torques build faults",
     "Effect": "name Spec forces build",
     "Evaluation": "object_acceleration joint_accelerations contact_forces contact_forces_unique "
     "contact_points contact_normals position_residual velocity_residual residuals",
@@ -117,6 +118,7 @@ PUBLIC_PARAMETERS = {
     "load_scene": "path",
     "load_sweep": "path",
     "load_trajectory": "path",
+    "register_control": "control",
     "register_effect": "effect",
     "register_joint": "joint",
     "register_surface": "surface",

@@ -18,10 +18,11 @@ from typer.testing import CliRunner
 import multiarm as ma
 from multiarm.cli import app
 from multiarm.errors import SceneError, SweepError
-from multiarm.scene import EFFECTS, parse_scene
+from multiarm.scene import CONTROLS, EFFECTS, parse_scene
 
 MARKING = """
 from pathlib import Path
+from typing import Literal
 import multiarm as ma
 
 def mark(what):
@@ -38,9 +39,21 @@ def push(t, state):
     mark("called")
     return [0.1, 0, 0, 0, 0, 0]
 
+def steer(t, state):
+    mark("called")
+    return {{"held": [0.1] * len(state.joint_positions["held"])}}
+
 def number(trajectory):
     mark("called")
     return 1.0
+
+class Helm(ma.Control):
+    kind: Literal["helm"] = "helm"
+    turn: float = 0.0
+
+    def torques(self, t, state):
+        mark("called")
+        return {{}}
 
 class Magnet(ma.Effect):
     name = "magnet"
@@ -88,6 +101,14 @@ KINDS = {
         PLANE, "{magnet: {strength: 2.0}}",
         "the effect 'magnet' of package 'strange' (strange_module:Magnet)", "$.effects.magnet",
     ),
+    "controller": (
+        PLANE, "{}\ncontrol: {function: 'shapes.py:steer', sample_time: 0.01}",
+        "the function 'steer' of {folder}/shapes.py", "$.control.function",
+    ),
+    "control": (
+        PLANE, "{}\ncontrol: {kind: helm, turn: 0.2}",
+        "the control kind 'helm' of package 'strange' (strange_module:Helm)", "$.control.kind",
+    ),
 }  # fmt: skip
 
 
@@ -125,6 +146,7 @@ class Stranger:
         (self.folder / "marker").unlink(missing_ok=True)
         sys.modules.pop("strange_module", None)
         EFFECTS.loaded.clear()
+        CONTROLS.loaded.clear()
 
 
 @pytest.fixture
@@ -134,12 +156,15 @@ def folder(tmp_path, monkeypatch) -> Path:
     about = installed / "strange-1.0.dist-info"
     about.mkdir(parents=True)
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: strange\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[multiarm.effects]\nmagnet = strange_module:Magnet\n")
+    offers = "[multiarm.effects]\nmagnet = strange_module:Magnet\n"
+    offers += "[multiarm.controls]\nhelm = strange_module:Helm\n"
+    (about / "entry_points.txt").write_text(offers)
     for file in (installed / "strange_module.py", tmp_path / "shapes.py"):
         file.write_text(MARKING.format(folder=str(tmp_path)))
     (tmp_path / "gantry.urdf").write_text(slides())
     monkeypatch.syspath_prepend(installed)
-    monkeypatch.setattr(EFFECTS, "loaded", {})
+    for own in (CONTROLS, EFFECTS):
+        monkeypatch.setattr(own, "loaded", {})
     monkeypatch.setitem(sys.modules, "strange_module", None)
     del sys.modules["strange_module"]
     return tmp_path

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from mechanics import SCENES, UR5_POSTURE, chain_urdf, scene_of, ur5_pair
@@ -9,8 +11,11 @@ from mechanics import SCENES, UR5_POSTURE, chain_urdf, scene_of, ur5_pair
 import multiarm as ma
 from multiarm.errors import SceneError
 from multiarm.scene import EffectsSpec, ExternalWrench, dump_scene, parse_scene
+from multiarm.scene.effects import BUILT_IN
+from multiarm.scene.text import parse_yaml
 from multiarm.simulation.inspection import active_effects
 
+PACKAGE = Path(ma.__file__).parent
 WELD = {"kind": "weld"}
 
 
@@ -304,3 +309,16 @@ def test_a_shorthand_is_the_whole_table():
     assert EffectsSpec(joint_friction=by_arm) == EffectsSpec(joint_friction={"torque": by_arm})
     assert EffectsSpec(actuator_lag=0.1).actuator_lag.start == "command"
     assert EffectsSpec(joint_friction=2.0).joint_friction.model == "smooth"
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_an_effect_says_what_it_is_by_an_example_that_scenes_can_have(name):
+    kind = BUILT_IN[name]
+    scene = pair(parse_yaml(kind.example)["effects"])
+    assert kind.picture and scene.effects.named.keys() == {name}
+    assert parse_scene(dump_scene(scene)) == scene
+    typical = kind.typical(scene)
+    assert (typical is None) == (name in ("external_wrenches", "contact_compliance"))
+    assert typical is None or pair({name: typical}).effects.named.keys() == {name}
+    home = PACKAGE / "effects" / f"{name}.py"
+    assert home.is_file() or scene.effects.with_events == (name,)

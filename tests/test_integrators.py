@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -15,10 +16,18 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.integration.step import make_method
+from multiarm.scene import StabilizationSpec
+from multiarm.scene.run import STABILIZATION_USES
 from multiarm.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL, Tableau
 
 COEFFICIENTS = {name: make_method(tableau) for name, tableau in METHODS.items()}
 RUNGE_KUTTA = [name for name, m in METHODS.items() if m.kind == EXPLICIT]
+
+
+def test_every_method_and_stabilization_says_when_to_choose_it():
+    assert [name for name, method in METHODS.items() if not method.use] == []
+    kinds = get_args(StabilizationSpec.model_fields["kind"].annotation)
+    assert kinds == tuple(STABILIZATION_USES) and all(STABILIZATION_USES.values())
 
 
 # --- coefficients --------------------------------------------------------------------------------

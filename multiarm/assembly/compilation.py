@@ -19,7 +19,13 @@ from multiarm.assembly.start import assemble, check_patches, check_unilateral
 from multiarm.contacts.joint import COMPONENTS, FRAME_WIDTH, Joint, JointFrame
 from multiarm.contacts.table import ContactTable, pack
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
-from multiarm.control.laws import ControlProgram, JointPath, control_program, needs_gravity_torque
+from multiarm.control.laws import control_program
+from multiarm.control.program import (
+    ControlContext,
+    ControlProgram,
+    JointPath,
+    needs_gravity_torque,
+)
 from multiarm.dynamics.arrays import Constants
 from multiarm.dynamics.callbacks import NO_CONTROL, ControlFunction
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches, locate_pairs
@@ -422,12 +428,12 @@ def finished_model(
     )
     breakpoints, sampling, span = draft.breakpoints, None, None
     if law is not None:
-        constants = constants._replace(control=law.laws, parameters=law.parameters)
+        constants = constants._replace(control=law.addresses, parameters=law.parameters)
         breakpoints = np.union1d(breakpoints, law.breakpoints)
         sampling, span = law.sampling, law.span
     if law is not None and sampling is not None:
-        constants = with_held_control(constants, law.laws, sampling.delay)
-    return replace(
+        constants = with_held_control(constants, law.addresses, sampling.delay)
+    model = replace(
         draft,
         frames=frames,
         constants=constants,
@@ -436,6 +442,8 @@ def finished_model(
         control_span=span,
         pair_places=data.model.pair_places,
     )
+    python = None if law is None else law.python
+    return model if python is None else model.with_python_control(python, sampling)
 
 
 # --- start ----------------------------------------------------------------------------------------
@@ -504,7 +512,7 @@ def control_law(scene: Scene, data: Data, start: State) -> ControlProgram:
     def path(waypoints: tuple[Waypoint, ...]) -> JointPath:
         return joint_path(scene, closed, start, waypoints, compile_system)
 
-    return control_program(scene, closed, start, path)
+    return control_program(ControlContext(scene, closed, start, path))
 
 
 def _bounds(sizes: list[int]) -> tuple[int, ...]:

@@ -23,7 +23,7 @@ from multiarm.contacts.table import JointRow
 from multiarm.errors import SceneError
 from multiarm.geometry.records import Contact, Patch, plane, sphere
 from multiarm.scene import Mesh, Scene, Shape
-from multiarm.scene.effects import FloorSpec, SomeContacts
+from multiarm.scene.effects.contacts import FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown
 
 CONTACT, LIMIT, DRY_JOINT = "contact", "limit", "joint friction"

@@ -1,1 +1,24 @@
-"""Control laws."""
+"""Control laws.
+
+Packages with kinds of control of their own build compiled laws from the names below.  They are
+imported at their first use, so that defining a control does not load the compiler.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_HOMES = {
+    "ControlContext": "control.program",
+    "ControlProgram": "control.program",
+    "open_system": "dynamics.arrays",
+}
+
+__all__ = [*_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'multiarm.control' has no attribute {name!r}")
+    return getattr(import_module(f"multiarm.{_HOMES[name]}"), name)

@@ -1,8 +1,7 @@
 r"""Control laws: from the control of a scene to compiled functions and their numbers.
 
-A control program is a list of laws: the address of a compiled function that adds its torques to
-``torque``, and the offset of its numbers among the parameters.  Only the laws that a scene names
-are compiled; a scene without control has an empty program.
+Only the laws that a scene names are compiled; a scene without control has an empty program.  A kind
+finds its laws by its class: :func:`program_of`.
 
 * *harmonic*: :math:`\tau_j = \tau_{0j} + A_j \sin(2\pi f t + \psi_j)`; constant torques have no A.
 * *recorded*: torques or references from a table, see :mod:`multiarm.control.recorded`.
@@ -21,18 +20,23 @@ Any of them but constant torques can be sampled, see :mod:`multiarm.dynamics.hel
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import replace
+from functools import singledispatch
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.control.force_distribution import static_forces
 from multiarm.control.object_control import (
     computed_torque,
     object_impedance,
     object_law,
     take_contact_forces,
+)
+from multiarm.control.program import (
+    ControlContext,
+    ControlProgram,
+    JointPath,
+    needs_gravity_torque,
 )
 from multiarm.control.recorded import (
     pack_table,
@@ -41,71 +45,33 @@ from multiarm.control.recorded import (
     rough_times,
 )
 from multiarm.control.tables import read_table
+from multiarm.control.user_control import Control
 from multiarm.dynamics.arrays import OK, open_system
-from multiarm.dynamics.callbacks import NO_CONTROL
+from multiarm.dynamics.callbacks import PythonControl
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import ControlSpan, Data
 from multiarm.dynamics.state import State
+from multiarm.errors import ModelError
 from multiarm.jit.kernels import INTS, Kernel, cfunc, clear, kernel
-from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import struct_at
-from multiarm.scene import Scene, gain_vector
 from multiarm.scene.control import (
     ComputedTorqueControl,
     ConstantControl,
+    ControlKind,
+    FunctionControl,
     GravityCompensationControl,
     HarmonicControl,
     JointPDControl,
-    NoControl,
     ObjectImpedanceControl,
     RecordedControl,
-    SampledControl,
 )
+from multiarm.scene.control.kind import SampledControl
+from multiarm.scene.registry import called
 
 
-class JointPath(NamedTuple):
-    """Joint positions along a path."""
-
-    bounds: np.ndarray  # (S + 1,) times of the waypoints [s]
-    coefficients: np.ndarray  # (S, n, width) Chebyshev series of every segment and joint [rad, m]
-
-
-class ControlProgram(NamedTuple):
-    """The control laws of a scene."""
-
-    laws: np.ndarray  # ``Constants.control``
-    parameters: np.ndarray  # ``Constants.parameters``
-    breakpoints: np.ndarray  # times at which the torques are not smooth [s]
-    sampling: Sampling | None = None  # None: evaluated all the time
-    span: ControlSpan | None = None  # None: defined at all times
-
-
-def needs_gravity_torque(scene: Scene) -> bool:
-    """Whether some part of the control needs the arms' gravity forces at every evaluation."""
-    control = scene.control
-    if scene.gravity is None:
-        return False
-    if control.kind == "recorded":
-        return control.compensates_gravity
-    return control.kind in ("gravity_compensation", "object_impedance") or (
-        control.kind == "joint_pd" and control.gravity_compensation
-    )
-
-
-def control_program(
-    scene: Scene, data: Data, start: State, joint_path: Callable[..., JointPath]
-) -> ControlProgram:
-    """The laws of a scene's control, for a model whose contacts are all closed.
-
-    Parameters
-    ----------
-    scene : Scene
-    data : Data
-        Of a model without control; its state is changed.
-    start : State
-    joint_path : callable
-        ``joint_path(waypoints)``: joint positions with which the object passes them.
+def control_program(context: ControlContext) -> ControlProgram:
+    """The control of a scene.
 
     Raises
     ------
@@ -113,99 +79,117 @@ def control_program(
         When the contacts cannot have the forces that the control commands.
     SceneError
         When a recorded table cannot be used.
+    ModelError
+        When a user class cannot be used.
     """
-    program = _continuous_program(scene, data, start, joint_path)
-    control = scene.control
+    control = context.scene.control
+    program = program_of(control, context)
     if not isinstance(control, SampledControl) or control.sample_time is None:
         return program
     sampling = Sampling(control.sample_time, control.sample_delay)
     # held torques change at samples only
-    return program._replace(sampling=sampling, breakpoints=np.zeros(0))
+    return replace(program, sampling=sampling, breakpoints=np.zeros(0))
 
 
-def _continuous_program(
-    scene: Scene, data: Data, start: State, joint_path: Callable[..., JointPath]
-) -> ControlProgram:
-    none = np.zeros(0)
-    match scene.control:
-        case ConstantControl() as control:
-            torques = _stacked(control.torques, data.model.arms)
-            zero = np.zeros_like(torques)
-            return ControlProgram(_laws(harmonic), pack_harmonic(0.0, torques, zero, zero), none)
-        case GravityCompensationControl():
-            laws = [gravity_compensation] if needs_gravity_torque(scene) else []
-            return ControlProgram(_laws(*laws), none, none)
-        case JointPDControl() as control:
-            return _joint_pd(scene, data, start, control, joint_path)
-        case HarmonicControl() as control:
-            return ControlProgram(_laws(harmonic), _harmonic(data, start, control), none)
-        case ComputedTorqueControl() as control:
-            return ControlProgram(_laws(computed_torque), *object_law(data, start, control))
-        case ObjectImpedanceControl() as control:
-            return ControlProgram(_laws(object_impedance), *object_law(data, start, control))
-        case RecordedControl() as control:
-            return _recorded(scene, data, start, control)
-        case NoControl():
-            return ControlProgram(NO_CONTROL, none, none)
-    raise AssertionError(f"no control law for {scene.control!r}")
+@singledispatch
+def program_of(_control: ControlKind, _context: ControlContext) -> ControlProgram:
+    """The laws of a kind of control, found by its class; none for a class without an entry."""
+    return ControlProgram()
 
 
-def _harmonic(data: Data, start: State, control: HarmonicControl) -> np.ndarray:
-    arms = data.model.arms
-    constant = _stacked(control.offset, arms)
+@program_of.register
+def _(control: Control, context: ControlContext) -> ControlProgram:
+    who = f"control kind {control.kind!r}: build()"
+    found = called(lambda: control.build(context), who)
+    if not isinstance(found, ControlProgram):
+        raise ModelError(
+            f"{who} returned {type(found).__name__}; return a multiarm.control.ControlProgram"
+        )
+    numbers = np.asarray(found.parameters)
+    if numbers.ndim != 1 or numbers.dtype != float or not np.all(np.isfinite(numbers)):
+        raise ModelError(f"{who} returned parameters that are no vector of finite floats")
+    if not all(isinstance(law, Kernel) for law in found.laws):
+        raise ModelError(f"{who} returned a law that is no `multiarm.jit.kernels.cfunc`")
+    return found
+
+
+@program_of.register
+def _(control: FunctionControl, _context: ControlContext) -> ControlProgram:
+    return ControlProgram(python=PythonControl(control.function, in_scene=True))
+
+
+@program_of.register
+def _(control: ConstantControl, context: ControlContext) -> ControlProgram:
+    torques = context.stacked(control.torques)
+    zero = np.zeros_like(torques)
+    return ControlProgram((harmonic,), pack_harmonic(0.0, torques, zero, zero))
+
+
+@program_of.register
+def _(_control: GravityCompensationControl, context: ControlContext) -> ControlProgram:
+    return ControlProgram(_carrying(context))
+
+
+@program_of.register
+def _(control: HarmonicControl, context: ControlContext) -> ControlProgram:
+    constant = context.stacked(control.offset)
     if control.hold:
-        constant += holding_torque(data, start)
-    return pack_harmonic(
-        control.frequency,
-        constant,
-        _stacked(control.amplitude, arms),
-        _stacked(control.phase, arms),
-    )
+        constant += holding_torque(context.data, context.start)
+    amplitude, phase = context.stacked(control.amplitude), context.stacked(control.phase)
+    numbers = pack_harmonic(control.frequency, constant, amplitude, phase)
+    return ControlProgram((harmonic,), numbers)
 
 
-def _recorded(scene: Scene, data: Data, start: State, control: RecordedControl) -> ControlProgram:
-    arms = data.model.arms
-    names = [f"{name}/{joint}" for name, arm in arms.items() for joint in arm.joint_names]
+@program_of.register
+def _(control: ComputedTorqueControl, context: ControlContext) -> ControlProgram:
+    return ControlProgram((computed_torque,), *object_law(context.data, context.start, control))
+
+
+@program_of.register
+def _(control: ObjectImpedanceControl, context: ControlContext) -> ControlProgram:
+    return ControlProgram((object_impedance,), *object_law(context.data, context.start, control))
+
+
+@program_of.register
+def _(control: RecordedControl, context: ControlContext) -> ControlProgram:
+    names = [f"{name}/{joint}" for name, arm in context.arms.items() for joint in arm.joint_names]
     table = read_table(control, names)
-    zero, laws, gains = control.outside == "zero", [recorded_torque], np.zeros(0)
+    zero, gains = control.outside == "zero", np.zeros(0)
+    laws: tuple[Kernel, ...] = (recorded_torque,)
     values = table.stacked(names, np.zeros(len(names)))
     if control.quantity == "position":
-        values = table.stacked(names, start.position[7:])
-        gains = np.concatenate([_stacked(control.stiffness, arms), _stacked(control.damping, arms)])
-        laws = [recorded_position]
-        if needs_gravity_torque(scene):
-            laws.append(gravity_compensation)
+        values = table.stacked(names, context.start.position[7:])
+        gains = _gains(control, context)
+        laws = (recorded_position, *_carrying(context))
     shape = table.times, values, control.interpolation, zero
-    return ControlProgram(
-        _laws(*laws),
-        np.concatenate([gains, pack_table(*shape)]),
-        rough_times(*shape),
-        span=ControlSpan(
-            f"the table {control.file.name}",
-            float(table.times[0]),
-            float(table.times[-1]),
-            control.where_no_rows_are,
-        ),
+    span = ControlSpan(
+        f"the table {control.file.name}",
+        float(table.times[0]),
+        float(table.times[-1]),
+        control.where_no_rows_are,
     )
+    numbers = np.concatenate([gains, pack_table(*shape)])
+    return ControlProgram(laws, numbers, rough_times(*shape), span)
 
 
-def _joint_pd(
-    scene: Scene,
-    data: Data,
-    start: State,
-    control: JointPDControl,
-    joint_path: Callable[..., JointPath],
-) -> ControlProgram:
-    arms = data.model.arms
-    gains = np.concatenate([_stacked(control.stiffness, arms), _stacked(control.damping, arms)])
-    path = JointPath(np.array([0.0, 1.0]), start.position[None, 7:, None])
+@program_of.register
+def _(control: JointPDControl, context: ControlContext) -> ControlProgram:
+    path = JointPath(np.array([0.0, 1.0]), context.start.position[None, 7:, None])
     if control.path is not None:
-        path = joint_path(control.path)
-    laws = [joint_pd]
-    if needs_gravity_torque(scene):
-        laws.append(gravity_compensation)
-    parameters = np.concatenate([gains, pack_path(path.bounds, path.coefficients)])
-    return ControlProgram(_laws(*laws), parameters, path.bounds if control.path else np.zeros(0))
+        path = context.joint_path(control.path)
+    numbers = np.concatenate([_gains(control, context), pack_path(path.bounds, path.coefficients)])
+    breakpoints = path.bounds if control.path else np.zeros(0)
+    return ControlProgram((joint_pd, *_carrying(context)), numbers, breakpoints)
+
+
+def _gains(control: JointPDControl | RecordedControl, context: ControlContext) -> np.ndarray:
+    """Stiffness and damping of every joint."""
+    return np.concatenate([context.stacked(control.stiffness), context.stacked(control.damping)])
+
+
+def _carrying(context: ControlContext) -> tuple[Kernel, ...]:
+    """The law that carries the weight, where there is one and the control carries it."""
+    return (gravity_compensation,) if needs_gravity_torque(context.scene) else ()
 
 
 def holding_torque(data: Data, start: State) -> np.ndarray:
@@ -226,18 +210,6 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
     )
     write_holding_torque(data.struct)
     return b.torque.copy()
-
-
-def _stacked(values, arms: dict[str, Arm]) -> np.ndarray:
-    """One number per joint of all arms from a scene's gain, table or list."""
-    return np.concatenate(
-        [gain_vector(values, name, arm.joint_names) for name, arm in arms.items()]
-    )
-
-
-def _laws(*laws: Kernel) -> np.ndarray:
-    """Addresses of control laws, whose numbers begin at 0."""
-    return np.array([(address_of(law), 0) for law in laws], dtype=np.int64).reshape(-1, 2)
 
 
 def pack_harmonic(

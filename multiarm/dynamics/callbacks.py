@@ -143,9 +143,18 @@ class PythonControl:
     ----------
     function : callable
         ``f(t, state) -> {arm: torques}``; arms that it leaves out get no torque.
+    who : str
+        For messages.
+    in_scene : bool
+        It is that of the scene, not one in its place.
+    instance : callable, optional
+        Makes a function of its own for each Data; None: all share ``function``.
     """
 
     function: ControlFunction
+    who: str = "the controller"
+    in_scene: bool = False
+    instance: Callable[[], ControlFunction] | None = None
 
     @property
     def laws(self) -> np.ndarray:
@@ -158,11 +167,12 @@ class PythonControl:
         def read(torques: object) -> np.ndarray:
             stacked = np.zeros(layout.joints)
             views = layout.split_joints(stacked)
-            fill_by_arm("the controller's torques", views, torques, ControlError)
+            fill_by_arm(f"{self.who}'s torques", views, torques, ControlError)
             return stacked
 
-        function, out = self.function, variables.torque
-        return UserCallback(function, "the controller", read, out, layout, variables, function)
+        function = self.function if self.instance is None else self.instance()
+        out, owner = variables.torque, self.function
+        return UserCallback(function, self.who, read, out, layout, variables, owner)
 
 
 @cfunc

@@ -102,7 +102,7 @@ class Model:
     breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
     # ``Variables.places`` at the start, (S, 3)
     pair_places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    python_control: PythonControl | None = None  # in place of the scene's control
+    python_control: PythonControl | None = None  # None: control is compiled
     sampling: Sampling | None = None  # None: control is evaluated all the time
     control_span: ControlSpan | None = None  # None: control is defined at all times
     # Which rows can open, slide and stick.  Such a model has all rows that can ever be closed; only

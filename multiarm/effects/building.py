@@ -19,7 +19,7 @@ from multiarm.errors import ModelError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import call_python
 from multiarm.jit.structs import floats1, ints1, struct_at
-from multiarm.scene import EFFECTS, WITH_EVENTS, JointOutline, Scene, joint_vector
+from multiarm.scene import EFFECTS, JointOutline, Scene, joint_vector
 
 
 class Link(NamedTuple):
@@ -88,11 +88,11 @@ class BuildContext:
 
 def effect_program(context: BuildContext, further: Sequence[EffectKernel] = ()) -> EffectProgram:
     """The kernels of the effects that the scene names, and further ones."""
-    kernels = [*further]
-    for name, spec in context.scene.effects.named.items():
-        if name in WITH_EVENTS:
-            continue
-        if name in type(context.scene.effects).model_fields:
+    effects, kernels = context.scene.effects, [*further]
+    for name, spec in effects.named.items():
+        if name in effects.with_events:
+            continue  # those of contacts and stops are among the further ones
+        if name in type(effects).model_fields:
             kernels += import_module(f"multiarm.effects.{name}").build(spec, context)
         else:
             kernels += _user_kernels(name, spec, context)

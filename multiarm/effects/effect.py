@@ -68,10 +68,16 @@ class Effect:
         Key of the effect in scenes, and of its work in trajectories.
     Spec : type
         Pydantic model of the parameters under this key.
+    picture : str
+        What it adds, in a sentence of everyday words.
+    example : str
+        The effect in YAML, as a scene has it.
     spec : Spec
         The validated parameters.
     """
 
+    picture: ClassVar[str] = ""
+    example: ClassVar[str] = ""
     name: ClassVar[str] = ""
     Spec: ClassVar[type] = OwnSpec
 

@@ -59,9 +59,7 @@ def add_coulomb_friction(address, size, at, _t):
 
 
 def build(spec, context: BuildContext) -> list[EffectKernel]:
-    """The kernel of smooth friction; that of Coulomb friction belongs to the events."""
-    if spec.model != "smooth":
-        return []
+    """The kernel of smooth friction."""
     arrays = (context.stacked(spec.torque, friction_of), np.array([spec.smoothing_speed]))
     return [EffectKernel("joint_friction", add_joint_friction, PASSIVE, arrays)]
 

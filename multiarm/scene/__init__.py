@@ -2,16 +2,11 @@
 
 from multiarm.scene.arms import ArmSpec, ResolvedArm, ToolSpec, resolve_arm
 from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
-from multiarm.scene.control import Waypoint
-from multiarm.scene.effects import (
-    EFFECTS,
-    WITH_EVENTS,
-    EffectsSpec,
-    damping_of,
-    effort_limit_of,
-    friction_of,
-    register_effect,
-)
+from multiarm.scene.control import CONTROLS, register_control
+from multiarm.scene.control.kind import Waypoint
+from multiarm.scene.effects import EFFECTS, EffectsSpec, register_effect
+from multiarm.scene.effects.drives import damping_of, effort_limit_of, friction_of
+from multiarm.scene.effects.loads import ExternalWrench, read_wrench_table
 from multiarm.scene.functions import function_text
 from multiarm.scene.joints import (
     JOINTS,
@@ -43,7 +38,6 @@ from multiarm.scene.loading import (
     with_code,
     without_code,
 )
-from multiarm.scene.loads import ExternalWrench, read_wrench_table
 from multiarm.scene.object import Mesh, ObjectSpec, Shape
 from multiarm.scene.robots import (
     JointOutline,
@@ -66,12 +60,12 @@ from multiarm.scene.values import Pose, gain_vector, joint_vector
 
 __all__ = [
     "ARM_TERMS",
+    "CONTROLS",
     "EFFECTS",
     "JOINTS",
     "REGISTRIES",
     "STEPS_CHOSEN_BY",
     "SURFACES",
-    "WITH_EVENTS",
     "AccuracySpec",
     "ArmSpec",
     "BallJoint",
@@ -124,6 +118,7 @@ __all__ = [
     "read_urdf",
     "read_wrench_table",
     "refuse_code",
+    "register_control",
     "register_effect",
     "register_joint",
     "register_surface",
@@ -135,5 +130,5 @@ __all__ = [
     "without_code",
 ]
 
-REGISTRIES = (EFFECTS, JOINTS, SURFACES)
+REGISTRIES = (CONTROLS, EFFECTS, JOINTS, SURFACES)
 """The user classes of all sorts."""

@@ -1,19 +1,13 @@
 """Scene files: YAML text read with every fault at its place, written back, and their code.
 
-Three habits of YAML 1.1 that bite are avoided on reading: ``1e-6`` is a number (not text), ``on``
-is a word (not true), and a key that stands twice in one table is a fault (not a silent loss of the
-first).
-
-A scene can name functions (surfaces, wrenches) and classes of installed packages (effects, joints,
-surfaces).  Reading it loads
-none of them.  :func:`with_code` loads them for a system that is to run; :func:`without_code` gives
-what can be looked at without them.
+A scene can name functions (surfaces, wrenches, control) and classes of installed packages (effects,
+joints, surfaces, controls).  Reading it loads none of them.  :func:`with_code` loads them for a
+system that is to run; :func:`without_code` gives what can be looked at without them.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +16,7 @@ import yaml
 from pydantic import BaseModel
 
 from multiarm.errors import ModelError, SceneError
+from multiarm.scene.control import CONTROLS, ControlKind, UnloadedControl
 from multiarm.scene.effects import EFFECTS
 from multiarm.scene.faults import Parts, place
 from multiarm.scene.functions import (
@@ -40,6 +35,7 @@ from multiarm.scene.joints import (
 from multiarm.scene.joints.contacts import SURFACES, ContactsJoint, Geometry
 from multiarm.scene.registry import Registry
 from multiarm.scene.schema import Scene, function_faults
+from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import written
 
 
@@ -121,55 +117,6 @@ def dump_scene(scene: Scene) -> str:
     )
 
 
-def parse_yaml(text: str) -> Any:
-    """The content of a YAML text, without the habits above.
-
-    Raises
-    ------
-    SceneError
-        When it is not YAML, or a key stands twice.
-    """
-    try:
-        return yaml.load(text, Loader=_Loader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise SceneError(f"{where}{error.problem or error.context}; this is not YAML") from None
-    except yaml.YAMLError as error:
-        raise SceneError(f"this is not YAML: {error}") from None
-
-
-_MERGE, _TRUTH = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:bool"
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML with ``1e-6`` as a number, ``on`` as a word, and without repeated keys."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        """Refuse keys that stand twice."""
-        seen: set[Hashable] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if isinstance(key, Hashable) and key in seen and key_node.tag != _MERGE:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key!r} stands twice in one table", key_node.start_mark
-                )
-            seen.add(key if isinstance(key, Hashable) else str(key))
-        return super().construct_mapping(node, deep=deep)
-
-
-# of the truth values, only those of YAML 1.2
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in known if first in "tTfF" or tag != _TRUTH]
-    for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+$"),
-    list("-+0123456789"),
-)
-
-
 def _neighbours(path: Path) -> str:
     found = sorted(p.name for p in path.parent.glob("*.y*ml")) if path.parent.is_dir() else []
     return f"; scenes in that folder: {', '.join(found[:8])}" if found else ""
@@ -178,6 +125,7 @@ def _neighbours(path: Path) -> str:
 # --- code that a scene names ----------------------------------------------------------------------
 
 
+_CONTROL = ("control",)
 _WRENCHES = ("effects", "external_wrenches")
 
 
@@ -221,6 +169,10 @@ def named_code(scene: Scene) -> list[NamedCode]:
             found.append(NamedCode.function(parts, reference, joint.arm))
         for parts, registry, name in _unloaded_classes(joint, ("joints", k)):
             found.append(NamedCode.user_class(parts, registry, name, joint.arm))
+    for parts, reference in function_references(scene.control, _CONTROL):
+        found.append(NamedCode.function(parts, reference))
+    for parts, registry, name in _unloaded_classes(scene.control, _CONTROL):
+        found.append(NamedCode.user_class(parts, registry, name))
     for parts, reference in function_references(scene.effects.external_wrenches, _WRENCHES):
         found.append(NamedCode.function(parts, reference))
     found += [
@@ -265,7 +217,10 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
         When a function cannot be loaded.
     """
     named, unvalidated = named_code(scene), _available(_unvalidated_effects(scene))
-    unloaded = [*_unloaded_classes(scene.joints, ("joints",))]
+    unloaded = [
+        *_unloaded_classes(scene.joints, ("joints",)),
+        *_unloaded_classes(scene.control, _CONTROL),
+    ]
     missing = [one for one in unloaded if not one[1].known(one[2]) and not one[1].offers(one[2])]
     if missing:
         raise SceneError(f"{place(parts)}: {own.unknown(name)}" for parts, own, name in missing)
@@ -273,25 +228,32 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
         refuse_code(named)
     if unvalidated or unloaded:
         # validated as in a scene made in Python, which loads the classes that it names
-        joints = [_plain(joint) for joint in scene.joints] if unloaded else scene.joints
-        validated = scene.replace(effects=scene.effects.named, joints=joints)
+        parts: dict[str, Any] = {"effects": scene.effects.named}
+        if unloaded:
+            parts |= {name: _plain(getattr(scene, name)) for name in ("joints", "control")}
+        allowing = scene.model_copy()
+        allowing._may_load_code = True
+        validated = allowing.replace(**parts)
+        validated._may_load_code = scene.may_load_code
         faults = function_faults(validated, scene.folder) if scene.is_from_file else []
         if faults:
             raise SceneError(faults)
         scene = validated
     if named:
         joints = loaded_functions(scene.joints, ("joints",))
+        control = loaded_functions(scene.control, _CONTROL)
         wrenches = loaded_functions(scene.effects.external_wrenches, _WRENCHES)
         effects = scene.effects.model_copy(update={"external_wrenches": wrenches})
-        scene = scene.model_copy(update={"joints": joints, "effects": effects})
+        changes = {"joints": joints, "control": control, "effects": effects}
+        scene = scene.model_copy(update=changes)
     return scene
 
 
 def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
     """The scene without what needs code that is not loaded, and that code.
 
-    Left out are wrenches by functions and effects of packages, and of joints the contacts that
-    need functions or classes of packages; the other contacts keep their names.
+    Left out are wrenches by functions, effects of packages, control that needs either, and of
+    joints the contacts that need functions or classes of packages; the others keep their names.
     """
     left = named_code(scene)
     unvalidated = _unvalidated_effects(scene)
@@ -303,7 +265,10 @@ def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
         update={"external_wrenches": kept or None, **dict.fromkeys(unvalidated)}
     )
     joints = tuple(_without_contacts(joint) for joint in scene.joints)
-    return scene.model_copy(update={"joints": joints, "effects": effects}), left
+    control = scene.control
+    if _needs_code(control):
+        control = ControlKind.model_construct(kind=control.kind)
+    return scene.model_copy(update={"joints": joints, "control": control, "effects": effects}), left
 
 
 def loaded_functions(value: Any, parts: Parts = ()) -> Any:
@@ -340,9 +305,11 @@ def _available(names: Iterable[str]) -> list[str]:
 
 
 def _unloaded_classes(value: Any, parts: Parts = ()) -> Iterator[tuple[Parts, Registry, str]]:
-    """User classes of a joint that are not loaded: their place, sort and name."""
+    """User classes in a part of a scene that are not loaded: their place, sort and name."""
     if isinstance(value, UnloadedJoint):
         yield (*parts, "kind"), JOINTS, value.kind
+    elif isinstance(value, UnloadedControl):
+        yield (*parts, "kind"), CONTROLS, value.kind
     elif isinstance(value, Geometry) and value.value is None:
         yield (*parts, value.shape), SURFACES, value.shape
     for key, item in items(value):
@@ -356,18 +323,18 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
+def _needs_code(part: Any) -> bool:
+    return any(function_references(part)) or any(_unloaded_classes(part))
+
+
 def _without_contacts(joint: Joint) -> Joint:
     """A joint without its contacts that need code; nothing is left of a kind that needs it."""
-
-    def needs_code(part: Any) -> bool:
-        return any(function_references(part)) or any(_unloaded_classes(part))
-
-    if not needs_code(joint):
+    if not _needs_code(joint):
         return joint
     contacts = tuple(
         contact.model_copy(update={"name": contact.name or f"contact {k + 1}"})
         for k, contact in enumerate(joint.contacts if isinstance(joint, ContactsJoint) else ())
-        if not needs_code(contact)
+        if not _needs_code(contact)
     )
     if contacts:
         return joint.model_copy(update={"contacts": contacts})

@@ -1,4 +1,4 @@
-"""User classes of effects, joints and surfaces, found by the name under which a scene has them.
+"""User classes of controls, effects, joints and surfaces, found by their names in scenes.
 
 A name that is none of ours is looked for among the classes that were registered in this process,
 for instance by :func:`multiarm.register_effect`, and then among the entry points of the installed
@@ -23,10 +23,11 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from operator import attrgetter
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
+from typing_extensions import Self
 
 from multiarm.errors import USER_FAULTS, ModelError, MultiarmError
 from multiarm.scene.faults import Parts, fault, listed, sentences, unknown
@@ -46,6 +47,44 @@ class OwnSpec(Spec):
         """Why its fields are not known yet, in words; empty when they are."""
         known = cls.model_rebuild(raise_errors=False) is not False
         return "" if known else "an annotation names what is not known where the class is defined"
+
+
+class OwnKind(OwnSpec):
+    """Parameters of a class that scenes name by its key ``kind``."""
+
+    picture: ClassVar[str] = ""
+    example: ClassVar[str] = ""
+
+    @classmethod
+    def sample(cls) -> Self:
+        """What the example describes."""
+        raise NotImplementedError
+
+    @classmethod
+    def lacks_sample(cls) -> str:
+        """Why the example cannot be read; empty when it can, or there is none."""
+        try:
+            if cls.example:
+                cls.sample()
+        except USER_FAULTS as error:
+            return f"its example does not load, {type(error).__name__}: {error}"
+        return ""
+
+    @classmethod
+    def kind_name(cls) -> Any:
+        """The value of ``kind`` in scenes."""
+        return cls.model_fields["kind"].default
+
+    @classmethod
+    def lacks_kind(cls) -> str:
+        """What the class lacks to be found by its ``kind``; empty when nothing is missing."""
+        if cls.incomplete():
+            return cls.incomplete()
+        kind = cls.kind_name()
+        only = get_origin(annotation := cls.model_fields["kind"].annotation) is Literal
+        if not only or get_args(annotation) != (kind,) or not str(kind).isidentifier():
+            return "'kind' must be a word, written as kind: Literal['word'] = 'word'"
+        return ""
 
 
 class Named(NamedTuple):
@@ -200,8 +239,11 @@ class Registry(Generic[Kind]):
     ) -> Any:
         """A part of a scene with a key ``kind``, read by ``ours`` if its kind is ours.
 
-        Otherwise by a user class, or as ``unloaded`` where :meth:`class_for` finds no class.
+        Otherwise by a user class, or as ``unloaded`` where :meth:`class_for` finds no class; what
+        has been left unloaded stays so until its table is read again.
         """
+        if isinstance(value, unloaded):
+            return value
         if not isinstance(value, (Mapping, Spec)):
             return ours(value)
         data = written(value)

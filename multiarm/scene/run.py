@@ -97,6 +97,14 @@ Accuracy = Annotated[
 ]
 
 
+STABILIZATION_USES = {
+    "projection": "by default: positions and velocities stay on the joints to rounding errors",
+    "feedback": "comparison with other programs: cheap, but gaps only die out over some steps",
+    "none": "to see how far a method drifts off the joints by itself",
+}
+"""When to choose each kind of stabilization."""
+
+
 class StabilizationSpec(Spec):
     """How the joints are kept closed although integration errors add up.
 

@@ -24,16 +24,17 @@ from pydantic import (
 )
 from typing_extensions import Self
 
-from multiarm.errors import USER_FAULTS, SceneError
+from multiarm.errors import USER_FAULTS, ModelError, SceneError
 from multiarm.scene.arms import ArmSpec, Examination, examine_arm
-from multiarm.scene.control import ControlSpec, NoControl
+from multiarm.scene.control import ControlKind, ControlSpec, NoControl
 from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.faults import Parts, explain, listed, place, shown, unknown
 from multiarm.scene.functions import function_references, located, reference_fault
 from multiarm.scene.joints import Joint, JointSpec, pushing_kinds
 from multiarm.scene.object import ObjectSpec
+from multiarm.scene.registry import called
 from multiarm.scene.run import RunSpec
-from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3, gain_faults
+from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3
 
 _Examined = dict[str, tuple[ArmSpec, Examination]]
 """Arms by name, with their facts."""
@@ -110,7 +111,8 @@ class Scene(Spec):
         stored : bool
             It is that of a run, to be looked at: user effects need not be installed.
         like : Scene, optional
-            Its arms are not examined again where they are the same, and it decides about code.
+            Its arms are not examined again where they are the same, and it decides about code:
+            packages of user classes are not loaded now if a system may not load them.
         from_file : bool
             Nothing is loaded now, and functions lie in ``folder`` or below.
         code : bool, optional
@@ -121,8 +123,7 @@ class Scene(Spec):
             raise SceneError(f"$: a scene is a table with the keys {keys}; got {shown(data)}")
         scene = cls.__new__(cls)
         scene._fill(data, folder, stored, like, from_file)
-        if like is not None:
-            code = like.may_load_code
+        code = code if like is None else like.may_load_code
         scene._may_load_code = not stored if code is None else code
         return scene
 
@@ -177,7 +178,7 @@ class Scene(Spec):
     ) -> None:
         folder = Path(folder or ".").expanduser().resolve()
         faults: list[str] = []
-        load = not (stored or from_file)
+        load = not (stored or from_file) and (like is None or like.may_load_code)
         try:
             self.__pydantic_validator__.validate_python(
                 data, self_instance=self, context={"folder": folder, "stored": stored, "load": load}
@@ -199,6 +200,7 @@ def function_faults(scene: Scene, folder: Path | None) -> list[str]:
     """Functions that a scene, in a file in ``folder``, may not name."""
     named = [
         *function_references(scene.joints, ("joints",)),
+        *function_references(scene.control, ("control",)),
         *function_references(scene.effects, ("effects",)),
     ]
     found = ((parts, reference_fault(reference, folder)) for parts, reference in named)
@@ -229,7 +231,7 @@ class _Parts:
     joints: list[Any] | None
     pushes: bool
     object: ObjectSpec | None
-    control: Any
+    control: ControlKind | None
     effects: EffectsSpec | None
     run: RunSpec | None
 
@@ -237,7 +239,7 @@ class _Parts:
     def of(cls, data: Mapping[str, Any], folder: Path, load: bool = True) -> _Parts:
         """Find the valid parts of ``data``, which may hold instances or plain tables.
 
-        Effects of packages are loaded only where ``load`` says so.
+        User classes of packages are loaded only where ``load`` says so.
         """
         arms, joints = data.get("arms"), data.get("joints")
         joints = joints if isinstance(joints, (list, tuple)) else None
@@ -249,7 +251,7 @@ class _Parts:
             joints=None if joints is None else [_arm(joint) for joint in joints],
             pushes=not joints or any(_pushes(joint) for joint in joints),
             object=_valid(ObjectSpec, data.get("object"), folder),
-            control=_valid(ControlSpec, data.get("control"), folder),
+            control=_valid(ControlSpec, data.get("control"), folder, {"load": load}),
             effects=_valid(EffectsSpec, data.get("effects", {}), folder, {"load": load}),
             run=_valid(RunSpec, data.get("run"), folder),
         )
@@ -352,34 +354,17 @@ def _check_arm(name: str, spec: ArmSpec, examined: _Examined, findings: _Finding
         findings.warning(("arms", name), text)
 
 
-def _check_control(control: Any, arms: Mapping[str, KnownArm], findings: _Findings) -> None:
-    by_joint = {
-        "constant": ("torques",),
-        "joint_pd": ("stiffness", "damping"),
-        "harmonic": ("amplitude", "phase", "offset"),
-        "recorded": ("stiffness", "damping"),
-    }
-    for key in by_joint.get(getattr(control, "kind", ""), ()):
-        for where, text in gain_faults(getattr(control, key), arms):
-            findings.fault(("control", key, *where), text)
-    for address in getattr(control, "columns", None) or {}:
-        text = _address_fault(address, arms)
-        if text:
-            findings.fault(("control", "columns", address), text)
-    for arm in getattr(control, "internal_forces", None) or {}:
-        if arm not in arms:
-            findings.fault(("control", "internal_forces", arm), unknown("arm", arm, arms))
-
-
-def _address_fault(address: str, arms: Mapping[str, KnownArm]) -> str:
-    """Why ``arm/joint`` is no joint of the scene; empty when it is one."""
-    arm, _, joint = address.partition("/")
-    if not joint:
-        return f"must be 'arm/joint', got {shown(address)}"
-    if arm not in arms:
-        return unknown("arm", arm, arms)
-    names = arms[arm].joint_names
-    return "" if names is None or joint in names else unknown("joint", joint, names)
+def _check_control(
+    control: ControlKind | None, arms: Mapping[str, KnownArm], findings: _Findings
+) -> None:
+    if control is None:
+        return
+    try:
+        found = called(lambda: control.faults(arms), f"control kind {control.kind!r}: faults()")
+    except ModelError as error:
+        found = [((), str(error))]
+    for where, text in found:
+        findings.fault(("control", *where), text)
 
 
 def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findings) -> None:
@@ -396,13 +381,12 @@ def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findi
             findings.fault(("run", "integrator"), message)
     if parts.pushes:
         return
-    for name in ("unilateral_contacts", "contact_friction"):
-        if getattr(effects, name) is not None:
-            findings.warning(
-                ("effects", name),
-                "adds nothing, since no joint has contacts that only push; such joints are "
-                f"{listed(pushing_kinds())}",
-            )
+    for name in effects.of_pushing:
+        findings.warning(
+            ("effects", name),
+            "adds nothing, since no joint has contacts that only push; such joints are "
+            f"{listed(pushing_kinds())}",
+        )
 
 
 def method_fault(

@@ -482,6 +482,11 @@ def gain_faults(
     return faults
 
 
+def below(where: Parts, found: Faults) -> Faults:
+    """Faults of a part, which is at the place ``where`` in its owner."""
+    return [((*where, *further), text) for further, text in found]
+
+
 def urdf_warnings(
     value: Any, arms: Mapping[str, KnownArm], in_urdf: Callable[[JointOutline], Any], what: str
 ) -> Faults:

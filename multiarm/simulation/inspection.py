@@ -22,7 +22,6 @@ import numpy as np
 
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
-from multiarm.control.laws import needs_gravity_torque
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import (
@@ -440,10 +439,8 @@ def _placement(matrix: np.ndarray) -> tuple[list[float], list[float]]:
 
 def _carries(scene: Scene) -> bool:
     """Whether the control, and no floor, carries the object."""
-    control = scene.control
-    holds = control.kind == "harmonic" and control.hold
     weighs = scene.gravity is not None and any(scene.gravity)
-    return weighs and scene.effects.floor is None and (holds or needs_gravity_torque(scene))
+    return weighs and scene.effects.floor is None and scene.control.carries
 
 
 def _place_at_start(data: Data, system: System) -> None:

@@ -204,7 +204,8 @@ def run_metadata(system: System, spec: RunSpec, given: bool) -> Callable[[], dic
     ``given``: the start is not the scene's.
     """
     scene = system.scene  # a result must not keep its system alive
-    python = system.model.python_control is not None
+    controller = system.model.python_control
+    python = controller is not None and not controller.in_scene
     control = "python function" if python else scene.control.kind
     sampling = system.model.sampling if python else None  # a scene has its own keys
     times = (

@@ -244,9 +244,9 @@ def run_case(case: Case, system: System, progress: Callable[[float], None] | Non
 
 
 def _compiled(scene: Scene, like: System) -> System:
-    """The system of a similar scene, with the same controller in Python if there is one."""
+    """The system of a similar scene, with a controller in Python that is not the scene's."""
     control, sampling = like.model.python_control, like.model.sampling
-    if control is None:
+    if control is None or control.in_scene:
         return compile_system(scene, like=like)
     if sampling is None:
         return compile_system(scene, control.function, like=like)

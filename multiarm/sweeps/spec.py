@@ -19,7 +19,7 @@ from multiarm.errors import SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY, function_text
 from multiarm.scene.faults import explain, fault, listed, shown, unknown
 from multiarm.scene.functions import UserFunction, located
-from multiarm.scene.loading import parse_yaml
+from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import Spec
 from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, paths_of, plain_value
 from multiarm.sweeps.quantities import KNOWN, MEASURED, Quantity, digest

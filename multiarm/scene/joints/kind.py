@@ -8,18 +8,18 @@ section 3.9).  A kind is one class: its parameters, its contacts, and what peopl
 from __future__ import annotations
 
 from textwrap import dedent, indent
-from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
+from typing import Annotated, ClassVar
 
 import numpy as np
-import yaml
 from pydantic import AfterValidator, ConfigDict, Field
 from typing_extensions import Self
 
-from multiarm.errors import USER_FAULTS, ModelError
+from multiarm.errors import ModelError
 from multiarm.geometry import Contact
 from multiarm.geometry.records import Vector, basis
 from multiarm.scene.faults import fault
-from multiarm.scene.registry import OwnSpec, called
+from multiarm.scene.registry import OwnKind, called
+from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range
 
 X, Y, Z = np.eye(3)
@@ -54,7 +54,7 @@ TipRadius = Annotated[
 ]
 
 
-class Joint(OwnSpec):
+class Joint(OwnKind):
     """Base class of joints; define ``kind``, fields and :meth:`records`.
 
     The joint frame is given in the object frame (``at``) and in the tip's frame (``at_tip``); both
@@ -88,8 +88,6 @@ class Joint(OwnSpec):
         ``surfaces`` if those of its contacts are surfaces of bodies.
     """
 
-    picture: ClassVar[str] = ""
-    example: ClassVar[str] = ""
     free: ClassVar[tuple[int, ...] | None] = None
     limited: ClassVar[dict[str, int]] = {}
     as_listed: ClassVar[bool] = False
@@ -186,11 +184,6 @@ class Joint(OwnSpec):
         return self.at_tip.matrix() @ turn, object_pose @ turn
 
     @classmethod
-    def kind_name(cls) -> Any:
-        """The value of ``kind`` in scenes."""
-        return cls.model_fields["kind"].default
-
-    @classmethod
     def example_text(cls) -> str:
         """The example as part of a scene."""
         head = f"joints:\n  - arm: left\n    kind: {cls.kind_name()}"
@@ -203,18 +196,14 @@ class Joint(OwnSpec):
     @classmethod
     def sample(cls) -> Self:
         """The joint of the example."""
-        (entry,) = yaml.safe_load(cls.example_text())["joints"]
+        (entry,) = parse_yaml(cls.example_text())["joints"]
         return cls.model_validate(entry)
 
     @classmethod
     def lacks(cls) -> str:
         """What the class lacks to be a kind of joint, in words; empty when nothing is missing."""
-        if cls.incomplete():
-            return cls.incomplete()
-        kind = cls.kind_name()
-        only = get_origin(annotation := cls.model_fields["kind"].annotation) is Literal
-        if not only or get_args(annotation) != (kind,) or not str(kind).isidentifier():
-            return "'kind' must be a word, written as kind: Literal['word'] = 'word'"
+        if cls.lacks_kind():
+            return cls.lacks_kind()
         if cls.records is Joint.records:
             return "it does not define 'records'"
         unlimited = set(cls.limited) - set(cls.model_fields)
@@ -222,12 +211,7 @@ class Joint(OwnSpec):
             return f"'limited' names {sorted(unlimited)[0]!r}, which is no field"
         if not {*(cls.free or ()), *cls.limited.values()} <= set(range(6)):
             return "'free' and 'limited' name components 0 to 5 of the relative motion"
-        try:
-            if cls.example:
-                cls.sample()
-        except USER_FAULTS as error:
-            return f"its example does not load, {type(error).__name__}: {error}"
-        return ""
+        return cls.lacks_sample()
 
 
 class UnloadedJoint(Joint):

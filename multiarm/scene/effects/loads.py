@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
+from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import fault, listed, shown, unknown
 from multiarm.scene.functions import UserFunction
 from multiarm.scene.values import (
@@ -25,11 +27,15 @@ from multiarm.scene.values import (
     list_of,
 )
 
+if TYPE_CHECKING:
+    from multiarm.scene.object import Shape
+    from multiarm.scene.schema import Scene
+
 _OBJECT = "object"  # target of a wrench that does not act on a link
 _TABLE_COLUMNS = ("t", "fx", "fy", "fz", "mx", "my", "mz")  # [s], [N], [N m]
 
 
-class Drag(Spec):
+class Drag(EffectKind):
     """Resistance of the medium that the object moves through.
 
     Along each axis of the object, with u its velocity relative to the medium and |u| its size,
@@ -53,6 +59,9 @@ class Drag(Spec):
     wind : 3 numbers
         Velocity of the medium [m/s], world axes.
     """
+
+    picture = "air or water: the object is slowed down as it moves through it, or blown by wind"
+    example = "effects: {drag: {linear: 0.4, quadratic: 0.5}}  # [N s/m], [N s^2/m^2]"
 
     linear: BodyAxes = (0.0, 0.0, 0.0)
     angular: BodyAxes = (0.0, 0.0, 0.0)
@@ -82,6 +91,28 @@ class Drag(Spec):
             for q, a, c in zip(self.quadratic, area, coefficient, strict=True)
         )
         return x, y, z
+
+    @classmethod
+    def typical(cls, scene: Scene) -> Mapping[str, Any] | None:
+        """Drag in air, of a blunt body with the faces of the box around the object."""
+        half = _half_size(scene.object.shape)
+        if half is None:
+            return None
+        x, y, z = (2.0 * half).tolist()
+        return {"area": [y * z, z * x, x * y], "coefficient": 1.0}
+
+
+def _half_size(shape: Shape) -> np.ndarray | None:
+    """Half the edges of the box around the object, in its axes, shape (3,) [m]; None for a mesh."""
+    if shape.box is not None:
+        return 0.5 * np.array(shape.box)
+    if shape.sphere is not None:
+        return np.full(3, shape.sphere)
+    if shape.hull is not None:
+        return np.max(np.abs(np.array(shape.hull)), axis=0)
+    if shape.cylinder is not None:
+        return np.array([shape.cylinder.radius] * 2 + [0.5 * shape.cylinder.height])
+    return None
 
 
 class Sinusoid(Spec):
@@ -200,7 +231,7 @@ def _row_fault(cells: list[str]) -> str:
     return ""
 
 
-class ExternalWrench(Spec):
+class ExternalWrench(EffectKind):
     """A force and a torque from outside, at a point of the object or of a link.
 
     Constant, or times a factor: at most one of ``sinusoid``, ``pulse``, ``table``, ``function``.
@@ -227,6 +258,12 @@ class ExternalWrench(Spec):
         f(t, state) -> 6 numbers, the force [N] and torque [N m]: a Python function, or its name
         as 'file.py:name' or 'package.module:name'.
     """
+
+    picture = "somebody pushes the object or an arm: once, in a rhythm, or as a table says"
+    example = """
+effects:
+  external_wrenches:
+    - {on: object, force: [0, 0, 5], sinusoid: {frequency: 2}}   # [N], [Hz]"""
 
     on: str = Field(description="'object' or 'arm/link'")
     at: Vec3 = (0.0, 0.0, 0.0)

@@ -1,0 +1,110 @@
+"""Control programs: compiled laws with their numbers, and the system for which they are built.
+
+Kinds of control of packages build them from the names in :mod:`multiarm.control`.  A law is a
+``@cfunc`` of :mod:`multiarm.jit.kernels` with the arguments ``(address, size, place, t)``, which
+adds its torques to ``data.torque`` and returns 0:
+
+.. code-block:: python
+
+    @cfunc
+    def spring(address, size, place, t):
+        model, data, work = open_system(struct_at(address, size))
+        numbers, at, n = model.parameters, int(place), data.torque.size
+        for j in range(n):
+            data.torque[j] -= numbers[at + j] * data.angles[j]
+        return 0
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from multiarm.arms.arm import Arm
+from multiarm.dynamics.callbacks import PythonControl
+from multiarm.dynamics.held_control import Sampling
+from multiarm.dynamics.model import ControlSpan, Data
+from multiarm.dynamics.state import State
+from multiarm.jit.kernels import Kernel
+from multiarm.jit.pointers import address_of
+from multiarm.scene import Scene, gain_vector
+
+
+class JointPath(NamedTuple):
+    """Joint positions along a path."""
+
+    bounds: np.ndarray  # (S + 1,) times of the waypoints [s]
+    coefficients: np.ndarray  # (S, n, width) Chebyshev series of every segment and joint [rad, m]
+
+
+@dataclass(frozen=True)
+class ControlContext:
+    """The system for which a control is built, all contacts of its joints closed.
+
+    Attributes
+    ----------
+    scene : Scene
+    data : Data
+        Of the model without control; its state may be changed.
+    start : State
+    joint_path : callable
+        ``joint_path(waypoints)``: joint positions with which the object passes them.
+    """
+
+    scene: Scene
+    data: Data
+    start: State
+    joint_path: Callable[..., JointPath]
+
+    @property
+    def arms(self) -> dict[str, Arm]:
+        """The arms by name, in the order of the stacked vectors."""
+        return self.data.model.arms
+
+    def stacked(self, values: Any) -> np.ndarray:
+        """One number for every joint of all arms, from a scene's gain, table or list."""
+        return np.concatenate(
+            [gain_vector(values, name, arm.joint_names) for name, arm in self.arms.items()]
+        )
+
+
+@dataclass(frozen=True)
+class ControlProgram:
+    """The control of a system.
+
+    Attributes
+    ----------
+    laws : tuple of Kernel
+        Compiled laws, called one after the other; each adds its torques.
+    parameters : ndarray
+        Their numbers, ``model.parameters`` from ``place`` on.
+    breakpoints : ndarray
+        Times at which the torques are not smooth, so that steps end there [s].
+    span : ControlSpan, optional
+        Absent: the laws are defined at all times.
+    python : PythonControl, optional
+        In place of compiled laws.
+    sampling : Sampling, optional
+        Taken from the control's ``sample_time``.  Absent: they are evaluated all the time.
+    """
+
+    laws: tuple[Kernel, ...] = ()
+    parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    span: ControlSpan | None = None
+    python: PythonControl | None = None
+    sampling: Sampling | None = None
+
+    @property
+    def addresses(self) -> np.ndarray:
+        """``Constants.control``: addresses of the laws, whose numbers begin at 0."""
+        rows = [(address_of(law), 0) for law in self.laws]
+        return np.array(rows, dtype=np.int64).reshape(-1, 2)
+
+
+def needs_gravity_torque(scene: Scene) -> bool:
+    """Whether some part of the control needs the arms' gravity forces at every evaluation."""
+    return scene.gravity is not None and scene.control.compensates_gravity

@@ -1,0 +1,78 @@
+r"""User-defined controls: a kind, parameters, and the torques that they mean.
+
+.. code-block:: python
+
+    @ma.register_control  # or an entry point of its package, group "multiarm.controls"
+    class Spring(ma.Control):
+        kind: Literal["spring"] = "spring"
+        stiffness: float  # [N m/rad]
+
+        def torques(self, t, state):
+            return {arm: -self.stiffness * q for arm, q in state.joint_positions.items()}
+
+A scene then has ``control: {kind: spring, stiffness: 200}``, and ``sample_time`` and
+``sample_delay`` like any other.  To stay in compiled code, a control defines ``build`` instead, see
+:mod:`multiarm.control.program`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multiarm.dynamics.state import State
+from multiarm.scene.control.kind import SampledControl
+
+if TYPE_CHECKING:
+    from multiarm.control.program import ControlContext, ControlProgram
+
+
+class Control(SampledControl):
+    """Base class of user-defined controls; define ``kind``, fields, and ``torques`` or ``build``.
+
+    Every thread has its own instance.  What it remembers between calls belongs in private
+    attributes (``_sum: float = 0.0``); a run is repeated for its certificate, and a control that
+    gives other torques then cannot be certified.
+
+    Attributes
+    ----------
+    sample_time : float, optional
+        The torques are computed every ``sample_time`` [s] and held; absent: all the time.
+    sample_delay : bool
+        Torques act one sample later.
+    picture : str
+        What it does, in a sentence of everyday words.
+    example : str
+        The control in YAML, as a scene has it; may be empty.
+    by_joint : tuple of str
+        Fields with values by arm and joint, which are checked against the arms.
+    """
+
+    def torques(self, t: float, state: State) -> Mapping[str, np.ndarray]:
+        """Arm -> torques of its joints, base to tip [N m, N]; those left out get none."""
+        raise NotImplementedError
+
+    def build(self, context: ControlContext) -> ControlProgram:
+        """The compiled laws and their numbers; by default one that calls ``torques``.
+
+        A law that needs ``data.gravity_torque`` overrides ``compensates_gravity``.
+        """
+        from multiarm.control.program import ControlProgram
+        from multiarm.dynamics.callbacks import PythonControl
+
+        def instance():
+            return self.model_copy(deep=True).torques
+
+        who = f"the control {self.kind!r}"
+        return ControlProgram(python=PythonControl(self.torques, who, True, instance))
+
+    @classmethod
+    def lacks(cls) -> str:
+        """What the class lacks to be a kind of control; empty when nothing is missing."""
+        if cls.lacks_kind():
+            return cls.lacks_kind()
+        if cls.torques is Control.torques and cls.build is Control.build:
+            return "it defines neither 'torques' nor 'build'"
+        return cls.lacks_sample()

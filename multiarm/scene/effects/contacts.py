@@ -1,0 +1,210 @@
+"""Effects of contacts and joint stops that open, close, slide or give way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from multiarm.scene.effects.kind import EffectKind
+from multiarm.scene.faults import unknown
+from multiarm.scene.values import URDF, Faults, KnownArm, NonNegative, Pose, Positive, Vec3
+
+if TYPE_CHECKING:
+    from multiarm.scene.schema import Scene
+
+Restitution = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class SomeContacts(EffectKind):
+    """An effect of some of the contacts of a scene.
+
+    Attributes
+    ----------
+    contacts : list of str, optional
+        Arms, or contacts as 'arm/contact'; absent: all that the effect can be of.
+    """
+
+    can_open = True
+
+    contacts: tuple[str, ...] | None = None
+
+    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+        """Faults with respect to the arms; contacts are checked once they are known."""
+        owners = [name.partition("/")[0] for name in self.contacts or ()]
+        found: Faults = [
+            (("contacts", k), unknown("arm", owner, arms))
+            for k, owner in enumerate(owners)
+            if owner not in arms
+        ]
+        if self.contacts == ():
+            found.append((("contacts",), "is empty; name arms or contacts, or leave it out"))
+        return found
+
+
+class UnilateralContactsSpec(SomeContacts):
+    """Contacts that can only push open when they would pull, and may close again.
+
+    Attributes
+    ----------
+    restitution : float
+        Newton's coefficient, 0 (no bounce) to 1.
+    contacts : list of str, optional
+        Arms, or contacts as 'arm/contact'; absent: every contact that only pushes.
+    start : 'closed' or 'as_written'
+        Whether the start is assembled with these contacts closed, as that of a scene without this
+        effect, or left as it is written, where they may be apart.
+    """
+
+    picture = "fingertips that are not glued on: they let go, and come back with a bounce"
+    example = "effects: {unilateral_contacts: {restitution: 0.3}}"
+    of_pushing = True
+    usual: ClassVar[Any] = {}
+
+    restitution: Restitution = 0.0
+    start: Literal["closed", "as_written"] = "closed"
+
+
+class ContactFrictionSpec(SomeContacts):
+    """Coulomb friction at contacts that can only push; these may then open as well.
+
+    Attributes
+    ----------
+    mu : float
+        Coefficient of friction.
+    contacts : list of str, optional
+        Arms, or contacts as 'arm/contact'; absent: every contact that only pushes.
+    """
+
+    picture = "rubber fingertips: they grip the object by friction, until it slips"
+    example = "effects: {contact_friction: 0.5}  # coefficient of friction"
+    usual = 0.3  # Coulomb's coefficient of dry metal
+    of_pushing = True
+
+    mu: NonNegative = Field(description="the coefficient of friction")
+
+
+class ContactComplianceSpec(SomeContacts):
+    """Contacts that give way like a spring and a damper, and are no constraints.
+
+    Those that can only push do so only while they are pressed in.
+
+    Attributes
+    ----------
+    stiffness : float
+        [N/m]
+    damping : float
+        [N s/m]
+    contacts : list of str, optional
+        Arms, or contacts as 'arm/contact'; absent: all contacts of all joints.
+    """
+
+    picture = "soft fingertips: contacts give way a little, as rubber does"
+    example = "effects: {contact_compliance: {stiffness: 1e+5, damping: 100}}  # [N/m], [N s/m]"
+
+    stiffness: Positive = Field(description="in N/m")
+    damping: NonNegative = 0.0
+
+
+class FloorSpec(EffectKind):
+    """A plane that the object can touch: a sphere anywhere, other shapes with their corners.
+
+    A mesh touches with the corners of its convex hull.
+
+    Attributes
+    ----------
+    at : Pose
+        Its frame: the z axis points out of the floor.
+    size : 2 numbers, optional
+        A table top of so much along x and y of that frame [m]; absent: unbounded. Corners of the
+        object leave it over its edges, which themselves touch nothing.
+    restitution : float
+        Newton's coefficient, 0 to 1.
+    mu : float, optional
+        Coefficient of friction; absent: without friction.
+    points : list of 3 numbers, optional
+        Points of the object that can touch it, object frame [m]; absent: the corners of its shape.
+    """
+
+    picture = "a table or the ground: the object can fall on it, rest and slide"
+    example = "effects: {floor: {at: {xyz: [0, 0, 0.3]}, mu: 0.5}}"
+    can_open = True
+
+    at: Pose = Pose()
+    size: tuple[Positive, Positive] | None = None
+    restitution: Restitution = 0.0
+    mu: NonNegative | None = None
+    points: tuple[Vec3, ...] | None = None
+
+    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+        """Faults with respect to the arms."""
+        if self.points == ():
+            return [(("points",), "is empty; list points of the object, or leave it out")]
+        if "floor" in arms:
+            return [((), "an arm is called 'floor' as well; give it another name")]
+        return []
+
+    @classmethod
+    def typical(cls, scene: Scene) -> Mapping[str, Any] | None:
+        """A floor that a box, a hull or a sphere just touches at its start."""
+        shape, pose = scene.object.shape, scene.object.pose.matrix()
+        if shape.sphere is not None:
+            reach = shape.sphere
+        elif shape.box is not None:
+            reach = float(np.abs(pose[2, :3]) @ (0.5 * np.array(shape.box)))
+        elif shape.hull is not None:
+            reach = -float(np.min(np.array(shape.hull) @ pose[2, :3]))
+        else:
+            return None
+        return {"at": {"xyz": [0.0, 0.0, float(pose[2, 3]) - reach]}}
+
+
+class JointLimitsSpec(EffectKind):
+    """Joints stop at the ends of their range.
+
+    Attributes
+    ----------
+    range : 'urdf' or table 'arm: joint: [lower, upper]'
+        Ends [rad, m]; of the URDF, or as given.
+    restitution : float
+        Newton's coefficient, 0 to 1.
+    """
+
+    picture = "end stops: a joint that reaches the end of its range stops there, or bounces"
+    example = "effects: {joint_limits: urdf}  # ranges as the robot's file says"
+    can_open = True
+    usual = URDF
+
+    range: Literal["urdf"] | dict[str, dict[str, tuple[float, float]]] = "urdf"
+    restitution: Restitution = 0.0
+
+    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+        """Faults with respect to the arms."""
+        found: Faults = []
+        for arm, joints in {} if self.range == "urdf" else self.range.items():
+            if arm not in arms:
+                found.append((("range", arm), unknown("arm", arm, arms)))
+                continue
+            known = arms[arm].joint_names
+            for joint, (lower, upper) in joints.items():
+                place = ("range", arm, joint)
+                if known is not None and joint not in known:
+                    found.append((place, unknown("joint", joint, known)))
+                if not lower < upper:
+                    found.append((place, f"the lower end {lower:g} is not below {upper:g}"))
+        return found
+
+    def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
+        """Warnings about probable mistakes."""
+        if self.range != "urdf":
+            return []
+        text = "the URDF of arm {!r} gives no joint a range; write a table 'joint: [lower, upper]'"
+        return [
+            (("range",), text.format(arm))
+            for arm, known in arms.items()
+            if known.joints is not None
+            and not any(math.isfinite(j.lower) or math.isfinite(j.upper) for j in known.joints)
+        ]
