@@ -26,6 +26,8 @@ Matrix = tuple[Vector, ...]
 
 # How a step is made, and how the state inside it is interpolated.
 EXPLICIT, SEMI_IMPLICIT, ROSENBROCK, VARIATIONAL = range(4)
+KINDS = ("explicit Runge-Kutta", "semi-implicit", "Rosenbrock", "variational")
+"""Names of these."""
 HERMITE, POLYNOMIAL, NESTED, QUARTIC = range(4)
 
 
@@ -51,6 +53,7 @@ class Tableau(NamedTuple):
     gamma: float = 0.0
     C: Matrix = ()  # (s, s)
     d: Vector = ()  # (s,)
+    purpose: str = ""  # when to choose it
 
     @property
     def adaptive(self) -> bool:
@@ -148,7 +151,13 @@ _RODAS5P_D = (0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.
 # fmt: on
 
 SEMI_IMPLICIT_EULER = Tableau(
-    "semi_implicit_euler", order=1, A=((0.0,),), b=(1.0,), c=(0.0,), kind=SEMI_IMPLICIT
+    "semi_implicit_euler",
+    order=1,
+    A=((0.0,),),
+    b=(1.0,),
+    c=(0.0,),
+    kind=SEMI_IMPLICIT,
+    purpose="to compare with game and robot simulators, which step like this: cheap and coarse",
 )
 RK4 = Tableau(
     "rk4",
@@ -156,6 +165,7 @@ RK4 = Tableau(
     A=_matrix(4, 4, {1: {0: 0.5}, 2: {1: 0.5}, 3: {2: 1.0}}),
     b=(1 / 6, 2 / 6, 2 / 6, 1 / 6),
     c=(0.0, 0.5, 0.5, 1.0),
+    purpose="where every step must have the same length, as with a fixed sampling time",
 )
 DOPRI5 = Tableau(
     "dopri5",
@@ -168,6 +178,7 @@ DOPRI5 = Tableau(
     dense=_DOPRI5_DENSE,
     dense_kind=POLYNOMIAL,
     stability=3.25,
+    purpose="for a moderate accuracy, of 1e-3 and coarser; chosen there by default",
 )
 # Row 12 of Hairer's matrix repeats b: it is the end of the step, where the next one begins.
 DOP853 = Tableau(
@@ -181,6 +192,7 @@ DOP853 = Tableau(
     dense=_DOP853_DENSE,
     dense_kind=NESTED,
     stability=6.1,
+    purpose="for a high accuracy, finer than 1e-3; chosen there by default",
 )
 RODAS5P = Tableau(
     "rodas5p",
@@ -196,9 +208,16 @@ RODAS5P = Tableau(
     gamma=0.21193756319429014,
     C=_RODAS5P_C,
     d=_RODAS5P_D,
+    purpose="for stiff scenes, with hard springs or strong dampers; chosen when a run turns out stiff",
 )
 VARIATIONAL_MIDPOINT = Tableau(
-    "variational", order=2, A=((0.0,),), b=(1.0,), c=(0.0,), kind=VARIATIONAL
+    "variational",
+    order=2,
+    A=((0.0,),),
+    b=(1.0,),
+    c=(0.0,),
+    kind=VARIATIONAL,
+    purpose="for long motions whose energy must not drift; keeps the joints closed itself",
 )
 
 METHODS = {

@@ -15,8 +15,8 @@ import typer
 from rich.console import RenderableType
 from rich.text import Text
 
-from multiarm.cli.files import check_plot, check_targets, scene_to_inspect, write_json, write_text
-from multiarm.cli.options import CODE
+from multiarm.cli.files import check_targets, scene_to_inspect, write_json, write_text
+from multiarm.cli.options import Code, JsonFile, SceneFile, file_option
 from multiarm.errors import GraspError, MultiarmError
 from multiarm.results.files import printable, save_figure
 from multiarm.terminal.console import (
@@ -160,7 +160,6 @@ def design(
 
         multiarm grasp design box:1.2,0.8,0.6 --arms panda panda > block.yaml
     """
-    check_plot(plot)
     check_targets({"--out": out, "--plot": plot})
     from multiarm.scene import dump_scene
 
@@ -195,23 +194,16 @@ def design(
 
 @grasp_app.command("check")
 def check(
-    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
-    json: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the same figures as JSON.", show_default="none", metavar="FILE.json"
-        ),
-    ] = None,
+    scene: SceneFile,
+    json: JsonFile = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            help="A picture of the contacts and their regions: PNG, SVG or PDF; for objects with "
-            "plane faces.",
-            show_default="none",
-            metavar="FILE",
+        file_option(
+            "A picture of the contacts and their regions: PNG, SVG or PDF; for objects with "
+            "plane faces."
         ),
     ] = None,
-    code: Annotated[bool, CODE] = False,
+    code: Code = False,
 ) -> None:
     """Judge the grasp of any scene: do the contacts hold the object, and how well?
 
@@ -222,7 +214,6 @@ def check(
     The exit code is 0 whatever the verdict. The JSON has the fields of
     multiarm.grasp.scenes.judging.GraspJudgement; numbers are finite, or null where there is none.
     """
-    check_plot(plot)
     check_targets({"--json": json, "--plot": plot}, source=scene)
     loaded = scene_to_inspect(scene, code)
     from multiarm.assembly.compilation import compile_for_inspection

@@ -13,7 +13,7 @@ import typer
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, open_result
-from multiarm.cli.options import CODE
+from multiarm.cli.options import Code, file_option
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
 
@@ -36,10 +36,8 @@ def replay(
     run: Annotated[int | None, RUN] = None,
     html: Annotated[
         Path | None,
-        typer.Option(
-            help="Write one HTML file, which needs no network, instead of serving.",
-            show_default="none",
-            metavar="FILE.html",
+        file_option(
+            "Write one HTML file, which needs no network, instead of serving.", "FILE.html"
         ),
     ] = None,
     fps: Annotated[float, typer.Option(help="Frames per second of the viewer.")] = 30.0,
@@ -68,7 +66,7 @@ def replay(
             metavar="N",
         ),
     ] = 0,
-    code: Annotated[bool, CODE] = False,
+    code: Code = False,
 ) -> None:
     """Show the motion of a run in the browser, until Ctrl-C, or write it to one HTML file.
 
@@ -105,7 +103,7 @@ def report(
         Path, typer.Option(help="The HTML file; replaced if it exists.", metavar="FILE.html")
     ] = Path("report.html"),
     run: Annotated[int | None, RUN] = None,
-    code: Annotated[bool, CODE] = False,
+    code: Code = False,
 ) -> None:
     """Write a report of a run: figures of motion, forces, energy and drift, in one HTML file.
 

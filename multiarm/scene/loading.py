@@ -42,6 +42,9 @@ from multiarm.scene.registry import Registry
 from multiarm.scene.schema import Scene, function_faults
 from multiarm.scene.values import written
 
+REGISTRIES: tuple[Registry[Any], ...] = (EFFECTS, JOINTS, SURFACES)
+"""The user classes of all sorts."""
+
 
 def load_scene(path: Path | str, code: bool = True) -> Scene:
     """Read a scene file; nothing that it names is loaded or run.
