@@ -13,7 +13,14 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_run, write_json
-from multiarm.cli.options import FILES, JsonFile, NoCode, file_option, with_settings
+from multiarm.cli.options import (
+    FILES,
+    JsonFile,
+    NoCode,
+    file_option,
+    option,
+    with_settings,
+)
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import columns, number, output, print_error, print_written
 from multiarm.terminal.progress import StudyProgress
@@ -55,8 +62,7 @@ def accuracy(
         bool, typer.Option("--quick", help="Every second setting only, and fewer repeats.")
     ] = False,
     error: Annotated[
-        Quantity,
-        typer.Option(help="What is ranked; motion is the worst of position, rotation and joints."),
+        Quantity, option("What is ranked; motion is the worst of position, rotation and joints.")
     ] = Quantity.motion,
     every: Annotated[bool, typer.Option("--all", help="Print every point.")] = False,
     results: Annotated[

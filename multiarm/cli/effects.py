@@ -12,7 +12,7 @@ from rich.text import Text
 from multiarm.cli.catalogue import show
 from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.joints import effect_section
-from multiarm.cli.options import JsonFile, NoCode, file_option, with_settings
+from multiarm.cli.options import JsonFile, NoCode, file_option, option, with_settings
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import columns, output, print_written
 from multiarm.terminal.progress import StudyProgress
@@ -48,7 +48,7 @@ def effects(
         ),
     ] = False,
     repeats: Annotated[
-        int, typer.Option(help="Timed runs of each, at most; more smooth out noise.", min=1)
+        int, option("Timed runs of each, at most; more smooth out noise.", min=1)
     ] = 9,
     plot: Annotated[
         Path | None,

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from multiarm.cli.files import check_targets, write_text
-from multiarm.cli.options import FILES
+from multiarm.cli.options import FILES, option
 from multiarm.cli.schema import schema_text
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import print_written
@@ -33,23 +33,17 @@ def new(
     ] = Path("scene.yaml"),
     robot: Annotated[
         list[str] | None,
-        typer.Option(
-            help="The robot of one arm; again for each further arm.",
-            show_default="two ur5",
-            metavar="NAME",
-        ),
+        option("The robot of one arm; again for each further arm.", "NAME", default="two ur5"),
     ] = None,
     joint: Annotated[
         str,
-        typer.Option(
-            help="The joint between each arm and the object; multiarm joints shows all kinds.",
-            metavar="KIND",
+        option(
+            "The joint between each arm and the object; multiarm joints shows all kinds.", "KIND"
         ),
     ] = "weld",
     solid: Annotated[Solid, typer.Option("--object", help="The shape of the object.")] = Solid.box,
     force: Annotated[
-        bool,
-        typer.Option("--force", help="Replace an earlier file.", rich_help_panel=FILES),
+        bool, typer.Option("--force", help="Replace an earlier file.", rich_help_panel=FILES)
     ] = False,
 ) -> None:
     """Write a scene to start from, every line explained, for robots that are installed.

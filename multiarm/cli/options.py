@@ -25,6 +25,7 @@ __all__ = [
     "Quiet",
     "SceneFile",
     "file_option",
+    "option",
     "with_settings",
 ]
 
@@ -32,9 +33,23 @@ OF_SCENE = "the scene's"
 METHOD, FILES = "How exactly", "Results"
 
 
+def option(
+    text: str,
+    metavar: str | None = None,
+    *,
+    default: bool | str = True,
+    panel: str | None = None,
+    **limits: Any,
+) -> Any:
+    """An option: its help, a letter for its value, its default in words, the panel of the help."""
+    return typer.Option(
+        help=text, metavar=metavar, show_default=default, rich_help_panel=panel, **limits
+    )
+
+
 def file_option(text: str, metavar: str = "FILE", default: str = "none") -> Any:
     """An option that names a file to be written."""
-    return typer.Option(help=text, show_default=default, metavar=metavar, rich_help_panel=FILES)
+    return option(text, metavar, default=default, panel=FILES)
 
 
 SceneFile = Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")]

@@ -14,7 +14,7 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
-from multiarm.cli.options import JsonFile, file_option
+from multiarm.cli.options import JsonFile, file_option, option
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import output, print_warnings, print_written
 from multiarm.terminal.progress import StudyProgress
@@ -47,8 +47,8 @@ class Kind(str, Enum):
 def scaling(
     study: Annotated[
         Study,
-        typer.Option(
-            help="Cost of an evaluation compared with Pinocchio's algorithms; node algorithm "
+        option(
+            "Cost of an evaluation compared with Pinocchio's algorithms; node algorithm "
             "against direct elimination (section 4.4 of the thesis); shares of the time; cost of "
             "a contact row."
         ),
@@ -62,14 +62,14 @@ def scaling(
         ),
     ] = None,
     kind: Annotated[
-        Kind, typer.Option(help="Joint between each arm and the object; all: weld and ball.")
+        Kind, option("Joint between each arm and the object; all: weld and ball.")
     ] = Kind.all,
     rounds: Annotated[
         int | None,
-        typer.Option(
-            help="Repetitions of every measurement; more smooth out noise.",
+        option(
+            "Repetitions of every measurement; more smooth out noise.",
+            default="7; 2 with --quick",
             min=1,
-            show_default="7; 2 with --quick",
         ),
     ] = None,
     quick: Annotated[

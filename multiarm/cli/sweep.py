@@ -18,6 +18,7 @@ from multiarm.cli.options import (
     Quiet,
     SceneFile,
     file_option,
+    option,
     with_settings,
 )
 from multiarm.errors import SweepError
@@ -51,39 +52,33 @@ def sweep(
     scene: SceneFile,
     over: Annotated[
         Path,
-        typer.Option(
-            help="The sweep, a YAML file: what varies, how, and what is kept.", metavar="FILE.yaml"
-        ),
+        option("The sweep, a YAML file: what varies, how, and what is kept.", "FILE.yaml"),
     ],
     settings: dict[str, Any],
     repeat: Annotated[
-        int | None,
-        typer.Option(
-            help="Runs of each point of the grid.", show_default=OF_SWEEP, min=1, metavar="N"
-        ),
+        int | None, option("Runs of each point of the grid.", "N", default=OF_SWEEP, min=1)
     ] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(help="Of all random values.", show_default=OF_SWEEP, min=0, metavar="N"),
+        int | None, option("Of all random values.", "N", default=OF_SWEEP, min=0)
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
-            help="Processes on this computer; 1 works in this one.",
-            show_default="one for each core",
+        option(
+            "Processes on this computer; 1 works in this one.",
+            "N",
+            default="one for each core",
+            panel=WORKERS,
             min=1,
-            metavar="N",
-            rich_help_panel=WORKERS,
         ),
     ] = None,
     dask: Annotated[
         str | None,
-        typer.Option(
-            help="Scheduler of a Dask cluster, such as tcp://host:8786, whose workers take the "
+        option(
+            "Scheduler of a Dask cluster, such as tcp://host:8786, whose workers take the "
             "runs; 'config' for the one that Dask's own configuration names.",
-            show_default="none",
-            metavar="ADDRESS",
-            rich_help_panel=WORKERS,
+            "ADDRESS",
+            default="none",
+            panel=WORKERS,
         ),
     ] = None,
     out: Annotated[
