@@ -26,6 +26,8 @@ Matrix = tuple[Vector, ...]
 
 # How a step is made, and how the state inside it is interpolated.
 EXPLICIT, SEMI_IMPLICIT, ROSENBROCK, VARIATIONAL = range(4)
+KINDS = ("explicit Runge-Kutta", "semi-implicit", "Rosenbrock", "variational")
+"""Names of these."""
 HERMITE, POLYNOMIAL, NESTED, QUARTIC = range(4)
 
 
@@ -51,7 +53,7 @@ class Tableau(NamedTuple):
     gamma: float = 0.0
     C: Matrix = ()  # (s, s)
     d: Vector = ()  # (s,)
-    use: str = ""  # when to choose it, in words
+    purpose: str = ""  # when to choose it
 
     @property
     def adaptive(self) -> bool:
@@ -155,7 +157,7 @@ SEMI_IMPLICIT_EULER = Tableau(
     b=(1.0,),
     c=(0.0,),
     kind=SEMI_IMPLICIT,
-    use="comparison with game and learning simulators, which step so; errors shrink with the step",
+    purpose="to compare with game and robot simulators, which step like this: cheap and coarse",
 )
 RK4 = Tableau(
     "rk4",
@@ -163,7 +165,7 @@ RK4 = Tableau(
     A=_matrix(4, 4, {1: {0: 0.5}, 2: {1: 0.5}, 3: {2: 1.0}}),
     b=(1 / 6, 2 / 6, 2 / 6, 1 / 6),
     c=(0.0, 0.5, 0.5, 1.0),
-    use="steps of one length, for comparison with other programs or a fixed cost per second",
+    purpose="where every step must have the same length, as with a fixed sampling time",
 )
 DOPRI5 = Tableau(
     "dopri5",
@@ -176,7 +178,7 @@ DOPRI5 = Tableau(
     dense=_DOPRI5_DENSE,
     dense_kind=POLYNOMIAL,
     stability=3.25,
-    use="accuracies of 1e-3 and above; no stiff parts",
+    purpose="for a moderate accuracy, of 1e-3 and coarser; chosen there by default",
 )
 # Row 12 of Hairer's matrix repeats b: it is the end of the step, where the next one begins.
 DOP853 = Tableau(
@@ -190,7 +192,7 @@ DOP853 = Tableau(
     dense=_DOP853_DENSE,
     dense_kind=NESTED,
     stability=6.1,
-    use="accuracies below 1e-3; no stiff parts",
+    purpose="for a high accuracy, finer than 1e-3; chosen there by default",
 )
 RODAS5P = Tableau(
     "rodas5p",
@@ -206,7 +208,7 @@ RODAS5P = Tableau(
     gamma=0.21193756319429014,
     C=_RODAS5P_C,
     d=_RODAS5P_D,
-    use="stiff parts, such as strong damping, hard springs and smooth friction; few arms",
+    purpose="for stiff scenes, with hard springs or strong dampers; chosen when a run turns out stiff",
 )
 VARIATIONAL_MIDPOINT = Tableau(
     "variational",
@@ -215,7 +217,7 @@ VARIATIONAL_MIDPOINT = Tableau(
     b=(1.0,),
     c=(0.0,),
     kind=VARIATIONAL,
-    use="long undamped motions whose energy must not drift; no events, no states of drives",
+    purpose="for long motions whose energy must not drift; keeps the joints closed itself",
 )
 
 METHODS = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import re
@@ -14,14 +15,16 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+import typer
 import yaml
 from mechanics import planar_pair
 from rich.console import Console
+from typer.main import get_command
 from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app, check, run
-from multiarm.cli.run import Integrator, Solver, Stabilization
+from multiarm.cli.options import with_settings
 from multiarm.errors import ControlError
 from multiarm.scene import RunSpec, StabilizationSpec, dump_scene
 from multiarm.simulation.interrupts import deferred_interrupt
@@ -144,7 +147,7 @@ def test_a_reader_that_goes_away_is_no_error_worth_a_message():
 
 @pytest.mark.parametrize(
     "command",
-    ["run", "check", "effects", "joints", "replay", "report", "scaling", "stability", "warmup"],
+    sorted(get_command(app).commands),
 )
 def test_every_command_has_help(command):
     result = multiarm(command, "--help")
@@ -155,14 +158,47 @@ def test_every_command_has_help(command):
 def test_choices_of_the_options_are_those_of_a_scene():
     def choices(model, field):
         kinds = [model.model_fields[field].annotation]
-        while not all(isinstance(kind, str) for kind in kinds):
-            kinds = [arg for kind in kinds for arg in get_args(kind)]
+        while not all(isinstance(kind, (str, type)) for kind in kinds):
+            kinds = [arg for kind in kinds for arg in get_args(kind) or [kind]]
         return set(kinds)
 
-    integrators = set(get_args(get_args(RunSpec.model_fields["integrator"].annotation)[0]))
-    assert {choice.value for choice in Integrator} == integrators
-    assert {choice.value for choice in Solver} == choices(RunSpec, "solver")
-    assert {choice.value for choice in Stabilization} == choices(StabilizationSpec, "kind")
+    options = inspect.signature(run).parameters
+    assert set(RunSpec.model_fields) < set(options)
+    for model, field, name in (
+        (RunSpec, "integrator", "integrator"),
+        (RunSpec, "solver", "solver"),
+        (RunSpec, "arms", "arms"),
+        (StabilizationSpec, "kind", "stabilization"),
+    ):
+        sort, _ = get_args(get_args(options[name].annotation)[0])
+        assert {choice.value for choice in sort} == choices(model, field) - {type(None)}
+
+
+def test_a_new_setting_of_a_run_is_an_option_with_no_further_line(monkeypatch):
+    class Longer(RunSpec):
+        """A run with one key more.
+
+        Attributes
+        ----------
+        patience : float
+            How long a user waits [s].
+        """
+
+        patience: float = 1.0
+
+    monkeypatch.setattr("multiarm.scene.run.RunSpec", Longer)
+
+    @with_settings()
+    def command(settings):
+        """A command."""
+        print(settings)
+
+    program = typer.Typer(rich_markup_mode="markdown")
+    program.command()(command)
+    result = CliRunner().invoke(program, ["--patience", "2.5", "--arms", "compiled"])
+    assert result.stdout.strip() == "{'arms': 'compiled', 'patience': 2.5}", result.output
+    shown = CliRunner().invoke(program, ["--help"]).stdout
+    assert "waits [s]." in " ".join(re.sub("│", "", shown).split())
 
 
 # --- run ----------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.integration.step import make_method
 from multiarm.scene import StabilizationSpec
-from multiarm.scene.run import STABILIZATION_USES
+from multiarm.scene.run import STABILIZATIONS
 from multiarm.tableaus import EXPLICIT, HERMITE, METHODS, NESTED, POLYNOMIAL, Tableau
 
 COEFFICIENTS = {name: make_method(tableau) for name, tableau in METHODS.items()}
@@ -25,9 +25,9 @@ RUNGE_KUTTA = [name for name, m in METHODS.items() if m.kind == EXPLICIT]
 
 
 def test_every_method_and_stabilization_says_when_to_choose_it():
-    assert [name for name, method in METHODS.items() if not method.use] == []
+    assert [name for name, method in METHODS.items() if not method.purpose] == []
     kinds = get_args(StabilizationSpec.model_fields["kind"].annotation)
-    assert kinds == tuple(STABILIZATION_USES) and all(STABILIZATION_USES.values())
+    assert kinds == tuple(STABILIZATIONS) and all(STABILIZATIONS.values())
 
 
 # --- coefficients --------------------------------------------------------------------------------

@@ -1,5 +1,4 @@
-"""The command line: ``multiarm run``, ``check``, ``joints``, ``replay``, ``report``, ``accuracy``,
-``effects``, ``scaling``, ``stability``, ``sweep``, ``warmup``, ``grasp``.
+"""The command line, ``multiarm COMMAND``.
 
 Each command is a function in a module of the same name; heavy libraries are imported when a command
 runs, so that ``--help`` answers at once.  Exit codes: 0 success; 1 a run failed or was interrupted,
@@ -19,9 +18,11 @@ from multiarm.cli.accuracy import accuracy
 from multiarm.cli.check import check
 from multiarm.cli.effects import effects
 from multiarm.cli.grasp import grasp_app
-from multiarm.cli.joints import joints
+from multiarm.cli.joints import controls, joints, methods
+from multiarm.cli.new import new
 from multiarm.cli.run import run
 from multiarm.cli.scaling import scaling
+from multiarm.cli.schema import schema
 from multiarm.cli.show import replay, report
 from multiarm.cli.stability import stability
 from multiarm.cli.sweep import sweep
@@ -104,7 +105,8 @@ def _program(
 
 
 _COMMANDS = (
-    run, check, joints, replay, report, accuracy, effects, scaling, stability, sweep, warmup,
+    new, run, check, joints, controls, methods, schema, replay, report, accuracy, effects, scaling,
+    stability, sweep, warmup,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command()(_command)

@@ -5,15 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
-from multiarm.cli.options import ARMS, NO_CODE, Arms
+from multiarm.cli.files import check_targets, scene_to_run, write_json
+from multiarm.cli.options import (
+    FILES,
+    JsonFile,
+    NoCode,
+    file_option,
+    option,
+    with_settings,
+)
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import columns, number, output, print_error, print_written
 from multiarm.terminal.progress import StudyProgress
@@ -26,9 +33,6 @@ if TYPE_CHECKING:
 __all__ = ["accuracy", "decade_table", "method_table", "point_table"]
 
 
-FILES = "Results"
-
-
 class Quantity(str, Enum):
     """What an error is of."""
 
@@ -39,24 +43,14 @@ class Quantity(str, Enum):
     force = "force"
 
 
+@with_settings("duration", "output_step", "arms")
 def accuracy(
     scene: Annotated[
         Path | None,
         typer.Argument(help="The scene, a YAML file.", metavar="SCENE", show_default=False),
     ] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(help="Simulated time, in s.", show_default="the scene's", metavar="S"),
-    ] = None,
-    output_step: Annotated[
-        float | None,
-        typer.Option(
-            help="Time between the outputs at which runs are compared, in s.",
-            show_default="the scene's",
-            metavar="S",
-        ),
-    ] = None,
-    arms: Annotated[Arms | None, ARMS] = None,
+    *,
+    settings: dict[str, Any],
     peers: Annotated[
         bool,
         typer.Option(
@@ -68,8 +62,7 @@ def accuracy(
         bool, typer.Option("--quick", help="Every second setting only, and fewer repeats.")
     ] = False,
     error: Annotated[
-        Quantity,
-        typer.Option(help="What is ranked; motion is the worst of position, rotation and joints."),
+        Quantity, option("What is ranked; motion is the worst of position, rotation and joints.")
     ] = Quantity.motion,
     every: Annotated[bool, typer.Option("--all", help="Print every point.")] = False,
     results: Annotated[
@@ -97,32 +90,14 @@ def accuracy(
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            help="Draw the diagram to a file; its ending (png, svg, pdf) is the format.",
-            show_default="none",
-            metavar="FILE",
-            rich_help_panel=FILES,
-        ),
+        file_option("Draw the diagram to a file; its ending (png, svg, pdf) is the format."),
     ] = None,
     html: Annotated[
         Path | None,
-        typer.Option(
-            help="Write one HTML page: the diagram with values, and all points.",
-            show_default="none",
-            metavar="FILE.html",
-            rich_help_panel=FILES,
-        ),
+        file_option("Write one HTML page: the diagram with values, and all points.", "FILE.html"),
     ] = None,
-    json: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the figures as JSON.",
-            show_default="none",
-            metavar="FILE.json",
-            rich_help_panel=FILES,
-        ),
-    ] = None,
-    no_code: Annotated[bool, NO_CODE] = False,
+    json: JsonFile = None,
+    no_code: NoCode = False,
 ) -> None:
     """Measure what accuracy costs on a scene: every method, compared with other programs.
 
@@ -136,7 +111,6 @@ def accuracy(
     The JSON has the keys scene, machine, reference, refusals, wall_time_s, points, cheapest,
     recommendation. Numbers are finite, or null where there is none.
     """
-    check_plot(plot)
     if (scene is None) == (source is None):
         raise MultiarmError("name a scene to measure, or '--from FILE.json' to look at a study")
     if source is not None:
@@ -146,21 +120,20 @@ def accuracy(
         found = read_results(source)
     else:
         assert scene is not None, "one of the two is there"
-        target = results if results is not None else _own_file(scene, arms)
+        target = results if results is not None else _own_file(scene, settings)
         check_targets(
             {"--results": target, "--plot": plot, "--html": html, "--json": json}, source=scene
         )
-        changes = {"duration": duration, "output_step": output_step, "arms": arms and arms.value}
         loaded = scene_to_run(scene, no_code)
-        found = _measure(loaded, target, changes, peers, quick, redo)
+        found = _measure(loaded, target, settings, peers, quick, redo)
         print_written("study", target)
     _print(found, error.value, every)
     _write(found, error.value, plot, html, json)
 
 
-def _own_file(scene: Path, arms: Arms | None) -> Path:
+def _own_file(scene: Path, settings: dict[str, Any]) -> Path:
     """The default file of a study: one for each value of --arms."""
-    kind = "" if arms is None else f".{arms.value}"
+    kind = f".{settings['arms']}" if "arms" in settings else ""
     return Path(f"{scene.stem}{kind}.accuracy.json")
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
-import typer
 from rich.console import RenderableType
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_json
-from multiarm.cli.options import ARMS, CODE, Arms
+from multiarm.cli.options import Code, JsonFile, SceneFile, with_settings
 from multiarm.terminal.console import (
     accuracy,
     columns,
@@ -38,16 +37,12 @@ if TYPE_CHECKING:
 __all__ = ["check"]
 
 
+@with_settings("arms")
 def check(
-    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
-    json: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the same figures as JSON.", show_default="none", metavar="FILE.json"
-        ),
-    ] = None,
-    arms: Annotated[Arms | None, ARMS] = None,
-    code: Annotated[bool, CODE] = False,
+    scene: SceneFile,
+    settings: dict[str, Any],
+    json: JsonFile = None,
+    code: Code = False,
 ) -> None:
     """Show what a scene compiles to: arms, joints, effects, freedom, and how good its start is.
 
@@ -65,7 +60,7 @@ def check(
     from multiarm.simulation.inspection import inspect_system
     from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
 
-    system, left = compile_for_inspection(loaded, None if arms is None else arms.value)
+    system, left = compile_for_inspection(loaded, settings.get("arms"))
     inspection = inspect_system(system, left)
     print_warnings(inspection.not_looked_at)
     if inspection.start is not None:

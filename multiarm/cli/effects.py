@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
-from multiarm.cli.options import ARMS, NO_CODE, Arms
+from multiarm.cli.catalogue import show
+from multiarm.cli.files import check_targets, scene_to_run, write_json
+from multiarm.cli.joints import effect_section
+from multiarm.cli.options import JsonFile, NoCode, file_option, option, with_settings
+from multiarm.errors import MultiarmError
 from multiarm.terminal.console import columns, output, print_written
 from multiarm.terminal.progress import StudyProgress
 
@@ -20,11 +23,23 @@ if TYPE_CHECKING:
 
 __all__ = ["effects"]
 
-FILES = "Results"
 
-
+@with_settings("duration", "arms")
 def effects(
-    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
+    scene: Annotated[
+        Path | None,
+        typer.Argument(
+            help="The scene, a YAML file; with --list, the name of an effect.",
+            metavar="SCENE",
+            show_default=False,
+        ),
+    ] = None,
+    *,
+    settings: dict[str, Any],
+    listing: Annotated[
+        bool,
+        typer.Option("--list", help="List the effects with their parameters, or show one in full."),
+    ] = False,
     candidates: Annotated[
         bool,
         typer.Option(
@@ -32,42 +47,19 @@ def effects(
             help="Add each effect that the scene does not have too, with its usual parameters.",
         ),
     ] = False,
-    duration: Annotated[
-        float | None,
-        typer.Option(help="Simulated time, in s.", show_default="the scene's", metavar="S"),
-    ] = None,
     repeats: Annotated[
-        int, typer.Option(help="Timed runs of each, at most; more smooth out noise.", min=1)
+        int, option("Timed runs of each, at most; more smooth out noise.", min=1)
     ] = 9,
-    arms: Annotated[Arms | None, ARMS] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            help="Draw the ledger to a file; its ending (png, svg, pdf) is the format.",
-            show_default="none",
-            metavar="FILE",
-            rich_help_panel=FILES,
-        ),
+        file_option("Draw the ledger to a file; its ending (png, svg, pdf) is the format."),
     ] = None,
     html: Annotated[
         Path | None,
-        typer.Option(
-            help="Write one HTML page: the ledger, drawn and in numbers.",
-            show_default="none",
-            metavar="FILE.html",
-            rich_help_panel=FILES,
-        ),
+        file_option("Write one HTML page: the ledger, drawn and in numbers.", "FILE.html"),
     ] = None,
-    json: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the figures as JSON.",
-            show_default="none",
-            metavar="FILE.json",
-            rich_help_panel=FILES,
-        ),
-    ] = None,
-    no_code: Annotated[bool, NO_CODE] = False,
+    json: JsonFile = None,
+    no_code: NoCode = False,
 ) -> None:
     """Measure what each effect of a scene costs, and what it changes.
 
@@ -81,12 +73,15 @@ def effects(
 
     The JSON has the keys scene, asked, asked_by_scene, run, entries, machine, wall_time_s, summary;
     their meaning and units are those of multiarm.studies.effect_costs.entries. Numbers are
-    finite, or null where there is none.
+    finite, or null where there is none. With --list it has the key effects: what is shown.
     """
-    check_plot(plot)
+    if listing:
+        show("effects --list", {"effects": effect_section()}, str(scene) if scene else None, json)
+        return
+    if scene is None:
+        raise MultiarmError("name a scene to measure, or '--list' to see what effects there are")
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
-    changes = {"duration": duration, "arms": arms and arms.value}
-    found = _measure(scene_to_run(scene, no_code), changes, candidates, repeats)
+    found = _measure(scene_to_run(scene, no_code), settings, candidates, repeats)
     _print(found)
     _write(found, plot, html, json)
 

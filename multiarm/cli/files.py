@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from multiarm.scene import Scene
 
 __all__ = [
-    "check_plot",
     "check_targets",
     "open_result",
     "scene_to_inspect",
@@ -41,8 +40,12 @@ def check_targets(targets: Mapping[str, Path | None], source: Path | None = None
     Raises
     ------
     MultiarmError
-        A folder is missing or closed, the place is not a file, or two options name one file.
+        A folder is missing or closed, the place is not a file, two options name one file, or
+        the ending of a figure's file is no known format.
     """
+    plot = targets.get("--plot")
+    if plot is not None and plot.suffix.lower().lstrip(".") not in PLOTS:
+        raise MultiarmError(f"--plot: '{plot}' ends in none of .{', .'.join(PLOTS)}")
     taken = {} if source is None else {source.expanduser().resolve(): "the file that is read"}
     for option, path in targets.items():
         if path is None:
@@ -80,18 +83,6 @@ def write_text(path: Path, text: str, option: str) -> None:
     """
     with atomic_output(path, option) as partial:
         partial.write_text(text, encoding="utf-8")
-
-
-def check_plot(plot: Path | None) -> None:
-    """Check that the ending of a figure's file is a known format.
-
-    Raises
-    ------
-    MultiarmError
-        The message lists the formats.
-    """
-    if plot is not None and plot.suffix.lower().lstrip(".") not in PLOTS:
-        raise MultiarmError(f"--plot: '{plot}' ends in none of .{', .'.join(PLOTS)}")
 
 
 def scene_to_run(path: Path, no_code: bool, over: Path | None = None) -> Scene:

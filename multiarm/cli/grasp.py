@@ -15,8 +15,8 @@ import typer
 from rich.console import RenderableType
 from rich.text import Text
 
-from multiarm.cli.files import check_plot, check_targets, scene_to_inspect, write_json, write_text
-from multiarm.cli.options import CODE
+from multiarm.cli.files import check_targets, scene_to_inspect, write_json, write_text
+from multiarm.cli.options import Code, JsonFile, SceneFile, file_option, option
 from multiarm.errors import GraspError, MultiarmError
 from multiarm.results.files import printable, save_figure
 from multiarm.terminal.console import (
@@ -68,89 +68,64 @@ def design(
     ],
     arms: Annotated[
         tuple[str, str],
-        typer.Option(
-            help="The robots that carry the two grippers.",
-            metavar="ROBOT ROBOT",
-            rich_help_panel=SCENE,
-        ),
+        option("The robots that carry the two grippers.", "ROBOT ROBOT", panel=SCENE),
     ] = ("panda", "panda"),
-    scale: Annotated[
-        float, typer.Option(help="Metres per unit of a mesh file.", metavar="X")
-    ] = 1.0,
+    scale: Annotated[float, option("Metres per unit of a mesh file.", "X")] = 1.0,
     offset: Annotated[
         float | None,
-        typer.Option(
-            help="Distance of the contacts from the edges of a block, in m.",
-            show_default="0.15 of the shortest edge",
-            metavar="A",
-            rich_help_panel=GRIPPERS,
+        option(
+            "Distance of the contacts from the edges of a block, in m.",
+            "A",
+            default="0.15 of the shortest edge",
+            panel=GRIPPERS,
         ),
     ] = None,
     gripper_size: Annotated[
         float | None,
-        typer.Option(
-            help="Largest distance between two contacts of a gripper, in m; with --optimise, of "
+        option(
+            "Largest distance between two contacts of a gripper, in m; with --optimise, of "
             "a contact from its corner.",
-            show_default="as it comes; 0.2 of the body with --optimise",
-            metavar="D",
-            rich_help_panel=GRIPPERS,
+            "D",
+            default="as it comes; 0.2 of the body with --optimise",
+            panel=GRIPPERS,
         ),
     ] = None,
     optimise: Annotated[
         Objective | None,
-        typer.Option(
-            help="Search for the best placements: the largest margin or stability, or the smallest "
+        option(
+            "Search for the best placements: the largest margin or stability, or the smallest "
             "contact forces; says how far from the best it may be.",
-            show_default="a construction of the thesis",
-            rich_help_panel=GRIPPERS,
+            default="a construction of the thesis",
+            panel=GRIPPERS,
         ),
     ] = None,
     gap: Annotated[
         float,
-        typer.Option(
-            help="The search ends when value and bound are this close, as a part of the bound.",
-            rich_help_panel=GRIPPERS,
+        option(
+            "The search ends when value and bound are this close, as a part of the bound.",
+            panel=GRIPPERS,
         ),
     ] = 0.05,
-    tip_radius: Annotated[
-        float,
-        typer.Option(help="Of the fingertips, in m.", metavar="R", rich_help_panel=GRIPPERS),
-    ] = 0.01,
-    mass: Annotated[
-        float, typer.Option(help="Of the body, in kg.", metavar="KG", rich_help_panel=SCENE)
-    ] = 5.0,
+    tip_radius: Annotated[float, option("Of the fingertips, in m.", "R", panel=GRIPPERS)] = 0.01,
+    mass: Annotated[float, option("Of the body, in kg.", "KG", panel=SCENE)] = 5.0,
     height: Annotated[
         float | None,
-        typer.Option(
-            help="Of the body's centre at the start, in m.",
-            show_default="where the arms reach best",
-            metavar="Z",
-            rich_help_panel=SCENE,
+        option(
+            "Of the body's centre at the start, in m.",
+            "Z",
+            default="where the arms reach best",
+            panel=SCENE,
         ),
     ] = None,
-    duration: Annotated[
-        float, typer.Option(help="Of the run, in s.", metavar="S", rich_help_panel=SCENE)
-    ] = 10.0,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Of the search for postures.", rich_help_panel=SCENE)
-    ] = 0,
+    duration: Annotated[float, option("Of the run, in s.", "S", panel=SCENE)] = 10.0,
+    seed: Annotated[int, option("Of the search for postures.", panel=SCENE, min=0)] = 0,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="Write the scene here.",
-            show_default="standard output",
-            metavar="FILE.yaml",
-            rich_help_panel=RESULTS,
-        ),
+        option("Write the scene here.", "FILE.yaml", default="standard output", panel=RESULTS),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            help="A picture of the grasp: PNG, SVG or PDF.",
-            show_default="none",
-            metavar="FILE",
-            rich_help_panel=RESULTS,
-        ),
+        option("A picture of the grasp: PNG, SVG or PDF.", "FILE", default="none", panel=RESULTS),
     ] = None,
 ) -> None:
     """Design a grasp of a body by two small grippers, and write a scene that runs.
@@ -160,7 +135,6 @@ def design(
 
         multiarm grasp design box:1.2,0.8,0.6 --arms panda panda > block.yaml
     """
-    check_plot(plot)
     check_targets({"--out": out, "--plot": plot})
     from multiarm.scene import dump_scene
 
@@ -195,23 +169,16 @@ def design(
 
 @grasp_app.command("check")
 def check(
-    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
-    json: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the same figures as JSON.", show_default="none", metavar="FILE.json"
-        ),
-    ] = None,
+    scene: SceneFile,
+    json: JsonFile = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            help="A picture of the contacts and their regions: PNG, SVG or PDF; for objects with "
-            "plane faces.",
-            show_default="none",
-            metavar="FILE",
+        file_option(
+            "A picture of the contacts and their regions: PNG, SVG or PDF; for objects with "
+            "plane faces."
         ),
     ] = None,
-    code: Annotated[bool, CODE] = False,
+    code: Code = False,
 ) -> None:
     """Judge the grasp of any scene: do the contacts hold the object, and how well?
 
@@ -222,7 +189,6 @@ def check(
     The exit code is 0 whatever the verdict. The JSON has the fields of
     multiarm.grasp.scenes.judging.GraspJudgement; numbers are finite, or null where there is none.
     """
-    check_plot(plot)
     check_targets({"--json": json, "--plot": plot}, source=scene)
     loaded = scene_to_inspect(scene, code)
     from multiarm.assembly.compilation import compile_for_inspection

@@ -1,29 +1,21 @@
-"""``multiarm joints``: the catalogue of joints and surfaces."""
+"""``multiarm joints``, ``controls``, ``methods``: catalogues of what scenes may name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Group, RenderableType
-from rich.padding import Padding
-from rich.table import Table
-from rich.text import Text
 
-from multiarm.cli.files import check_targets, write_json
-from multiarm.errors import MultiarmError
-from multiarm.terminal.console import columns, facts, output, print_warnings
+from multiarm.cli.catalogue import Card, KindName, Section, show
+from multiarm.cli.options import JsonFile
+from multiarm.scene.parameters import parameters_of
 
 if TYPE_CHECKING:
-    from multiarm.cli.joint_cards import JointCard, SurfaceCard
-    from multiarm.cli.parameters import Parameter
+    from multiarm.scene.registry import Registry
 
-__all__ = ["joints"]
-
-SURFACES = "surfaces"
+__all__ = ["controls", "effect_section", "joints", "methods"]
 
 
 def joints(
@@ -35,10 +27,7 @@ def joints(
             metavar="[KIND]",
         ),
     ] = None,
-    json: Annotated[
-        Path | None,
-        typer.Option(help="Write what is shown as JSON.", show_default="none", metavar="FILE.json"),
-    ] = None,
+    json: JsonFile = None,
 ) -> None:
     """List the joints between an arm and the object with their free motions and parameters.
 
@@ -47,120 +36,116 @@ def joints(
 
     The JSON has the keys joints, surfaces: each a table by name, with what is shown here.
     """
-    check_targets({"--json": json})
-    from multiarm.cli import joint_cards as cards
+    from multiarm.cli.joint_cards import joint_section, surface_section
 
-    (joint_cards, faults), (surface_cards, further) = cards.joint_cards(), cards.surface_cards()
-    print_warnings([*faults, *further])
-    known = [*joint_cards, SURFACES, *surface_cards]
-    if kind is not None and kind not in known:
-        from multiarm.scene.faults import unknown
-
-        text = unknown("joint kind", kind, known, "kinds")
-        raise MultiarmError(f"{text}; 'multiarm joints' shows them all")
-    chosen = {name: card for name, card in joint_cards.items() if kind in (None, name)}
-    surfaces = {n: card for n, card in surface_cards.items() if kind in (None, SURFACES, n)}
-    if json is not None:
-        write_json(
-            json,
-            {
-                "joints": {name: asdict(card) for name, card in chosen.items()},
-                "surfaces": {name: asdict(card) for name, card in surfaces.items()},
-            },
-        )
-    console = output()
-    for part in _parts(kind, chosen, surfaces):
-        console.print(part)
+    show("joints", {"joints": joint_section(), "surfaces": surface_section()}, kind, json)
 
 
-def _parts(
-    kind: str | None, joints: dict[str, JointCard], surfaces: dict[str, SurfaceCard]
-) -> list[RenderableType]:
-    """What is shown: everything, one joint, all surfaces, or one surface."""
-    from multiarm.cli.joint_cards import common_parameters, contact_parameters
+def controls(name: KindName = None, json: JsonFile = None) -> None:
+    """List the kinds of control with their parameters; 'kind:' below 'control:' in a scene.
 
-    common = _parameter_table("Parameters of every joint", common_parameters())
-    options = [p for p in contact_parameters() if p.name not in ("arm", "object")]
-    contact = _parameter_table("Parameters of a contact, besides its two sides", options)
-    if kind is None:
-        axes = Text("x, y, z: axes of the joint frame, turned until z is the axis or normal", "dim")
-        hint = Text("One in full: multiarm joints KIND, multiarm joints SURFACE", "dim")
-        return [_joint_listing(joints), axes, common, _surface_listing(surfaces), contact, hint]
-    if kind == SURFACES:
-        return [_surface_listing(surfaces), contact]
-    if kind in surfaces:
-        return _one_surface(surfaces[kind])
-    return [*_one_joint(joints[kind]), common, *_example(joints[kind].example)]
+    The JSON has the key controls: a table by name, with what is shown here.
+    """
+    from multiarm.scene.control import BUILT_IN, CONTROLS
+
+    section = _kinds("Controls", "control kind", "kinds", BUILT_IN, CONTROLS)
+    show("controls", {"controls": section}, name, json)
 
 
-def _joint_listing(cards: dict[str, JointCard]) -> Table:
-    rows = []
-    for card in cards.values():
-        lines = [Text(card.picture)]
-        if not card.as_listed:
-            lines.append(_line("free", _motions(card, "nothing")))
-            lines.append(_line("made of", card.made_of))
-        if card.parameters:
-            lines.append(_line("parameters", "; ".join(_brief(p) for p in card.parameters)))
-        count = "any" if card.as_listed else str(card.rows or "")
-        rows.append((Text(card.kind, "bold"), count, Group(*lines, "")))
-    return columns("Joints", ("kind", "rows", "what it is"), rows)
+def effect_section() -> Section:
+    """The effects that a scene may name."""
+    from multiarm.scene.effects import BUILT_IN, EFFECTS, EffectsSpec
+    from multiarm.scene.effects.drives import JointNumbers
 
-
-def _surface_listing(cards: dict[str, SurfaceCard]) -> Table:
-    rows = []
-    for card in cards.values():
-        lines = [Text(card.picture), Text(card.example, "green")]
-        if card.parameters:
-            lines.append(_line("parameters", "; ".join(_brief(p) for p in card.parameters)))
-        rows.append((Text(card.name, "bold"), Group(*lines, "")))
-    return columns("Surfaces for joints of kind 'contacts'", ("surface", "what it is"), rows)
-
-
-def _one_joint(card: JointCard) -> list[RenderableType]:
-    here = "; those of the example" if card.as_listed else ""
-    about: dict[str, RenderableType] = {
-        "what it is": card.picture,
-        "rows": f"{card.rows}, rank {card.rank}{here}" if card.rank else str(card.rows or ""),
-        "free motions": _motions(card, "none"),
-        "made of": card.made_of,
-        "names of the rows": ", ".join(card.row_names),
+    section = _kinds("Effects", "effect", "effects", BUILT_IN, EFFECTS)
+    numbers = {  # some effects are numbers without a table around them
+        parameter.name: replace(section.cards[parameter.name], parameters=[parameter])
+        for parameter in parameters_of(EffectsSpec)
+        if issubclass(BUILT_IN[parameter.name], JointNumbers)
     }
-    parts: list[RenderableType] = [facts(card.kind, about)]
-    if card.parameters:
-        parts.append(_parameter_table("Parameters", card.parameters))
-    return parts
+    return replace(section, cards={**section.cards, **numbers})
 
 
-def _motions(card: JointCard, none: str) -> str:
-    if card.free is None:
-        return "depend on the scene, see multiarm check"
-    return ", ".join(card.free) or none
+def _kinds(title: str, noun: str, plural: str, ours: Mapping, registry: Registry) -> Section:
+    """A section of our classes and of users'."""
+    own, faults = registry.classes()
+    cards = {name: Card.of(name, kind) for name, kind in ours.items()}
+    for name, kind in own.items():
+        cards[name] = Card.of(name, kind, registry.parameters_of(kind))
+    return Section(title, noun, plural, cards, faults, heads=("name", "what it is"))
 
 
-def _one_surface(card: SurfaceCard) -> list[RenderableType]:
-    parts: list[RenderableType] = [facts(card.name, {"what it is": card.picture})]
-    if card.parameters:
-        parts.append(_parameter_table("Parameters", card.parameters))
-    return [*parts, *_example(card.example)]
+@dataclass(frozen=True)
+class MethodCard(Card):
+    """An integration method."""
+
+    kind: str
+    order: int
+    adaptive: bool
+
+    @property
+    def count(self) -> str:
+        """Its order."""
+        return str(self.order)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Kind, order and who chooses the steps."""
+        return {"kind": self.kind, "order": self.count, **self.listed}
+
+    @property
+    def listed(self) -> dict[str, str]:
+        """Who chooses the steps."""
+        return {"steps": "adaptive" if self.adaptive else "all as long as 'step' says"}
 
 
-def _example(text: str) -> list[RenderableType]:
-    return [Text("In a scene", "bold"), Padding(Text(text, "green"), (1, 2))]
+def methods(name: KindName = None, json: JsonFile = None) -> None:
+    """List the integrators with their order and when to choose them, and the stabilizations.
 
+    A scene names them below 'run:'; without names the program chooses by the accuracy.
 
-def _parameter_table(title: str, parameters: Iterable[Parameter]) -> Table:
-    rows = [(p.name, p.default, p.unit, p.meaning) for p in parameters]
-    return columns(title, ("name", "default", "unit", "meaning"), rows)
+    The JSON has the keys integrators, stabilizations: each a table by name, with what is shown
+    here.
+    """
+    from multiarm.scene.run import STABILIZATIONS, StabilizationSpec
+    from multiarm.tableaus import KINDS, METHODS
 
-
-def _line(name: str, text: str) -> Text:
-    return Text.assemble((f"{name}: ", "cyan"), (text, "dim"))
-
-
-def _brief(parameter: Parameter) -> str:
-    """``size 0.1 m``; without a default only the name and, in brackets, the unit."""
-    name, default, unit = parameter.name, parameter.default, parameter.unit
-    if default in ("required", "none"):
-        return f"{name} [{unit}]" if unit else name
-    return f"{name} {default} {unit}".rstrip()
+    integrators = {}
+    for key, method in METHODS.items():
+        steps = "tolerance: 1e-8" if method.adaptive else "step: 0.001"
+        integrators[key] = MethodCard(
+            key,
+            method.purpose,
+            [],
+            f"run:\n  integrator: {key}\n  {steps}",
+            KINDS[method.kind],
+            method.order,
+            method.adaptive,
+        )
+    gains = parameters_of(StabilizationSpec)
+    kept = {
+        key: Card(
+            key,
+            text,
+            gains if key == "feedback" else [],
+            f"run:\n  stabilization: {key}",
+        )
+        for key, text in STABILIZATIONS.items()
+    }
+    sections = {
+        "integrators": Section(
+            "Integrators",
+            "method",
+            "methods",
+            integrators,
+            heads=("method", "order", "when to choose it"),
+        ),
+        "stabilizations": Section(
+            "Stabilizations: how the joints are kept closed",
+            "stabilization",
+            "stabilizations",
+            kept,
+            heads=("stabilization", "what it does"),
+        ),
+    }
+    show("methods", sections, name, json)

@@ -1,37 +1,162 @@
-"""Options that several commands share."""
+"""Options of the commands: those that several share, and those that derive from the run's schema.
+
+A command with :func:`with_settings` has an option for each key of a scene's ``run``: its type,
+choices and help are those of :class:`multiarm.scene.RunSpec`.
+"""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Mapping
 from enum import Enum
+from functools import cached_property, update_wrapper
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
-__all__ = ["ARMS", "CODE", "METHOD", "NO_CODE", "OF_SCENE", "Arms"]
+__all__ = [
+    "FILES",
+    "METHOD",
+    "OF_SCENE",
+    "Code",
+    "JsonFile",
+    "NoCode",
+    "Quiet",
+    "SceneFile",
+    "file_option",
+    "option",
+    "with_settings",
+]
 
 OF_SCENE = "the scene's"
-METHOD = "How exactly"
+METHOD, FILES = "How exactly", "Results"
 
 
-class Arms(str, Enum):
-    """The backend that computes inertia, forces and motion of the arms."""
+def option(
+    text: str,
+    metavar: str | None = None,
+    *,
+    default: bool | str = True,
+    panel: str | None = None,
+    **limits: Any,
+) -> Any:
+    """An option: its help, a letter for its value, its default in words, the panel of the help."""
+    return typer.Option(
+        help=text, metavar=metavar, show_default=default, rich_help_panel=panel, **limits
+    )
 
-    pinocchio = "pinocchio"
-    compiled = "compiled"
+
+def file_option(text: str, metavar: str = "FILE", default: str = "none") -> Any:
+    """An option that names a file to be written."""
+    return option(text, metavar, default=default, panel=FILES)
 
 
-ARMS = typer.Option(
-    help="Backend of the arms: Pinocchio, or compiled copies of its models, which are several "
-    "times as fast and are verified against Pinocchio first.",
-    show_default=OF_SCENE,
-    rich_help_panel=METHOD,
-)
+SceneFile = Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")]
+JsonFile = Annotated[Path | None, file_option("Write the figures as JSON.", "FILE.json")]
+Quiet = Annotated[
+    bool,
+    typer.Option("--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=FILES),
+]
+Code = Annotated[
+    bool,
+    typer.Option(
+        "--code",
+        help="Load the functions and effects that the file names, which runs their code; without, "
+        "they are left out.",
+    ),
+]
+NoCode = Annotated[
+    bool,
+    typer.Option(
+        "--no-code",
+        help="Refuse a file that names functions or effects of packages, whose code would be run.",
+    ),
+]
 
-CODE = typer.Option(
-    "--code",
-    help="Load the functions and effects that the file names, which runs their code; without, "
-    "they are left out.",
-)
-NO_CODE = typer.Option(
-    "--no-code",
-    help="Refuse a file that names functions or effects of packages, whose code would be run.",
-)
+
+def with_settings(*names: str) -> Callable[[Callable[..., None]], _WithSettings]:
+    """Let a command's parameter ``settings`` be options: of a run, all or those that are named.
+
+    The command gets a table with the settings that are given.
+    """
+    return lambda command: _WithSettings(command, names)
+
+
+class _WithSettings:
+    """A command whose options are read from the schema when they are needed, not on import."""
+
+    def __init__(self, command: Callable[..., None], names: tuple[str, ...]) -> None:
+        update_wrapper(self, command, ("__module__", "__name__", "__qualname__", "__doc__"))
+        self._command, self._names = command, names
+
+    def __call__(self, **arguments: Any) -> None:
+        given = {name: arguments.pop(name, None) for name in self._options}
+        settings = {
+            name: value.value if isinstance(value, Enum) else value
+            for name, value in given.items()
+            if value is not None
+        }
+        self._command(**arguments, settings=settings)
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        """The command's, with options in place of ``settings``."""
+        written = inspect.signature(self._command, eval_str=True)
+        parameters: list[inspect.Parameter] = []
+        for parameter in written.parameters.values():
+            further = self._options.values() if parameter.name == "settings" else [parameter]
+            parameters += [own.replace(kind=inspect.Parameter.KEYWORD_ONLY) for own in further]
+        return written.replace(parameters=parameters)
+
+    @property
+    def __annotations__(self) -> dict[str, Any]:  # type: ignore[override]
+        return {own.name: own.annotation for own in self.__signature__.parameters.values()}
+
+    @cached_property
+    def _options(self) -> dict[str, inspect.Parameter]:
+        from multiarm.scene.json_schema import json_schema
+        from multiarm.scene.run import STEPS_CHOSEN_BY, RunSpec
+
+        found = {}
+        for name, own in json_schema(RunSpec)["properties"].items():
+            sort = _type(name, own)
+            if sort is None or (self._names and name not in self._names):
+                continue
+            text = own.get("description", "")
+            if name == STEPS_CHOSEN_BY[0] and not self._names:
+                others = ", ".join(f"--{other}" for other in STEPS_CHOSEN_BY[1:])
+                text += f" Any of this, {others} replaces the scene's choice of all four."
+            option = typer.Option(
+                help=text,
+                show_default=OF_SCENE,
+                metavar=_metavar(name, text, sort),
+                rich_help_panel=METHOD,
+            )
+            found[name] = inspect.Parameter(
+                name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=None,
+                annotation=Annotated[sort | None, option],
+            )
+        return found
+
+
+def _metavar(name: str, text: str, sort: type) -> str | None:
+    """A letter for a value; choices are listed instead."""
+    if issubclass(sort, Enum):
+        return None
+    return "S" if "[s]" in text else name[0].upper()
+
+
+_TYPES: Mapping[str, type] = {"number": float, "integer": int, "boolean": bool, "string": str}
+
+
+def _type(name: str, schema: Mapping[str, Any]) -> type | None:
+    """What may be written on the command line; None where a setting is a table only."""
+    for one in schema.get("anyOf", [schema]):
+        if "enum" in one:
+            return Enum(name, {value: value for value in one["enum"]}, type=str)  # type: ignore[return-value]
+        if one.get("type") in _TYPES:
+            return _TYPES[one["type"]]
+    return None

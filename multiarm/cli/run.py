@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
 import re
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,11 +13,19 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, scene_to_run, write_json
-from multiarm.cli.options import ARMS, METHOD, NO_CODE, OF_SCENE, Arms
+from multiarm.cli.options import (
+    FILES,
+    METHOD,
+    JsonFile,
+    NoCode,
+    Quiet,
+    SceneFile,
+    file_option,
+    with_settings,
+)
 from multiarm.cli.show import serve_until_interrupt
 from multiarm.errors import SceneError
 from multiarm.results.event_log import counts, who
-from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS
 from multiarm.terminal.console import (
     STATUS_STYLES,
     accuracy,
@@ -37,103 +45,17 @@ if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
 
-__all__ = ["Integrator", "Solver", "Stabilization", "run", "run_figures", "summary_table"]
+__all__ = ["run", "run_figures", "summary_table"]
 
 
-FILES = "Results"
 # A start that violates the joints by more than this [m] is reported.
 NOTABLE_GAP = 1e-3
 
 
-if TYPE_CHECKING:
-    Integrator = Enum
-else:
-    Integrator = Enum("Integrator", {name: name for name in METHODS}, type=str)
-
-
-class Stabilization(str, Enum):
-    """How the joints are kept closed."""
-
-    projection = "projection"
-    feedback = "feedback"
-    none = "none"
-
-
-class Solver(str, Enum):
-    """How one evaluation is solved."""
-
-    node = "node"
-    dense = "dense"
-
-
+@with_settings()
 def run(
-    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
-    duration: Annotated[
-        float | None,
-        typer.Option(
-            help="Simulated time, in s.", show_default=OF_SCENE, metavar="S", rich_help_panel=METHOD
-        ),
-    ] = None,
-    accuracy: Annotated[
-        float | None,
-        typer.Option(
-            help="Largest error of the whole run, in m and rad: chooses method and steps; the "
-            "run is checked by a rerun with smaller tolerances, and repeated if need be. "
-            "This and the next three options replace the scene's choice of all four.",
-            show_default=OF_SCENE,
-            metavar="A",
-            rich_help_panel=METHOD,
-        ),
-    ] = None,
-    integrator: Annotated[
-        Integrator | None,
-        typer.Option(
-            help=f"{', '.join(FIXED_STEP_INTEGRATORS)} have a fixed --step, the others choose "
-            "their steps by --accuracy or --tolerance.",
-            show_default=OF_SCENE,
-            rich_help_panel=METHOD,
-        ),
-    ] = None,
-    step: Annotated[
-        float | None,
-        typer.Option(
-            help="Fixed step, in s.", show_default=OF_SCENE, metavar="S", rich_help_panel=METHOD
-        ),
-    ] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            help=f"Error of one step of {', '.join(ADAPTIVE_INTEGRATORS)}, in m, rad, m/s, rad/s.",
-            show_default=OF_SCENE,
-            metavar="T",
-            rich_help_panel=METHOD,
-        ),
-    ] = None,
-    stabilization: Annotated[
-        Stabilization | None,
-        typer.Option(
-            help="How the joints are kept closed.", show_default=OF_SCENE, rich_help_panel=METHOD
-        ),
-    ] = None,
-    output_step: Annotated[
-        float | None,
-        typer.Option(
-            help="Time between samples, in s.",
-            show_default=OF_SCENE,
-            metavar="S",
-            rich_help_panel=METHOD,
-        ),
-    ] = None,
-    solver: Annotated[
-        Solver | None,
-        typer.Option(
-            help="The node algorithm, or the whole linear system at once, an independent "
-            "reference to compare with.",
-            show_default=OF_SCENE,
-            rich_help_panel=METHOD,
-        ),
-    ] = None,
-    arms: Annotated[Arms | None, ARMS] = None,
+    scene: SceneFile,
+    settings: dict[str, Any],
     certificate: Annotated[
         bool,
         typer.Option(
@@ -157,39 +79,14 @@ def run(
         typer.Option("--replay", help="Show the motion in the browser.", rich_help_panel=FILES),
     ] = False,
     replay_html: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the motion to one HTML file.",
-            show_default="none",
-            metavar="FILE.html",
-            rich_help_panel=FILES,
-        ),
+        Path | None, file_option("Write the motion to one HTML file.", "FILE.html")
     ] = None,
     report_html: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write a report with figures to one HTML file.",
-            show_default="none",
-            metavar="FILE.html",
-            rich_help_panel=FILES,
-        ),
+        Path | None, file_option("Write a report with figures to one HTML file.", "FILE.html")
     ] = None,
-    json: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the summary's figures as JSON.",
-            show_default="none",
-            metavar="FILE.json",
-            rich_help_panel=FILES,
-        ),
-    ] = None,
-    quiet: Annotated[
-        bool,
-        typer.Option(
-            "--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=FILES
-        ),
-    ] = False,
-    no_code: Annotated[bool, NO_CODE] = False,
+    json: JsonFile = None,
+    quiet: Quiet = False,
+    no_code: NoCode = False,
 ) -> None:
     """Simulate a scene and keep the result.
 
@@ -223,20 +120,7 @@ def run(
         source=scene,
     )
     TrajectoryReader.writable_target(target)
-    options = {
-        "duration": duration,
-        "accuracy": accuracy,
-        "integrator": integrator,
-        "step": step,
-        "tolerance": tolerance,
-        "stabilization": stabilization,
-        "output_step": output_step,
-        "solver": solver,
-        "arms": arms,
-        "certificate": certificate,
-    }
-    options = {k: v.value if isinstance(v, Enum) else v for k, v in options.items()}
-    trajectory, start, compiled = _simulate(loaded, options, target, quiet)
+    trajectory, start, compiled = _simulate(loaded, settings, certificate, target, quiet)
     print_warnings(_remarks(trajectory, start))
     figures = run_figures(loaded.name, trajectory, {"result": str(target)}, compiled)
     if not quiet:
@@ -271,24 +155,34 @@ def _remarks(trajectory: Trajectory, start: StartReport) -> list[str]:
 
 
 def _simulate(
-    scene: Scene, options: dict[str, Any], target: Path, quiet: bool
+    scene: Scene, settings: dict[str, Any], certificate: bool, target: Path, quiet: bool
 ) -> tuple[Trajectory, StartReport, bool]:
     """Compile and simulate behind a progress bar; Ctrl-C ends the run, not the program.
 
     Returns the trajectory, how the start was assembled, and whether kernels had to be compiled.
     """
-    duration = options["duration"] if options["duration"] is not None else scene.run.duration
-    integrator = options["integrator"] or scene.run.integrator
+    duration = settings.get("duration", scene.run.duration)
+    integrator = settings.get("integrator", scene.run.integrator)
     with RunProgress(messages(), duration, quiet, integrator) as progress:
         from multiarm.assembly.compilation import compile_system
+        from multiarm.simulation.setup import run_spec
         from multiarm.simulation.simulate import simulate
 
-        if options["solver"] is not None:  # the start is assembled by it too
-            changed = scene.run.model_copy(update={"solver": options["solver"]})
-            scene = scene.replace(run=changed)
-        system = compile_system(scene, arms=options.pop("arms"))
+        # what a simulation does not take, and the solver, by which the start is assembled too
+        taken = inspect.signature(simulate).parameters.keys() - {"solver"}
+        of_scene = {name: value for name, value in settings.items() if name not in taken}
+        of_run = {name: value for name, value in settings.items() if name in taken}
+        arms = of_scene.pop("arms", None)
         try:
-            trajectory = simulate(system, **options, out=target, progress=progress)
+            if of_scene:
+                scene = scene.replace(run=run_spec(scene.run, of_scene, {}, None))
+            system = compile_system(scene, arms=arms)
+            options: dict[str, Any] = {
+                "certificate": certificate,
+                "out": target,
+                "progress": progress,
+            }
+            trajectory = simulate(system, **of_run, **options)
         except SceneError as error:
             raise SceneError([_about_options(fault) for fault in error.faults]) from None
         return trajectory, system.start_report, progress.compiling

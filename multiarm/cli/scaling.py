@@ -13,7 +13,8 @@ from rich.console import Group
 from rich.table import Table as Grid
 from rich.text import Text
 
-from multiarm.cli.files import check_plot, check_targets, write_json
+from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.options import JsonFile, file_option, option
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import output, print_warnings, print_written
 from multiarm.terminal.progress import StudyProgress
@@ -46,8 +47,8 @@ class Kind(str, Enum):
 def scaling(
     study: Annotated[
         Study,
-        typer.Option(
-            help="Cost of an evaluation compared with Pinocchio's algorithms; node algorithm "
+        option(
+            "Cost of an evaluation compared with Pinocchio's algorithms; node algorithm "
             "against direct elimination (section 4.4 of the thesis); shares of the time; cost of "
             "a contact row."
         ),
@@ -61,14 +62,14 @@ def scaling(
         ),
     ] = None,
     kind: Annotated[
-        Kind, typer.Option(help="Joint between each arm and the object; all: weld and ball.")
+        Kind, option("Joint between each arm and the object; all: weld and ball.")
     ] = Kind.all,
     rounds: Annotated[
         int | None,
-        typer.Option(
-            help="Repetitions of every measurement; more smooth out noise.",
+        option(
+            "Repetitions of every measurement; more smooth out noise.",
+            default="7; 2 with --quick",
             min=1,
-            show_default="7; 2 with --quick",
         ),
     ] = None,
     quick: Annotated[
@@ -76,24 +77,12 @@ def scaling(
     ] = False,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            help="Draw the result to a file; its ending (png, svg, pdf) is the format.",
-            show_default="none",
-            metavar="FILE",
-        ),
+        file_option("Draw the result to a file; its ending (png, svg, pdf) is the format."),
     ] = None,
     html: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write one HTML page with figures and tables.",
-            show_default="none",
-            metavar="FILE.html",
-        ),
+        Path | None, file_option("Write one HTML page with figures and tables.", "FILE.html")
     ] = None,
-    json: Annotated[
-        Path | None,
-        typer.Option(help="Write the figures as JSON.", show_default="none", metavar="FILE.json"),
-    ] = None,
+    json: JsonFile = None,
 ) -> None:
     """Measure how cost grows with the number of arms, and where the time goes.
 
@@ -102,7 +91,6 @@ def scaling(
     """
     counts = None if arms is None else _counts(arms)
     check_targets({"--plot": plot, "--html": html, "--json": json})
-    check_plot(plot)
     from multiarm.studies import scaling as benchmark
 
     studies = benchmark.STUDIES if study is Study.all else (study.value,)

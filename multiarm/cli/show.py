@@ -13,7 +13,7 @@ import typer
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, open_result
-from multiarm.cli.options import CODE
+from multiarm.cli.options import Code, file_option, option
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
 
@@ -26,9 +26,7 @@ RESULT = typer.Argument(
     help="A result of multiarm run, or of multiarm sweep with --run; an HDF5 file.",
     metavar="RESULT.h5",
 )
-RUN = typer.Option(
-    help="Number of a run of a sweep, which is simulated again.", show_default="none", metavar="N"
-)
+RUN = option("Number of a run of a sweep, which is simulated again.", "N", default="none")
 
 
 def replay(
@@ -36,39 +34,30 @@ def replay(
     run: Annotated[int | None, RUN] = None,
     html: Annotated[
         Path | None,
-        typer.Option(
-            help="Write one HTML file, which needs no network, instead of serving.",
-            show_default="none",
-            metavar="FILE.html",
+        file_option(
+            "Write one HTML file, which needs no network, instead of serving.", "FILE.html"
         ),
     ] = None,
-    fps: Annotated[float, typer.Option(help="Frames per second of the viewer.")] = 30.0,
+    fps: Annotated[float, option("Frames per second of the viewer.")] = 30.0,
     speed: Annotated[
-        float, typer.Option(help="Seconds of the run shown in one second; 0.5 is slow motion.")
+        float, option("Seconds of the run shown in one second; 0.5 is slow motion.")
     ] = 1.0,
     no_open: Annotated[
         bool, typer.Option("--no-open", help="Do not open a browser; the address is printed.")
     ] = False,
     host: Annotated[
         str,
-        typer.Option(
-            help="Address of this computer at which the live replay is served. Only this computer "
+        option(
+            "Address of this computer at which the live replay is served. Only this computer "
             "reaches the default; every computer that reaches another address can watch. 0.0.0.0: "
             "all addresses.",
-            metavar="ADDRESS",
+            "ADDRESS",
         ),
     ] = "127.0.0.1",
     port: Annotated[
-        int,
-        typer.Option(
-            help="Port of the live replay.",
-            show_default="a free one",
-            min=0,
-            max=65535,
-            metavar="N",
-        ),
+        int, option("Port of the live replay.", "N", default="a free one", min=0, max=65535)
     ] = 0,
-    code: Annotated[bool, CODE] = False,
+    code: Code = False,
 ) -> None:
     """Show the motion of a run in the browser, until Ctrl-C, or write it to one HTML file.
 
@@ -101,11 +90,11 @@ def replay(
 
 def report(
     result: Annotated[Path, RESULT],
-    out: Annotated[
-        Path, typer.Option(help="The HTML file; replaced if it exists.", metavar="FILE.html")
-    ] = Path("report.html"),
+    out: Annotated[Path, option("The HTML file; replaced if it exists.", "FILE.html")] = Path(
+        "report.html"
+    ),
     run: Annotated[int | None, RUN] = None,
-    code: Annotated[bool, CODE] = False,
+    code: Code = False,
 ) -> None:
     """Write a report of a run: figures of motion, forces, energy and drift, in one HTML file.
 

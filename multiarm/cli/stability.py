@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.options import JsonFile, file_option
 from multiarm.terminal.console import columns, number, output, print_error, print_written
 from multiarm.terminal.progress import StudyProgress
 
@@ -45,16 +46,12 @@ def stability(
     ] = True,
     html: Annotated[
         Path | None,
-        typer.Option(
-            help="Write one HTML page with time series of every case and the peers' answers.",
-            show_default="none",
-            metavar="FILE.html",
+        file_option(
+            "Write one HTML page with time series of every case and the peers' answers.",
+            "FILE.html",
         ),
     ] = None,
-    json: Annotated[
-        Path | None,
-        typer.Option(help="Write the figures as JSON.", show_default="none", metavar="FILE.json"),
-    ] = None,
+    json: JsonFile = None,
 ) -> None:
     """Run the hard cases, on which solvers break, and judge each by its own criteria.
 

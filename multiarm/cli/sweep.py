@@ -10,8 +10,17 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.files import check_plot, check_targets, scene_to_run, write_json
-from multiarm.cli.options import METHOD, NO_CODE, OF_SCENE
+from multiarm.cli.files import check_targets, scene_to_run, write_json
+from multiarm.cli.options import (
+    FILES,
+    JsonFile,
+    NoCode,
+    Quiet,
+    SceneFile,
+    file_option,
+    option,
+    with_settings,
+)
 from multiarm.errors import SweepError
 from multiarm.terminal.console import (
     STATUS_STYLES,
@@ -34,64 +43,42 @@ if TYPE_CHECKING:
 __all__ = ["facts_table", "spread_table", "sweep", "trouble_lines"]
 
 
-FILES, WORKERS = "Results", "Workers"
+WORKERS = "Workers"
 OF_SWEEP = "the sweep's"
 
 
+@with_settings("duration", "accuracy")
 def sweep(
-    scene: Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")],
+    scene: SceneFile,
     over: Annotated[
         Path,
-        typer.Option(
-            help="The sweep, a YAML file: what varies, how, and what is kept.", metavar="FILE.yaml"
-        ),
+        option("The sweep, a YAML file: what varies, how, and what is kept.", "FILE.yaml"),
     ],
+    settings: dict[str, Any],
     repeat: Annotated[
-        int | None,
-        typer.Option(
-            help="Runs of each point of the grid.", show_default=OF_SWEEP, min=1, metavar="N"
-        ),
+        int | None, option("Runs of each point of the grid.", "N", default=OF_SWEEP, min=1)
     ] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(help="Of all random values.", show_default=OF_SWEEP, min=0, metavar="N"),
-    ] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(
-            help="Simulated time of a run, in s.",
-            show_default=OF_SCENE,
-            metavar="S",
-            rich_help_panel=METHOD,
-        ),
-    ] = None,
-    accuracy: Annotated[
-        float | None,
-        typer.Option(
-            help="Largest error of a run, in m and rad.",
-            show_default=OF_SCENE,
-            metavar="A",
-            rich_help_panel=METHOD,
-        ),
+        int | None, option("Of all random values.", "N", default=OF_SWEEP, min=0)
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
-            help="Processes on this computer; 1 works in this one.",
-            show_default="one for each core",
+        option(
+            "Processes on this computer; 1 works in this one.",
+            "N",
+            default="one for each core",
+            panel=WORKERS,
             min=1,
-            metavar="N",
-            rich_help_panel=WORKERS,
         ),
     ] = None,
     dask: Annotated[
         str | None,
-        typer.Option(
-            help="Scheduler of a Dask cluster, such as tcp://host:8786, whose workers take the "
+        option(
+            "Scheduler of a Dask cluster, such as tcp://host:8786, whose workers take the "
             "runs; 'config' for the one that Dask's own configuration names.",
-            show_default="none",
-            metavar="ADDRESS",
-            rich_help_panel=WORKERS,
+            "ADDRESS",
+            default="none",
+            panel=WORKERS,
         ),
     ] = None,
     out: Annotated[
@@ -109,48 +96,18 @@ def sweep(
     ] = False,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            help="Draw the quantities over the varied values; the file's ending (png, svg, pdf) "
-            "is the format.",
-            show_default="none",
-            metavar="FILE",
-            rich_help_panel=FILES,
+        file_option(
+            "Draw the quantities over the varied values; the file's ending (png, svg, pdf) "
+            "is the format."
         ),
     ] = None,
-    csv: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the table as CSV.",
-            show_default="none",
-            metavar="FILE.csv",
-            rich_help_panel=FILES,
-        ),
-    ] = None,
+    csv: Annotated[Path | None, file_option("Write the table as CSV.", "FILE.csv")] = None,
     parquet: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the table as Parquet, which takes PyArrow.",
-            show_default="none",
-            metavar="FILE.parquet",
-            rich_help_panel=FILES,
-        ),
+        Path | None, file_option("Write the table as Parquet, which takes PyArrow.", "FILE.parquet")
     ] = None,
-    json: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the summary's figures as JSON.",
-            show_default="none",
-            metavar="FILE.json",
-            rich_help_panel=FILES,
-        ),
-    ] = None,
-    quiet: Annotated[
-        bool,
-        typer.Option(
-            "--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=FILES
-        ),
-    ] = False,
-    no_code: Annotated[bool, NO_CODE] = False,
+    json: JsonFile = None,
+    quiet: Quiet = False,
+    no_code: NoCode = False,
 ) -> None:
     """Run a scene many times with other values in it, and keep some numbers of every run.
 
@@ -168,7 +125,6 @@ def sweep(
     """
     target = out if out is not None else Path(f"{over.stem}.h5")
     written = {"--plot": plot, "--csv": csv, "--parquet": parquet, "--json": json}
-    check_plot(plot)
     for source in (scene, over):
         check_targets({"--out": target, **written}, source=source)
     if parquet is not None:
@@ -176,7 +132,7 @@ def sweep(
 
         require_pyarrow()
     changes: dict[str, Any] = {"repeat": repeat, "seed": seed}
-    changes |= {"duration": duration, "accuracy": accuracy}
+    changes |= settings
     changes |= {"workers": workers, "dask": True if dask == "config" else dask}
     given = {key: value for key, value in changes.items() if value is not None}
     found = _make(scene_to_run(scene, no_code, over), over, target, fresh, quiet, given)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from typing import Annotated
 
-import typer
-
+from multiarm.cli.options import option
 from multiarm.terminal.console import output
 from multiarm.terminal.progress import StudyProgress
 
@@ -15,8 +14,7 @@ __all__ = ["warmup"]
 
 def warmup(
     processes: Annotated[
-        int | None,
-        typer.Option(min=1, help="How many kernels at a time.", show_default="one a processor"),
+        int | None, option("How many kernels at a time.", default="one a processor", min=1)
     ] = None,
 ) -> None:
     """Compile the kernels that any scene may need, on all processors.

@@ -34,7 +34,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, PlainSerializer
+from pydantic import BaseModel, BeforeValidator, PlainSerializer, WithJsonSchema
 
 from multiarm.errors import USER_FAULTS, ModelError
 from multiarm.scene.faults import Parts, fault, shown
@@ -91,10 +91,13 @@ def function_text(function: Callable | str) -> str:
     return f"{module}:{name}"
 
 
+_REFERENCE = r"[^:\s][^\n]*:[^:\s][^:\n]*"
+
+
 def _function(value: Any) -> Any:
     if callable(value):
         return value
-    if isinstance(value, str) and re.fullmatch(r"[^:\s][^\n]*:[^:\s][^:\n]*", value):
+    if isinstance(value, str) and re.fullmatch(_REFERENCE, value):
         return FunctionReference(value)
     raise fault(
         "must be a Python function, or name one as 'file.py:name' or 'package.module:name', got "
@@ -103,7 +106,10 @@ def _function(value: Any) -> Any:
 
 
 UserFunction = Annotated[
-    Any, BeforeValidator(_function), PlainSerializer(function_text, return_type=str)
+    Any,
+    BeforeValidator(_function),
+    PlainSerializer(function_text, return_type=str),
+    WithJsonSchema({"type": "string", "pattern": f"^{_REFERENCE}$"}),
 ]
 
 

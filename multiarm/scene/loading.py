@@ -38,6 +38,9 @@ from multiarm.scene.schema import Scene, function_faults
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import written
 
+REGISTRIES: tuple[Registry[Any], ...] = (CONTROLS, EFFECTS, JOINTS, SURFACES)
+"""The user classes of all sorts."""
+
 
 def load_scene(path: Path | str, code: bool = True) -> Scene:
     """Read a scene file; nothing that it names is loaded or run.

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
@@ -187,7 +187,21 @@ def _matrix(value: Any) -> np.ndarray:
 
 
 Row = tuple[float, float, float]
-Inertia = Annotated[tuple[Row, Row, Row], BeforeValidator(_inertia_matrix)]
+_NUMBERS = {"type": "array", "items": {"type": "number"}}
+_THREE, _SIX = {"minItems": 3, "maxItems": 3}, {"minItems": 6, "maxItems": 6}
+Inertia = Annotated[
+    tuple[Row, Row, Row],
+    BeforeValidator(_inertia_matrix),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {**_NUMBERS, **_THREE},
+                {**_NUMBERS, **_SIX},
+                {"type": "array", "items": {**_NUMBERS, **_THREE}, **_THREE},
+            ]
+        }
+    ),
+]
 """Rotational inertia [kg m^2]: principal moments, six entries or the matrix."""
 
 
@@ -222,18 +236,42 @@ def _solid(points: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ..
     return points
 
 
+_LENGTH: dict[str, Any] = {"type": "number", "exclusiveMinimum": 0}
+_LENGTHS = {"type": "array", "items": _LENGTH, **_THREE}
+
+
 class Cylinder(Spec):
-    """A cylinder about the z axis: radius and height [m]."""
+    """A cylinder about the z axis.
+
+    Attributes
+    ----------
+    radius : float
+        [m]
+    height : float
+        Along z [m].
+    """
 
     radius: Positive
     height: Positive
 
 
 class Mesh(Spec):
-    """A mesh file, its origin at the centre of mass, and its scale (number or 3 numbers)."""
+    """A mesh, its origin at the centre of mass.
+
+    Attributes
+    ----------
+    file : path
+        An STL or OBJ file, for instance.
+    scale : number or 3 numbers
+        Metres for each unit of the file, for all axes or one for each.
+    """
 
     file: Path
-    scale: Annotated[tuple[float, float, float], BeforeValidator(_scale)] = (1.0, 1.0, 1.0)
+    scale: Annotated[
+        tuple[float, float, float],
+        BeforeValidator(_scale),
+        WithJsonSchema({"anyOf": [_LENGTH, _LENGTHS]}),
+    ] = (1.0, 1.0, 1.0)
 
 
 class Shape(OneOf):
@@ -253,7 +291,10 @@ class Shape(OneOf):
         For the eye only; then ``inertia`` must be given.
     """
 
-    box: Annotated[tuple[float, float, float], BeforeValidator(_edges)] | None = None
+    box: (
+        Annotated[tuple[float, float, float], BeforeValidator(_edges), WithJsonSchema(_LENGTHS)]
+        | None
+    ) = None
     sphere: Positive | None = None
     cylinder: Cylinder | None = None
     hull: Annotated[tuple[Vec3, ...], BeforeValidator(_points), AfterValidator(_solid)] | None = (

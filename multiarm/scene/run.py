@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator, PlainSerializer, TypeAdapter, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
@@ -23,6 +23,17 @@ STEPS_CHOSEN_BY = ("accuracy", "integrator", "step", "tolerance")
 """Settings of a run that say together how long its steps are."""
 DEFAULT_ACCURACY = 1e-6
 """Aimed at in positions [m] and rotations [rad] by default."""
+
+STABILIZATIONS = {
+    "projection": "returns position and velocity to the constraints after each step",
+    "feedback": "adds -2 alpha W^T v - beta^2 phi to the constraint accelerations, as Baumgarte",
+    "none": "lets the joints drift apart as the errors of the steps add up, to see how fast",
+}
+"""How the joints are kept closed, by name."""
+if TYPE_CHECKING:
+    Stabilization = str
+else:
+    Stabilization = Literal[tuple(STABILIZATIONS)]
 
 _positive = TypeAdapter(Positive).validate_python
 
@@ -97,27 +108,18 @@ Accuracy = Annotated[
 ]
 
 
-STABILIZATION_USES = {
-    "projection": "by default: positions and velocities stay on the joints to rounding errors",
-    "feedback": "comparison with other programs: cheap, but gaps only die out over some steps",
-    "none": "to see how far a method drifts off the joints by itself",
-}
-"""When to choose each kind of stabilization."""
-
-
 class StabilizationSpec(Spec):
     """How the joints are kept closed although integration errors add up.
 
     Attributes
     ----------
     kind : 'projection', 'feedback' or 'none'
-        ``projection`` returns position and velocity to the constraints after each step;
-        ``feedback`` adds -2 alpha W^T v - beta^2 phi to the constraint accelerations.
+        One of :data:`STABILIZATIONS`.
     alpha, beta : float, optional
         Gains of the feedback [1/s]; absent: chosen from the step.
     """
 
-    kind: Literal["projection", "feedback", "none"] = "projection"
+    kind: Stabilization = "projection"
     alpha: NonNegative | None = None
     beta: NonNegative | None = None
 
@@ -129,27 +131,23 @@ class StabilizationSpec(Spec):
 
 
 class RunSpec(Spec):
-    """How long and how exactly the motion is computed.
+    """How long and how exactly the motion is computed, and by which method.
 
     Attributes
     ----------
     duration : float
-        [s]
+        Simulated time [s].
     accuracy : AccuracySpec or float, optional
         Largest error of the whole run at the worst output time: a number [m and rad], or a table
         ``{position: [m], rotation: [rad], force: [N]}``, some of them. The program chooses
         method and steps, checks the result against a tightened rerun and repeats the run with
         smaller tolerances if need be. 1e-6 by default.
-    integrator : str, optional
-        One of :data:`multiarm.tableaus.METHODS`: of fixed step, with ``step``, or adaptive, with
-        ``tolerance`` (per step) or ``accuracy``.  Absent: ``dopri5`` or ``dop853`` by the accuracy,
-        and ``rodas5p`` where the scene turns out to be stiff.
     step : float, optional
         Fixed step [s].
     tolerance : float, optional
-        Error tolerance per step of an adaptive integrator.
+        Error of one step of an adaptive integrator [m, rad, m/s, rad/s].
     stabilization : StabilizationSpec or its kind
-        How drift off the joints is prevented.
+        How the joints are kept closed although integration errors add up.
     output_step : float
         Time between stored samples [s].
     most_steps : float
@@ -157,7 +155,8 @@ class RunSpec(Spec):
         needs more at the pace of its last thousands of steps, rejected ones and events counted,
         fails instead of running for hours.
     solver : 'node' or 'dense'
-        The node algorithm, or the whole linear system at once (for comparison).
+        The node algorithm, or the whole linear system at once, an independent reference to
+        compare with.
     arms : 'pinocchio' or 'compiled'
         Backend of the arms' inertia, forces and motion: Pinocchio, or compiled code, which is
         several times as fast and verified against Pinocchio whenever the scene is compiled.  An arm
@@ -166,7 +165,13 @@ class RunSpec(Spec):
 
     duration: Positive = 1.0
     accuracy: Accuracy | None = None
-    integrator: Integrator | None = None
+    integrator: Integrator | None = Field(
+        default=None,
+        description=f"{', '.join(FIXED_STEP_INTEGRATORS)} have a fixed 'step'; "
+        f"{', '.join(ADAPTIVE_INTEGRATORS)} choose their steps by 'accuracy' or 'tolerance'. "
+        "Absent: dopri5 or dop853 by the accuracy, and rodas5p where the scene turns out to be "
+        "stiff.",
+    )
     step: Positive | None = None
     tolerance: Positive | None = None
     stabilization: Annotated[StabilizationSpec, shorthand("kind", str)] = StabilizationSpec()

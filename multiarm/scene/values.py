@@ -14,9 +14,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from numbers import Real
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -26,6 +25,7 @@ from pydantic import (
     SerializerFunctionWrapHandler,
     TypeAdapter,
     ValidationError,
+    WithJsonSchema,
     model_serializer,
     model_validator,
 )
@@ -34,6 +34,9 @@ from typing_extensions import Self
 from multiarm.errors import SceneError
 from multiarm.scene.faults import Parts, explain, fault, listed, shown, unknown
 from multiarm.scene.robots import JointOutline
+
+if TYPE_CHECKING:
+    import numpy as np
 
 Faults = list[tuple[Parts, str]]
 """Pairs of a place, relative to that of the value, and the fault there."""
@@ -100,6 +103,8 @@ def shorthand(key: str, *types: type) -> BeforeValidator:
 class OneOf(Spec):
     """A table that has exactly one of its keys."""
 
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1})
+
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
         given = [name for name, value in self if value is not None]
@@ -113,7 +118,8 @@ class OneOf(Spec):
 
 
 def _number(value: Any) -> float:
-    if isinstance(value, (str, bool, np.bool_)) or not hasattr(value, "__float__"):
+    truth = isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")  # NumPy's too
+    if truth or isinstance(value, str) or not hasattr(value, "__float__"):
         raise fault(f"must be a number, got {shown(value)}")
     try:
         number = float(value)
@@ -133,7 +139,7 @@ number_list = TypeAdapter(tuple[Number, ...]).validate_python
 
 def as_list(value: Any) -> Any:
     """Arrays as lists; all else as it is."""
-    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def list_of(text: str, length: int | None = None, least: int = 0) -> BeforeValidator:
@@ -177,6 +183,11 @@ Range = Annotated[
 ]
 
 
+def _items(*lengths: int) -> dict[str, int]:
+    """That a list has one of these lengths, in JSON Schema."""
+    return {"minItems": min(lengths), "maxItems": max(lengths)}
+
+
 def _axis_numbers(axes: str, value: Any) -> tuple[float, ...]:
     value = as_list(value)
     if isinstance(value, (list, tuple)) and len(value) == 3:
@@ -190,18 +201,31 @@ def _axis_numbers(axes: str, value: Any) -> tuple[float, ...]:
     return numbers
 
 
+_AXIS_NUMBER: dict[str, Any] = {"type": "number", "minimum": 0}
+_NUMBER_OR_3 = WithJsonSchema(
+    {"anyOf": [_AXIS_NUMBER, {"type": "array", "items": _AXIS_NUMBER, **_items(3)}]}
+)
+
 BodyAxes = Annotated[
-    tuple[float, float, float], BeforeValidator(partial(_axis_numbers, "the object's axes"))
+    tuple[float, float, float],
+    BeforeValidator(partial(_axis_numbers, "the object's axes")),
+    _NUMBER_OR_3,
 ]
 """Three numbers for the object's axes, or one for all of them; not negative."""
 WorldAxes = Annotated[
-    tuple[float, float, float], BeforeValidator(partial(_axis_numbers, "the world's axes"))
+    tuple[float, float, float],
+    BeforeValidator(partial(_axis_numbers, "the world's axes")),
+    _NUMBER_OR_3,
 ]
 """Three numbers for the world's axes, or one for all of them; not negative."""
 
 
+_ARM_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.\-]*"
+_HEX_COLOR = "#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})"
+
+
 def _arm_name(value: Any) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*", value):
+    if not isinstance(value, str) or not re.fullmatch(_ARM_NAME, value):
         raise fault(
             f"{shown(value)} cannot name an arm; use letters, digits, '_', '-' and '.' "
             "(names become parts of paths such as 'left/elbow_joint')"
@@ -212,7 +236,7 @@ def _arm_name(value: Any) -> str:
 def _color(value: Any) -> tuple[float, ...]:
     remedy = "write '#3b7dd8' or [red, green, blue] from 0 to 1, with opacity as a fourth"
     value = as_list(value)
-    if isinstance(value, str) and re.fullmatch("#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})", value):
+    if isinstance(value, str) and re.fullmatch(_HEX_COLOR, value):
         parts = tuple(byte / 255.0 for byte in bytes.fromhex(value[1:]))
     elif isinstance(value, (list, tuple)) and len(value) in (3, 4):
         parts = number_list(value)
@@ -223,8 +247,24 @@ def _color(value: Any) -> tuple[float, ...]:
     return parts if len(parts) == 4 else (*parts, 1.0)
 
 
-ArmName = Annotated[str, BeforeValidator(_arm_name)]
-Color = Annotated[tuple[float, float, float, float], BeforeValidator(_color)]
+ArmName = Annotated[
+    str,
+    BeforeValidator(_arm_name),
+    WithJsonSchema({"type": "string", "pattern": f"^{_ARM_NAME}$"}),
+]
+_PART = {"type": "number", "minimum": 0, "maximum": 1}
+Color = Annotated[
+    tuple[float, float, float, float],
+    BeforeValidator(_color),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "string", "pattern": f"^{_HEX_COLOR}$"},
+                {"type": "array", "items": _PART, **_items(3, 4)},
+            ]
+        }
+    ),
+]
 
 
 class Pose(Spec):
@@ -251,12 +291,14 @@ class Pose(Spec):
             return self
         if any(self.rpy):
             raise fault("gives both 'rpy' and 'quaternion_xyzw'; keep one of them")
-        if not np.linalg.norm(self.quaternion_xyzw) > 1e-12:
+        if not math.hypot(*self.quaternion_xyzw) > 1e-12:
             raise fault("'quaternion_xyzw' has length zero; the identity is [0, 0, 0, 1]")
         return self
 
     def rotation(self) -> np.ndarray:
         """Rotation matrix, shape (3, 3): child components to parent components."""
+        import numpy as np
+
         if self.quaternion_xyzw is not None:
             return _rotation_of_quaternion(np.array(self.quaternion_xyzw))
         (cr, cp, cy), (sr, sp, sy) = np.cos(self.rpy), np.sin(self.rpy)
@@ -270,6 +312,8 @@ class Pose(Spec):
 
     def matrix(self) -> np.ndarray:
         """Homogeneous transform, shape (4, 4): child coordinates to parent ones."""
+        import numpy as np
+
         X = np.eye(4)
         X[:3, :3] = self.rotation()
         X[:3, 3] = self.xyz
@@ -277,6 +321,8 @@ class Pose(Spec):
 
 
 def _rotation_of_quaternion(quaternion_xyzw: np.ndarray) -> np.ndarray:
+    import numpy as np
+
     x, y, z, w = quaternion_xyzw / np.linalg.norm(quaternion_xyzw)
     return np.array(
         [
@@ -310,7 +356,8 @@ def _joint_values(value: Any) -> tuple[float, ...] | dict[str, float]:
 
 
 def _number_or_joint_values(value: Any) -> Any:
-    many = isinstance(value, (list, tuple, Mapping, np.ndarray))
+    value = as_list(value)
+    many = isinstance(value, (list, tuple, Mapping))
     return _joint_values(value) if many else _number(value)
 
 
@@ -363,8 +410,12 @@ Gain = Annotated[
     float | tuple[float, ...] | dict[str, float | tuple[float, ...] | dict[str, float]],
     BeforeValidator(_gain),
 ]
+_Urdf = Literal["urdf"]
 UrdfGain = Annotated[
-    float | str | tuple[float, ...] | dict[str, float | str | tuple[float, ...] | dict[str, float]],
+    float
+    | _Urdf
+    | tuple[float, ...]
+    | dict[str, float | _Urdf | tuple[float, ...] | dict[str, float]],
     BeforeValidator(_gain_or_urdf),
 ]
 
@@ -383,6 +434,8 @@ def joint_vector(
     ValueError
         If a list has another length than n, or a table names other joints.
     """
+    import numpy as np
+
     names = list(joint_names)
     faults = [message for _, message in joint_value_faults(values, names)]
     if faults:

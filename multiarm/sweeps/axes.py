@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, listed, shown
@@ -81,8 +81,8 @@ def _from_one(value: Any) -> int:
 MOST_VALUES, LARGEST = 10**9, 2**53
 
 
-Count = Annotated[int, BeforeValidator(_from_one)]
-NonNegativeCount = Annotated[int, BeforeValidator(_from_zero)]
+Count = Annotated[int, BeforeValidator(_from_one), Field(ge=1)]
+NonNegativeCount = Annotated[int, BeforeValidator(_from_zero), Field(ge=0)]
 
 
 def items(value: Any) -> list[Any]:
@@ -284,11 +284,16 @@ class AxisSpec(Spec):
     uniform, loguniform : [lowest, highest]
         Drawn at random, like the following ones.
     normal : {mean, deviation}
+        Drawn from a normal distribution.
     lognormal : {median, deviation}
+        Drawn so that its logarithm is normally distributed.
     integers : [lowest, highest]
-        Both ends are included.
+        Whole numbers; both ends are included.
     choice : list
+        One of these, drawn at random.
     """
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
     values: Annotated[list[Any] | None, BeforeValidator(items)] = None
     linspace: Annotated[list[Any] | None, BeforeValidator(spaced)] = None

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJsonSchema
 from typing_extensions import Self
 
 from multiarm.errors import SceneError, SweepError
@@ -107,7 +107,11 @@ def _kept(value: Any) -> Any:
     raise fault(f"{problem}; your own quantity is 'file.py:name', f(trajectory) -> number")
 
 
-Kept = Annotated[Any, BeforeValidator(_kept)]
+_Name = Annotated[
+    str,
+    WithJsonSchema({"anyOf": [{"enum": [*KNOWN, MEASURED]}, {"type": "string", "pattern": ":"}]}),
+]
+Kept = Annotated[OwnQuantity | _Name, BeforeValidator(_kept)]
 """An entry of ``keep``: the name of a quantity, or an :class:`OwnQuantity`."""
 
 

@@ -1,0 +1,196 @@
+"""Catalogues of what scenes may name, as lists, as cards, and as JSON.
+
+A catalogue has sections, such as joints and surfaces; a section has a card for each name.  What a
+card says comes from the class: its picture, its parameters, its example.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from multiarm.cli.files import check_targets, write_json
+from multiarm.errors import MultiarmError
+from multiarm.scene.parameters import Parameter, example_of, parameters_of, picture_of
+from multiarm.terminal.console import columns, facts, output, print_warnings
+
+__all__ = ["Card", "KindName", "Section", "show"]
+
+KindName = Annotated[
+    str | None,
+    typer.Argument(help="One of them, shown in full.", show_default="all", metavar="[NAME]"),
+]
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a catalogue says about one name.
+
+    Attributes
+    ----------
+    name, picture : str
+    parameters : list of Parameter
+    example : str
+        YAML, as in a scene; may be empty.
+    """
+
+    name: str
+    picture: str
+    parameters: list[Parameter]
+    example: str
+
+    @classmethod
+    def of(cls, name: str, model: Any, parameters: Any = None, **further: Any) -> Card:
+        """The card of a class; of ``parameters``, a model, where these are those of another one."""
+        keys = parameters_of(parameters or model)
+        return cls(name, picture_of(model), keys, example_of(model), **further)
+
+    @property
+    def count(self) -> str:
+        """What the column beside the name shows."""
+        return ""
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What the card says further, by headings."""
+        return {}
+
+    @property
+    def listed(self) -> dict[str, str]:
+        """What the list says further, by headings."""
+        return {}
+
+    def figures(self) -> dict[str, Any]:
+        """What is shown, as JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Section:
+    """Cards of one sort.
+
+    Attributes
+    ----------
+    title, noun, plural : str
+        Of the list, and for messages.
+    cards : dict
+        By name.
+    faults : list of str
+        Why user classes cannot be used.
+    heads : tuple of str
+        Of the columns: the name, perhaps one beside it, and what it is.
+    shared : dict
+        Title -> parameters that all of them have, and whether a card shows them too.
+    note : str
+    with_examples : bool
+        Whether the list shows the examples too.
+    """
+
+    title: str
+    noun: str
+    plural: str
+    cards: Mapping[str, Card]
+    faults: list[str] = field(default_factory=list)
+    heads: tuple[str, ...] = ("kind", "what it is")
+    shared: Mapping[str, tuple[list[Parameter], bool]] = field(default_factory=dict)
+    note: str = ""
+    with_examples: bool = False
+
+
+def show(
+    command: str, sections: Mapping[str, Section], name: str | None, json: Path | None
+) -> None:
+    """Print a catalogue, one section but the first by its name, or one card; and write the JSON.
+
+    Raises
+    ------
+    MultiarmError
+        Nothing has that name; the message lists similar ones.
+    """
+    check_targets({"--json": json})
+    first, *further = sections
+    print_warnings(fault for section in sections.values() for fault in section.faults)
+    known = list(sections[first].cards)
+    for other in further:
+        known += [other, *sections[other].cards]
+    if name is not None and name not in known:
+        from multiarm.scene.faults import unknown
+
+        text = unknown(sections[first].noun, name, known, sections[first].plural)
+        raise MultiarmError(f"{text}; 'multiarm {command}' shows them all")
+    chosen = {
+        key: {own: card for own, card in section.cards.items() if name in (None, key, own)}
+        for key, section in sections.items()
+    }
+    if json is not None:
+        figures = {
+            key: {own: card.figures() for own, card in cards.items()}
+            for key, cards in chosen.items()
+        }
+        write_json(json, figures)
+    console = output()
+    for key, section in sections.items():
+        if name in (None, key):
+            _print_list(console, section)
+        elif chosen[key]:
+            _print_card(console, section, chosen[key][name])
+    if name is None:
+        hints = (f"multiarm {command} {sections[key].heads[0].upper()}" for key in sections)
+        console.print(Text(f"One in full: {', '.join(hints)}", "dim"))
+
+
+def _print_list(console: Console, section: Section) -> None:
+    rows: list[tuple[RenderableType, ...]] = []
+    for card in section.cards.values():
+        lines = [Text(card.picture)]
+        lines += [Text.assemble((f"{k}: ", "cyan"), (v, "dim")) for k, v in card.listed.items()]
+        if card.parameters:
+            keys = "; ".join(_brief(parameter) for parameter in card.parameters)
+            lines.append(Text.assemble(("parameters: ", "cyan"), (keys, "dim")))
+        counts = (card.count,) if len(section.heads) == 3 else ()
+        rows.append((Text(card.name, "bold"), *counts, Group(*lines, "")))
+    console.print(columns(section.title, section.heads, rows))
+    if section.note:
+        console.print(Text(section.note, "dim"))
+    if section.with_examples:
+        _print_example(console, "\n".join(card.example for card in section.cards.values()))
+    for title, (parameters, _) in section.shared.items():
+        console.print(_parameter_table(title, parameters))
+
+
+def _print_card(console: Console, section: Section, card: Card) -> None:
+    console.print(facts(card.name, {"what it is": card.picture, **card.facts}))
+    if card.parameters:
+        console.print(_parameter_table("Parameters", card.parameters))
+    for title, (parameters, with_cards) in section.shared.items():
+        if with_cards:
+            console.print(_parameter_table(title, parameters))
+    if card.example:
+        _print_example(console, card.example)
+
+
+def _print_example(console: Console, text: str) -> None:
+    """Lines as they stand in a scene: neither wrapped nor filled up, so that they can be copied."""
+    console.print(Text("In a scene", "bold"))
+    for line in ("", *text.splitlines(), ""):
+        console.print(Text(f"  {line}".rstrip(), "green"), soft_wrap=True)
+
+
+def _parameter_table(title: str, parameters: Iterable[Parameter]) -> Table:
+    rows = [(p.name, p.default, p.unit, p.meaning) for p in parameters]
+    return columns(title, ("name", "default", "unit", "meaning"), rows)
+
+
+def _brief(parameter: Parameter) -> str:
+    """``size 0.1 m``; without a default only the name and, in brackets, the unit."""
+    name, default, unit = parameter.name, parameter.default, parameter.unit
+    if default in ("required", "none"):
+        return f"{name} [{unit}]" if unit else name
+    return f"{name} {default} {unit}".rstrip()

@@ -1,0 +1,116 @@
+"""The parameters of a part of a scene, as people read them: defaults, meanings and units.
+
+They come from the part's model: a meaning is the class's documentation of an attribute, or the
+field's description, and the unit is the text in brackets therein, ``[m]``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from dataclasses import dataclass
+from textwrap import dedent
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A key that a scene may write: its default as it would be written, meaning and unit."""
+
+    name: str
+    default: str
+    meaning: str
+    unit: str
+
+
+def parameters_of(model: Any) -> list[Parameter]:
+    """The parameters of a model, such as a part of a scene, but its kind.
+
+    Its own come first, then those of its bases.
+    """
+    own = inspect.get_annotations(model)
+    found = []
+    for name, field in sorted(model.model_fields.items(), key=lambda item: item[0] not in own):
+        if name == "kind":
+            continue
+        default = field.get_default(call_default_factory=True)
+        written = "required" if field.is_required() else _written(default)
+        found.append(Parameter(name, written, *_split(description_of(model, name))))
+    return found
+
+
+def description_of(model: Any, name: str) -> str:
+    """What people read about an attribute, with its unit; empty where nothing is documented."""
+    field = model.model_fields.get(name)
+    described = "" if field is None else field.description or ""
+    if _split(described)[1].strip() and not described.startswith("in "):
+        return described
+    return _documented(model).get(name, described)
+
+
+def picture_of(model: Any) -> str:
+    """One everyday sentence about a kind: its ``picture``, or how its documentation begins."""
+    found = getattr(model, "picture", "")
+    return found if isinstance(found, str) and found else summary_of(model)
+
+
+def example_of(model: Any) -> str:
+    """The lines of an example as a scene has them; empty where a kind gives none."""
+    made = getattr(model, "example_text", None)
+    return made() if callable(made) else dedent(getattr(model, "example", "")).strip("\n")
+
+
+def summary_of(model: Any) -> str:
+    """The first sentence or sentences of a class's own documentation."""
+    return _plain(inspect.cleandoc(model.__doc__ or "").partition("\n\n")[0])
+
+
+def _documented(model: Any) -> dict[str, str]:
+    """The text about every attribute that a model or one of its bases documents."""
+    found: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        text = inspect.cleandoc(base.__doc__ or "")
+        _, _, section = text.partition("Attributes\n----------\n")
+        _, *entries = re.split(r"(?m)^(\w+(?:, \w+)*)(?: :.*|$)", section)
+        for names, body in zip(entries[::2], entries[1::2], strict=True):
+            found.update(dict.fromkeys(names.split(", "), _plain(body)))
+    return found
+
+
+def _plain(text: str) -> str:
+    """A text in one line without marks of reStructuredText."""
+    return " ".join(re.sub(r":\w+:`~?([^`]*)`|``([^`]*)``", r"\1\2", text).split())
+
+
+_UNIT = r"(?:(?:1|m|kg|rad|Hz|s|N)(?:[ /](?:m|s|rad)(?:\^\d)?|\^\d)*)"
+
+
+def _split(text: str) -> tuple[str, str]:
+    """Meaning and unit of a text with one unit in brackets; other texts stay as they are."""
+    units = list(re.finditer(rf"\s*\[({_UNIT})\]", text))
+    alone = re.fullmatch(rf"in ({_UNIT})", text)
+    if alone is not None:
+        return "", alone[1]
+    if len(units) != 1:
+        return text, ""
+    (unit,) = units
+    rest = (text[: unit.start()] + text[unit.end() :]).lstrip(";,. ")
+    return rest, unit[1]
+
+
+def _written(value: Any) -> str:
+    """A value as a scene would write it."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (int, float)):
+        return f"{value:g}"
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(_written(item) for item in value)}]"
+    if hasattr(value, "model_fields_set"):  # a pose that turns and moves nothing; a table
+        entries = {name: item for name, item in value if name in value.model_fields_set}
+        return _written(entries) if entries else "identity"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{name}: {_written(item)}' for name, item in value.items())}}}"
+    return str(value)

@@ -1,0 +1,140 @@
+"""Claims about the lists of controls, effects and methods: complete, in full, as JSON."""
+
+from __future__ import annotations
+
+import json
+from typing import get_args
+
+import pytest
+from typer.testing import CliRunner
+
+import multiarm as ma
+from multiarm.cli import app
+from multiarm.scene import EFFECTS, EffectsSpec, Scene, parse_scene
+from multiarm.scene.faults import models_in
+from multiarm.scene.loading import parse_yaml
+from multiarm.scene.parameters import parameters_of
+from multiarm.scene.run import STABILIZATIONS, StabilizationSpec
+from multiarm.tableaus import METHODS
+
+CONTROLS = {
+    model.model_fields["kind"].default: model
+    for model in models_in(Scene.model_fields["control"].annotation)
+}
+LISTS = {
+    "controls": list(CONTROLS),
+    "effects --list": list(EffectsSpec.model_fields),
+    "methods": [*METHODS, *STABILIZATIONS],
+    "joints": ["weld", "contacts", "plane"],
+}
+
+
+def multiarm(*words: object, width: int = 100):
+    return CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": str(width)})
+
+
+def shown(*words: object, width: int = 100) -> str:
+    result = multiarm(*words, width=width)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def figures(path, *words) -> dict:
+    shown(*words, "--json", path)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("command", LISTS)
+def test_every_name_is_listed_and_shown_in_full(command, tmp_path):
+    words = command.split()
+    listed = shown(*words)
+    found = figures(tmp_path / "all.json", *words)
+    cards = {name: card for section in found.values() for name, card in section.items()}
+    assert set(LISTS[command]) <= set(cards)
+    for name, card in cards.items():
+        assert name in listed and card["picture"]
+        one = figures(tmp_path / "one.json", *words, name)
+        assert {key: list(section.values()) for key, section in one.items() if section} == {
+            key: [section[name]] for key, section in found.items() if name in section
+        }
+        full = shown(*words, name)
+        assert all(parameter["name"] in full for parameter in card["parameters"])
+        assert all(parameter["meaning"] or parameter["unit"] for parameter in card["parameters"])
+
+
+@pytest.mark.parametrize("command", LISTS)
+def test_unknown_names_list_similar_ones(command):
+    first = LISTS[command][0]
+    result = multiarm(*command.split(), first + "x")
+    assert result.exit_code == 2
+    assert f"did you mean '{first}'?" in result.stderr
+    assert f"'multiarm {command}' shows them all" in result.stderr
+
+
+def test_parameters_of_control_are_those_of_the_schema(tmp_path):
+    found = figures(tmp_path / "a.json", "controls")["controls"]
+    for kind, model in CONTROLS.items():
+        assert [p["name"] for p in found[kind]["parameters"]] == [
+            p.name for p in parameters_of(model)
+        ]
+        required = {p["name"] for p in found[kind]["parameters"] if p["default"] == "required"}
+        assert required == {k for k, f in model.model_fields.items() if f.is_required()}
+    units = {p["name"]: p["unit"] for p in found["computed_torque"]["parameters"]}
+    assert (units["squeeze"], units["stiffness"]) == ("N", "1/s^2")
+
+
+def test_methods_are_those_of_the_tableaus_with_examples_that_load(tmp_path):
+    found = figures(tmp_path / "a.json", "methods")
+    assert set(found["stabilizations"]) == set(
+        get_args(StabilizationSpec.model_fields["kind"].annotation)
+    )
+    scene = {
+        "object": {"shape": {"box": [0.6, 0.5, 0.4]}, "mass": 5.0},
+        "arms": {"left": {"robot": "textbook_6r", "tip": "tool"}},
+        "joints": [{"arm": "left", "kind": "weld"}],
+    }
+    for name, method in METHODS.items():
+        card = found["integrators"][name]
+        assert (card["order"], card["adaptive"]) == (method.order, method.adaptive)
+        run = parse_scene({**scene, **parse_yaml(card["example"])}).run
+        assert run.integrator == name
+
+
+def test_examples_are_printed_as_they_stand_in_a_scene(tmp_path):
+    """Neither wrapped, nor filled with blanks, nor coloured where the output is a pipe."""
+    card = figures(tmp_path / "a.json", "joints", "wrenches")["joints"]["wrenches"]
+    text = shown("joints", "wrenches", width=30)
+    _, _, printed = text.partition("In a scene\n\n")
+    expected = "".join(f"  {line}\n" for line in card["example"].splitlines())
+    assert printed == expected + "\n"
+    assert "\x1b" not in text
+
+
+def test_user_effects_are_listed(monkeypatch, tmp_path):
+    class Breeze(ma.Effect):
+        """A steady breeze along x."""
+
+        name = "breeze"
+
+        class Spec(ma.Effect.Spec):
+            """Its parameters.
+
+            Attributes
+            ----------
+            push : float
+                How hard it blows [N].
+            """
+
+            push: float = 2.0
+
+    monkeypatch.setitem(EFFECTS.registered, "breeze", Breeze)
+    card = figures(tmp_path / "a.json", "effects", "--list", "breeze")["effects"]["breeze"]
+    assert card["picture"] == "A steady breeze along x."
+    assert card["parameters"] == [
+        {"name": "push", "default": "2", "meaning": "How hard it blows.", "unit": "N"}
+    ]
+
+
+def test_effects_without_a_scene_name_the_list():
+    result = multiarm("effects")
+    assert result.exit_code == 2 and "--list" in result.stderr

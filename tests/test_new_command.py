@@ -1,0 +1,83 @@
+"""Claims about `multiarm new`: the scene explains itself, loads, compiles and runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+from typer.testing import CliRunner
+
+import multiarm as ma
+from multiarm.cli import app
+from multiarm.problems.first_scene import SOLIDS
+from multiarm.scene.joints import BUILT_IN
+from multiarm.scene.loading import parse_yaml
+
+
+def new(*words: object):
+    return CliRunner().invoke(app, ["new", *(str(word) for word in words)])
+
+
+def made(path: Path, *words: object) -> ma.System:
+    """The system of a new scene whose start is as it is written."""
+    result = new(path, *words)
+    assert result.exit_code == 0, result.output
+    system = ma.compile_system(ma.load_scene(path))
+    assert max(system.start_report.gaps.values()) < 1e-5  # [m], digits that are written
+    return system
+
+
+@pytest.mark.parametrize("kind", BUILT_IN)
+def test_a_scene_of_every_kind_of_joint_runs(kind, tmp_path):
+    system = made(tmp_path / "scene.yaml", "--joint", kind)
+    assert [joint.kind for joint in system.scene.joints] == [kind, kind]
+    assert ma.simulate(system, 0.02, accuracy=1e-4).status == "completed"
+
+
+@pytest.mark.parametrize("robots", [["panda"], ["ur5", "panda", "ur10"], ["textbook_6r"] * 4])
+@pytest.mark.parametrize("solid", SOLIDS)
+def test_any_robots_hold_any_object_and_keep_it_still(robots, solid, tmp_path):
+    words = [word for robot in robots for word in ("--robot", robot)]
+    system = made(tmp_path / "scene.yaml", *words, "--object", solid)
+    assert [arm.robot for arm in system.scene.arms.values()] == robots
+    run = ma.simulate(system, 0.1)
+    assert run.status == "completed"
+    assert np.abs(run.object_position - run.object_position[0]).max() < 1e-6  # [m], accuracy
+
+
+def test_every_line_is_explained_and_the_schema_comes_first(tmp_path):
+    path = tmp_path / "scene.yaml"
+    made(path)
+    first, *lines = path.read_text(encoding="utf-8").splitlines()
+    schema = tmp_path / first.removeprefix("# yaml-language-server: $schema=")
+    found = json.loads(schema.read_text(encoding="utf-8"))
+    assert not list(Draft202012Validator(found).iter_errors(parse_yaml(path.read_text())))
+    assert all(line.partition("#")[2].strip() for line in lines if line)
+    assert not [line for line in lines if line != line.rstrip()]
+
+
+def test_a_file_is_replaced_by_force_only(tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_text("precious", encoding="utf-8")
+    refused = new(path)
+    assert refused.exit_code == 2 and "--force" in refused.stderr
+    assert path.read_text(encoding="utf-8") == "precious"
+    assert not (tmp_path / "scene.schema.json").exists()
+    made(path, "--force")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--robot", "ur55"), "unknown robot 'ur55'; did you mean 'ur5'?"),
+        (("--joint", "welt"), "unknown joint kind 'welt'; did you mean 'weld'?"),
+        (("--object", "torus"), "'torus'"),
+    ],
+)
+def test_unknown_names_are_refused_with_similar_ones(words, message, tmp_path):
+    refused = new(tmp_path / "scene.yaml", *words)
+    assert refused.exit_code == 2 and message in refused.stderr
+    assert not list(tmp_path.iterdir())
