@@ -7,7 +7,7 @@ a corner of the body. Three objectives (thesis, 5.1):
 ``force``      the worst contact force over given loads, least possible (in units of the loads);
 ``stability``  the closure radius: how far all contacts may slide at once.
 
-**How.** Branch and bound over the choices of faces (:mod:`multiarm.grasp.face_choices`), and in
+**How.** Branch and bound over the choices of faces (:mod:`multiarm.grasp.placements`), and in
 each over cells of placements. A cell's bound is a linear program
 (:mod:`multiarm.grasp.placement_bounds`) that no placement in it can beat. The open cell with the
 highest bound is bounded, parted where its program is loosest, and so on. Good placements are found
@@ -38,7 +38,7 @@ from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.grasp_objectives import Force, Margin, Objective, Stability
 from multiarm.grasp.grasp_search import Limits, Search
-from multiarm.grasp.touch_regions import touch_regions
+from multiarm.grasp.placements import touch_regions
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
@@ -236,9 +236,8 @@ def _grasp(
     body: Polyhedron, search: Search, where: np.ndarray, fingers: tuple[int, int]
 ) -> tuple[Grasp, float]:
     """The grasp with its grippers, and its conditioning."""
-    from multiarm.grasp.face_contacts import Gripper
     from multiarm.grasp.form_closure import is_form_closure
-    from multiarm.grasp.grasp import Grasp
+    from multiarm.grasp.grasp import Grasp, Gripper
 
     assert search.best is not None
     touches, y = search.best
