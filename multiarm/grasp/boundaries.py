@@ -255,8 +255,8 @@ def check_one_solid(
             + (remedy or "; add the faces that are missing")
         )
     across = [(face[0][0], hole[0]) for face in loops for hole in face[1:]]
-    part = _parts(count, [*runs, *across])
-    parts = len({part[v] for v in used})
+    part = _connected(count, np.array([*runs, *across]))
+    parts = len(set(part[sorted(used)].tolist()))
     if parts > 1:
         raise GraspError(
             f"{what}: {parts} separate surfaces; a body has one surface without cavities, so make "
@@ -291,20 +291,13 @@ def faces_of_triangles(
     return kept
 
 
-def _parts(count: int, edges: Iterable[Edge]) -> list[int]:
-    """For each corner the smallest corner that edges connect it to."""
-    parent = list(range(count))
+def _connected(count: int, pairs: np.ndarray) -> np.ndarray:
+    """For each of ``count`` corners the number of the part that pairs (P, 2) connect it to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
-    def root(v: int) -> int:
-        while parent[v] != v:
-            parent[v] = parent[parent[v]]
-            v = parent[v]
-        return v
-
-    for u, v in edges:
-        a, b = root(u), root(v)
-        parent[max(a, b)] = min(a, b)
-    return [root(v) for v in range(count)]
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
 
 
 def _plane_groups(vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> list[list[int]]:
@@ -499,16 +492,12 @@ def _joined(
     points: np.ndarray, triangles: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points that coincide become one; triangles that lose a corner by it are left out."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     distinct, at = np.unique(points, axis=0, return_inverse=True)
     pairs = cKDTree(distinct).query_pairs(tolerance, output_type="ndarray")
-    n = len(distinct)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    count, label = connected_components(graph, directed=False)
-    vertices = np.empty((count, 3))
+    label = _connected(len(distinct), pairs)
+    vertices = np.empty((label.max() + 1, 3))
     vertices[label[::-1]] = distinct[::-1]  # the first of each cluster stands for it
     numbers = label[at.ravel()[triangles]]
     a, b, c = numbers.T

@@ -194,18 +194,11 @@ class Face:
 
     def room_along(self, start: np.ndarray, direction: np.ndarray) -> float:
         """How far a point of the face may move in a direction of unit length until an edge [m]."""
+        from shapely.geometry import LineString, Point
+
         p = self.coordinates(start)
-        d = self.coordinates(start + direction) - p
-        ways = [np.inf]
-        for loop in (self.outline, *(self.coordinates(hole) for hole in self.holes)):
-            a, along = loop, np.roll(loop, -1, axis=0) - loop
-            across = d[0] * along[:, 1] - d[1] * along[:, 0]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                to = a - p
-                way = (to[:, 0] * along[:, 1] - to[:, 1] * along[:, 0]) / across
-                part = (to[:, 0] * d[1] - to[:, 1] * d[0]) / across
-            ways.extend(way[(across != 0.0) & (part >= 0.0) & (part <= 1.0) & (way > 0.0)].tolist())
-        return float(min(ways))
+        far = p + 2.0 * self.shape.length * (self.coordinates(start + direction) - p)
+        return float(self.shape.boundary.intersection(LineString([p, far])).distance(Point(p)))
 
 
 def area_vector(loop: np.ndarray) -> np.ndarray:
@@ -264,7 +257,7 @@ def cut_face(face: Face, half_planes: np.ndarray, middle: np.ndarray) -> Pieces:
     low, high = own.min(axis=0), own.max(axis=0)
     polygon = own if face.convex else _rectangle(low - size, high + size)
     for row in half_planes:
-        polygon = _clipped(polygon, row, SAME_CORNER * size)
+        polygon = clipped(polygon, row, SAME_CORNER * size)
     if not _signed_area(polygon) > NO_AREA * face.area:
         return (), ()
     if face.convex:
@@ -277,8 +270,12 @@ def distinct(rows: np.ndarray) -> np.ndarray:
     return rows[np.sort(np.unique(rows.round(DIGITS) + 0.0, axis=0, return_index=True)[1])]
 
 
-def _clipped(polygon: np.ndarray, row: np.ndarray, same: float) -> np.ndarray:
-    """The part (K, 2) of a convex polygon with ``a . y <= b``, without corners that coincide."""
+def clipped(polygon: np.ndarray, row: np.ndarray, same: float = 0.0) -> np.ndarray:
+    """The part (K, 2) of a convex polygon with ``a . y <= b``, for a row (a_x, a_y, b).
+
+    Corners closer than ``same`` become one.  Shapely's cuts do not join them, and a region would
+    gain corners that differ by rounding where half-planes meet in one point.
+    """
     if not len(polygon):
         return polygon
     over = polygon @ row[:2] - row[2]

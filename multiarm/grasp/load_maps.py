@@ -15,7 +15,8 @@ polytope, :math:`\{W \lambda\}`.  Three questions about it (conventions of
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from multiarm.grasp.force_distribution import (
     distribute_forces,
     wrench_of,
 )
+
+if TYPE_CHECKING:
+    from shapely.geometry import LineString, Point, Polygon
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,11 +276,17 @@ class LiftableMap:
     def __bool__(self) -> bool:
         return len(self.vertices) > 0
 
+    @cached_property
+    def shape(self) -> Polygon | LineString | Point:
+        """The map as a polygon of shapely; a line or a point where it has no area."""
+        from shapely.geometry import MultiPoint
+
+        return MultiPoint(self.vertices).convex_hull
+
     @property
     def area(self) -> float:
         """Area of the polygon."""
-        x, y = self.vertices.T
-        return float(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+        return float(self.shape.area)
 
     @property
     def margin(self) -> float:
@@ -298,14 +308,13 @@ class LiftableMap:
         GraspError
             Something else than two finite numbers.
         """
+        from shapely.geometry import Point
+
         at = _pair(point)
         if not self:
             return False
-        on_edge = self._distance(at) <= CORNER * float(np.abs(self.vertices).max())
-        a, b = self._edges()
-        sides, arms = b - a, at - a
-        turns = sides[:, 0] * arms[:, 1] - sides[:, 1] * arms[:, 0]
-        return on_edge or bool(np.all(turns > 0.0))
+        slack = CORNER * float(np.abs(self.vertices).max())
+        return bool(self.shape.distance(Point(at)) <= slack)
 
     def reach(self, direction: Any) -> float:
         """The largest s such that ``s`` times a direction (x, y) is in the map.
@@ -322,22 +331,18 @@ class LiftableMap:
             raise GraspError("the direction (0, 0) leads nowhere: every multiple of it is the same")
         if len(self.vertices) < 3 or not self.contains((0.0, 0.0)):
             return 0.0
-        a, b = self._edges()
+        a, b = self.vertices, np.roll(self.vertices, -1, axis=0)
         outward = np.column_stack([(b - a)[:, 1], (a - b)[:, 0]])
         speeds, rooms = outward @ along, np.sum(outward * a, axis=1)
         ahead = speeds > 0.0
         return max(float(np.min(rooms[ahead] / speeds[ahead])), 0.0)
 
-    def _edges(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.vertices, np.roll(self.vertices, -1, axis=0)
-
     def _distance(self, point: np.ndarray) -> float:
         """Distance of a point from the edge."""
-        a, b = self._edges()
-        ways, arms = b - a, point - a
-        lengths = np.sum(ways**2, axis=1)
-        shares = np.sum(arms * ways, axis=1) / np.where(lengths > 0.0, lengths, 1.0)
-        return float(np.linalg.norm(arms - np.clip(shares, 0.0, 1.0)[:, None] * ways, axis=1).min())
+        from shapely.geometry import Point
+
+        edge = self.shape.boundary if len(self.vertices) > 2 else self.shape
+        return float(edge.distance(Point(point)))
 
 
 def _pair(values: Any) -> np.ndarray:

@@ -32,6 +32,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
 from multiarm.grasp.rotations_from_planes import (
@@ -41,7 +42,6 @@ from multiarm.grasp.rotations_from_planes import (
     contact_data,
     numbers_of,
     outside,
-    quaternion_of,
     rotations_of,
     table_of,
 )
@@ -356,8 +356,11 @@ def solved(data: ContactData, previous: Any, tolerance: float | None) -> ObjectF
     if conditioning < UNIQUE:
         ambiguous = True
         reason = "the contacts leave a motion free: the pose is not even locally unique"
-    q = quaternion_of(first.rotation)
-    if before is not None and q @ quaternion_of(before[:3, :3]) < 0.0:
+    q = Rotation.from_matrix(first.rotation).as_quat(canonical=True)
+    if (
+        before is not None
+        and q @ Rotation.from_matrix(before[:3, :3]).as_quat(canonical=True) < 0.0
+    ):
         q = -q
     return ObjectFrame(
         rotation=first.rotation,

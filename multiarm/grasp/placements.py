@@ -35,6 +35,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import wrenches_of
+from multiarm.grasp.face import clipped
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
@@ -377,19 +378,8 @@ def seven_touches(regions: Sequence[TouchRegion], middle: np.ndarray, size: floa
 
 def halves(cell: np.ndarray, direction: np.ndarray, level: float) -> list[np.ndarray]:
     """The two parts of a convex polygon (V, 2) on either side of ``direction . y = level``."""
-    parts = []
-    height = cell @ direction - level
-    after, next_height = np.roll(cell, -1, axis=0), np.roll(height, -1)
-    for sign in (1.0, -1.0):
-        corners = []
-        for y, h, z, k in zip(cell, sign * height, after, sign * next_height, strict=True):
-            if h <= 0.0:
-                corners.append(y)
-            if h * k < 0.0:
-                corners.append(y + h / (h - k) * (z - y))
-        if len(corners) >= 3:
-            parts.append(np.array(corners))
-    return parts
+    row = np.append(direction, level)
+    return [part for part in (clipped(cell, row), clipped(cell, -row)) if len(part) >= 3]
 
 
 def sides_of(cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

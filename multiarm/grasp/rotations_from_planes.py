@@ -36,10 +36,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement, permutations, product
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import UNIT_TOLERANCE
@@ -213,22 +214,10 @@ def numbers_of(values: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
 
 def _beyond(point: np.ndarray, polygon: np.ndarray, normal: np.ndarray) -> float:
     """Distance of a point of a plane from a simple polygon in it; 0 inside."""
-    axis = np.eye(3)[np.argmin(np.abs(normal))]
-    u = np.cross(normal, axis)
-    u /= np.linalg.norm(u)
-    flat = np.array([u, np.cross(normal, u)])
-    a = (polygon - point) @ flat.T
-    b = np.roll(a, -1, axis=0)
-    # A ray along the first axis crosses the boundary an odd number of times from inside.
-    crosses = (a[:, 1] > 0.0) != (b[:, 1] > 0.0)
-    a_c, b_c = a[crosses], b[crosses]
-    where = a_c[:, 0] - a_c[:, 1] * (b_c[:, 0] - a_c[:, 0]) / (b_c[:, 1] - a_c[:, 1])
-    if np.count_nonzero(where > 0.0) % 2:
-        return 0.0
-    edge = b - a
-    along = -np.sum(a * edge, axis=1) / np.sum(edge * edge, axis=1).clip(np.finfo(float).tiny)
-    nearest = a + along.clip(0.0, 1.0)[:, None] * edge
-    return float(np.linalg.norm(nearest, axis=1).min())
+    from shapely.geometry import Point, Polygon
+
+    across = np.linalg.svd(normal[None])[2][1:]
+    return float(Polygon((polygon - point) @ across.T).distance(Point(0.0, 0.0)))
 
 
 def _unit_normals(n: np.ndarray) -> np.ndarray:
@@ -350,7 +339,7 @@ def rotations_of(equations: RotationEquations, known: np.ndarray | None = None) 
     finite).  For data with noise the least squares from a grid of rotations are there too.
     """
     starts = intersections(equations.quadrics())
-    found = refined(equations, rotation_matrices(starts))
+    found = refined(equations, Rotation.from_quat(starts).as_matrix())
     exact = len(found) and np.abs(equations.residuals(found[:1])).max() < EXACT * _size(equations)
     if not exact or len(starts) < 8:
         more = cube_rotations() if known is None else known
@@ -394,7 +383,7 @@ def refined(equations: RotationEquations, starts: np.ndarray) -> np.ndarray:
         scale = np.trace(H, axis1=1, axis2=2) / 3.0 + np.finfo(float).tiny
         H = H + (damping[at_work] * scale)[:, None, None] * np.eye(3)
         step = -np.linalg.solve(H, np.einsum("kia,ki->ka", J, r)[..., None])[..., 0]
-        tried = rotation_vectors_exp(step) @ R[at_work]
+        tried = Rotation.from_rotvec(step).as_matrix() @ R[at_work]
         new = np.sum(equations.residuals(tried) ** 2, axis=1)
         better = new < cost[at_work]
         R[at_work[better]], cost[at_work[better]] = tried[better], new[better]
@@ -409,28 +398,6 @@ def refined(equations: RotationEquations, starts: np.ndarray) -> np.ndarray:
     return _different(R[ended][np.argsort(cost[ended], kind="stable")])
 
 
-def rotation_matrices(q: np.ndarray) -> np.ndarray:
-    """Rotations of unit quaternions xyzw (..., 4)."""
-    v, w = q[..., :3], q[..., 3, None, None]
-    square = np.sum(v * v, axis=-1)[..., None, None]
-    outer = v[..., :, None] * v[..., None, :]
-    return (w * w - square) * np.eye(3) + 2.0 * outer + 2.0 * w * _skew(v)
-
-
-def quaternion_of(R: np.ndarray) -> np.ndarray:
-    """Unit quaternion xyzw with w >= 0, shape (4,): largest eigenvector of Davenport's K."""
-    K = RotationEquations(R[None], np.zeros(1)).quadrics()[0]
-    q = np.linalg.eigh(K)[1][:, -1]
-    return q if q[3] >= 0.0 else -q
-
-
-def rotation_vectors_exp(theta: np.ndarray) -> np.ndarray:
-    """Rotations of rotation vectors (..., 3) [rad]."""
-    angle = np.linalg.norm(theta, axis=-1, keepdims=True)
-    half = 0.5 * theta * np.sinc(0.5 * angle / np.pi)  # axis times sin(angle / 2)
-    return rotation_matrices(np.concatenate([half, np.cos(0.5 * angle)], axis=-1))
-
-
 def angle_between(R: np.ndarray, S: np.ndarray) -> np.ndarray:
     """Angle of ``R^T S`` [rad], exact also for small ones."""
     half = np.linalg.norm(R - S, axis=(-2, -1)) / np.sqrt(8.0)
@@ -439,13 +406,7 @@ def angle_between(R: np.ndarray, S: np.ndarray) -> np.ndarray:
 
 def cube_rotations() -> np.ndarray:
     """The 24 rotations of a cube, shape (24, 3, 3), turned off the axes by a fixed amount."""
-    turns = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            R = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            if np.linalg.det(R) > 0.0:
-                turns.append(R)
-    return rotation_vectors_exp(np.array([0.1, 0.2, -0.3])) @ np.array(turns)
+    return (Rotation.from_rotvec([0.1, 0.2, -0.3]) * Rotation.create_group("O")).as_matrix()
 
 
 def _stationary(equations: RotationEquations, R: np.ndarray) -> np.ndarray:
@@ -469,13 +430,6 @@ def _different(R: np.ndarray) -> np.ndarray:
         if not kept or angle_between(R[kept], R[k]).min() > SAME_ROTATION:
             kept.append(k)
     return R[kept]
-
-
-def _skew(v: np.ndarray) -> np.ndarray:
-    """``S(v) b = v x b``, shape (..., 3, 3)."""
-    S = np.zeros((*v.shape[:-1], 3, 3))
-    S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
-    return S - np.swapaxes(S, -1, -2)
 
 
 def _axial(M: np.ndarray) -> np.ndarray:
