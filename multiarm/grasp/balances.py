@@ -63,6 +63,9 @@ EPS = float(np.finfo(float).eps)
 EQUAL = 1e-6
 # Least smallest push, of pushes of sum 1, that counts: below it every balance nearly cancels.
 LEAST_MARGIN = -1.0 / BAND
+# Of sets with a determinant below the first, or an inverse with an entry above the second, no
+# balance is computed in batches: it would be rounding.
+FLAT, STEEPEST = 1e-14, 1e12
 # Facets of the hull of this many wrenches are enumerated within milliseconds.
 ENUMERATED = 30
 
@@ -121,9 +124,14 @@ def rounding(reach: Any, length: Any) -> Any:
     return ROUNDINGS * EPS * (1.0 + reach / length)
 
 
+def floor_of(contacts: Contacts) -> float:
+    """The rounding of the scaled wrenches of some contacts."""
+    return float(rounding(float(np.abs(contacts.points).max()), contacts.length))
+
+
 def tolerance_of(contacts: Contacts) -> float:
     """Least difference of distinct scaled wrenches: ``BAND`` and their rounding."""
-    return BAND + rounding(float(np.abs(contacts.points).max()), contacts.length)
+    return BAND + floor_of(contacts)
 
 
 def rank_of(contacts: Contacts) -> int:
@@ -208,6 +216,25 @@ def _highest(base: np.ndarray, ways: np.ndarray) -> tuple[np.ndarray, np.ndarray
     if not solved.success:
         return base, None
     return base + ways @ solved.x[:-1], -solved.ineqlin.marginals
+
+
+def balance_inverses(W: np.ndarray) -> np.ndarray:
+    """``G`` of M sets of ``n + 1`` wrenches in rows (M, n + 1, n): inverses of [W; 1 ... 1].
+
+    Zero where there is none.  Otherwise the last column is the balance of sum 1.
+    """
+    sets, count, n = W.shape
+    square = np.ones((sets, count, count))
+    square[:, :n] = np.swapaxes(W, 1, 2)
+    try:
+        G = np.linalg.inv(square)
+        flat = ~(np.abs(G).max(axis=(1, 2), initial=0.0) < STEEPEST)
+    except np.linalg.LinAlgError:  # one of them at least has no inverse at all
+        flat = ~(np.abs(np.linalg.det(square)) > FLAT)
+        square[flat] = np.eye(count)
+        G = np.linalg.inv(square)
+    G[flat] = 0.0
+    return G
 
 
 def _simplex(W: np.ndarray, tolerance: float) -> Balance | None:

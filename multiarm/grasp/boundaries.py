@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.face import PLANE_TOLERANCE, Face
+from multiarm.grasp.face import PLANE_TOLERANCE, Face, area_vector
 from multiarm.scene.object import TOO_THIN, hull_triangles
 
 AXIS_NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
@@ -392,8 +392,7 @@ def _next(vertices: np.ndarray, n: np.ndarray, edge: Edge, ways: list[int]) -> i
 
 
 def _turned_area(loop: np.ndarray, n: np.ndarray) -> float:
-    about = loop - loop.mean(axis=0)
-    return float(0.5 * np.cross(about, np.roll(about, -1, axis=0)).sum(axis=0) @ n)
+    return float(area_vector(loop - loop.mean(axis=0)) @ n)
 
 
 # --- Mesh files -----------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND, LeastDistance, least_distance, rank_of, rounding
+from multiarm.grasp.balances import BAND, LeastDistance, floor_of, least_distance, rank_of
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.form_closure import about_origin, motion_in_words, twist_of
 
@@ -171,7 +171,7 @@ def _any_forces(
     """``lam_0``, a basis of the internal forces, and the remainder of the wrench."""
     W = contacts.scaled_wrenches
     U, s, Vt = np.linalg.svd(W)
-    floor = rounding(float(np.abs(contacts.points).max()), contacts.length)
+    floor = floor_of(contacts)
     rank = int(np.count_nonzero(s > (BAND + floor) * s[0]))
     some = Vt[:rank].T @ ((U[:, :rank].T @ target) / s[:rank])
     missing = target - W @ some
@@ -186,7 +186,7 @@ def _blur(contacts: Contacts) -> float:
     Rows of the basis that are smaller may be zero, and singular values of it too.
     """
     s = np.linalg.svd(contacts.scaled_wrenches, compute_uv=False)
-    floor = rounding(float(np.abs(contacts.points).max()), contacts.length)
+    floor = floor_of(contacts)
     return float(floor * s[0] / s[rank_of(contacts) - 1])
 
 

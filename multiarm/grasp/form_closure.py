@@ -51,12 +51,21 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND, Balance, balance, evenest, rounding
+from multiarm.grasp.balances import (
+    BAND,
+    Balance,
+    balance,
+    balance_inverses,
+    evenest,
+    floor_of,
+    rounding,
+)
 from multiarm.grasp.contacts import (
     UNIT_TOLERANCE,
     Contacts,
     HeldByContacts,
     as_contacts,
+    nearest_to_lines,
     wrenches_of,
 )
 from multiarm.grasp.immobility import Immobility, immobility
@@ -183,7 +192,7 @@ def is_form_closure(contacts: Contacts | HeldByContacts, *, exact: bool = False)
         Something else than contacts.
     """
     contacts = as_contacts(contacts)
-    floor = rounding(float(np.abs(contacts.points).max()), contacts.length)
+    floor = floor_of(contacts)
     found = balance(contacts.scaled_wrenches, floor)
     closure = FormClosure(
         contacts=contacts,
@@ -320,11 +329,8 @@ def _pattern(contacts: Contacts, motion: np.ndarray) -> str | None:
     across = e - np.outer(e @ e[0], e[0])
     if np.abs(across).max() <= STILL:
         return "All normals are parallel: nothing resists a motion across them"
-    projectors = np.eye(d) - e[:, :, None] * e[:, None, :]
     arms = p - contacts.centre
-    sides = np.einsum("jab,jb->a", projectors, arms)
-    meeting = np.linalg.lstsq(projectors.sum(axis=0), sides, rcond=None)[0]
-    off = np.einsum("jab,jb->ja", projectors, arms - meeting)
+    meeting, off = nearest_to_lines(arms, e)
     if np.abs(off).max() <= _still(contacts) * contacts.length:
         kind = "sphere" if d == 3 else "circle"
         at = vector_in_words(meeting + contacts.centre, float(np.abs(p).max()))
@@ -343,7 +349,7 @@ def _pattern(contacts: Contacts, motion: np.ndarray) -> str | None:
 
 def _still(contacts: Contacts) -> float:
     """``STILL``, and the rounding of points far from the origin."""
-    return STILL + rounding(float(np.abs(contacts.points).max()), contacts.length)
+    return STILL + floor_of(contacts)
 
 
 def _split(contacts: Contacts, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -423,7 +429,7 @@ def closed_many(points: Any, normals: Any) -> ManyClosures:
     distances = np.zeros(len(p))
     for first in range(0, len(p), CHUNK):
         part = slice(first, first + CHUNK)
-        W, floors = _scaled(p[part], e[part])
+        W, floors = scaled_wrenches_of(p[part], e[part])
         if count == n + 1:
             inside, doubtful = _simplices(W, BAND + floors)
             closed[part] = inside > BAND + floors
@@ -459,7 +465,7 @@ def _checked(points: Any, normals: Any) -> tuple[np.ndarray, np.ndarray]:
     return p, e / lengths[..., None]
 
 
-def _scaled(p: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def scaled_wrenches_of(p: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Wrenches (M, n, N) about the middle of each set, moments over its spread; their rounding."""
     arms = p - p.mean(axis=1, keepdims=True)
     spread = np.sqrt(np.mean(np.sum(arms**2, axis=2), axis=1))
@@ -471,22 +477,16 @@ def _scaled(p: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _simplices(W: np.ndarray, tolerances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Signed distances of the origin inside M simplices, and which of them are too flat to say."""
-    sets, n, count = W.shape
-    square = np.ones((sets, count, count))
-    square[:, :n] = W
-    flat = np.linalg.slogdet(square)[0] == 0.0
-    square[flat] = np.eye(count)
-    G = np.linalg.inv(square)
-    lengths = np.linalg.norm(G[..., :n], axis=2)
-    inside = np.min(G[..., n] / np.maximum(lengths, 1e-300), axis=1)
-    flat |= lengths.max(axis=1) * tolerances * count >= 1.0
-    return inside, np.flatnonzero(flat)
+    count = W.shape[2]
+    G = balance_inverses(np.swapaxes(W, 1, 2))
+    lengths = np.linalg.norm(G[..., :-1], axis=2)
+    inside = np.min(G[..., -1] / np.maximum(lengths, 1e-300), axis=1)
+    widest = lengths.max(axis=1)
+    return inside, np.flatnonzero((widest == 0.0) | (widest * tolerances * count >= 1.0))
 
 
 # --- How evenly seven contacts balance ------------------------------------------------------------
 
-# Below this determinant (moments over the body's size) a choice is dependent and of no use.
-DEPENDENT = 1e-12
 # Choices in one go: some 50 MB.
 CHOICES = 50_000
 
@@ -501,14 +501,8 @@ def smallest_pushes(body: Polyhedron, points: np.ndarray, normals: np.ndarray) -
     points, normals : ndarray, shape (K, 7, 3)
         Places, and unit normals into the body.
     """
-    smallest = np.zeros(len(points))
-    for first in range(0, len(points), CHOICES):
-        part = slice(first, first + CHOICES)
+    smallest = []
+    for part in np.array_split(np.arange(len(points)), 1 + len(points) // CHOICES):
         W = wrenches_of((points[part] - body.centre) / body.size, normals[part])  # (6, K, 7)
-        A = np.concatenate([np.moveaxis(W, 0, 1), np.ones((W.shape[1], 1, 7))], axis=1)
-        usable = np.flatnonzero(np.abs(np.linalg.det(A)) > DEPENDENT)
-        target = np.zeros((7, 1))
-        target[6] = 1.0
-        pushes = np.linalg.solve(A[usable], target)[..., 0]  # (K, 7)
-        smallest[first + usable] = pushes.min(axis=1)
-    return smallest
+        smallest.append(balance_inverses(np.moveaxis(W, 0, 2))[..., 6].min(axis=1))
+    return np.concatenate(smallest)

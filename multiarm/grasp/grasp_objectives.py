@@ -39,14 +39,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from multiarm.grasp.balances import balance_inverses
 from multiarm.grasp.closure_radii import closure_radius
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.placements import SevenTouches
 
-# Determinants below this are rounding: such wrenches have no balance.
-FLAT = 1e-14
-# And inverses with an entry above this.
-STEEPEST = 1e12
 # Steps of Newton's method towards the displacements that lose the grasp.
 STEPS = 3
 # A contact whose place a twist does not feel: it is never lost to it.
@@ -110,7 +107,7 @@ class Margin(Objective):
 
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """``t*`` of each placement."""
-        return balances(touches.wrenches(y))[..., 6].min(axis=1).clip(0.0)
+        return balance_inverses(touches.wrenches(y))[..., 6].min(axis=1).clip(0.0)
 
     def twists(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """None are needed."""
@@ -148,7 +145,7 @@ class Force(Objective):
 
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """Inverse worst force of each placement."""
-        G = balances(touches.wrenches(y))
+        G = balance_inverses(touches.wrenches(y))
         closed = G[..., 6].min(axis=1) > 0.0
         forces = self._forces(np.where(closed[:, None, None], G, 1.0))
         worst = forces.max(axis=(1, 2))
@@ -166,7 +163,7 @@ class Force(Objective):
         The other two are the one with the largest force and one with none; for what is no grasp,
         any two of opposite signs in the balance.
         """
-        G = balances(touches.wrenches(y)[None])
+        G = balance_inverses(touches.wrenches(y)[None])
         n, g = G[0, :, 6], G[0, :, :6]
         if not n.any():
             return weakest(touches.wrenches(y))
@@ -215,7 +212,7 @@ class Stability(Objective):
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """Radii along the twists found; upper bounds of the true ones."""
         radii = np.zeros(len(y))
-        closed = np.flatnonzero(balances(touches.wrenches(y))[..., 6].min(axis=1) > 0.0)
+        closed = np.flatnonzero(balance_inverses(touches.wrenches(y))[..., 6].min(axis=1) > 0.0)
         xi = self._losing(touches, y[closed])  # (M, 7, 6)
         W = touches.wrenches(y[closed])
         reached = np.einsum("mif,mcf->mci", W, xi) / _felt(touches, xi)
@@ -230,7 +227,7 @@ class Stability(Objective):
 
     def twists(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """The twist to which the grasp is lost when contact i opens first, for each i."""
-        G = balances(touches.wrenches(y)[None])[0]
+        G = balance_inverses(touches.wrenches(y)[None])[0]
         n, g = G[:, 6], G[:, :6]
         if not n.any():
             return weakest(touches.wrenches(y))
@@ -247,7 +244,7 @@ class Stability(Objective):
         own = np.arange(7)
         g = np.zeros((len(y), 7, 6))
         for _ in range(STEPS):
-            G = balances(moved.reshape(-1, 7, 6)).reshape(len(y), 7, 7, 7)
+            G = balance_inverses(moved.reshape(-1, 7, 6)).reshape(len(y), 7, 7, 7)
             n, g = G[..., 6], G[:, own, own, :6]
             felt = np.einsum("jaf,mif->mija", touches.rates, g)
             norm = np.linalg.norm(felt, axis=-1)
@@ -280,21 +277,6 @@ class Stability(Objective):
     def quick_bounds(self, reaches: np.ndarray, twists: np.ndarray) -> np.ndarray:
         """The cuts, every contact at its best."""
         return reaches.max(axis=1).clip(0.0).min(axis=1, initial=self.limit)
-
-
-def balances(W: np.ndarray) -> np.ndarray:
-    """``G``, inverses of [W; 1 ... 1] for wrenches in rows (M, 7, 6); zero where there is none."""
-    square = np.ones((len(W), 7, 7))
-    square[:, :6] = np.swapaxes(W, 1, 2)
-    try:
-        G = np.linalg.inv(square)
-        flat = ~(np.abs(G).max(axis=(1, 2), initial=0.0) < STEEPEST)
-    except np.linalg.LinAlgError:  # one of them at least has no inverse at all
-        flat = ~(np.abs(np.linalg.det(square)) > FLAT)
-        square[flat] = np.eye(7)
-        G = np.linalg.inv(square)
-    G[flat] = 0.0
-    return G
 
 
 def weakest(W: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.form_closure import scaled_wrenches_of
 from multiarm.grasp.grasp_objectives import Margin, Objective
 from multiarm.grasp.placement_bounds import Node, bounded
 from multiarm.grasp.placements import (
@@ -346,9 +347,6 @@ def nearest(touches: SevenTouches, y: np.ndarray) -> np.ndarray:
 def conditioning(touches: SevenTouches, y: np.ndarray) -> np.ndarray:
     """Smallest over largest singular value of wrenches scaled by the contacts' spread, (M,)."""
     p = touches.points(y)
-    arms = p - p.mean(axis=1, keepdims=True)
-    length = np.sqrt(np.mean(np.sum(arms**2, axis=2), axis=1))
-    e = np.broadcast_to(touches.normals, p.shape)
-    W = np.concatenate([e, np.cross(arms, e) / length[:, None, None]], axis=2)
+    W, _ = scaled_wrenches_of(p, np.broadcast_to(touches.normals, p.shape))
     s = np.linalg.svd(W, compute_uv=False)
     return s[:, -1] / s[:, 0]

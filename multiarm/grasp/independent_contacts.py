@@ -118,8 +118,7 @@ def block_inverse(contacts: Contacts | HeldByContacts) -> BlockInverse:
     picked = list(order)
     e, m = contacts.normals[picked].T, np.cross(contacts.points, contacts.normals)[picked].T
     e_A_inverse = np.linalg.inv(e[:, :3])
-    T1 = -e_A_inverse @ e[:, 3:]
-    a = m[:, :3] @ T1 + m[:, 3:]
+    T1, a = blocks_of(contacts.points[picked], contacts.normals[picked])
     a_inverse = np.linalg.inv(a)
     T2 = -a_inverse @ m[:, :3]
     inverse = np.empty((6, 6))
@@ -128,6 +127,13 @@ def block_inverse(contacts: Contacts | HeldByContacts) -> BlockInverse:
     sign = float(np.round(np.linalg.det(np.eye(6)[picked])))
     determinant = sign * float(np.linalg.det(e[:, :3]) * np.linalg.det(a))
     return BlockInverse(order, T1, a, T2, inverse, determinant)
+
+
+def blocks_of(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``T_1`` and ``a`` (3, 3) of six contacts, of which the first three make up ``e_A``."""
+    e, m = normals.T, np.cross(points, normals).T
+    T1 = -np.linalg.solve(e[:, :3], e[:, 3:])
+    return T1, m[:, :3] @ T1 + m[:, 3:]
 
 
 def independence(contacts: Contacts | HeldByContacts) -> Independence:

@@ -46,7 +46,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, nearest_to_lines
 from multiarm.grasp.independent_contacts import INCIDENCE, Violation, incidence, named, six_in_space
 
 
@@ -272,12 +272,9 @@ def meeting_point(
 
     ``tolerance`` is a part of the distances between the points, and from them.
     """
-    projectors = np.eye(3) - normals[:, :, None] * normals[:, None, :]
     middle = points.mean(axis=0)
     arms = points - middle
-    sides = np.einsum("jab,jb->a", projectors, arms)
-    found = np.linalg.solve(projectors.sum(axis=0), sides)
-    off = np.einsum("jab,jb->ja", projectors, arms - found)
+    found, off = nearest_to_lines(arms, normals)
     size = max(float(np.abs(arms).max()), float(np.abs(found).max()))
     return found + middle if np.abs(off).max() <= tolerance * size else None
 

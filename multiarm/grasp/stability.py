@@ -22,13 +22,9 @@ really be lost, and when, is computed without linearisation by
 :func:`multiarm.grasp.closure_radii.closure_radius`, and by sampling by
 :func:`multiarm.grasp.stability.monte_carlo_stability`.
 
-**Sampling.**  Displacements are uniform in discs about the contacts, in their faces. Of n samples k
-close. The probability p of closure then lies, with the confidence that belongs to z standard
-deviations, in Wilson's interval, which holds near 0 and 1 too:
-
-.. math::
-    \frac{k/n + z^2/2n}{1 + z^2/n} \;\pm\;
-    \frac{z}{1 + z^2/n} \sqrt{\frac{(k/n)(1 - k/n)}{n} + \frac{z^2}{4 n^2}} .
+**Sampling.**  Displacements are uniform in discs about the contacts, in their faces. The share that
+closes estimates the probability of closure; Wilson's interval, which holds near 0 and 1 too, says
+how well.
 """
 
 from __future__ import annotations
@@ -47,6 +43,7 @@ from multiarm.grasp.closure_radii import ClosureRadius, closure_radius, tangents
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, wrenches_of
 from multiarm.grasp.form_closure import closed_many
 from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.independent_contacts import blocks_of
 from multiarm.grasp.seventh_contact import ContactRegion, region_of
 
 # A measure should be at least so many times its largest change to first order.
@@ -182,7 +179,7 @@ def configuration_stability(
     delta = displacements_of(displacement, contacts)
     six = _independent_six(contacts)
     at = contacts.points - contacts.centre
-    T1, a = _block(at, contacts.normals, six)
+    T1, a = blocks_of(at[list(six)], contacts.normals[list(six)])
     nearest = 1.0 / max(
         float(np.linalg.norm(np.linalg.solve(a.T, s))) for s in product((-1.0, 1.0), repeat=3)
     )
@@ -239,16 +236,6 @@ def displacements_of(given: Any, contacts: Contacts) -> np.ndarray:
             f"negative and finite; given: {given}"
         )
     return np.broadcast_to(delta, (contacts.count,)).copy()
-
-
-def _block(
-    points: np.ndarray, normals: np.ndarray, six: tuple[int, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """T1 and a of (2.2); neither depends on the origin."""
-    e = normals[list(six)].T
-    m = np.cross(points[list(six)], normals[list(six)]).T
-    T1 = -np.linalg.solve(e[:, :3], e[:, 3:])
-    return T1, m[:, :3] @ T1 + m[:, 3:]
 
 
 def _measures(contacts: Contacts, chosen: list[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -348,7 +335,7 @@ def monte_carlo_stability(
     GraspError
         Displacements that are negative or not finite, no samples, a confidence not within (0, 1).
     """
-    from scipy.stats import norm
+    from scipy.stats import binomtest
 
     contacts = as_contacts(contacts)
     if not isinstance(samples, Real) or not float(samples).is_integer() or samples < 1:
@@ -366,11 +353,7 @@ def monte_carlo_stability(
     points = contacts.points + np.einsum("mja,jax->mjx", along, tangents_of(contacts))
     normals = np.broadcast_to(contacts.normals, points.shape)
     kept = int(np.count_nonzero(closed_many(points, normals).closed))
-    z = float(norm.ppf(0.5 + 0.5 * confidence))
-    share = kept / samples
-    middle = (share + z * z / (2 * samples)) / (1.0 + z * z / samples)
-    half = z / (1.0 + z * z / samples)
-    half *= float(np.sqrt(share * (1.0 - share) / samples + (z / (2 * samples)) ** 2))
+    interval = binomtest(kept, samples).proportion_ci(confidence, method="wilson")
     return DrawnStability(
-        share, max(0.0, middle - half), min(1.0, middle + half), kept, samples, confidence
+        kept / samples, float(interval.low), float(interval.high), kept, samples, confidence
     )
