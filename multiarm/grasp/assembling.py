@@ -7,6 +7,16 @@ must be closed, just before it open.
 **Corners.**  A gripper with three fingers reaches a corner where exactly three faces meet and each
 edge between them is convex.  Its frame is tied to the corner and to one of the faces, so that a
 gripper has the same coordinates of its fingertips on every body that has the same corner.
+
+**How evenly seven contacts balance**, for many choices at once.  Seven wrenches of rank 6 have one
+balance of sum 1,
+
+.. math::
+    \begin{bmatrix} W \\ 1 \cdots 1 \end{bmatrix} \lambda =
+    \begin{bmatrix} 0 \\ 1 \end{bmatrix} ,
+
+and close the body when all of it is positive.  The smallest push ranks choices; what is chosen is
+then judged by `is_form_closure`.
 """
 
 from __future__ import annotations
@@ -19,8 +29,9 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.face import PLANE_TOLERANCE, Face
+from multiarm.grasp.balances import balance_inverses
+from multiarm.grasp.contacts import Contacts, wrenches_of
+from multiarm.grasp.face import PLANE_TOLERANCE, Face, frame_of
 from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.grasp import Grasp, Gripper
 from multiarm.grasp.polyhedron import Polyhedron
@@ -233,13 +244,7 @@ def corner_frame(body: Polyhedron, vertex: int, seat: int) -> np.ndarray:
     loop = next(loop for loop in body.loops[seat] if vertex in loop)
     at = loop.index(vertex)
     before = body.vertices[loop[at - 1]] - body.vertices[vertex]
-    z = -body.faces[seat].normal
-    x = before - (before @ z) * z
-    x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    pose[:3, 3] = body.vertices[vertex]
-    return pose + 0.0
+    return frame_of(-body.faces[seat].normal, before, body.vertices[vertex])
 
 
 def gripper_frame(body: Polyhedron, faces: tuple[int, int, int], points: np.ndarray) -> np.ndarray:
@@ -255,3 +260,26 @@ def feet(body: Polyhedron, faces: tuple[int, int, int], point: np.ndarray) -> np
     n = body.normals[list(faces)]
     heights = np.array([body.faces[k].offset for k in faces]) - n @ point
     return point + heights[:, None] * n
+
+
+# --- How evenly seven contacts balance ------------------------------------------------------------
+
+# Choices in one go: some 50 MB.
+CHOICES = 50_000
+
+
+def smallest_pushes(body: Polyhedron, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Smallest push of each choice of seven contacts, shape (K,); 0 when they are dependent.
+
+    Parameters
+    ----------
+    body : Polyhedron
+        Its centre and size make wrenches comparable.
+    points, normals : ndarray, shape (K, 7, 3)
+        Places, and unit normals into the body.
+    """
+    smallest = []
+    for part in np.array_split(np.arange(len(points)), 1 + len(points) // CHOICES):
+        W = wrenches_of((points[part] - body.centre) / body.size, normals[part])  # (6, K, 7)
+        smallest.append(balance_inverses(np.moveaxis(W, 0, 2))[..., 6].min(axis=1))
+    return np.concatenate(smallest)

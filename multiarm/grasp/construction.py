@@ -39,13 +39,14 @@ from multiarm.grasp.assembling import (
     proven,
     size_of_gripper,
     sized,
+    smallest_pushes,
     two_groups,
 )
 from multiarm.grasp.blocks import USUAL_OFFSET, design_block_grasp
 from multiarm.grasp.body_class import BodyClass, as_polyhedron, classify, roundness
 from multiarm.grasp.boundaries import face_triangles
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.form_closure import is_form_closure, smallest_pushes
+from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.parallel_bodies import design_parallel_grasp
 from multiarm.grasp.polyhedron import Polyhedron

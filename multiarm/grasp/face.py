@@ -111,15 +111,8 @@ class Face:
         it is seen upright from outside.
         """
         n = self.normal
-        if abs(n[2]) > STEEP:
-            x = np.array([1.0, 0.0, 0.0]) - n[0] * n
-        else:
-            x = np.array([-n[1], n[0], 0.0])
-        x /= np.linalg.norm(x)
-        pose = np.eye(4)
-        pose[:3, :3] = np.column_stack([x, np.cross(n, x), n])
-        pose[:3, 3] = self.offset * n
-        return _fixed(pose + 0.0)
+        along = np.eye(3)[0] if abs(n[2]) > STEEP else np.array([-n[1], n[0], 0.0])
+        return _fixed(frame_of(n, along, self.offset * n))
 
     def coordinates(self, points: Any) -> np.ndarray:
         """Face coordinates (..., 2) of points (..., 3), which are projected along the normal.
@@ -199,6 +192,15 @@ class Face:
         p = self.coordinates(start)
         far = p + 2.0 * self.shape.length * (self.coordinates(start + direction) - p)
         return float(self.shape.boundary.intersection(LineString([p, far])).distance(Point(p)))
+
+
+def frame_of(z: np.ndarray, along: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Pose (4, 4) at a point with the z axis given, and x as nearly along a vector as can be."""
+    x = along - (along @ z) * z
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.column_stack([x, np.cross(z, x), z]), origin
+    return pose + 0.0  # no -0
 
 
 def area_vector(loop: np.ndarray) -> np.ndarray:

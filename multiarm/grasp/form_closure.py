@@ -29,16 +29,6 @@ bodies of revolution, which frictionless contacts can never hold (thesis, 2.1).
 :func:`is_form_closure`, without the proofs.  For
 sets of seven contacts in space, or four in the plane, one batch of small inverses (see
 :mod:`multiarm.grasp.balances`), microseconds for each set.
-
-**How evenly seven contacts balance**, for many choices at once.  Seven wrenches of rank 6 have one
-balance of sum 1,
-
-.. math::
-    \begin{bmatrix} W \\ 1 \cdots 1 \end{bmatrix} \lambda =
-    \begin{bmatrix} 0 \\ 1 \end{bmatrix} ,
-
-and close the body when all of it is positive.  The smallest push ranks choices; what is chosen is
-then judged by `is_form_closure`.
 """
 
 from __future__ import annotations
@@ -69,7 +59,6 @@ from multiarm.grasp.contacts import (
     wrenches_of,
 )
 from multiarm.grasp.immobility import Immobility, immobility
-from multiarm.grasp.polyhedron import Polyhedron
 
 
 @dataclass(frozen=True, eq=False)
@@ -483,26 +472,3 @@ def _simplices(W: np.ndarray, tolerances: np.ndarray) -> tuple[np.ndarray, np.nd
     inside = np.min(G[..., -1] / np.maximum(lengths, 1e-300), axis=1)
     widest = lengths.max(axis=1)
     return inside, np.flatnonzero((widest == 0.0) | (widest * tolerances * count >= 1.0))
-
-
-# --- How evenly seven contacts balance ------------------------------------------------------------
-
-# Choices in one go: some 50 MB.
-CHOICES = 50_000
-
-
-def smallest_pushes(body: Polyhedron, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Smallest push of each choice of seven contacts, shape (K,); 0 when they are dependent.
-
-    Parameters
-    ----------
-    body : Polyhedron
-        Its centre and size make wrenches comparable.
-    points, normals : ndarray, shape (K, 7, 3)
-        Places, and unit normals into the body.
-    """
-    smallest = []
-    for part in np.array_split(np.arange(len(points)), 1 + len(points) // CHOICES):
-        W = wrenches_of((points[part] - body.centre) / body.size, normals[part])  # (6, K, 7)
-        smallest.append(balance_inverses(np.moveaxis(W, 0, 2))[..., 6].min(axis=1))
-    return np.concatenate(smallest)

@@ -36,6 +36,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.face import frame_of
 from multiarm.grasp.grasp_objectives import Force, Margin, Objective, Stability
 from multiarm.grasp.grasp_search import Limits, Search
 from multiarm.grasp.placements import touch_regions
@@ -258,11 +259,7 @@ def _grasp(
 def _frame(place: np.ndarray, inward: np.ndarray) -> np.ndarray:
     """A frame at a place with its z axis into the body."""
     z = inward / np.linalg.norm(inward) if np.linalg.norm(inward) > 1e-9 else np.eye(3)[2]
-    x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
-    x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.column_stack([x, np.cross(z, x), z]), place
-    return pose
+    return frame_of(z, np.cross(z, np.eye(3)[np.argmin(np.abs(z))]), place)
 
 
 def _in_units(objective: str, score: float, bound: float, size: float) -> tuple[float, float]:

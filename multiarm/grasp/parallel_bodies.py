@@ -75,6 +75,7 @@ from multiarm.grasp.assembling import (
     sized,
 )
 from multiarm.grasp.body_class import DEPENDENT, classify
+from multiarm.grasp.face import frame_of
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 
@@ -450,11 +451,8 @@ def corner_pattern(
             "front, side and top in this order are not right-handed, seen from outside; exchange "
             "front and side"
         )
-    x = n1 - (n1 @ z) * z
-    x /= np.linalg.norm(x)
-    y = np.cross(z, x)
-    frame = np.eye(4)
-    frame[:3, :3], frame[:3, 3] = np.column_stack([x, y, z]), origin
+    frame = frame_of(z, n1, origin)
+    x, y = frame[:3, 0], frame[:3, 1]
     corner = np.linalg.solve(normals @ frame[:3, :3], offsets - normals @ origin)
     theta = float(np.arctan2(n1 @ z, n1 @ x))
     beta = float(np.arctan2(n2 @ x, n2 @ y))

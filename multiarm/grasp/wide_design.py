@@ -45,10 +45,10 @@ from multiarm.grasp.assembling import (
     shared_corner,
     size_of_gripper,
     sized,
+    smallest_pushes,
 )
 from multiarm.grasp.body_class import Triple, classify
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.form_closure import smallest_pushes
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.parallel_bodies import (
     OPEN,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.face import frame_of
 from multiarm.grasp.grasp import Grasp, Gripper
 from multiarm.spatial import matrix_to_quaternion
 
@@ -74,10 +75,7 @@ def hand_pose(
     side = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     side /= np.linalg.norm(side)
     x = np.cos(turn) * side + np.sin(turn) * np.cross(z, side)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    pose[:3, 3] = gripper.corner - stand_off * z
-    return pose
+    return frame_of(z, x, gripper.corner - stand_off * z)
 
 
 def fingers(
