@@ -81,9 +81,9 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "shapely": ("grasp", "viewer.animate"),
     "threadpoolctl": ("studies.timing", "sweeps.worker"),
     "tornado": ("viewer",),
-    "trimesh": ("grasp.mesh",),
+    "trimesh": ("grasp.boundaries",),
     "typer": ("cli",),
-    "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
+    "typing_extensions": ("terminal", "scene", "sweeps"),
     "umsgpack": ("viewer",),
     "yaml": ("reports.report", "scene", "sweeps.spec"),
 }

@@ -22,8 +22,7 @@ from scipy.spatial import ConvexHull
 from multiarm.errors import GraspError
 from multiarm.grasp.balances import BAND, LEAST_MARGIN, evenest
 from multiarm.grasp.contacts import Contacts, wrenches_of
-from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.many_closures import closed_many
+from multiarm.grasp.form_closure import closed_many, is_form_closure
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKED = json.loads((ROOT / "tests" / "data" / "worked_examples.json").read_text())["examples"]
@@ -614,7 +613,7 @@ def test_many_decisions_in_parts_are_those_of_the_whole(rng, monkeypatch):
     points = rng.normal(size=(50, 4, 2))
     normals = -points / np.linalg.norm(points, axis=2, keepdims=True)
     whole = closed_many(points, normals)
-    monkeypatch.setattr("multiarm.grasp.many_closures.CHUNK", 7)
+    monkeypatch.setattr("multiarm.grasp.form_closure.CHUNK", 7)
     assert np.array_equal(closed_many(points, normals).closed, whole.closed)
 
 

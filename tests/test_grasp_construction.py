@@ -17,12 +17,15 @@ from multiarm.errors import GraspError
 from multiarm.grasp.assembling import assembled, crosses, largest_gripper, proven, two_groups
 from multiarm.grasp.blocks import BlockDesign, block_design, design_block_grasp
 from multiarm.grasp.body_class import classify
-from multiarm.grasp.closure_search import search_grasp
-from multiarm.grasp.construction import design_grasp
+from multiarm.grasp.construction import design_grasp, search_grasp
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.corner_pattern import corner_pattern
 from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.parallel_bodies import ParallelDesign, design_parallel_grasp, parallel_design
+from multiarm.grasp.parallel_bodies import (
+    ParallelDesign,
+    corner_pattern,
+    design_parallel_grasp,
+    parallel_design,
+)
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seventh_contact import seventh_contact_region
 from multiarm.grasp.wide_design import design_wide_grasp, wide_design

@@ -17,14 +17,17 @@ from scipy.spatial.transform import Rotation
 from multiarm.errors import GraspError
 from multiarm.grasp.closure_radii import closure_radius
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.face_choices import face_choices, positively_spanning
 from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.grasp_objectives import Force, Margin, Stability
 from multiarm.grasp.optimisation import optimise_grasp
 from multiarm.grasp.placement_bounds import Node, bounded
+from multiarm.grasp.placements import (
+    face_choices,
+    positively_spanning,
+    seven_touches,
+    touch_regions,
+)
 from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.seven_touches import seven_touches
-from multiarm.grasp.touch_regions import touch_regions
 
 BLOCK = Polyhedron.box([1.2, 1.0, 0.8])
 REACH = 0.25

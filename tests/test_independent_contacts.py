@@ -14,10 +14,8 @@ from scipy.linalg import expm
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.independent_contacts import block_inverse, independence
-from multiarm.grasp.moment_rules import three_moments
-from multiarm.grasp.necessary_conditions import violated_conditions
-from multiarm.grasp.special_selections import case_I, case_II, case_III
+from multiarm.grasp.independent_contacts import block_inverse, independence, violated_conditions
+from multiarm.grasp.special_selections import case_I, case_II, case_III, three_moments
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKED = json.loads((ROOT / "tests" / "data" / "worked_examples.json").read_text())["examples"]

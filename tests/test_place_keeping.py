@@ -11,7 +11,7 @@ import multiarm as ma
 from multiarm.assembly.start import project_velocity
 from multiarm.control.null_space import nearest_accelerations
 from multiarm.errors import SceneError
-from multiarm.grasp.scenes.postures import find_posture
+from multiarm.grasp.scenes.standing import find_posture
 
 PLANAR = {"kind": "planar"}
 SPRING = {

@@ -16,10 +16,10 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
+from multiarm.grasp.assembling import convex_corner, corner_frame, shared_corner
 from multiarm.grasp.body_class import classify, roundness
-from multiarm.grasp.corners import convex_corner, corner_frame, shared_corner
+from multiarm.grasp.boundaries import triangles_of
 from multiarm.grasp.face import Face
-from multiarm.grasp.mesh import triangles_of
 from multiarm.grasp.polyhedron import Polyhedron
 
 DATA = Path(__file__).parent / "data" / "worked_examples.json"

@@ -19,9 +19,14 @@ from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face import Face
 from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.moment_region import basic_solutions, circuits
 from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.seventh_contact import ContactRegion, region_of, seventh_contact_region
+from multiarm.grasp.seventh_contact import (
+    ContactRegion,
+    basic_solutions,
+    circuits,
+    region_of,
+    seventh_contact_region,
+)
 from multiarm.grasp.wrench_cones import closes_on_surface, is_independent, wrench_cone
 
 DATA = Path(__file__).parent / "data" / "worked_examples.json"

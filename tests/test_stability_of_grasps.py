@@ -19,20 +19,17 @@ from scipy.stats import binomtest
 from multiarm.errors import GraspError
 from multiarm.grasp.blocks import design_block_grasp
 from multiarm.grasp.closure_radii import (
+    Minor,
     _of_discs,
     closure_radius,
     independence_radius,
     tangents_of,
 )
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.drawn_stability import monte_carlo_stability
-from multiarm.grasp.face_contacts import Gripper
-from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.many_closures import closed_many
+from multiarm.grasp.form_closure import closed_many, is_form_closure
+from multiarm.grasp.grasp import Grasp, Gripper
 from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.stability import configuration_stability, own_regions
-from multiarm.grasp.wrench_determinants import Minor
+from multiarm.grasp.stability import configuration_stability, monte_carlo_stability, own_regions
 
 DATA = Path(__file__).parent / "data" / "worked_examples.json"
 WORKED = json.loads(DATA.read_text())["examples"]

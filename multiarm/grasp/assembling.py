@@ -1,8 +1,22 @@
-"""From places on faces to a grasp that is known to hold: assembly, verification, size.
+r"""From places on faces to a grasp that is known to hold: gripper frames, assembly, verification.
 
 A designed grasp is never taken on trust.  It has to pass the test of form closure, and its last
 contact is moved across the bound that the design's formula gives: just beyond the bound the grasp
 must be closed, just before it open.
+
+**Corners.**  A gripper with three fingers reaches a corner where exactly three faces meet and each
+edge between them is convex.  Its frame is tied to the corner and to one of the faces, so that a
+gripper has the same coordinates of its fingertips on every body that has the same corner.
+
+**How evenly seven contacts balance**, for many choices at once.  Seven wrenches of rank 6 have one
+balance of sum 1,
+
+.. math::
+    \begin{bmatrix} W \\ 1 \cdots 1 \end{bmatrix} \lambda =
+    \begin{bmatrix} 0 \\ 1 \end{bmatrix} ,
+
+and close the body when all of it is positive.  The smallest push ranks choices; what is chosen is
+then judged by `is_form_closure`.
 """
 
 from __future__ import annotations
@@ -15,11 +29,11 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.face import Face
-from multiarm.grasp.face_contacts import Gripper
+from multiarm.grasp.balances import balance_inverses
+from multiarm.grasp.contacts import Contacts, wrenches_of
+from multiarm.grasp.face import PLANE_TOLERANCE, Face, frame_of
 from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.grasp import Grasp, Gripper
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seventh_contact import ContactRegion
 
@@ -182,3 +196,90 @@ def sized(made: Callable[[float], Grasp], depth: float, gripper_size: float | No
         deep *= gripper_size / size
         grasp = made(deep)
     return grasp
+
+
+# --- Corners, and the frames of grippers there ----------------------------------------------------
+
+
+def convex_corner(body: Polyhedron, vertex: int) -> bool:
+    """Whether exactly three faces meet at a vertex, each edge between them convex.
+
+    Three fingers of a gripper reach such a corner from outside.
+    """
+    meeting = body.corners[vertex]
+    if len(meeting) != 3:
+        return False
+    tolerance = PLANE_TOLERANCE * body.size
+    for number in meeting:
+        loop = next((loop for loop in body.loops[number] if vertex in loop), ())
+        at = loop.index(vertex)
+        ends = body.vertices[[loop[at - 1], loop[(at + 1) % len(loop)]]] - body.vertices[vertex]
+        if (ends @ body.normals[list(meeting)].T).max() > tolerance:
+            return False
+    return True
+
+
+def shared_corner(body: Polyhedron, faces: Sequence[int]) -> int | None:
+    """The convex corner where three faces meet, or None."""
+    for vertex, meeting in enumerate(body.corners):
+        if set(faces) == set(meeting) and convex_corner(body, vertex):
+            return vertex
+    return None
+
+
+def nearest_corner_frame(body: Polyhedron, points: np.ndarray, seat: int) -> np.ndarray:
+    """Frame of a gripper at the corner of a face that is nearest to its contacts."""
+    ends = list(body.loops[seat][0])
+    away = np.linalg.norm(body.vertices[ends] - points.mean(axis=0), axis=1)
+    return corner_frame(body, ends[int(np.argmin(away))], seat)
+
+
+def corner_frame(body: Polyhedron, vertex: int, seat: int) -> np.ndarray:
+    """A gripper's frame at a corner, shape (4, 4): the same wherever the corner is the same.
+
+    The origin is the corner, z points into the body along the normal of the face ``seat``, x runs
+    along the edge of this face that arrives at the corner (counter-clockwise from outside), and
+    y points into the face.
+    """
+    loop = next(loop for loop in body.loops[seat] if vertex in loop)
+    at = loop.index(vertex)
+    before = body.vertices[loop[at - 1]] - body.vertices[vertex]
+    return frame_of(-body.faces[seat].normal, before, body.vertices[vertex])
+
+
+def gripper_frame(body: Polyhedron, faces: tuple[int, int, int], points: np.ndarray) -> np.ndarray:
+    """Frame of a gripper at the corner that three faces share, or else near its contacts."""
+    corner = shared_corner(body, faces)
+    if corner is None:
+        return nearest_corner_frame(body, points, faces[2])
+    return corner_frame(body, corner, faces[2])
+
+
+def feet(body: Polyhedron, faces: tuple[int, int, int], point: np.ndarray) -> np.ndarray:
+    """Feet of a point on the planes of faces, shape (3, 3): contacts whose lines meet in it."""
+    n = body.normals[list(faces)]
+    heights = np.array([body.faces[k].offset for k in faces]) - n @ point
+    return point + heights[:, None] * n
+
+
+# --- How evenly seven contacts balance ------------------------------------------------------------
+
+# Choices in one go: some 50 MB.
+CHOICES = 50_000
+
+
+def smallest_pushes(body: Polyhedron, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Smallest push of each choice of seven contacts, shape (K,); 0 when they are dependent.
+
+    Parameters
+    ----------
+    body : Polyhedron
+        Its centre and size make wrenches comparable.
+    points, normals : ndarray, shape (K, 7, 3)
+        Places, and unit normals into the body.
+    """
+    smallest = []
+    for part in np.array_split(np.arange(len(points)), 1 + len(points) // CHOICES):
+        W = wrenches_of((points[part] - body.centre) / body.size, normals[part])  # (6, K, 7)
+        smallest.append(balance_inverses(np.moveaxis(W, 0, 2))[..., 6].min(axis=1))
+    return np.concatenate(smallest)

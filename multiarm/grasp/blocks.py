@@ -26,9 +26,15 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.assembling import assembled, crosses, length_of, proven
+from multiarm.grasp.assembling import (
+    assembled,
+    crosses,
+    gripper_frame,
+    length_of,
+    proven,
+    shared_corner,
+)
 from multiarm.grasp.body_class import classify
-from multiarm.grasp.corners import gripper_frame, shared_corner
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 

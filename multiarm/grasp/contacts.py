@@ -237,6 +237,14 @@ def wrenches_of(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return np.concatenate([np.moveaxis(normals, -1, 0), moment[None]])
 
 
+def nearest_to_lines(points: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The point (d,) nearest to lines through points (N, d), and its offsets (N, d) from them."""
+    projectors = np.eye(points.shape[1]) - directions[:, :, None] * directions[:, None, :]
+    sides = np.einsum("jab,jb->a", projectors, points)
+    found = np.linalg.lstsq(projectors.sum(axis=0), sides, rcond=None)[0]
+    return found, np.einsum("jab,jb->ja", projectors, points - found)
+
+
 def _table(values: Any, what: str) -> np.ndarray:
     """An array (N, 2) or (N, 3) of finite numbers, own memory."""
     try:

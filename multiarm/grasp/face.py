@@ -1,4 +1,4 @@
-r"""One plane face of a body, with its own coordinates.
+r"""Plane faces: their own coordinates, and what half-planes leave of them.
 
 A face with the outward unit normal n is a part of the plane
 
@@ -12,6 +12,11 @@ A contact on the face pushes along :math:`e = -n`.  Its moment about the origin 
 contact is in the face and not on h, :math:`p \times e = c \times e` with the offset c from the
 origin's projection onto the face (thesis, A.3).  Face coordinates therefore start at that
 projection: (x, y) of a contact is its offset c, and on a horizontal top x and y are the body's own.
+
+**Cutting.**  A convex face is cut by one half-plane :math:`a \cdot y \le b` after the other, in
+coordinates about a point in the middle of the face: corners on the far side go, and where an edge
+crosses the line a corner is added.  Of any other face a rectangle around it is cut so, which has
+few corners, and then cut with the face by shapely.
 """
 
 from __future__ import annotations
@@ -106,15 +111,8 @@ class Face:
         it is seen upright from outside.
         """
         n = self.normal
-        if abs(n[2]) > STEEP:
-            x = np.array([1.0, 0.0, 0.0]) - n[0] * n
-        else:
-            x = np.array([-n[1], n[0], 0.0])
-        x /= np.linalg.norm(x)
-        pose = np.eye(4)
-        pose[:3, :3] = np.column_stack([x, np.cross(n, x), n])
-        pose[:3, 3] = self.offset * n
-        return _fixed(pose + 0.0)
+        along = np.eye(3)[0] if abs(n[2]) > STEEP else np.array([-n[1], n[0], 0.0])
+        return _fixed(frame_of(n, along, self.offset * n))
 
     def coordinates(self, points: Any) -> np.ndarray:
         """Face coordinates (..., 2) of points (..., 3), which are projected along the normal.
@@ -189,18 +187,20 @@ class Face:
 
     def room_along(self, start: np.ndarray, direction: np.ndarray) -> float:
         """How far a point of the face may move in a direction of unit length until an edge [m]."""
+        from shapely.geometry import LineString, Point
+
         p = self.coordinates(start)
-        d = self.coordinates(start + direction) - p
-        ways = [np.inf]
-        for loop in (self.outline, *(self.coordinates(hole) for hole in self.holes)):
-            a, along = loop, np.roll(loop, -1, axis=0) - loop
-            across = d[0] * along[:, 1] - d[1] * along[:, 0]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                to = a - p
-                way = (to[:, 0] * along[:, 1] - to[:, 1] * along[:, 0]) / across
-                part = (to[:, 0] * d[1] - to[:, 1] * d[0]) / across
-            ways.extend(way[(across != 0.0) & (part >= 0.0) & (part <= 1.0) & (way > 0.0)].tolist())
-        return float(min(ways))
+        far = p + 2.0 * self.shape.length * (self.coordinates(start + direction) - p)
+        return float(self.shape.boundary.intersection(LineString([p, far])).distance(Point(p)))
+
+
+def frame_of(z: np.ndarray, along: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Pose (4, 4) at a point with the z axis given, and x as nearly along a vector as can be."""
+    x = along - (along @ z) * z
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.column_stack([x, np.cross(z, x), z]), origin
+    return pose + 0.0  # no -0
 
 
 def area_vector(loop: np.ndarray) -> np.ndarray:
@@ -229,3 +229,98 @@ def _loop(corners: Sequence[Any] | np.ndarray, name: str) -> np.ndarray:
 def _fixed(array: np.ndarray) -> np.ndarray:
     array.setflags(write=False)
     return array
+
+
+# --- A face cut by half-planes --------------------------------------------------------------------
+
+# Pieces below this part of the face's area are dropped: no finger could be placed on them.
+NO_AREA = 1e-9
+# Corners closer than this, in face sizes, are one.
+SAME_CORNER = 1e-12
+# Rows of numbers of the size of 1 that agree to so many digits are one.
+DIGITS = 10
+
+Pieces = tuple[tuple[np.ndarray, ...], tuple[tuple[np.ndarray, ...], ...]]
+
+
+def cut_face(face: Face, half_planes: np.ndarray, middle: np.ndarray) -> Pieces:
+    """Outlines and holes, in face coordinates, of a face cut by half-planes.
+
+    Parameters
+    ----------
+    face : Face
+    half_planes : ndarray, shape (F, 3)
+        Rows (a_x, a_y, b) with ``a . (y - middle) <= b``, (a_x, a_y) of unit length [1, 1, m].
+    middle : ndarray, shape (2,)
+        Face coordinates of a point in the middle [m].
+    """
+    own = face.outline - middle
+    size = float(np.ptp(own, axis=0).max())
+    low, high = own.min(axis=0), own.max(axis=0)
+    polygon = own if face.convex else _rectangle(low - size, high + size)
+    for row in half_planes:
+        polygon = clipped(polygon, row, SAME_CORNER * size)
+    if not _signed_area(polygon) > NO_AREA * face.area:
+        return (), ()
+    if face.convex:
+        return (polygon + middle,), ((),)
+    return _pieces(face, polygon, middle)
+
+
+def distinct(rows: np.ndarray) -> np.ndarray:
+    """Rows that differ by more than rounding, in their order."""
+    return rows[np.sort(np.unique(rows.round(DIGITS) + 0.0, axis=0, return_index=True)[1])]
+
+
+def clipped(polygon: np.ndarray, row: np.ndarray, same: float = 0.0) -> np.ndarray:
+    """The part (K, 2) of a convex polygon with ``a . y <= b``, for a row (a_x, a_y, b).
+
+    Corners closer than ``same`` become one.  Shapely's cuts do not join them, and a region would
+    gain corners that differ by rounding where half-planes meet in one point.
+    """
+    if not len(polygon):
+        return polygon
+    over = polygon @ row[:2] - row[2]
+    over[np.abs(over) <= same] = 0.0
+    kept: list[np.ndarray] = []
+    for k in range(len(polygon)):
+        a, b = over[k - 1], over[k]
+        if (a < 0.0 < b) or (b < 0.0 < a):
+            kept.append(polygon[k - 1] + a / (a - b) * (polygon[k] - polygon[k - 1]))
+        if b <= 0.0:
+            kept.append(polygon[k])
+    apart = [p for k, p in enumerate(kept) if np.abs(p - kept[k - 1]).max() > same]
+    return np.array(apart).reshape(-1, 2)
+
+
+def _pieces(face: Face, polygon: np.ndarray, y0: np.ndarray) -> Pieces:
+    """A convex polygon about y0 cut with a face that is not convex; the largest piece first."""
+    from shapely.affinity import translate
+    from shapely.geometry import Polygon
+    from shapely.geometry.polygon import orient
+
+    shape = translate(face.shape, -y0[0], -y0[1]).intersection(Polygon(polygon))
+    pieces = [orient(piece) for piece in getattr(shape, "geoms", [shape]) if _usable(piece, face)]
+    pieces.sort(key=lambda piece: -piece.area)
+    outlines = tuple(_ring_corners(piece.exterior.coords) + y0 for piece in pieces)
+    holes = tuple(tuple(_ring_corners(hole.coords) + y0 for hole in p.interiors) for p in pieces)
+    return outlines, holes
+
+
+def _usable(piece: Polygon, face: Face) -> bool:
+    return bool(piece.geom_type == "Polygon" and piece.area > NO_AREA * face.area)
+
+
+def _ring_corners(ring: Sequence[Any]) -> np.ndarray:
+    return np.array(ring)[:-1, :2]
+
+
+def _rectangle(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+
+
+def _signed_area(polygon: np.ndarray) -> float:
+    if len(polygon) < 3:
+        return 0.0
+    x, y = (polygon - polygon.mean(axis=0)).T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))

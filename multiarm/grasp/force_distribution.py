@@ -18,6 +18,10 @@ If no forces do, there is a twist v that proves it (Farkas): for all forces allo
 
 the contacts cannot do as much work on this motion of the body as the wrench has to.  Reference:
 Bicchi (1994), Han, Trinkle and Li (2000), here without friction.
+
+**Loads as users give them.**  A wrench is a force and a moment about the origin of the frame.
+About the middle c of the contacts the moment is ``m - c cross f``; over the spread of the contacts
+it compares with forces, as the scaled wrenches of the contacts do.
 """
 
 from __future__ import annotations
@@ -28,11 +32,9 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND, rank_of, rounding
+from multiarm.grasp.balances import BAND, LeastDistance, floor_of, least_distance, rank_of
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
-from multiarm.grasp.free_motions import about_origin, motion_in_words, twist_of
-from multiarm.grasp.least_distance import LeastDistance, least_distance
-from multiarm.grasp.loads import bounds_of, wrench_of
+from multiarm.grasp.form_closure import about_origin, motion_in_words, twist_of
 
 OBJECTIVES = ("largest", "norm")
 # Part of the wrench, the forces, the prices at hand that counts as nothing: rounding.
@@ -169,7 +171,7 @@ def _any_forces(
     """``lam_0``, a basis of the internal forces, and the remainder of the wrench."""
     W = contacts.scaled_wrenches
     U, s, Vt = np.linalg.svd(W)
-    floor = rounding(float(np.abs(contacts.points).max()), contacts.length)
+    floor = floor_of(contacts)
     rank = int(np.count_nonzero(s > (BAND + floor) * s[0]))
     some = Vt[:rank].T @ ((U[:, :rank].T @ target) / s[:rank])
     missing = target - W @ some
@@ -184,7 +186,7 @@ def _blur(contacts: Contacts) -> float:
     Rows of the basis that are smaller may be zero, and singular values of it too.
     """
     s = np.linalg.svd(contacts.scaled_wrenches, compute_uv=False)
-    floor = rounding(float(np.abs(contacts.points).max()), contacts.length)
+    floor = floor_of(contacts)
     return float(floor * s[0] / s[rank_of(contacts) - 1])
 
 
@@ -311,3 +313,59 @@ def _refused(contacts: Contacts, motion: np.ndarray) -> ForceDistribution:
         f"work as it does when the body can {motion_in_words(contacts, motion)}"
     )
     return ForceDistribution(False, None, np.inf, None, None, 0.0, motion, message)
+
+
+# --- Loads and bounds as users give them ----------------------------------------------------------
+
+
+def bounds_of(contacts: Contacts, minimum: Any, limit: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds (N,), (N,) of the forces; without a limit, infinite ones.
+
+    Raises
+    ------
+    GraspError
+        Numbers that are none, negative, or of which the first exceeds the second.
+    """
+    least = _each(contacts, minimum, "minimum")
+    most = _each(contacts, np.inf if limit is None else limit, "limit")
+    if not np.all(np.isfinite(least)):
+        raise GraspError(f"the minimum of a force must be finite, not {minimum!r}")
+    if np.any(least < 0.0):
+        raise GraspError(f"contacts only push: the minimum of a force is not negative: {minimum!r}")
+    crossed = np.flatnonzero(least > most)
+    if crossed.size:
+        j = int(crossed[0])
+        raise GraspError(
+            f"{contacts.names[j]} cannot push at least {least[j]:g} N and at most {most[j]:g} N"
+        )
+    return least, most
+
+
+def wrench_of(contacts: Contacts, wrench: Any) -> np.ndarray:
+    """A wrench about the frame's origin in scaled coordinates, shape (6,) or (3,)."""
+    try:
+        given = np.asarray(wrench, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(f"a wrench is a list of numbers, not {wrench!r}") from error
+    n, d = contacts.freedoms, contacts.dimension
+    if given.shape != (n,) or not np.all(np.isfinite(given)):
+        shape = "three finite numbers [fx, fy, m]" if d == 2 else "six finite numbers"
+        raise GraspError(f"a wrench of these contacts is {shape}, not {wrench!r}")
+    force, c = given[:d], contacts.centre
+    shift = np.cross(c, force) if d == 3 else c[0] * force[1] - c[1] * force[0]
+    return np.concatenate([force, (given[d:] - shift) / contacts.length])
+
+
+def _each(contacts: Contacts, values: Any, what: str) -> np.ndarray:
+    try:
+        numbers = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(
+            f"the {what} of the forces is a number or {contacts.count} of them"
+        ) from error
+    if numbers.ndim > 1 or numbers.size not in (1, contacts.count) or np.isnan(numbers).any():
+        raise GraspError(
+            f"the {what} of the forces is a number or {contacts.count} of them, one for each "
+            f"contact, not {values!r}"
+        )
+    return np.broadcast_to(numbers, (contacts.count,)).astype(float)

@@ -23,23 +23,27 @@ the grasp is lost when all of them are brought to zero or below, so
 For the best twist both are equalities. As :math:`w_i` is affine in the place of contact i, over
 cells :math:`[z]_+` has a chord above it, and with it each cut is affine in the whole placement: the
 best that all cuts allow is a linear program (:mod:`multiarm.grasp.placement_bounds`).
+
+**Chords.**  Over cells (a product of polygons) an affine :math:`z(y)` ranges over an interval [l,
+h]. Its positive part is convex, so the chord from l to h is above it,
+
+.. math:: [z]_+ \le \frac{h}{h - l} (z - l) \quad (l < 0 < h),
+
+and it is z itself, or 0, when the interval lies on one side of 0. A sum of chords is affine in y.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.grasp.chords import Cuts, ranges, with_chords
+from multiarm.grasp.balances import balance_inverses
 from multiarm.grasp.closure_radii import closure_radius
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.seven_touches import SevenTouches
+from multiarm.grasp.placements import SevenTouches
 
-# Determinants below this are rounding: such wrenches have no balance.
-FLAT = 1e-14
-# And inverses with an entry above this.
-STEEPEST = 1e12
 # Steps of Newton's method towards the displacements that lose the grasp.
 STEPS = 3
 # A contact whose place a twist does not feel: it is never lost to it.
@@ -103,7 +107,7 @@ class Margin(Objective):
 
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """``t*`` of each placement."""
-        return balances(touches.wrenches(y))[..., 6].min(axis=1).clip(0.0)
+        return balance_inverses(touches.wrenches(y))[..., 6].min(axis=1).clip(0.0)
 
     def twists(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """None are needed."""
@@ -141,7 +145,7 @@ class Force(Objective):
 
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """Inverse worst force of each placement."""
-        G = balances(touches.wrenches(y))
+        G = balance_inverses(touches.wrenches(y))
         closed = G[..., 6].min(axis=1) > 0.0
         forces = self._forces(np.where(closed[:, None, None], G, 1.0))
         worst = forces.max(axis=(1, 2))
@@ -159,7 +163,7 @@ class Force(Objective):
         The other two are the one with the largest force and one with none; for what is no grasp,
         any two of opposite signs in the balance.
         """
-        G = balances(touches.wrenches(y)[None])
+        G = balance_inverses(touches.wrenches(y)[None])
         n, g = G[0, :, 6], G[0, :, :6]
         if not n.any():
             return weakest(touches.wrenches(y))
@@ -208,7 +212,7 @@ class Stability(Objective):
     def scores(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """Radii along the twists found; upper bounds of the true ones."""
         radii = np.zeros(len(y))
-        closed = np.flatnonzero(balances(touches.wrenches(y))[..., 6].min(axis=1) > 0.0)
+        closed = np.flatnonzero(balance_inverses(touches.wrenches(y))[..., 6].min(axis=1) > 0.0)
         xi = self._losing(touches, y[closed])  # (M, 7, 6)
         W = touches.wrenches(y[closed])
         reached = np.einsum("mif,mcf->mci", W, xi) / _felt(touches, xi)
@@ -223,7 +227,7 @@ class Stability(Objective):
 
     def twists(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """The twist to which the grasp is lost when contact i opens first, for each i."""
-        G = balances(touches.wrenches(y)[None])[0]
+        G = balance_inverses(touches.wrenches(y)[None])[0]
         n, g = G[:, 6], G[:, :6]
         if not n.any():
             return weakest(touches.wrenches(y))
@@ -240,7 +244,7 @@ class Stability(Objective):
         own = np.arange(7)
         g = np.zeros((len(y), 7, 6))
         for _ in range(STEPS):
-            G = balances(moved.reshape(-1, 7, 6)).reshape(len(y), 7, 7, 7)
+            G = balance_inverses(moved.reshape(-1, 7, 6)).reshape(len(y), 7, 7, 7)
             n, g = G[..., 6], G[:, own, own, :6]
             felt = np.einsum("jaf,mif->mija", touches.rates, g)
             norm = np.linalg.norm(felt, axis=-1)
@@ -275,21 +279,6 @@ class Stability(Objective):
         return reaches.max(axis=1).clip(0.0).min(axis=1, initial=self.limit)
 
 
-def balances(W: np.ndarray) -> np.ndarray:
-    """``G``, inverses of [W; 1 ... 1] for wrenches in rows (M, 7, 6); zero where there is none."""
-    square = np.ones((len(W), 7, 7))
-    square[:, :6] = np.swapaxes(W, 1, 2)
-    try:
-        G = np.linalg.inv(square)
-        flat = ~(np.abs(G).max(axis=(1, 2), initial=0.0) < STEEPEST)
-    except np.linalg.LinAlgError:  # one of them at least has no inverse at all
-        flat = ~(np.abs(np.linalg.det(square)) > FLAT)
-        square[flat] = np.eye(7)
-        G = np.linalg.inv(square)
-    G[flat] = 0.0
-    return G
-
-
 def weakest(W: np.ndarray) -> np.ndarray:
     """The twist, either way, that wrenches in rows (7, 6) feel least, shape (2, 6)."""
     least = np.linalg.svd(W)[2][-1]
@@ -306,3 +295,63 @@ def _unit(twists: np.ndarray) -> np.ndarray:
     lengths = np.linalg.norm(twists, axis=1)
     good = np.isfinite(lengths) & (lengths > 0.0)
     return twists[good] / lengths[good, None]
+
+
+# --- Chords over cells ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Cuts:
+    """Affine upper bounds ``constant + sum_i slope_i . y_i`` on the score, one for each twist.
+
+    Attributes
+    ----------
+    twists : ndarray, shape (C, 6)
+        Those that say something.
+    slopes : ndarray, shape (C, 7, 2)
+    constants : ndarray, shape (C,)
+    term_slopes, term_values : ndarray, shape (C, T, 7, 2) and (C, T)
+        The cut is a sum over terms z, affine in y; each stands as [z]_+ in the true bound.
+    rises, bends : ndarray, shape (C, T)
+        The chord of each term is ``rise * z + bend``.
+    """
+
+    twists: np.ndarray
+    slopes: np.ndarray
+    constants: np.ndarray
+    term_slopes: np.ndarray
+    term_values: np.ndarray
+    rises: np.ndarray
+    bends: np.ndarray
+
+
+def with_chords(
+    twists: np.ndarray,
+    value: np.ndarray,
+    slope: np.ndarray,
+    cells: list[np.ndarray],
+    level: np.ndarray,
+) -> Cuts:
+    """``level + sum_t [z_t]_+`` with z = value + slope . y over cells, each [.]_+ by its chord."""
+    low, high = ranges(value, slope, cells)
+    bent = (low < 0.0) & (high > 0.0)
+    rise = np.where(bent, high / np.where(bent, high - low, 1.0), (low >= 0.0).astype(float))
+    bend = np.where(bent, -rise * low, 0.0)
+    return Cuts(
+        twists=twists,
+        slopes=np.einsum("ct,ctia->cia", rise, slope),
+        constants=level + np.sum(rise * value + bend, axis=1),
+        term_slopes=slope,
+        term_values=value,
+        rises=rise,
+        bends=bend,
+    )
+
+
+def ranges(
+    value: np.ndarray, slope: np.ndarray, cells: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest ``value + slope . y`` over cells."""
+    spans = [slope[:, :, i] @ cell.T for i, cell in enumerate(cells)]
+    low = value + np.sum([span.min(axis=2) for span in spans], axis=0)
+    return low, value + np.sum([span.max(axis=2) for span in spans], axis=0)

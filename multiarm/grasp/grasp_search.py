@@ -1,8 +1,14 @@
-"""Branch and bound over choices of faces and cells of placements.
+r"""Branch and bound over choices of faces and cells of placements.
 
 The queue holds nodes by their bounds, highest first. A node of a choice that was never looked at
 has the quick bound of its regions; when its turn comes it becomes a tree of cells. Any time the
 highest bound in the queue, or the best score found, is a bound on everything.
+
+**Good placements by trying**: differential evolution that stays in the regions.  A trial goes from
+a placement towards the best one and along the difference of two others, and stops where it would
+leave a region. Nothing here is a proof; bounds come from elsewhere.
+
+Reference: Storn, Price, "Differential evolution", Journal of Global Optimization 11, 1997.
 """
 
 from __future__ import annotations
@@ -15,12 +21,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.face_choices import FaceChoice, face_choices
+from multiarm.grasp.form_closure import scaled_wrenches_of
 from multiarm.grasp.grasp_objectives import Margin, Objective
 from multiarm.grasp.placement_bounds import Node, bounded
-from multiarm.grasp.placement_search import conditioning, evolved, nearest
-from multiarm.grasp.seven_touches import SevenTouches, seven_touches
-from multiarm.grasp.touch_regions import TouchRegion
+from multiarm.grasp.placements import (
+    FaceChoice,
+    SevenTouches,
+    TouchRegion,
+    face_choices,
+    seven_touches,
+)
 
 # Choices of faces that placements are drawn for at the start, and how many for each.
 SAMPLED, DRAWN = 300, 40
@@ -293,3 +303,50 @@ class Search:
     def _tell(self, words: str) -> None:
         if self.progress is not None:
             self.progress(self.done, self.limits.nodes, words)
+
+
+# --- Good placements by evolution -----------------------------------------------------------------
+
+# Weights of the way to the best placement and of the difference of two others, at most.
+TO_BEST, DIFFERENCE = 1.5, 1.0
+# Chance that a contact takes part in a trial.
+TAKING_PART = 0.25
+
+
+def evolved(
+    scores: Callable[[np.ndarray], np.ndarray],
+    touches: SevenTouches,
+    starts: np.ndarray,
+    rng: np.random.Generator,
+    generations: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Placements (M, 7, 2) grown from ``starts`` (M, 7, 2) and their scores, best first."""
+    y, value = starts.copy(), scores(starts)
+    count = len(y)
+    for _ in range(generations):
+        best = y[rng.choice(np.argsort(-value)[: max(1, count // 10)], count)]
+        a, b = y[rng.permutation(count)], y[rng.permutation(count)]
+        pull = TO_BEST * rng.random((count, 1, 1)) * (best - y)
+        spread = DIFFERENCE * rng.random((count, 1, 1)) * (a - b)
+        chosen = rng.random((count, 7, 1)) < TAKING_PART
+        trial = touches.towards(y, np.where(chosen, y + pull + spread, y))
+        found = scores(trial)
+        better = found > value
+        y[better], value[better] = trial[better], found[better]
+    order = np.argsort(-value, kind="stable")
+    return y[order], value[order]
+
+
+def nearest(touches: SevenTouches, y: np.ndarray) -> np.ndarray:
+    """Smallest distance between two contacts, scaled, shape (M,)."""
+    p = touches.points(y)
+    i, j = np.triu_indices(7, 1)
+    return np.linalg.norm(p[:, i] - p[:, j], axis=2).min(axis=1)
+
+
+def conditioning(touches: SevenTouches, y: np.ndarray) -> np.ndarray:
+    """Smallest over largest singular value of wrenches scaled by the contacts' spread, (M,)."""
+    p = touches.points(y)
+    W, _ = scaled_wrenches_of(p, np.broadcast_to(touches.normals, p.shape))
+    s = np.linalg.svd(W, compute_uv=False)
+    return s[:, -1] / s[:, 0]

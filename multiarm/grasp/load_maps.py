@@ -15,15 +15,22 @@ polytope, :math:`\{W \lambda\}`.  Three questions about it (conventions of
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
-from multiarm.grasp.force_distribution import ForceDistribution, distribute_forces
-from multiarm.grasp.liftable_map import CORNER, LiftableMap
-from multiarm.grasp.loads import bounds_of, wrench_of
+from multiarm.grasp.force_distribution import (
+    ForceDistribution,
+    bounds_of,
+    distribute_forces,
+    wrench_of,
+)
+
+if TYPE_CHECKING:
+    from shapely.geometry import LineString, Point, Polygon
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,3 +252,105 @@ def _without_straight(corners: np.ndarray) -> np.ndarray:
     turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     sizes = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
     return corners[np.abs(turns) > CORNER * sizes]
+
+
+# --- The map of a plane of loads ------------------------------------------------------------------
+
+# Part of the map's size by which an edge may give way and still count as found.
+CORNER = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class LiftableMap:
+    """The loads ``w_0 + x d_1 + y d_2`` that can be exerted; its truth value says whether any can.
+
+    Attributes
+    ----------
+    vertices : ndarray, shape (K, 2)
+        Corners (x, y) of a convex polygon, counter-clockwise, in units of the directions; one or
+        two points where it has no area, none where nothing can be exerted.
+    """
+
+    vertices: np.ndarray
+
+    def __bool__(self) -> bool:
+        return len(self.vertices) > 0
+
+    @cached_property
+    def shape(self) -> Polygon | LineString | Point:
+        """The map as a polygon of shapely; a line or a point where it has no area."""
+        from shapely.geometry import MultiPoint
+
+        return MultiPoint(self.vertices).convex_hull
+
+    @property
+    def area(self) -> float:
+        """Area of the polygon."""
+        return float(self.shape.area)
+
+    @property
+    def margin(self) -> float:
+        """How far (x, y) may be from (0, 0) in any direction; negative when ``w_0`` is outside.
+
+        The distance of (0, 0) from the polygon's edge, with a minus sign outside; minus infinity
+        where nothing can be exerted.
+        """
+        if not self:
+            return -np.inf
+        nearest = self._distance(np.zeros(2))
+        return nearest if self.contains((0.0, 0.0)) else 0.0 - nearest
+
+    def contains(self, point: Any) -> bool:
+        """Whether the load at (x, y) can be exerted; the edge belongs to the map.
+
+        Raises
+        ------
+        GraspError
+            Something else than two finite numbers.
+        """
+        from shapely.geometry import Point
+
+        at = _pair(point)
+        if not self:
+            return False
+        slack = CORNER * float(np.abs(self.vertices).max())
+        return bool(self.shape.distance(Point(at)) <= slack)
+
+    def reach(self, direction: Any) -> float:
+        """The largest s such that ``s`` times a direction (x, y) is in the map.
+
+        0 when (0, 0) is outside, and when the map has no area.
+
+        Raises
+        ------
+        GraspError
+            Something else than two finite numbers, or both are 0.
+        """
+        along = _pair(direction)
+        if not along.any():
+            raise GraspError("the direction (0, 0) leads nowhere: every multiple of it is the same")
+        if len(self.vertices) < 3 or not self.contains((0.0, 0.0)):
+            return 0.0
+        a, b = self.vertices, np.roll(self.vertices, -1, axis=0)
+        outward = np.column_stack([(b - a)[:, 1], (a - b)[:, 0]])
+        speeds, rooms = outward @ along, np.sum(outward * a, axis=1)
+        ahead = speeds > 0.0
+        return max(float(np.min(rooms[ahead] / speeds[ahead])), 0.0)
+
+    def _distance(self, point: np.ndarray) -> float:
+        """Distance of a point from the edge."""
+        from shapely.geometry import Point
+
+        edge = self.shape.boundary if len(self.vertices) > 2 else self.shape
+        return float(edge.distance(Point(point)))
+
+
+def _pair(values: Any) -> np.ndarray:
+    """Coordinates (x, y) in the map."""
+    try:
+        pair = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(f"a place in the map is two numbers (x, y), not {values!r}") from error
+    if pair.shape != (2,) or not np.all(np.isfinite(pair)):
+        raise GraspError(f"a place in the map is two finite numbers (x, y), not {values!r}")
+    return pair

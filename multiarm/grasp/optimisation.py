@@ -7,7 +7,7 @@ a corner of the body. Three objectives (thesis, 5.1):
 ``force``      the worst contact force over given loads, least possible (in units of the loads);
 ``stability``  the closure radius: how far all contacts may slide at once.
 
-**How.** Branch and bound over the choices of faces (:mod:`multiarm.grasp.face_choices`), and in
+**How.** Branch and bound over the choices of faces (:mod:`multiarm.grasp.placements`), and in
 each over cells of placements. A cell's bound is a linear program
 (:mod:`multiarm.grasp.placement_bounds`) that no placement in it can beat. The open cell with the
 highest bound is bounded, parted where its program is loosest, and so on. Good placements are found
@@ -36,9 +36,10 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.face import frame_of
 from multiarm.grasp.grasp_objectives import Force, Margin, Objective, Stability
 from multiarm.grasp.grasp_search import Limits, Search
-from multiarm.grasp.touch_regions import touch_regions
+from multiarm.grasp.placements import touch_regions
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
@@ -236,9 +237,8 @@ def _grasp(
     body: Polyhedron, search: Search, where: np.ndarray, fingers: tuple[int, int]
 ) -> tuple[Grasp, float]:
     """The grasp with its grippers, and its conditioning."""
-    from multiarm.grasp.face_contacts import Gripper
     from multiarm.grasp.form_closure import is_form_closure
-    from multiarm.grasp.grasp import Grasp
+    from multiarm.grasp.grasp import Grasp, Gripper
 
     assert search.best is not None
     touches, y = search.best
@@ -259,11 +259,7 @@ def _grasp(
 def _frame(place: np.ndarray, inward: np.ndarray) -> np.ndarray:
     """A frame at a place with its z axis into the body."""
     z = inward / np.linalg.norm(inward) if np.linalg.norm(inward) > 1e-9 else np.eye(3)[2]
-    x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
-    x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.column_stack([x, np.cross(z, x), z]), place
-    return pose
+    return frame_of(z, np.cross(z, np.eye(3)[np.argmin(np.abs(z))]), place)
 
 
 def _in_units(objective: str, score: float, bound: float, size: float) -> tuple[float, float]:

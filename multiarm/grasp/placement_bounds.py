@@ -17,9 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.grasp.chords import Cuts
-from multiarm.grasp.grasp_objectives import VOID, Margin, Objective
-from multiarm.grasp.seven_touches import ROUNDING, SevenTouches, halves, sides_of
+from multiarm.grasp.grasp_objectives import VOID, Cuts, Margin, Objective
+from multiarm.grasp.placements import ROUNDING, SevenTouches, halves, sides_of
 
 # Twists are added until the bound falls by less than this part in a round, or so many rounds.
 SETTLED = 0.01

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp import bodies, mesh
+from multiarm.grasp import boundaries
 from multiarm.grasp.face import PLANE_TOLERANCE, Face
 from multiarm.scene.object import MassProperties, Moments, moments
 
@@ -46,7 +46,7 @@ class Polyhedron:
     ------
     GraspError
         Faces that are not plane, edges that do not belong to two faces, faces that point inward,
-        several separate bodies.
+        several separate boundaries.
 
     See Also
     --------
@@ -63,8 +63,6 @@ class Polyhedron:
         loops: Sequence[Sequence[Sequence[int]]],
         names: Sequence[str] | None = None,
     ) -> None:
-        from multiarm.grasp.solid import check_one_solid
-
         try:
             corners = np.array(vertices, dtype=float)
             numbers = tuple(tuple(tuple(int(v) for v in loop) for loop in face) for face in loops)
@@ -83,7 +81,7 @@ class Polyhedron:
         object.__setattr__(self, "vertices", corners)
         object.__setattr__(self, "loops", numbers)
         object.__setattr__(self, "names", called)
-        check_one_solid(len(corners), numbers, "the body")
+        boundaries.check_one_solid(len(corners), numbers, "the body")
         if not self.volume > 0.0:
             raise GraspError(
                 "the faces point inward; list the corners of a face counter-clockwise as seen from "
@@ -99,7 +97,7 @@ class Polyhedron:
 
         Its faces are +x, +y, +z, -x, -y, -z, in this order.
         """
-        return cls(*bodies.box(lengths))
+        return cls(*boundaries.box(lengths))
 
     @classmethod
     def prism(cls, polygon: Any, height: float) -> Polyhedron:
@@ -107,7 +105,7 @@ class Polyhedron:
 
         Face k contains the polygon's edge from corner k; then come the top and the bottom.
         """
-        return cls(*bodies.prism(polygon, height))
+        return cls(*boundaries.prism(polygon, height))
 
     @classmethod
     def wedge(cls, lengths: Any, top: float = 0.0) -> Polyhedron:
@@ -116,12 +114,12 @@ class Polyhedron:
         The slope falls toward +x; ``top = 0`` leaves a sharp ridge.  The origin is the centre of
         the block.
         """
-        return cls(*bodies.wedge(lengths, top))
+        return cls(*boundaries.wedge(lengths, top))
 
     @classmethod
     def pyramid(cls, base: Any, apex: Any) -> Polyhedron:
         """A pyramid on a polygon (K, 2) in the plane z = 0, with its apex (3,) above or below."""
-        return cls(*bodies.pyramid(base, apex))
+        return cls(*boundaries.pyramid(base, apex))
 
     @classmethod
     def halfspaces(cls, normals: Any, offsets: Any) -> Polyhedron:
@@ -129,12 +127,12 @@ class Polyhedron:
 
         Normals (F, 3) are of any length.  Half-spaces that bound no face are left out.
         """
-        return cls(*bodies.halfspaces(normals, offsets))
+        return cls(*boundaries.halfspaces(normals, offsets))
 
     @classmethod
     def hull(cls, points: Any) -> Polyhedron:
         """The convex hull of points (N, 3) [m]."""
-        return cls(*bodies.hull(points))
+        return cls(*boundaries.hull(points))
 
     @classmethod
     def mesh(cls, file: str | Path, scale: float = 1.0) -> Polyhedron:
@@ -148,7 +146,7 @@ class Polyhedron:
             A file that cannot be read; a mesh that is open, inside out, not a manifold, or more
             than one body.
         """
-        return cls(*mesh.read_mesh(file, scale))
+        return cls(*boundaries.read_mesh(file, scale))
 
     # --- properties ----------------------------------------------------------------------------
 
@@ -262,7 +260,7 @@ class Polyhedron:
 
         A scene names the file as the mesh of its object.  STL keeps some seven digits.
         """
-        mesh.write_mesh(self.vertices, mesh.triangles_of(self.faces, self.loops), path)
+        boundaries.write_mesh(self.vertices, boundaries.triangles_of(self.faces, self.loops), path)
 
     def __repr__(self) -> str:
         kinds = Counter(len(face.vertices) for face in self.faces)

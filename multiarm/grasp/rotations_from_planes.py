@@ -1,7 +1,11 @@
-r"""All rotations that place points on planes: quadrics in the quaternion, solved completely.
+r"""Contacts on planes, and all rotations that place them there.
 
-Contact k touches the plane of the body with outward normal :math:`n_k` and offset :math:`h_k`. In
-the world it is seen at :math:`p_k`. The pose (R, x) of the body satisfies
+Points are kept from their mean, planes from the point of the body that lies nearest to all of them:
+a body far from the origin of its own frame, or far from that of the world, loses no digits.
+
+**Quadrics in the quaternion, solved completely.**  Contact k touches the plane of the body with
+outward normal :math:`n_k` and offset :math:`h_k`. In the world it is seen at :math:`p_k`. The pose
+(R, x) of the body satisfies
 
 .. math:: n_k^T R^T (p_k - x) = h_k, \qquad k = 1 \dots N .
 
@@ -30,10 +34,239 @@ solution of absolute orientation using unit quaternions", JOSA A 4, 1987.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement, permutations, product
+from itertools import combinations_with_replacement
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+from multiarm.errors import GraspError
+from multiarm.grasp.contacts import UNIT_TOLERANCE
+
+# Normals span space when the third singular value is above this part of the first.
+SPANNING = 1e-9
+# A covariance is symmetric and not negative within this part of its largest entry.
+COVARIANCE_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class ContactData:
+    """Contacts on faces of a body whose pose is sought.
+
+    Attributes
+    ----------
+    points : ndarray, shape (N, 3)
+        Contact points less ``centre``, world axes [m].
+    normals : ndarray, shape (N, 3)
+        Outward normals of the faces, object axes.
+    offsets : ndarray, shape (N,)
+        Offsets of the faces from ``origin`` [m].
+    centre : ndarray, shape (3,)
+        Mean of the points in the world [m].
+    origin : ndarray, shape (3,)
+        The point of the body, in its own frame, that offsets count from [m].
+    length : float
+        Root mean square distance of the points from their mean [m].
+    polygons : tuple of ndarray, shape (K, 3), or None
+        Corners of each contact's face less ``origin``.
+    convex : bool
+        Whether the body lies on the inner side of all its faces.
+    covariance : ndarray, shape (N, 3, 3), or None
+        Of the points, world axes [m^2].
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    offsets: np.ndarray
+    centre: np.ndarray
+    origin: np.ndarray
+    length: float
+    polygons: tuple[np.ndarray, ...] | None
+    convex: bool
+    covariance: np.ndarray | None
+
+    @property
+    def count(self) -> int:
+        """Number N of contacts."""
+        return len(self.points)
+
+    @property
+    def deviation(self) -> float:
+        """Largest standard deviation of a point in any direction [m]; 0 if none is known."""
+        if self.covariance is None:
+            return 0.0
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance)[:, -1].max().clip(0.0)))
+
+    def variances(self, R: np.ndarray) -> np.ndarray:
+        """Variance of each residual, ``n^T Sigma n`` [m^2], shape (N,); 0 if not known."""
+        if self.covariance is None:
+            return np.zeros(self.count)
+        n = self.normals @ R.T
+        return np.einsum("ka,kab,kb->k", n, self.covariance, n).clip(0.0)
+
+    def position(self, R: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Origin of the body's frame in the world, by weighted least squares, shape (3,)."""
+        gaps = np.sum(self.normals * (self.points @ R), axis=1) - self.offsets
+        rows = weights[:, None] * self.normals
+        y = np.linalg.lstsq(rows, weights * gaps, rcond=None)[0]
+        return self.centre + R @ (y - self.origin)
+
+    def in_body(self, R: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Points in the body's frame, from ``origin``, shape (N, 3)."""
+        return (self.points + (self.centre - x)) @ R - self.origin
+
+    def residuals(self, R: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Distances from the planes, outside positive [m], shape (N,)."""
+        return np.sum(self.normals * self.in_body(R, x), axis=1) - self.offsets
+
+    def jacobian(self, R: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Rows ``-[n, (p - x) x n]`` in world axes, shape (N, 6)."""
+        n = self.normals @ R.T
+        return -np.hstack([n, np.cross(self.points + (self.centre - x), n)])
+
+
+def contact_data(
+    points: Any,
+    normals: Any,
+    offsets: Any,
+    *,
+    polygons: Sequence[Any] | None = None,
+    convex: bool = True,
+    point_covariance: Any = None,
+) -> ContactData:
+    """Check and centre the caller's data.
+
+    Raises
+    ------
+    GraspError
+        Shapes, numbers that are not finite, fewer than six contacts, normals that do not span.
+    """
+    p = table_of(points, "points")
+    n = _unit_normals(table_of(normals, "normals"))
+    h = np.asarray(offsets, dtype=float)
+    if len(p) < 6:
+        raise GraspError(f"six contacts at least fix a pose; {len(p)} were given")
+    if n.shape != p.shape or h.shape != (len(p),) or not np.all(np.isfinite(h)):
+        raise GraspError(
+            f"{len(p)} points need as many normals and finite offsets; the shapes are {n.shape} "
+            f"and {h.shape}"
+        )
+    singular = np.linalg.svd(n, compute_uv=False)
+    if singular[2] <= SPANNING * singular[0]:
+        raise GraspError(
+            "the normals of the touched faces lie in one plane: the body can slide along the "
+            "direction perpendicular to them; touch a face across it"
+        )
+    centre = p.mean(axis=0)
+    p = p - centre
+    length = float(np.sqrt(np.mean(np.sum(p * p, axis=1))))
+    if length == 0.0:
+        raise GraspError("all contact points coincide; contacts on different faces are needed")
+    origin = np.linalg.lstsq(n, h, rcond=None)[0]
+    return ContactData(
+        points=p,
+        normals=n,
+        offsets=h - n @ origin,
+        centre=centre,
+        origin=origin,
+        length=length,
+        polygons=_polygons(polygons, len(p), origin),
+        convex=convex,
+        covariance=_covariances(point_covariance, len(p)),
+    )
+
+
+def outside(data: ContactData, R: np.ndarray, x: np.ndarray) -> float:
+    """How far some contact lies outside the face that it is said to touch [m]; 0: none does."""
+    at = data.in_body(R, x)
+    worst = 0.0
+    if data.convex:
+        worst = max(worst, float((at @ data.normals.T - data.offsets).max()))
+    if data.polygons is not None:
+        for point, polygon, normal in zip(at, data.polygons, data.normals, strict=True):
+            worst = max(worst, _beyond(point, polygon, normal))
+    return worst
+
+
+def table_of(values: Any, what: str) -> np.ndarray:
+    """Finite vectors, shape (N, 3), own memory."""
+    try:
+        table = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(f"{what} are a list of vectors of three numbers") from error
+    if table.ndim != 2 or table.shape[1] != 3 or not np.all(np.isfinite(table)):
+        raise GraspError(f"{what} have shape (N, 3) and are finite; given: shape {table.shape}")
+    return table
+
+
+def numbers_of(values: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
+    """A finite array of a given shape."""
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(f"{what} consists of numbers, shape {shape}") from error
+    if array.shape != shape or not np.all(np.isfinite(array)):
+        raise GraspError(f"{what} has shape {shape} and finite numbers, not shape {array.shape}")
+    return array
+
+
+def _beyond(point: np.ndarray, polygon: np.ndarray, normal: np.ndarray) -> float:
+    """Distance of a point of a plane from a simple polygon in it; 0 inside."""
+    from shapely.geometry import Point, Polygon
+
+    across = np.linalg.svd(normal[None])[2][1:]
+    return float(Polygon((polygon - point) @ across.T).distance(Point(0.0, 0.0)))
+
+
+def _unit_normals(n: np.ndarray) -> np.ndarray:
+    lengths = np.linalg.norm(n, axis=1)
+    wrong = np.flatnonzero(np.abs(lengths - 1.0) > UNIT_TOLERANCE)
+    if wrong.size:
+        k = int(wrong[0])
+        raise GraspError(f"normal {k + 1}, {n[k].tolist()}, has length {lengths[k]:.6g}, not 1")
+    return n / lengths[:, None]
+
+
+def _polygons(
+    polygons: Sequence[Any] | None, count: int, origin: np.ndarray
+) -> tuple[np.ndarray, ...] | None:
+    if polygons is None:
+        return None
+    if len(polygons) != count:
+        raise GraspError(f"{count} contacts need as many polygons, not {len(polygons)}")
+    return tuple(table_of(polygon, "corners of a face") - origin for polygon in polygons)
+
+
+def _covariances(given: Any, count: int) -> np.ndarray | None:
+    """Covariance of every point (N, 3, 3) from a deviation, one per point, or matrices."""
+    if given is None:
+        return None
+    value = np.asarray(given, dtype=float)
+    if value.shape in ((), (count,)):
+        each = np.broadcast_to(value, (count,))
+        matrices = each[:, None, None] ** 2 * np.eye(3)
+    elif value.shape in ((3, 3), (count, 3, 3)):
+        matrices = np.broadcast_to(value, (count, 3, 3)).copy()
+    else:
+        raise GraspError(
+            f"point_covariance is one standard deviation, one for each of the {count} points, or "
+            f"covariances of shape (3, 3) or ({count}, 3, 3), not of shape {value.shape}"
+        )
+    largest = float(np.abs(matrices).max())
+    skewed = np.abs(matrices - matrices.transpose(0, 2, 1)).max()
+    if not np.all(np.isfinite(matrices)) or skewed > COVARIANCE_ROUNDING * largest:
+        raise GraspError("point_covariance must be finite and symmetric")
+    if value.ndim < 2 and np.any(value < 0.0):
+        raise GraspError("point_covariance: standard deviations are not negative")
+    lowest = np.linalg.eigvalsh(matrices)[:, 0]
+    if np.any(lowest < -COVARIANCE_ROUNDING * largest):
+        raise GraspError("point_covariance has a negative eigenvalue: it is no covariance")
+    return matrices
+
+
+# --- All rotations that place points on planes ----------------------------------------------------
 
 # The Macaulay matrix has no further null vectors when its 27th singular value is above this part
 # of the first; rounding leaves about 1e-15, a family of solutions 0.
@@ -106,7 +339,7 @@ def rotations_of(equations: RotationEquations, known: np.ndarray | None = None) 
     finite).  For data with noise the least squares from a grid of rotations are there too.
     """
     starts = intersections(equations.quadrics())
-    found = refined(equations, rotation_matrices(starts))
+    found = refined(equations, Rotation.from_quat(starts).as_matrix())
     exact = len(found) and np.abs(equations.residuals(found[:1])).max() < EXACT * _size(equations)
     if not exact or len(starts) < 8:
         more = cube_rotations() if known is None else known
@@ -150,7 +383,7 @@ def refined(equations: RotationEquations, starts: np.ndarray) -> np.ndarray:
         scale = np.trace(H, axis1=1, axis2=2) / 3.0 + np.finfo(float).tiny
         H = H + (damping[at_work] * scale)[:, None, None] * np.eye(3)
         step = -np.linalg.solve(H, np.einsum("kia,ki->ka", J, r)[..., None])[..., 0]
-        tried = rotation_vectors_exp(step) @ R[at_work]
+        tried = Rotation.from_rotvec(step).as_matrix() @ R[at_work]
         new = np.sum(equations.residuals(tried) ** 2, axis=1)
         better = new < cost[at_work]
         R[at_work[better]], cost[at_work[better]] = tried[better], new[better]
@@ -165,28 +398,6 @@ def refined(equations: RotationEquations, starts: np.ndarray) -> np.ndarray:
     return _different(R[ended][np.argsort(cost[ended], kind="stable")])
 
 
-def rotation_matrices(q: np.ndarray) -> np.ndarray:
-    """Rotations of unit quaternions xyzw (..., 4)."""
-    v, w = q[..., :3], q[..., 3, None, None]
-    square = np.sum(v * v, axis=-1)[..., None, None]
-    outer = v[..., :, None] * v[..., None, :]
-    return (w * w - square) * np.eye(3) + 2.0 * outer + 2.0 * w * _skew(v)
-
-
-def quaternion_of(R: np.ndarray) -> np.ndarray:
-    """Unit quaternion xyzw with w >= 0, shape (4,): largest eigenvector of Davenport's K."""
-    K = RotationEquations(R[None], np.zeros(1)).quadrics()[0]
-    q = np.linalg.eigh(K)[1][:, -1]
-    return q if q[3] >= 0.0 else -q
-
-
-def rotation_vectors_exp(theta: np.ndarray) -> np.ndarray:
-    """Rotations of rotation vectors (..., 3) [rad]."""
-    angle = np.linalg.norm(theta, axis=-1, keepdims=True)
-    half = 0.5 * theta * np.sinc(0.5 * angle / np.pi)  # axis times sin(angle / 2)
-    return rotation_matrices(np.concatenate([half, np.cos(0.5 * angle)], axis=-1))
-
-
 def angle_between(R: np.ndarray, S: np.ndarray) -> np.ndarray:
     """Angle of ``R^T S`` [rad], exact also for small ones."""
     half = np.linalg.norm(R - S, axis=(-2, -1)) / np.sqrt(8.0)
@@ -195,13 +406,7 @@ def angle_between(R: np.ndarray, S: np.ndarray) -> np.ndarray:
 
 def cube_rotations() -> np.ndarray:
     """The 24 rotations of a cube, shape (24, 3, 3), turned off the axes by a fixed amount."""
-    turns = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            R = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            if np.linalg.det(R) > 0.0:
-                turns.append(R)
-    return rotation_vectors_exp(np.array([0.1, 0.2, -0.3])) @ np.array(turns)
+    return (Rotation.from_rotvec([0.1, 0.2, -0.3]) * Rotation.create_group("O")).as_matrix()
 
 
 def _stationary(equations: RotationEquations, R: np.ndarray) -> np.ndarray:
@@ -225,13 +430,6 @@ def _different(R: np.ndarray) -> np.ndarray:
         if not kept or angle_between(R[kept], R[k]).min() > SAME_ROTATION:
             kept.append(k)
     return R[kept]
-
-
-def _skew(v: np.ndarray) -> np.ndarray:
-    """``S(v) b = v x b``, shape (..., 3, 3)."""
-    S = np.zeros((*v.shape[:-1], 3, 3))
-    S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
-    return S - np.swapaxes(S, -1, -2)
 
 
 def _axial(M: np.ndarray) -> np.ndarray:

@@ -20,7 +20,11 @@ M and det a are affine in every single contact. To first order, displacements up
 seventh contact included. Where this is not much less than :math:`|M|` the grasp is poor. What may
 really be lost, and when, is computed without linearisation by
 :func:`multiarm.grasp.closure_radii.closure_radius`, and by sampling by
-:func:`multiarm.grasp.drawn_stability.monte_carlo_stability`.
+:func:`multiarm.grasp.stability.monte_carlo_stability`.
+
+**Sampling.**  Displacements are uniform in discs about the contacts, in their faces. The share that
+closes estimates the probability of closure; Wilson's interval, which holds near 0 and 1 too, says
+how well.
 """
 
 from __future__ import annotations
@@ -28,6 +32,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -36,7 +41,9 @@ from multiarm.errors import GraspError
 from multiarm.grasp.balances import tolerance_of
 from multiarm.grasp.closure_radii import ClosureRadius, closure_radius, tangents_of
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts, wrenches_of
+from multiarm.grasp.form_closure import closed_many
 from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.independent_contacts import blocks_of
 from multiarm.grasp.seventh_contact import ContactRegion, region_of
 
 # A measure should be at least so many times its largest change to first order.
@@ -172,7 +179,7 @@ def configuration_stability(
     delta = displacements_of(displacement, contacts)
     six = _independent_six(contacts)
     at = contacts.points - contacts.centre
-    T1, a = _block(at, contacts.normals, six)
+    T1, a = blocks_of(at[list(six)], contacts.normals[list(six)])
     nearest = 1.0 / max(
         float(np.linalg.norm(np.linalg.solve(a.T, s))) for s in product((-1.0, 1.0), repeat=3)
     )
@@ -231,16 +238,6 @@ def displacements_of(given: Any, contacts: Contacts) -> np.ndarray:
     return np.broadcast_to(delta, (contacts.count,)).copy()
 
 
-def _block(
-    points: np.ndarray, normals: np.ndarray, six: tuple[int, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """T1 and a of (2.2); neither depends on the origin."""
-    e = normals[list(six)].T
-    m = np.cross(points[list(six)], normals[list(six)]).T
-    T1 = -np.linalg.solve(e[:, :3], e[:, 3:])
-    return T1, m[:, :3] @ T1 + m[:, 3:]
-
-
 def _measures(contacts: Contacts, chosen: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """det a and all M_k, (1,) or (7,), and their derivatives (1, N, 3) or (7, N, 3).
 
@@ -292,3 +289,71 @@ def _message(contacts: Contacts, six: tuple[int, ...]) -> str:
     if contacts.count == 7:
         return f"independence of {names}; then the remaining contact against them"
     return f"independence of {names}, out of {contacts.count}; measures are for seven contacts only"
+
+
+# --- Displacements at random ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnStability:
+    """How many randomly displaced grasps still close.
+
+    Attributes
+    ----------
+    fraction : float
+        Share of the samples that close.
+    low, high : float
+        Wilson's confidence interval for the probability of closure.
+    kept, samples : int
+    confidence : float
+        Of the interval.
+    """
+
+    fraction: float
+    low: float
+    high: float
+    kept: int
+    samples: int
+    confidence: float
+
+
+def monte_carlo_stability(
+    contacts: Contacts | HeldByContacts,
+    displacement: Any,
+    samples: int = 2000,
+    rng: np.random.Generator | int | None = None,
+    *,
+    confidence: float = 0.95,
+) -> DrawnStability:
+    """Probability that the grasp closes when contacts are displaced at random in their faces.
+
+    Each displacement is uniform in a disc of radius ``displacement`` [m], one for all contacts or
+    one for each, shape (N,).
+
+    Raises
+    ------
+    GraspError
+        Displacements that are negative or not finite, no samples, a confidence not within (0, 1).
+    """
+    from scipy.stats import binomtest
+
+    contacts = as_contacts(contacts)
+    if not isinstance(samples, Real) or not float(samples).is_integer() or samples < 1:
+        raise GraspError(f"samples is a positive whole number, not {samples!r}")
+    samples = int(samples)
+    if not isinstance(confidence, Real) or not 0.0 < confidence < 1.0:
+        raise GraspError(f"confidence is a number between 0 and 1, not {confidence!r}")
+    if contacts.dimension != 3:
+        raise GraspError("contacts in the plane: displacements are drawn for contacts in space")
+    delta = displacements_of(displacement, contacts)
+    generator = np.random.default_rng(rng)
+    far = np.sqrt(generator.random((samples, contacts.count))) * delta
+    angle = generator.uniform(0.0, 2.0 * np.pi, far.shape)
+    along = np.stack([far * np.cos(angle), far * np.sin(angle)], axis=-1)
+    points = contacts.points + np.einsum("mja,jax->mjx", along, tangents_of(contacts))
+    normals = np.broadcast_to(contacts.normals, points.shape)
+    kept = int(np.count_nonzero(closed_many(points, normals).closed))
+    interval = binomtest(kept, samples).proportion_ci(confidence, method="wilson")
+    return DrawnStability(
+        kept / samples, float(interval.low), float(interval.high), kept, samples, confidence
+    )

@@ -27,7 +27,13 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import BAND, rank_of, rounding
+from multiarm.grasp.balances import (
+    BAND,
+    least_distance,
+    nonnegative_least_squares,
+    rank_of,
+    rounding,
+)
 from multiarm.grasp.contacts import (
     UNIT_TOLERANCE,
     Contacts,
@@ -35,8 +41,7 @@ from multiarm.grasp.contacts import (
     as_contacts,
     wrenches_of,
 )
-from multiarm.grasp.cutting import distinct
-from multiarm.grasp.least_distance import least_distance, nonnegative_least_squares
+from multiarm.grasp.face import distinct
 
 ILL = (
     "contacts that nearly coincide, or faces that are nearly parallel, make it ill-conditioned; "

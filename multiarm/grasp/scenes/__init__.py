@@ -1,7 +1,17 @@
-"""From a grasp to a scene that runs: hands on real arms, postures, a path, control that squeezes.
+r"""From a grasp to a scene that runs: hands on real arms, postures, a path, control that squeezes.
 
-:mod:`.hands` makes a hand of each gripper, :mod:`.standing` looks for places of the arms with
-:mod:`.postures`, :mod:`.squeezing` finds out how hard the fingertips must press.
+:mod:`.hands` makes a hand of each gripper, :mod:`.standing` looks for places and postures of the
+arms, and the squeeze says how hard the fingertips must press.
+
+**The squeeze** keeps all fingertips in contact along a path.  The control lets the contacts share a
+wrench ``w`` with the forces (:mod:`multiarm.control.force_distribution`)
+
+.. math:: \lambda(w) = W_o^+ w + s\,\lambda_s, \qquad W_o \lambda_s = 0,
+
+where :math:`\lambda_s > 0` has the mean 1.  Weight and inertia of the object along the path give
+the wrenches; the smallest squeeze ``s`` with which every force is at least ``f`` is
+
+.. math:: s = \max_{j, w} \frac{f - (W_o^+ w)_j}{(\lambda_s)_j} .
 """
 
 from __future__ import annotations
@@ -16,15 +26,18 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.contacts.internal_forces import distribute, internal_forces
+from multiarm.control.object_control import packed_path, reference_motion
 from multiarm.errors import GraspError
-from multiarm.grasp.face_contacts import FaceContacts
+from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.scenes.hands import contacts, fingers, pose_table, require_room
-from multiarm.grasp.scenes.squeezing import motion_wrenches, needed_squeeze
 from multiarm.grasp.scenes.standing import Progress, Stand, lifted, stand_arms
 from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robot, resolve_arm
+from multiarm.spatial import quaternion_to_matrix
 
-__all__ = ["grasp_scene"]
+__all__ = ["grasp_scene", "motion_wrenches", "needed_squeeze"]
 
 GRAVITY = (0.0, 0.0, -9.81)
 # The usual path, as parts of a 10 s run: lift and shift, turn, and back to the start.
@@ -41,7 +54,7 @@ SIDES = ("left", "right")
 
 
 def grasp_scene(
-    grasp: FaceContacts,
+    grasp: Grasp,
     arms: Sequence[str] = ("panda", "panda"),
     *,
     mass: float = 5.0,
@@ -61,7 +74,7 @@ def grasp_scene(
 
     Parameters
     ----------
-    grasp : FaceContacts
+    grasp : Grasp
         In form closure.
     arms : sequence of str
         Robots by name, one for each gripper.
@@ -150,7 +163,7 @@ def grasp_scene(
     )
 
 
-def _require_hold(grasp: FaceContacts, arms: Sequence[str]) -> None:
+def _require_hold(grasp: Grasp, arms: Sequence[str]) -> None:
     if not grasp.closure:
         raise GraspError(f"the grasp does not hold the body: {grasp.closure.message}")
     if len(arms) != len(grasp.grippers):
@@ -172,12 +185,12 @@ def _require_numbers(positive: dict[str, Any], chosen: dict[str, Any]) -> None:
             raise GraspError(f"squeeze is at least 0, not {value!r}")
 
 
-def _arm_names(grasp: FaceContacts) -> list[str]:
+def _arm_names(grasp: Grasp) -> list[str]:
     """The grippers' names, as a scene may name arms."""
     return [re.sub(r"\W+", "_", gripper.name) for gripper in grasp.grippers]
 
 
-def _centred(grasp: FaceContacts) -> FaceContacts:
+def _centred(grasp: Grasp) -> Grasp:
     """The grasp with the origin of its frame at the centre of mass, as that of an object."""
     shift = np.eye(4)
     shift[:3, 3] = -grasp.body.centre
@@ -211,7 +224,7 @@ def path_of(path: Sequence[Waypoint] | None, duration: float) -> list[Waypoint]:
 
 
 def _arm(
-    grasp: FaceContacts, k: int, spec: ArmSpec, stand: Stand, tip_radius: float, hand_mass: float
+    grasp: Grasp, k: int, spec: ArmSpec, stand: Stand, tip_radius: float, hand_mass: float
 ) -> dict[str, Any]:
     hand = fingers(grasp, grasp.grippers[k], stand.mount, tip_radius, hand_mass)
     yaw = math.atan2(stand.base[1, 0], stand.base[0, 0])
@@ -253,3 +266,61 @@ def _upwards(number: float) -> float:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(number)) - 1)
     return float(f"{math.ceil(number / unit) * unit:.3g}")
+
+
+# --- The squeeze ----------------------------------------------------------------------------------
+
+# Places of a way from rest to rest at which its wrenches are looked at.
+SAMPLES = np.linspace(0.0, 1.0, 13)
+
+
+def motion_wrenches(
+    path: list[Waypoint], mass: float, inertia: np.ndarray, gravity: np.ndarray
+) -> np.ndarray:
+    r"""Wrenches that carry the object along a path, shape (K, 6): force [N], moment [N m].
+
+    Newton and Euler, :math:`[m(a - g);\ I\dot\omega + \omega \times I\omega]` about the centre of
+    mass in object axes, along the reference of the control laws, from rest to rest at every pose.
+
+    Parameters
+    ----------
+    path : list of Waypoint
+        The first is the start.
+    inertia : ndarray, shape (3, 3)
+        About the centre of mass, object axes [kg m^2].
+    gravity : ndarray, shape (3,)
+        World axes [m/s^2].
+    """
+    parameters = packed_path([w.time for w in path], [w.matrix() for w in path])
+    found = []
+    for begin, end in pairwise(path):
+        for x in SAMPLES:
+            t = begin.time + x * (end.time - begin.time)
+            quaternion, twist, change = reference_motion(t, parameters, 0)
+            R = quaternion_to_matrix(quaternion)
+            omega, alpha = R.T @ twist[3:], R.T @ change[3:]
+            force = mass * R.T @ (change[:3] - gravity)
+            moment = inertia @ alpha + np.cross(omega, inertia @ omega)
+            found.append(np.concatenate([force, moment]))
+    return np.array(found)
+
+
+def needed_squeeze(contacts: Contacts, wrenches: np.ndarray, least: float) -> float:
+    """Mean internal force [N] with which no contact presses with less than ``least`` [N].
+
+    Parameters
+    ----------
+    contacts : Contacts
+        In form closure; their frame's origin is the centre of mass.
+    wrenches : ndarray, shape (K, 6)
+        The wrenches that the contacts are to exert.
+
+    Raises
+    ------
+    GraspError
+        When the contacts are not in form closure.
+    """
+    pressing = internal_forces(contacts.wrenches, "nonnegative", names=contacts.names).basis[:, 0]
+    pressing = pressing / np.mean(pressing)
+    shares = np.array([distribute(contacts.wrenches, wrench) for wrench in wrenches])
+    return float(np.max((least - shares) / pressing, initial=0.0))

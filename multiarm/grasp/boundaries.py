@@ -1,0 +1,503 @@
+r"""Boundaries of solids: from a few numbers, from triangles, from files; and the check of one.
+
+A polygon may be given either way round; faces always come out with their normals outward.
+
+**One solid.**  Loops bound a solid when each edge is run along once in each direction: once by the
+face on its left and once by the face on its right.  A missing partner is an open edge; a second run
+in one direction means that faces are turned the wrong way round or that more than two of them share
+the edge.
+
+**Faces from triangles** by growing: the largest triangle that is left spreads over its neighbours
+as long as their corners stay near its plane; the plane is then fitted to all of them, and they grow
+once more, until nothing changes.  A small triangle thus does not decide for a large face.
+
+**Mesh files.**  A mesh file holds triangles, often with separate corners and in single precision.
+Corners that coincide within that precision are merged; triangles in one plane are one face.  A
+result that is not a closed surface with its normals outward is an error.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.face import PLANE_TOLERANCE, Face, area_vector
+from multiarm.scene.object import TOO_THIN, hull_triangles
+
+AXIS_NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
+# Corners are the same when they are closer than this part of the body's size: duals of half-spaces,
+# and corners that several triples of half-spaces give.
+SAME_CORNER = 1e-9
+
+
+class Boundary(NamedTuple):
+    """The arguments of a `Polyhedron`: corners, loops of their numbers for each face, names."""
+
+    vertices: Any
+    loops: Sequence[Sequence[Sequence[int]]]
+    names: Sequence[str] | None = None
+
+
+def box(lengths: Any) -> Boundary:
+    """A block with full edge lengths, centred; faces +x, +y, +z, -x, -y, -z."""
+    half = 0.5 * _positive(lengths, 3, "the edge lengths of a block")
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    loops = [(4, 6, 7, 5), (2, 3, 7, 6), (1, 5, 7, 3), (0, 1, 3, 2), (0, 4, 5, 1), (0, 2, 6, 4)]
+    return Boundary(signs * half, [[loop] for loop in loops], AXIS_NAMES)
+
+
+def prism(polygon: Any, height: float) -> Boundary:
+    """A polygon from z = -height / 2 to height / 2."""
+    outline = _outline(polygon)
+    z = 0.5 * float(_positive([height], 1, "the height of a prism")[0])
+    n = len(outline)
+    vertices = [[*xy, -z] for xy in outline] + [[*xy, z] for xy in outline]
+    sides = [[k, (k + 1) % n, n + (k + 1) % n, n + k] for k in range(n)]
+    loops = [*sides, [n + k for k in range(n)], list(reversed(range(n)))]
+    names = [*(f"side {k + 1}" for k in range(n)), "top", "bottom"]
+    return Boundary(vertices, [[loop] for loop in loops], names)
+
+
+def wedge(lengths: Any, top: float) -> Boundary:
+    """A block whose top is cut down to the length ``top`` along x by a slope toward +x."""
+    lx, ly, lz = _positive(lengths, 3, "the edge lengths of a wedge")
+    if not 0.0 <= top < lx:
+        raise GraspError(f"the top of a wedge is at least 0 and shorter than {lx:g} m, not {top!r}")
+    section = [(-lx / 2, -lz / 2), (lx / 2, -lz / 2), (top - lx / 2, lz / 2)]
+    section += [(-lx / 2, lz / 2)] if top else []
+    n = len(section)
+    vertices = [[x, -ly / 2, z] for x, z in section] + [[x, ly / 2, z] for x, z in section]
+    around = [[(k + 1) % n, k, n + k, n + (k + 1) % n] for k in range(n)]
+    loops = [*around, [n + k for k in reversed(range(n))], list(range(n))]
+    names = ["-z", "slope", *(["+z"] if top else []), "-x", "+y", "-y"]
+    return Boundary(vertices, [[loop] for loop in loops], names)
+
+
+def pyramid(base: Any, apex: Any) -> Boundary:
+    """A pyramid on a polygon in the plane z = 0."""
+    outline = _outline(base)
+    top = np.array(apex, dtype=float)
+    if top.shape != (3,) or not np.all(np.isfinite(top)) or top[2] == 0.0:
+        raise GraspError(f"the apex of a pyramid is a point (x, y, z) with z not 0, not {apex!r}")
+    if top[2] < 0.0:
+        outline = outline[::-1]
+    n = len(outline)
+    vertices = [[x, y, 0.0] for x, y in outline] + [top.tolist()]
+    loops = [*([k, (k + 1) % n, n] for k in range(n)), list(reversed(range(n)))]
+    names = [*(f"side {k + 1}" for k in range(n)), "base"]
+    return Boundary(vertices, [[loop] for loop in loops], names)
+
+
+def hull(points: Any) -> Boundary:
+    """The convex hull of points."""
+    cloud = _finite(points, "the points of a hull")
+    try:
+        triangles = hull_triangles(cloud)
+    except ValueError as error:
+        raise GraspError(str(error)) from error
+    middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
+    scaled = (cloud - middle) / np.ptp(cloud, axis=0).max()
+    kept, numbers = np.unique(triangles, return_inverse=True)
+    faces = faces_of_triangles(scaled[kept], numbers.reshape(triangles.shape), PLANE_TOLERANCE)
+    return compacted(cloud[kept], faces)
+
+
+def halfspaces(normals: Any, offsets: Any) -> Boundary:
+    """All x with normals[k] . x <= offsets[k]; those that cut nothing, or no more, make no face."""
+    directions = _finite(normals, "the normals of half-spaces")
+    levels = np.array(offsets, dtype=float)
+    lengths = np.linalg.norm(directions, axis=1)
+    if levels.shape != (len(directions),) or not np.all(np.isfinite(levels)) or not lengths.all():
+        raise GraspError(
+            "half-spaces need one finite offset for each normal, and no normal is zero"
+        )
+    n, h = directions / lengths[:, None], levels / lengths
+    inside = _deepest_point(n, h)
+    corners = _cut_corners(n, h - n @ inside)
+    size = float(np.ptp(corners, axis=0).max())
+    faces: list[list[int]] = []
+    for normal, level in zip(n, h - n @ inside, strict=True):
+        on = np.flatnonzero(np.abs(corners @ normal - level) <= 1e2 * SAME_CORNER * size)
+        # Two faces of a convex body have two corners in common at most.
+        known = any(np.isin(on, face).sum() > 2 for face in faces)
+        if len(on) > 2 and not known:
+            faces.append(_around(corners, on, normal))
+    return Boundary(corners + inside, [[face] for face in faces])
+
+
+def _deepest_point(n: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Centre of the largest ball inside the half-spaces, shape (3,)."""
+    from scipy.optimize import linprog
+
+    unit = float(np.abs(h).max()) or 1.0
+    A = np.column_stack([n, np.ones(len(n))])
+    best = linprog([0, 0, 0, -1], A_ub=A, b_ub=h / unit, bounds=[(None, None)] * 3 + [(0, None)])
+    if best.status == 3:
+        raise GraspError("the half-spaces leave an unbounded body; add the faces that close it")
+    if best.x is None or not best.x[3] > SAME_CORNER:
+        raise GraspError("no point is inside all half-spaces: turn the normals outward")
+    return best.x[:3] * unit
+
+
+def _cut_corners(n: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """Corners of the body {x: n x <= levels} around the origin, each once, shape (V, 3)."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    reach = float(levels.min())
+    try:
+        dual = ConvexHull(n / (levels[:, None] / reach))
+    except QhullError as error:
+        raise GraspError(
+            "the half-spaces leave an unbounded body; add the missing faces"
+        ) from error
+    if np.any(dual.equations[:, 3] > -SAME_CORNER):
+        raise GraspError("the half-spaces leave an unbounded body; add the faces that close it")
+    triples = dual.simplices
+    found = np.linalg.solve(n[triples], levels[triples][..., None])[..., 0]
+    size = float(np.ptp(found, axis=0).max())
+    kept: list[np.ndarray] = []
+    for corner in found:
+        if all(np.abs(corner - other).max() > 10.0 * SAME_CORNER * size for other in kept):
+            kept.append(corner)
+    return np.array(kept)
+
+
+def _around(corners: np.ndarray, on: np.ndarray, normal: np.ndarray) -> list[int]:
+    """Corners of a convex face in their order, counter-clockwise about its normal."""
+    about = corners[on] - corners[on].mean(axis=0)
+    x = about[0]
+    angles = np.arctan2(about @ np.cross(normal, x), about @ x)
+    return on[np.argsort(angles)].tolist()
+
+
+def compacted(vertices: np.ndarray, faces: list[list[list[int]]]) -> Boundary:
+    """The boundary of these faces, without unused corners."""
+    used = sorted({v for face in faces for loop in face for v in loop})
+    number = {v: k for k, v in enumerate(used)}
+    loops = [[[number[v] for v in loop] for loop in face] for face in faces]
+    return Boundary(vertices[used], loops)
+
+
+def _outline(corners: Any) -> np.ndarray:
+    """A simple polygon (K, 2), counter-clockwise."""
+    from shapely.geometry import Polygon
+
+    try:
+        outline = np.array(corners, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError("a polygon is a list of corners (x, y)") from error
+    if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
+        raise GraspError(
+            f"a polygon has shape (K, 2) with three corners or more, not {outline.shape}"
+        )
+    shape = Polygon(outline) if np.all(np.isfinite(outline)) else Polygon()
+    if not shape.is_valid or not shape.area > 0.0:
+        raise GraspError("the polygon crosses itself or has no area; list its corners in order")
+    return outline if shape.exterior.is_ccw else outline[::-1]
+
+
+def _positive(values: Any, count: int, what: str) -> np.ndarray:
+    try:
+        numbers = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(f"{what}: {count} positive numbers in metres, not {values!r}") from error
+    if numbers.shape != (count,) or not np.all(np.isfinite(numbers) & (numbers > 0.0)):
+        raise GraspError(f"{what}: {count} positive numbers in metres, not {values!r}")
+    return numbers
+
+
+def _finite(values: Any, what: str) -> np.ndarray:
+    try:
+        table = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(f"{what} are rows of three numbers") from error
+    if table.ndim != 2 or table.shape[1] != 3 or len(table) < 4 or not np.all(np.isfinite(table)):
+        raise GraspError(
+            f"{what} are four or more rows of three finite numbers, not of shape {table.shape}"
+        )
+    return table
+
+
+# --- One solid, and plane faces from its triangles ------------------------------------------------
+
+Edge = tuple[int, int]
+# Fits of a plane before its face is taken as it is; two are nearly always enough.
+FITS = 5
+# A triangle is of a face only if its normal is within 60 degrees of the face's: two sides of a thin
+# sheet are two faces.
+SAME_SIDE = 0.5
+
+
+def check_one_solid(
+    count: int, loops: Sequence[Sequence[Sequence[int]]], what: str, remedy: str = ""
+) -> None:
+    """Raise `GraspError` unless the loops of all faces, over ``count`` corners, bound one solid."""
+    runs = Counter(edge for face in loops for loop in face for edge in edges_of(loop))
+    used = {v for edge in runs for v in edge}
+    if not used or min(used) < 0 or max(used) >= count:
+        raise GraspError(f"{what}: faces name corners 0 to {count - 1}, and there are some faces")
+    twice = sum(1 for run in runs.values() if run > 1)
+    opened = sum(1 for u, v in runs if (v, u) not in runs)
+    if twice:
+        raise GraspError(
+            f"{what}: {twice} edges are run along twice in one direction, so that faces are turned "
+            f"the wrong way round or more than two share an edge ({opened} edges are open)"
+            + (remedy or "; list the corners of each face counter-clockwise as seen from outside")
+        )
+    if opened:
+        raise GraspError(
+            f"{what} is not closed: {opened} open edges belong to one face only"
+            + (remedy or "; add the faces that are missing")
+        )
+    across = [(face[0][0], hole[0]) for face in loops for hole in face[1:]]
+    part = _connected(count, np.array([*runs, *across]))
+    parts = len(set(part[sorted(used)].tolist()))
+    if parts > 1:
+        raise GraspError(
+            f"{what}: {parts} separate surfaces; a body has one surface without cavities, so make "
+            f"a body of each"
+        )
+
+
+def edges_of(loop: Sequence[int]) -> Iterable[Edge]:
+    """Directed edges of a closed loop."""
+    return zip(loop, [*loop[1:], loop[0]], strict=True)
+
+
+def faces_of_triangles(
+    vertices: np.ndarray, triangles: np.ndarray, tolerance: float
+) -> list[list[list[int]]]:
+    """Loops of the plane faces that triangles (T, 3) make up; the tolerance is a distance [m].
+
+    Corners in the middle of an edge, where two faces meet and no third, are left out.
+
+    Raises
+    ------
+    GraspError
+        Two sides of the body are nearer than the tolerance.
+    """
+    groups = _plane_groups(vertices, triangles, tolerance)
+    faces = [_loops(vertices, triangles[group]) for group in groups]
+    meeting = Counter(v for face in faces for v in {v for loop in face for v in loop})
+    thin = [[[v for v in loop if meeting[v] > 2] for loop in face] for face in faces]
+    kept = [[loop for loop in face if len(loop) > 2] for face in thin]
+    if not all(kept):
+        raise GraspError(TOO_THIN)
+    return kept
+
+
+def _connected(count: int, pairs: np.ndarray) -> np.ndarray:
+    """For each of ``count`` corners the number of the part that pairs (P, 2) connect it to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+def _plane_groups(vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> list[list[int]]:
+    """Numbers of the triangles of each plane face."""
+    sheet = _Sheet(vertices, triangles, tolerance)
+    free = np.ones(len(triangles), dtype=bool)
+    groups = []
+    for seed in np.argsort(-sheet.sizes, kind="stable").tolist():
+        if not free[seed]:
+            continue
+        group = [seed]
+        for _ in range(FITS):
+            grown = sheet.grown(seed, group, free)
+            if grown == group:
+                break
+            group = grown
+        free[group] = False
+        groups.append(group)
+    return groups
+
+
+class _Sheet:
+    """Triangles with the data that growing faces needs."""
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> None:
+        self.corners = vertices[triangles]  # (T, 3, 3)
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        self.areas = 0.5 * np.cross(b - a, c - a)
+        self.sizes = np.linalg.norm(self.areas, axis=1)
+        self.slivers = self.sizes <= tolerance * np.ptp(self.corners, axis=1).max(axis=1)
+        owner = {edge: t for t, tri in enumerate(triangles.tolist()) for edge in edges_of(tri)}
+        self.neighbours = [[owner[v, u] for u, v in edges_of(tri)] for tri in triangles.tolist()]
+        self.tolerance = tolerance
+
+    def grown(self, seed: int, group: list[int], free: np.ndarray) -> list[int]:
+        """Free triangles that the seed reaches over neighbours in the plane of the group."""
+        total, weights = self.areas[group].sum(axis=0), self.sizes[group]
+        n = total / np.linalg.norm(total)
+        middle = weights @ self.corners[group].mean(axis=1) / weights.sum()
+        found, seen, ahead = {seed}, {seed}, [seed]
+        while ahead:
+            for t in self.neighbours[ahead.pop()]:
+                if t not in seen and free[t] and self._in_plane(t, n, middle):
+                    found.add(t)
+                    ahead.append(t)
+                seen.add(t)
+        return sorted(found)
+
+    def _in_plane(self, t: int, n: np.ndarray, middle: np.ndarray) -> bool:
+        if np.abs((self.corners[t] - middle) @ n).max() > self.tolerance:
+            return False
+        return bool(self.slivers[t] or self.areas[t] @ n > SAME_SIDE * self.sizes[t])
+
+
+def _loops(vertices: np.ndarray, triangles: np.ndarray) -> list[list[int]]:
+    """Loops around a group of triangles: the outer one first."""
+    runs = {edge for tri in triangles.tolist() for edge in edges_of(tri)}
+    border = [(u, v) for u, v in sorted(runs) if (v, u) not in runs]
+    onward: dict[int, list[int]] = {}
+    for u, v in border:
+        onward.setdefault(u, []).append(v)
+    corners = vertices[triangles]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+    n = area / np.linalg.norm(area)
+    left = set(border)
+    loops = []
+    while left:
+        first = min(left)
+        loop, edge = [first[0]], first
+        while True:
+            left.discard(edge)
+            edge = (edge[1], _next(vertices, n, edge, onward[edge[1]]))
+            if edge == first:
+                break
+            loop.append(edge[0])
+        loops.append(loop)
+    return sorted(loops, key=lambda loop: -_turned_area(vertices[loop], n))
+
+
+def _next(vertices: np.ndarray, n: np.ndarray, edge: Edge, ways: list[int]) -> int:
+    """The next edge of a border: the material on its left ends at the first way out, clockwise."""
+    if len(ways) == 1:
+        return ways[0]
+    back = vertices[edge[0]] - vertices[edge[1]]
+    side = np.cross(back, n)
+
+    def clockwise(w: int) -> float:
+        step = vertices[w] - vertices[edge[1]]
+        return float(np.arctan2(step @ side, step @ back)) % (2.0 * np.pi)
+
+    return min(ways, key=clockwise)
+
+
+def _turned_area(loop: np.ndarray, n: np.ndarray) -> float:
+    return float(area_vector(loop - loop.mean(axis=0)) @ n)
+
+
+# --- Mesh files -----------------------------------------------------------------------------------
+
+# Rounding of a coordinate in single precision, with room for one operation on it.
+SINGLE = 2.0 * float(np.finfo(np.float32).eps)
+REPAIR = "; repair the mesh (in Blender: 3D-Print Toolbox, Make Manifold) or rebuild the body"
+
+
+def read_mesh(file: str | Path, scale: float) -> Boundary:
+    """The boundary of the body in a mesh file; see `Polyhedron.mesh`."""
+    if not (np.isfinite(scale) and scale > 0.0):
+        raise GraspError(f"{file}: a mesh is scaled by a positive factor, not {scale!r}")
+    points, triangles = _read(Path(file))
+    size = float(np.ptp(points, axis=0).max())
+    rounding = SINGLE * float(np.abs(points).max())
+    vertices, triangles = _joined(points, triangles, max(rounding, 1e-9 * size))
+    what = f"the mesh of {Path(file).name}"
+    if not len(triangles):
+        raise GraspError(f"{file}: {TOO_THIN}")
+    check_one_solid(len(vertices), [[tri] for tri in triangles.tolist()], what, REPAIR)
+    tolerance = max(4.0 * rounding, PLANE_TOLERANCE * 0.25 * size)
+    a, b, c = np.moveaxis(vertices[triangles] - vertices.mean(axis=0), 1, 0)
+    volume = float(np.sum(a * np.cross(b, c))) / 6.0
+    surface = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2.0
+    if abs(volume) <= 0.1 * tolerance * surface:
+        raise GraspError(f"{file}: {TOO_THIN}")
+    if volume < 0.0:
+        raise GraspError(
+            f"{what} is inside out: its triangles run clockwise as seen from outside; turn all of "
+            f"them round (in Blender: Mesh, Normals, Recalculate Outside)"
+        )
+    faces = faces_of_triangles(vertices, triangles, tolerance)
+    return compacted(vertices * scale, faces)
+
+
+def write_mesh(vertices: np.ndarray, triangles: np.ndarray, path: str | Path) -> None:
+    """Write triangles to a file; its ending is the format."""
+    import trimesh
+
+    solid = trimesh.Trimesh(vertices, triangles, process=False)
+    try:
+        solid.export(str(path))
+    except (OSError, ValueError, KeyError) as error:
+        raise GraspError(
+            f"{path}: cannot be written ({error}); use a name that ends in .stl"
+        ) from error
+
+
+def triangles_of(
+    faces: Sequence[Face], loops_of_faces: Sequence[Sequence[Sequence[int]]]
+) -> np.ndarray:
+    """Numbers of corners (T, 3) of triangles that make up a body's faces, normals outward."""
+    made: list[list[int]] = []
+    for face, loops in zip(faces, loops_of_faces, strict=True):
+        numbers = [v for loop in loops for v in loop]
+        made.extend([[numbers[k] for k in tri] for tri in face_triangles(face)])
+    return np.array(made)
+
+
+def face_triangles(face: Face) -> list[tuple[int, int, int]]:
+    """Triangles of one face, numbers into its outer corners followed by those of its holes."""
+    import shapely
+
+    corners = np.vstack([face.outline, *(face.coordinates(hole) for hole in face.holes)])
+    if len(corners) == 3:
+        return [(0, 1, 2)]
+    cut = shapely.constrained_delaunay_triangles(face.shape)
+    made = []
+    for piece in cut.geoms:
+        ring = np.array(piece.exterior.coords)[:3]
+        if not piece.exterior.is_ccw:
+            ring = ring[::-1]
+        a, b, c = (int(np.argmin(np.abs(corners - at).max(axis=1))) for at in ring)
+        made.append((a, b, c))
+    return made
+
+
+def _read(file: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) and triangles (T, 3) of a file, as they stand there."""
+    import trimesh
+
+    if not file.is_file():
+        raise GraspError(f"{file}: no such file")
+    try:
+        loaded: Any = trimesh.load_mesh(str(file), process=False)
+        points, triangles = np.array(loaded.vertices, float), np.array(loaded.faces, int)
+    except Exception as error:  # readers of the formats raise what they please
+        raise GraspError(f"{file}: cannot be read as a mesh ({error}); use STL or OBJ") from error
+    if not len(triangles) or not np.all(np.isfinite(points)):
+        raise GraspError(f"{file}: a mesh needs triangles with finite coordinates")
+    return points, triangles
+
+
+def _joined(
+    points: np.ndarray, triangles: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points that coincide become one; triangles that lose a corner by it are left out."""
+    from scipy.spatial import cKDTree
+
+    distinct, at = np.unique(points, axis=0, return_inverse=True)
+    pairs = cKDTree(distinct).query_pairs(tolerance, output_type="ndarray")
+    label = _connected(len(distinct), pairs)
+    vertices = np.empty((label.max() + 1, 3))
+    vertices[label[::-1]] = distinct[::-1]  # the first of each cluster stands for it
+    numbers = label[at.ravel()[triangles]]
+    a, b, c = numbers.T
+    return vertices, numbers[(a != b) & (b != c) & (c != a)]
