@@ -83,7 +83,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "tornado": ("viewer",),
     "trimesh": ("grasp.boundaries",),
     "typer": ("cli",),
-    "typing_extensions": ("terminal", "scene", "sweeps"),
+    "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
     "umsgpack": ("viewer",),
     "yaml": ("reports.report", "scene", "sweeps.spec"),
 }

@@ -317,7 +317,7 @@ def test_an_effect_says_what_it_is_by_an_example_that_scenes_can_have(name):
     scene = pair(parse_yaml(kind.example)["effects"])
     assert kind.picture and scene.effects.named.keys() == {name}
     assert parse_scene(dump_scene(scene)) == scene
-    typical = kind.typical(scene)
+    typical = kind.typical(scene.object)
     assert (typical is None) == (name in ("external_wrenches", "contact_compliance"))
     assert typical is None or pair({name: typical}).effects.named.keys() == {name}
     home = PACKAGE / "effects" / f"{name}.py"

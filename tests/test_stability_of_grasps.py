@@ -26,8 +26,9 @@ from multiarm.grasp.closure_radii import (
     tangents_of,
 )
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.face_contacts import Gripper
 from multiarm.grasp.form_closure import closed_many, is_form_closure
-from multiarm.grasp.grasp import Grasp, Gripper
+from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.stability import configuration_stability, monte_carlo_stability, own_regions
 

@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from multiarm.grasp.construction import design_grasp, search_grasp
     from multiarm.grasp.contacts import Contacts
     from multiarm.grasp.face import Face
+    from multiarm.grasp.face_contacts import Gripper
     from multiarm.grasp.force_distribution import ForceDistribution, distribute_forces
     from multiarm.grasp.form_closure import FormClosure, ManyClosures, closed_many, is_form_closure
-    from multiarm.grasp.grasp import Grasp, Gripper
+    from multiarm.grasp.grasp import Grasp
     from multiarm.grasp.immobility import Immobility
     from multiarm.grasp.independent_contacts import (
         BlockInverse,
@@ -83,9 +84,10 @@ _HOMES = {
         "construction": "design_grasp search_grasp",
         "contacts": "Contacts",
         "face": "Face",
+        "face_contacts": "Gripper",
         "force_distribution": "ForceDistribution distribute_forces",
         "form_closure": "FormClosure ManyClosures closed_many is_form_closure",
-        "grasp": "Grasp Gripper",
+        "grasp": "Grasp",
         "immobility": "Immobility",
         "independent_contacts": "BlockInverse Independence Violation block_inverse independence "
         "violated_conditions",

@@ -32,8 +32,9 @@ from multiarm.errors import GraspError
 from multiarm.grasp.balances import balance_inverses
 from multiarm.grasp.contacts import Contacts, wrenches_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face, frame_of
+from multiarm.grasp.face_contacts import Gripper
 from multiarm.grasp.form_closure import is_form_closure
-from multiarm.grasp.grasp import Grasp, Gripper
+from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seventh_contact import ContactRegion
 

@@ -237,8 +237,9 @@ def _grasp(
     body: Polyhedron, search: Search, where: np.ndarray, fingers: tuple[int, int]
 ) -> tuple[Grasp, float]:
     """The grasp with its grippers, and its conditioning."""
+    from multiarm.grasp.face_contacts import Gripper
     from multiarm.grasp.form_closure import is_form_closure
-    from multiarm.grasp.grasp import Grasp, Gripper
+    from multiarm.grasp.grasp import Grasp
 
     assert search.best is not None
     touches, y = search.best

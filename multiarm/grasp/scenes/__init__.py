@@ -30,7 +30,7 @@ from multiarm.contacts.internal_forces import distribute, internal_forces
 from multiarm.control.object_control import packed_path, reference_motion
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.face_contacts import FaceContacts
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.scenes.hands import contacts, fingers, pose_table, require_room
 from multiarm.grasp.scenes.standing import Progress, Stand, lifted, stand_arms
@@ -54,7 +54,7 @@ SIDES = ("left", "right")
 
 
 def grasp_scene(
-    grasp: Grasp,
+    grasp: FaceContacts,
     arms: Sequence[str] = ("panda", "panda"),
     *,
     mass: float = 5.0,
@@ -74,7 +74,7 @@ def grasp_scene(
 
     Parameters
     ----------
-    grasp : Grasp
+    grasp : FaceContacts
         In form closure.
     arms : sequence of str
         Robots by name, one for each gripper.
@@ -163,7 +163,7 @@ def grasp_scene(
     )
 
 
-def _require_hold(grasp: Grasp, arms: Sequence[str]) -> None:
+def _require_hold(grasp: FaceContacts, arms: Sequence[str]) -> None:
     if not grasp.closure:
         raise GraspError(f"the grasp does not hold the body: {grasp.closure.message}")
     if len(arms) != len(grasp.grippers):
@@ -185,12 +185,12 @@ def _require_numbers(positive: dict[str, Any], chosen: dict[str, Any]) -> None:
             raise GraspError(f"squeeze is at least 0, not {value!r}")
 
 
-def _arm_names(grasp: Grasp) -> list[str]:
+def _arm_names(grasp: FaceContacts) -> list[str]:
     """The grippers' names, as a scene may name arms."""
     return [re.sub(r"\W+", "_", gripper.name) for gripper in grasp.grippers]
 
 
-def _centred(grasp: Grasp) -> Grasp:
+def _centred(grasp: FaceContacts) -> FaceContacts:
     """The grasp with the origin of its frame at the centre of mass, as that of an object."""
     shift = np.eye(4)
     shift[:3, 3] = -grasp.body.centre
@@ -224,7 +224,7 @@ def path_of(path: Sequence[Waypoint] | None, duration: float) -> list[Waypoint]:
 
 
 def _arm(
-    grasp: Grasp, k: int, spec: ArmSpec, stand: Stand, tip_radius: float, hand_mass: float
+    grasp: FaceContacts, k: int, spec: ArmSpec, stand: Stand, tip_radius: float, hand_mass: float
 ) -> dict[str, Any]:
     hand = fingers(grasp, grasp.grippers[k], stand.mount, tip_radius, hand_mass)
     yaw = math.atan2(stand.base[1, 0], stand.base[0, 0])

@@ -14,7 +14,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.face import frame_of
-from multiarm.grasp.grasp import Grasp, Gripper
+from multiarm.grasp.face_contacts import FaceContacts, Gripper
 from multiarm.spatial import matrix_to_quaternion
 
 # Fingers of a small gripper are at least so long [m]; those of a large one grow with it.
@@ -25,7 +25,7 @@ CLEAR = 6.0
 DIGITS, DIRECTION_DIGITS = 12, 15
 
 
-def approach(grasp: Grasp, gripper: Gripper, level: float = 1.0) -> np.ndarray:
+def approach(grasp: FaceContacts, gripper: Gripper, level: float = 1.0) -> np.ndarray:
     """Direction (3,) along which a gripper comes to the body, in the body's frame.
 
     Parameters
@@ -53,7 +53,7 @@ def approach(grasp: Grasp, gripper: Gripper, level: float = 1.0) -> np.ndarray:
 
 
 def hand_pose(
-    grasp: Grasp, gripper: Gripper, turn: float, tip_radius: float, level: float = 1.0
+    grasp: FaceContacts, gripper: Gripper, turn: float, tip_radius: float, level: float = 1.0
 ) -> np.ndarray:
     """Pose (4, 4) of the mount in the body's frame; its z axis points to the corner.
 
@@ -79,7 +79,7 @@ def hand_pose(
 
 
 def fingers(
-    grasp: Grasp, gripper: Gripper, mount: np.ndarray, tip_radius: float, mass: float
+    grasp: FaceContacts, gripper: Gripper, mount: np.ndarray, tip_radius: float, mass: float
 ) -> dict[str, Any]:
     """The hand as a scene writes it under ``tool: {fingers: ...}``.
 
@@ -96,7 +96,7 @@ def fingers(
     }
 
 
-def contacts(grasp: Grasp, gripper: Gripper, tip_radius: float) -> list[dict[str, Any]]:
+def contacts(grasp: FaceContacts, gripper: Gripper, tip_radius: float) -> list[dict[str, Any]]:
     """The gripper's contacts as a scene writes them, in the frame of the corner."""
     R = gripper.frame[:3, :3]
     tips = _tips(grasp, gripper, tip_radius)
@@ -128,7 +128,7 @@ def pose_table(pose: np.ndarray) -> dict[str, list[float]]:
     return {"xyz": _rounded(pose[:3, 3]), "quaternion_xyzw": _rounded(quaternion, DIRECTION_DIGITS)}
 
 
-def require_room(grasp: Grasp, tip_radius: float) -> None:
+def require_room(grasp: FaceContacts, tip_radius: float) -> None:
     """Refuse fingertips that overlap, or that do not fit onto their faces.
 
     Raises
@@ -148,7 +148,7 @@ def require_room(grasp: Grasp, tip_radius: float) -> None:
         )
 
 
-def _tips(grasp: Grasp, gripper: Gripper, tip_radius: float) -> np.ndarray:
+def _tips(grasp: FaceContacts, gripper: Gripper, tip_radius: float) -> np.ndarray:
     """Centres of the fingertips in the gripper's frame, outside the faces."""
     chosen = list(gripper.contacts)
     centres = grasp.contacts.points[chosen] - tip_radius * grasp.contacts.normals[chosen]

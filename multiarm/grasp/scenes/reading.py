@@ -19,8 +19,9 @@ from multiarm.dynamics.system import System
 from multiarm.errors import GraspError
 from multiarm.geometry.records import Contact
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.face_contacts import Gripper
 from multiarm.grasp.form_closure import FormClosure, is_form_closure
-from multiarm.grasp.grasp import Grasp, Gripper
+from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seventh_contact import ContactRegion, region_of
 from multiarm.scene import ObjectSpec

@@ -28,7 +28,7 @@ import numpy as np
 from multiarm.arms.arm import Arm
 from multiarm.assembly.compilation import arm_files
 from multiarm.errors import GraspError
-from multiarm.grasp.grasp import Grasp, Gripper
+from multiarm.grasp.face_contacts import FaceContacts, Gripper
 from multiarm.grasp.scenes.hands import hand_pose
 from multiarm.scene import ArmSpec, resolve_arm
 from multiarm.spatial import difference, matrix_to_quaternion
@@ -78,7 +78,7 @@ class Stand:
 
 
 def stand_arms(
-    grasp: Grasp,
+    grasp: FaceContacts,
     arms: list[ArmSpec],
     course: list[np.ndarray],
     tip_radius: float,
@@ -90,7 +90,7 @@ def stand_arms(
 
     Parameters
     ----------
-    grasp : Grasp
+    grasp : FaceContacts
         Its body centred at the origin.
     arms : list of ArmSpec
         Robots without base and tool, one for each gripper; ``tip`` is the mount.
@@ -151,7 +151,7 @@ def _worst(stands: list[Stand]) -> float:
 class _Search:
     """The search for a place of one arm, with the object at one height."""
 
-    grasp: Grasp
+    grasp: FaceContacts
     gripper: Gripper
     robot: Arm
     poses: list[np.ndarray]

@@ -14,7 +14,7 @@ from multiarm.scene.faults import unknown
 from multiarm.scene.values import URDF, Faults, KnownArm, NonNegative, Pose, Positive, Vec3
 
 if TYPE_CHECKING:
-    from multiarm.scene.schema import Scene
+    from multiarm.scene.object import ObjectSpec
 
 Restitution = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -148,9 +148,9 @@ class FloorSpec(EffectKind):
         return []
 
     @classmethod
-    def typical(cls, scene: Scene) -> Mapping[str, Any] | None:
+    def typical(cls, body: ObjectSpec) -> Mapping[str, Any] | None:
         """A floor that a box, a hull or a sphere just touches at its start."""
-        shape, pose = scene.object.shape, scene.object.pose.matrix()
+        shape, pose = body.shape, body.pose.matrix()
         if shape.sphere is not None:
             reach = shape.sphere
         elif shape.box is not None:

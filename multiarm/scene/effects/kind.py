@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from multiarm.scene.values import Faults, KnownArm, Spec
 
 if TYPE_CHECKING:
-    from multiarm.scene.schema import Scene
+    from multiarm.scene.object import ObjectSpec
 
 
 class EffectKind(Spec):
@@ -45,7 +45,7 @@ class EffectKind(Spec):
         return self.can_open
 
     @classmethod
-    def typical(cls, _scene: Scene) -> Any:
+    def typical(cls, _body: ObjectSpec) -> Any:
         """Typical parameters, as in a scene, to estimate its influence; None if there are none.
 
         They are first guesses, and do not replace measured parameters.

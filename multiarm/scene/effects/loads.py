@@ -28,8 +28,7 @@ from multiarm.scene.values import (
 )
 
 if TYPE_CHECKING:
-    from multiarm.scene.object import Shape
-    from multiarm.scene.schema import Scene
+    from multiarm.scene.object import ObjectSpec, Shape
 
 _OBJECT = "object"  # target of a wrench that does not act on a link
 _TABLE_COLUMNS = ("t", "fx", "fy", "fz", "mx", "my", "mz")  # [s], [N], [N m]
@@ -93,9 +92,9 @@ class Drag(EffectKind):
         return x, y, z
 
     @classmethod
-    def typical(cls, scene: Scene) -> Mapping[str, Any] | None:
+    def typical(cls, body: ObjectSpec) -> Mapping[str, Any] | None:
         """Drag in air, of a blunt body with the faces of the box around the object."""
-        half = _half_size(scene.object.shape)
+        half = _half_size(body.shape)
         if half is None:
             return None
         x, y, z = (2.0 * half).tolist()
