@@ -141,8 +141,6 @@ class Import:
     importer: str
     imported: str
     ours: bool
-    in_function: bool
-    for_types: bool
 
     @property
     def rooms(self) -> tuple[str, str]:
@@ -164,22 +162,9 @@ def modules() -> dict[str, ast.Module]:
 def imports() -> tuple[Import, ...]:
     found = []
     for name, tree in modules().items():
-        for node, in_function, for_types in import_nodes(tree):
-            for target, ours in targets(node):
-                found.append(Import(name, target, ours, in_function, for_types))
+        nodes = (node for node in ast.walk(tree) if isinstance(node, (ast.Import, ast.ImportFrom)))
+        found += [Import(name, *target) for node in nodes for target in targets(node)]
     return tuple(found)
-
-
-def import_nodes(
-    node: ast.AST, in_function: bool = False, for_types: bool = False
-) -> Iterator[tuple[ast.Import | ast.ImportFrom, bool, bool]]:
-    """Every import below a node; whether it is in a function, and for the type checker only."""
-    for child in ast.iter_child_nodes(node):
-        inside = isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef))
-        typing = isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING"
-        if isinstance(child, (ast.Import, ast.ImportFrom)):
-            yield child, in_function, for_types
-        yield from import_nodes(child, in_function or inside, for_types or typing)
 
 
 def targets(node: ast.Import | ast.ImportFrom) -> Iterator[tuple[str, bool]]:
@@ -224,7 +209,7 @@ def test_imports_point_down():
 def test_modules_import_each_other_without_cycles():
     graph: dict[str, set[str]] = {name: set() for name in modules()}
     for found in imports():
-        if found.ours and not found.in_function and not found.for_types:
+        if found.ours:
             graph[found.importer].add(found.imported)
     try:
         order = list(TopologicalSorter(graph).static_order())

@@ -303,6 +303,13 @@ def test_an_arm_that_is_unsound_does_not_hide_the_faults_of_effects():
     }
 
 
+@pytest.mark.parametrize("effect", ["joint_damping", "rotor_inertia", "torque_limits"])
+def test_numbers_may_be_listed_joint_by_joint(effect):
+    assert getattr(pair({effect: [1, 2, 3, 4, 5, 6]}).effects, effect) == (1, 2, 3, 4, 5, 6)
+    fault, *_ = faults_of({effect: [1, 2]})
+    assert fault.startswith(f"$.effects.{effect}") and "6" in fault
+
+
 def test_a_shorthand_is_the_whole_table():
     assert EffectsSpec(joint_friction=2.0) == EffectsSpec(joint_friction={"torque": 2.0})
     by_arm = {"left": 2.0, "right": "urdf"}

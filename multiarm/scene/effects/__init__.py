@@ -186,10 +186,10 @@ class EffectsSpec(Spec):
         """Place and parameters of each effect of ours, of each of a list."""
         for name, kind in BUILT_IN.items():
             spec = getattr(self, name)
-            if isinstance(spec, tuple):
-                yield from (((name, k), one) for k, one in enumerate(spec))
-            elif issubclass(kind, JointNumbers) and spec is not None:
+            if issubclass(kind, JointNumbers) and spec is not None:
                 yield (name,), kind.model_construct(values=spec)
+            elif isinstance(spec, tuple):
+                yield from (((name, k), one) for k, one in enumerate(spec))
             elif spec is not None:
                 yield (name,), spec
 
