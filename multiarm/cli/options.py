@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping
 from enum import Enum
-from functools import cached_property, update_wrapper
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -115,11 +115,10 @@ class _WithSettings:
 
     @cached_property
     def _options(self) -> dict[str, inspect.Parameter]:
-        from multiarm.scene.json_schema import json_schema
         from multiarm.scene.run import STEPS_CHOSEN_BY, RunSpec
 
         found = {}
-        for name, own in json_schema(RunSpec)["properties"].items():
+        for name, own in _settings_of(RunSpec).items():
             sort = _type(name, own)
             if sort is None or (self._names and name not in self._names):
                 continue
@@ -140,6 +139,14 @@ class _WithSettings:
                 annotation=Annotated[sort | None, option],
             )
         return found
+
+
+@cache
+def _settings_of(model: Any) -> dict[str, Any]:
+    """The schema of each setting, made once for all commands."""
+    from multiarm.scene.json_schema import json_schema
+
+    return json_schema(model)["properties"]
 
 
 def _metavar(name: str, text: str, sort: type) -> str | None:
