@@ -194,7 +194,7 @@ from multiarm.jit.ahead import argument_types, compile_ahead, compile_all
 
 if __name__ == "__main__":
     compile_all([one], progress=print)
-    compile_ahead([one, other])
+    compile_ahead(one, other)
     print(one._wait, other._wait is not None)
     for kernel in (one, other):
         kernel.whole.compile(argument_types(kernel))
@@ -235,6 +235,6 @@ def test_a_process_that_fails_is_an_error_and_no_obstacle(monkeypatch, capfd):
     monkeypatch.setattr(doubled, "is_cached", lambda: False)
     with pytest.raises(MultiarmError, match="no_such_module:doubled could not be compiled"):
         compile_all([doubled], processes=1)
-    compile_ahead([doubled])
+    compile_ahead(doubled)
     assert doubled(2.0) == 4.0
     assert "No module named 'no_such_module'" in capfd.readouterr().err

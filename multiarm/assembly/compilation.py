@@ -130,7 +130,7 @@ def compile_system(
     """
     require_control(control, sample_time, sample_delay)
     scene = with_code(_with_arms(scene, arms), code)
-    compile_ahead([advance, evaluate_slope])  # a run needs them: the first time in the background
+    compile_ahead(advance, evaluate_slope)  # a run needs them: the first time in the background
     robots = load_robots(scene, like)  # URDF -> arms with tips and limits
     joints = scene_joints(scene, robots, like)  # contact records of every joint
     rows = contact_rows(scene, robots, joints)  # all rows of W, unilateral ones too

@@ -215,7 +215,7 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
 def pack_harmonic(
     frequency: float, constant: np.ndarray, amplitude: np.ndarray, phase: np.ndarray
 ) -> np.ndarray:
-    """Parameters of :func:`add_harmonic`."""
+    """Parameters of :func:`harmonic`."""
     columns = [constant, amplitude * np.cos(phase), amplitude * np.sin(phase)]
     return np.concatenate([[frequency], np.column_stack(columns).ravel()])
 

@@ -15,8 +15,10 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import cache
 from importlib import import_module
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import get_type_hints
 
 from numba import types
@@ -84,13 +86,17 @@ def compile_all(
             done.result()
 
 
-def compile_ahead(kernels: Iterable[Kernel]) -> None:
+@cache
+def compile_ahead(*kernels: Kernel) -> None:
     """Compile kernels in the background that are not in the cache; their first call waits for it.
 
-    Does nothing where there is only one processor.
+    Looks once in each process.  Does nothing where there is only one processor, or where no process
+    can be started.
     """
     missing = [kernel for kernel in kernels if not kernel.is_cached()]
-    if missing and _processors() > 1 and sys.executable:
+    if not missing or _processors() == 1 or not sys.executable:
+        return
+    with suppress(OSError):
         process = _start(subprocess.DEVNULL)
         assert process.stdin is not None
         process.stdin.write("".join(f"{name_of(kernel)}\n" for kernel in missing))
@@ -103,8 +109,7 @@ def _work_off(names: SimpleQueue[str], progress: Callable[[str], None]) -> None:
     """Let one process compile kernels until none is left."""
     with _start(subprocess.PIPE) as process:
         assert process.stdin is not None and process.stdout is not None
-        while not names.empty():
-            name = names.get()
+        while (name := _next(names)) is not None:
             print(name, file=process.stdin, flush=True)
             if process.stdout.readline().strip() != name:
                 process.kill()
@@ -113,6 +118,14 @@ def _work_off(names: SimpleQueue[str], progress: Callable[[str], None]) -> None:
                 )
             progress(name)
         process.stdin.close()
+
+
+def _next(names: SimpleQueue[str]) -> str | None:
+    """A name that no other process works on; None when there is none left."""
+    try:
+        return names.get_nowait()
+    except Empty:
+        return None
 
 
 def _start(stdout: int) -> subprocess.Popen[str]:
@@ -143,4 +156,5 @@ def _serve() -> None:
 
 
 if __name__ == "__main__":
-    _serve()
+    with suppress(KeyboardInterrupt):  # a Ctrl-C is meant for the process that started this one
+        _serve()

@@ -232,9 +232,8 @@ def _drive(
     A Ctrl-C that came too late to end the run is left in ``interrupt``.
     """
     run = driver.run
-    reason, fault = driver.advance(
-        0
-    )  # may compile the loop, which does not count as time of the run
+    # may compile the loop, which does not count as time of the run
+    reason, fault = driver.advance(0)
     started = time.perf_counter()
     next_checkpoint = started + CHECKPOINT_INTERVAL
     with deferred_interrupt(interrupt):

@@ -21,7 +21,7 @@ import re
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -41,10 +41,6 @@ from multiarm.results.event_log import (
 from multiarm.viewer.animation import Animation, Dial, HingeTracks
 from multiarm.viewer.commands import Command, hexadecimal
 from multiarm.viewer.drawing import ASPECT
-
-if TYPE_CHECKING:
-    pass
-
 
 ALIGNMENT = 8  # [bytes] of the arrays in the block
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 from typing_extensions import Self
@@ -25,9 +25,6 @@ from multiarm.scene.values import (
     gain_faults,
     urdf_warnings,
 )
-
-if TYPE_CHECKING:
-    pass
 
 _FRICTION_SPEED = 0.01
 """Speed at which smooth friction is 76 % of the full one [rad/s] or [m/s]."""
