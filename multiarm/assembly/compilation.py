@@ -334,7 +334,8 @@ def _unilateral(
     scene: Scene, robots: Robots, contacts: Mapping[str, list]
 ) -> UnilateralConstraints | None:
     effects = scene.effects
-    if not effects.with_events:
+    has_friction = any(contact.mu for own in contacts.values() for contact in own)
+    if not (effects.with_events or has_friction):
         return None
     limits = {
         name: dict(zip(arm.joint_names, map(tuple, arm.position_limits), strict=True))

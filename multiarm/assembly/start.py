@@ -180,7 +180,9 @@ def check_unilateral(data: Data, start: State) -> None:
     faults = []
     for constraint in data.model.unilateral.constraints:
         gap = float(gaps[constraint.row])
-        if gap < -allowed and not constraint.compliant and patch_margin(data, constraint) >= 0.0:
+        if constraint.compliant or constraint.bilateral:
+            continue
+        if gap < -allowed and patch_margin(data, constraint) >= 0.0:
             faults.append(_inside(data, constraint, -gap))
     if faults:
         raise SceneError(faults)

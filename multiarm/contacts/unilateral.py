@@ -2,9 +2,10 @@
 
 A *unilateral constraint* is active at some times only: a contact that can only push (with its two
 tangents, if it has friction), a joint at an end of its range, a joint that dry friction holds at
-rest.  Compliant contacts are springs and dampers: their rows are measured, never active.  All other
-rows are *bilateral*.  This module derives the constraints and their rows of W from the scene's
-effects; :mod:`multiarm.events` decides which of them are active at a time.
+rest.  A contact that holds both ways and has friction is one of them too, of which the tangents
+alone come and go.  Compliant contacts are springs and dampers: their rows are measured, never
+active.  All other rows are *bilateral*.  This module derives the constraints and their rows of W
+from a scene's joints and effects; :mod:`multiarm.events` decides which are active at a time.
 
 Rows are in the order of the stacked vectors: arm by arm its contacts, each followed by its
 tangents, then its joints; last the contacts of the object with the floor.
@@ -23,7 +24,7 @@ from multiarm.contacts.table import JointRow
 from multiarm.errors import SceneError
 from multiarm.geometry.records import Contact, Patch, plane, sphere
 from multiarm.scene import Mesh, Scene, Shape
-from multiarm.scene.effects.contacts import FloorSpec, SomeContacts
+from multiarm.scene.effects.contacts import ContactFrictionSpec, FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown
 
 CONTACT, LIMIT, DRY_JOINT = "contact", "limit", "joint friction"
@@ -46,6 +47,9 @@ class Constraint:
         Rows of the two tangents; empty without friction.
     mu, restitution : float
         Coefficients of friction and of Newton's restitution.
+    bilateral : bool
+        The contact also pulls and never opens; its friction is bounded by the magnitude of its
+        normal force.
     bound : float
         Largest torque of dry friction [N m] or force [N].
     joint : int
@@ -63,6 +67,7 @@ class Constraint:
     tangents: tuple[int, ...] = ()
     mu: float = 0.0
     restitution: float = 0.0
+    bilateral: bool = False
     bound: float = 0.0
     joint: int = -1
     compliant: bool = False
@@ -176,11 +181,12 @@ def unilateral_constraints(
         return None
     spec = scene.effects.unilateral_contacts
     as_written = spec is not None and spec.start == "as_written"
+    unable_to_open = [one.row for one in rows.constraints if one.bilateral]
     return UnilateralConstraints(
         records=rows.records,
         constraints=tuple(rows.constraints),
         model=tuple(rows.model),
-        assembled=tuple(rows.bilateral if as_written else rows.model),
+        assembled=tuple(sorted([*rows.bilateral, *unable_to_open]) if as_written else rows.model),
         bilateral=tuple(rows.bilateral),
         compliant=_compliant_contacts(rows),
     )
@@ -228,7 +234,7 @@ def hull_corners(points: np.ndarray) -> np.ndarray:
 
 
 class _Parameters(NamedTuple):
-    """Parameters of a contact that is not bilateral."""
+    """Parameters of a contact that can open, slide or give way."""
 
     mu: float | None = None  # coefficient of friction; None: it has no tangents
     restitution: float = 0.0  # Newton's, between 0 and 1
@@ -279,9 +285,14 @@ class _Rows:
             for tangent in (1, 2):
                 name = f"{contact.name}, friction {tangent}"
                 self._add(replace(contact, name=name, tangent=tangent, pushes_only=False))
-            tangents, restitution = (row + 1, row + 2), own.restitution
             self._constrain(
-                CONTACT, contact, row, tangents=tangents, mu=own.mu, restitution=restitution
+                CONTACT,
+                contact,
+                row,
+                tangents=(row + 1, row + 2),
+                mu=own.mu,
+                restitution=own.restitution,
+                bilateral=not contact.pushes_only,
             )
 
     def add_stops(
@@ -328,14 +339,14 @@ def _range(
 def _contact_parameters(
     scene: Scene, contacts: Mapping[str, list[Contact]]
 ) -> dict[str, dict[int, _Parameters]]:
-    """Parameters of the contacts that effects name: arm -> number of the contact -> parameters."""
+    """Parameters of contacts that can open, slide or give way: arm -> number of the contact."""
     effects = scene.effects
     faults: list[str] = []
     unilateral, friction = effects.unilateral_contacts, effects.contact_friction
     compliance = effects.contact_compliance
     for name, spec, pushing in (
         ("unilateral_contacts", unilateral, True),
-        ("contact_friction", friction, True),
+        ("contact_friction", friction, False),
         ("contact_compliance", compliance, False),
     ):
         if spec is not None:
@@ -343,17 +354,25 @@ def _contact_parameters(
     found: dict[str, dict[int, _Parameters]] = {arm: {} for arm in contacts}
     for arm, own in contacts.items():
         for k, contact in enumerate(own):
+            if contact.tangent:
+                continue
             one = None
             if unilateral is not None and contact.pushes_only and _named(unilateral, arm, contact):
                 one = _Parameters(restitution=unilateral.restitution)
-            if friction is not None and contact.pushes_only and _named(friction, arm, contact):
-                one = (one or _Parameters())._replace(mu=friction.mu)
-            if compliance is not None and not contact.tangent and _named(compliance, arm, contact):
-                if one is not None and one.mu is not None:
+            mu = _friction(friction, arm, contact)
+            if mu is not None:
+                one = (one or _Parameters())._replace(mu=mu)
+                if contact.is_combined:
                     faults.append(
-                        f"$.effects.contact_compliance: contact '{arm}/{contact.name}' is one of "
-                        f"contact_friction, which needs a rigid contact; name the contacts of each "
-                        f"with 'contacts'"
+                        f"$.joints: contact '{arm}/{contact.name}' is a multiple or a difference "
+                        f"of contacts, which has no friction; give 'mu' to contacts of surfaces"
+                    )
+            if compliance is not None and _named(compliance, arm, contact):
+                if mu is not None:
+                    faults.append(
+                        f"$.effects.contact_compliance: contact '{arm}/{contact.name}' has "
+                        f"friction ('mu' or contact_friction), which needs a rigid contact; name "
+                        f"the contacts of each with 'contacts'"
                     )
                 one = _Parameters(stiffness=compliance.stiffness, damping=compliance.damping)
             if one is None:
@@ -368,6 +387,18 @@ def _contact_parameters(
     if faults:
         raise SceneError(list(dict.fromkeys(faults)))
     return found
+
+
+def _friction(spec: ContactFrictionSpec | None, arm: str, contact: Contact) -> float | None:
+    """A contact's coefficient of friction; None: it has no tangents.
+
+    The nearest one counts: that of the contact, of its joint, of the scene.  The scene's is of
+    contacts that only push, unless it names others.
+    """
+    mu = contact.mu
+    if mu is None and spec is not None and _named(spec, arm, contact):
+        mu = spec.mu if contact.pushes_only or spec.contacts is not None else None
+    return mu if mu or contact.pushes_only else None
 
 
 def _named(spec: SomeContacts, arm: str, contact: Contact) -> bool:

@@ -50,14 +50,14 @@ def touching_constraints(
 
 
 def closed_constraints(modes: Modes, tolerance: float) -> set[int]:
-    """Contacts and limits whose gaps are closed at the state in the data."""
+    """Contacts that cannot open, and contacts and limits whose gaps are closed."""
     gaps = modes.full.arrays.contacts[:, GAP]
     return {
         u
         for u, constraint in enumerate(modes.unilateral.constraints)
         if constraint.kind != DRY_JOINT
         and not constraint.compliant
-        and abs(gaps[constraint.row]) <= tolerance
+        and (constraint.bilateral or abs(gaps[constraint.row]) <= tolerance)
     }
 
 

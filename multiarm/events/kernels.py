@@ -7,7 +7,8 @@ that its columns of the reaction matrices are
 .. math:: \tilde W = W_n - \mu\,(d_1 W_{t1} + d_2 W_{t2}),
 
 of object and arm alike, while its constraint stays along the normal (thesis, footnote to 4.9).  Its
-power is :math:`-\mu\lambda_n |s|`.
+power is :math:`-\mu\lambda_n |s|`.  A contact that holds both ways has the friction
+:math:`\mu|\lambda_n|`: while its force pulls, :math:`-\mu` stands for :math:`\mu`.
 
 Where slip comes to rest the direction of :math:`s` reverses.  Within a step the force must be
 smooth, so that the step can pass that point and the time be located: of :math:`\pm s` the one
@@ -78,15 +79,15 @@ HELD, ARM, TANGENT_AT, TANGENT_OF_ALL, SLIDE_WIDTH = range(5)
 
 # Kinds of guards, and the meaning of their numbers a, b, c and parameter.
 GAP_GUARD = 0  # gap of row a of all rows [m]
-PUSH_GUARD = 1  # force of held row a [N]
-CONE_GUARD = 2  # parameter (mu) times force of held row a, minus that of rows b, c (-1: none) [N]
+PUSH_GUARD = 1  # parameter (1; -1 where it pulls) times the force of held row a [N]
+CONE_GUARD = 2  # parameter (mu; -mu where it pulls) times force of row a, minus that of b, c [N]
 SLIP_GUARD = 3  # speed of slide a along its direction [m/s]
 RATE_GUARD = 4  # speed of joint a times the parameter [rad/s, m/s]
 HOLD_GUARD = 5  # parameter, minus the magnitude of the force of held row a [N m, N]
 REST_GUARD = 6  # gap of row a of all rows, plus the parameter (largest gap at contact) [m]
 PATCH_GUARD = 7  # c times the distance of the contact of row a from the edge of its patch [m]
 LIFT_GUARD = 8  # parameter (largest gap at contact), minus the gap of row a of all rows [m]
-ONSET_GUARD = 9  # parameter (largest speed at rest), minus the speed of slide a [m/s]
+ONSET_GUARD = 9  # parameter (largest speed at rest), minus that of slip in tangents a, a + 1 [m/s]
 SPRING_GUARD = 10  # c times the extension of the spring in row a, see spring_length [m]
 # Columns of ModeArrays.guards and .levels.
 GUARD_KIND, A, B, C, CONSTRAINT, GUARD_WIDTH = range(6)
@@ -112,8 +113,9 @@ class ModeArrays(NamedTuple):
     held : int64 (m,)
         The held rows, among all rows.
     slides : int64 (s, 4), slide_mu : (s,), direction, turning : (s, 2), speed : (s,)
-        Sliding contacts: rows, coefficients of friction, direction of slip at the end of the last
-        step and at the state evaluated last, and the speed along it [m/s].
+        Sliding contacts: rows, coefficients of friction (negative where the force pulls), direction
+        of slip at the end of the last step and at the state evaluated last, and the speed along it
+        [m/s].
     states : (u,)
         State of every contact, as it is recorded.
     guards : int64 (g, 5), levels : (g, 2)
@@ -346,7 +348,7 @@ def force_guard(g, mode, data):
     kind, a = mode.guards[g, GUARD_KIND], mode.guards[g, A]
     parameter, force = mode.levels[g, PARAMETER], data.force
     if kind == PUSH_GUARD:
-        return force[a]
+        return parameter * force[a]
     if kind == HOLD_GUARD:
         return parameter - abs(force[a])
     square = 0.0
@@ -403,8 +405,7 @@ def guard_value(g, mode, data, full):
         first, second = full.contacts[t, GAP_RATE], full.contacts[t + 1, GAP_RATE]
         return first * mode.direction[a, 0] + second * mode.direction[a, 1]
     if kind == ONSET_GUARD:
-        t = mode.slides[a, TANGENT_OF_ALL]
-        first, second = full.contacts[t, GAP_RATE], full.contacts[t + 1, GAP_RATE]
+        first, second = full.contacts[a, GAP_RATE], full.contacts[a + 1, GAP_RATE]
         return parameter - math.sqrt(first * first + second * second)
     if kind == RATE_GUARD:
         return parameter * data.v[a]

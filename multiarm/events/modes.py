@@ -81,14 +81,22 @@ class Choice:
         By constraint, ``OPEN`` to ``AT_BOUND``.
     rows : tuple of int
         Their held rows, increasing.
+    pulling : frozenset of int
+        Bilateral constraints with friction whose normal force pulls, as far as it matters: their
+        friction is the coefficient times minus that force.
     off_patch, below_patch : frozenset of int
         Open constraints off their patch, or below it, see :mod:`multiarm.events.event_detection`.
     """
 
     states: tuple[int, ...]
     rows: tuple[int, ...]
+    pulling: frozenset[int] = frozenset()
     off_patch: frozenset[int] = frozenset()
     below_patch: frozenset[int] = frozenset()
+
+    def side(self, u: int) -> float:
+        """Sign of the normal force of a closed constraint: 1 where it pushes, -1 where it pulls."""
+        return -1.0 if u in self.pulling else 1.0
 
     def sliding(self, constraints: tuple[Constraint, ...]) -> list[int]:
         """Numbers of the sliding constraints with a held normal row."""
@@ -239,7 +247,7 @@ class Modes:
             numbers=ModeNumbers(slow=self.slow, power=slot),
             held=rows,
             slides=slides,
-            slide_mu=np.array([constraints[u].mu for u in sliding]),
+            slide_mu=np.array([choice.side(u) * constraints[u].mu for u in sliding]),
             direction=np.zeros((len(sliding), 2)),
             turning=np.zeros((len(sliding), 2)),
             speed=np.zeros(len(sliding)),
@@ -319,15 +327,18 @@ def _guards(
         return [Guard(GAP_GUARD, constraint.row, threshold=GAP_THRESHOLD)]
     if row < 0:
         return [Guard(kind, constraint.row, REST) for kind in (REST_GUARD, LIFT_GUARD)]
-    guards = [Guard(PUSH_GUARD, row, threshold=FORCE_THRESHOLD)]
+    side, guards = choice.side(u), []
+    if not constraint.bilateral or u in sliding:
+        guards.append(Guard(PUSH_GUARD, row, side, FORCE_THRESHOLD))
     if state == STICKING:
         tangents = [place.get(t, -1) for t in constraint.tangents]
         if max(tangents) >= 0:
-            guards.append(Guard(CONE_GUARD, row, constraint.mu, FORCE_THRESHOLD, *tangents))
-    if u in sliding:
-        at_bound = state == AT_BOUND
-        kind, levels = (ONSET_GUARD, (still, 0.0)) if at_bound else (SLIP_GUARD, (0.0, still))
-        guards.append(Guard(kind, sliding.index(u), *levels))
+            mu = side * constraint.mu
+            guards.append(Guard(CONE_GUARD, row, mu, FORCE_THRESHOLD, *tangents))
+    if state == AT_BOUND or (constraint.bilateral and state == TOUCHING):
+        guards.append(Guard(ONSET_GUARD, constraint.tangents[0], still))
+    elif u in sliding:
+        guards.append(Guard(SLIP_GUARD, sliding.index(u), threshold=still))
     return guards
 
 

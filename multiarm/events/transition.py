@@ -9,13 +9,17 @@ place of its rate (Newton's law of restitution), and friction opposes the slip a
 (J.J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988).  Where Newton's
 law together with friction would add energy, restitution is reduced until it does not.
 
+*Contacts that hold both ways* and have friction obey Coulomb's law with the magnitude of their
+normal force.  Each is taken for one that only pushes, or only pulls: on the side where it does not
+open.
+
 The result is a :class:`Decision`, of which :func:`decision_events` makes the text of events.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +58,11 @@ from multiarm.events.row_dynamics import RowDynamics, can_move, depends_on_held_
 
 # Accelerations below this are rounding errors [m/s^2, rad/s^2].
 NO_ACCELERATION = 1e-10
+
+NO_SIDES = (
+    "contacts that hold both ways find no motion with their friction: wherever one pushes it would "
+    "have to pull, and the other way round; lessen 'mu'"
+)
 
 _STATES = {
     ContactMode.OPEN: OPEN,
@@ -178,12 +187,13 @@ class Transition:
         """Change the velocities at an impact: hits, energy added, contacts put to rest."""
         constraints, rates, rest = self._constraints, self._rows.rates.copy(), self._rows.rest_rate
         involved = [u for u in self._touching if constraints[u].kind != DRY_JOINT]
-        if not any(rates[constraints[u].row] < -rest for u in involved):
+        closing = {u for u in involved if not constraints[u].bilateral}
+        hit = {u for u in closing if rates[constraints[u].row] < -rest}
+        if not hit:
             return [], 0.0, []
         rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
         response, moved = self._rows.response(self._rows.jacobian(rows), self._modes.bare)
         before = rates[rows]
-        hit = {u for u in involved if rates[constraints[u].row] < -rest}
         elastic = {u: constraints[u].restitution for u in hit}
         solution, after = self._collide(involved, rows, response, before, elastic, set())
         rested: set[int] = set()
@@ -226,7 +236,7 @@ class Transition:
             for u, e in elastic.items():
                 k = at[self._constraints[u].row]
                 shifted[k] += share * e * before[k]
-            solution = solve(response, shifted, laws)
+            solution, _ = self._solve_sides(involved, response, shifted, laws)
             after = before + response @ solution.forces
             reached = 0.5 * abs(before) @ abs(solution.forces)
             if energy_added(solution.forces, before, after) <= 1e-12 * reached:
@@ -269,7 +279,7 @@ class Transition:
                 states[u] = FORWARD if rates[constraint.row] > 0.0 else BACKWARD
             elif constraint.compliant:
                 states[u] = TOUCHING if u in self._pressed else OPEN
-            elif u in self._touching and rates[constraint.row] <= rest:
+            elif constraint.bilateral or (u in self._touching and rates[constraint.row] <= rest):
                 involved.append(u)
                 slip = rates[list(constraint.tangents)]
                 speed = float(np.linalg.norm(slip))
@@ -278,14 +288,16 @@ class Transition:
         moving = tuple(OPEN if u in involved else state for u, state in enumerate(states))
         set_constraint_forces(self._modes.full, Choice(moving, ()))
         if not involved:
-            return self._choice(states, ()), {}, {}, ""
-        rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
-        solution, response = self._solve(involved, rows, slips)
+            return self._choice(states, (), frozenset()), {}, {}, ""
+        kept = self._kept_from_slipping([u for u in involved if u not in slips])
+        rows = [constraints[u].row for u in involved]
+        rows += [t for u in involved if u not in kept for t in constraints[u].tangents]
+        solution, response, pulling = self._solve(involved, rows, slips)
         at = {row: k for k, row in enumerate(rows)}
         self._residual = max(self._residual, solution.residual)
         directions = dict(slips)
         for k, u in enumerate(involved):
-            states[u] = _STATES[solution.modes[k]]
+            states[u] = TOUCHING if u in kept else _STATES[solution.modes[k]]
             if states[u] in (SLIDING, AT_BOUND) and u not in directions:
                 directions[u] = solution.directions[k]
         for u in involved:
@@ -295,17 +307,66 @@ class Transition:
                 if can_move(response, slip, list(solution.active_rows)):
                     states[u] = SLIDING
         dropped = self._drop_unloaded(involved, rows, states, solution, response)
-        active = [k for k in solution.active_rows if k < len(rows) and k not in dropped]
-        held = tuple(sorted(rows[k] for k in active))
+        active = {rows[k] for k in solution.active_rows if k < len(rows) and k not in dropped}
+        active |= self._keep_closed(involved, rows, states, directions, solution)
+        held = tuple(sorted(active))
         normal = [at[constraints[u].row] for u in involved]
         every = [*rows, *self._modes.unilateral.bilateral]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
-        return self._choice(states, held), directions, forces, _trouble(solution, normal)
+        choice = self._choice(states, held, pulling)
+        return choice, directions, forces, _trouble(solution, normal)
 
-    def _choice(self, states: list[int], held: tuple[int, ...]) -> Choice:
+    def _choice(self, states: list[int], held: tuple[int, ...], pulling: frozenset[int]) -> Choice:
         others = self._off_patch.union(self._touching)
         below = below_patch_constraints(self._modes.full, others)
-        return Choice(tuple(states), held, self._off_patch, below)
+        return Choice(tuple(states), held, pulling, self._off_patch, below)
+
+    def _kept_from_slipping(self, involved: list[int]) -> set[int]:
+        """Bilateral contacts that the normal forces of all of them keep from slipping.
+
+        Their friction moves nothing, and is none until they can slip.
+        """
+        bilateral = [u for u in involved if self._constraints[u].bilateral]
+        normal = [k for k, constraint in enumerate(self._constraints) if constraint.bilateral]
+        rows = [self._constraints[u].row for u in normal]
+        rows += [t for u in bilateral for t in self._constraints[u].tangents]
+        if not bilateral:
+            return set()
+        response, _ = self._rows.response(self._rows.jacobian(rows), self._modes.bare)
+        held, tangents = list(range(len(normal))), np.eye(len(rows))[len(normal) :]
+        movable = [can_move(response, tangent, held) for tangent in tangents]
+        return {u for k, u in enumerate(bilateral) if not any(movable[2 * k : 2 * k + 2])}
+
+    def _keep_closed(
+        self,
+        involved: list[int],
+        rows: list[int],
+        states: list[int],
+        directions: dict[int, np.ndarray],
+        solution: Solution,
+    ) -> set[int]:
+        """Rows of bilateral contacts that are held in any case; one without force sticks or slides.
+
+        Writes the states, and the directions of those that begin to slip.
+        """
+        held = set()
+        for u in involved:
+            constraint = self._constraints[u]
+            if not constraint.bilateral:
+                continue
+            held.add(constraint.row)
+            if states[u] not in (OPEN, RESTING):
+                continue
+            states[u] = SLIDING
+            if u not in directions:
+                slip = solution.rates[[rows.index(t) for t in constraint.tangents]]
+                size = float(np.linalg.norm(slip))
+                if size > NO_ACCELERATION:
+                    directions[u] = slip / size
+                else:
+                    states[u] = STICKING
+                    held.update(constraint.tangents)
+        return held
 
     def _drop_unloaded(
         self,
@@ -326,6 +387,7 @@ class Transition:
             u
             for u in involved
             if self._constraints[u].kind != DRY_JOINT
+            and not self._constraints[u].bilateral
             and states[u] != OPEN
             and solution.forces[at[self._constraints[u].row]] <= none
         ]
@@ -342,8 +404,8 @@ class Transition:
 
     def _solve(
         self, involved: list[int], rows: list[int], slips: dict[int, np.ndarray]
-    ) -> tuple[Solution, np.ndarray]:
-        """Forces and modes of the constraints, and the response of the rows of the problem.
+    ) -> tuple[Solution, np.ndarray, frozenset[int]]:
+        """Forces and modes, the response of the rows of the problem, and who pulls.
 
         Where minimum-norm forces depend on the bilateral rows too, these follow the given rows.
         """
@@ -359,7 +421,55 @@ class Transition:
             free = self._rows.free_accelerations(every, loose, self._ahead)
             response, _ = self._rows.response(self._rows.jacobian(every), loose)
         free[np.abs(free) < NO_ACCELERATION] = 0.0
-        return solve(response, free, laws), response
+        solution, pulling = self._solve_sides(involved, response, free, laws)
+        return solution, response, pulling
+
+    def _solve_sides(
+        self,
+        involved: list[int],
+        response: np.ndarray,
+        rates: np.ndarray,
+        laws: list[ContactLaw],
+    ) -> tuple[Solution, frozenset[int]]:
+        """Solve with bilateral contacts that push or pull; and which of them pull.
+
+        The first sides are those of the forces without friction in these contacts.  Whichever then
+        opens changes its side: all of them at once, or the first one where that has led back.
+        """
+        bilateral = {k for k, u in enumerate(involved) if self._constraints[u].bilateral}
+        sided = {
+            k: law
+            for k, law in enumerate(laws)
+            if k in bilateral and isinstance(law, (Friction, Sliding))
+        }
+        if not sided:
+            return solve(response, rates, laws), frozenset()
+        smooth: list[ContactLaw] = [law for k, law in enumerate(laws) if k not in sided]
+        for law in sided.values():
+            smooth.append(Bounded(law.row, -np.inf, np.inf))
+            smooth += [Bounded(t, 0.0, 0.0) for t in law.tangents]
+        start = solve(response, rates, smooth).forces
+        pulls = frozenset(k for k, law in sided.items() if start[law.row] < 0.0)
+        tried: set[frozenset[int]] = set()
+        while True:
+            signs = np.ones(rates.size)
+            signs[[sided[k].row for k in pulls]] = -1.0
+            found = solve(signs[:, None] * response * signs, signs * rates, laws)
+            wrong = [k for k in sided if found.modes[k] is ContactMode.OPEN]
+            if not wrong or len(tried) > 8 * len(sided):
+                break
+            tried.add(pulls)
+            pulls = pulls ^ frozenset(wrong if pulls ^ frozenset(wrong) not in tried else wrong[:1])
+        if wrong:
+            found = replace(found, verdict=Verdict.NONE, residual=1.0, message=NO_SIDES)
+        others = tuple(
+            replace(other, forces=signs * other.forces, rates=signs * other.rates)
+            for other in found.alternatives
+        )
+        found = replace(
+            found, forces=signs * found.forces, rates=signs * found.rates, alternatives=others
+        )
+        return found, frozenset(involved[k] for k in pulls)
 
     def _free(self, rows: list[int]) -> np.ndarray:
         return self._rows.free_accelerations(rows, self._modes.bare, self._ahead)
@@ -393,6 +503,8 @@ def _law(constraint: Constraint, at: dict[int, int], slip: np.ndarray | None) ->
         return Bounded(at[constraint.row], -constraint.bound, constraint.bound)
     if not constraint.tangents:
         return Push(at[constraint.row])
+    if constraint.bilateral and constraint.tangents[0] not in at:
+        return Bounded(at[constraint.row], -np.inf, np.inf)
     first, second = (at[t] for t in constraint.tangents)
     if slip is None:
         return Friction(at[constraint.row], (first, second), constraint.mu)

@@ -186,6 +186,8 @@ class Contact:
         A contact whose row is subtracted before the factor is applied.
     pushes_only : bool
         The real contact cannot pull; a pulling force is reported.
+    mu : float, optional
+        Its own coefficient of friction; absent: that of its joint or of the scene.
     """
 
     name: str
@@ -195,6 +197,7 @@ class Contact:
     weight: float = 1.0
     minus: Contact | None = None
     pushes_only: bool = False
+    mu: float | None = None
 
     def mapped(
         self, on_arm: Callable[[Surface], Surface], on_object: Callable[[Surface], Surface]

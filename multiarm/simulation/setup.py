@@ -161,8 +161,10 @@ def prepare(
     name, tolerance = method_and_tolerance(spec, tighten)
     _check_samples(data.model, spec)
     if METHODS[name].kind == VARIATIONAL:
-        with_states = data.model.effects.with_states
-        fault = method_fault(name, with_states, system.scene.effects.with_events)
+        effects, with_states = system.scene.effects, data.model.effects.with_states
+        has_events = system.model.unilateral is not None
+        with_events = effects.with_events or ("friction ('mu')",) * has_events
+        fault = method_fault(name, with_states, with_events)
         if fault:
             raise SceneError(f"integrator: {fault}")
     settings = _settings(data, spec, tolerance, max_step)

@@ -167,8 +167,8 @@ class EffectsSpec(Spec):
 
     @property
     def of_pushing(self) -> tuple[str, ...]:
-        """Names of those that act on contacts that only push, and on nothing else."""
-        return self._names_of(lambda spec: spec.of_pushing)
+        """Names of those that act on all contacts that only push, and on nothing else."""
+        return self._names_of(lambda spec: spec.of_pushing and not getattr(spec, "contacts", None))
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms of the scene."""

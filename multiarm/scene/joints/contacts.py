@@ -36,7 +36,7 @@ from multiarm.scene.surfaces import (
     SurfaceGeometry,
     TorusGeometry,
 )
-from multiarm.scene.values import OneOf, Pose, Spec, Vec3
+from multiarm.scene.values import NonNegative, OneOf, Pose, Spec, Vec3
 
 SURFACES: Registry[Surface] = Registry(
     noun="surface",
@@ -137,6 +137,11 @@ class ContactSpec(Spec):
         The object's side, in the joint frame at the object.
     rolling : bool
         The surfaces do not slip where they touch: two rows more, for the velocities.
+    mu : float, optional
+        Coulomb's coefficient of friction; absent: that of the joint or of
+        ``effects.contact_friction``.
+    bilateral : bool
+        The real contact also pulls, as a pin in a slot does: no effect opens it.
     name : str, optional
         A name for reports.
     """
@@ -144,7 +149,15 @@ class ContactSpec(Spec):
     arm: Geometry = Field(description="the arm's side of the contact")
     object: Geometry = Field(description="the object's side of the contact")
     rolling: bool = False
+    mu: NonNegative | None = Field(None, description="Coulomb's coefficient of friction")
+    bilateral: bool = Field(False, description="it also pulls, as a pin in a slot, and cannot open")
     name: str | None = None
+
+    @model_validator(mode="after")
+    def _slides_or_rolls(self) -> Self:
+        if self.rolling and self.mu is not None:
+            raise fault("a contact that rolls does not slide; leave out 'mu' or 'rolling'")
+        return self
 
     @model_validator(mode="after")
     def _touch_in_a_point(self) -> Self:
@@ -181,8 +194,8 @@ def _obstacle(a: Surface, b: Surface) -> str | None:
 class ContactsJoint(Joint):
     """Any list of frictionless point contacts.
 
-    A contact is bilateral: it holds the surfaces together. The report says where it pulls, which a
-    real one could not.
+    Without effects a contact holds the surfaces together. The report says where it pulls, which a
+    real one could not, unless it is 'bilateral'. With friction ('mu') it can open and slide.
 
     Attributes
     ----------
@@ -218,15 +231,21 @@ class ContactsJoint(Joint):
 
     @property
     def pushes(self) -> bool:
-        """All of them only push."""
-        return True
+        """Whether one of them only pushes."""
+        return not all(contact.bilateral for contact in self.contacts)
 
     def records(self) -> list[Contact]:
         """One row for each contact, two more for a rolling one; functions are loaded already."""
         found = []
         for k, spec in enumerate(self.contacts):
             name = spec.name or f"contact {k + 1}"
-            normal = Contact(name, spec.arm.record(), spec.object.record(), pushes_only=True)
+            normal = Contact(
+                name,
+                spec.arm.record(),
+                spec.object.record(),
+                pushes_only=not spec.bilateral,
+                mu=spec.mu,
+            )
             found.append(normal)
             for tangent in (1, 2) if spec.rolling else ():
                 row = f"{name}, no slip {tangent}"

@@ -7,6 +7,7 @@ section 3.9).  A kind is one class: its parameters, its contacts, and what peopl
 
 from __future__ import annotations
 
+from dataclasses import replace
 from textwrap import dedent, indent
 from typing import Annotated, ClassVar
 
@@ -71,6 +72,9 @@ class Joint(OwnKind):
         'contacts': the object's own frame.
     at_tip : Pose
         Joint frame in the frame of the arm's tip.
+    mu : float, optional
+        Coulomb's coefficient of friction of its contacts, where they have none of their own and do
+        not roll.  It counts before that of ``effects.contact_friction``.
     picture : str
         An everyday example, for ``multiarm joints``.
     example : str
@@ -97,6 +101,11 @@ class Joint(OwnKind):
     name: str | None = None
     at: Pose | None = None
     at_tip: Pose = Pose()
+    mu: NonNegative | None = Field(
+        None,
+        description="Coulomb's coefficient of friction of its contacts; friction follows from the "
+        "forces of each contact, and so from how far they are spread",
+    )
     kind: str
 
     def records(self) -> list[Contact]:
@@ -169,7 +178,8 @@ class Joint(OwnKind):
                         "or a direction that is zero; correct it"
                     )
         on_tip = self.at_tip.matrix()
-        return [moved(contact, on_tip, object_pose) for contact in found]
+        own = [moved(contact, on_tip, object_pose) for contact in found]
+        return own if self.mu is None else _with_friction(own, self.mu)
 
     def frames(self, object_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The frames in which its free motions are expressed, z its axis or normal.
@@ -227,6 +237,17 @@ class UnloadedJoint(Joint):
     def placed(self, object_pose: np.ndarray) -> list[Contact]:
         """No contacts."""
         return []
+
+
+def _with_friction(contacts: list[Contact], mu: float) -> list[Contact]:
+    """The contacts with a coefficient of friction, where they slide and have none of their own."""
+    followers = [*contacts[1:], None]
+    return [
+        contact
+        if contact.tangent or contact.mu is not None or (after is not None and after.tangent)
+        else replace(contact, mu=mu)
+        for contact, after in zip(contacts, followers, strict=True)
+    ]
 
 
 def moved(contact: Contact, on_arm: np.ndarray, on_object: np.ndarray) -> Contact:
