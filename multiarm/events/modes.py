@@ -335,7 +335,8 @@ def _guards(
         if max(tangents) >= 0:
             mu = side * constraint.mu
             guards.append(Guard(CONE_GUARD, row, mu, FORCE_THRESHOLD, *tangents))
-    if state == AT_BOUND or (constraint.bilateral and state == TOUCHING):
+    resting = constraint.bilateral and u not in sliding
+    if state == AT_BOUND or (resting and not all(t in place for t in constraint.tangents)):
         guards.append(Guard(ONSET_GUARD, constraint.tangents[0], still))
     elif u in sliding:
         guards.append(Guard(SLIP_GUARD, sliding.index(u), threshold=still))

@@ -289,10 +289,11 @@ class Transition:
         set_constraint_forces(self._modes.full, Choice(moving, ()))
         if not involved:
             return self._choice(states, (), frozenset()), {}, {}, ""
-        kept = self._kept_from_slipping([u for u in involved if u not in slips])
+        fixed = self._directions_without_slip([u for u in involved if u not in slips])
+        kept = {u for u in involved if fixed.issuperset(constraints[u].tangents or {-1})}
         rows = [constraints[u].row for u in involved]
         rows += [t for u in involved if u not in kept for t in constraints[u].tangents]
-        solution, response, pulling = self._solve(involved, rows, slips)
+        solution, response, pulling = self._solve(involved, rows, slips, fixed)
         at = {row: k for k, row in enumerate(rows)}
         self._residual = max(self._residual, solution.residual)
         directions = dict(slips)
@@ -300,16 +301,22 @@ class Transition:
             states[u] = TOUCHING if u in kept else _STATES[solution.modes[k]]
             if states[u] in (SLIDING, AT_BOUND) and u not in directions:
                 directions[u] = solution.directions[k]
+        closed = {at[constraints[u].row] for u in involved if constraints[u].bilateral}
+        closed |= set(solution.active_rows)
         for u in involved:
             if states[u] == AT_BOUND:
                 slip = np.zeros(len(response))
                 slip[[at[t] for t in constraints[u].tangents]] = directions[u]
-                if can_move(response, slip, list(solution.active_rows)):
+                if can_move(response, slip, sorted(closed)):
                     states[u] = SLIDING
         dropped = self._drop_unloaded(involved, rows, states, solution, response)
-        active = {rows[k] for k in solution.active_rows if k < len(rows) and k not in dropped}
-        active |= self._keep_closed(involved, rows, states, directions, solution)
-        held = tuple(sorted(active))
+        active = [
+            k
+            for k in solution.active_rows
+            if k < len(rows) and k not in dropped and rows[k] not in fixed
+        ]
+        self._keep_closed(involved, at, states, directions, active, solution, response)
+        held = tuple(sorted(rows[k] for k in active))
         normal = [at[constraints[u].row] for u in involved]
         every = [*rows, *self._modes.unilateral.bilateral]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
@@ -321,10 +328,10 @@ class Transition:
         below = below_patch_constraints(self._modes.full, others)
         return Choice(tuple(states), held, pulling, self._off_patch, below)
 
-    def _kept_from_slipping(self, involved: list[int]) -> set[int]:
-        """Bilateral contacts that the normal forces of all of them keep from slipping.
+    def _directions_without_slip(self, involved: list[int]) -> set[int]:
+        """Tangents of bilateral contacts along which the normals of all of them allow no slip.
 
-        Their friction moves nothing, and is none until they can slip.
+        Friction along them moves nothing, and is none until they can slip.
         """
         bilateral = [u for u in involved if self._constraints[u].bilateral]
         normal = [k for k, constraint in enumerate(self._constraints) if constraint.bilateral]
@@ -334,39 +341,39 @@ class Transition:
             return set()
         response, _ = self._rows.response(self._rows.jacobian(rows), self._modes.bare)
         held, tangents = list(range(len(normal))), np.eye(len(rows))[len(normal) :]
-        movable = [can_move(response, tangent, held) for tangent in tangents]
-        return {u for k, u in enumerate(bilateral) if not any(movable[2 * k : 2 * k + 2])}
+        return {
+            row
+            for row, tangent in zip(rows[len(normal) :], tangents, strict=True)
+            if not can_move(response, tangent, held)
+        }
 
     def _keep_closed(
         self,
         involved: list[int],
-        rows: list[int],
+        at: dict[int, int],
         states: list[int],
         directions: dict[int, np.ndarray],
+        held: list[int],
         solution: Solution,
-    ) -> set[int]:
-        """Rows of bilateral contacts that are held in any case; one without force sticks or slides.
+        response: np.ndarray,
+    ) -> None:
+        """Hold bilateral contacts without force that other rows do not keep closed.
 
-        Writes the states, and the directions of those that begin to slip.
+        Writes the states, the directions of those that begin to slip, and the held rows.
         """
-        held = set()
         for u in involved:
             constraint = self._constraints[u]
-            if not constraint.bilateral:
+            if not constraint.bilateral or states[u] not in (OPEN, RESTING):
                 continue
-            held.add(constraint.row)
-            if states[u] not in (OPEN, RESTING):
+            normal = at[constraint.row]
+            if not can_move(response, np.eye(len(response))[normal], held):
                 continue
-            states[u] = SLIDING
-            if u not in directions:
-                slip = solution.rates[[rows.index(t) for t in constraint.tangents]]
-                size = float(np.linalg.norm(slip))
-                if size > NO_ACCELERATION:
-                    directions[u] = slip / size
-                else:
-                    states[u] = STICKING
-                    held.update(constraint.tangents)
-        return held
+            held.append(normal)
+            slip = solution.rates[[at[t] for t in constraint.tangents]]
+            size = float(np.linalg.norm(slip))
+            if u not in directions and size > NO_ACCELERATION:
+                directions[u] = slip / size
+            states[u] = SLIDING if u in directions else TOUCHING
 
     def _drop_unloaded(
         self,
@@ -403,11 +410,16 @@ class Transition:
         return dropped
 
     def _solve(
-        self, involved: list[int], rows: list[int], slips: dict[int, np.ndarray]
+        self,
+        involved: list[int],
+        rows: list[int],
+        slips: dict[int, np.ndarray],
+        fixed: set[int],
     ) -> tuple[Solution, np.ndarray, frozenset[int]]:
         """Forces and modes, the response of the rows of the problem, and who pulls.
 
-        Where minimum-norm forces depend on the bilateral rows too, these follow the given rows.
+        There is no friction along the ``fixed`` tangents.  Where minimum-norm forces depend on the
+        bilateral rows too, these follow the given rows.
         """
         constraints, at = self._constraints, {row: k for k, row in enumerate(rows)}
         laws = [_law(constraints[u], at, slips.get(u)) for u in involved]
@@ -421,6 +433,8 @@ class Transition:
             free = self._rows.free_accelerations(every, loose, self._ahead)
             response, _ = self._rows.response(self._rows.jacobian(every), loose)
         free[np.abs(free) < NO_ACCELERATION] = 0.0
+        without = [at[row] for row in fixed.intersection(rows)]
+        free[without] = response[without] = response[:, without] = 0.0
         solution, pulling = self._solve_sides(involved, response, free, laws)
         return solution, response, pulling
 

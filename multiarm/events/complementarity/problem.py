@@ -59,6 +59,9 @@ MARGIN = 1e-9
 An event leaves the quantity that caused it at zero within the accuracy to which it was located.
 A row kept active with such a force would cause the same event again at once."""
 
+RESOLVED = 0.1 * MARGIN
+"""A residual that modes do not show: what the rounding of rows that depend on each other leaves."""
+
 CONSISTENT = 4e-9
 """A motion is reproduced when the rates agree to this: what a few forces within ``MARGIN`` make."""
 

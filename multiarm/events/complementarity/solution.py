@@ -44,6 +44,7 @@ from multiarm.events.complementarity.problem import (
     CONSISTENT,
     MARGIN,
     RANK,
+    RESOLVED,
     ROUNDING,
     ContactLaw,
     ContactMode,
@@ -234,6 +235,8 @@ def _solutions(problem: Problem) -> tuple[list[np.ndarray], Verdict, str]:
         message = "friction is so strong that other solutions may exist (Painleve); too many to try"
         return [z], Verdict.FOUND, message
     residual = problem.residual(z)
+    if residual <= RESOLVED:
+        return [z], Verdict.FOUND, ""
     message = f"no solution found (residual {residual:.1e}); too many contacts to try all modes"
     return [z], Verdict.NONE, message
 

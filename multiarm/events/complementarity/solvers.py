@@ -37,7 +37,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.events.complementarity.problem import CONSISTENT, RANK, ROUNDING, Cone, Problem
+from multiarm.events.complementarity.problem import (
+    CONSISTENT,
+    RANK,
+    RESOLVED,
+    ROUNDING,
+    Cone,
+    Problem,
+)
 
 # Pivots allowed for each row: a handful is usual, more means that rounding makes it cycle.
 PIVOTS = 20
@@ -161,6 +168,8 @@ def iterate(problem: Problem) -> np.ndarray:
     """Independent forces of a solution, or the best found; the residual says which."""
     z = best = problem.without_force()
     for sweeps in SWEEPS:
+        if sweeps >= 100 and problem.residual(best) <= RESOLVED:
+            break
         z = gauss_seidel(problem, z, sweeps)
         found = newton(problem, z)
         if problem.residual(found) < problem.residual(best):
