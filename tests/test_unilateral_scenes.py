@@ -51,7 +51,7 @@ def corner_pair():
         ),
         (
             {"contact_friction": 0.3, "contact_compliance": 1e4},
-            "contact 'cart/plate' has friction ('mu' or contact_friction), which needs a rigid contact",
+            "contact 'cart/plate' has friction ('mu' or contact_friction), which needs a rigid",
         ),
     ],
 )
