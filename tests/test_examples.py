@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import multiarm as ma
 from multiarm.scene import REGISTRIES, control, joints
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
@@ -52,6 +53,14 @@ def figures(pattern: str, text: str) -> list[tuple[float, ...]]:
 
 def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.M | re.S)
+
+
+def test_the_scene_of_the_readme_can_be_run(tmp_path):
+    scene = next(text for text in blocks("yaml") if text.startswith("name:"))
+    (tmp_path / "scene.yaml").write_text(scene)
+    system = ma.compile_system(ma.load_scene(tmp_path / "scene.yaml"))
+    assert max(system.start_report.gaps.values()) < 1e-6
+    assert ma.simulate(system, 0.01, certificate=False).status == "completed"
 
 
 def assert_same_print(actual: str, expected: str) -> None:

@@ -9,12 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
+from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.errors import GraspError
 from multiarm.grasp import Contacts, Grasp, Gripper, Polyhedron
 from multiarm.grasp.scenes import grasp_scene, motion_wrenches, needed_squeeze
 from multiarm.grasp.scenes.hands import approach
 from multiarm.grasp.scenes.reading import read_grasp
-from multiarm.grasp.scenes.standing import find_posture
 from multiarm.scene import Waypoint, dump_scene, parse_scene
 
 SIZE = np.array([1.2, 0.8, 0.6])
@@ -208,14 +208,15 @@ def test_a_posture_reaches_its_places_within_the_limits(held, rng):
     low, high = np.clip(arm.position_limits, -2.0, 2.0).T
     start = rng.uniform(0.5 * low, 0.5 * high)
     places = [arm.tip_pose(start + shift) for shift in (0.0, 0.05, 0.1)]
-    reach = find_posture(arm, places, rng)
+    postures = InverseKinematics(arm)
+    reach = postures.search(places, rng)
     for place, posture in zip(places, reach.postures, strict=True):
         np.testing.assert_allclose(arm.tip_pose(posture), place, atol=1e-7)
         assert np.all((arm.position_limits[:, 0] < posture) & (posture < arm.position_limits[:, 1]))
     assert np.max(np.abs(np.diff(reach.postures, axis=0))) < 0.6
     far = places[0].copy()
     far[:3, 3] += [3.0, 0.0, 0.0]
-    assert find_posture(arm, [far], rng, starts=3) is None
+    assert postures.search([far], rng, starts=3) is None
 
 
 def test_a_hand_comes_from_outside_all_faces_that_it_touches():

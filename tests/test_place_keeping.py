@@ -8,10 +8,10 @@ from mechanics import panda_trio, ur5_pair
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
+from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.assembly.start import project_velocity
 from multiarm.control.null_space import nearest_accelerations
 from multiarm.errors import SceneError
-from multiarm.grasp.scenes.standing import find_posture
 
 PLANAR = {"kind": "planar"}
 SPRING = {
@@ -35,7 +35,7 @@ def slid(system, shift):
     frame = system.frames["right"]
     place = arm.tip_pose(angles)
     place[:3, 3] += place[:3, :3] @ frame.on_tip[:3, :2] @ np.array(shift)
-    reach = find_posture(arm, [place], NearBy(angles))
+    reach = InverseKinematics(arm).search([place], NearBy(angles))
     positions = {**start.joint_positions, "right": reach.postures[0]}
     return system.state(
         object_position=start.object_position,

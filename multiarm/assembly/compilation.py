@@ -15,6 +15,7 @@ import numpy as np
 from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.paths import joint_path
+from multiarm.assembly.postures import find_postures
 from multiarm.assembly.start import assemble, check_patches, check_unilateral
 from multiarm.contacts.joint import COMPONENTS, FRAME_WIDTH, Joint, JointFrame
 from multiarm.contacts.table import ContactTable, pack
@@ -203,6 +204,8 @@ def load_robots(scene: Scene, like: System | None = None) -> Robots:
         else:
             resolved[name] = resolve_arm(spec, scene.folder)
             arms[name] = _make_arm(name, scene, resolved[name])
+    found = find_postures(scene, arms, {name: own.posture for name, own in resolved.items()})
+    resolved |= {name: replace(resolved[name], posture=own) for name, own in found.items()}
     return Robots(resolved, arms, shared)
 
 

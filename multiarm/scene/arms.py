@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -105,9 +106,11 @@ class ArmSpec(_FromUrdf):
         The link whose frame is joined to the object: of the tool if there is one.
     tool : ToolSpec, optional
         A tool on the robot.
-    posture : list or table 'joint: value', optional
+    posture : list or table 'joint: value', or 'solve', optional
         Positions [rad] or [m] at the start, one number per movable joint from base to tip.
-        Joints that are not named are at 0, or at the limit nearest to 0.
+        Joints that are not named are at 0, or at the limit nearest to 0.  ``solve``: found for the
+        place of the arm's joint on the object (its ``at``); so too where there is no posture and
+        the tip would be far from that place.
     velocity : list or table 'joint: value', optional
         Velocities [rad/s] or [m/s] at the start, 0 where not named.
     lock : table 'joint: value'
@@ -119,7 +122,7 @@ class ArmSpec(_FromUrdf):
     base: Pose = Pose()
     tip: str = Field(description="the link that is joined to the object")
     tool: ToolSpec | None = None
-    posture: JointValues | None = None
+    posture: Literal["solve"] | JointValues | None = None
     velocity: JointValues | None = None
     lock: dict[str, Number] = Field(default_factory=dict)
     color: Color | None = None
@@ -348,6 +351,8 @@ def _start(
     vectors = []
     for key, default in (("posture", neutral), ("velocity", np.zeros(len(free)))):
         values = getattr(spec, key)
+        if values == "solve":
+            values = None
         faults = joint_value_faults(values, names)
         for where, text in faults:
             found.fault(key, *where, text=text)

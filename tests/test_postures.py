@@ -1,0 +1,136 @@
+"""Claims about postures that the program finds, by Pinocchio's kinematics and SciPy's rotations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from event_scenes import arm as plain_arm
+from event_scenes import box
+from scipy.spatial.transform import Rotation
+
+import multiarm as ma
+from multiarm.arms.arm import Arm
+from multiarm.assembly.compilation import arm_files
+from multiarm.assembly.inverse_kinematics import REACHED, InverseKinematics
+from multiarm.errors import SceneError
+from multiarm.scene import ArmSpec, parse_scene, resolve_arm
+
+UR5 = {"robot": "ur5", "tip": "tool0"}
+PANDA = {"robot": "panda", "tip": "panda_hand"}
+FINGERS = {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02}
+DOWN = {"xyz": [0.0, 0.0, 0.1], "rpy": [np.pi, 0.0, 0.0]}
+
+
+def robot(**spec) -> Arm:
+    own = ArmSpec.model_validate(spec)
+    return Arm("arm", arm_files(own, resolve_arm(own)))
+
+
+ROBOTS = [
+    pytest.param(UR5, id="ur5"),
+    pytest.param({**PANDA, "lock": FINGERS}, id="panda"),
+    pytest.param(plain_arm("xZyYX"), id="slides and hinges"),
+]
+
+
+@pytest.mark.parametrize("spec", ROBOTS)
+def test_pose_and_jacobian_are_pinocchios(spec, rng):
+    arm, frame = robot(**spec), pin.SE3.Random().homogeneous
+    search = InverseKinematics(arm, frame=frame)
+    for _ in range(5):
+        q = rng.uniform(search.lower, search.upper)
+        pose, J = search.pose(q)
+        terms = arm.terms(q, np.zeros(arm.dof))
+        np.testing.assert_allclose(pose, arm.tip_pose(q) @ frame, atol=1e-14)
+        lever = pose[:3, 3] - terms.tip_position
+        np.testing.assert_allclose(J[3:], terms.J[3:], atol=1e-14)
+        np.testing.assert_allclose(
+            J[:3], terms.J[:3] - np.cross(lever, terms.J[3:].T).T, atol=1e-13
+        )
+
+
+@pytest.mark.parametrize("spec", ROBOTS)
+@pytest.mark.parametrize("free", [(), (5,), (0, 4)])
+def test_postures_bring_the_tip_to_places_that_exist(spec, free, rng):
+    arm = robot(**spec)
+    search, found = InverseKinematics(arm, free), 0
+    for _ in range(10):
+        place = arm.tip_pose(rng.uniform(search.lower, search.upper))
+        reach = search.search([place], rng, 40)
+        if reach is None:
+            continue
+        found += 1
+        (q,) = reach.postures
+        assert np.all((search.lower <= q) & (q <= search.upper))
+        here = arm.tip_pose(q)
+        shift = place[:3, :3].T @ (here[:3, 3] - place[:3, 3])
+        turn = Rotation.from_matrix(place[:3, :3].T @ here[:3, :3]).as_rotvec()
+        error = np.delete(np.concatenate([shift, turn]), free)
+        assert np.max(np.abs(error)) < REACHED
+    assert found >= 8
+
+
+def scene(arms: dict, joints: list[dict], **more):
+    body = box((0.4, 0.3, 0.2), height=0.4)
+    return parse_scene({"object": body, "arms": arms, "joints": joints, **more})
+
+
+@pytest.mark.parametrize("kind", ["weld", "ball", "revolute", "planar", "point_on_plane"])
+@pytest.mark.parametrize("posture", [{"posture": "solve"}, {}], ids=["asked for", "by default"])
+def test_a_scene_needs_no_posture(kind, posture):
+    base = {"xyz": [0.5, 0.2, 0.0]}
+    built = scene({"a": {**UR5, "base": base, **posture}}, [{"arm": "a", "kind": kind, "at": DOWN}])
+    system = ma.compile_system(built)
+    q = system.initial_state().joint_positions["a"]
+    shift = built.joints[0].start_shift()
+    there = built.object.pose.matrix() @ built.joints[0].at.matrix()
+    np.testing.assert_allclose(system.arms["a"].tip_pose(q) @ shift, there, atol=1e-7)
+    limits = system.arms["a"].position_limits
+    assert np.all((limits[:, 0] + 0.04 < q) & (q < limits[:, 1] - 0.04))
+    assert np.min(system.arms["a"].skeleton(q)[2:-1, 2]) > 0.05  # above its base
+    again = ma.compile_system(built, like=system).initial_state()
+    assert np.array_equal(again.position, system.initial_state().position)
+
+
+def test_a_motion_that_the_joint_leaves_free_may_be_used():
+    """Three slides and a hinge about x cannot turn about the axis z of the joint."""
+    turned = {"xyz": [0, 0, 0.1], "rpy": [0.0, 0.0, 0.7]}
+    arms, joint = {"a": {**plain_arm("xyzX"), "posture": "solve"}}, {"arm": "a", "at": turned}
+    system = ma.compile_system(scene(arms, [{**joint, "kind": "revolute"}]))
+    np.testing.assert_allclose(
+        system.initial_state().joint_positions["a"], [0, 0, 0.6, 0], atol=1e-8
+    )
+    with pytest.raises(SceneError, match=r"arms.a.posture: .* leaves 0.000 m and 40 deg"):
+        ma.compile_system(scene(arms, [{**joint, "kind": "weld"}]))
+
+
+def test_an_arm_that_is_too_far_away_hears_where_to_go():
+    joints = [{"arm": "a", "kind": "ball", "at": DOWN}]
+    with pytest.raises(SceneError, match="move the base by") as caught:
+        ma.compile_system(scene({"a": {**UR5, "base": {"xyz": [1.6, 0, 0]}}}, joints))
+    (text,) = caught.value.faults
+    shift = np.array(text.split("move the base by [")[1].split("]")[0].split(", "), dtype=float)
+    nearer = {"xyz": list(np.array([1.6, 0, 0]) + shift * 1.02)}
+    ma.compile_system(scene({"a": {**UR5, "base": nearer}}, joints))
+
+
+def test_every_arm_that_cannot_be_placed_is_named():
+    arms = {name: {**UR5, "base": {"xyz": [x, 0, 0]}} for name, x in (("a", 3.0), ("b", -3.0))}
+    arms["c"] = {**UR5, "posture": "solve"}
+    joints = [{"arm": name, "kind": "weld", "at": DOWN} for name in "ab"]
+    with pytest.raises(SceneError) as caught:
+        ma.compile_system(scene(arms, [*joints, {"arm": "c", "kind": "weld"}]))
+    assert [fault.partition(".posture")[0] for fault in caught.value.faults] == [
+        "$.arms.a", "$.arms.b", "$.arms.c",
+    ]  # fmt: skip
+    assert "give $.joints[2].at" in caught.value.faults[2]
+
+
+def test_a_written_posture_stays():
+    near = [0.0, 0.0, 0.6, 0.0]
+    arms = {"a": {**plain_arm("xyzX"), "posture": near}}
+    system = ma.compile_system(
+        scene(arms, [{"arm": "a", "kind": "ball", "at": {"xyz": [0, 0, 0.1]}}])
+    )
+    assert np.array_equal(system.initial_state().joint_positions["a"], near)
