@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
+from pydantic import AfterValidator, BeforeValidator, WithJsonSchema, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
@@ -241,66 +241,45 @@ _LENGTHS = {"type": "array", "items": _LENGTH, **_THREE}
 
 
 class Cylinder(Spec):
-    """A cylinder about the z axis.
-
-    Attributes
-    ----------
-    radius : float
-        [m]
-    height : float
-        Along z [m].
-    """
+    """A cylinder about the z axis."""
 
     radius: Positive
+    """[m]"""
     height: Positive
+    """Along z [m]."""
 
 
 class Mesh(Spec):
-    """A mesh, its origin at the centre of mass.
-
-    Attributes
-    ----------
-    file : path
-        An STL or OBJ file, for instance.
-    scale : number or 3 numbers
-        Metres for each unit of the file, for all axes or one for each.
-    """
+    """A mesh, its origin at the centre of mass."""
 
     file: Path
+    """An STL or OBJ file, for instance."""
     scale: Annotated[
         tuple[float, float, float],
         BeforeValidator(_scale),
         WithJsonSchema({"anyOf": [_LENGTH, _LENGTHS]}),
     ] = (1.0, 1.0, 1.0)
+    """Metres for each unit of the file, for all axes or one for each."""
 
 
 class Shape(OneOf):
-    """The shape of the object: exactly one of these.
-
-    Attributes
-    ----------
-    box : 3 numbers
-        Full edge lengths [m] along x, y, z.
-    sphere : float
-        Radius [m].
-    cylinder : Cylinder
-        Axis along z.
-    hull : list of 3 numbers
-        Corners of a convex polyhedron [m] whose centre of mass is the origin.
-    mesh : Mesh
-        For the eye only; then ``inertia`` must be given.
-    """
+    """The shape of the object: exactly one of these."""
 
     box: (
         Annotated[tuple[float, float, float], BeforeValidator(_edges), WithJsonSchema(_LENGTHS)]
         | None
     ) = None
+    """Full edge lengths [m] along x, y, z."""
     sphere: Positive | None = None
+    """Radius [m]."""
     cylinder: Cylinder | None = None
+    """Axis along z."""
     hull: Annotated[tuple[Vec3, ...], BeforeValidator(_points), AfterValidator(_solid)] | None = (
         None
     )
+    """Corners of a convex polyhedron [m] whose centre of mass is the origin."""
     mesh: Mesh | None = None
+    """For the eye only; then ``inertia`` must be given."""
 
     def uniform_inertia(self, mass: float) -> np.ndarray:
         """Inertia about the centre of mass at uniform density, shape (3, 3) [kg m^2]."""
@@ -318,32 +297,22 @@ class Shape(OneOf):
 
 
 class ObjectSpec(Spec):
-    """The common object. Its frame has the origin at the centre of mass.
+    """The common object. Its frame has the origin at the centre of mass."""
 
-    Attributes
-    ----------
-    shape : Shape
-        For the eye, and for the inertia where that is not given.
-    mass : float
-        [kg]
-    inertia : 3, 6 or 3x3 numbers, optional
-        About the centre of mass in object axes [kg m^2]: principal moments, the entries
-        ixx, ixy, ixz, iyy, iyz, izz, or the matrix. Absent: uniform density.
-    pose : Pose
-        Of the object frame in the world at the start.
-    twist : 6 numbers, optional
-        Velocity of the centre of mass [m/s] and angular velocity [rad/s], world axes, at the
-        start. Absent: at rest.
-    color : '#rrggbb' or 3 or 4 numbers, optional
-        Red, green, blue, opacity from 0 to 1.
-    """
-
-    shape: Shape = Field(description="such as {box: [1.0, 0.5, 0.2]}")
-    mass: Positive = Field(description="in kg")
+    shape: Shape
+    """For the eye, and for the inertia where that is not given, such as {box: [1.0, 0.5, 0.2]}."""
+    mass: Positive
+    """Its mass [kg]."""
     inertia: Inertia | None = None
+    """About the centre of mass in object axes [kg m^2]: principal moments, the entries ixx, ixy,
+    ixz, iyy, iyz, izz, or the matrix. Absent: uniform density."""
     pose: Pose = Pose()
+    """Of the object frame in the world at the start."""
     twist: Vec6 | None = None
+    """Velocity of the centre of mass [m/s] and angular velocity [rad/s], world axes, at the start.
+    Absent: at rest."""
     color: Color | None = None
+    """Red, green, blue, opacity from 0 to 1."""
 
     @model_validator(mode="after")
     def _inertia_is_known(self) -> Self:

@@ -1,14 +1,17 @@
 """The parameters of a part of a scene, as people read them: defaults, meanings and units.
 
-They come from the part's model: a meaning is the class's documentation of an attribute, or the
-field's description, and the unit is the text in brackets therein, ``[m]``.
+They come from the part's model: a meaning is the text below a field, the class's documentation of
+an attribute, or the field's description, and the unit is the text in brackets therein, ``[m]``.
 """
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
 from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
 from textwrap import dedent
 from typing import Any
 
@@ -48,6 +51,15 @@ def description_of(model: Any, name: str) -> str:
     return _documented(model).get(name, described)
 
 
+def brief_description(model: Any, name: str) -> str:
+    """What a message says about an attribute: its description, or how the text about it begins."""
+    field = model.model_fields.get(name)
+    if field is None or field.description:
+        return "" if field is None else field.description
+    text = re.split(r"\.(?: |$)", description_of(model, name))[0]
+    return text[:1].lower() + text[1:] if text[1:2].islower() or text[1:2] == " " else text
+
+
 def picture_of(model: Any) -> str:
     """One everyday sentence about a kind: its ``picture``, or how its documentation begins."""
     found = getattr(model, "picture", "")
@@ -65,6 +77,7 @@ def summary_of(model: Any) -> str:
     return _plain(inspect.cleandoc(model.__doc__ or "").partition("\n\n")[0])
 
 
+@cache
 def _documented(model: Any) -> dict[str, str]:
     """The text about every attribute that a model or one of its bases documents."""
     found: dict[str, str] = {}
@@ -74,7 +87,23 @@ def _documented(model: Any) -> dict[str, str]:
         _, *entries = re.split(r"(?m)^(\w+(?:, \w+)*)(?: :.*|$)", section)
         for names, body in zip(entries[::2], entries[1::2], strict=True):
             found.update(dict.fromkeys(names.split(", "), _plain(body)))
+        found.update(_below_fields(base))
     return found
+
+
+def _below_fields(model: type) -> dict[str, str]:
+    """The text below every field of a class; none where the class has no source."""
+    try:
+        tree = ast.parse(dedent(inspect.getsource(model)))
+    except (OSError, TypeError):
+        return {}
+    return {
+        field.target.id: _plain(text.value.value)
+        for field, text in pairwise(getattr(tree.body[0], "body", ()))
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+        if isinstance(text.value.value, str)
+    }
 
 
 def _plain(text: str) -> str:

@@ -91,53 +91,38 @@ class EffectsSpec(Spec):
 
     A name that is none of the attributes below is a user effect, see
     :mod:`multiarm.scene.registry`.
-
-    Attributes
-    ----------
-    joint_damping : number, table 'arm: values' or 'urdf', optional
-        Viscous damping of the arms' joints [N m s/rad] or [N s/m]. ``urdf``: the robot's
-        <dynamics damping>, also for single arms of a table.
-    joint_friction : JointFriction, or its torque, optional
-        Dry friction of the arms' joints.
-    rotor_inertia : number or table 'arm: values', optional
-        Inertia of the drives as seen from the joint, that of the rotor times the gear ratio
-        squared [kg m^2], of sliding joints [kg].
-    torque_limits : number, table 'arm: values' or 'urdf', optional
-        Largest torque of the drives [N m], of sliding joints force [N]: what the control commands
-        beyond it is cut off. ``urdf``: the robot's <limit effort>. Joints that are not named, or
-        have no limit in the URDF, are not limited.
-    actuator_lag : ActuatorLag, or its time_constant, optional
-        Drives that follow the command with a delay.
-    drag : Drag, optional
-        Resistance of the medium that the object moves through.
-    external_wrenches : list of ExternalWrench, optional
-        Forces and torques from outside, on the object or on links.
-    unilateral_contacts : UnilateralContactsSpec, optional
-        Contacts that only push open, and close again with restitution.
-    contact_friction : ContactFrictionSpec or its mu, optional
-        Coulomb friction of contacts that only push.
-    joint_limits : JointLimitsSpec or 'urdf', optional
-        Joints stop at the ends of their range.
-    floor : FloorSpec, optional
-        A plane that the object can touch.
-    contact_compliance : ContactComplianceSpec or its stiffness, optional
-        Contacts that give way.
     """
 
     joint_damping: Annotated[UrdfGain | None, NumbersOf(JointDamping)] = None
+    """Viscous damping of the arms' joints [N m s/rad] or [N s/m]. ``urdf``: the robot's <dynamics
+    damping>, also for single arms of a table."""
     joint_friction: Annotated[JointFriction | None, _or_only("torque", JointFriction)] = None
+    """Dry friction of the arms' joints."""
     rotor_inertia: Annotated[Gain | None, NumbersOf(RotorInertia)] = None
+    """Inertia of the drives as seen from the joint, that of the rotor times the gear ratio squared
+    [kg m^2], of sliding joints [kg]."""
     torque_limits: Annotated[UrdfGain | None, NumbersOf(TorqueLimits)] = None
+    """Largest torque of the drives [N m], of sliding joints force [N]: what the control commands
+    beyond it is cut off. ``urdf``: the robot's <limit effort>. Joints that are not named, or have
+    no limit in the URDF, are not limited."""
     actuator_lag: Annotated[ActuatorLag | None, _or_only("time_constant", ActuatorLag)] = None
+    """Drives that follow the command with a delay."""
     drag: Drag | None = None
+    """Resistance of the medium that the object moves through."""
     external_wrenches: Annotated[tuple[ExternalWrench, ...] | None, AfterValidator(_some)] = None
+    """Forces and torques from outside, on the object or on links."""
     unilateral_contacts: UnilateralContactsSpec | None = None
+    """Contacts that only push open, and close again with restitution."""
     contact_friction: Annotated[ContactFrictionSpec, shorthand("mu", int, float)] | None = None
+    """Coulomb friction of contacts that only push."""
     joint_limits: Annotated[JointLimitsSpec, shorthand("range", str)] | None = None
+    """Joints stop at the ends of their range."""
     floor: FloorSpec | None = None
+    """A plane that the object can touch."""
     contact_compliance: (
         Annotated[ContactComplianceSpec, shorthand("stiffness", int, float)] | None
     ) = None
+    """Contacts that give way."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(EFFECTS.read)]]

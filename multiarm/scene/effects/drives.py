@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from typing_extensions import Self
 
 from multiarm.scene.effects.kind import EffectKind
@@ -81,26 +81,20 @@ class JointFriction(EffectKind):
     """Dry (Coulomb) friction of the arms' joints.
 
     May be written as ``torque`` alone.
-
-    Attributes
-    ----------
-    torque : number, table 'arm: values' or 'urdf'
-        Friction torque [N m], of sliding joints force [N]; joints that are not named have none.
-        ``urdf``: the robot's <dynamics friction>.
-    model : 'smooth' or 'set_valued'
-        ``smooth``: -torque tanh(velocity / speed), which creeps under load; ``set_valued``: a joint
-        sticks until the load exceeds the friction torque.
-    speed : float, optional
-        Of the smooth model [rad/s] or [m/s]; 0.01 when left out.
     """
 
     picture = "dry bearings: a joint resists with the same torque at any speed, and may stick"
     example = "effects: {joint_friction: {torque: 2, model: set_valued}}  # [N m]"
     usual = URDF
 
-    torque: UrdfGain = Field(description="N m: a number, a table by arm, or 'urdf'")
+    torque: UrdfGain
+    """Friction torque [N m], of sliding joints force [N]; joints that are not named have none.
+    ``urdf``: the robot's <dynamics friction>."""
     model: Literal["smooth", "set_valued"] = "smooth"
+    """``smooth``: -torque tanh(velocity / speed), which creeps under load; ``set_valued``: a joint
+    sticks until the load exceeds the friction torque."""
     speed: Positive | None = None
+    """Of the smooth model [rad/s] or [m/s]; 0.01 when left out."""
 
     @model_validator(mode="after")
     def _speed_belongs_to_the_smooth_model(self) -> Self:
@@ -153,13 +147,6 @@ class ActuatorLag(EffectKind):
     """Drives whose torque follows the command with a delay: T torque' = command - torque.
 
     May be written as ``time_constant`` alone.  Acts on the command after ``torque_limits``.
-
-    Attributes
-    ----------
-    time_constant : number or table 'arm: values'
-        T [s]; joints that are not named, or have 0, follow at once.
-    start : 'command' or 'zero'
-        The torque at the start of a run: the command, or zero.
     """
 
     picture = "sluggish drives: the torque follows its command a moment later"
@@ -167,8 +154,11 @@ class ActuatorLag(EffectKind):
     usual = 0.01  # time constant of a drive [s]
     has_states = True
 
-    time_constant: Gain = Field(description="in s: a number, a list or a table by arm")
+    time_constant: Gain
+    """Time constant T [s]: a number, a list or a table by arm. Joints that are not named, or have
+    0, follow at once."""
     start: Literal["command", "zero"] = "command"
+    """The torque at the start of a run: the command, or zero."""
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms."""

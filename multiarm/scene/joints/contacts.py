@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, model_validator
 from typing_extensions import Self
 
 from multiarm.errors import ModelError
@@ -50,26 +50,24 @@ SURFACES: Registry[Surface] = Registry(
 
 
 class Geometry(OneOf):
-    """One body's side of a contact: exactly one of the attributes, or a user surface.
-
-    Attributes
-    ----------
-    point : 3 numbers
-        A sharp point [m].
-    sphere, plane, cylinder, cone, torus, ellipsoid
-        A surface of that form.
-    surface
-        A smooth surface as Python functions.
-    """
+    """One body's side of a contact: exactly one of the attributes, or a user surface."""
 
     point: Vec3 | None = None
+    """A sharp point [m]."""
     sphere: SphereGeometry | None = None
+    """A surface of that form."""
     plane: PlaneGeometry | None = None
+    """A surface of that form."""
     cylinder: CylinderGeometry | None = None
+    """A surface of that form."""
     cone: ConeGeometry | None = None
+    """A surface of that form."""
     torus: TorusGeometry | None = None
+    """A surface of that form."""
     ellipsoid: EllipsoidGeometry | None = None
+    """A surface of that form."""
     surface: SurfaceGeometry | None = None
+    """A smooth surface as Python functions."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(SURFACES.read)]]
@@ -127,24 +125,16 @@ def register_surface(surface: AnyClass) -> AnyClass:
 
 
 class ContactSpec(Spec):
-    """One frictionless contact: a surface of the arm and one of the object that touch.
+    """One frictionless contact: a surface of the arm and one of the object that touch."""
 
-    Attributes
-    ----------
-    arm : Geometry
-        The arm's side, in the joint frame at the tip.
-    object : Geometry
-        The object's side, in the joint frame at the object.
-    rolling : bool
-        The surfaces do not slip where they touch: two rows more, for the velocities.
-    name : str, optional
-        A name for reports.
-    """
-
-    arm: Geometry = Field(description="the arm's side of the contact")
-    object: Geometry = Field(description="the object's side of the contact")
+    arm: Geometry
+    """The arm's side, in the joint frame at the tip."""
+    object: Geometry
+    """The object's side, in the joint frame at the object."""
     rolling: bool = False
+    """The surfaces do not slip where they touch: two rows more, for the velocities."""
     name: str | None = None
+    """A name for reports."""
 
     @model_validator(mode="after")
     def _touch_in_a_point(self) -> Self:
@@ -189,9 +179,6 @@ class ContactsJoint(Joint):
     at, at_tip : Pose
         Frames in which the object's and the arm's geometry are given; by default the object
         frame and the tip's frame themselves.
-    contacts : list of ContactSpec
-        The contacts, at least one; each is a table {arm: ..., object: ...}. The arm's geometry is
-        given in the tip's frame (at_tip), the object's in the object's frame (at), patches too.
     """
 
     picture = "a hand of your own: any list of fingertips and surfaces, each touching in one point"
@@ -208,7 +195,9 @@ class ContactsJoint(Joint):
 
     kind: Literal["contacts"] = "contacts"
     at: Pose = Pose()
-    contacts: tuple[ContactSpec, ...] = Field(description="a list of {arm: ..., object: ...}")
+    contacts: tuple[ContactSpec, ...]
+    """The contacts, at least one; each is a table {arm: ..., object: ...}. The arm's geometry is
+    given in the tip's frame (at_tip), the object's in the object's frame (at), patches too."""
 
     @model_validator(mode="after")
     def _not_empty(self) -> Self:
