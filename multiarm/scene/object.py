@@ -36,6 +36,7 @@ from multiarm.scene.values import (
     Vec3,
     Vec6,
     as_list,
+    list_of,
     number_list,
 )
 
@@ -212,22 +213,6 @@ def _scale(value: Any) -> tuple[float, ...]:
     return scale
 
 
-def _edges(value: Any) -> tuple[float, ...]:
-    edges = number_list(value) if isinstance(value, (list, tuple)) else ()
-    if len(edges) != 3 or min(edges) <= 0.0:
-        raise fault(f"must be three lengths greater than 0, got {shown(value)}")
-    return edges
-
-
-def _points(value: Any) -> Any:
-    rows = as_list(value)
-    if not isinstance(rows, (list, tuple)) or len(rows) < 4:
-        raise fault(f"must be a list of at least four points, got {shown(value)}")
-    if not all(isinstance(row, (list, tuple)) and len(row) == 3 for row in rows):
-        raise fault(f"must be points of three numbers each, got {shown(value)}")
-    return rows
-
-
 def _solid(points: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
     try:
         hull_triangles(np.array(points))
@@ -238,6 +223,14 @@ def _solid(points: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ..
 
 _LENGTH: dict[str, Any] = {"type": "number", "exclusiveMinimum": 0}
 _LENGTHS = {"type": "array", "items": _LENGTH, **_THREE}
+Edges = Annotated[
+    tuple[Positive, Positive, Positive], list_of("must be three lengths greater than 0", 3)
+]
+Points = Annotated[
+    tuple[Vec3, ...],
+    list_of("must be a list of at least four points", least=4),
+    AfterValidator(_solid),
+]
 
 
 class Cylinder(Spec):
@@ -265,18 +258,13 @@ class Mesh(Spec):
 class Shape(OneOf):
     """The shape of the object: exactly one of these."""
 
-    box: (
-        Annotated[tuple[float, float, float], BeforeValidator(_edges), WithJsonSchema(_LENGTHS)]
-        | None
-    ) = None
+    box: Edges | None = None
     """Full edge lengths [m] along x, y, z."""
     sphere: Positive | None = None
     """Radius [m]."""
     cylinder: Cylinder | None = None
     """Axis along z."""
-    hull: Annotated[tuple[Vec3, ...], BeforeValidator(_points), AfterValidator(_solid)] | None = (
-        None
-    )
+    hull: Points | None = None
     """Corners of a convex polyhedron [m] whose centre of mass is the origin."""
     mesh: Mesh | None = None
     """For the eye only; then ``inertia`` must be given."""
@@ -300,7 +288,7 @@ class ObjectSpec(Spec):
     """The common object. Its frame has the origin at the centre of mass."""
 
     shape: Shape
-    """For the eye, and for the inertia where that is not given, such as {box: [1.0, 0.5, 0.2]}."""
+    """Such as {box: [1.0, 0.5, 0.2]}. For the eye, and for the inertia where that is not given."""
     mass: Positive
     """Its mass [kg]."""
     inertia: Inertia | None = None

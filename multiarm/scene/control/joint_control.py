@@ -68,7 +68,7 @@ control:
     stiffness: Gain
     """[N m/rad] or [N/m]: one for all joints, one per joint, or a table by arm."""
     damping: Gain
-    """[N m s/rad] or [N s/m], in the same forms."""
+    """[N m s/rad] or [N s/m]: one for all joints, one per joint, or a table by arm."""
     gravity_compensation: bool = True
     """Add the torques that hold the whole system, arms and object, still."""
     path: ObjectPath = None

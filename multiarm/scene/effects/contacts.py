@@ -11,7 +11,16 @@ from pydantic import Field
 
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import unknown
-from multiarm.scene.values import URDF, Faults, KnownArm, NonNegative, Pose, Positive, Vec3
+from multiarm.scene.values import (
+    URDF,
+    Faults,
+    KnownArm,
+    NonNegative,
+    Pose,
+    Positive,
+    Vec3,
+    shorthand,
+)
 
 if TYPE_CHECKING:
     from multiarm.scene.object import ObjectSpec
@@ -49,6 +58,7 @@ class UnilateralContactsSpec(SomeContacts):
         Arms, or contacts as 'arm/contact'; absent: every contact that only pushes.
     """
 
+    name = "unilateral_contacts"
     picture = "fingertips that are not glued on: they let go, and come back with a bounce"
     example = "effects: {unilateral_contacts: {restitution: 0.3}}"
     of_pushing = True
@@ -70,6 +80,8 @@ class ContactFrictionSpec(SomeContacts):
         Arms, or contacts as 'arm/contact'; absent: every contact that only pushes.
     """
 
+    name = "contact_friction"
+    reads = shorthand("mu", int, float)
     picture = "rubber fingertips: they grip the object by friction, until it slips"
     example = "effects: {contact_friction: 0.5}  # coefficient of friction"
     usual = 0.3  # Coulomb's coefficient of dry metal
@@ -90,6 +102,8 @@ class ContactComplianceSpec(SomeContacts):
         Arms, or contacts as 'arm/contact'; absent: all contacts of all joints.
     """
 
+    name = "contact_compliance"
+    reads = shorthand("stiffness", int, float)
     picture = "soft fingertips: contacts give way a little, as rubber does"
     example = "effects: {contact_compliance: {stiffness: 1e+5, damping: 100}}  # [N/m], [N s/m]"
 
@@ -105,6 +119,7 @@ class FloorSpec(EffectKind):
     A mesh touches with the corners of its convex hull.
     """
 
+    name = "floor"
     picture = "a table or the ground: the object can fall on it, rest and slide"
     example = "effects: {floor: {at: {xyz: [0, 0, 0.3]}, mu: 0.5}}"
     can_open = True
@@ -123,7 +138,6 @@ class FloorSpec(EffectKind):
     """
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """Faults with respect to the arms."""
         if self.points == ():
             return [(("points",), "is empty; list points of the object, or leave it out")]
         if "floor" in arms:
@@ -148,6 +162,8 @@ class FloorSpec(EffectKind):
 class JointLimitsSpec(EffectKind):
     """Joints stop at the ends of their range."""
 
+    name = "joint_limits"
+    reads = shorthand("range", str)
     picture = "end stops: a joint that reaches the end of its range stops there, or bounces"
     example = "effects: {joint_limits: urdf}  # ranges as the robot's file says"
     can_open = True
@@ -159,7 +175,6 @@ class JointLimitsSpec(EffectKind):
     """Newton's coefficient, 0 to 1."""
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """Faults with respect to the arms."""
         found: Faults = []
         for arm, joints in {} if self.range == "urdf" else self.range.items():
             if arm not in arms:
@@ -175,7 +190,6 @@ class JointLimitsSpec(EffectKind):
         return found
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """Warnings about probable mistakes."""
         if self.range != "urdf":
             return []
         text = "the URDF of arm {!r} gives no joint a range; write a table 'joint: [lower, upper]'"

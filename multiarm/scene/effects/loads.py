@@ -42,6 +42,7 @@ class Drag(EffectKind):
     torque = -angular times the angular velocity.
     """
 
+    name = "drag"
     picture = "air or water: the object is slowed down as it moves through it, or blown by wind"
     example = "effects: {drag: {linear: 0.4, quadratic: 0.5}}  # [N s/m], [N s^2/m^2]"
 
@@ -209,12 +210,19 @@ def _row_fault(cells: list[str]) -> str:
     return ""
 
 
+def _some(wrenches: tuple) -> tuple:
+    if not wrenches:
+        raise fault("is empty; list wrenches, such as (on: object, force: [0, 0, -1])")
+    return wrenches
+
+
 class ExternalWrench(EffectKind):
     """A force and a torque from outside, at a point of the object or of a link.
 
     Constant, or times a factor: at most one of ``sinusoid``, ``pulse``, ``table``, ``function``.
     """
 
+    name = "external_wrenches"
     picture = "somebody pushes the object or an arm: once, in a rhythm, or as a table says"
     example = """
 effects:
@@ -255,6 +263,16 @@ effects:
         if not whole and not sized:
             raise fault("needs 'force', 'torque' or both (3 numbers each)")
         return self
+
+    @classmethod
+    def entry(cls) -> Any:
+        """A list of wrenches."""
+        return Annotated[tuple[ExternalWrench, ...], AfterValidator(_some)]
+
+    @classmethod
+    def meaning(cls) -> str:
+        """About all of the list."""
+        return "Forces and torques from outside, on the object or on links."
 
     @property
     def target(self) -> tuple[str, str] | None:

@@ -39,11 +39,9 @@ from multiarm.scene.surfaces import (
 from multiarm.scene.values import OneOf, Pose, Spec, Vec3
 
 SURFACES: Registry[Surface] = Registry(
+    sort="surface",
     noun="surface",
     plural="surfaces",
-    group="multiarm.surfaces",
-    base="multiarm.Surface",
-    register="multiarm.register_surface",
     built_in=lambda: BUILT_IN,
 )
 """User surfaces."""
@@ -196,8 +194,8 @@ class ContactsJoint(Joint):
     kind: Literal["contacts"] = "contacts"
     at: Pose = Pose()
     contacts: tuple[ContactSpec, ...]
-    """The contacts, at least one; each is a table {arm: ..., object: ...}. The arm's geometry is
-    given in the tip's frame (at_tip), the object's in the object's frame (at), patches too."""
+    """A list of {arm: ..., object: ...}, at least one. The arm's geometry is given in the tip's
+    frame (at_tip), the object's in the object's frame (at), patches too."""
 
     @model_validator(mode="after")
     def _not_empty(self) -> Self:
