@@ -31,12 +31,7 @@ from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.effects.loads import Drag, ExternalWrench
 from multiarm.scene.faults import Parts
 from multiarm.scene.registry import AnyClass, Registry
-from multiarm.scene.values import (
-    Faults,
-    KnownArm,
-    Spec,
-    below,
-)
+from multiarm.scene.values import Faults, KnownArm, Spec, below
 
 _OURS = (
     JointDamping,
