@@ -84,7 +84,7 @@ FAULTS = {
     ),
     "lag without a time": (
         {"actuator_lag": {"start": "zero"}},
-        "$.effects.actuator_lag.time_constant: is missing (in s",
+        "$.effects.actuator_lag.time_constant: is missing (time constant T [s]",
     ),
     "drag of nothing": ({"drag": {"wind": [1, 0, 0]}}, "$.effects.drag: resists nothing; give"),
     "area alone": ({"drag": {"area": 1.0}}, "$.effects.drag: 'area' needs 'coefficient' too"),

@@ -142,14 +142,14 @@ def test_a_hull_off_its_centre_of_mass_is_refused_with_the_shift():
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], r"shape\.hull: must be a list of at least four points"),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], r"shape\.hull: .*(plane|flat|volume)"),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1e-9]], r"shape\.hull: .*thinner than"),
-        ([1, 2, 3, 4], r"shape\.hull: must be points of three numbers"),
+        ([1, 2, 3, 4], r"shape\.hull\[0\]: must be a list of 3 numbers, got 1"),
         (
             [[0, 0, 0], [1, 0, "x"], [0, 1, 0], [0, 0, 1]],
             r"hull\[1\]\[2\]: must be a number",
         ),
         (
             [[0, 0, 0], [1, 0], [0, 1, 0], [0, 0, 1]],
-            r"shape\.hull: must be points of three numbers",
+            r"shape\.hull\[1\]: must be a list of 3 numbers, got \[1, 0\]",
         ),
     ],
 )

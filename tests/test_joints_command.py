@@ -11,15 +11,11 @@ import yaml
 from typer.testing import CliRunner
 
 from multiarm.cli import app
-from multiarm.cli.joint_cards import (
-    common_parameters,
-    contact_parameters,
-    joint_cards,
-    surface_cards,
-)
+from multiarm.cli.joint_cards import joint_cards, surface_cards
 from multiarm.geometry.screws import free_motions, wrenches_in_frame
-from multiarm.scene import ContactSpec, Geometry, parse_scene
+from multiarm.scene import ContactSpec, Geometry, Joint, parse_scene
 from multiarm.scene.joints import BUILT_IN
+from multiarm.scene.parameters import parameters_of
 
 KINDS = sorted(BUILT_IN)
 SURFACES = list(Geometry.model_fields)
@@ -87,17 +83,18 @@ def test_every_example_of_a_surface_is_one_side_of_a_contact(name):
 
 @pytest.mark.parametrize("kind", sorted(ROWS))
 def test_rows_are_those_of_the_textbook_and_all_independent(kind, cards):
-    assert cards[kind].rows == cards[kind].rank == len(cards[kind].row_names) == ROWS[kind]
+    shown = cards[kind].further
+    assert shown["rows"] == shown["rank"] == len(shown["row_names"]) == ROWS[kind]
 
 
 @pytest.mark.parametrize("kind", sorted(FREE_MOTIONS))
 def test_free_motions_are_those_of_the_textbook(kind, cards):
-    assert cards[kind].free == FREE_MOTIONS[kind]
+    assert cards[kind].further["free"] == FREE_MOTIONS[kind]
 
 
 @pytest.mark.parametrize("kind", sorted(k for k, own in BUILT_IN.items() if own.free is not None))
 def test_recorded_coordinates_are_the_free_motions(kind, cards):
-    told = " ".join(cards[kind].free)
+    told = " ".join(cards[kind].further["free"])
     slides, turns = (re.search(f"{verb} ([xyz, and]+)", told) for verb in ("along", "about"))
     found = [k for k, axis in enumerate("xyz") if slides and axis in slides[1].replace("and", "")]
     found += [k for k, axis in enumerate("xyz", 3) if turns and axis in turns[1].replace("and", "")]
@@ -106,13 +103,13 @@ def test_recorded_coordinates_are_the_free_motions(kind, cards):
 
 def test_a_fingertip_on_a_round_face_slides_across_its_normal(cards):
     for kind in ("point_on_cylinder", "point_on_sphere"):
-        assert cards[kind].free == ["slide along y and z", "turn about x, y and z"]
+        assert cards[kind].further["free"] == ["slide along y and z", "turn about x, y and z"]
 
 
 def test_wrenches_of_a_screw_leave_one_motion_along_and_about_its_axis(cards):
-    screw = cards["wrenches"]
-    assert (screw.rows, screw.rank) == (5, 5)
-    assert screw.free == ["1 along several axes at once"]
+    screw = cards["wrenches"].further
+    assert (screw["rows"], screw["rank"]) == (5, 5)
+    assert screw["free"] == ["1 along several axes at once"]
 
 
 def test_free_motions_are_found_in_any_frame_and_unit(rng):
@@ -150,7 +147,7 @@ def test_parameters_carry_the_defaults_of_the_schema(cards):
 def test_every_parameter_has_a_meaning_and_every_length_a_unit(cards):
     owners = [*cards.values(), *surface_cards()[0].values()]
     parameters = [(owner, p) for owner in owners for p in owner.parameters]
-    parameters += [("all", p) for p in [*common_parameters(), *contact_parameters()]]
+    parameters += [("all", p) for p in [*parameters_of(Joint), *parameters_of(ContactSpec)]]
     assert len(parameters) > 40
     for owner, parameter in parameters:
         assert parameter.meaning, (owner, parameter)
@@ -158,9 +155,9 @@ def test_every_parameter_has_a_meaning_and_every_length_a_unit(cards):
 
 
 def test_contacts_are_told_from_the_records(cards):
-    assert cards["revolute"].made_of == ("4 points on a cylinder, 1 point on a plane")
-    assert "hollow sphere" in cards["point_on_sphere"].made_of
-    assert "2 directions without slip" in cards["contacts"].made_of
+    assert cards["revolute"].further["made_of"] == ("4 points on a cylinder, 1 point on a plane")
+    assert "hollow sphere" in cards["point_on_sphere"].further["made_of"]
+    assert "2 directions without slip" in cards["contacts"].further["made_of"]
 
 
 def test_list_shows_every_kind_with_its_picture(cards):
@@ -178,7 +175,7 @@ def test_one_kind_is_shown_in_full(kind, cards):
     result = multiarm("joints", kind)
     assert result.exit_code == 0, result.output
     assert flowing(cards[kind].example) in flowing(result.stdout)
-    for parameter in (*cards[kind].parameters, *common_parameters()):
+    for parameter in (*cards[kind].parameters, *parameters_of(Joint)):
         assert parameter.name in result.stdout
     assert "door hinge" not in result.stdout or kind == "revolute"
 

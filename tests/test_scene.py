@@ -356,7 +356,7 @@ def test_inertias_that_no_body_has_are_refused(inertia, reason):
         ("object.mass", float("inf"), "$.object.mass: must be finite, got inf"),
         ("gravity", [0, 0], "$.gravity: must be a list of 3 numbers, got [0, 0]"),
         ("gravity", [0, 0, "g"], "$.gravity[2]: must be a number, got 'g'"),
-        ("object.shape", {"box": [1, 1, 0]}, "three lengths greater than 0"),
+        ("object.shape", {"box": [1, 1, 0]}, "must be greater than 0"),
         ("object.shape", {"sphere": 1, "box": [1, 1, 1]}, "needs exactly one of"),
         ("object.shape", {"cone": 1}, "unknown shape 'cone'"),
         ("object.shape", {"mesh": {"file": "a.stl"}}, "a mesh needs 'inertia'"),

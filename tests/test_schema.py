@@ -12,6 +12,7 @@ from typing import Any, Literal
 import pytest
 import yaml
 from jsonschema import Draft202012Validator
+from pydantic import Field
 from typer.testing import CliRunner
 
 import multiarm as ma
@@ -220,12 +221,13 @@ def user_kinds(monkeypatch):
             """Its strength."""
 
             strength: float
+            """How hard it blows [N]."""
 
     class Saddle(ma.Surface):
         """A saddle."""
 
         name = "saddle"
-        bend: float
+        bend: float = Field(description="How it bends [1/m].")
 
         def record(self):
             return plane([0, 0, 0], [0, 0, 1])
@@ -252,7 +254,18 @@ def test_user_kinds_have_their_place_with_their_parameters(user_kinds):
         worse = re.sub(r"(travel|strength|bend): [\d.]+", r"\1: much", text)
         assert faults(scene_with(**{part: worse}), schema=schema) != []
     assert faults(scene_with(effects="{breze: {strength: 2}}"), schema=schema) != []
-    assert "How far it gives [m]." in json.dumps(schema["$defs"])
+    for documented in ("How far it gives [m].", "How hard it blows [N].", "How it bends [1/m]."):
+        assert documented in json.dumps(schema["$defs"])
+
+
+def test_a_missing_value_is_explained_by_how_its_documentation_begins(user_kinds):
+    for part, text, meaning in (
+        ("joints", "[{arm: left, kind: latch}]", "how far it gives [m]"),
+        ("effects", "{breeze: {}}", "how hard it blows [N]"),
+        ("object", "{mass: 1}", "such as {box: [1.0, 0.5, 0.2]}"),
+    ):
+        with pytest.raises(SceneError, match=re.escape(f"is missing ({meaning})")):
+            parse_scene(scene_with(**{part: text}))
 
 
 def test_schema_goes_to_a_file_or_to_the_terminal_without_codes(tmp_path):

@@ -39,37 +39,37 @@ class Card:
     parameters : list of Parameter
     example : str
         YAML, as in a scene; may be empty.
+    count : str
+        What the column beside the name shows.
+    facts, listed : dict
+        What the card, and what the list, says further, by headings.
+    key : str
+        What the JSON calls the name.
+    further : dict
+        What the JSON has besides.
     """
 
     name: str
     picture: str
     parameters: list[Parameter]
     example: str
+    count: str = ""
+    facts: Mapping[str, str] = field(default_factory=dict)
+    listed: Mapping[str, str] = field(default_factory=dict)
+    key: str = "name"
+    further: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, name: str, model: Any, parameters: Any = None, **further: Any) -> Card:
+    def of(cls, name: str, model: Any, parameters: Any = None) -> Card:
         """The card of a class; of ``parameters``, a model, where these are those of another one."""
         keys = parameters_of(parameters or model)
-        return cls(name, picture_of(model), keys, example_of(model), **further)
-
-    @property
-    def count(self) -> str:
-        """What the column beside the name shows."""
-        return ""
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """What the card says further, by headings."""
-        return {}
-
-    @property
-    def listed(self) -> dict[str, str]:
-        """What the list says further, by headings."""
-        return {}
+        return cls(name, picture_of(model), keys, example_of(model))
 
     def figures(self) -> dict[str, Any]:
         """What is shown, as JSON."""
-        return asdict(self)
+        parameters = [asdict(parameter) for parameter in self.parameters]
+        shown = {"picture": self.picture, "parameters": parameters, "example": self.example}
+        return {self.key: self.name, **shown, **self.further}
 
 
 @dataclass(frozen=True)

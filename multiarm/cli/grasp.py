@@ -6,7 +6,6 @@ Bodies are written on the command line as ``box:1.2,0.8,0.6``, ``prism:6,0.3,0.8
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -396,7 +395,7 @@ def body_of_text(text: str, scale: float = 1.0) -> Polyhedron:
         raise _unknown(text) from None
     if not least <= len(values) <= most or not all(map(math.isfinite, values)):
         raise _unknown(text)
-    return _BUILDERS[kind](values)
+    return _built(kind, values)
 
 
 def _unknown(text: str) -> MultiarmError:
@@ -406,27 +405,15 @@ def _unknown(text: str) -> MultiarmError:
     )
 
 
-def _box(values: list[float]) -> Polyhedron:
+def _built(kind: str, values: list[float]) -> Polyhedron:
     from multiarm.grasp.polyhedron import Polyhedron
 
-    return Polyhedron.box(values)
-
-
-def _wedge(values: list[float]) -> Polyhedron:
-    from multiarm.grasp.polyhedron import Polyhedron
-
-    return Polyhedron.wedge(values[:3], *values[3:])
-
-
-def _prism(values: list[float]) -> Polyhedron:
-    from multiarm.grasp.polyhedron import Polyhedron
-
-    return Polyhedron.prism(_regular(values[0], values[1]), values[2])
-
-
-def _pyramid(values: list[float]) -> Polyhedron:
-    from multiarm.grasp.polyhedron import Polyhedron
-
+    if kind == "box":
+        return Polyhedron.box(values)
+    if kind == "wedge":
+        return Polyhedron.wedge(values[:3], *values[3:])
+    if kind == "prism":
+        return Polyhedron.prism(_regular(values[0], values[1]), values[2])
     return Polyhedron.pyramid(_regular(values[0], values[1]), [0.0, 0.0, values[2]])
 
 
@@ -438,11 +425,3 @@ def _regular(sides: float, radius: float) -> list[list[float]]:
         raise MultiarmError(f"the radius of a polygon is greater than 0, not {radius:g}")
     turns = [2.0 * math.pi * k / int(sides) for k in range(int(sides))]
     return [[radius * math.cos(turn), radius * math.sin(turn)] for turn in turns]
-
-
-_BUILDERS: dict[str, Callable[[list[float]], Polyhedron]] = {
-    "box": _box,
-    "wedge": _wedge,
-    "prism": _prism,
-    "pyramid": _pyramid,
-}

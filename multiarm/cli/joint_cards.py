@@ -6,8 +6,7 @@ coincide, as they do at the start.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,67 +18,7 @@ from multiarm.geometry.words import made_of, wrench_row
 from multiarm.scene import JOINTS, SURFACES, ContactSpec, Joint
 from multiarm.scene.joints import BUILT_IN as KINDS
 from multiarm.scene.joints.contacts import BUILT_IN as SHAPES
-from multiarm.scene.parameters import Parameter, example_of, parameters_of, picture_of
-from multiarm.scene.surfaces import PointGeometry
-
-
-@dataclass(frozen=True)
-class JointCard(Card):
-    """One kind of joint.
-
-    Attributes
-    ----------
-    as_listed : bool
-        Rows, contacts and free motions are whatever the user lists; here those of the example.
-    rows, rank : int or None
-        Constraint rows, and how many are independent; None where that depends on the scene.
-    free : list of str or None
-        Motions of the tip on the object that stay free.
-    made_of : str
-        The contacts, in words.
-    row_names : list of str
-        As they appear in results.
-    """
-
-    as_listed: bool
-    rows: int | None
-    rank: int | None
-    free: list[str] | None
-    made_of: str
-    row_names: list[str]
-
-    @property
-    def count(self) -> str:
-        """The number of rows."""
-        return "any" if self.as_listed else str(self.rows or "")
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """Rows, free motions and contacts."""
-        here = "; those of the example" if self.as_listed else ""
-        return {
-            "rows": f"{self.rows}, rank {self.rank}{here}" if self.rank else str(self.rows or ""),
-            "free motions": self._motions("none"),
-            "made of": self.made_of,
-            "names of the rows": ", ".join(self.row_names),
-        }
-
-    @property
-    def listed(self) -> dict[str, str]:
-        """Free motions and contacts, where they do not depend on what a user lists."""
-        if self.as_listed:
-            return {}
-        return {"free": self._motions("nothing"), "made of": self.made_of}
-
-    def figures(self) -> dict[str, Any]:
-        """What is shown, the name as that of a kind."""
-        figures = super().figures()
-        return {"kind": figures.pop("name"), **figures}
-
-    def _motions(self, none: str) -> str:
-        if self.free is None:
-            return "depend on the scene, see multiarm check"
-        return ", ".join(self.free) or none
+from multiarm.scene.parameters import example_of, parameters_of, picture_of
 
 
 def joint_section() -> Section:
@@ -92,7 +31,7 @@ def joint_section() -> Section:
         cards,
         faults,
         heads=("kind", "rows", "what it is"),
-        shared={"Parameters of every joint": (common_parameters(), True)},
+        shared={"Parameters of every joint": (parameters_of(Joint), True)},
         note="x, y, z: axes of the joint frame, turned until z is the axis or normal",
     )
 
@@ -100,7 +39,7 @@ def joint_section() -> Section:
 def surface_section() -> Section:
     """The surfaces of contacts."""
     cards, faults = surface_cards()
-    options = [p for p in contact_parameters() if p.name not in ("arm", "object")]
+    options = [p for p in parameters_of(ContactSpec) if p.name not in ("arm", "object")]
     return Section(
         "Surfaces for joints of kind 'contacts'",
         "surface",
@@ -113,7 +52,7 @@ def surface_section() -> Section:
     )
 
 
-def joint_cards() -> tuple[dict[str, JointCard], list[str]]:
+def joint_cards() -> tuple[dict[str, Card], list[str]]:
     """A card for every kind of joint that a scene may name, and why others cannot be used."""
     own, faults = JOINTS.classes()
     return {kind: _joint_card(kind, model) for kind, model in {**KINDS, **own}.items()}, faults
@@ -122,37 +61,41 @@ def joint_cards() -> tuple[dict[str, JointCard], list[str]]:
 def surface_cards() -> tuple[dict[str, Card], list[str]]:
     """A card for every surface that may take part in a contact, and why others cannot be used."""
     own, faults = SURFACES.classes()
-    cards = {}
-    for name, model in {**SHAPES, **own}.items():
-        keys = [] if model is PointGeometry else parameters_of(model)  # a point is 3 numbers
-        cards[name] = Card(name, picture_of(model), keys, example_of(model))
+    cards = {name: Card.of(name, model) for name, model in {**SHAPES, **own}.items()}
+    cards["point"] = replace(cards["point"], parameters=[])  # a point is 3 numbers
     return cards, faults
 
 
-def common_parameters() -> list[Parameter]:
-    """The parameters that all kinds of joint share."""
-    return parameters_of(Joint)
-
-
-def contact_parameters() -> list[Parameter]:
-    """The parameters of one entry of a joint's list of contacts."""
-    return parameters_of(ContactSpec)
-
-
-def _joint_card(kind: str, model: type[Joint]) -> JointCard:
-    shared = Joint.model_fields
+def _joint_card(kind: str, model: type[Joint]) -> Card:
+    """One kind of joint; of a list of the user's, rows and motions are those of the example."""
     contacts, motions = _sample(model)
-    return JointCard(
-        name=kind,
-        picture=picture_of(model),
-        parameters=[p for p in parameters_of(model) if p.name not in shared],
-        example=example_of(model),
-        as_listed=model.as_listed,
-        rows=len(contacts) or None,
-        rank=None if motions is None else motions.rank,
-        free=None if motions is None else motions.words(),
-        made_of=made_of(contacts),
-        row_names=[contact.name for contact in contacts],
+    rows, rank = len(contacts) or None, None if motions is None else motions.rank
+    free = None if motions is None else motions.words()
+    made, names = made_of(contacts), [contact.name for contact in contacts]
+    moves = "depend on the scene, see multiarm check" if free is None else ", ".join(free)
+    here = "; those of the example" if model.as_listed else ""
+    return Card(
+        kind,
+        picture_of(model),
+        [p for p in parameters_of(model) if p.name not in Joint.model_fields],
+        example_of(model),
+        count="any" if model.as_listed else str(rows or ""),
+        facts={
+            "rows": f"{rows}, rank {rank}{here}" if rank else str(rows or ""),
+            "free motions": moves or "none",
+            "made of": made,
+            "names of the rows": ", ".join(names),
+        },
+        listed={} if model.as_listed else {"free": moves or "nothing", "made of": made},
+        key="kind",
+        further={
+            "as_listed": model.as_listed,
+            "rows": rows,
+            "rank": rank,
+            "free": free,
+            "made_of": made,
+            "row_names": names,
+        },
     )
 
 

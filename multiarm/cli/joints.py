@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -75,30 +75,6 @@ def _kinds(title: str, noun: str, plural: str, ours: Mapping, registry: Registry
     return Section(title, noun, plural, cards, faults, heads=("name", "what it is"))
 
 
-@dataclass(frozen=True)
-class MethodCard(Card):
-    """An integration method."""
-
-    kind: str
-    order: int
-    adaptive: bool
-
-    @property
-    def count(self) -> str:
-        """Its order."""
-        return str(self.order)
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """Kind, order and who chooses the steps."""
-        return {"kind": self.kind, "order": self.count, **self.listed}
-
-    @property
-    def listed(self) -> dict[str, str]:
-        """Who chooses the steps."""
-        return {"steps": "adaptive" if self.adaptive else "all as long as 'step' says"}
-
-
 def methods(name: KindName = None, json: JsonFile = None) -> None:
     """List the integrators with their order and when to choose them, and the stabilizations.
 
@@ -112,24 +88,22 @@ def methods(name: KindName = None, json: JsonFile = None) -> None:
 
     integrators = {}
     for key, method in METHODS.items():
+        kind, order = KINDS[method.kind], str(method.order)
         steps = "tolerance: 1e-8" if method.adaptive else "step: 0.001"
-        integrators[key] = MethodCard(
+        chosen = {"steps": "adaptive" if method.adaptive else "all as long as 'step' says"}
+        integrators[key] = Card(
             key,
             method.purpose,
             [],
             f"run:\n  integrator: {key}\n  {steps}",
-            KINDS[method.kind],
-            method.order,
-            method.adaptive,
+            count=order,
+            facts={"kind": kind, "order": order, **chosen},
+            listed=chosen,
+            further={"kind": kind, "order": method.order, "adaptive": method.adaptive},
         )
     gains = parameters_of(StabilizationSpec)
     kept = {
-        key: Card(
-            key,
-            text,
-            gains if key == "feedback" else [],
-            f"run:\n  stabilization: {key}",
-        )
+        key: Card(key, text, gains if key == "feedback" else [], f"run:\n  stabilization: {key}")
         for key, text in STABILIZATIONS.items()
     }
     sections = {

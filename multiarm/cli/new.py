@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from multiarm.cli.files import check_targets, write_text
-from multiarm.cli.options import FILES, option
+from multiarm.cli.options import FILES, option, switch
 from multiarm.cli.schema import schema_text
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import print_written
@@ -42,9 +42,7 @@ def new(
         ),
     ] = "weld",
     solid: Annotated[Solid, typer.Option("--object", help="The shape of the object.")] = Solid.box,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace an earlier file.", rich_help_panel=FILES)
-    ] = False,
+    force: Annotated[bool, switch("--force", "Replace an earlier file.", FILES)] = False,
 ) -> None:
     """Write a scene to start from, every line explained, for robots that are installed.
 

@@ -26,6 +26,7 @@ __all__ = [
     "SceneFile",
     "file_option",
     "option",
+    "switch",
     "with_settings",
 ]
 
@@ -47,6 +48,11 @@ def option(
     )
 
 
+def switch(name: str, text: str, panel: str | None = None) -> Any:
+    """An option without a value: ``--name``, ``--name -n`` or ``--name/--no-name``."""
+    return typer.Option(*name.split(), help=text, rich_help_panel=panel)
+
+
 def file_option(text: str, metavar: str = "FILE", default: str = "none") -> Any:
     """An option that names a file to be written."""
     return option(text, metavar, default=default, panel=FILES)
@@ -54,23 +60,20 @@ def file_option(text: str, metavar: str = "FILE", default: str = "none") -> Any:
 
 SceneFile = Annotated[Path, typer.Argument(help="The scene, a YAML file.", metavar="SCENE")]
 JsonFile = Annotated[Path | None, file_option("Write the figures as JSON.", "FILE.json")]
-Quiet = Annotated[
-    bool,
-    typer.Option("--quiet", "-q", help="Print only warnings and errors.", rich_help_panel=FILES),
-]
+Quiet = Annotated[bool, switch("--quiet -q", "Print only warnings and errors.", FILES)]
 Code = Annotated[
     bool,
-    typer.Option(
+    switch(
         "--code",
-        help="Load the functions and effects that the file names, which runs their code; without, "
-        "they are left out.",
+        "Load the functions and effects that the file names, which runs their code; without, they "
+        "are left out.",
     ),
 ]
 NoCode = Annotated[
     bool,
-    typer.Option(
+    switch(
         "--no-code",
-        help="Refuse a file that names functions or effects of packages, whose code would be run.",
+        "Refuse a file that names functions or effects of packages, whose code would be run.",
     ),
 ]
 

@@ -21,6 +21,7 @@ from multiarm.cli.options import (
     Quiet,
     SceneFile,
     file_option,
+    switch,
     with_settings,
 )
 from multiarm.cli.show import serve_until_interrupt
@@ -58,26 +59,22 @@ def run(
     settings: dict[str, Any],
     certificate: Annotated[
         bool,
-        typer.Option(
+        switch(
             "--certificate/--no-certificate",
-            help="Check whether the accuracy is met, which costs a little more than the run "
-            "itself; or make one run and leave it at that.",
-            rich_help_panel=METHOD,
+            "Check whether the accuracy is met, which costs a little more than the run itself; or "
+            "make one run and leave it at that.",
+            METHOD,
         ),
     ] = True,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="HDF5 file of the result; an earlier result there is replaced.",
-            show_default="SCENE's file name with .h5, in the current folder",
-            metavar="FILE.h5",
-            rich_help_panel=FILES,
+        file_option(
+            "HDF5 file of the result; an earlier result there is replaced.",
+            "FILE.h5",
+            default="SCENE's file name with .h5, in the current folder",
         ),
     ] = None,
-    replay: Annotated[
-        bool,
-        typer.Option("--replay", help="Show the motion in the browser.", rich_help_panel=FILES),
-    ] = False,
+    replay: Annotated[bool, switch("--replay", "Show the motion in the browser.", FILES)] = False,
     replay_html: Annotated[
         Path | None, file_option("Write the motion to one HTML file.", "FILE.html")
     ] = None,

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from multiarm.cli.files import check_targets, write_text
-from multiarm.cli.options import file_option
+from multiarm.cli.options import file_option, switch
 from multiarm.terminal.console import print_warnings, print_written
 
 __all__ = ["schema", "schema_text"]
@@ -31,9 +31,9 @@ def schema(
     ] = None,
     built_in: Annotated[
         bool,
-        typer.Option(
+        switch(
             "--built-in",
-            help="Leave out the effects, joints, surfaces and controls of installed packages.",
+            "Leave out the effects, joints, surfaces and controls of installed packages.",
         ),
     ] = False,
 ) -> None:

@@ -13,7 +13,7 @@ import typer
 from rich.text import Text
 
 from multiarm.cli.files import check_targets, open_result
-from multiarm.cli.options import Code, file_option, option
+from multiarm.cli.options import Code, file_option, option, switch
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
 
@@ -43,7 +43,7 @@ def replay(
         float, option("Seconds of the run shown in one second; 0.5 is slow motion.")
     ] = 1.0,
     no_open: Annotated[
-        bool, typer.Option("--no-open", help="Do not open a browser; the address is printed.")
+        bool, switch("--no-open", "Do not open a browser; the address is printed.")
     ] = False,
     host: Annotated[
         str,

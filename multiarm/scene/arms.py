@@ -48,8 +48,11 @@ class _FromUrdf(Spec):
     """A model by name (``robot``) or by file (``urdf``)."""
 
     robot: str | None = None
+    """The name of a known model; or"""
     urdf: Path | None = None
+    """a URDF file, instead of a name."""
     package_dirs: tuple[Path, ...] = ()
+    """Where ``package://`` addresses are looked for first."""
 
     @model_validator(mode="after")
     def _exactly_one_source(self) -> Self:
@@ -67,65 +70,38 @@ class _FromUrdf(Spec):
 
 
 class ToolSpec(_FromUrdf):
-    """A tool, from another URDF or made of fingers, fixed to a link of the robot.
+    """A tool, from another URDF or made of fingers, fixed to a link of the robot."""
 
-    Attributes
-    ----------
-    robot, urdf, package_dirs
-        The tool's model: by name or by file, and where its packages lie; or
-    fingers : FingersSpec
-        a hand of rigid fingers, whose frame ``corner`` is the tip.
-    mount : str
-        The link of the robot that carries the tool.
-    at : Pose
-        The tool's root link in the frame of that link.
-    """
-
-    mount: str = Field(description="the link of the robot that carries the tool")
+    mount: str
+    """The link of the robot that carries the tool."""
     at: Pose = Pose()
+    """The tool's root link in the frame of that link."""
     fingers: FingersSpec | None = None
+    """Instead of a model: a hand of rigid fingers, whose frame ``corner`` is the tip."""
 
     def _sources(self) -> dict[str, str]:
         return {**super()._sources(), "fingers": "fingertips"}
 
 
 class ArmSpec(_FromUrdf):
-    """One arm: a serial chain of 1 to 16 joints from its base to its tip.
-
-    Attributes
-    ----------
-    robot : str
-        The name of a known robot, or
-    urdf : path
-        a URDF file.
-    package_dirs : list of paths
-        Where ``package://`` addresses are looked for first.
-    base : Pose
-        The root link in the world.
-    tip : str
-        The link whose frame is joined to the object: of the tool if there is one.
-    tool : ToolSpec, optional
-        A tool on the robot.
-    posture : list or table 'joint: value', or 'solve', optional
-        Positions [rad] or [m] at the start, one number per movable joint from base to tip.
-        Joints that are not named are at 0, or at the limit nearest to 0.  ``solve``: found for the
-        place of the arm's joint on the object (its ``at``); so too where there is no posture and
-        the tip would be far from that place.
-    velocity : list or table 'joint: value', optional
-        Velocities [rad/s] or [m/s] at the start, 0 where not named.
-    lock : table 'joint: value'
-        Joints that are held fixed at a position [rad] or [m].
-    color : '#rrggbb' or 3 or 4 numbers, optional
-        Red, green, blue, opacity from 0 to 1.
-    """
+    """One arm: a serial chain of 1 to 16 joints from its base to its tip."""
 
     base: Pose = Pose()
-    tip: str = Field(description="the link that is joined to the object")
+    """The root link in the world."""
+    tip: str
+    """The link whose frame is joined to the object: of the tool if there is one."""
     tool: ToolSpec | None = None
     posture: Literal["solve"] | JointValues | None = None
+    """Positions [rad] or [m] at the start, one number per movable joint from base to tip. Joints
+    that are not named are at 0, or at the limit nearest to 0. 'solve': found for the place of the
+    arm's joint on the object (its 'at'); so too where there is no posture and the tip would be far
+    from that place."""
     velocity: JointValues | None = None
+    """Velocities [rad/s] or [m/s] at the start, 0 where not named."""
     lock: dict[str, Number] = Field(default_factory=dict)
+    """Joints that are held fixed at a position [rad] or [m]."""
     color: Color | None = None
+    """Red, green, blue, opacity from 0 to 1."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
+from multiarm.scene.parameters import brief_description
+
 Parts = tuple[str | int, ...]
 """Keys and list positions that lead to a value."""
 
@@ -139,9 +141,8 @@ def _sentence(
 def _missing(part: str | int, owner: type[BaseModel]) -> str:
     if isinstance(part, int):
         return "is missing: the list is too short"
-    field = owner.model_fields.get(part)
-    meaning = f" ({field.description})" if field is not None and field.description else ""
-    return f"is missing{meaning}"
+    meaning = brief_description(owner, part)
+    return f"is missing ({meaning})" if meaning else "is missing"
 
 
 def _walk(

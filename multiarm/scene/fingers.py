@@ -10,7 +10,7 @@ from __future__ import annotations
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from multiarm.scene.faults import fault
 from multiarm.scene.values import Pose, Positive, Spec, Vec3
@@ -31,24 +31,16 @@ _LOOKS = {
 
 
 class FingersSpec(Spec):
-    """Rigid fingers on a palm. Their links: ``palm``, ``corner``, ``fingertip_1``, ...
+    """Rigid fingers on a palm. Their links: ``palm``, ``corner``, ``fingertip_1``, ..."""
 
-    Attributes
-    ----------
-    tips : list of 3 numbers
-        Centres of the fingertips [m] in the frame ``corner``.
-    radius : float
-        Of the spherical fingertips [m].
-    corner : Pose
-        The frame ``corner`` in the frame of the mount: where the hand meets the object.
-    mass : float
-        Of the whole hand [kg].
-    """
-
-    tips: tuple[Vec3, ...] = Field(description="centres of the fingertips in the frame 'corner'")
+    tips: tuple[Vec3, ...]
+    """Centres of the fingertips [m] in the frame ``corner``."""
     radius: Positive = 0.01
+    """Of the spherical fingertips [m]."""
     corner: Pose = Pose(xyz=(0.0, 0.0, 0.15))
+    """The frame ``corner`` in the frame of the mount: where the hand meets the object."""
     mass: Positive = 0.5
+    """Of the whole hand [kg]."""
 
     @field_validator("tips")
     @classmethod

@@ -27,11 +27,7 @@ from multiarm.scene.functions import (
     load_function,
     mapped,
 )
-from multiarm.scene.joints import (
-    JOINTS,
-    Joint,
-    UnloadedJoint,
-)
+from multiarm.scene.joints import JOINTS, Joint, UnloadedJoint
 from multiarm.scene.joints.contacts import SURFACES, ContactsJoint, Geometry
 from multiarm.scene.registry import Registry
 from multiarm.scene.schema import Scene, function_faults
@@ -166,18 +162,16 @@ class NamedCode:
 
 def named_code(scene: Scene) -> list[NamedCode]:
     """The code that a scene names and that is not loaded yet, in the order of the scene."""
+    named: list[tuple[Parts, Any, str | None]] = [
+        (("joints", k), joint, joint.arm) for k, joint in enumerate(scene.joints)
+    ]
+    named += [(_CONTROL, scene.control, None), (_WRENCHES, scene.effects.external_wrenches, None)]
     found = []
-    for k, joint in enumerate(scene.joints):
-        for parts, reference in function_references(joint, ("joints", k)):
-            found.append(NamedCode.function(parts, reference, joint.arm))
-        for parts, registry, name in _unloaded_classes(joint, ("joints", k)):
-            found.append(NamedCode.user_class(parts, registry, name, joint.arm))
-    for parts, reference in function_references(scene.control, _CONTROL):
-        found.append(NamedCode.function(parts, reference))
-    for parts, registry, name in _unloaded_classes(scene.control, _CONTROL):
-        found.append(NamedCode.user_class(parts, registry, name))
-    for parts, reference in function_references(scene.effects.external_wrenches, _WRENCHES):
-        found.append(NamedCode.function(parts, reference))
+    for where, value, arm in named:
+        for parts, reference in function_references(value, where):
+            found.append(NamedCode.function(parts, reference, arm))
+        for parts, registry, name in _unloaded_classes(value, where):
+            found.append(NamedCode.user_class(parts, registry, name, arm))
     found += [
         NamedCode.user_class(("effects", name), EFFECTS, name)
         for name in _available(_unvalidated_effects(scene))

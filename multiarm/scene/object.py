@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
+from pydantic import AfterValidator, BeforeValidator, WithJsonSchema, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
@@ -36,6 +36,7 @@ from multiarm.scene.values import (
     Vec3,
     Vec6,
     as_list,
+    list_of,
     number_list,
 )
 
@@ -212,22 +213,6 @@ def _scale(value: Any) -> tuple[float, ...]:
     return scale
 
 
-def _edges(value: Any) -> tuple[float, ...]:
-    edges = number_list(value) if isinstance(value, (list, tuple)) else ()
-    if len(edges) != 3 or min(edges) <= 0.0:
-        raise fault(f"must be three lengths greater than 0, got {shown(value)}")
-    return edges
-
-
-def _points(value: Any) -> Any:
-    rows = as_list(value)
-    if not isinstance(rows, (list, tuple)) or len(rows) < 4:
-        raise fault(f"must be a list of at least four points, got {shown(value)}")
-    if not all(isinstance(row, (list, tuple)) and len(row) == 3 for row in rows):
-        raise fault(f"must be points of three numbers each, got {shown(value)}")
-    return rows
-
-
 def _solid(points: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
     try:
         hull_triangles(np.array(points))
@@ -238,69 +223,51 @@ def _solid(points: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ..
 
 _LENGTH: dict[str, Any] = {"type": "number", "exclusiveMinimum": 0}
 _LENGTHS = {"type": "array", "items": _LENGTH, **_THREE}
+Edges = Annotated[
+    tuple[Positive, Positive, Positive], list_of("must be three lengths greater than 0", 3)
+]
+Points = Annotated[
+    tuple[Vec3, ...],
+    list_of("must be a list of at least four points", least=4),
+    AfterValidator(_solid),
+]
 
 
 class Cylinder(Spec):
-    """A cylinder about the z axis.
-
-    Attributes
-    ----------
-    radius : float
-        [m]
-    height : float
-        Along z [m].
-    """
+    """A cylinder about the z axis."""
 
     radius: Positive
+    """[m]"""
     height: Positive
+    """Along z [m]."""
 
 
 class Mesh(Spec):
-    """A mesh, its origin at the centre of mass.
-
-    Attributes
-    ----------
-    file : path
-        An STL or OBJ file, for instance.
-    scale : number or 3 numbers
-        Metres for each unit of the file, for all axes or one for each.
-    """
+    """A mesh, its origin at the centre of mass."""
 
     file: Path
+    """An STL or OBJ file, for instance."""
     scale: Annotated[
         tuple[float, float, float],
         BeforeValidator(_scale),
         WithJsonSchema({"anyOf": [_LENGTH, _LENGTHS]}),
     ] = (1.0, 1.0, 1.0)
+    """Metres for each unit of the file, for all axes or one for each."""
 
 
 class Shape(OneOf):
-    """The shape of the object: exactly one of these.
+    """The shape of the object: exactly one of these."""
 
-    Attributes
-    ----------
-    box : 3 numbers
-        Full edge lengths [m] along x, y, z.
-    sphere : float
-        Radius [m].
-    cylinder : Cylinder
-        Axis along z.
-    hull : list of 3 numbers
-        Corners of a convex polyhedron [m] whose centre of mass is the origin.
-    mesh : Mesh
-        For the eye only; then ``inertia`` must be given.
-    """
-
-    box: (
-        Annotated[tuple[float, float, float], BeforeValidator(_edges), WithJsonSchema(_LENGTHS)]
-        | None
-    ) = None
+    box: Edges | None = None
+    """Full edge lengths [m] along x, y, z."""
     sphere: Positive | None = None
+    """Radius [m]."""
     cylinder: Cylinder | None = None
-    hull: Annotated[tuple[Vec3, ...], BeforeValidator(_points), AfterValidator(_solid)] | None = (
-        None
-    )
+    """Axis along z."""
+    hull: Points | None = None
+    """Corners of a convex polyhedron [m] whose centre of mass is the origin."""
     mesh: Mesh | None = None
+    """For the eye only; then ``inertia`` must be given."""
 
     def uniform_inertia(self, mass: float) -> np.ndarray:
         """Inertia about the centre of mass at uniform density, shape (3, 3) [kg m^2]."""
@@ -318,32 +285,22 @@ class Shape(OneOf):
 
 
 class ObjectSpec(Spec):
-    """The common object. Its frame has the origin at the centre of mass.
+    """The common object. Its frame has the origin at the centre of mass."""
 
-    Attributes
-    ----------
-    shape : Shape
-        For the eye, and for the inertia where that is not given.
-    mass : float
-        [kg]
-    inertia : 3, 6 or 3x3 numbers, optional
-        About the centre of mass in object axes [kg m^2]: principal moments, the entries
-        ixx, ixy, ixz, iyy, iyz, izz, or the matrix. Absent: uniform density.
-    pose : Pose
-        Of the object frame in the world at the start.
-    twist : 6 numbers, optional
-        Velocity of the centre of mass [m/s] and angular velocity [rad/s], world axes, at the
-        start. Absent: at rest.
-    color : '#rrggbb' or 3 or 4 numbers, optional
-        Red, green, blue, opacity from 0 to 1.
-    """
-
-    shape: Shape = Field(description="such as {box: [1.0, 0.5, 0.2]}")
-    mass: Positive = Field(description="in kg")
+    shape: Shape
+    """Such as {box: [1.0, 0.5, 0.2]}. For the eye, and for the inertia where that is not given."""
+    mass: Positive
+    """Its mass [kg]."""
     inertia: Inertia | None = None
+    """About the centre of mass in object axes [kg m^2]: principal moments, the entries ixx, ixy,
+    ixz, iyy, iyz, izz, or the matrix. Absent: uniform density."""
     pose: Pose = Pose()
+    """Of the object frame in the world at the start."""
     twist: Vec6 | None = None
+    """Velocity of the centre of mass [m/s] and angular velocity [rad/s], world axes, at the start.
+    Absent: at rest."""
     color: Color | None = None
+    """Red, green, blue, opacity from 0 to 1."""
 
     @model_validator(mode="after")
     def _inertia_is_known(self) -> Self:

@@ -1,14 +1,20 @@
 """The parameters of a part of a scene, as people read them: defaults, meanings and units.
 
-They come from the part's model: a meaning is the class's documentation of an attribute, or the
-field's description, and the unit is the text in brackets therein, ``[m]``.
+They come from the part's model: a meaning is the text below a field, the class's documentation of
+an attribute, or the field's description, and the unit is the text in brackets therein, ``[m]``.
 """
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
 from textwrap import dedent
 from typing import Any
 
@@ -48,6 +54,15 @@ def description_of(model: Any, name: str) -> str:
     return _documented(model).get(name, described)
 
 
+def brief_description(model: Any, name: str) -> str:
+    """What a message says about an attribute: its description, or how the text about it begins."""
+    field = model.model_fields.get(name)
+    if field is None or field.description:
+        return "" if field is None else field.description
+    text = re.split(r"\.(?: |$)", description_of(model, name))[0]
+    return text[:1].lower() + text[1:] if text[1:2].islower() or text[1:2] == " " else text
+
+
 def picture_of(model: Any) -> str:
     """One everyday sentence about a kind: its ``picture``, or how its documentation begins."""
     found = getattr(model, "picture", "")
@@ -65,6 +80,7 @@ def summary_of(model: Any) -> str:
     return _plain(inspect.cleandoc(model.__doc__ or "").partition("\n\n")[0])
 
 
+@cache
 def _documented(model: Any) -> dict[str, str]:
     """The text about every attribute that a model or one of its bases documents."""
     found: dict[str, str] = {}
@@ -74,7 +90,40 @@ def _documented(model: Any) -> dict[str, str]:
         _, *entries = re.split(r"(?m)^(\w+(?:, \w+)*)(?: :.*|$)", section)
         for names, body in zip(entries[::2], entries[1::2], strict=True):
             found.update(dict.fromkeys(names.split(", "), _plain(body)))
+        if model.model_fields.keys() & inspect.get_annotations(base).keys():
+            found.update(_below_fields(base))
     return found
+
+
+def _below_fields(model: type) -> dict[str, str]:
+    """The text below every field of a class; none where the class has no source."""
+    body = _classes_of(model.__module__).get(model.__qualname__, [])
+    return {
+        field.target.id: _plain(text.value.value)
+        for field, text in pairwise(body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+        if isinstance(text.value.value, str)
+    }
+
+
+@cache
+def _classes_of(module: str) -> dict[str, list[ast.stmt]]:
+    """The bodies of a module's classes by qualified name, read once for all of them."""
+    try:
+        tree = ast.parse(Path(str(sys.modules[module].__file__)).read_text(encoding="utf-8"))
+    except (KeyError, AttributeError, OSError, ValueError, SyntaxError):  # a notebook, say
+        return {}
+    return dict(_classes_below(tree, ""))
+
+
+def _classes_below(node: ast.AST, path: str) -> Iterator[tuple[str, list[ast.stmt]]]:
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.ClassDef):
+            yield f"{path}{child.name}", child.body
+            yield from _classes_below(child, f"{path}{child.name}.")
+        elif isinstance(child, ast.FunctionDef):
+            yield from _classes_below(child, f"{path}{child.name}.<locals>.")
 
 
 def _plain(text: str) -> str:

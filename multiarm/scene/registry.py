@@ -100,12 +100,12 @@ class Registry(Generic[Kind]):
 
     Attributes
     ----------
+    sort : str
+        The word in the names of the base class, of the function that registers a class, and of the
+        group of entry points: ``multiarm.Effect``, ``multiarm.register_effect``,
+        ``multiarm.effects``.
     noun, plural : str
-        For messages, such as ``effect`` and ``effects``.
-    group : str
-        Of the entry points.
-    base, register : str
-        Public names of the base class and of the function that registers a class.
+        For messages, such as ``control kind`` and ``kinds``.
     built_in : callable
         The names of our own classes, which are taken.
     name_of, parameters_of : callable
@@ -114,16 +114,24 @@ class Registry(Generic[Kind]):
         The classes known to this process: by registration, and by entry points.
     """
 
+    sort: str
     noun: str
     plural: str
-    group: str
-    base: str
-    register: str
     built_in: Callable[[], Collection[str]]
     name_of: Callable[[Any], str] = attrgetter("name")
     parameters_of: Callable[[Any], Any] = lambda own: own
     registered: dict[str, type[Kind]] = field(default_factory=dict)
     loaded: dict[str, type[Kind]] = field(default_factory=dict)
+
+    @property
+    def group(self) -> str:
+        """Of the entry points."""
+        return f"multiarm.{self.sort}s"
+
+    @property
+    def base(self) -> str:
+        """Public name of the base class."""
+        return f"multiarm.{self.sort.capitalize()}"
 
     def add(self, own: AnyClass) -> AnyClass:
         """Let scenes name a class.  Defined and registered once more, it replaces the former one.
@@ -208,7 +216,8 @@ class Registry(Generic[Kind]):
     def unknown(self, name: object) -> str:
         """The message for a name that no class has."""
         text = unknown(self.noun, name, [*self.built_in(), *self.names()], self.plural)
-        return f"{text}; {self.plural} of your own need {self.register}, or their package"
+        own = f"{self.plural} of your own need multiarm.register_{self.sort}, or their package"
+        return f"{text}; {own}"
 
     # --- reading scenes ---------------------------------------------------------------------------
 

@@ -43,20 +43,14 @@ class AccuracySpec(Spec):
 
     A single number in place of the table is meant for position and rotation alike, and the two
     forms compare equal: ``AccuracySpec(position=1e-6, rotation=1e-6) == 1e-6``.
-
-    Attributes
-    ----------
-    position : float, optional
-        Of the object's centre of mass and of sliding joints [m].
-    rotation : float, optional
-        Of the object's orientation and of turning joints [rad].
-    force : float, optional
-        Of every contact force that the equations determine [N].
     """
 
     position: Positive | None = None
+    """Of the object's centre of mass and of sliding joints [m]."""
     rotation: Positive | None = None
+    """Of the object's orientation and of turning joints [rad]."""
     force: Positive | None = None
+    """Of every contact force that the equations determine [N]."""
 
     @model_validator(mode="after")
     def _bounds_something(self) -> Self:
@@ -109,19 +103,14 @@ Accuracy = Annotated[
 
 
 class StabilizationSpec(Spec):
-    """How the joints are kept closed although integration errors add up.
-
-    Attributes
-    ----------
-    kind : 'projection', 'feedback' or 'none'
-        One of :data:`STABILIZATIONS`.
-    alpha, beta : float, optional
-        Gains of the feedback [1/s]; absent: chosen from the step.
-    """
+    """How the joints are kept closed although integration errors add up."""
 
     kind: Stabilization = "projection"
+    """One of :data:`STABILIZATIONS`."""
     alpha: NonNegative | None = None
+    """Gains of the feedback [1/s]; absent: chosen from the step."""
     beta: NonNegative | None = None
+    """Gains of the feedback [1/s]; absent: chosen from the step."""
 
     @model_validator(mode="after")
     def _gains_belong_to_feedback(self) -> Self:
@@ -131,40 +120,15 @@ class StabilizationSpec(Spec):
 
 
 class RunSpec(Spec):
-    """How long and how exactly the motion is computed, and by which method.
-
-    Attributes
-    ----------
-    duration : float
-        Simulated time [s].
-    accuracy : AccuracySpec or float, optional
-        Largest error of the whole run at the worst output time: a number [m and rad], or a table
-        ``{position: [m], rotation: [rad], force: [N]}``, some of them. The program chooses
-        method and steps, checks the result against a tightened rerun and repeats the run with
-        smaller tolerances if need be. 1e-6 by default.
-    step : float, optional
-        Fixed step [s].
-    tolerance : float, optional
-        Error of one step of an adaptive integrator [m, rad, m/s, rad/s].
-    stabilization : StabilizationSpec or its kind
-        How the joints are kept closed although integration errors add up.
-    output_step : float
-        Time between stored samples [s].
-    most_steps : float
-        Steps for one second of simulated time (for the whole run, if that is shorter): a run that
-        needs more at the pace of its last thousands of steps, rejected ones and events counted,
-        fails instead of running for hours.
-    solver : 'node' or 'dense'
-        The node algorithm, or the whole linear system at once, an independent reference to
-        compare with.
-    arms : 'pinocchio' or 'compiled'
-        Backend of the arms' inertia, forces and motion: Pinocchio, or compiled code, which is
-        several times as fast and verified against Pinocchio whenever the scene is compiled.  An arm
-        that cannot be compiled stays with Pinocchio and says so.
-    """
+    """How long and how exactly the motion is computed, and by which method."""
 
     duration: Positive = 1.0
+    """Simulated time [s]."""
     accuracy: Accuracy | None = None
+    """Largest error of the whole run at the worst output time: a number [m and rad], or a table
+    ``{position: [m], rotation: [rad], force: [N]}``, some of them. The program chooses method and
+    steps, checks the result against a tightened rerun and repeats the run with smaller tolerances
+    if need be. 1e-6 by default."""
     integrator: Integrator | None = Field(
         default=None,
         description=f"{', '.join(FIXED_STEP_INTEGRATORS)} have a fixed 'step'; "
@@ -173,12 +137,24 @@ class RunSpec(Spec):
         "stiff.",
     )
     step: Positive | None = None
+    """Fixed step [s]."""
     tolerance: Positive | None = None
+    """Error of one step of an adaptive integrator [m, rad, m/s, rad/s]."""
     stabilization: Annotated[StabilizationSpec, shorthand("kind", str)] = StabilizationSpec()
+    """How the joints are kept closed although integration errors add up."""
     output_step: Positive = 0.01
+    """Time between stored samples [s]."""
     most_steps: Positive = 1e8
+    """Steps for one second of simulated time (for the whole run, if that is shorter): a run that
+    needs more at the pace of its last thousands of steps, rejected ones and events counted, fails
+    instead of running for hours."""
     solver: Literal["node", "dense"] = "node"
+    """The node algorithm, or the whole linear system at once, an independent reference to compare
+    with."""
     arms: ArmTerms = "pinocchio"
+    """Backend of the arms' inertia, forces and motion: Pinocchio, or compiled code, which is
+    several times as fast and verified against Pinocchio whenever the scene is compiled. An arm that
+    cannot be compiled stays with Pinocchio and says so."""
 
     @model_validator(mode="before")
     @classmethod

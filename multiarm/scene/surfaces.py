@@ -42,16 +42,12 @@ Bounds = Annotated[
 
 
 class PatchSpec(Spec):
-    """The part of a surface that exists: a box [m] in the frame in which the surface is given.
-
-    Attributes
-    ----------
-    min, max : 3 numbers or null each
-        Corners of the box; null where there is no bound.
-    """
+    """The part of a surface that exists: a box [m] in the frame in which the surface is given."""
 
     min: Bounds = (None, None, None)
+    """Corners of the box; null where there is no bound."""
     max: Bounds = (None, None, None)
+    """Corners of the box; null where there is no bound."""
 
     @model_validator(mode="after")
     def _is_a_box(self) -> Self:
@@ -122,18 +118,12 @@ class Surface(OwnSpec):
 
 
 class _Turned(Surface):
-    """A surface with its own axes.
-
-    Attributes
-    ----------
-    rpy : 3 numbers
-        Turn of its axes: roll, pitch, yaw [rad] about fixed axes.
-    quaternion_xyzw : 4 numbers, optional
-        The same as a quaternion, instead of ``rpy``.
-    """
+    """A surface with its own axes."""
 
     rpy: Vec3 = (0.0, 0.0, 0.0)
+    """Turn of its axes: roll, pitch, yaw [rad] about fixed axes."""
     quaternion_xyzw: Vec4 | None = None
+    """The same as a quaternion, instead of ``rpy``."""
 
     @model_validator(mode="after")
     def _one_orientation(self) -> Self:
@@ -165,17 +155,7 @@ class PointGeometry(Surface):
 
 
 class SphereGeometry(Surface):
-    """A sphere, solid or (``inside``) hollow.
-
-    Attributes
-    ----------
-    center : 3 numbers
-        Its centre [m].
-    radius : float
-        Its radius [m].
-    inside : bool
-        The sphere is hollow, touched from within.
-    """
+    """A sphere, solid or (``inside``) hollow."""
 
     name = "sphere"
     size = " of radius {radius:g} m"
@@ -183,8 +163,11 @@ class SphereGeometry(Surface):
     example = "object: {sphere: {center: [0, 0, 0], radius: 0.05, inside: true}}"
 
     center: Vec3 = (0.0, 0.0, 0.0)
+    """Its centre [m]."""
     radius: Positive
+    """Its radius [m]."""
     inside: bool = False
+    """The sphere is hollow, touched from within."""
 
     def record(self) -> records.Surface:
         return records.sphere(self.center, self.radius, self.inside)
@@ -195,15 +178,7 @@ class SphereGeometry(Surface):
 
 
 class PlaneGeometry(Surface):
-    """A flat face.
-
-    Attributes
-    ----------
-    point : 3 numbers
-        A point of it [m].
-    normal : 3 numbers
-        Direction out of the body that has the face.
-    """
+    """A flat face."""
 
     name = "plane"
     picture = "a table top; here with its edges, a patch"
@@ -213,7 +188,9 @@ class PlaneGeometry(Surface):
     )
 
     point: Vec3 = (0.0, 0.0, 0.0)
+    """A point of it [m]."""
     normal: Direction
+    """Direction out of the body that has the face."""
 
     def record(self) -> records.Surface:
         return records.plane(self.point, self.normal)
@@ -223,19 +200,7 @@ class PlaneGeometry(Surface):
 
 
 class CylinderGeometry(Surface):
-    """A cylinder, solid or (``inside``) a bore.
-
-    Attributes
-    ----------
-    point : 3 numbers
-        A point of its axis [m].
-    axis : 3 numbers
-        Direction of the axis.
-    radius : float
-        Its radius [m].
-    inside : bool
-        The cylinder is a bore, touched from within.
-    """
+    """A cylinder, solid or (``inside``) a bore."""
 
     name = "cylinder"
     size = " of radius {radius:g} m"
@@ -243,9 +208,13 @@ class CylinderGeometry(Surface):
     example = "object: {cylinder: {point: [0, 0, 0], axis: [0, 0, 1], radius: 0.05}}"
 
     point: Vec3 = (0.0, 0.0, 0.0)
+    """A point of its axis [m]."""
     axis: Direction = _Z
+    """Direction of the axis."""
     radius: Positive
+    """Its radius [m]."""
     inside: bool = False
+    """The cylinder is a bore, touched from within."""
 
     def record(self) -> records.Surface:
         return records.cylinder(self.point, self.axis, self.radius, self.inside)
@@ -256,28 +225,20 @@ class CylinderGeometry(Surface):
 
 
 class ConeGeometry(Surface):
-    """A cone, solid or (``inside``) a funnel.
-
-    Attributes
-    ----------
-    apex : 3 numbers
-        Its point [m].
-    axis : 3 numbers
-        From the apex into the opening.
-    half_angle : float
-        Between axis and face [rad], less than a quarter turn.
-    inside : bool
-        The cone is a funnel, touched from within.
-    """
+    """A cone, solid or (``inside``) a funnel."""
 
     name = "cone"
     picture = "a sharpened pencil; inside: a funnel"
     example = "object: {cone: {apex: [0, 0, 0], axis: [0, 0, 1], half_angle: 0.6, inside: true}}"
 
     apex: Vec3 = (0.0, 0.0, 0.0)
+    """Its point [m]."""
     axis: Direction = _Z
+    """From the apex into the opening."""
     half_angle: Positive
+    """Between axis and face [rad], less than a quarter turn."""
     inside: bool = False
+    """The cone is a funnel, touched from within."""
 
     @model_validator(mode="after")
     def _opens(self) -> Self:
@@ -296,21 +257,7 @@ class ConeGeometry(Surface):
 
 
 class TorusGeometry(Surface):
-    """A tube about a circle.
-
-    Attributes
-    ----------
-    center : 3 numbers
-        The circle's centre [m].
-    axis : 3 numbers
-        Direction across the circle's plane.
-    circle_radius : float
-        Radius of the circle [m].
-    tube_radius : float
-        Radius of the tube [m]; the smaller one, so that the torus has a hole.
-    inside : bool
-        The tube is hollow, touched from within.
-    """
+    """A tube about a circle."""
 
     name = "torus"
     size = " with a tube of radius {tube_radius:g} m"
@@ -321,10 +268,15 @@ class TorusGeometry(Surface):
     )
 
     center: Vec3 = (0.0, 0.0, 0.0)
+    """The circle's centre [m]."""
     axis: Direction = _Z
+    """Direction across the circle's plane."""
     circle_radius: Positive
+    """Radius of the circle [m]."""
     tube_radius: Positive
+    """Radius of the tube [m]; the smaller one, so that the torus has a hole."""
     inside: bool = False
+    """The tube is hollow, touched from within."""
 
     @model_validator(mode="after")
     def _has_a_hole(self) -> Self:
@@ -348,25 +300,18 @@ class TorusGeometry(Surface):
 
 
 class EllipsoidGeometry(_Turned):
-    """An ellipsoid.
-
-    Attributes
-    ----------
-    center : 3 numbers
-        Its centre [m].
-    semi_axes : 3 numbers
-        Half its lengths [m] along its own x, y and z axes.
-    inside : bool
-        The ellipsoid is hollow, touched from within.
-    """
+    """An ellipsoid."""
 
     name = "ellipsoid"
     picture = "an egg or a melon; inside: a dish"
     example = "object: {ellipsoid: {center: [0, 0, 0], semi_axes: [0.1, 0.07, 0.05]}}"
 
     center: Vec3 = (0.0, 0.0, 0.0)
+    """Its centre [m]."""
     semi_axes: tuple[Positive, Positive, Positive]
+    """Half its lengths [m] along its own x, y and z axes."""
     inside: bool = False
+    """The ellipsoid is hollow, touched from within."""
 
     def record(self) -> records.Surface:
         return records.ellipsoid(self.center, self.axes(), self.semi_axes, self.inside)
@@ -379,29 +324,7 @@ class EllipsoidGeometry(_Turned):
 
 
 class SurfaceGeometry(_Turned):
-    """A smooth surface as Python functions: a signed distance or a parametrisation.
-
-    Attributes
-    ----------
-    distance : function, f(p) -> [m]
-        Signed distance of a point p (3,) from the surface, positive outside of the body.
-    gradient, hessian : function, optional
-        Its derivatives g(p) -> (3,), h(p) -> (3, 3); by differences where absent.
-    parametrisation : function, x(u, v) -> (3,)
-        The alternative: points of the surface [m]. dx/du x dx/dv points out of the body.
-    derivatives : function, optional
-        d(u, v) -> (5, 3): rows x_u, x_v, x_uu, x_uv, x_vv; by differences where absent.
-    u, v : 2 numbers
-        Ranges of the parameters. One that closes (a full turn) is recognised.
-    flip : bool
-        dx/du x dx/dv points into the body.
-    length : float
-        Scale [m] on which the surface bends; steps of differences are a fraction of it.
-    origin : 3 numbers
-        Origin [m] of the frame of the functions, turned by rpy or quaternion.
-    inside : bool
-        The surface is that of a cavity, touched from within.
-    """
+    """A smooth surface as Python functions: a signed distance or a parametrisation."""
 
     name = "surface"
     picture = (
@@ -411,16 +334,27 @@ class SurfaceGeometry(_Turned):
     example = 'object: {surface: {distance: "shapes.py:bump"}}'
 
     distance: UserFunction | None = None
+    """Signed distance of a point p (3,) from the surface, positive outside of the body."""
     gradient: UserFunction | None = None
+    """Its derivatives g(p) -> (3,), h(p) -> (3, 3); by differences where absent."""
     hessian: UserFunction | None = None
+    """Its derivatives g(p) -> (3,), h(p) -> (3, 3); by differences where absent."""
     parametrisation: UserFunction | None = None
+    """The alternative: points of the surface [m]. dx/du x dx/dv points out of the body."""
     derivatives: UserFunction | None = None
+    """d(u, v) -> (5, 3): rows x_u, x_v, x_uu, x_uv, x_vv; by differences where absent."""
     u: Range | None = None
+    """Ranges of the parameters. One that closes (a full turn) is recognised."""
     v: Range | None = None
+    """Ranges of the parameters. One that closes (a full turn) is recognised."""
     flip: bool = False
+    """dx/du x dx/dv points into the body."""
     length: Positive = 0.1
+    """Scale [m] on which the surface bends; steps of differences are a fraction of it."""
     origin: Vec3 = (0.0, 0.0, 0.0)
+    """Origin [m] of the frame of the functions, turned by rpy or quaternion."""
     inside: bool = False
+    """The surface is that of a cavity, touched from within."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:

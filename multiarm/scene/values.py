@@ -268,22 +268,15 @@ Color = Annotated[
 
 
 class Pose(Spec):
-    """A placement: where a frame's origin is and how its axes are turned.
-
-    Attributes
-    ----------
-    xyz : 3 numbers
-        Origin [m] in the parent frame.
-    rpy : 3 numbers
-        Roll, pitch, yaw [rad] about the fixed axes x, y, z in that order, as in URDF:
-        R = Rz(yaw) Ry(pitch) Rx(roll).
-    quaternion_xyzw : 4 numbers, optional
-        Orientation as a quaternion, scalar last, instead of ``rpy``. Any length but zero.
-    """
+    """A placement: where a frame's origin is and how its axes are turned."""
 
     xyz: Vec3 = (0.0, 0.0, 0.0)
+    """Origin [m] in the parent frame."""
     rpy: Vec3 = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw [rad] about the fixed axes x, y, z in that order, as in URDF: R = Rz(yaw)
+    Ry(pitch) Rx(roll)."""
     quaternion_xyzw: Vec4 | None = None
+    """Orientation as a quaternion, scalar last, instead of ``rpy``. Any length but zero."""
 
     @model_validator(mode="after")
     def _one_orientation(self) -> Self:

@@ -36,11 +36,9 @@ _OURS = (
 BUILT_IN: dict[str, type[ControlKind]] = {own.kind_name(): own for own in _OURS}
 """Our kinds by name."""
 CONTROLS: Registry[ControlKind] = Registry(
+    sort="control",
     noun="control kind",
     plural="kinds",
-    group="multiarm.controls",
-    base="multiarm.Control",
-    register="multiarm.register_control",
     built_in=lambda: BUILT_IN,
     name_of=lambda own: own.kind_name(),
 )

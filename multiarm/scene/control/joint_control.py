@@ -32,7 +32,8 @@ class ConstantControl(ControlKind):
     by_joint = ("torques",)
 
     kind: Literal["constant"] = "constant"
-    torques: PerArm = Field(description="a table 'arm: torques'")
+    torques: PerArm
+    """A table 'arm: torques'."""
 
 
 class GravityCompensationControl(SampledControl):
@@ -50,20 +51,7 @@ class GravityCompensationControl(SampledControl):
 
 
 class JointPDControl(SampledControl):
-    """Joint springs and dampers about a reference, which may follow a path of the object.
-
-    Attributes
-    ----------
-    stiffness : number, list or table
-        [N m/rad] or [N/m]: one for all joints, one per joint, or a table by arm.
-    damping : number, list or table
-        [N m s/rad] or [N s/m], in the same forms.
-    gravity_compensation : bool
-        Add the torques that hold the whole system, arms and object, still.
-    path : list of Waypoint, optional
-        Poses of the object that the reference passes. A path that does not begin at time 0
-        begins with the start pose. Absent: the reference is the start.
-    """
+    """Joint springs and dampers about a reference, which may follow a path of the object."""
 
     picture = (
         "a robot that holds or follows joint angles, as with springs and dampers in its joints"
@@ -77,10 +65,15 @@ control:
     by_joint = ("stiffness", "damping")
 
     kind: Literal["joint_pd"] = "joint_pd"
-    stiffness: Gain = Field(description="N m/rad: a number, a list or a table by arm")
-    damping: Gain = Field(description="N m s/rad: a number, a list or a table by arm")
+    stiffness: Gain
+    """[N m/rad] or [N/m]: one for all joints, one per joint, or a table by arm."""
+    damping: Gain
+    """[N m s/rad] or [N s/m]: one for all joints, one per joint, or a table by arm."""
     gravity_compensation: bool = True
+    """Add the torques that hold the whole system, arms and object, still."""
     path: ObjectPath = None
+    """Poses of the object that the reference passes. A path that does not begin at time 0 begins
+    with the start pose. Absent: the reference is the start."""
 
     @property
     def compensates_gravity(self) -> bool:
@@ -89,21 +82,7 @@ control:
 
 
 class HarmonicControl(SampledControl):
-    """Torques offset + amplitude * sin(2 pi frequency t + phase).
-
-    Attributes
-    ----------
-    amplitude : table 'arm: values'
-        [N m] or [N]; arms and joints that are not named get none.
-    frequency : float
-        [Hz]
-    phase : table 'arm: values'
-        [rad], 0 where it is not named.
-    offset : table 'arm: values'
-        Constant torques [N m] or forces [N], 0 where it is not named.
-    hold : bool
-        Add the constant torques that would hold the start at rest.
-    """
+    """Torques offset + amplitude * sin(2 pi frequency t + phase)."""
 
     picture = "a shaker: torques swing as sines, such as for a test of vibrations"
     example = """
@@ -114,11 +93,16 @@ control:
     by_joint = ("amplitude", "phase", "offset")
 
     kind: Literal["harmonic"] = "harmonic"
-    amplitude: PerArm = Field(description="a table 'arm: amplitudes'")
-    frequency: Positive = Field(description="in Hz")
+    amplitude: PerArm
+    """A table 'arm: amplitudes', [N m] or [N]. Arms and joints that are not named get none."""
+    frequency: Positive
+    """Of the swing [Hz]."""
     phase: PerArm = Field(default_factory=dict)
+    """[rad], 0 where it is not named."""
     offset: PerArm = Field(default_factory=dict)
+    """Constant torques [N m] or forces [N], 0 where it is not named."""
     hold: bool = True
+    """Add the constant torques that would hold the start at rest."""
 
     @property
     def carries(self) -> bool:
@@ -127,30 +111,7 @@ control:
 
 
 class RecordedControl(SampledControl):
-    """Torques, or references of joint springs and dampers, from a table over time.
-
-    Attributes
-    ----------
-    file : path
-        A table in CSV, Parquet or HDF5: a column of times [s], which increase, and one column for
-        each joint. Joints without a column get no torque, or are referred to the start.
-    time : str
-        Name of the column with the times.
-    columns : table 'arm/joint: column', optional
-        The columns to be used. Absent: all of them, and each is named as its joint.
-    quantity : 'torque' or 'position'
-        What the columns are: torques [N m, N], or positions [rad, m] to which springs and dampers
-        pull.
-    interpolation : 'linear', 'cubic' or 'hold'
-        Between two rows: a line, a spline with continuous second derivatives, or the earlier value.
-    outside : 'error', 'hold' or 'zero', optional
-        Before the first row and after the last one: a run that comes there is refused; the nearest
-        row holds, at rest; there is no torque. Absent: 'error' for torques, 'hold' for positions.
-    stiffness, damping : number, list or table
-        Of positions only: [N m/rad], [N m s/rad], as with joint_pd.
-    gravity_compensation : bool
-        Of positions only: add the torques that hold the whole system, arms and object, still.
-    """
+    """Torques, or references of joint springs and dampers, from a table over time."""
 
     picture = "a measurement is played back: torques, or joint angles to be followed, from a table"
     example = """
@@ -160,15 +121,28 @@ control:
     by_joint = ("stiffness", "damping")
 
     kind: Literal["recorded"] = "recorded"
-    file: Path = Field(description="a table in CSV, Parquet or HDF5")
+    file: Path
+    """A table in CSV, Parquet or HDF5: a column of times [s], which increase, and one column for
+    each joint. Joints without a column get no torque, or are referred to the start."""
     time: str = "time"
+    """Name of the column with the times."""
     columns: dict[str, str] | None = None
+    """The columns to be used. Absent: all of them, and each is named as its joint."""
     quantity: Literal["torque", "position"] = "torque"
+    """What the columns are: torques [N m, N], or positions [rad, m] to which springs and dampers
+    pull."""
     interpolation: Literal["linear", "cubic", "hold"] = "linear"
+    """Between two rows: a line, a spline with continuous second derivatives, or the earlier value.
+    """
     outside: Literal["error", "hold", "zero"] | None = None
+    """Before the first row and after the last one: a run that comes there is refused; the nearest
+    row holds, at rest; there is no torque. Absent: 'error' for torques, 'hold' for positions."""
     stiffness: Gain | None = None
+    """Of positions only: [N m/rad], [N m s/rad], as with joint_pd."""
     damping: Gain | None = None
+    """Of positions only: [N m/rad], [N m s/rad], as with joint_pd."""
     gravity_compensation: bool | None = None
+    """Of positions only: add the torques that hold the whole system, arms and object, still."""
 
     @model_validator(mode="after")
     def _gains_belong_to_positions(self) -> Self:
@@ -224,14 +198,7 @@ def _address_fault(address: str, arms: Mapping[str, KnownArm]) -> str:
 
 
 class FunctionControl(SampledControl):
-    """A controller in Python; ``kind`` may be left out.
-
-    Attributes
-    ----------
-    function : function
-        f(t, state) -> {arm: torques}, arms that it leaves out get none: a Python function, or its
-        name as 'file.py:name' or 'package.module:name'.
-    """
+    """A controller in Python; ``kind`` may be left out."""
 
     picture = "your own controller: a Python function of time and state that returns torques"
     example = """
@@ -240,4 +207,6 @@ control:
   sample_time: 0.001                # [s]; without it, called at every evaluation"""
 
     kind: Literal["function"] = "function"
-    function: UserFunction = Field(description="f(t, state) -> {arm: torques}, or 'file.py:name'")
+    function: UserFunction
+    """f(t, state) -> {arm: torques}, arms that it leaves out get none: a Python function, or its
+    name as 'file.py:name' or 'package.module:name'."""

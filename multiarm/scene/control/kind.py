@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import Annotated, ClassVar
 
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault
@@ -55,19 +55,13 @@ class ControlKind(OwnKind):
 
 
 class SampledControl(ControlKind):
-    """Keys of all control that changes with time or state.
-
-    Attributes
-    ----------
-    sample_time : float, optional
-        The torques are computed every ``sample_time`` [s] only, from the state at that time, and
-        held in between, as by a digital controller. Absent: they are computed all the time.
-    sample_delay : bool
-        Torques act one sample later; those of the start act until the second sample.
-    """
+    """Keys of all control that changes with time or state."""
 
     sample_time: Positive | None = None
+    """The torques are computed every ``sample_time`` [s] only, from the state at that time, and
+    held in between, as by a digital controller. Absent: they are computed all the time."""
     sample_delay: bool = False
+    """Torques act one sample later; those of the start act until the second sample."""
 
     @model_validator(mode="after")
     def _delay_belongs_to_samples(self) -> Self:
@@ -88,7 +82,8 @@ class UnloadedControl(SampledControl):
 class Waypoint(Pose):
     """A pose of the object to be passed at ``time`` [s]."""
 
-    time: NonNegative = Field(description="the time in seconds at which the pose is passed")
+    time: NonNegative
+    """The time in seconds at which the pose is passed."""
 
 
 def _ordered(path: tuple[Waypoint, ...] | None) -> tuple[Waypoint, ...] | None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, TypeAdapter
+from pydantic import BeforeValidator, TypeAdapter
 
 from multiarm.scene.control.kind import ObjectPath, SampledControl
 from multiarm.scene.faults import fault, shown, unknown
@@ -23,16 +23,12 @@ from multiarm.scene.values import (
 
 
 class ObjectGain(Spec):
-    """Gains for the shift and for the turn of the object, along and about the world's axes.
+    """Gains for the shift and for the turn of the object, along and about the world's axes."""
 
-    Attributes
-    ----------
-    translation, rotation : number or 3 numbers
-        One for all axes, or one each for x, y, z of the world.
-    """
-
-    translation: WorldAxes = Field(description="a number, or 3 for the world's axes")
-    rotation: WorldAxes = Field(description="a number, or 3 for the world's axes")
+    translation: WorldAxes
+    """A number for all axes, or one each for x, y, z of the world."""
+    rotation: WorldAxes
+    """A number for all axes, or one each for x, y, z of the world."""
 
     def vector(self) -> np.ndarray:
         """Gains of shift and turn, shape (6,)."""
@@ -73,9 +69,18 @@ class _ObjectControl(SampledControl):
 
     path: ObjectPath = None
     relative_damping: NonNegative = 10.0
+    """Rate at which motions of the arms that the object does not need die out [1/s]."""
     relative_stiffness: NonNegative = 0.0
+    """How firmly the arms keep their place on the object where their joints leave them free, such
+    as fingertips that could slide [1/s^2]; 0: nothing draws them back. With a quarter of the square
+    of ``relative_damping`` they come back without overshoot."""
     squeeze: NonNegative = 0.0
+    """How hard the arms press the object between them [N]: fingertips, which can only push, press
+    so hard in the mean; arms with idealised joints each press so hard towards the middle of all
+    grips."""
     internal_forces: dict[ArmName, ContactForces] | None = None
+    """A table 'arm: forces' [N], one for each contact of the arm's joint; the part that is not
+    internal is removed."""
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Internal forces of arms that are none."""
@@ -97,22 +102,6 @@ class ComputedTorqueControl(_ObjectControl):
     path : list of Waypoint, optional
         Poses of the object, reached at rest. A path that does not begin at time 0 begins with
         the start pose. Absent: the object is held where it is.
-    stiffness : number or {translation, rotation}
-        [1/s^2]
-    damping : number or {translation, rotation}
-        [1/s]; twice the root of the stiffness lets errors die out without overshoot.
-    relative_damping : number
-        Rate at which motions of the arms that the object does not need die out [1/s].
-    relative_stiffness : number
-        How firmly the arms keep their place on the object where their joints leave them free, such
-        as fingertips that could slide [1/s^2]; 0: nothing draws them back. With a quarter of the
-        square of ``relative_damping`` they come back without overshoot.
-    squeeze : number
-        How hard the arms press the object between them [N]: fingertips, which can only push,
-        press so hard in the mean; arms with idealised joints each press so hard towards the
-        middle of all grips.
-    internal_forces : table 'arm: forces'
-        [N], one for each contact of the arm's joint; the part that is not internal is removed.
     """
 
     picture = "an exact model drives the object along its path, whatever arms and object weigh"
@@ -127,9 +116,11 @@ control:
     stiffness: Annotated[ObjectGain, BeforeValidator(_from_number)] = ObjectGain(
         translation=100.0, rotation=100.0
     )
+    """[1/s^2]"""
     damping: Annotated[ObjectGain, BeforeValidator(_from_number)] = ObjectGain(
         translation=20.0, rotation=20.0
     )
+    """[1/s]; twice the root of the stiffness lets errors die out without overshoot."""
 
 
 class ObjectImpedanceControl(_ObjectControl):
@@ -137,17 +128,9 @@ class ObjectImpedanceControl(_ObjectControl):
 
     Attributes
     ----------
-    stiffness : {translation, rotation}
-        [N/m] and [N m/rad], along and about the world's axes.
-    damping : {translation, rotation}
-        [N s/m] and [N m s/rad].
     path : list of Waypoint, optional
         Where the spring pulls to. A path that does not begin at time 0 begins with the start
         pose. Absent: the start pose.
-    relative_damping : number
-        Rate at which motions of the arms that the object does not need die out [1/s].
-    relative_stiffness, squeeze, internal_forces
-        As with computed torque.
     """
 
     picture = "the object hangs on a spring and a damper, and gives way when something pushes it"
@@ -158,12 +141,10 @@ control:
   damping: {translation: 400, rotation: 40}       # [N s/m], [N m s/rad]"""
 
     kind: Literal["object_impedance"] = "object_impedance"
-    stiffness: Annotated[ObjectGain, BeforeValidator(_in_two_units)] = Field(
-        description="a table (translation: N/m, rotation: N m/rad), a number or 3 each"
-    )
-    damping: Annotated[ObjectGain, BeforeValidator(_in_two_units)] = Field(
-        description="a table (translation: N s/m, rotation: N m s/rad), a number or 3 each"
-    )
+    stiffness: Annotated[ObjectGain, BeforeValidator(_in_two_units)]
+    """A table {translation: [N/m], rotation: [N m/rad]}, each a number or 3 for world axes."""
+    damping: Annotated[ObjectGain, BeforeValidator(_in_two_units)]
+    """A table {translation: [N s/m], rotation: [N m s/rad]}, in the same forms."""
 
     @property
     def compensates_gravity(self) -> bool:

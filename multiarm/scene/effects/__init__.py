@@ -1,16 +1,16 @@
 """The effects that a scene may name: their parameters, and whether these fit the arms.
 
-Each is a class that says all about itself and a field of :class:`EffectsSpec`; what it does to the
-model stands in ``multiarm/effects/<name>.py``.
+Each is a class that says all about itself; the fields of :class:`EffectsSpec` derive from these
+classes.  What an effect does to the model stands in ``multiarm/effects/<name>.py``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from operator import attrgetter
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, create_model, model_validator
 
 from multiarm.scene.effects.contacts import (
     ContactComplianceSpec,
@@ -24,31 +24,36 @@ from multiarm.scene.effects.drives import (
     JointDamping,
     JointFriction,
     JointNumbers,
-    NumbersOf,
     RotorInertia,
     TorqueLimits,
 )
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.effects.loads import Drag, ExternalWrench
-from multiarm.scene.faults import Parts, fault, models_in
+from multiarm.scene.faults import Parts
 from multiarm.scene.registry import AnyClass, Registry
-from multiarm.scene.values import (
-    Faults,
-    Gain,
-    KnownArm,
-    Spec,
-    UrdfGain,
-    below,
-    shorthand,
-)
+from multiarm.scene.values import Faults, KnownArm, Spec, below
 
+_OURS = (
+    JointDamping,
+    JointFriction,
+    RotorInertia,
+    TorqueLimits,
+    ActuatorLag,
+    Drag,
+    ExternalWrench,
+    UnilateralContactsSpec,
+    ContactFrictionSpec,
+    JointLimitsSpec,
+    FloorSpec,
+    ContactComplianceSpec,
+)
+BUILT_IN: dict[str, type[EffectKind]] = {own.name: own for own in _OURS}
+"""Our effects by name."""
 EFFECTS: Registry[Any] = Registry(
+    sort="effect",
     noun="effect",
     plural="effects",
-    group="multiarm.effects",
-    base="multiarm.Effect",
-    register="multiarm.register_effect",
-    built_in=lambda: EffectsSpec.model_fields,
+    built_in=lambda: BUILT_IN,
     parameters_of=attrgetter("Spec"),
 )
 """User effects; what the class must offer says :class:`multiarm.effects.effect.Effect`."""
@@ -67,77 +72,12 @@ def register_effect(effect: AnyClass) -> AnyClass:
     return EFFECTS.add(effect)
 
 
-def _or_only(key: str, kind: type[Spec]) -> BeforeValidator:
-    """Let the value of one key, which may be a table itself, stand for the whole table."""
-
-    def whole(value: Any) -> Any:
-        if value is None or isinstance(value, kind):
-            return value
-        if isinstance(value, Mapping) and set(value) & set(kind.model_fields):
-            return value
-        return {key: value}
-
-    return BeforeValidator(whole)
-
-
-def _some(wrenches: tuple[ExternalWrench, ...] | None) -> tuple[ExternalWrench, ...] | None:
-    if wrenches == ():
-        raise fault("is empty; list wrenches, such as (on: object, force: [0, 0, -1])")
-    return wrenches
-
-
-class EffectsSpec(Spec):
+class _Effects(Spec):
     """Optional physics; an effect that is not named is not modelled and costs nothing.
 
-    A name that is none of the attributes below is a user effect, see
+    It has a field for each of :data:`BUILT_IN`; a name that is none of these is a user effect, see
     :mod:`multiarm.scene.registry`.
-
-    Attributes
-    ----------
-    joint_damping : number, table 'arm: values' or 'urdf', optional
-        Viscous damping of the arms' joints [N m s/rad] or [N s/m]. ``urdf``: the robot's
-        <dynamics damping>, also for single arms of a table.
-    joint_friction : JointFriction, or its torque, optional
-        Dry friction of the arms' joints.
-    rotor_inertia : number or table 'arm: values', optional
-        Inertia of the drives as seen from the joint, that of the rotor times the gear ratio
-        squared [kg m^2], of sliding joints [kg].
-    torque_limits : number, table 'arm: values' or 'urdf', optional
-        Largest torque of the drives [N m], of sliding joints force [N]: what the control commands
-        beyond it is cut off. ``urdf``: the robot's <limit effort>. Joints that are not named, or
-        have no limit in the URDF, are not limited.
-    actuator_lag : ActuatorLag, or its time_constant, optional
-        Drives that follow the command with a delay.
-    drag : Drag, optional
-        Resistance of the medium that the object moves through.
-    external_wrenches : list of ExternalWrench, optional
-        Forces and torques from outside, on the object or on links.
-    unilateral_contacts : UnilateralContactsSpec, optional
-        Contacts that only push open, and close again with restitution.
-    contact_friction : ContactFrictionSpec or its mu, optional
-        Coulomb friction of contacts that only push.
-    joint_limits : JointLimitsSpec or 'urdf', optional
-        Joints stop at the ends of their range.
-    floor : FloorSpec, optional
-        A plane that the object can touch.
-    contact_compliance : ContactComplianceSpec or its stiffness, optional
-        Contacts that give way.
     """
-
-    joint_damping: Annotated[UrdfGain | None, NumbersOf(JointDamping)] = None
-    joint_friction: Annotated[JointFriction | None, _or_only("torque", JointFriction)] = None
-    rotor_inertia: Annotated[Gain | None, NumbersOf(RotorInertia)] = None
-    torque_limits: Annotated[UrdfGain | None, NumbersOf(TorqueLimits)] = None
-    actuator_lag: Annotated[ActuatorLag | None, _or_only("time_constant", ActuatorLag)] = None
-    drag: Drag | None = None
-    external_wrenches: Annotated[tuple[ExternalWrench, ...] | None, AfterValidator(_some)] = None
-    unilateral_contacts: UnilateralContactsSpec | None = None
-    contact_friction: Annotated[ContactFrictionSpec, shorthand("mu", int, float)] | None = None
-    joint_limits: Annotated[JointLimitsSpec, shorthand("range", str)] | None = None
-    floor: FloorSpec | None = None
-    contact_compliance: (
-        Annotated[ContactComplianceSpec, shorthand("stiffness", int, float)] | None
-    ) = None
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(EFFECTS.read)]]
@@ -194,13 +134,21 @@ class EffectsSpec(Spec):
                 yield (name,), spec
 
 
-def _kind(name: str) -> type[EffectKind]:
-    field = EffectsSpec.model_fields[name]
-    marked = [mark.kind for mark in field.metadata if isinstance(mark, NumbersOf)]
-    return next(
-        one for one in [*marked, *models_in(field.annotation)] if issubclass(one, EffectKind)
+if TYPE_CHECKING:
+
+    class EffectsSpec(_Effects):
+        """Their parameters, by name; None where a scene does not name an effect."""
+
+        def __getattr__(self, name: str) -> Any: ...
+
+else:
+    EffectsSpec = create_model(
+        "EffectsSpec",
+        __base__=_Effects,
+        __doc__=_Effects.__doc__,
+        __module__=__name__,
+        **{
+            name: (own.entry() | None, Field(None, description=own.meaning()))
+            for name, own in BUILT_IN.items()
+        },
     )
-
-
-BUILT_IN: dict[str, type[EffectKind]] = {name: _kind(name) for name in EffectsSpec.model_fields}
-"""The classes of our effects by name."""

@@ -11,7 +11,16 @@ from pydantic import Field
 
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import unknown
-from multiarm.scene.values import URDF, Faults, KnownArm, NonNegative, Pose, Positive, Vec3
+from multiarm.scene.values import (
+    URDF,
+    Faults,
+    KnownArm,
+    NonNegative,
+    Pose,
+    Positive,
+    Vec3,
+    shorthand,
+)
 
 if TYPE_CHECKING:
     from multiarm.scene.object import ObjectSpec
@@ -20,17 +29,12 @@ Restitution = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class SomeContacts(EffectKind):
-    """An effect of some of the contacts of a scene.
-
-    Attributes
-    ----------
-    contacts : list of str, optional
-        Arms, or contacts as 'arm/contact'; absent: all that the effect can be of.
-    """
+    """An effect of some of the contacts of a scene."""
 
     can_open = True
 
     contacts: tuple[str, ...] | None = None
+    """Arms, or contacts as 'arm/contact'; absent: all that the effect can be of."""
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
         """Faults with respect to the arms; contacts are checked once they are known."""
@@ -50,22 +54,21 @@ class UnilateralContactsSpec(SomeContacts):
 
     Attributes
     ----------
-    restitution : float
-        Newton's coefficient, 0 (no bounce) to 1.
-    contacts : list of str, optional
+    contacts
         Arms, or contacts as 'arm/contact'; absent: every contact that only pushes.
-    start : 'closed' or 'as_written'
-        Whether the start is assembled with these contacts closed, as that of a scene without this
-        effect, or left as it is written, where they may be apart.
     """
 
+    name = "unilateral_contacts"
     picture = "fingertips that are not glued on: they let go, and come back with a bounce"
     example = "effects: {unilateral_contacts: {restitution: 0.3}}"
     of_pushing = True
     usual: ClassVar[Any] = {}
 
     restitution: Restitution = 0.0
+    """Newton's coefficient, 0 (no bounce) to 1."""
     start: Literal["closed", "as_written"] = "closed"
+    """Whether the start is assembled with these contacts closed, as that of a scene without this
+    effect, or left as it is written, where they may be apart."""
 
 
 class ContactFrictionSpec(SomeContacts):
@@ -73,18 +76,19 @@ class ContactFrictionSpec(SomeContacts):
 
     Attributes
     ----------
-    mu : float
-        Coefficient of friction.
-    contacts : list of str, optional
+    contacts
         Arms, or contacts as 'arm/contact'; absent: every contact that only pushes.
     """
 
+    name = "contact_friction"
+    reads = shorthand("mu", int, float)
     picture = "rubber fingertips: they grip the object by friction, until it slips"
     example = "effects: {contact_friction: 0.5}  # coefficient of friction"
     usual = 0.3  # Coulomb's coefficient of dry metal
     of_pushing = True
 
-    mu: NonNegative = Field(description="the coefficient of friction")
+    mu: NonNegative
+    """Coefficient of friction."""
 
 
 class ContactComplianceSpec(SomeContacts):
@@ -94,53 +98,46 @@ class ContactComplianceSpec(SomeContacts):
 
     Attributes
     ----------
-    stiffness : float
-        [N/m]
-    damping : float
-        [N s/m]
     contacts : list of str, optional
         Arms, or contacts as 'arm/contact'; absent: all contacts of all joints.
     """
 
+    name = "contact_compliance"
+    reads = shorthand("stiffness", int, float)
     picture = "soft fingertips: contacts give way a little, as rubber does"
     example = "effects: {contact_compliance: {stiffness: 1e+5, damping: 100}}  # [N/m], [N s/m]"
 
-    stiffness: Positive = Field(description="in N/m")
+    stiffness: Positive
+    """Of the spring [N/m]."""
     damping: NonNegative = 0.0
+    """Of the damper [N s/m]."""
 
 
 class FloorSpec(EffectKind):
     """A plane that the object can touch: a sphere anywhere, other shapes with their corners.
 
     A mesh touches with the corners of its convex hull.
-
-    Attributes
-    ----------
-    at : Pose
-        Its frame: the z axis points out of the floor.
-    size : 2 numbers, optional
-        A table top of so much along x and y of that frame [m]; absent: unbounded. Corners of the
-        object leave it over its edges, which themselves touch nothing.
-    restitution : float
-        Newton's coefficient, 0 to 1.
-    mu : float, optional
-        Coefficient of friction; absent: without friction.
-    points : list of 3 numbers, optional
-        Points of the object that can touch it, object frame [m]; absent: the corners of its shape.
     """
 
+    name = "floor"
     picture = "a table or the ground: the object can fall on it, rest and slide"
     example = "effects: {floor: {at: {xyz: [0, 0, 0.3]}, mu: 0.5}}"
     can_open = True
 
     at: Pose = Pose()
+    """Its frame: the z axis points out of the floor."""
     size: tuple[Positive, Positive] | None = None
+    """A table top of so much along x and y of that frame [m]; absent: unbounded. Corners of the
+    object leave it over its edges, which themselves touch nothing."""
     restitution: Restitution = 0.0
+    """Newton's coefficient, 0 to 1."""
     mu: NonNegative | None = None
+    """Coefficient of friction; absent: without friction."""
     points: tuple[Vec3, ...] | None = None
+    """Points of the object that can touch it, object frame [m]; absent: the corners of its shape.
+    """
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """Faults with respect to the arms."""
         if self.points == ():
             return [(("points",), "is empty; list points of the object, or leave it out")]
         if "floor" in arms:
@@ -163,26 +160,21 @@ class FloorSpec(EffectKind):
 
 
 class JointLimitsSpec(EffectKind):
-    """Joints stop at the ends of their range.
+    """Joints stop at the ends of their range."""
 
-    Attributes
-    ----------
-    range : 'urdf' or table 'arm: joint: [lower, upper]'
-        Ends [rad, m]; of the URDF, or as given.
-    restitution : float
-        Newton's coefficient, 0 to 1.
-    """
-
+    name = "joint_limits"
+    reads = shorthand("range", str)
     picture = "end stops: a joint that reaches the end of its range stops there, or bounces"
     example = "effects: {joint_limits: urdf}  # ranges as the robot's file says"
     can_open = True
     usual = URDF
 
     range: Literal["urdf"] | dict[str, dict[str, tuple[float, float]]] = "urdf"
+    """Ends [rad, m]; of the URDF, or as given."""
     restitution: Restitution = 0.0
+    """Newton's coefficient, 0 to 1."""
 
     def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """Faults with respect to the arms."""
         found: Faults = []
         for arm, joints in {} if self.range == "urdf" else self.range.items():
             if arm not in arms:
@@ -198,7 +190,6 @@ class JointLimitsSpec(EffectKind):
         return found
 
     def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """Warnings about probable mistakes."""
         if self.range != "urdf":
             return []
         text = "the URDF of arm {!r} gives no joint a range; write a table 'joint: [lower, upper]'"

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
+from pydantic import BeforeValidator
+
+from multiarm.scene.parameters import summary_of
 from multiarm.scene.values import Faults, KnownArm, Spec
 
 if TYPE_CHECKING:
@@ -18,6 +21,10 @@ class EffectKind(Spec):
 
     Attributes
     ----------
+    name : str
+        Key of the effect in scenes.
+    reads : BeforeValidator, optional
+        Lets other values in a scene stand for the table of the parameters.
     picture : str
         What it adds, in a sentence of everyday words.
     example : str
@@ -32,12 +39,24 @@ class EffectKind(Spec):
         Whether it acts on contacts that only push, and on nothing else.
     """
 
+    name: ClassVar[str] = ""
+    reads: ClassVar[BeforeValidator | None] = None
     picture: ClassVar[str] = ""
     example: ClassVar[str] = ""
     usual: ClassVar[Any] = None
     can_open: ClassVar[bool] = False
     has_states: ClassVar[bool] = False
     of_pushing: ClassVar[bool] = False
+
+    @classmethod
+    def entry(cls) -> Any:
+        """The type of what a scene has below the name."""
+        return cls if cls.reads is None else Annotated[cls, cls.reads]
+
+    @classmethod
+    def meaning(cls) -> str:
+        """What people read about the name."""
+        return summary_of(cls)
 
     @property
     def has_events(self) -> bool:
@@ -59,3 +78,19 @@ class EffectKind(Spec):
     def warnings(self, _arms: Mapping[str, KnownArm]) -> Faults:
         """Warnings about probable mistakes."""
         return []
+
+
+def or_only(key: str, *others: str) -> BeforeValidator:
+    """Let the value of one key, which may be a table itself, stand for the whole table.
+
+    A table with one of the ``others`` or with ``key`` is the whole one.
+    """
+
+    def whole(value: Any) -> Any:
+        if value is None or isinstance(value, EffectKind):
+            return value
+        if isinstance(value, Mapping) and set(value) & {key, *others}:
+            return value
+        return {key: value}
+
+    return BeforeValidator(whole)

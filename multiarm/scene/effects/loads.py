@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.effects.kind import EffectKind
@@ -40,35 +40,26 @@ class Drag(EffectKind):
     Along each axis of the object, with u its velocity relative to the medium and |u| its size,
     force = -(linear + (quadratic + density coefficient area / 2) |u|) u; about each axis,
     torque = -angular times the angular velocity.
-
-    Attributes
-    ----------
-    linear : number or 3 numbers
-        [N s/m], for all axes of the object or one for each.
-    angular : number or 3 numbers
-        [N m s/rad].
-    quadratic : number or 3 numbers
-        [N s^2/m^2].
-    area : number or 3 numbers, optional
-        Cross-section seen along each axis [m^2]; goes with ``coefficient``.
-    coefficient : number or 3 numbers, optional
-        Drag coefficient.
-    density : float
-        Of the medium [kg/m^3]; 1.225 is that of air.
-    wind : 3 numbers
-        Velocity of the medium [m/s], world axes.
     """
 
+    name = "drag"
     picture = "air or water: the object is slowed down as it moves through it, or blown by wind"
     example = "effects: {drag: {linear: 0.4, quadratic: 0.5}}  # [N s/m], [N s^2/m^2]"
 
     linear: BodyAxes = (0.0, 0.0, 0.0)
+    """[N s/m], for all axes of the object or one for each."""
     angular: BodyAxes = (0.0, 0.0, 0.0)
+    """[N m s/rad]."""
     quadratic: BodyAxes = (0.0, 0.0, 0.0)
+    """[N s^2/m^2]."""
     area: BodyAxes | None = None
+    """Cross-section seen along each axis [m^2]; goes with ``coefficient``."""
     coefficient: BodyAxes | None = None
+    """Drag coefficient."""
     density: Positive = 1.225
+    """Of the medium [kg/m^3]; 1.225 is that of air."""
     wind: Vec3 = (0.0, 0.0, 0.0)
+    """Velocity of the medium [m/s], world axes."""
 
     @model_validator(mode="after")
     def _something_resists(self) -> Self:
@@ -115,25 +106,21 @@ def _half_size(shape: Shape) -> np.ndarray | None:
 
 
 class Sinusoid(Spec):
-    """The factor sin(2 pi frequency t + phase).
+    """The factor sin(2 pi frequency t + phase)."""
 
-    Attributes
-    ----------
-    frequency : float
-        [Hz]
-    phase : float
-        [rad]
-    """
-
-    frequency: Positive = Field(description="in Hz")
+    frequency: Positive
+    """Of the sine [Hz]."""
     phase: Number = 0.0
+    """[rad]"""
 
 
 class Pulse(Spec):
     """The factor 1 from ``begin`` to ``end`` [s], else 0."""
 
-    begin: NonNegative = Field(description="in s")
-    end: Positive = Field(description="in s")
+    begin: NonNegative
+    """Time at which it begins [s]."""
+    end: Positive
+    """Time at which it ends [s]."""
 
     @model_validator(mode="after")
     def _ends_after_it_begins(self) -> Self:
@@ -163,22 +150,15 @@ Numbers = Annotated[tuple[Number, ...], list_of("must be a list of numbers")]
 
 
 class WrenchTable(Spec):
-    """Values over time, interpolated smoothly and without overshoot (PCHIP); zero outside.
-
-    Attributes
-    ----------
-    times : list of numbers, optional
-        [s], increasing.
-    values : list of numbers, optional
-        Factors on ``force`` and ``torque``, one for each time.
-    file : path, optional
-        Instead of these: a CSV file with the columns t, fx, fy, fz, mx, my, mz ([s], [N], [N m]),
-        which is the wrench itself.
-    """
+    """Values over time, interpolated smoothly and without overshoot (PCHIP); zero outside."""
 
     times: Annotated[Numbers, AfterValidator(_increasing)] | None = None
+    """[s], increasing."""
     values: Numbers | None = None
+    """Factors on ``force`` and ``torque``, one for each time."""
     file: Path | None = None
+    """Instead of these: a CSV file with the columns t, fx, fy, fz, mx, my, mz ([s], [N], [N m]),
+    which is the wrench itself."""
 
     @model_validator(mode="after")
     def _one_table(self) -> Self:
@@ -230,49 +210,44 @@ def _row_fault(cells: list[str]) -> str:
     return ""
 
 
+def _some(wrenches: tuple) -> tuple:
+    if not wrenches:
+        raise fault("is empty; list wrenches, such as (on: object, force: [0, 0, -1])")
+    return wrenches
+
+
 class ExternalWrench(EffectKind):
     """A force and a torque from outside, at a point of the object or of a link.
 
     Constant, or times a factor: at most one of ``sinusoid``, ``pulse``, ``table``, ``function``.
-
-    Attributes
-    ----------
-    on : 'object' or 'arm/link'
-        Its target; the link is one of the robot's URDF or of its tool's.
-    at : 3 numbers
-        The point where the force acts, in the frame of the object or of the link [m].
-    axes : 'world' or 'body'
-        Axes of force and torque: the world's, or those of the object or link.
-    force : 3 numbers, optional
-        [N]
-    torque : 3 numbers, optional
-        [N m]
-    sinusoid : Sinusoid, optional
-        Times sin(2 pi frequency t + phase).
-    pulse : Pulse, optional
-        From ``begin`` to ``end`` only.
-    table : WrenchTable, optional
-        Times interpolated values, or the wrench itself from a file.
-    function : function, optional
-        f(t, state) -> 6 numbers, the force [N] and torque [N m]: a Python function, or its name
-        as 'file.py:name' or 'package.module:name'.
     """
 
+    name = "external_wrenches"
     picture = "somebody pushes the object or an arm: once, in a rhythm, or as a table says"
     example = """
 effects:
   external_wrenches:
     - {on: object, force: [0, 0, 5], sinusoid: {frequency: 2}}   # [N], [Hz]"""
 
-    on: str = Field(description="'object' or 'arm/link'")
+    on: str
+    """Its target, 'object' or 'arm/link': a link of the robot's URDF or of its tool's."""
     at: Vec3 = (0.0, 0.0, 0.0)
+    """The point where the force acts, in the frame of the object or of the link [m]."""
     axes: Literal["world", "body"] = "world"
+    """Axes of force and torque: the world's, or those of the object or link."""
     force: Vec3 | None = None
+    """[N]"""
     torque: Vec3 | None = None
+    """[N m]"""
     sinusoid: Sinusoid | None = None
+    """Times sin(2 pi frequency t + phase)."""
     pulse: Pulse | None = None
+    """From ``begin`` to ``end`` only."""
     table: WrenchTable | None = None
+    """Times interpolated values, or the wrench itself from a file."""
     function: UserFunction | None = None
+    """f(t, state) -> 6 numbers, the force [N] and torque [N m]: a Python function, or its name as
+    'file.py:name' or 'package.module:name'."""
 
     @model_validator(mode="after")
     def _one_time_course(self) -> Self:
@@ -288,6 +263,16 @@ effects:
         if not whole and not sized:
             raise fault("needs 'force', 'torque' or both (3 numbers each)")
         return self
+
+    @classmethod
+    def entry(cls) -> Any:
+        """A list of wrenches."""
+        return Annotated[tuple[ExternalWrench, ...], AfterValidator(_some)]
+
+    @classmethod
+    def meaning(cls) -> str:
+        """About all of the list."""
+        return "Forces and torques from outside, on the object or on links."
 
     @property
     def target(self) -> tuple[str, str] | None:

@@ -47,11 +47,9 @@ _OURS = (
 BUILT_IN: dict[str, type[Joint]] = {own.kind_name(): own for own in _OURS}
 """Our kinds by name."""
 JOINTS: Registry[Joint] = Registry(
+    sort="joint",
     noun="joint kind",
     plural="kinds",
-    group="multiarm.joints",
-    base="multiarm.Joint",
-    register="multiarm.register_joint",
     built_in=lambda: BUILT_IN,
     name_of=lambda own: own.kind_name(),
 )

@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, model_validator
 from typing_extensions import Self
 
 from multiarm.errors import ModelError
@@ -39,37 +39,33 @@ from multiarm.scene.surfaces import (
 from multiarm.scene.values import NonNegative, OneOf, Pose, Spec, Vec3
 
 SURFACES: Registry[Surface] = Registry(
+    sort="surface",
     noun="surface",
     plural="surfaces",
-    group="multiarm.surfaces",
-    base="multiarm.Surface",
-    register="multiarm.register_surface",
     built_in=lambda: BUILT_IN,
 )
 """User surfaces."""
 
 
 class Geometry(OneOf):
-    """One body's side of a contact: exactly one of the attributes, or a user surface.
-
-    Attributes
-    ----------
-    point : 3 numbers
-        A sharp point [m].
-    sphere, plane, cylinder, cone, torus, ellipsoid
-        A surface of that form.
-    surface
-        A smooth surface as Python functions.
-    """
+    """One body's side of a contact: exactly one of the attributes, or a user surface."""
 
     point: Vec3 | None = None
+    """A sharp point [m]."""
     sphere: SphereGeometry | None = None
+    """A surface of that form."""
     plane: PlaneGeometry | None = None
+    """A surface of that form."""
     cylinder: CylinderGeometry | None = None
+    """A surface of that form."""
     cone: ConeGeometry | None = None
+    """A surface of that form."""
     torus: TorusGeometry | None = None
+    """A surface of that form."""
     ellipsoid: EllipsoidGeometry | None = None
+    """A surface of that form."""
     surface: SurfaceGeometry | None = None
+    """A smooth surface as Python functions."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(SURFACES.read)]]
@@ -127,31 +123,20 @@ def register_surface(surface: AnyClass) -> AnyClass:
 
 
 class ContactSpec(Spec):
-    """One frictionless contact: a surface of the arm and one of the object that touch.
+    """One frictionless contact: a surface of the arm and one of the object that touch."""
 
-    Attributes
-    ----------
-    arm : Geometry
-        The arm's side, in the joint frame at the tip.
-    object : Geometry
-        The object's side, in the joint frame at the object.
-    rolling : bool
-        The surfaces do not slip where they touch: two rows more, for the velocities.
-    mu : float, optional
-        Coulomb's coefficient of friction; absent: that of the joint or of
-        ``effects.contact_friction``.
-    bilateral : bool
-        The real contact also pulls, as a pin in a slot does: no effect opens it.
-    name : str, optional
-        A name for reports.
-    """
-
-    arm: Geometry = Field(description="the arm's side of the contact")
-    object: Geometry = Field(description="the object's side of the contact")
+    arm: Geometry
+    """The arm's side, in the joint frame at the tip."""
+    object: Geometry
+    """The object's side, in the joint frame at the object."""
     rolling: bool = False
-    mu: NonNegative | None = Field(None, description="Coulomb's coefficient of friction")
-    bilateral: bool = Field(False, description="it also pulls, as a pin in a slot, and cannot open")
+    """The surfaces do not slip where they touch: two rows more, for the velocities."""
+    mu: NonNegative | None = None
+    """Coulomb's coefficient of friction; absent: that of the joint or of the scene."""
+    bilateral: bool = False
+    """The real contact also pulls, as a pin in a slot does: no effect opens it."""
     name: str | None = None
+    """A name for reports."""
 
     @model_validator(mode="after")
     def _slides_or_rolls(self) -> Self:
@@ -202,9 +187,6 @@ class ContactsJoint(Joint):
     at, at_tip : Pose
         Frames in which the object's and the arm's geometry are given; by default the object
         frame and the tip's frame themselves.
-    contacts : list of ContactSpec
-        The contacts, at least one; each is a table {arm: ..., object: ...}. The arm's geometry is
-        given in the tip's frame (at_tip), the object's in the object's frame (at), patches too.
     """
 
     picture = "a hand of your own: any list of fingertips and surfaces, each touching in one point"
@@ -221,7 +203,9 @@ class ContactsJoint(Joint):
 
     kind: Literal["contacts"] = "contacts"
     at: Pose = Pose()
-    contacts: tuple[ContactSpec, ...] = Field(description="a list of {arm: ..., object: ...}")
+    contacts: tuple[ContactSpec, ...]
+    """A list of {arm: ..., object: ...}, at least one. The arm's geometry is given in the tip's
+    frame (at_tip), the object's in the object's frame (at), patches too."""
 
     @model_validator(mode="after")
     def _not_empty(self) -> Self:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from typing_extensions import Self
 
 from multiarm.geometry import Contact, cylinder, plane, sphere
@@ -18,13 +18,7 @@ _Z = (0.0, 0.0, 1.0)
 
 
 class PointOnPlaneJoint(Joint):
-    """A fingertip on a flat face of the object.
-
-    Attributes
-    ----------
-    normal : 3 numbers
-        Outward normal of the object's face, joint frame.
-    """
+    """A fingertip on a flat face of the object."""
 
     picture = "a fingertip on a table: it slides and rolls any way, but stays on the flat face"
     example = """
@@ -34,6 +28,7 @@ class PointOnPlaneJoint(Joint):
 
     kind: Literal["point_on_plane"] = "point_on_plane"
     normal: Direction = _Z
+    """Outward normal of the object's face, joint frame."""
     tip_radius: TipRadius = 0.0
 
     def records(self) -> list[Contact]:
@@ -46,17 +41,7 @@ class PointOnPlaneJoint(Joint):
 
 
 class PointOnCylinderJoint(Joint):
-    """A fingertip on a cylindrical face of the object.
-
-    Attributes
-    ----------
-    radius : float
-        Radius of the cylinder [m] about the joint frame's origin.
-    axis : 3 numbers
-        Axis of the cylinder, joint frame.
-    inside : bool
-        The fingertip is inside a bore.
-    """
+    """A fingertip on a cylindrical face of the object."""
 
     picture = "a fingertip on a pipe, or within one: it slides along and around it"
     example = """
@@ -66,9 +51,12 @@ class PointOnCylinderJoint(Joint):
     drawn_as = "surfaces"
 
     kind: Literal["point_on_cylinder"] = "point_on_cylinder"
-    radius: Positive = Field(description="the radius of the cylinder in metres")
+    radius: Positive
+    """Radius of the cylinder [m] about the joint frame's origin."""
     axis: Direction = _Z
+    """Axis of the cylinder, joint frame."""
     inside: bool = False
+    """The fingertip is inside a bore."""
     tip_radius: TipRadius = 0.0
 
     @model_validator(mode="after")
@@ -87,15 +75,7 @@ class PointOnCylinderJoint(Joint):
 
 
 class PointOnSphereJoint(Joint):
-    """A fingertip on (or inside) a sphere about the joint frame's origin.
-
-    Attributes
-    ----------
-    radius : float
-        Radius of the sphere [m].
-    inside : bool
-        The fingertip is inside a hollow sphere.
-    """
+    """A fingertip on (or inside) a sphere about the joint frame's origin."""
 
     picture = "a fingertip on a ball, or in a bowl: it slides anywhere on it"
     example = """
@@ -105,8 +85,10 @@ class PointOnSphereJoint(Joint):
     drawn_as = "surfaces"
 
     kind: Literal["point_on_sphere"] = "point_on_sphere"
-    radius: Positive = Field(description="the radius of the sphere in metres")
+    radius: Positive
+    """Radius of the sphere [m]."""
     inside: bool = False
+    """The fingertip is inside a hollow sphere."""
     tip_radius: TipRadius = 0.0
 
     @model_validator(mode="after")
@@ -124,18 +106,7 @@ class PointOnSphereJoint(Joint):
 
 
 class CornerGripperJoint(Joint):
-    """Four fingertips on the three faces at a corner of a block (thesis, Example 3.1).
-
-    Attributes
-    ----------
-    points : 4 x 3 numbers
-        Contact points [m] on the block. The joint frame is the corner, its axes run along the
-        block's edges into the block.
-    faces : 4 of 'x', 'y', 'z'
-        The face each point lies on: the one across that axis.
-    tip_radius : float
-        Radius of the spherical fingertips [m]; 0 are sharp points.
-    """
+    """Four fingertips on the three faces at a corner of a block (thesis, Example 3.1)."""
 
     picture = (
         "four fingertips around the corner of a block: it can be pushed and tipped, not pulled off"
@@ -151,8 +122,12 @@ class CornerGripperJoint(Joint):
         (0.09, 0.05, 0.0),
         (0.0, 0.07, 0.05),
     )
+    """Contact points [m] on the block. The joint frame is the corner, its axes run along the
+    block's edges into the block."""
     faces: tuple[Literal["x", "y", "z"], ...] = ("z", "y", "z", "x")
+    """The face each point lies on: the one across that axis."""
     tip_radius: NonNegative = 0.0
+    """Radius of the spherical fingertips [m]; 0 are sharp points."""
 
     @model_validator(mode="after")
     def _points_lie_on_their_faces(self) -> Self:

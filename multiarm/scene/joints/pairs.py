@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from pydantic import Field
-
 from multiarm.geometry import Contact, cylinder, plane, point, sphere
 from multiarm.scene.joints.kind import ZERO, Joint, Limits, Line, Spread, X, Y, Z, turned
 from multiarm.scene.values import Direction, Positive
@@ -36,13 +34,7 @@ class WeldJoint(Joint):
 
 
 class BallJoint(Joint):
-    """Free rotation about the joint frame's origin: three contacts at that point.
-
-    Attributes
-    ----------
-    size : float
-        Diameter of the ball [m]; nothing depends on it.
-    """
+    """Free rotation about the joint frame's origin: three contacts at that point."""
 
     picture = "a trailer hitch: the tip turns every way about one point of the object"
     example = """
@@ -52,6 +44,7 @@ class BallJoint(Joint):
 
     kind: Literal["ball"] = "ball"
     size: Positive = 0.1
+    """Diameter of the ball [m]; nothing depends on it."""
 
     def records(self) -> list[Contact]:
         """Three planes through the centre, turning with the object.
@@ -62,14 +55,7 @@ class BallJoint(Joint):
 
 
 class RevoluteJoint(Joint):
-    """Rotation about ``axis`` only: five contacts spread over ``size``.
-
-    Attributes
-    ----------
-    limits : 2 numbers, optional
-        How far it may turn from the start [rad], such as [-1.5, 0]: drawn and reported, not
-        enforced.
-    """
+    """Rotation about ``axis`` only: five contacts spread over ``size``."""
 
     picture = "a door hinge: the tip turns about one line fixed in the object"
     example = """
@@ -82,7 +68,9 @@ class RevoluteJoint(Joint):
     kind: Literal["revolute"] = "revolute"
     axis: Line = _Z
     size: Spread = 0.1
-    limits: Limits | None = Field(None, description="how far it may turn from the start [rad]")
+    limits: Limits | None = None
+    """How far it may turn from the start [rad], such as [-1.5, 0]: drawn and reported, not
+    enforced."""
 
     def records(self) -> list[Contact]:
         """Four contacts on a cylinder about the axis, one on its end plane."""
@@ -92,13 +80,7 @@ class RevoluteJoint(Joint):
 
 
 class PrismaticJoint(Joint):
-    """Sliding along ``axis`` only: five contacts spread over ``size``.
-
-    Attributes
-    ----------
-    limits : 2 numbers, optional
-        How far it may slide from the start [m]: drawn and reported, not enforced.
-    """
+    """Sliding along ``axis`` only: five contacts spread over ``size``."""
 
     picture = "a drawer: the tip slides along one line of the object and does not turn"
     example = """
@@ -111,7 +93,8 @@ class PrismaticJoint(Joint):
     kind: Literal["prismatic"] = "prismatic"
     axis: Line = _Z
     size: Spread = 0.1
-    limits: Limits | None = Field(None, description="how far it may slide from the start [m]")
+    limits: Limits | None = None
+    """How far it may slide from the start [m]: drawn and reported, not enforced."""
 
     def records(self) -> list[Contact]:
         """Three contacts on the plane y = 0, two on x = 0."""
@@ -121,13 +104,7 @@ class PrismaticJoint(Joint):
 
 
 class CylindricalJoint(Joint):
-    """Rotation about and sliding along ``axis``: four contacts.
-
-    Attributes
-    ----------
-    turn_limits, slide_limits : 2 numbers, optional
-        How far it may turn [rad] and slide [m] from the start: drawn and reported, not enforced.
-    """
+    """Rotation about and sliding along ``axis``: four contacts."""
 
     picture = "a rod in a sleeve: the tip turns about one line of the object and slides along it"
     example = """
@@ -139,8 +116,10 @@ class CylindricalJoint(Joint):
     kind: Literal["cylindrical"] = "cylindrical"
     axis: Line = _Z
     size: Spread = 0.1
-    turn_limits: Limits | None = Field(None, description="how far it may turn from the start [rad]")
-    slide_limits: Limits | None = Field(None, description="how far it may slide from the start [m]")
+    turn_limits: Limits | None = None
+    """How far it may turn from the start [rad]: drawn and reported, not enforced."""
+    slide_limits: Limits | None = None
+    """How far it may slide from the start [m]: drawn and reported, not enforced."""
 
     def records(self) -> list[Contact]:
         """Four contacts on a cylinder about the axis."""
@@ -170,13 +149,7 @@ class UniversalJoint(Joint):
 
 
 class PlanarJoint(Joint):
-    """Sliding in the plane across ``normal`` and turning about it.
-
-    Attributes
-    ----------
-    normal : 3 numbers
-        Normal of the plane, joint frame.
-    """
+    """Sliding in the plane across ``normal`` and turning about it."""
 
     picture = (
         "a puck on ice: the tip slides over a flat face and turns on it, but never lifts or tilts"
@@ -187,6 +160,7 @@ class PlanarJoint(Joint):
 
     kind: Literal["planar"] = "planar"
     normal: Direction = _Z
+    """Normal of the plane, joint frame."""
     size: Spread = 0.1
 
     def records(self) -> list[Contact]:

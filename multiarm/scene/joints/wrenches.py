@@ -17,7 +17,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from typing_extensions import Self
 
 from multiarm.geometry import Contact, plane, point
@@ -37,16 +37,6 @@ class WrenchesJoint(Joint):
     """The joint that transmits given wrenches, and leaves every motion on which they do no work.
 
     Each wrench is written as the difference of two point contacts (thesis, appendix C).
-
-    Attributes
-    ----------
-    wrenches : list of 6 numbers each
-        Force [N] and moment about the joint frame's origin [N m], joint frame, on the object, for
-        one unit of the multiplier.
-    carried_by : 'object' or 'arm'
-        The body to which the directions are fixed.
-    size : float
-        Distance [m] of the two contacts that make a couple.
     """
 
     picture = (
@@ -62,9 +52,13 @@ class WrenchesJoint(Joint):
     as_listed = True
 
     kind: Literal["wrenches"] = "wrenches"
-    wrenches: tuple[Vec6, ...] = Field(description="a list of [fx, fy, fz, mx, my, mz]")
+    wrenches: tuple[Vec6, ...]
+    """A list of [fx, fy, fz, mx, my, mz]. Force [N] and moment [N m] about the origin of the joint
+    frame, in that frame, on the object, for one unit of the multiplier."""
     carried_by: Literal["object", "arm"] = "object"
+    """The body to which the directions are fixed."""
     size: Positive = 0.1
+    """Distance [m] of the two contacts that make a couple."""
 
     @model_validator(mode="after")
     def _independent(self) -> Self:

@@ -1,0 +1,62 @@
+"""The public names of :mod:`multiarm.scene`."""
+
+# ruff: noqa: F401
+
+from multiarm.scene.arms import ArmSpec, ResolvedArm, ToolSpec, resolve_arm
+from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
+from multiarm.scene.control import CONTROLS, register_control
+from multiarm.scene.control.kind import Waypoint
+from multiarm.scene.effects import EFFECTS, EffectsSpec, register_effect
+from multiarm.scene.effects.drives import damping_of, effort_limit_of, friction_of
+from multiarm.scene.effects.loads import ExternalWrench, read_wrench_table
+from multiarm.scene.functions import function_text
+from multiarm.scene.joints import (
+    JOINTS,
+    BallJoint,
+    ContactsJoint,
+    CornerGripperJoint,
+    CylindricalJoint,
+    Joint,
+    JointSpec,
+    PlanarJoint,
+    PointOnCylinderJoint,
+    PointOnPlaneJoint,
+    PointOnSphereJoint,
+    PrismaticJoint,
+    RevoluteJoint,
+    UniversalJoint,
+    WeldJoint,
+    WrenchesJoint,
+    register_joint,
+)
+from multiarm.scene.joints.contacts import SURFACES, ContactSpec, Geometry, register_surface
+from multiarm.scene.loading import (
+    REGISTRIES,
+    NamedCode,
+    dump_scene,
+    load_scene,
+    named_code,
+    parse_scene,
+    refuse_code,
+    with_code,
+    without_code,
+)
+from multiarm.scene.object import Mesh, ObjectSpec, Shape
+from multiarm.scene.robots import (
+    JointOutline,
+    available_robots,
+    find_robot,
+    read_urdf,
+    resolve_mesh,
+    resolve_package_dirs,
+)
+from multiarm.scene.run import (
+    ARM_TERMS,
+    STEPS_CHOSEN_BY,
+    AccuracySpec,
+    RunSpec,
+    StabilizationSpec,
+)
+from multiarm.scene.schema import Scene
+from multiarm.scene.surfaces import Surface
+from multiarm.scene.values import Pose, gain_vector, joint_vector
