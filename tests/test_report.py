@@ -14,7 +14,8 @@ from sample_run import CHANNELS, JOINTS, SCENE, record, rows_of, samples
 from multiarm import plots
 from multiarm.errors import TrajectoryError
 from multiarm.plots.decimation import RotationSinceStart, decimate
-from multiarm.reports.report import NOTHING, quantity, render, report
+from multiarm.reports.pages import NOTHING, quantity
+from multiarm.reports.report import render, report
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.results.sinks import Hdf5Sink, MemorySink, provenance
 

@@ -1,12 +1,16 @@
-"""Colours and type of all figures of a run."""
+"""Colours and type of all figures, and figures as part of an HTML page."""
 
 from __future__ import annotations
 
 import colorsys
+import io
+import re
+import warnings
 from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
 INK, GRID = "#2b3440", "#d9dee5"
 """Colours of text and axes, and of the grid."""
@@ -70,3 +74,31 @@ def family(arm: int, members: int) -> list[str]:
         )
         for s in shades
     ]
+
+
+def inline_svg(figure: Figure, prefix: str) -> str:
+    """The figure as inline SVG, on no ground and in the colours and the font of the page's theme.
+
+    Parameters
+    ----------
+    figure : Figure
+    prefix : str
+        Of all ids in it, so that they are unique on a page.
+    """
+    buffer = io.StringIO()
+    with (
+        matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": prefix}),
+        warnings.catch_warnings(),
+    ):
+        # The page's fonts draw the names, whatever their script.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(
+            buffer, format="svg", facecolor="none", metadata={"Date": None, "Creator": None}
+        )
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'(\sid="|url\(#|href="#)', rf"\g<1>{prefix}", text)
+    text = re.sub(r'(<svg [^>]*?)width="[^"]*" height="[^"]*"', r"\1", text)
+    text = re.sub(r"(font: [^;\"]*?)(?:'[^']*'|sans-serif)[^;\"]*", r"\1var(--font)", text)
+    return text.replace(INK, "var(--ink)").replace(GRID, "var(--grid)")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
-from html import escape
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from multiarm.plots import INK, STYLE
-from multiarm.reports.parts import CSS
-from multiarm.reports.report import inline_svg, quantity
-from multiarm.results.files import save_page
-from multiarm.studies.scaling_tables import Table, disturbance, exponent, micro, tables
+from multiarm.plots.style import INK, STYLE, inline_svg
+from multiarm.reports import pages
+from multiarm.results.files import save_figure, save_page
+from multiarm.studies.scaling_tables import disturbance, exponent, micro, tables
 
 _BLUE, _GREEN, _PINK, _ORANGE, _GREY = "#3b7dd8", "#2f9e67", "#c2417c", "#d9822b", "#8a94a0"
 # method: name, colour, dashes
@@ -47,46 +46,45 @@ _PARTS = {
 _PANEL = (5.0, 3.9)  # [in]
 
 
-def plot_scaling(result: dict[str, Any], path: Path | str) -> None:
+def plot_scaling(result: dict[str, Any], path: Path) -> None:
     """Draw all studies of a result that have a figure into one file."""
-    draws = _panels(result)
+    draws = [draw for own in _panels(result).values() for draw in own]
     columns = min(2, max(1, len(draws)))
     rows = -(-max(1, len(draws)) // columns)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(_PANEL[0] * columns, _PANEL[1] * rows), layout="constrained")
-        grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, draw in zip(grid, draws, strict=False):
             draw(axes)
         for axes in grid[len(draws) :]:
             axes.set_axis_off()
-            if not draws:
-                axes.text(0.5, 0.5, "nothing here has a figure", ha="center")
-        figure.savefig(path, dpi=150)
+        if not draws:
+            figure.text(0.5, 0.5, "nothing here has a figure", ha="center")
+    save_figure(figure, path)
 
 
-def study_figure(result: dict[str, Any], study: str) -> Figure:
-    """The panels of one study, side by side, on a transparent ground."""
-    draws = _panels({study: result[study]})
+def _side_by_side(draws: Sequence[Callable[[Axes], None]]) -> Figure:
+    """The panels of one study."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 3.9), layout="constrained")
-        figure.patch.set_alpha(0)
         for axes, draw in zip(figure.subplots(1, len(draws), squeeze=False)[0], draws, strict=True):
             draw(axes)
     return figure
 
 
-def _panels(result: dict[str, Any]) -> list[Any]:
-    """Functions that draw the panels of a result, in order."""
-    draws: list[Any] = []
+def _panels(result: dict[str, Any]) -> dict[str, list[Callable[[Axes], None]]]:
+    """Study -> functions that draw its panels, of the studies that have a figure."""
+    draws: dict[str, list[Callable[[Axes], None]]] = {}
     if "evaluations" in result:
         found = result["evaluations"]
-        for kind in found["exponents"]:
-            draws.append(lambda axes, kind=kind: _draw_evaluations(axes, found, kind))
+        draws["evaluations"] = [
+            partial(_draw_evaluations, found=found, kind=kind) for kind in found["exponents"]
+        ]
     if "thesis" in result:
-        draws.append(lambda axes: _draw_solvers(axes, result["thesis"]))
-        draws.append(lambda axes: _draw_speedups(axes, result["thesis"]))
+        drawers = (_draw_solvers, _draw_speedups)
+        draws["thesis"] = [partial(draw, found=result["thesis"]) for draw in drawers]
     if "shares" in result:
-        draws.append(lambda axes: _draw_shares(axes, result["shares"]))
+        draws["shares"] = [partial(_draw_shares, found=result["shares"])]
     return draws
 
 
@@ -209,35 +207,6 @@ def _finish(axes: Axes, arms: Sequence[int], title: str, columns: int = 1) -> No
     )  # fmt: skip
 
 
-_TITLES = {
-    "evaluations": "The cost of one evaluation",
-    "thesis": "Section 4.4 of the thesis, repeated",
-    "shares": "Where the time goes",
-    "contact_rows": "The cost of a contact row",
-}
-_CAPTIONS = {
-    "evaluations": "UR5 arms around a disc, fastest bursts, one thread. Exponents are fitted over "
-    "all numbers of arms.",
-    "thesis": "Arms of 6 joints with one contact each, medians, one thread. Circles: the thesis's "
-    "own figures, which were measured in Matlab on a workstation of 1995. The exponent of direct "
-    "elimination is fitted over the larger half of the numbers of arms.",
-    "shares": "Every part is measured by itself; between and rest are what the parts leave.",
-}
-_CSS = """
-td, th { padding-right: 1.2rem; }
-td:last-child, th:last-child { padding-right: 0; }
-th { white-space: pre-line; }
-thead th { font-size: 0.8rem; font-weight: 500; vertical-align: bottom; }
-thead th.n, td.n { text-align: right; white-space: nowrap; }
-tbody th { white-space: pre; }
-.strong { font-weight: 600; color: var(--ink); }
-td.good, th.good { color: var(--good); } td.bad { color: var(--bad); }
-h3 { margin: 1.6rem 0 0.4rem; font-size: 0.9rem; }
-tbody th, tbody td { padding-top: 0.2rem; padding-bottom: 0.2rem; }
-.note { margin: 0.6rem 0 0; font-size: 0.85rem; color: var(--soft); }
-"""
-
-
 def write_page(result: dict[str, Any], path: str | os.PathLike) -> Path:
     """Write the page.
 
@@ -253,38 +222,18 @@ def write_page(result: dict[str, Any], path: str | os.PathLike) -> Path:
 
 def render(result: dict[str, Any]) -> str:
     """The page as text."""
-    sections = "".join(
-        _section(result, study, list(found))
-        for study, found in groupby(tables(result), key=lambda table: table.study)
+    studies = {study: list(own) for study, own in groupby(tables(result), lambda one: one.study)}
+    return pages.render(
+        "scaling.html",
+        result=result,
+        headlines=list(_headlines(result)),
+        studies=studies,
+        figures={
+            study: inline_svg(_side_by_side(draws), f"{study}-")
+            for study, draws in _panels(result).items()
+        },
+        disturbance=disturbance(result),
     )
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>multiarm · scaling</title>\n<style>{CSS}{_CSS}</style>\n</head>\n"
-        f"<body>\n<main>\n{_header(result)}{_cards(result)}{sections}{_footer(result)}"
-        "</main>\n</body>\n</html>\n"
-    )
-
-
-def _header(result: dict[str, Any]) -> str:
-    about = result["machine"]
-    libraries = ", ".join(f"{name} {version}" for name, version in about["dependencies"].items())
-    return (
-        "<header><p class='kicker'>multiarm · cost against the number of arms</p>"
-        "<h1>Scaling</h1><p class='message'>"
-        f"{escape(str(about['processor']))}, {escape(str(about['platform']))}, one thread\n"
-        f"multiarm {escape(about['version'])}, Python {escape(about['python'])}, "
-        f"{escape(libraries)}</p></header>\n"
-    )
-
-
-def _cards(result: dict[str, Any]) -> str:
-    items = "".join(
-        f"<li><h2>{escape(name)}</h2><p class='value'>{escape(value)}</p>"
-        f"<p class='note'>{escape(note)}</p></li>"
-        for name, value, note in _headlines(result)
-    )
-    return f"<ul class='cards'>{items}</ul>\n" if items else ""
 
 
 def _headlines(result: dict[str, Any]) -> Iterable[tuple[str, str, str]]:
@@ -308,47 +257,3 @@ def _headlines(result: dict[str, Any]) -> Iterable[tuple[str, str, str]]:
             f"{100 * most['overhead']:.0f} %",
             f"to its evaluations, {most['integrator']}, {most['arms']} arms",
         )
-
-
-def _section(result: dict[str, Any], study: str, found: list[Table]) -> str:
-    figure = ""
-    if study in _CAPTIONS:
-        drawn = inline_svg(study_figure(result, study), f"{study}-")
-        figure = f"<figure>{drawn}<figcaption>{_CAPTIONS[study]}</figcaption></figure>"
-    body = "".join(_table(table) for table in found)
-    return f"<section id='{study}'><h2>{_TITLES[study]}</h2>{figure}{body}</section>\n"
-
-
-def _table(table: Table) -> str:
-    head = "".join(
-        f"<th{' class=n' if k else ''}>{escape(name)}</th>" for k, name in enumerate(table.heads)
-    )
-    rows = "".join(
-        "<tr>"
-        + "".join(
-            f"<td class='n {cell.tone}'>{escape(cell.text)}</td>"
-            if k
-            else f"<th scope='row' class='{cell.tone}'>{escape(cell.text)}</th>"
-            for k, cell in enumerate(row)
-        )
-        + "</tr>"
-        for row in table.rows
-    )
-    notes = "".join(f"<p class='note'>{escape(note)}</p>" for note in table.notes)
-    return (
-        f"<h3>{escape(table.title)}</h3><table><thead><tr>{head}</tr></thead>"
-        f"<tbody>{rows}</tbody></table>{notes}"
-    )
-
-
-def _footer(result: dict[str, Any]) -> str:
-    when = escape(str(result["machine"]["created_utc"]))
-    return (
-        "<footer><h2>How to read it</h2><p>What is compared is measured in turn in short bursts, "
-        "so that whatever else the machine does meets all alike: compare the ratios. Counted is "
-        "the processor's time, which is the wall time when nothing else runs. Pinocchio's "
-        "algorithms are called from Python, which adds about a microsecond. An error is relative "
-        "to the largest acceleration, against a dense solution.</p>"
-        f"<p>Measured in {quantity(result['wall_time_s'], 's')}, {when}. "
-        f"{escape(disturbance(result))}</p></footer>\n"
-    )

@@ -6,11 +6,8 @@ cheapest setting of each decade with the best peer's; and all points.
 
 from __future__ import annotations
 
-import json
 import math
-import re
-from collections.abc import Iterable, Sequence
-from html import escape
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,13 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from multiarm.plots import GRID, INK, STYLE
-from multiarm.reports.parts import CSS, NOTHING, quantity
+from multiarm.reports import pages
 from multiarm.results.files import printable_texts, save_figure, save_page
 from multiarm.results.trajectory import plain
-from multiarm.studies.hard_case_page import scientific
-from multiarm.studies.work_precision.choice import Decade, Series, all_series, decades, digits_of
-from multiarm.studies.work_precision.page_script import CSS as PAGE_CSS
-from multiarm.studies.work_precision.page_script import SCRIPT
+from multiarm.studies.work_precision.choice import Series, all_series, decades, digits_of
 from multiarm.studies.work_precision.points import Point
 from multiarm.studies.work_precision.reference import QUANTITIES
 from multiarm.studies.work_precision.settings import BY_ACCURACY
@@ -161,24 +155,18 @@ def write_page(results: Results, path: Path) -> None:
 
 def render(results: Results) -> str:
     """The page as text."""
-    name = results.about["scene"]["name"]
     series = all_series(results)
-    data = json.dumps(
-        printable_texts(plain(_data(results, series))), ensure_ascii=False, allow_nan=False
+    return pages.render(
+        "accuracy.html",
+        results=results,
+        series=series,
+        quantities=QUANTITIES,
+        recommendations={name: recommendation(results, name) for name in QUANTITIES},
+        reference=reference_text(results),
+        decades={name: decades(results, name) for name in QUANTITIES},
+        described=described,
+        data=printable_texts(plain(_data(results, series))),
     )
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(name)} · multiarm accuracy</title>\n<style>{CSS}{PAGE_CSS}</style>\n"
-        f"</head>\n<body>\n<main>\n{_header(results)}{_diagram()}{_cheapest(results)}"
-        f"{_methods(series)}{_points(series)}{_refusals(results.refusals)}{_scene(results)}"
-        f"{_footer(results)}</main>\n<div id='tip' role='status'></div>\n"
-        f'<script type="application/json" id="data">{data.replace("<", _LESS)}</script>\n'
-        f"<script>{SCRIPT}</script>\n</body>\n</html>\n"
-    )
-
-
-_LESS = "\\u003c"
 
 
 def _data(results: Results, series: list[Series]) -> dict[str, Any]:
@@ -222,168 +210,3 @@ def _point_data(point: Point) -> dict[str, Any]:
         "gap_m": point.gap_m,
         "energy_J": point.energy_J,
     }
-
-
-def _header(results: Results) -> str:
-    scene, machine = results.about["scene"], results.about["machine"]
-    advice = "".join(
-        f"<p class='said' data-quantity='{name}'>{_whole(recommendation(results, name))}</p>"
-        for name in QUANTITIES
-    )
-    libraries = ", ".join(f"{key} {value}" for key, value in machine["dependencies"].items())
-    return (
-        "<header><p class='kicker'>multiarm · what accuracy costs in time</p>"
-        f"<h1>{escape(scene['name'])}</h1>{advice}"
-        f"<p class='message'>{_whole(reference_text(results))}\n"
-        f"{escape(str(machine['processor']))}, {escape(str(machine['platform']))}\n"
-        f"multiarm {escape(machine['version'])}, Python {escape(machine['python'])}, "
-        f"{escape(libraries)}</p></header>\n"
-    )
-
-
-def _whole(text: str) -> str:
-    """Escaped, with hyphens in numbers at which no line is broken."""
-    return re.sub(r"(?<=\de)-(?=\d)", "\N{NON-BREAKING HYPHEN}", escape(text))
-
-
-def _diagram() -> str:
-    options = "".join(
-        f"<option value='{name}'>{escape(what)} [{escape(unit)}]</option>"
-        for name, (what, unit) in QUANTITIES.items()
-    )
-    return (
-        "<section><div class='bar'><h2>Error over work</h2>"
-        f"<label>error of <select id='quantity'>{options}</select></label>"
-        "<button type='button' data-show='all'>all</button>"
-        "<button type='button' data-show='ours'>ours</button>"
-        "<button type='button' data-show='peers'>peers</button></div>"
-        "<div class='panels'><figure id='over-time'><figcaption>Over wall time</figcaption>"
-        "</figure><figure id='over-evaluations'><figcaption>Over evaluations</figcaption></figure>"
-        "</div><div class='legend'></div>"
-        "<figcaption>Circled: the cheapest setting of ours for a decade of accuracy. Point at a "
-        "mark for its values; a click in the legend hides a method.</figcaption></section>\n"
-    )
-
-
-def _cheapest(results: Results) -> str:
-    tables = "".join(
-        f"<div data-quantity='{name}'>{_cheapest_table(decades(results, name), unit)}</div>"
-        for name, (_, unit) in QUANTITIES.items()
-    )
-    return f"<section class='scroll'><h2>Cheapest for each accuracy</h2>{tables}</section>\n"
-
-
-def _cheapest_table(found: Iterable[Decade], unit: str) -> str:
-    rows = "".join(
-        f"<tr><th scope='row'>{scientific(decade.level)}</th>"
-        f"{_choice(decade.ours, True)}{_choice(decade.peer, False)}"
-        f"<td class='n'>{NOTHING if decade.ratio is None else f'{decade.ratio:.1f}'}</td></tr>"
-        for decade in found
-    )
-    return (
-        f"<table class='decades'><thead><tr><th>error below [{escape(unit)}]</th><th>multiarm</th>"
-        "<th class='n'>wall time</th><th class='n'>evaluations</th><th>best peer</th>"
-        "<th class='n'>wall time</th>"
-        f"<th class='n'>peer / ours</th></tr></thead><tbody>{rows}</tbody></table>"
-    )
-
-
-def _choice(point: Point | None, ours: bool) -> str:
-    if point is None:
-        return f"<td class='t'>{NOTHING}</td>" + f"<td class='n'>{NOTHING}</td>" * (
-            2 if ours else 1
-        )
-    text = escape(described(point))
-    name = f"<td class='t'>{f'<strong>{text}</strong>' if ours else text}</td>"
-    count = f"<td class='n'>{point.evaluations:,}</td>" if ours else ""
-    return f"{name}<td class='n'>{quantity(point.wall_time_s, 's')}</td>{count}"
-
-
-def _methods(series: list[Series]) -> str:
-    rows = "".join(_method(item) for item in series)
-    return (
-        "<section class='scroll'><h2>Methods</h2><table><thead><tr><th>method</th>"
-        "<th class='n'>settings</th><th class='n'>failed</th><th class='n'>least error</th>"
-        "<th class='n'>its wall time</th><th class='n'>largest gap [m]</th>"
-        "<th class='n'>energy error [J]</th></tr></thead>"
-        f"<tbody>{rows}</tbody></table></section>\n"
-    )
-
-
-def _method(item: Series) -> str:
-    best = item.best("motion")
-    if best is None:
-        return (
-            f"<tr><th scope='row'>{escape(item.name)}</th><td class='n'>{len(item.points)}</td>"
-            f"<td class='n'>{len(item.failures)}</td><td class='e' colspan='4'>"
-            f"{escape(item.points[-1].message)}</td></tr>"
-        )
-    return (
-        f"<tr><th scope='row'>{escape(item.name)}</th><td class='n'>{len(item.points)}</td>"
-        f"<td class='n'>{len(item.failures)}</td><td class='n'>{scientific(best.error('motion'))}"
-        f"</td><td class='n'>{quantity(best.wall_time_s, 's')}</td>"
-        f"<td class='n'>{scientific(best.gap_m)}</td><td class='n'>{scientific(best.energy_J)}"
-        "</td></tr>"
-    )
-
-
-def _points(series: list[Series]) -> str:
-    heads = (
-        "setting", "wall time", "steps", "evaluations", "position [m]", "rotation [rad]", "joints",
-        "force [N]", "gap [m]", "gap rate [m/s]", "energy [J]",
-    )  # fmt: skip
-    head = "".join(f"<th{'' if k == 0 else _RIGHT}>{text}</th>" for k, text in enumerate(heads))
-    rows = "".join(_point(point, len(heads)) for item in series for point in item.points)
-    count = sum(len(item.points) for item in series)
-    return (
-        f"<section class='scroll'><details><summary>All {count} points</summary><table>"
-        f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></details></section>\n"
-    )
-
-
-_RIGHT = " class='n'"
-
-
-def _point(point: Point, width: int) -> str:
-    head = f"<tr><th scope='row'>{escape(point.setting.text)}</th>"
-    if not point.completed:
-        text = f"{point.status}: {point.message}"
-        return f"{head}<td class='e bad' colspan='{width - 1}'>{escape(text)}</td></tr>"
-    numbers = [point.errors.get(name) for name in ("position", "rotation", "joints", "force")]
-    numbers += [point.gap_m, point.gap_rate_m_per_s, point.energy_J]
-    cells = "".join(f"<td class='n'>{scientific(value)}</td>" for value in numbers)
-    return (
-        f"{head}<td class='n'>{quantity(point.wall_time_s, 's')}</td>"
-        f"<td class='n'>{point.steps:,}</td><td class='n'>{point.evaluations:,}</td>{cells}</tr>"
-    )
-
-
-def _refusals(refusals: dict[str, str]) -> str:
-    if not refusals:
-        return ""
-    rows = "".join(
-        f"<tr><th scope='row'>{escape(name)}</th><td class='e'>{escape(reason)}</td></tr>"
-        for name, reason in refusals.items()
-    )
-    return f"<section><h2>Not in the diagram</h2><table>{rows}</table></section>\n"
-
-
-def _scene(results: Results) -> str:
-    text = results.about["scene"]["text"]
-    return (
-        "<section><details><summary>The scene</summary>"
-        f"<pre>{escape(text)}</pre></details></section>\n"
-    )
-
-
-def _footer(results: Results) -> str:
-    when = escape(str(results.about["machine"]["created_utc"]))
-    return (
-        "<footer><h2>How to read it</h2><p>An error is the largest at an output time. Wall time "
-        "is that of the fastest of several interleaved runs, one thread, from the first step to "
-        "the last output, with everything compiled and built beforehand. A feedback controller "
-        "that peers call back is ours, and off their clock. MuJoCo and Drake step; their steps "
-        "divide the time between two outputs. Pinocchio's constraintDynamics is integrated in "
-        "Python, the object hanging on one arm. <em>Gap</em> is how far the joints come apart."
-        f"</p><p>Made {when}.</p></footer>\n"
-    )
