@@ -44,6 +44,7 @@ _PARTS = {
     "arithmetic": _PINK, "rest": _GREY,
 }  # fmt: skip
 _PANEL = (5.0, 3.9)  # [in]
+_LEGEND_ROW = 0.046  # height of a row of the legend, as a part of the axes
 
 
 def plot_scaling(result: dict[str, Any], path: Path) -> None:
@@ -97,8 +98,7 @@ def _draw_evaluations(axes: Axes, found: dict[str, Any], kind: str) -> None:
             f"{name}{_power(found['exponents'][kind][method])}", colour, dashes,
             1.2 if dashes or method == "dense" else 1.8,
         )  # fmt: skip
-    _finish(axes, [row["arms"] for row in rows], f"One evaluation, {kind} joints")
-    axes.set_ylabel("microseconds")
+    _finish(axes, [row["arms"] for row in rows], f"One evaluation, {kind} joints", "microseconds")
 
 
 def _draw_solvers(axes: Axes, found: dict[str, Any]) -> None:
@@ -115,9 +115,7 @@ def _draw_solvers(axes: Axes, found: dict[str, Any]) -> None:
             list(then), costs, "o", color=colour, ms=4, mfc="none", mew=1.1,
             label=f"{name}, Matlab 1995",
         )  # fmt: skip
-    _finish(axes, arms, "Section 4.4: solving for the accelerations", columns=2)
-    axes.set_ylim(top=axes.get_ylim()[1] * 60)  # room for the legend
-    axes.set_ylabel("microseconds")
+    _finish(axes, arms, "Section 4.4: solving for the accelerations", "microseconds", columns=2)
 
 
 def _draw_speedups(axes: Axes, found: dict[str, Any]) -> None:
@@ -137,8 +135,7 @@ def _draw_speedups(axes: Axes, found: dict[str, Any]) -> None:
             label=f"{what}, 1995",
         )  # fmt: skip
     axes.axhline(1.0, color=INK, linewidth=0.8)
-    _finish(axes, arms, "Section 4.4: speed-up by the node algorithm")
-    axes.set_ylabel("times")
+    _finish(axes, arms, "Section 4.4: speed-up by the node algorithm", "times")
 
 
 def _draw_shares(axes: Axes, found: dict[str, Any]) -> None:
@@ -189,22 +186,27 @@ def _power(slope: float | None) -> str:
     return "" if slope is None else f"  $n^{{{slope:.2f}}}$"
 
 
-def _finish(axes: Axes, arms: Sequence[int], title: str, columns: int = 1) -> None:
+def _finish(axes: Axes, arms: Sequence[int], title: str, unit: str, columns: int = 1) -> None:
+    """Logarithmic axes, a tick for as many numbers of arms as have room, and the legend on top."""
     axes.set_xscale("log")
     axes.set_yscale("log")
     shown: list[int] = []
-    for n in reversed(arms):  # as many as there is room for
+    for n in reversed(arms):
         if not shown or shown[-1] >= 1.24 * n:
             shown.append(n)
     axes.set_xticks(shown, [str(n) for n in shown])
     axes.xaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_minor_locator(NullLocator())
     axes.set_xlabel("number of arms")
+    axes.set_ylabel(unit)
     axes.set_title(title)
-    axes.legend(
+    legend = axes.legend(
         loc="upper left", fontsize=7.8, frameon=False, ncols=columns, handlelength=2.4,
         columnspacing=1.2, labelspacing=0.3,
     )  # fmt: skip
+    room = 1.0 - _LEGEND_ROW * -(-len(legend.get_texts()) // columns)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, low * (high / low) ** (1.0 / room))
 
 
 def write_page(result: dict[str, Any], path: str | os.PathLike) -> Path:
