@@ -7,6 +7,7 @@ cheapest setting of each decade with the best peer's; and all points.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from multiarm.plots import GRID, INK, STYLE
+from multiarm.plots.style import GRID, INK, STYLE
 from multiarm.reports import pages
 from multiarm.results.files import printable_texts, save_figure, save_page
 from multiarm.results.trajectory import plain
@@ -31,74 +32,68 @@ PALETTE = (
     "#5a6b7d", "#a0522d", "#5fa8d3", "#93b83a",
 )  # fmt: skip
 """A colour for each method; dashes show the stabilisation."""
-DASHES = {"projection": "", "feedback": "6 3", "none": "1.5 3", "": ""}
-PEER_DASHES, PEER_MARKERS = "8 3 2 3", "^Ds"
+_DASHES = {"projection": "", "feedback": "6 3", "none": "1.5 3", "": ""}
+_PEER_DASHES, _PEER_MARKERS = "8 3 2 3", "^Ds"
 
 
-class Looks(NamedTuple):
-    """Series -> colour, and series -> marker."""
+class Look(NamedTuple):
+    """How a series is drawn; dashes are as SVG writes them.
 
-    colours: dict[str, str]
-    markers: dict[str, str]
+    ``main`` is what a user gets who names an accuracy only.
+    """
 
-
-def is_main(item: Series) -> bool:
-    """Whether it is what a user gets who names an accuracy only."""
-    return item.ours and item.points[0].setting.method == BY_ACCURACY
-
-
-def colour_of(series: Sequence[Series]) -> dict[str, str]:
-    """Series -> colour: one for a method of ours, one for a peer."""
-    names = list(dict.fromkeys(_family(item) for item in series))
-    colours = {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(names)}
-    return {item.name: colours[_family(item)] for item in series}
+    colour: str
+    marker: str
+    dashes: str
+    main: bool
 
 
-def markers_of(series: Sequence[Series]) -> dict[str, str]:
-    """Series -> marker: circles are ours, each method of a peer has another one."""
-    seen: dict[str, int] = {}
-    markers = {}
+def looks_of(series: Sequence[Series]) -> dict[str, Look]:
+    """Series -> look: a colour for a method of ours or a peer, a marker for a peer's method."""
+    seen: Counter[str] = Counter()
+    looks = {}
     for item in series:
-        number = seen.setdefault(_family(item), 0)
-        seen[_family(item)] += 1
-        markers[item.name] = "o" if item.ours else PEER_MARKERS[number % len(PEER_MARKERS)]
-    return markers
-
-
-def dashes_of(item: Series) -> str:
-    """The dashes of a series' line, as SVG writes them."""
-    setting = item.points[0].setting
-    return DASHES.get(setting.stabilization, "") if setting.ours else PEER_DASHES
-
-
-def _family(item: Series) -> str:
-    setting = item.points[0].setting
-    return setting.method if setting.ours else setting.solver
+        setting = item.points[0].setting
+        family = setting.method if item.ours else setting.solver
+        marker = "o" if item.ours else _PEER_MARKERS[seen[family] % len(_PEER_MARKERS)]
+        seen[family] += 1
+        colour = PALETTE[list(seen).index(family) % len(PALETTE)]
+        dashes = _DASHES.get(setting.stabilization, "") if item.ours else _PEER_DASHES
+        main = item.ours and setting.method == BY_ACCURACY
+        looks[item.name] = Look(colour, marker, dashes, main)
+    return looks
 
 
 def diagram(results: Results, quantity: str = "motion") -> Figure:
     """Error over wall time and over evaluations; the cheapest of each decade is circled."""
     series = all_series(results)
-    looks = Looks(colour_of(series), markers_of(series))
+    looks = looks_of(series)
     digits = digits_of(results, quantity)
     best = {decade.ours.setting.key for decade in decades(results, quantity) if decade.ours}
     what, unit = QUANTITIES[quantity]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(13.0, 6.2), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
-        for axes, work in ((left, "wall_time_s"), (right, "evaluations")):
+        for axes, work, name in (
+            (left, "wall_time_s", "wall time"),
+            (right, "evaluations", "evaluations"),
+        ):
             for item in series:
-                _draw(axes, item, looks, work, quantity, digits, best)
+                places = {
+                    point.setting.key: place
+                    for point in item.points
+                    if (place := _place(point, work, quantity, digits)) is not None
+                }
+                _draw(axes, item.name, looks[item.name], places, best)
             axes.set_xscale("log")
             axes.set_yscale("log")
             axes.axhspan(digits / 10.0, digits, color=GRID, alpha=0.6, linewidth=0)
             axes.set_axisbelow(True)
+            axes.set_title(f"Error over {name}", parse_math=False)
         left.set_ylim(bottom=digits / 10.0)
         left.set_xlabel("wall time [s]")
         right.set_xlabel("evaluations")
         left.set_ylabel(f"largest error: {what} [{unit}]")
-        left.set_title("Error over wall time", parse_math=False)
-        right.set_title("Error over evaluations", parse_math=False)
         handles, labels = left.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside right center", frameon=False, fontsize=8)
         figure.suptitle(results.about["scene"]["name"], fontsize=12, color=INK, parse_math=False)
@@ -111,28 +106,19 @@ def write_plot(results: Results, path: Path, quantity: str = "motion") -> None:
 
 
 def _draw(
-    axes: Axes,
-    item: Series,
-    looks: Looks,
-    work: str,
-    quantity: str,
-    digits: float,
-    best: set[str],
+    axes: Axes, name: str, look: Look, places: dict[str, tuple[float, float]], best: set[str]
 ) -> None:
-    places = [(point, _place(point, work, quantity, digits)) for point in item.points]
-    shown = [(point, place) for point, place in places if place is not None]
-    if not shown:
+    """Draw a series; ``places`` and ``best`` are by the keys of settings."""
+    if not places:
         return
-    x, y = zip(*(place for _, place in shown), strict=True)
-    dashes = [float(part) for part in dashes_of(item).split()]
-    style = (0, tuple(dashes)) if dashes else "solid"
+    dashes = tuple(float(part) for part in look.dashes.split())
     axes.plot(
-        x, y, color=looks.colours[item.name], marker=looks.markers[item.name], markersize=3.5,
-        linestyle=style, linewidth=2.4 if is_main(item) else 1.3, label=item.name,
+        *zip(*places.values(), strict=True), color=look.colour, marker=look.marker, markersize=3.5,
+        linestyle=(0, dashes) if dashes else "solid", linewidth=2.4 if look.main else 1.3,
+        label=name,
     )  # fmt: skip
-    for point, place in shown:
-        if point.setting.key in best:
-            axes.plot(*place, "o", markersize=10, markerfacecolor="none", color=INK, zorder=5)
+    for place in (places[key] for key in places if key in best):
+        axes.plot(*place, "o", markersize=10, markerfacecolor="none", color=INK, zorder=5)
 
 
 def _place(point: Point, work: str, quantity: str, digits: float) -> tuple[float, float] | None:
@@ -179,7 +165,7 @@ def _data(results: Results, series: list[Series]) -> dict[str, Any]:
             if decade.ours is not None:
                 levels = best[name].setdefault(decade.ours.setting.key, [])
                 levels.append(round(math.log10(decade.level)))
-    colours, markers = colour_of(series), markers_of(series)
+    looks = looks_of(series)
     return {
         "quantities": QUANTITIES,
         "digits": results.reference["digits"],
@@ -188,10 +174,7 @@ def _data(results: Results, series: list[Series]) -> dict[str, Any]:
             {
                 "name": item.name,
                 "ours": item.ours,
-                "main": is_main(item),
-                "colour": colours[item.name],
-                "dashes": dashes_of(item),
-                "marker": markers[item.name],
+                **looks[item.name]._asdict(),
                 "points": [_point_data(point) for point in item.points if point.completed],
             }
             for item in series
