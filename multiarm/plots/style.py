@@ -14,9 +14,11 @@ from matplotlib.figure import Figure
 
 INK, GRID = "#2b3440", "#d9dee5"
 """Colours of text and axes, and of the grid."""
-AXIS_COLOURS = ("#d1495b", "#2f9e67", "#3b7dd8")
+RED, GREEN, BLUE, ORANGE, PINK = "#d1495b", "#2f9e67", "#3b7dd8", "#d9822b", "#c2417c"
+"""Colours of lines; they are readable on light and on dark ground."""
+AXIS_COLOURS = (RED, GREEN, BLUE)
 """Of x, y and z, as in every viewer."""
-ROLES = {"kinetic": "#d9822b", "potential": "#3b7dd8", "work": "#2f9e67", "balance": "#c2417c"}
+ROLES = {"kinetic": ORANGE, "potential": BLUE, "work": GREEN, "balance": PINK}
 """Colours of the parts of the energy."""
 STYLE: dict[Any, Any] = {
     "axes.edgecolor": INK,

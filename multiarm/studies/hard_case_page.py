@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from multiarm.plots.panels import Panel, draw
-from multiarm.plots.style import inline_svg
+from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK, inline_svg
 from multiarm.reports import pages
 from multiarm.results.files import save_page
 from multiarm.studies.hard_cases import (
@@ -32,7 +32,6 @@ from multiarm.studies.peer_trials import OURS, Answer
 DECADES = 6
 """Values further below the peak are drawn at this depth: 0 has no place on a logarithmic axis."""
 SMALLEST = 1e-18
-_BLUE, _GREEN, _PINK, _ORANGE = "#3b7dd8", "#2f9e67", "#c2417c", "#d9822b"
 
 
 def case_figure(case: CaseResult) -> Figure | None:
@@ -42,17 +41,17 @@ def case_figure(case: CaseResult) -> Figure | None:
     bounds = {item.quantity: item.bound for item in case.criteria if item.bound > 0}
     panels = [
         _panel(
-            case, "Loops", "gap [m], rate [m/s]", {"gap": _BLUE, "gap_rate": _GREEN},
+            case, "Loops", "gap [m], rate [m/s]", {"gap": BLUE, "gap_rate": GREEN},
             log=True, levels=(bounds.get("position drift"),),
         ),
-        _panel(case, "Energy", "balance [J]", {"energy_balance": _PINK}, log=True),
+        _panel(case, "Energy", "balance [J]", {"energy_balance": PINK}, log=True),
         _panel(
-            case, "Constraints", "relative residual", {"residual": _BLUE},
+            case, "Constraints", "relative residual", {"residual": BLUE},
             log=True, levels=(bounds.get("residual"),),
         ),
         _panel(
             case, "Rank, and arms in the coupled system", "number",
-            {"rank": _ORANGE, "coupled_arms": _BLUE},
+            {"rank": ORANGE, "coupled_arms": BLUE},
         ),
     ]  # fmt: skip
     return draw(panels, events=case.events)

@@ -15,33 +15,34 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from multiarm.plots.style import INK, STYLE, inline_svg
+from multiarm.plots.style import BLUE, GREEN, INK, ORANGE, PINK, STYLE, inline_svg
 from multiarm.reports import pages
 from multiarm.results.files import save_figure, save_page
 from multiarm.studies.scaling_tables import disturbance, exponent, micro, tables
 
-_BLUE, _GREEN, _PINK, _ORANGE, _GREY = "#3b7dd8", "#2f9e67", "#c2417c", "#d9822b", "#8a94a0"
+Drawing = Callable[[Axes], None]
+GREY = "#8a94a0"
 # method: name, colour, dashes
 _METHODS = {
-    "multiarm": ("multiarm", _BLUE, ()),
-    "compiled": ("compiled arms", _PINK, ()),
-    "terms": ("Pinocchio's arm terms", _BLUE, (2, 1.5)),
-    "lcaba": ("lcaba", _GREEN, ()),
-    "constraintDynamics": ("constraintDynamics", _ORANGE, ()),
-    "tree": ("the same, object on one arm", _ORANGE, (2, 1.5)),
-    "dense": ("dense KKT, NumPy", _GREY, ()),
+    "multiarm": ("multiarm", BLUE, ()),
+    "compiled": ("compiled arms", PINK, ()),
+    "terms": ("Pinocchio's arm terms", BLUE, (2, 1.5)),
+    "lcaba": ("lcaba", GREEN, ()),
+    "constraintDynamics": ("constraintDynamics", ORANGE, ()),
+    "tree": ("the same, object on one arm", ORANGE, (2, 1.5)),
+    "dense": ("dense KKT, NumPy", GREY, ()),
 }
 # picture and part of the study of section 4.4: name, colour, dashes
 _SOLVERS = {
-    ("compiled", "node"): ("node, compiled", _BLUE, ()),
-    ("interpreted", "node"): ("node, NumPy loop", _BLUE, (4, 2)),
-    ("interpreted", "node at once"): ("node, NumPy at once", _BLUE, (1, 1.5)),
-    ("compiled", "lu"): ("direct, LU", _ORANGE, ()),
+    ("compiled", "node"): ("node, compiled", BLUE, ()),
+    ("interpreted", "node"): ("node, NumPy loop", BLUE, (4, 2)),
+    ("interpreted", "node at once"): ("node, NumPy at once", BLUE, (1, 1.5)),
+    ("compiled", "lu"): ("direct, LU", ORANGE, ()),
 }
 _PARTS = {
-    "arm terms": _BLUE, "contacts": "#6aa5ea", "forces": "#a9c9f2", "node": _GREEN,
-    "state": "#8fd0af", "between": "#cfd6dd", "stabilisation": _ORANGE, "recording": "#ecb679",
-    "arithmetic": _PINK, "rest": _GREY,
+    "arm terms": BLUE, "contacts": "#6aa5ea", "forces": "#a9c9f2", "node": GREEN,
+    "state": "#8fd0af", "between": "#cfd6dd", "stabilisation": ORANGE, "recording": "#ecb679",
+    "arithmetic": PINK, "rest": GREY,
 }  # fmt: skip
 _PANEL = (5.0, 3.9)  # [in]
 _LEGEND_ROW = 0.046  # height of a row of the legend, as a part of the axes
@@ -51,31 +52,30 @@ def plot_scaling(result: dict[str, Any], path: Path) -> None:
     """Draw all studies of a result that have a figure into one file."""
     draws = [draw for own in _panels(result).values() for draw in own]
     columns = min(2, max(1, len(draws)))
-    rows = -(-max(1, len(draws)) // columns)
+    save_figure(_figure(draws or [_draw_nothing], columns, *_PANEL), path)
+
+
+def _figure(draws: Sequence[Drawing], columns: int, width: float, height: float) -> Figure:
+    """Panels of some width and height [in] in columns."""
+    rows = -(-len(draws) // columns)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(_PANEL[0] * columns, _PANEL[1] * rows), layout="constrained")
+        figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, draw in zip(grid, draws, strict=False):
             draw(axes)
         for axes in grid[len(draws) :]:
             axes.set_axis_off()
-        if not draws:
-            figure.text(0.5, 0.5, "nothing here has a figure", ha="center")
-    save_figure(figure, path)
-
-
-def _side_by_side(draws: Sequence[Callable[[Axes], None]]) -> Figure:
-    """The panels of one study."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.6, 3.9), layout="constrained")
-        for axes, draw in zip(figure.subplots(1, len(draws), squeeze=False)[0], draws, strict=True):
-            draw(axes)
     return figure
 
 
-def _panels(result: dict[str, Any]) -> dict[str, list[Callable[[Axes], None]]]:
+def _draw_nothing(axes: Axes) -> None:
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, "nothing here has a figure", ha="center")
+
+
+def _panels(result: dict[str, Any]) -> dict[str, list[Drawing]]:
     """Study -> functions that draw its panels, of the studies that have a figure."""
-    draws: dict[str, list[Callable[[Axes], None]]] = {}
+    draws: dict[str, list[Drawing]] = {}
     if "evaluations" in result:
         found = result["evaluations"]
         draws["evaluations"] = [
@@ -109,7 +109,7 @@ def _draw_solvers(axes: Axes, found: dict[str, Any]) -> None:
         costs = [row["microseconds"][picture][part] for row in rows]
         _line(axes, arms, costs, f"{name}{_power(slope)}", colour, dashes, 1.6)
     then = {int(n): values for n, values in found["thesis"].items()}
-    for key, name, colour in (("t1", "node", _BLUE), ("t2", "direct", _ORANGE)):
+    for key, name, colour in (("t1", "node", BLUE), ("t2", "direct", ORANGE)):
         costs = [1e3 * values[key] for values in then.values()]
         axes.plot(
             list(then), costs, "o", color=colour, ms=4, mfc="none", mew=1.1,
@@ -122,8 +122,8 @@ def _draw_speedups(axes: Axes, found: dict[str, Any]) -> None:
     arms = [row["arms"] for row in found["rows"]]
     then = {int(n): values for n, values in found["thesis"].items()}
     for picture, name, colour in (
-        ("compiled", "compiled", _BLUE),
-        ("interpreted", "NumPy", _GREEN),
+        ("compiled", "compiled", BLUE),
+        ("interpreted", "NumPy", GREEN),
     ):
         for key, dashes, what in (("solving", (), "$t_2/t_1$"), ("total", (2, 1.5), "total")):
             values = [row["columns"][picture][key] for row in found["rows"]]
@@ -131,7 +131,7 @@ def _draw_speedups(axes: Axes, found: dict[str, Any]) -> None:
     for key, marker, what in (("solving", "o", "$t_2/t_1$"), ("total", "s", "total")):
         values = [columns[key] for columns in then.values()]
         axes.plot(
-            list(then), values, marker, color=_PINK, ms=4, mfc="none", mew=1.1,
+            list(then), values, marker, color=PINK, ms=4, mfc="none", mew=1.1,
             label=f"{what}, 1995",
         )  # fmt: skip
     axes.axhline(1.0, color=INK, linewidth=0.8)
@@ -154,7 +154,7 @@ def _draw_shares(axes: Axes, found: dict[str, Any]) -> None:
             if width >= 7:
                 axes.text(
                     start + width / 2, place, f"{width:.0f}", ha="center", va="center",
-                    color="white" if colour in (_BLUE, _GREEN, _ORANGE, _PINK, _GREY) else "black",
+                    color="white" if colour in (BLUE, GREEN, ORANGE, PINK, GREY) else "black",
                     fontsize=8,
                 )  # fmt: skip
         left += widths
@@ -231,7 +231,7 @@ def render(result: dict[str, Any]) -> str:
         headlines=list(_headlines(result)),
         studies=studies,
         figures={
-            study: inline_svg(_side_by_side(draws), f"{study}-")
+            study: inline_svg(_figure(draws, len(draws), 9.6 / len(draws), 3.9), f"{study}-")
             for study, draws in _panels(result).items()
         },
         disturbance=disturbance(result),
