@@ -136,6 +136,8 @@ LABEL_HEIGHT = 0.155
 """Of a label at the end of a line [in]."""
 SMALLEST_SPAN = 1e-3
 """A quantity that varies less, relative to its size, is drawn as a constant."""
+DECADES = 6
+"""Values further below their peak are drawn at this depth: 0 has no place on a logarithmic axis."""
 LEFT = 0.8
 """Room left of the axes [in]."""
 WIDTHS = {1: 9.6, 2: 12.0, 4: 16.0}

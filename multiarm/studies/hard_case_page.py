@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from multiarm.plots.panels import Panel, draw
+from multiarm.plots.panels import DECADES, Panel, draw
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK, inline_svg
 from multiarm.reports import pages
 from multiarm.results.files import save_page
@@ -29,9 +29,8 @@ from multiarm.studies.hard_cases import (
 )
 from multiarm.studies.peer_trials import OURS, Answer
 
-DECADES = 6
-"""Values further below the peak are drawn at this depth: 0 has no place on a logarithmic axis."""
 SMALLEST = 1e-18
+"""The least that is drawn on a logarithmic axis."""
 
 
 def case_figure(case: CaseResult) -> Figure | None:

@@ -44,8 +44,10 @@ _PARTS = {
     "state": "#8fd0af", "between": "#cfd6dd", "stabilisation": ORANGE, "recording": "#ecb679",
     "arithmetic": PINK, "rest": GREY,
 }  # fmt: skip
+_DOTS: dict[str, Any] = {"marker": "o", "ms": 3}  # what was measured here
+_RINGS: dict[str, Any] = {"ms": 4, "mfc": "none", "mew": 1.1}  # what the thesis gives
 _PANEL = (5.0, 3.9)  # [in]
-_LEGEND_ROW = 0.046  # height of a row of the legend, as a part of the axes
+_LEGEND_ROW = 0.058  # height of a row of the legend, as a part of the axes
 
 
 def plot_scaling(result: dict[str, Any], path: Path) -> None:
@@ -92,73 +94,60 @@ def _panels(result: dict[str, Any]) -> dict[str, list[Drawing]]:
 def _draw_evaluations(axes: Axes, found: dict[str, Any], kind: str) -> None:
     rows = [row for row in found["rows"] if row["kind"] == kind]
     for method, (name, colour, dashes) in _METHODS.items():
-        known = [row for row in rows if row["microseconds"][method] is not None]
-        _line(
-            axes, [row["arms"] for row in known], [row["microseconds"][method] for row in known],
-            f"{name}{_power(found['exponents'][kind][method])}", colour, dashes,
-            1.2 if dashes or method == "dense" else 1.8,
-        )  # fmt: skip
+        costs = {row["arms"]: row["microseconds"][method] for row in rows}
+        known = {arms: cost for arms, cost in costs.items() if cost is not None}
+        label = f"{name}{_power(found['exponents'][kind][method])}"
+        width = 1.2 if dashes or method == "dense" else 1.8
+        axes.plot(*_xy(known), label=label, color=colour, dashes=dashes, lw=width, **_DOTS)
     _finish(axes, [row["arms"] for row in rows], f"One evaluation, {kind} joints", "microseconds")
 
 
 def _draw_solvers(axes: Axes, found: dict[str, Any]) -> None:
-    rows = found["rows"]
-    arms = [row["arms"] for row in rows]
     for (picture, part), (name, colour, dashes) in _SOLVERS.items():
         slope = found["upper_slopes" if part == "lu" else "slopes"][picture][part]
-        costs = [row["microseconds"][picture][part] for row in rows]
-        _line(axes, arms, costs, f"{name}{_power(slope)}", colour, dashes, 1.6)
-    then = {int(n): values for n, values in found["thesis"].items()}
+        costs = {row["arms"]: row["microseconds"][picture][part] for row in found["rows"]}
+        label = f"{name}{_power(slope)}"
+        axes.plot(*_xy(costs), label=label, color=colour, dashes=dashes, lw=1.6, **_DOTS)
     for key, name, colour in (("t1", "node", BLUE), ("t2", "direct", ORANGE)):
-        costs = [1e3 * values[key] for values in then.values()]
-        axes.plot(
-            list(then), costs, "o", color=colour, ms=4, mfc="none", mew=1.1,
-            label=f"{name}, Matlab 1995",
-        )  # fmt: skip
+        then = {int(n): 1e3 * values[key] for n, values in found["thesis"].items()}
+        axes.plot(*_xy(then), "o", label=f"{name}, Matlab 1995", color=colour, **_RINGS)
+    arms = [row["arms"] for row in found["rows"]]
     _finish(axes, arms, "Section 4.4: solving for the accelerations", "microseconds", columns=2)
 
 
 def _draw_speedups(axes: Axes, found: dict[str, Any]) -> None:
-    arms = [row["arms"] for row in found["rows"]]
-    then = {int(n): values for n, values in found["thesis"].items()}
-    for picture, name, colour in (
-        ("compiled", "compiled", BLUE),
-        ("interpreted", "NumPy", GREEN),
-    ):
-        for key, dashes, what in (("solving", (), "$t_2/t_1$"), ("total", (2, 1.5), "total")):
-            values = [row["columns"][picture][key] for row in found["rows"]]
-            _line(axes, arms, values, f"{what}, {name}", colour, dashes, 1.6)
-    for key, marker, what in (("solving", "o", "$t_2/t_1$"), ("total", "s", "total")):
-        values = [columns[key] for columns in then.values()]
-        axes.plot(
-            list(then), values, marker, color=PINK, ms=4, mfc="none", mew=1.1,
-            label=f"{what}, 1995",
-        )  # fmt: skip
+    shown = (("solving", (), "o", "$t_2/t_1$"), ("total", (2, 1.5), "s", "total"))
+    for picture, name, colour in (("compiled", "compiled", BLUE), ("interpreted", "NumPy", GREEN)):
+        for key, dashes, _, what in shown:
+            times = {row["arms"]: row["columns"][picture][key] for row in found["rows"]}
+            label = f"{what}, {name}"
+            axes.plot(*_xy(times), label=label, color=colour, dashes=dashes, lw=1.6, **_DOTS)
+    for key, _, marker, what in shown:
+        then = {int(n): values[key] for n, values in found["thesis"].items()}
+        axes.plot(*_xy(then), marker, label=f"{what}, 1995", color=PINK, **_RINGS)
     axes.axhline(1.0, color=INK, linewidth=0.8)
+    arms = [row["arms"] for row in found["rows"]]
     _finish(axes, arms, "Section 4.4: speed-up by the node algorithm", "times")
 
 
 def _draw_shares(axes: Axes, found: dict[str, Any]) -> None:
     """Stacked bars in percent; what is left negative by the error of measurement is not drawn."""
-    bars = [
-        (f"{what}, n = {row['arms']}", row[what]) for what in ("evaluation", "step")
-        for row in found["rows"]
-    ]  # fmt: skip
-    places = np.arange(len(bars))[::-1].astype(float)
+    names, shares = [], []
+    for what in ("evaluation", "step"):
+        for row in found["rows"]:
+            names.append(f"{what}, n = {row['arms']}")
+            shares.append([max(row[what].get(part, 0.0), 0.0) for part in _PARTS])
+    places = np.arange(len(names))[::-1].astype(float)
     places[: len(found["rows"])] += 0.4  # evaluations apart from steps
-    left = np.zeros(len(bars))
-    for part, colour in _PARTS.items():
-        widths = np.array([_percent(shares, part) for _, shares in bars])
-        axes.barh(places, widths, left=left, color=colour, height=0.72, label=part)
-        for place, start, width in zip(places, left, widths, strict=True):
-            if width >= 7:
-                axes.text(
-                    start + width / 2, place, f"{width:.0f}", ha="center", va="center",
-                    color="white" if colour in (BLUE, GREEN, ORANGE, PINK, GREY) else "black",
-                    fontsize=8,
-                )  # fmt: skip
-        left += widths
-    axes.set_yticks(places, [name for name, _ in bars])
+    percent = 100.0 * np.array(shares) / np.sum(shares, axis=1, keepdims=True)
+    left = np.cumsum(percent, axis=1) - percent
+    for part, (name, colour) in enumerate(_PARTS.items()):
+        widths = percent[:, part]
+        bars = axes.barh(places, widths, left=left[:, part], color=colour, height=0.72, label=name)
+        ink = "white" if colour in (BLUE, GREEN, ORANGE, PINK, GREY) else "black"
+        labels = [f"{width:.0f}" if width >= 7 else "" for width in widths]
+        axes.bar_label(bars, labels, label_type="center", color=ink, fontsize=8)
+    axes.set_yticks(places, names)
     axes.set_xlim(0, 100)
     axes.set_xlabel("percent")
     axes.grid(False)
@@ -169,17 +158,9 @@ def _draw_shares(axes: Axes, found: dict[str, Any]) -> None:
     )  # fmt: skip
 
 
-def _percent(shares: dict[str, float], part: str) -> float:
-    drawn = sum(max(value, 0.0) for value in shares.values())
-    return 100.0 * max(shares.get(part, 0.0), 0.0) / drawn
-
-
-def _line(
-    axes: Axes, x: Sequence[float], y: Sequence[float], label: str, colour: str,
-    dashes: Sequence[float], width: float,
-) -> None:  # fmt: skip
-    style: dict[str, Any] = {"dashes": dashes} if dashes else {}
-    axes.plot(x, y, "-", marker="o", color=colour, lw=width, ms=3, label=label, **style)
+def _xy(values: dict[int, float]) -> tuple[list[int], list[float]]:
+    """Numbers of arms, and the values there."""
+    return list(values), list(values.values())
 
 
 def _power(slope: float | None) -> str:
