@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mechanics import SCENES
+from page_reader import brightness, shown, sticks_out
 from test_replay import browser  # noqa: F401 (fixture)
 from typer.testing import CliRunner
 
@@ -280,21 +281,11 @@ def test_help_promises_the_keys_of_the_json(study_file, tmp_path):
 
 @pytest.fixture(params=["light", "dark"])
 def page(request, browser, results, tmp_path):  # noqa: F811
-    """The page in a browser without a network, and what it complained about or asked for."""
+    """The page in a browser without a network."""
     target = tmp_path / "page.html"
     write_page(results, target)
-    page = browser.new_page(
-        viewport={"width": 1300, "height": 1000}, offline=True, color_scheme=request.param
-    )
-    page.complaints, page.asked = [], []
-    page.on("console", lambda message: page.complaints.append(message.text))
-    page.on("pageerror", lambda error: page.complaints.append(str(error)))
-    page.on("request", lambda asked: page.asked.append(asked.url))
-    page.goto(f"file://{target}")
-    yield page
-    assert page.complaints == []
-    assert page.asked == [f"file://{target}"]
-    page.close()
+    with shown(browser, target, request.param) as page:
+        yield page
 
 
 def marks(page, figure: str = "over-time") -> int:
@@ -363,8 +354,7 @@ def test_another_quantity_redraws_diagram_tables_and_advice(page, results):
 
 
 def test_nothing_on_the_page_overlaps_or_sticks_out(page):
-    wide = page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
-    assert wide
+    assert sticks_out(page) <= 0
     boxes = page.locator("#over-time svg text:not([transform])").all()
     places = [box.bounding_box() for box in boxes]
     for k, one in enumerate(places):
@@ -379,7 +369,9 @@ def test_nothing_on_the_page_overlaps_or_sticks_out(page):
 
 
 def test_tables_fit_on_the_page(page):
-    for table in page.locator("section.scroll:not(:has(details))").all():
+    tables = page.locator(".scroll:visible").all()
+    assert len(tables) == 3, "cheapest, methods, refusals"
+    for table in tables:
         assert table.evaluate("e => e.scrollWidth <= e.clientWidth")
 
 
@@ -389,11 +381,10 @@ def test_every_method_and_every_peer_has_a_colour_of_its_own():
 
 
 def test_ink_stands_out_from_the_page(page):
-    def brightness(selector: str, name: str) -> float:
-        colour = page.eval_on_selector(selector, f"e => getComputedStyle(e).{name}")
-        return float(np.mean([int(part) for part in re.findall(r"\d+", colour)[:3]]))
-
-    paper, ink = brightness("section", "backgroundColor"), brightness("#over-time text", "fill")
+    paper, ink = (
+        brightness(page, "section", "backgroundColor"),
+        brightness(page, "#over-time text", "fill"),
+    )
     assert abs(paper - ink) > 120
 
 

@@ -27,7 +27,7 @@ ROOMS = (
     "errors", "geometry", "jit", "spatial", "tableaus", "scene", "results", "contacts", "arms",
     "dynamics", "control", "effects", "integration", "assembly", "events", "simulation", "terminal",
     "grasp", "sweeps",
-    "plots", "viewer", "reports", "problems", "studies", "multiarm", "cli", "__main__",
+    "plots", "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
@@ -36,11 +36,11 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
     "h5py": ("control.tables", "results.hdf5", "sweeps.row_file", "results.trajectory_file"),
+    "jinja2": ("reports.pages",),
     "joblib": ("sweeps.executors",),
     "llvmlite": ("jit",),
     "matplotlib": (
         "plots",
-        "reports.parts",
         "studies.scaling_page",
         "studies.hard_case_page",
         "studies.effect_costs.page",

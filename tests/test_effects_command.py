@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mechanics import SCENES
+from page_reader import brightness, shown
 from test_replay import browser  # noqa: F401 (fixture)
 from typer.testing import CliRunner
 
@@ -515,21 +516,11 @@ def test_check_says_when_nothing_is_added(tmp_path):
 
 @pytest.fixture(params=["light", "dark"])
 def page(request, browser, tmp_path):  # noqa: F811
-    """The page in a browser without a network, and what it complained about or asked for."""
+    """The page in a browser without a network."""
     target = tmp_path / "page.html"
     write_page(synthetic(), target)
-    page = browser.new_page(
-        viewport={"width": 1300, "height": 1000}, offline=True, color_scheme=request.param
-    )
-    page.complaints, page.asked = [], []
-    page.on("console", lambda message: page.complaints.append(message.text))
-    page.on("pageerror", lambda error: page.complaints.append(str(error)))
-    page.on("request", lambda asked: page.asked.append(asked.url))
-    page.goto(f"file://{target}")
-    yield page
-    assert page.complaints == []
-    assert page.asked == [f"file://{target}"]
-    page.close()
+    with shown(browser, target, request.param) as page:
+        yield page
 
 
 def test_the_page_says_everything_in_both_themes(page):
@@ -541,13 +532,9 @@ def test_the_page_says_everything_in_both_themes(page):
     assert page.locator("tbody tr").count() == len(synthetic().entries)
     assert page.locator("figure svg").count() == 1
 
-    def brightness(selector, name):
-        colour = page.eval_on_selector(selector, f"e => getComputedStyle(e).{name}")
-        return float(np.mean([int(part) for part in re.findall(r"\d+", colour)[:3]]))
-
-    paper = brightness("section", "backgroundColor")
+    paper = brightness(page, "section", "backgroundColor")
     for selector, name in (("td.n", "color"), ("figure svg text", "fill")):
-        assert abs(paper - brightness(selector, name)) > 90, selector
+        assert abs(paper - brightness(page, selector, name)) > 90, selector
     background = page.locator("figure svg [id$=patch_1] path").first.get_attribute("style")
     assert re.search(r"fill: none|opacity: 0\b", background), "the page's own shows through"
 

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.patches import PathPatch
+from page_reader import Page
 from rich.console import Console
 from sample_run import CHANNELS, CONTACTS, JOINTS, SCENE, STATISTICS, record, rows_of, samples
-from test_report import Page
 
 from multiarm import plots
 from multiarm.cli.run import SHOWN_KINDS, run_figures, summary_table

@@ -7,12 +7,14 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+TEMPLATES = ROOT / "multiarm" / "reports" / "templates"
 SCENE = ROOT / "examples" / "scenes" / "corner_grippers_block.yaml"  # robots of this project only
 
 
@@ -70,14 +72,38 @@ def test_wheel_holds_the_robots_with_their_sources(contents):
     assert all((folder / "SOURCE.md").is_file() for folder in folders)
 
 
-def test_wheel_holds_the_player_and_the_licence(contents):
-    assert "multiarm/viewer/player.html" in contents
+def test_wheel_holds_every_template_of_a_page(contents):
+    templates = {str(p.relative_to(ROOT)) for p in TEMPLATES.iterdir()}
+    assert {Path(name).suffix for name in templates} == {".html", ".css", ".js"}
+    assert templates <= contents
+
+
+def test_source_archive_holds_every_template_of_a_page(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "build",
+        "--sdist",
+        "--no-isolation",
+        "--outdir",
+        tmp_path,
+        ROOT,
+    ]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    (built,) = tmp_path.glob("multiarm-*.tar.gz")
+    with tarfile.open(built) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert {str(p.relative_to(ROOT)) for p in TEMPLATES.iterdir()} <= names
+
+
+def test_wheel_holds_the_licence(contents):
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in contents)
 
 
 def test_wheel_has_no_other_files(contents):
     kinds = {Path(name).suffix for name in contents if name.startswith("multiarm/")}
-    assert kinds == {".py", ".html", ".urdf", ".md"}
+    assert kinds == {".py", ".html", ".css", ".js", ".urdf", ".md"}
     outside = {name for name in contents if not name.startswith("multiarm/")}
     assert all(name.split("/")[0].endswith(".dist-info") for name in outside)
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import unicodedata
 import warnings
+from dataclasses import replace
 from html.parser import HTMLParser
 from io import StringIO
-from types import SimpleNamespace
 
 import pytest
 import yaml
 from rich.table import Table
 from rich.text import Text
 from sample_run import rows_of
+from test_accuracy_command import results  # noqa: F401 (fixture)
 from typer.testing import CliRunner
 
 import multiarm as ma
@@ -21,6 +23,7 @@ from multiarm.results.files import printable, printable_texts, save_page
 from multiarm.results.sinks import MemorySink
 from multiarm.scene import parse_scene
 from multiarm.studies.work_precision import page as accuracy_page
+from multiarm.studies.work_precision.choice import all_series
 from multiarm.terminal import console as terminal
 
 STEERING = "\x1b[31m\x07\r\x9b2J\x7f\u202e\u2066\u200f\u2028"
@@ -177,16 +180,14 @@ def test_a_terminal_gets_no_codes_but_those_of_styles():
     assert steering(console.file.getvalue()) == set()
 
 
-def test_data_in_a_page_cannot_close_its_script(monkeypatch, tmp_path):
-    series = SimpleNamespace(name=HOSTILE)
-    monkeypatch.setattr(accuracy_page, "all_series", lambda _results: [series])
-    monkeypatch.setattr(accuracy_page, "_data", lambda _results, series: {"name": series[0].name})
-    for part in ("_header", "_cheapest", "_methods", "_points", "_refusals", "_scene", "_footer"):
-        monkeypatch.setattr(accuracy_page, part, lambda *_: "")
-    results = SimpleNamespace(about={"scene": {"name": HOSTILE}}, refusals={})
+def test_data_in_a_page_cannot_close_its_script(monkeypatch, tmp_path, results):  # noqa: F811
+    def hostile(found):
+        return [replace(item, name=HOSTILE) for item in all_series(found)]
+
+    monkeypatch.setattr(accuracy_page, "all_series", hostile)
     save_page(accuracy_page.render(results), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert steering(text) == set()
     assert Page(text).tags.count("script") == 2
-    data = text.split('id="data">')[1].split("</script>")[0]
-    assert yaml.safe_load(data) == {"name": printable(HOSTILE)}
+    data = json.loads(text.split('id="data">')[1].split("</script>")[0])
+    assert {series["name"] for series in data["series"]} == {printable(HOSTILE)}

@@ -4,52 +4,20 @@ import re
 import subprocess
 import sys
 import tracemalloc
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from page_reader import Page
 from sample_run import CHANNELS, JOINTS, SCENE, record, rows_of, samples
 
 from multiarm import plots
 from multiarm.errors import TrajectoryError
 from multiarm.plots.decimation import RotationSinceStart, decimate
-from multiarm.reports.report import NOTHING, quantity, render, report
+from multiarm.reports.pages import NOTHING, quantity
+from multiarm.reports.report import render, report
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.results.sinks import Hdf5Sink, MemorySink, provenance
-
-VOID = {"meta", "br", "hr", "img", "link", "input"}
-
-
-class Page(HTMLParser):
-    """What is on a page: text, tags, attributes; every tag must be closed in turn."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.tags, self.attributes, self.words = [], [], [], []
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes += attrs
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes += attrs
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.words.append(data)
-
-    @property
-    def text(self):
-        return re.sub(r"\s+", " ", " ".join(self.words))
 
 
 def scalar_run(values, sink=None):
@@ -244,11 +212,10 @@ def test_the_report_loads_nothing(page):
 
 
 def test_names_inside_the_page_are_unique_and_known(page):
-    ids = [value for name, value in Page(page).attributes if name == "id"]
-    assert len(ids) == len(set(ids))
+    ids = Page(page).ids
     used = set(re.findall(r"url\(#([^)]+)\)", page)) | set(re.findall(r'href="#([^"]+)"', page))
     assert used
-    assert used <= set(ids)
+    assert used <= ids
 
 
 def test_the_report_shows_the_scene_and_its_name_as_text(page):

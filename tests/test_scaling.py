@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from mechanics import data_of
-from playwright.sync_api import sync_playwright
-from test_replay import FLAGS, View, chromium
+from page_reader import Page, brightness, shown, sticks_out
+from test_replay import browser  # noqa: F401 (fixture)
 from typer.testing import CliRunner
 
 import multiarm as ma
@@ -663,58 +662,27 @@ def test_what_cannot_be_done_is_refused_before_anything_is_measured(monkeypatch,
 # --- the page -------------------------------------------------------------------------------------
 
 
-class _Sources(HTMLParser):
-    """What a page loads from elsewhere, and how often each id is used."""
-
-    def __init__(self):
-        super().__init__()
-        self.sources, self.ids = [], []
-
-    def handle_starttag(self, tag, attributes):
-        for name, value in attributes:
-            if name in ("src", "href", "xlink:href") and not value.startswith("#"):
-                self.sources.append(value)
-            if name == "id":
-                self.ids.append(value)
-
-
 def test_the_page_is_one_file_with_every_table(result, tmp_path):
     page = write_page(result, tmp_path / "page.html").read_text(encoding="utf-8")
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
-    found = _Sources()
-    found.feed(page)
+    found = Page(page)
     assert found.sources == []
-    assert len(found.ids) == len(set(found.ids))
-    assert page.count("<table>") == len(list(tables(result)))
+    assert found.ids >= {table.study for table in tables(result)}
+    assert page.count("<table ") == len(list(tables(result)))
     assert page.count("<svg") == 3
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
-        yield browser
-        browser.close()
-
-
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_page_is_readable_in_light_and_in_the_dark(browser, result, tmp_path, scheme):
+def test_the_page_shows_every_figure_in_light_and_in_the_dark(browser, result, tmp_path, scheme):  # noqa: F811
     path = write_page(result, tmp_path / "page.html")
-    page = browser.new_page(color_scheme=scheme, viewport={"width": 1100, "height": 900})
-    view = View(page)
-    view.open(path.as_uri())
-    assert (view.complaints, view.requests) == ([], [path.as_uri()])
-    ground, ink = (
-        [int(x) for x in page.evaluate(f"getComputedStyle(document.body).{name}")[4:-1].split(",")]
-        for name in ("backgroundColor", "color")
-    )
-    assert (np.mean(ground) > 128) == (scheme == "light")
-    assert abs(np.mean(ground) - np.mean(ink)) > 120
-    assert page.locator("section").count() == 4
-    assert page.evaluate("document.documentElement.scrollWidth") <= 1100
-    for study in ("evaluations", "thesis", "shares"):
-        assert page.locator(f"#{study} svg").first.bounding_box()["width"] > 600
-    page.close()
+    with shown(browser, path, scheme, width=1100) as page:
+        ground = brightness(page, "body", "backgroundColor")
+        assert (ground > 128) == (scheme == "light")
+        assert abs(ground - brightness(page, "body", "color")) > 120
+        assert page.locator("section").count() == 4
+        assert sticks_out(page) <= 0
+        for study in ("evaluations", "thesis", "shares"):
+            assert page.locator(f"#{study} svg").first.bounding_box()["width"] > 600
 
 
 def test_a_page_that_cannot_be_written_says_so(result, tmp_path):

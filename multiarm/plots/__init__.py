@@ -22,7 +22,7 @@ from multiarm.plots.run_figures import (
     object_pose,
     work_channels,
 )
-from multiarm.plots.style import GRID, INK, STYLE, family
+from multiarm.plots.style import INK, family
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,9 +30,7 @@ if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
 
 __all__ = [
-    "GRID",
     "INK",
-    "STYLE",
     "accuracy_course",
     "contact_forces",
     "contact_states",

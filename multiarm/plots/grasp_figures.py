@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
     from multiarm.grasp.seventh_contact import ContactRegion
 
-__all__ = ["draw_face", "draw_grasp"]
-
 
 @dataclass(frozen=True)
 class Theme:
@@ -200,30 +198,27 @@ def _draw_contacts(axes: Axes, grasp: Grasp, eye: Eye, front: bool, theme: Theme
         )  # fmt: skip
         axes.add_patch(arrow)
         axes.plot(*tip, "o", ms=4.5, color=colour, alpha=strength)
-        style: dict[str, Any] = {"ha": "center", "va": "center", "alpha": strength}
         axes.text(
-            beyond[0], beyond[1], str(j + 1), color=colour, fontweight="bold", fontsize=11, **style
-        )
+            beyond[0], beyond[1], str(j + 1), color=colour, fontweight="bold", fontsize=11,
+            ha="center", va="center", alpha=strength,
+        )  # fmt: skip
 
 
 def _dress(axes: Axes, grasp: Grasp, theme: Theme) -> None:
     axes.set_aspect("equal")
     axes.set_axis_off()
     axes.autoscale_view()
-    keys = [
-        Line2D([], [], color=family(k, 1)[0], lw=2, label=_label(gripper.name, gripper.contacts))
-        for k, gripper in enumerate(grasp.grippers)
-    ]
+    keys = []
+    for k, gripper in enumerate(grasp.grippers):
+        numbers = ", ".join(str(j + 1) for j in gripper.contacts)
+        label = f"{gripper.name}: contacts {numbers}"
+        keys.append(Line2D([], [], color=family(k, 1)[0], lw=2, label=label))
     axes.legend(
         handles=keys, loc="upper left", bbox_to_anchor=(0.0, 0.0), ncols=len(keys),
         frameon=False, fontsize=9.5, labelcolor=theme.ink,
     )  # fmt: skip
     verdict = "form closure" if grasp.closure else "no form closure"
     axes.set_title(f"{len(grasp.contacts)} contacts: {verdict}")
-
-
-def _label(name: str, numbers: Sequence[int]) -> str:
-    return f"{name}: contacts " + ", ".join(str(j + 1) for j in numbers)
 
 
 ON_PLANE = 1e-6
@@ -261,7 +256,9 @@ def draw_face(
     with matplotlib.rc_context(theme.style):
         figure = Figure(figsize=_sheet(face), layout="constrained")
         axes = figure.add_subplot()
-        _fill(axes, path_of(face.outline, [face.coordinates(h) for h in face.holes]), theme)
+        path = path_of(face.outline, [face.coordinates(hole) for hole in face.holes])
+        axes.add_patch(PathPatch(path, facecolor=theme.face, alpha=0.16, lw=0, zorder=0.5))
+        axes.add_patch(PathPatch(path, fill=False, edgecolor=theme.ink, lw=1.1, zorder=2))
         for outline, holes in zip(region.outlines, region.holes, strict=True):
             patch = PathPatch(path_of(outline, holes), facecolor=theme.region, alpha=0.3, lw=0)
             axes.add_patch(patch)
@@ -282,11 +279,6 @@ def _sheet(face: Face) -> tuple[float, float]:
     return 7.0, float(np.clip(6.4 * high / wide + 1.2, 3.0, 8.0))
 
 
-def _fill(axes: Axes, path: Path, theme: Theme) -> None:
-    axes.add_patch(PathPatch(path, facecolor=theme.face, alpha=0.16, lw=0, zorder=0.5))
-    axes.add_patch(PathPatch(path, fill=False, edgecolor=theme.ink, lw=1.1, zorder=2))
-
-
 def _border_lines(axes: Axes, region: ContactRegion, theme: Theme) -> None:
     """The lines of the half-planes that bound the region, across the face."""
     size = float(np.ptp(region.face.outline, axis=0).max())
@@ -299,12 +291,7 @@ def _border_lines(axes: Axes, region: ContactRegion, theme: Theme) -> None:
 
 
 def _dots(
-    axes: Axes,
-    face: Face,
-    contacts: Contacts,
-    on: np.ndarray,
-    colours: list[str],
-    theme: Theme,
+    axes: Axes, face: Face, contacts: Contacts, on: np.ndarray, colours: list[str], theme: Theme
 ) -> None:
     """Contacts of the face as dots, others on or near it as rings."""
     places = face.coordinates(contacts.points)
@@ -313,19 +300,18 @@ def _dots(
     for j, (place, colour) in enumerate(zip(places, colours, strict=True)):
         if np.any(place < low - margin) or np.any(place > high + margin):
             continue
-        fill, edge = (colour, theme.paper) if on[j] else (theme.paper, colour)
-        dot: dict[str, Any] = {"mfc": fill, "mec": edge, "ms": 9 if on[j] else 7, "mew": 1.2}
-        axes.plot(*place, "o", zorder=4, **dot)
-        axes.annotate(
-            str(j + 1),
-            tuple(place),
-            xytext=(7, 6),
-            textcoords="offset points",
-            fontsize=9.5 if on[j] else 8.5,
-            fontweight="bold" if on[j] else "normal",
-            alpha=1.0 if on[j] else 0.75,
-            zorder=5,
-        )
+        if on[j]:
+            axes.plot(*place, "o", zorder=4, mfc=colour, mec=theme.paper, ms=9, mew=1.2)
+            _name(axes, j + 1, place, fontsize=9.5, fontweight="bold", alpha=1.0)
+        else:
+            axes.plot(*place, "o", zorder=4, mfc=theme.paper, mec=colour, ms=7, mew=1.2)
+            _name(axes, j + 1, place, fontsize=8.5, fontweight="normal", alpha=0.75)
+
+
+def _name(axes: Axes, number: int, place: np.ndarray, **style: Any) -> None:
+    """Write the number of a contact beside its dot."""
+    at = tuple(place)
+    axes.annotate(str(number), at, (7, 6), textcoords="offset points", zorder=5, **style)
 
 
 def _last(
@@ -337,10 +323,7 @@ def _last(
     if depth > 0.0:
         axes.add_patch(Circle(tuple(place), depth, fill=False, ec=theme.region, lw=1.2, zorder=3))
     axes.plot(*place, "o", ms=9, mfc=theme.region, mec=theme.paper, mew=1.2, zorder=5)
-    number = f"{region.contacts.count + 1}"
-    axes.annotate(
-        number, tuple(place), xytext=(7, 6), textcoords="offset points", fontweight="bold", zorder=5
-    )
+    _name(axes, region.contacts.count + 1, place, fontweight="bold")
     for other in face.coordinates(others)[:1]:
         way = place - other
         bound = _entry(region, other, way / np.linalg.norm(way))
@@ -366,16 +349,11 @@ def _dimension(axes: Axes, start: np.ndarray, end: np.ndarray, length: float, th
     arrow = {"arrowstyle": "<->", "color": theme.ink, "lw": 0.9, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", tuple(end + across), tuple(start + across), arrowprops=arrow)
     name = "$D_x$" if abs(end[1] - start[1]) <= STRAIGHT * length else "$D$"
+    box = {"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
     axes.annotate(
-        f"{name} = {length:.4g} m",
-        tuple(0.5 * (start + end) + across),
-        xytext=(0, -4),
-        textcoords="offset points",
-        ha="center",
-        va="top",
-        bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.75, "pad": 1.0},
-        zorder=6,
-    )
+        f"{name} = {length:.4g} m", tuple(0.5 * (start + end) + across), (0, -4),
+        textcoords="offset points", ha="center", va="top", bbox=box, zorder=6,
+    )  # fmt: skip
 
 
 def _dress_face(axes: Axes, region: ContactRegion, theme: Theme) -> None:

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
+from matplotlib.ticker import MaxNLocator
 
 from multiarm.plots.style import INK, STYLE
 from multiarm.results.event_log import (
@@ -135,6 +136,8 @@ LABEL_HEIGHT = 0.155
 """Of a label at the end of a line [in]."""
 SMALLEST_SPAN = 1e-3
 """A quantity that varies less, relative to its size, is drawn as a constant."""
+DECADES = 6
+"""Values further below their peak are drawn at this depth: 0 has no place on a logarithmic axis."""
 LEFT = 0.8
 """Room left of the axes [in]."""
 WIDTHS = {1: 9.6, 2: 12.0, 4: 16.0}
@@ -143,7 +146,10 @@ WIDTHS = {1: 9.6, 2: 12.0, 4: 16.0}
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes: lines (columns of values) over time; dashed levels in their colours."""
+    """One pair of axes: lines (columns of values) over time; dashed levels in their colours.
+
+    Whole numbers are drawn with ticks at whole numbers.
+    """
 
     title: str
     quantity: str
@@ -230,6 +236,8 @@ def _draw_panel(axes: Axes, panel: Panel, height: float, zero_line: bool) -> Non
     if panel.log:
         axes.set_yscale("log")
         axes.minorticks_off()
+    if panel.values.dtype.kind == "i":
+        axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
     for values, colour in zip(panel.values.T, panel.colours, strict=True):
         axes.plot(panel.time, values, color=colour, marker=marker, markersize=4)
     for level, colour in zip(panel.levels, panel.colours, strict=False):
@@ -238,7 +246,11 @@ def _draw_panel(axes: Axes, panel: Panel, height: float, zero_line: bool) -> Non
     axes.margins(x=0)
     low, high = panel.values.min(), panel.values.max()
     span = SMALLEST_SPAN * max(abs(low), abs(high))
-    if high - low < span:
+    if panel.log:
+        bottom, top = axes.get_ylim()
+        if top < 10.0 * bottom:  # else there may be no tick
+            axes.set_ylim(10.0 ** np.floor(np.log10(bottom)), 10.0 ** np.ceil(np.log10(top)))
+    elif high - low < span:
         axes.set_ylim((low + high - span) / 2, (low + high + span) / 2)
     if any(panel.labels):
         _label_ends(axes, panel, LABEL_HEIGHT / height)

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from multiarm.plots.decimation import POINTS, RotationSinceStart, decimate
-from multiarm.plots.panels import LEGEND_ROW, EventMarks, Panel, draw, sheet
+from multiarm.plots.panels import DECADES, LEGEND_ROW, EventMarks, Panel, draw, sheet
 from multiarm.plots.style import AXIS_COLOURS, GRID, ROLES, STYLE, family
 from multiarm.results.channels import CONTACT_STATES, Channel, channels_of
 from multiarm.results.event_log import STATE_COLOURS, Event
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
 
 
-DRIFT_DECADES = 6
-"""Drift further below its peak is drawn at this depth: 0 has no place on a logarithmic axis."""
 FIGURE_POINTS = 60_000
 """Points of all lines of a figure together: many arms get fewer points each."""
 
@@ -110,7 +108,7 @@ def drift(trajectory: Trajectory) -> Figure:
     """Largest gap of a contact, and largest rate of a gap, on logarithmic axes."""
     time, values = decimate(trajectory, ["drift/position", "drift/velocity"])
     peaks = values.max(axis=0, initial=0.0)
-    floors = np.where(peaks > 0, peaks, 1e-12) * 10.0**-DRIFT_DECADES
+    floors = np.where(peaks > 0, peaks, 1e-12) * 10.0**-DECADES
     shown = np.maximum(values, floors)
     colours = (ROLES["potential"], ROLES["work"])
     panels = [
@@ -120,7 +118,7 @@ def drift(trajectory: Trajectory) -> Figure:
     figure = draw(panels, events=trajectory.events)
     for axes, floor in zip(figure.axes, floors, strict=False):
         axes.set_yscale("log")
-        axes.set_ylim(floor / 2, 10.0**DRIFT_DECADES * floor * 3)
+        axes.set_ylim(floor / 2, 10.0**DECADES * floor * 3)
         axes.minorticks_off()
     return figure
 

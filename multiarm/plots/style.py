@@ -1,18 +1,24 @@
-"""Colours and type of all figures of a run."""
+"""Colours and type of all figures, and figures as part of an HTML page."""
 
 from __future__ import annotations
 
 import colorsys
+import io
+import re
+import warnings
 from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
 INK, GRID = "#2b3440", "#d9dee5"
 """Colours of text and axes, and of the grid."""
-AXIS_COLOURS = ("#d1495b", "#2f9e67", "#3b7dd8")
+RED, GREEN, BLUE, ORANGE, PINK = "#d1495b", "#2f9e67", "#3b7dd8", "#d9822b", "#c2417c"
+"""Colours of lines; they are readable on light and on dark ground."""
+AXIS_COLOURS = (RED, GREEN, BLUE)
 """Of x, y and z, as in every viewer."""
-ROLES = {"kinetic": "#d9822b", "potential": "#3b7dd8", "work": "#2f9e67", "balance": "#c2417c"}
+ROLES = {"kinetic": ORANGE, "potential": BLUE, "work": GREEN, "balance": PINK}
 """Colours of the parts of the energy."""
 STYLE: dict[Any, Any] = {
     "axes.edgecolor": INK,
@@ -70,3 +76,31 @@ def family(arm: int, members: int) -> list[str]:
         )
         for s in shades
     ]
+
+
+def inline_svg(figure: Figure, prefix: str) -> str:
+    """The figure as inline SVG, on no ground and in the colours and the font of the page's theme.
+
+    Parameters
+    ----------
+    figure : Figure
+    prefix : str
+        Of all ids in it, so that they are unique on a page.
+    """
+    buffer = io.StringIO()
+    with (
+        matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": prefix}),
+        warnings.catch_warnings(),
+    ):
+        # The page's fonts draw the names, whatever their script.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(
+            buffer, format="svg", facecolor="none", metadata={"Date": None, "Creator": None}
+        )
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'(\sid="|url\(#|href="#)', rf"\g<1>{prefix}", text)
+    text = re.sub(r'(<svg [^>]*?)width="[^"]*" height="[^"]*"', r"\1", text)
+    text = re.sub(r"(font: [^;\"]*?)(?:'[^']*'|sans-serif)[^;\"]*", r"\1var(--font)", text)
+    return text.replace(INK, "var(--ink)").replace(GRID, "var(--grid)")

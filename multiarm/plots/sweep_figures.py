@@ -13,7 +13,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib
 import numpy as np
@@ -22,26 +22,12 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from multiarm.errors import SweepError
-from multiarm.plots.style import INK, STYLE
+from multiarm.plots.style import BLUE, INK, RED, STYLE
 from multiarm.results.files import save_figure
 from multiarm.scene.faults import unknown
 
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep
-
-__all__ = [
-    "BAND",
-    "Variable",
-    "bands",
-    "cells",
-    "is_wide",
-    "sweep_curves",
-    "sweep_map",
-    "sweep_overview",
-    "variable",
-    "write_overview",
-]
-
 
 LEVELS = 24
 """Different values that are levels, at most; more are grouped into parts."""
@@ -141,8 +127,6 @@ def _text(value: Any) -> str:
     return text if len(text) <= 28 else f"{text[:27]}…"
 
 
-LINE, FAILED = "#3b7dd8", "#d1495b"
-"""Colours of the median and its bands, and of runs that did not complete."""
 POINTS = 3000
 """Runs that are drawn one by one, at most."""
 WIDTH, HEIGHT = 4.6, 2.7
@@ -279,13 +263,13 @@ def _draw_curve(panel: Axes, axis: Variable, values: np.ndarray, failed: np.ndar
         shown = _thinned(np.flatnonzero(finite))
         panel.plot(axis.at[shown], values[shown], ".", color=INK, markersize=2.5, alpha=0.35)
     if len(places):
-        panel.fill_between(places, found[:, 0], found[:, 4], color=LINE, alpha=0.15, linewidth=0)
-        panel.fill_between(places, found[:, 1], found[:, 3], color=LINE, alpha=0.25, linewidth=0)
-        panel.plot(places, found[:, 2], "o-", color=LINE, markersize=3.5, label="median")
+        panel.fill_between(places, found[:, 0], found[:, 4], color=BLUE, alpha=0.15, linewidth=0)
+        panel.fill_between(places, found[:, 1], found[:, 3], color=BLUE, alpha=0.25, linewidth=0)
+        panel.plot(places, found[:, 2], "o-", color=BLUE, markersize=3.5, label="median")
     lost = _thinned(np.flatnonzero(failed))
     if len(lost):
         panel.plot(
-            axis.at[lost], np.full(len(lost), 0.025), "|", color=FAILED, markersize=8,
+            axis.at[lost], np.full(len(lost), 0.025), "|", color=RED, markersize=8,
             transform=panel.get_xaxis_transform(), label="did not complete",
         )  # fmt: skip
 
@@ -313,19 +297,16 @@ def _draw_map(
         figure.colorbar(drawn, ax=panel).set_label(label, parse_math=False)
 
 
-def _dress(panel: Axes, axis: Variable, which: str) -> None:
+def _dress(panel: Axes, axis: Variable, which: Literal["x", "y"]) -> None:
     """Name, scale and levels of an axis."""
-    if which == "x":
-        panel.set_xlabel(axis.name, parse_math=False)
-    else:
-        panel.set_ylabel(axis.name, parse_math=False)
+    line = panel.xaxis if which == "x" else panel.yaxis
+    line.set_label_text(axis.name, parse_math=False)
     if axis.log:
-        (panel.set_xscale if which == "x" else panel.set_yscale)("log")
+        panel.set(**{f"{which}scale": "log"})
     if axis.labels and axis.levels is not None:
-        ticks = panel.set_xticks if which == "x" else panel.set_yticks
-        turned: dict[str, Any] = {"rotation": 30, "ha": "right"}
         crowded = which == "x" and len(axis.labels) > 3
-        ticks(axis.levels, axis.labels, parse_math=False, **(turned if crowded else {}))
+        turned: dict[str, Any] = {"rotation": 30, "ha": "right"} if crowded else {}
+        line.set_ticks(axis.levels, axis.labels, parse_math=False, **turned)
 
 
 def _edges(axis: Variable) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""A trajectory as one HTML page."""
+"""HTML pages, each one self-contained file; the report of a run."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
-from html import escape
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -15,155 +15,139 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from multiarm.plots import INK, STYLE
-from multiarm.reports.parts import CSS
-from multiarm.reports.report import inline_svg, quantity
-from multiarm.results.files import save_page
-from multiarm.studies.scaling_tables import Table, disturbance, exponent, micro, tables
+from multiarm.plots.style import BLUE, GREEN, INK, ORANGE, PINK, STYLE, inline_svg
+from multiarm.reports import pages
+from multiarm.results.files import save_figure, save_page
+from multiarm.studies.scaling_tables import disturbance, exponent, micro, tables
 
-_BLUE, _GREEN, _PINK, _ORANGE, _GREY = "#3b7dd8", "#2f9e67", "#c2417c", "#d9822b", "#8a94a0"
+Drawing = Callable[[Axes], None]
+GREY = "#8a94a0"
 # method: name, colour, dashes
 _METHODS = {
-    "multiarm": ("multiarm", _BLUE, ()),
-    "compiled": ("compiled arms", _PINK, ()),
-    "terms": ("Pinocchio's arm terms", _BLUE, (2, 1.5)),
-    "lcaba": ("lcaba", _GREEN, ()),
-    "constraintDynamics": ("constraintDynamics", _ORANGE, ()),
-    "tree": ("the same, object on one arm", _ORANGE, (2, 1.5)),
-    "dense": ("dense KKT, NumPy", _GREY, ()),
+    "multiarm": ("multiarm", BLUE, ()),
+    "compiled": ("compiled arms", PINK, ()),
+    "terms": ("Pinocchio's arm terms", BLUE, (2, 1.5)),
+    "lcaba": ("lcaba", GREEN, ()),
+    "constraintDynamics": ("constraintDynamics", ORANGE, ()),
+    "tree": ("the same, object on one arm", ORANGE, (2, 1.5)),
+    "dense": ("dense KKT, NumPy", GREY, ()),
 }
 # picture and part of the study of section 4.4: name, colour, dashes
 _SOLVERS = {
-    ("compiled", "node"): ("node, compiled", _BLUE, ()),
-    ("interpreted", "node"): ("node, NumPy loop", _BLUE, (4, 2)),
-    ("interpreted", "node at once"): ("node, NumPy at once", _BLUE, (1, 1.5)),
-    ("compiled", "lu"): ("direct, LU", _ORANGE, ()),
+    ("compiled", "node"): ("node, compiled", BLUE, ()),
+    ("interpreted", "node"): ("node, NumPy loop", BLUE, (4, 2)),
+    ("interpreted", "node at once"): ("node, NumPy at once", BLUE, (1, 1.5)),
+    ("compiled", "lu"): ("direct, LU", ORANGE, ()),
 }
 _PARTS = {
-    "arm terms": _BLUE, "contacts": "#6aa5ea", "forces": "#a9c9f2", "node": _GREEN,
-    "state": "#8fd0af", "between": "#cfd6dd", "stabilisation": _ORANGE, "recording": "#ecb679",
-    "arithmetic": _PINK, "rest": _GREY,
+    "arm terms": BLUE, "contacts": "#6aa5ea", "forces": "#a9c9f2", "node": GREEN,
+    "state": "#8fd0af", "between": "#cfd6dd", "stabilisation": ORANGE, "recording": "#ecb679",
+    "arithmetic": PINK, "rest": GREY,
 }  # fmt: skip
+_DOTS: dict[str, Any] = {"marker": "o", "ms": 3}  # what was measured here
+_RINGS: dict[str, Any] = {"ms": 4, "mfc": "none", "mew": 1.1}  # what the thesis gives
 _PANEL = (5.0, 3.9)  # [in]
+_LEGEND_ROW = 0.058  # height of a row of the legend, as a part of the axes
 
 
-def plot_scaling(result: dict[str, Any], path: Path | str) -> None:
+def plot_scaling(result: dict[str, Any], path: Path) -> None:
     """Draw all studies of a result that have a figure into one file."""
-    draws = _panels(result)
+    draws = [draw for own in _panels(result).values() for draw in own]
     columns = min(2, max(1, len(draws)))
-    rows = -(-max(1, len(draws)) // columns)
+    save_figure(_figure(draws or [_draw_nothing], columns, *_PANEL), path)
+
+
+def _figure(draws: Sequence[Drawing], columns: int, width: float, height: float) -> Figure:
+    """Panels of some width and height [in] in columns."""
+    rows = -(-len(draws) // columns)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(_PANEL[0] * columns, _PANEL[1] * rows), layout="constrained")
-        grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+        figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, draw in zip(grid, draws, strict=False):
             draw(axes)
         for axes in grid[len(draws) :]:
             axes.set_axis_off()
-            if not draws:
-                axes.text(0.5, 0.5, "nothing here has a figure", ha="center")
-        figure.savefig(path, dpi=150)
-
-
-def study_figure(result: dict[str, Any], study: str) -> Figure:
-    """The panels of one study, side by side, on a transparent ground."""
-    draws = _panels({study: result[study]})
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.6, 3.9), layout="constrained")
-        figure.patch.set_alpha(0)
-        for axes, draw in zip(figure.subplots(1, len(draws), squeeze=False)[0], draws, strict=True):
-            draw(axes)
     return figure
 
 
-def _panels(result: dict[str, Any]) -> list[Any]:
-    """Functions that draw the panels of a result, in order."""
-    draws: list[Any] = []
+def _draw_nothing(axes: Axes) -> None:
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, "nothing here has a figure", ha="center")
+
+
+def _panels(result: dict[str, Any]) -> dict[str, list[Drawing]]:
+    """Study -> functions that draw its panels, of the studies that have a figure."""
+    draws: dict[str, list[Drawing]] = {}
     if "evaluations" in result:
         found = result["evaluations"]
-        for kind in found["exponents"]:
-            draws.append(lambda axes, kind=kind: _draw_evaluations(axes, found, kind))
+        draws["evaluations"] = [
+            partial(_draw_evaluations, found=found, kind=kind) for kind in found["exponents"]
+        ]
     if "thesis" in result:
-        draws.append(lambda axes: _draw_solvers(axes, result["thesis"]))
-        draws.append(lambda axes: _draw_speedups(axes, result["thesis"]))
+        drawers = (_draw_solvers, _draw_speedups)
+        draws["thesis"] = [partial(draw, found=result["thesis"]) for draw in drawers]
     if "shares" in result:
-        draws.append(lambda axes: _draw_shares(axes, result["shares"]))
+        draws["shares"] = [partial(_draw_shares, found=result["shares"])]
     return draws
 
 
 def _draw_evaluations(axes: Axes, found: dict[str, Any], kind: str) -> None:
     rows = [row for row in found["rows"] if row["kind"] == kind]
     for method, (name, colour, dashes) in _METHODS.items():
-        known = [row for row in rows if row["microseconds"][method] is not None]
-        _line(
-            axes, [row["arms"] for row in known], [row["microseconds"][method] for row in known],
-            f"{name}{_power(found['exponents'][kind][method])}", colour, dashes,
-            1.2 if dashes or method == "dense" else 1.8,
-        )  # fmt: skip
-    _finish(axes, [row["arms"] for row in rows], f"One evaluation, {kind} joints")
-    axes.set_ylabel("microseconds")
+        costs = {row["arms"]: row["microseconds"][method] for row in rows}
+        known = {arms: cost for arms, cost in costs.items() if cost is not None}
+        label = f"{name}{_power(found['exponents'][kind][method])}"
+        width = 1.2 if dashes or method == "dense" else 1.8
+        axes.plot(*_xy(known), label=label, color=colour, dashes=dashes, lw=width, **_DOTS)
+    _finish(axes, [row["arms"] for row in rows], f"One evaluation, {kind} joints", "microseconds")
 
 
 def _draw_solvers(axes: Axes, found: dict[str, Any]) -> None:
-    rows = found["rows"]
-    arms = [row["arms"] for row in rows]
     for (picture, part), (name, colour, dashes) in _SOLVERS.items():
         slope = found["upper_slopes" if part == "lu" else "slopes"][picture][part]
-        costs = [row["microseconds"][picture][part] for row in rows]
-        _line(axes, arms, costs, f"{name}{_power(slope)}", colour, dashes, 1.6)
-    then = {int(n): values for n, values in found["thesis"].items()}
-    for key, name, colour in (("t1", "node", _BLUE), ("t2", "direct", _ORANGE)):
-        costs = [1e3 * values[key] for values in then.values()]
-        axes.plot(
-            list(then), costs, "o", color=colour, ms=4, mfc="none", mew=1.1,
-            label=f"{name}, Matlab 1995",
-        )  # fmt: skip
-    _finish(axes, arms, "Section 4.4: solving for the accelerations", columns=2)
-    axes.set_ylim(top=axes.get_ylim()[1] * 60)  # room for the legend
-    axes.set_ylabel("microseconds")
+        costs = {row["arms"]: row["microseconds"][picture][part] for row in found["rows"]}
+        label = f"{name}{_power(slope)}"
+        axes.plot(*_xy(costs), label=label, color=colour, dashes=dashes, lw=1.6, **_DOTS)
+    for key, name, colour in (("t1", "node", BLUE), ("t2", "direct", ORANGE)):
+        then = {int(n): 1e3 * values[key] for n, values in found["thesis"].items()}
+        axes.plot(*_xy(then), "o", label=f"{name}, Matlab 1995", color=colour, **_RINGS)
+    arms = [row["arms"] for row in found["rows"]]
+    _finish(axes, arms, "Section 4.4: solving for the accelerations", "microseconds", columns=2)
 
 
 def _draw_speedups(axes: Axes, found: dict[str, Any]) -> None:
-    arms = [row["arms"] for row in found["rows"]]
-    then = {int(n): values for n, values in found["thesis"].items()}
-    for picture, name, colour in (
-        ("compiled", "compiled", _BLUE),
-        ("interpreted", "NumPy", _GREEN),
-    ):
-        for key, dashes, what in (("solving", (), "$t_2/t_1$"), ("total", (2, 1.5), "total")):
-            values = [row["columns"][picture][key] for row in found["rows"]]
-            _line(axes, arms, values, f"{what}, {name}", colour, dashes, 1.6)
-    for key, marker, what in (("solving", "o", "$t_2/t_1$"), ("total", "s", "total")):
-        values = [columns[key] for columns in then.values()]
-        axes.plot(
-            list(then), values, marker, color=_PINK, ms=4, mfc="none", mew=1.1,
-            label=f"{what}, 1995",
-        )  # fmt: skip
+    shown = (("solving", (), "o", "$t_2/t_1$"), ("total", (2, 1.5), "s", "total"))
+    for picture, name, colour in (("compiled", "compiled", BLUE), ("interpreted", "NumPy", GREEN)):
+        for key, dashes, _, what in shown:
+            times = {row["arms"]: row["columns"][picture][key] for row in found["rows"]}
+            label = f"{what}, {name}"
+            axes.plot(*_xy(times), label=label, color=colour, dashes=dashes, lw=1.6, **_DOTS)
+    for key, _, marker, what in shown:
+        then = {int(n): values[key] for n, values in found["thesis"].items()}
+        axes.plot(*_xy(then), marker, label=f"{what}, 1995", color=PINK, **_RINGS)
     axes.axhline(1.0, color=INK, linewidth=0.8)
-    _finish(axes, arms, "Section 4.4: speed-up by the node algorithm")
-    axes.set_ylabel("times")
+    arms = [row["arms"] for row in found["rows"]]
+    _finish(axes, arms, "Section 4.4: speed-up by the node algorithm", "times")
 
 
 def _draw_shares(axes: Axes, found: dict[str, Any]) -> None:
     """Stacked bars in percent; what is left negative by the error of measurement is not drawn."""
-    bars = [
-        (f"{what}, n = {row['arms']}", row[what]) for what in ("evaluation", "step")
-        for row in found["rows"]
-    ]  # fmt: skip
-    places = np.arange(len(bars))[::-1].astype(float)
+    names, shares = [], []
+    for what in ("evaluation", "step"):
+        for row in found["rows"]:
+            names.append(f"{what}, n = {row['arms']}")
+            shares.append([max(row[what].get(part, 0.0), 0.0) for part in _PARTS])
+    places = np.arange(len(names))[::-1].astype(float)
     places[: len(found["rows"])] += 0.4  # evaluations apart from steps
-    left = np.zeros(len(bars))
-    for part, colour in _PARTS.items():
-        widths = np.array([_percent(shares, part) for _, shares in bars])
-        axes.barh(places, widths, left=left, color=colour, height=0.72, label=part)
-        for place, start, width in zip(places, left, widths, strict=True):
-            if width >= 7:
-                axes.text(
-                    start + width / 2, place, f"{width:.0f}", ha="center", va="center",
-                    color="white" if colour in (_BLUE, _GREEN, _ORANGE, _PINK, _GREY) else "black",
-                    fontsize=8,
-                )  # fmt: skip
-        left += widths
-    axes.set_yticks(places, [name for name, _ in bars])
+    percent = 100.0 * np.array(shares) / np.sum(shares, axis=1, keepdims=True)
+    left = np.cumsum(percent, axis=1) - percent
+    for part, (name, colour) in enumerate(_PARTS.items()):
+        widths = percent[:, part]
+        bars = axes.barh(places, widths, left=left[:, part], color=colour, height=0.72, label=name)
+        ink = "white" if colour in (BLUE, GREEN, ORANGE, PINK, GREY) else "black"
+        labels = [f"{width:.0f}" if width >= 7 else "" for width in widths]
+        axes.bar_label(bars, labels, label_type="center", color=ink, fontsize=8)
+    axes.set_yticks(places, names)
     axes.set_xlim(0, 100)
     axes.set_xlabel("percent")
     axes.grid(False)
@@ -174,68 +158,36 @@ def _draw_shares(axes: Axes, found: dict[str, Any]) -> None:
     )  # fmt: skip
 
 
-def _percent(shares: dict[str, float], part: str) -> float:
-    drawn = sum(max(value, 0.0) for value in shares.values())
-    return 100.0 * max(shares.get(part, 0.0), 0.0) / drawn
-
-
-def _line(
-    axes: Axes, x: Sequence[float], y: Sequence[float], label: str, colour: str,
-    dashes: Sequence[float], width: float,
-) -> None:  # fmt: skip
-    style: dict[str, Any] = {"dashes": dashes} if dashes else {}
-    axes.plot(x, y, "-", marker="o", color=colour, lw=width, ms=3, label=label, **style)
+def _xy(values: dict[int, float]) -> tuple[list[int], list[float]]:
+    """Numbers of arms, and the values there."""
+    return list(values), list(values.values())
 
 
 def _power(slope: float | None) -> str:
     return "" if slope is None else f"  $n^{{{slope:.2f}}}$"
 
 
-def _finish(axes: Axes, arms: Sequence[int], title: str, columns: int = 1) -> None:
+def _finish(axes: Axes, arms: Sequence[int], title: str, unit: str, columns: int = 1) -> None:
+    """Logarithmic axes, a tick for as many numbers of arms as have room, and the legend on top."""
     axes.set_xscale("log")
     axes.set_yscale("log")
     shown: list[int] = []
-    for n in reversed(arms):  # as many as there is room for
+    for n in reversed(arms):
         if not shown or shown[-1] >= 1.24 * n:
             shown.append(n)
     axes.set_xticks(shown, [str(n) for n in shown])
     axes.xaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_minor_locator(NullLocator())
     axes.set_xlabel("number of arms")
+    axes.set_ylabel(unit)
     axes.set_title(title)
-    axes.legend(
+    legend = axes.legend(
         loc="upper left", fontsize=7.8, frameon=False, ncols=columns, handlelength=2.4,
         columnspacing=1.2, labelspacing=0.3,
     )  # fmt: skip
-
-
-_TITLES = {
-    "evaluations": "The cost of one evaluation",
-    "thesis": "Section 4.4 of the thesis, repeated",
-    "shares": "Where the time goes",
-    "contact_rows": "The cost of a contact row",
-}
-_CAPTIONS = {
-    "evaluations": "UR5 arms around a disc, fastest bursts, one thread. Exponents are fitted over "
-    "all numbers of arms.",
-    "thesis": "Arms of 6 joints with one contact each, medians, one thread. Circles: the thesis's "
-    "own figures, which were measured in Matlab on a workstation of 1995. The exponent of direct "
-    "elimination is fitted over the larger half of the numbers of arms.",
-    "shares": "Every part is measured by itself; between and rest are what the parts leave.",
-}
-_CSS = """
-td, th { padding-right: 1.2rem; }
-td:last-child, th:last-child { padding-right: 0; }
-th { white-space: pre-line; }
-thead th { font-size: 0.8rem; font-weight: 500; vertical-align: bottom; }
-thead th.n, td.n { text-align: right; white-space: nowrap; }
-tbody th { white-space: pre; }
-.strong { font-weight: 600; color: var(--ink); }
-td.good, th.good { color: var(--good); } td.bad { color: var(--bad); }
-h3 { margin: 1.6rem 0 0.4rem; font-size: 0.9rem; }
-tbody th, tbody td { padding-top: 0.2rem; padding-bottom: 0.2rem; }
-.note { margin: 0.6rem 0 0; font-size: 0.85rem; color: var(--soft); }
-"""
+    room = 1.0 - _LEGEND_ROW * -(-len(legend.get_texts()) // columns)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, low * (high / low) ** (1.0 / room))
 
 
 def write_page(result: dict[str, Any], path: str | os.PathLike) -> Path:
@@ -253,38 +205,18 @@ def write_page(result: dict[str, Any], path: str | os.PathLike) -> Path:
 
 def render(result: dict[str, Any]) -> str:
     """The page as text."""
-    sections = "".join(
-        _section(result, study, list(found))
-        for study, found in groupby(tables(result), key=lambda table: table.study)
+    studies = {study: list(own) for study, own in groupby(tables(result), lambda one: one.study)}
+    return pages.render(
+        "scaling.html",
+        result=result,
+        headlines=list(_headlines(result)),
+        studies=studies,
+        figures={
+            study: inline_svg(_figure(draws, len(draws), 9.6 / len(draws), 3.9), f"{study}-")
+            for study, draws in _panels(result).items()
+        },
+        disturbance=disturbance(result),
     )
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>multiarm · scaling</title>\n<style>{CSS}{_CSS}</style>\n</head>\n"
-        f"<body>\n<main>\n{_header(result)}{_cards(result)}{sections}{_footer(result)}"
-        "</main>\n</body>\n</html>\n"
-    )
-
-
-def _header(result: dict[str, Any]) -> str:
-    about = result["machine"]
-    libraries = ", ".join(f"{name} {version}" for name, version in about["dependencies"].items())
-    return (
-        "<header><p class='kicker'>multiarm · cost against the number of arms</p>"
-        "<h1>Scaling</h1><p class='message'>"
-        f"{escape(str(about['processor']))}, {escape(str(about['platform']))}, one thread\n"
-        f"multiarm {escape(about['version'])}, Python {escape(about['python'])}, "
-        f"{escape(libraries)}</p></header>\n"
-    )
-
-
-def _cards(result: dict[str, Any]) -> str:
-    items = "".join(
-        f"<li><h2>{escape(name)}</h2><p class='value'>{escape(value)}</p>"
-        f"<p class='note'>{escape(note)}</p></li>"
-        for name, value, note in _headlines(result)
-    )
-    return f"<ul class='cards'>{items}</ul>\n" if items else ""
 
 
 def _headlines(result: dict[str, Any]) -> Iterable[tuple[str, str, str]]:
@@ -308,47 +240,3 @@ def _headlines(result: dict[str, Any]) -> Iterable[tuple[str, str, str]]:
             f"{100 * most['overhead']:.0f} %",
             f"to its evaluations, {most['integrator']}, {most['arms']} arms",
         )
-
-
-def _section(result: dict[str, Any], study: str, found: list[Table]) -> str:
-    figure = ""
-    if study in _CAPTIONS:
-        drawn = inline_svg(study_figure(result, study), f"{study}-")
-        figure = f"<figure>{drawn}<figcaption>{_CAPTIONS[study]}</figcaption></figure>"
-    body = "".join(_table(table) for table in found)
-    return f"<section id='{study}'><h2>{_TITLES[study]}</h2>{figure}{body}</section>\n"
-
-
-def _table(table: Table) -> str:
-    head = "".join(
-        f"<th{' class=n' if k else ''}>{escape(name)}</th>" for k, name in enumerate(table.heads)
-    )
-    rows = "".join(
-        "<tr>"
-        + "".join(
-            f"<td class='n {cell.tone}'>{escape(cell.text)}</td>"
-            if k
-            else f"<th scope='row' class='{cell.tone}'>{escape(cell.text)}</th>"
-            for k, cell in enumerate(row)
-        )
-        + "</tr>"
-        for row in table.rows
-    )
-    notes = "".join(f"<p class='note'>{escape(note)}</p>" for note in table.notes)
-    return (
-        f"<h3>{escape(table.title)}</h3><table><thead><tr>{head}</tr></thead>"
-        f"<tbody>{rows}</tbody></table>{notes}"
-    )
-
-
-def _footer(result: dict[str, Any]) -> str:
-    when = escape(str(result["machine"]["created_utc"]))
-    return (
-        "<footer><h2>How to read it</h2><p>What is compared is measured in turn in short bursts, "
-        "so that whatever else the machine does meets all alike: compare the ratios. Counted is "
-        "the processor's time, which is the wall time when nothing else runs. Pinocchio's "
-        "algorithms are called from Python, which adds about a microsecond. An error is relative "
-        "to the largest acceleration, against a dense solution.</p>"
-        f"<p>Measured in {quantity(result['wall_time_s'], 's')}, {when}. "
-        f"{escape(disturbance(result))}</p></footer>\n"
-    )

@@ -230,16 +230,13 @@ def _table(study: str, title: str, heads, rows, notes=()) -> Table:
 
 def micro(value: float | None) -> str:
     """Microseconds, three digits."""
-    if value is None:
-        return NOTHING
-    size = abs(value)
-    return f"{value:.2f}" if size < 9.995 else f"{value:.1f}" if size < 99.95 else f"{value:.0f}"
+    return NOTHING if value is None else plain(value, whole_from=99.95)
 
 
-def plain(value: float) -> str:
-    """A number in three or four digits."""
+def plain(value: float, whole_from: float = 999.5) -> str:
+    """A number in three or four digits; from some size on without decimals."""
     size = abs(value)
-    return f"{value:.2f}" if size < 9.995 else f"{value:.1f}" if size < 999.5 else f"{value:.0f}"
+    return f"{value:.{2 if size < 9.995 else 1 if size < whole_from else 0}f}"
 
 
 def exponent(value: float | None) -> str:

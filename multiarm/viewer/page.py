@@ -1,9 +1,9 @@
 """Write commands as one HTML file that needs no server and no network.
 
-The page holds Meshcat's own viewer, a small player (``player.html``), the commands and the facts
-that the player shows.  Typed arrays are stored in one block of bytes, to which the JSON refers.
-Equal arrays are stored once, so that arms of a kind share their meshes.  The block is compressed;
-the browser unpacks it.
+The page holds Meshcat's own viewer, a small player (the template ``replay.html``), the commands and
+the facts that the player shows.  Typed arrays are stored in one block of bytes, to which the JSON
+refers.  Equal arrays are stored once, so that arms of a kind share their meshes.  The block is
+compressed; the browser unpacks it.
 
 A run may have thousands of events.  The page gets a bounded number of ticks, each for all events of
 a short interval, and of rows, each for a group of events of one contact or joint.
@@ -13,19 +13,17 @@ from __future__ import annotations
 
 import base64
 import gzip
-import html
 import importlib.util
 import json
 import math
-import re
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from multiarm.errors import ReplayError
+from multiarm.reports import pages
 from multiarm.results.channels import CONTACT_STATES
 from multiarm.results.event_log import (
     FAMILIES,
@@ -60,14 +58,12 @@ def render(commands: list[Command], facts: dict[str, Any]) -> str:
     header = text.encode()
     payload = len(header).to_bytes(ALIGNMENT, "little") + header
     payload += b" " * (-len(payload) % ALIGNMENT) + bytes(block.data)
-    filling = {
-        "{{title}}": html.escape(facts["title"]),
-        "{{viewer}}": _viewer_script(),
-        "{{payload}}": base64.b64encode(gzip.compress(payload, mtime=0)).decode(),
-    }
-    page = resources.files("multiarm.viewer").joinpath("player.html").read_text("utf-8")
-    # in one pass: a placeholder inside a filled-in text is left as it is
-    return re.sub("|".join(map(re.escape, filling)), lambda found: filling[found[0]], page)
+    return pages.render(
+        "replay.html",
+        title=facts["title"],
+        viewer=_viewer_script(),
+        payload=base64.b64encode(gzip.compress(payload, mtime=0)).decode(),
+    )
 
 
 def page_facts(animation: Animation, speed: float) -> dict[str, Any]:

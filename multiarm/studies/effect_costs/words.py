@@ -31,6 +31,7 @@ SHOWN = {
     FORCE: (1.0, "N"),
 }
 """Quantity -> factor and unit in which people read it."""
+NO_EFFECTS = "No effects: nothing is added, and nothing can be left out."
 
 
 def summary(found: Ledger) -> str:
@@ -38,7 +39,7 @@ def summary(found: Ledger) -> str:
     present = [sentence(found, entry, PATH) for entry in found.of_kind(PRESENT)]
     more = [sentence(found, entry, PATH) for entry in found.of_kind(CANDIDATE)]
     if not present and not more:
-        return "No effects: nothing is added, and nothing can be left out."
+        return NO_EFFECTS
     return "; ".join([*present, *more]) + "."
 
 

@@ -1,64 +1,5 @@
-"""Style sheet and script of the page.
-
-The script draws from the numbers in the page, so that another quantity, a hidden method or a dark
-theme need no other figure.  It uses no library and makes no request.
-"""
-
-CSS = """
-main { max-width: 78rem; }
-td, th { padding-right: 1.2rem; }
-td:last-child, th:last-child { padding-right: 0; }
-thead th { font-size: 0.8rem; font-weight: 500; vertical-align: bottom; }
-thead th.n, td.n { text-align: right; white-space: nowrap; }
-td.t { text-align: left; }
-td.e { text-align: left; color: var(--soft); font-size: 0.85rem; }
-td.bad { color: var(--bad); }
-.decades td, .decades th { white-space: nowrap; font-size: 0.86rem; padding-right: 0.9rem; }
-td strong { font-weight: 600; color: var(--ink); }
-sup { font-size: 0.72em; line-height: 0; }
-.said { font-size: 1.15rem; line-height: 1.45; max-width: 60rem; margin: 0 0 0.4rem; }
-.bar { display: flex; flex-wrap: wrap; gap: 0.6rem 1rem; align-items: center; margin-bottom: 1rem; }
-.bar h2 { margin: 0 auto 0 0; }
-.bar label { font-size: 0.85rem; color: var(--soft); }
-select, button {
-  font: inherit; font-size: 0.85rem; color: var(--ink); background: var(--card);
-  border: 1px solid var(--line); border-radius: 6px; padding: 0.25rem 0.6rem; cursor: pointer;
-}
-select:focus-visible, button:focus-visible { outline: 2px solid var(--good); outline-offset: 1px; }
-.panels { display: grid; grid-template-columns: repeat(auto-fit, minmax(30rem, 1fr)); gap: 1rem; }
-.panels figure svg { min-width: 0; filter: none; }
-.panels figcaption { position: static; margin: 0 0 0.2rem; font-weight: 600; color: var(--ink); }
-.legend { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr));
-  gap: 0.15rem 0.8rem; margin-top: 0.8rem; }
-.legend button {
-  display: flex; align-items: center; gap: 0.5rem; border: 0; padding: 0.15rem 0.3rem;
-  text-align: left; background: none;
-}
-.legend button:hover { background: var(--page); }
-.legend button[aria-pressed="false"] { opacity: 0.38; }
-.legend svg { width: 2.6rem; height: 0.9rem; flex: none; }
-#tip {
-  position: absolute; pointer-events: none; z-index: 9; max-width: 24rem; display: none;
-  background: var(--card); color: var(--ink); border: 1px solid var(--line); border-radius: 8px;
-  padding: 0.55rem 0.75rem; font-size: 0.82rem; line-height: 1.45;
-  box-shadow: 0 4px 18px rgb(0 0 0 / 0.18);
-}
-#tip b { display: block; margin-bottom: 0.15rem; }
-#tip dl { display: grid; grid-template-columns: auto auto; gap: 0 0.9rem; margin: 0; }
-#tip dt { color: var(--soft); } #tip dd { margin: 0; text-align: right; white-space: nowrap; }
-svg text { fill: var(--ink); font: 11.5px var(--font); }
-svg .grid { stroke: var(--grid); stroke-width: 0.7; }
-svg .axis { stroke: var(--soft); stroke-width: 0.8; }
-svg .digits { fill: var(--grid); opacity: 0.65; }
-svg .soft { fill: var(--soft); }
-svg .best { fill: none; stroke: var(--ink); stroke-width: 1.3; }
-svg .dim { opacity: 0.13; }
-.hidden { display: none; }
-.scroll { overflow-x: auto; }
-@media print { .bar label, .bar select, .bar button { display: none; } #tip { display: none; } }
-"""
-
-SCRIPT = r"""
+// Draws the diagrams of error over work from the numbers in the page, again for another quantity or
+// other methods. It uses no library and makes no request.
 "use strict";
 const data = JSON.parse(document.getElementById("data").textContent);
 const NS = "http://www.w3.org/2000/svg";
@@ -246,4 +187,3 @@ document.getElementById("quantity").addEventListener("change", event => {
   redraw();
 });
 redraw();
-"""

@@ -1,0 +1,78 @@
+"""Claims about all pages: what a template must be given, what it escapes, where a page fits."""
+
+import ast
+import re
+from pathlib import Path
+
+import jinja2
+import pytest
+from page_reader import Page, brightness, shown, sticks_out
+from sample_run import record
+from test_accuracy_command import results  # noqa: F401 (fixture)
+from test_effects_command import synthetic
+from test_replay import browser  # noqa: F401 (fixture)
+
+import multiarm
+from multiarm.reports import pages
+from multiarm.reports.report import render as run_page
+from multiarm.results.sinks import MemorySink
+from multiarm.studies.effect_costs.page import render as effects_page
+from multiarm.studies.work_precision.page import render as accuracy_page
+
+MARKUP = re.compile(r"</?(a|div|head|html|li|p|script|section|span|style|su[bp]|t[dhr])\b[^<]*>")
+SOURCES = [*Path(multiarm.__file__).parent.rglob("*.py")]
+
+
+@pytest.fixture(scope="module", params=["report", "accuracy", "effects"])
+def target(request, results, tmp_path_factory):  # noqa: F811
+    texts = {
+        "report": lambda: run_page(record(MemorySink())),
+        "accuracy": lambda: accuracy_page(results),
+        "effects": lambda: effects_page(synthetic()),
+    }
+    path = tmp_path_factory.mktemp("pages") / f"{request.param}.html"
+    path.write_text(texts[request.param](), encoding="utf-8")
+    return path
+
+
+def test_no_module_has_markup_in_its_strings():
+    strings = [
+        (path.name, node.value)
+        for path in SOURCES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    assert len(strings) > 1000
+    assert [found for found in strings if MARKUP.search(found[1])] == []
+
+
+def test_values_are_escaped_and_one_that_is_not_given_is_an_error():
+    given = {"headlines": [], "studies": {}, "figures": {}, "disturbance": "a <quiet> machine"}
+    given["result"] = {"machine": synthetic().machine, "wall_time_s": 1.0}
+    assert "a &lt;quiet&gt; machine" in pages.render("scaling.html", **given)
+    del given["disturbance"]
+    with pytest.raises(jinja2.UndefinedError, match="'disturbance' is undefined"):
+        pages.render("scaling.html", **given)
+
+
+def test_pages_are_whole_and_load_nothing(target):
+    page = Page(target.read_text(encoding="utf-8"))
+    assert page.sources == []
+    assert len(page.ids) > 0
+    assert page.tags.count("h1") == 1
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pages_are_readable_in_light_and_in_the_dark(browser, target, scheme):  # noqa: F811
+    with shown(browser, target, scheme) as page:
+        ground = brightness(page, "body", "backgroundColor")
+        assert (ground > 128) == (scheme == "light")
+        for selector, name in (("body", "color"), ("td", "color"), ("figure svg text", "fill")):
+            assert abs(ground - brightness(page, selector, name)) > 90, selector
+
+
+@pytest.mark.parametrize(("width", "media"), [(1300, "screen"), (400, "screen"), (794, "print")])
+def test_pages_fit_on_screens_telephones_and_paper(browser, target, width, media):  # noqa: F811
+    with shown(browser, target, width=width) as page:
+        page.emulate_media(media=media)
+        assert sticks_out(page) <= 0
