@@ -30,7 +30,12 @@ from multiarm.studies.work_precision.points import Point
 from multiarm.studies.work_precision.reference import QUANTITIES
 from multiarm.studies.work_precision.settings import BY_ACCURACY
 from multiarm.studies.work_precision.store import Results
-from multiarm.studies.work_precision.words import described, recommendation, reference_text
+from multiarm.studies.work_precision.words import (
+    described,
+    recommendation,
+    reference_text,
+    state_text,
+)
 
 PALETTE = (
     "#3b7dd8", "#d1495b", "#2f9e67", "#d9822b", "#8a5cc2", "#0f9aa8", "#c2417c", "#8c7a2b",
@@ -234,11 +239,17 @@ def _header(results: Results) -> str:
     return (
         "<header><p class='kicker'>multiarm · what accuracy costs in time</p>"
         f"<h1>{escape(scene['name'])}</h1>{advice}"
-        f"<p class='message'>{_whole(reference_text(results))}\n"
+        f"<p class='message'>{_whole(reference_text(results))}\n{_state(results)}"
         f"{escape(str(machine['processor']))}, {escape(str(machine['platform']))}\n"
         f"multiarm {escape(machine['version'])}, Python {escape(machine['python'])}, "
         f"{escape(libraries)}</p></header>\n"
     )
+
+
+def _state(results: Results) -> str:
+    """How far the study is, as a line of its own."""
+    text = state_text(results)
+    return f"{escape(text)}\n" if text else ""
 
 
 def _whole(text: str) -> str:

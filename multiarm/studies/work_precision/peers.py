@@ -25,8 +25,13 @@ from multiarm.studies.observables import (
 )
 from multiarm.studies.peer_trials import NOT_INSTALLED
 from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
-from multiarm.studies.work_precision.points import FAILED, Point, point_of_series, too_slow
-from multiarm.studies.work_precision.reference import Reference
+from multiarm.studies.work_precision.points import (
+    FAILED,
+    Measured,
+    Point,
+    measured_series,
+    too_slow,
+)
 from multiarm.studies.work_precision.settings import Ladder, Setting, peer_ladder
 
 Follow = Callable[[TimeSeries, State, str, float, Any], None]
@@ -80,16 +85,16 @@ class Peers:
             else:
                 self.able[solver] = Peer(solver, methods, follow)
 
-    def ladders(self, average: float, quick: bool) -> list[Ladder]:
+    def ladders(self, average: float) -> list[Ladder]:
         """The settings of all peers; ``average`` is the reference's average step [s]."""
         return [
-            peer_ladder(peer.solver, method, knob, self.grid.interval, average, quick)
+            peer_ladder(peer.solver, method, knob, self.grid.interval, average)
             for peer in self.able.values()
             for method, knob in peer.methods.items()
         ]
 
-    def measure(self, setting: Setting, reference: Reference, limit_s: float) -> Point:
-        """Run a peer's setting and compare it; whatever it raises becomes a failed point."""
+    def run(self, setting: Setting, limit_s: float) -> Measured:
+        """Run a peer's setting; whatever it raises becomes a failed point."""
         series = TimeSeries(limit_s)
         peer = self.able[setting.solver]
         try:
@@ -100,8 +105,9 @@ class Peers:
         except OutOfTime:
             return too_slow(setting, limit_s)
         except Exception as error:
-            return Point(setting, FAILED, f"{type(error).__name__}: {error}".splitlines()[0])
-        return point_of_series(self.system, setting, reference, self.grid, series)
+            reason = f"{type(error).__name__}: {error}".splitlines()[0]
+            return Measured(Point(setting, FAILED, reason))
+        return measured_series(self.system, setting, self.grid, series)
 
     def _torques(self, series: TimeSeries) -> Sinusoid | Callable[[float, State], np.ndarray]:
         if self._drive is not None:
