@@ -20,7 +20,7 @@ from multiarm.problems import ring_of_arms
 from multiarm.scene import find_robot
 from multiarm.studies.mujoco_peer import TorqueTape
 from multiarm.studies.observables import control_torque, joint_damping, sinusoid
-from multiarm.studies.peer_trials import NOT_INSTALLED
+from multiarm.studies.peers import NOT_INSTALLED
 from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
 from multiarm.studies.work_precision import reference as references
 from multiarm.studies.work_precision import study as studies
@@ -817,7 +817,7 @@ def test_what_a_peer_raises_is_a_failed_point(system, reference):
     def broken(*_):
         raise RuntimeError("the tree is broken\nsecond line")
 
-    peers.able["Pinocchio"] = replace(peers.able["Pinocchio"], follow=broken)
+    peers.able["Pinocchio"].follow = broken
     found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
     assert (found.status, found.message) == (FAILED, "RuntimeError: the tree is broken")
 
@@ -825,10 +825,10 @@ def test_what_a_peer_raises_is_a_failed_point(system, reference):
 def test_a_peer_that_diverges_or_takes_too_long_is_a_point_too(system, reference):
     peers = Peers(system)
 
-    def diverging(series, start, *_):
+    def diverging(series, grid, start, *_):
         series.positions += [start.position, start.position]
 
-    peers.able["Pinocchio"] = replace(peers.able["Pinocchio"], follow=diverging)
+    peers.able["Pinocchio"].follow = diverging
     found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
     assert found.message == "the state is no longer finite after 0.01 s"
     late = Peers(system).run(Setting("Pinocchio", "RK4", "", "step", 1e-5), limit_s=0.02)
@@ -857,10 +857,10 @@ def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     if not MUJOCO_IS_HERE:
         assert NOT_INSTALLED in Peers(system).refusals.values()
         return
-    from multiarm.studies.mujoco_peer import INTEGRATORS, MujocoModel
+    from multiarm.studies.mujoco_peer import MujocoModel
 
     drive, grid = sinusoid(system), Grid.of(system.scene.run)
-    for method in INTEGRATORS:
+    for method in MujocoModel.methods:
         model, ends = MujocoModel(system, joint_damping(system)), []
         for torques in (drive, lambda t, state: drive.at(np.array([t]))[0]):
             series = TimeSeries()
