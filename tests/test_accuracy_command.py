@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
@@ -11,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mechanics import SCENES
+from rich.console import Console
 from test_replay import browser  # noqa: F401 (fixture)
 from typer.testing import CliRunner
 
@@ -33,6 +35,7 @@ from multiarm.studies.work_precision.settings import (
 )
 from multiarm.studies.work_precision.store import Results, read_results
 from multiarm.studies.work_precision.words import described
+from multiarm.terminal import progress as progress_module
 
 command_module = sys.modules["multiarm.cli.accuracy"]
 MACHINE = {
@@ -232,6 +235,20 @@ def test_ctrl_c_keeps_what_was_measured(two_ladders, tmp_path, monkeypatch):
     again = read_results(tmp_path / "ring_weld.accuracy.json")
     assert list(again.points)[: len(kept)] == list(kept)
     assert len(again.points) == len(kept) + 3
+
+
+def test_a_terminal_shows_the_recommendation_so_far(monkeypatch):
+    text = io.StringIO()
+    terminal = Console(file=text, force_terminal=True, width=120)
+    monkeypatch.setattr(progress_module, "messages", lambda: terminal)
+    with progress_module.StudyProgress() as progress:
+        progress.report("rk4, step 0.01 s", 3.0, 40.0)
+        progress.note("For errors below 1e-6 take [anything]")
+        progress.print("First results")
+        progress.report("rk4, step 0.005 s", 4.0, 40.0)
+    shown = text.getvalue()
+    assert shown.index("First results") < shown.rindex("rk4, step 0.005 s")
+    assert "For errors below 1e-6 take [anything]" in shown[shown.rindex("rk4, step 0.005 s") :]
 
 
 def test_files_are_there_early_and_are_written_again(two_ladders, tmp_path, monkeypatch):
