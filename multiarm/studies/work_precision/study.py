@@ -41,6 +41,8 @@ LEAST_PATIENCE, PATIENCE = 1.0, 5.0
 STRIDES = (4, 2, 1)
 QUICK_STRIDES = (4, 2)
 REPEATS, QUICK_REPEATS = 8, 4
+LEAST_REPEATS = 3
+"""Dominated settings are run so often too: their first time may have been disturbed."""
 REPEAT_BUDGET = 0.5
 """The runs of one setting take about so long together [s]: slow ones are repeated less."""
 
@@ -248,10 +250,10 @@ class _Study:
             self.watch(self.results)
 
     def _repeat(self, plan: Plan) -> None:
-        """Repeat what is quick and not dominated, in rounds over all settings."""
+        """Repeat what is quick, in rounds over all settings; soon without the dominated ones."""
         self.results.planned = len(self.results.points)
         for turn in range(1, self.repeats):
-            dominated = plan.dominated()
+            dominated = plan.dominated() if turn >= LEAST_REPEATS else set()
             points = [point for point in self.results.points.values() if point.completed]
             for number, point in enumerate(points):
                 spent = (point.wall_time_s or 0.0) * (turn + 1)
