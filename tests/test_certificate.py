@@ -13,6 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from certificate_calibration import run_trial
 from mechanics import data_of, ur5_pair
 from sample_run import record, rows_of, samples
 from scipy.spatial.transform import Rotation
@@ -30,7 +31,6 @@ from multiarm.simulation import certified as attempts
 from multiarm.simulation.certificate import SAFETY, judge
 from multiarm.simulation.certified import INTERRUPTED_WORDS
 from multiarm.simulation.comparison import compare, growth_rate, rotation_apart
-from multiarm.studies.certificate_calibration import run_trial
 from multiarm.terminal.progress import RunProgress
 
 ROOT = Path(__file__).parents[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import json
 import math
 import sys
 from dataclasses import replace
@@ -19,7 +20,7 @@ from multiarm.problems import ring_of_arms
 from multiarm.scene import find_robot
 from multiarm.studies.mujoco_peer import TorqueTape
 from multiarm.studies.observables import control_torque, joint_damping, sinusoid
-from multiarm.studies.peer_trials import NOT_INSTALLED
+from multiarm.studies.peers import NOT_INSTALLED
 from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
 from multiarm.studies.work_precision import reference as references
 from multiarm.studies.work_precision import study as studies
@@ -31,12 +32,14 @@ from multiarm.studies.work_precision.choice import (
     decades,
 )
 from multiarm.studies.work_precision.peers import SOLVERS, Peers
+from multiarm.studies.work_precision.plan import STALE
 from multiarm.studies.work_precision.points import (
     COMPLETED,
     FAILED,
     TOO_SLOW,
+    Measured,
     Point,
-    measure_ours,
+    run_ours,
     too_slow,
 )
 from multiarm.studies.work_precision.reference import Motion, Reference, limited, make_reference
@@ -91,8 +94,12 @@ def results_of(points, digits: float = 1e-13, accuracy: float = 1e-6) -> Results
     about = {"integrator": "dop853", "tolerance": 1e-14, "check": {}}
     results.found_reference(Reference(Motion(np.zeros((1, 8))), quantities, 0.01, 0.01, about))
     for item in points:
-        results.add(item)
+        results.replace(item)
     return results
+
+
+def measure_ours(system, about: Setting, reference: Reference, limit_s: float) -> Point:
+    return run_ours(system, about, limit_s).against(reference.motion)
 
 
 # --- the reference --------------------------------------------------------------------------------
@@ -200,7 +207,7 @@ def test_errors_are_those_at_the_worst_time():
 
 
 def test_every_integrator_is_studied_with_each_stabilisation():
-    ladders = our_ladders(0.01, 1.0, 0.005, quick=False)
+    ladders = our_ladders(0.01, 1.0, 0.005)
     methods = {ladder.settings[0].method for ladder in ladders}
     assert methods == {BY_ACCURACY, *ADAPTIVE_INTEGRATORS, *FIXED_STEP_INTEGRATORS}
     kinds = {x.settings[0].stabilization for x in ladders if x.settings[0].method == "dop853"}
@@ -223,16 +230,8 @@ def test_fixed_steps_are_halved_from_the_coarsest_and_meet_the_outputs(output_st
         assert ratio == round(ratio) or 1.0 / ratio == round(1.0 / ratio)
 
 
-def test_a_quick_ladder_is_every_second_setting():
-    full, quick = (our_ladders(0.01, 1.0, 0.005, quick=q) for q in (False, True))
-    for a, b in zip(full, quick, strict=True):
-        assert b.settings == a.settings[::2][: len(b.settings)]
-
-
 def test_fixed_steps_follow_from_the_references_own():
-    slow, fast = (
-        our_ladders(0.01, 1.0, average, False)[-1].settings[0] for average in (1e-2, 1e-4)
-    )
+    slow, fast = (our_ladders(0.01, 1.0, average)[-1].settings[0] for average in (1e-2, 1e-4))
     assert slow.value <= COARSEST * 1e-2 < 2.0 * slow.value
     assert fast.value <= COARSEST * 1e-4 < 2.0 * fast.value
 
@@ -266,17 +265,19 @@ def test_points_survive_their_file(system, reference):
 
 
 class Law:
-    """Makes points by a law instead of runs, and counts them."""
+    """Makes points by a law instead of runs, and counts them; nothing runs by accuracy."""
 
     def __init__(self, order: float = 4.0, floor: float = 0.0, seconds: float = 1e-4):
         self.order, self.floor, self.seconds = order, floor, seconds
         self.runs: list[Setting] = []
 
-    def __call__(self, system, about: Setting, reference, limit_s: float) -> Point:
+    def __call__(self, system, about: Setting, limit_s: float) -> Measured:
+        if about.method == BY_ACCURACY:
+            return Measured(Point(about, FAILED, "not by accuracy"))
         self.runs.append(about)
         error = max(about.value**self.order, self.floor)
         found = point(self.seconds / about.value, error)
-        return replace(found, setting=about)
+        return Measured(replace(found, setting=about))
 
 
 @pytest.fixture
@@ -284,29 +285,40 @@ def fast_study(monkeypatch, system, reference):
     """A study of one ladder of Runge-Kutta steps whose points follow a law."""
 
     def run(law, results=None, **options):
-        ladder = [our_ladders(0.01, 0.1, 0.005, False)[-1]]
+        ladder = [our_ladders(0.01, 0.1, 0.005)[-1]]
         made = replace(reference, wall_time_s=0.0)
         monkeypatch.setattr(studies, "make_reference", lambda *_: made)
         monkeypatch.setattr(studies, "our_ladders", lambda *_: ladder)
-        monkeypatch.setattr(studies, "measure_ours", law)
+        monkeypatch.setattr(studies, "run_ours", law)
         return run_study(system.scene, results, peers=False, **options)
 
     return run
 
 
 def values(results: Results) -> list[float]:
-    return [item.setting.value for item in results.points.values()]
+    return sorted((item.setting.value for item in results.points.values()), reverse=True)
+
+
+def halvings(results: Results) -> list[int]:
+    """How often the first step was halved for each setting."""
+    found = values(results)
+    return [round(math.log2(found[0] / value)) for value in found]
 
 
 def test_a_ladder_ends_in_the_digits_of_the_reference(fast_study, reference):
     results = fast_study(Law(seconds=1e-9))
-    assert min(values(results)) ** 4 <= reference.digits["motion"] < (2 * min(values(results))) ** 4
+    places, digits = halvings(results), reference.digits["motion"]
+    reached = next(k for k in places if (values(results)[0] / 2**k) ** 4 <= digits)
+    assert places[: reached + 1] == list(range(reached + 1))
+    assert places[-1] < reached + studies.STRIDES[0]
 
 
 def test_a_ladder_ends_when_errors_no_longer_fall(fast_study):
     results = fast_study(Law(floor=1e-6, seconds=1e-9))
-    reached = [value for value in values(results) if value**4 <= 1e-6]
-    assert len(reached) == 1 + studies.STALE
+    places = halvings(results)
+    reached = next(k for k in places if (values(results)[0] / 2**k) ** 4 <= 1e-6)
+    assert places[: reached + STALE + 1] == list(range(reached + STALE + 1))
+    assert places[-1] < reached + STALE + studies.STRIDES[0]
 
 
 def test_a_ladder_ends_before_runs_take_too_long(fast_study):
@@ -316,11 +328,11 @@ def test_a_ladder_ends_before_runs_take_too_long(fast_study):
 
 
 def test_an_accident_at_the_first_setting_does_not_end_a_ladder(fast_study):
-    law, calls = Law(seconds=1e-9), itertools.count()
+    law = Law(seconds=1e-9)
 
-    def stalled_once(system, about, reference, limit_s):
-        found = law(system, about, reference, limit_s)
-        return found if next(calls) else too_slow(about, limit_s)
+    def stalled_once(system, about, limit_s):
+        found = law(system, about, limit_s)
+        return too_slow(about, limit_s) if len(law.runs) == 1 else found
 
     assert list(fast_study(stalled_once).points) == list(fast_study(Law(seconds=1e-9)).points)
 
@@ -328,42 +340,32 @@ def test_an_accident_at_the_first_setting_does_not_end_a_ladder(fast_study):
 def test_quick_settings_are_repeated_and_slow_ones_are_not(fast_study):
     law = Law(order=1.0, seconds=0.003)
     results = fast_study(law)
-    for item in results.points.values():
+    for place, item in zip(halvings(results), results.points.values(), strict=False):
         wall = 0.003 / item.setting.value
         assert item.repeats == law.runs.count(item.setting)
         expected = min(studies.REPEATS, max(1, int(studies.REPEAT_BUDGET / wall + 1e-9)))
-        assert item.repeats == expected
+        assert item.repeats == (expected if place else max(2, expected))
 
 
 def test_the_fastest_run_counts(fast_study):
     times = itertools.count()
 
-    def law(system, about, reference, limit_s):
-        return replace(point(0.01 / (2 + next(times) % 5), 1e-20), setting=about)
+    def law(system, about, limit_s):
+        return Measured(replace(point(0.01 / (2 + next(times) % 5), 1e-20), setting=about))
 
     results = fast_study(law)
     (found,) = results.points.values()
     assert (found.repeats, found.wall_time_s) == (studies.REPEATS, 0.01 / 6)
 
 
-def test_an_interrupted_study_goes_on_where_it_was(fast_study, system, tmp_path):
-    path = tmp_path / "study.json"
-    law = Law(seconds=1e-9)
-
-    def interrupt(text, done, total):
-        if done == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fast_study(law, Results.of(system.scene, MACHINE, path), progress=interrupt)
-    assert len(read_results(path).points) == len(law.runs) == 3
-    again = Law(seconds=1e-9)
-    results = fast_study(again, read_results(path))
-    assert list(results.points)[:3] == list(read_results(path).points)[:3]
-    first = [run for run in again.runs if run in law.runs]
-    assert len(first) == 3 * (studies.REPEATS - 1), "they are only repeated"
-    whole = fast_study(Law(seconds=1e-9))
-    assert list(whole.points) == list(results.points)
+def test_every_fourth_setting_comes_first_and_half_of_them_are_quick(fast_study):
+    order = [item.setting.value for item in fast_study(Law(seconds=1e-9)).points.values()]
+    places = [round(math.log2(max(order) / value)) for value in order]
+    strides = [next(s for s in studies.STRIDES if place % s == 0) for place in places]
+    assert strides == sorted(strides, reverse=True)
+    quick = fast_study(Law(seconds=1e-9), quick=True)
+    assert all(place % 2 == 0 for place in halvings(quick))
+    assert {item.repeats for item in quick.points.values()} == {studies.QUICK_REPEATS}
 
 
 def test_a_finished_study_measures_nothing(fast_study, system, tmp_path):
@@ -380,6 +382,192 @@ def test_progress_names_what_is_measured(fast_study):
     measured = [item for item in told_ if item[2]]
     assert measured[0][0].startswith("rk4, none, step ") or "step " in measured[0][0]
     assert all(done <= total for _, done, total in measured)
+
+
+# --- stages of a study, by a clock that only runs advance -----------------------------------------
+
+DIGITS = {"motion": 1e-12, "position": 1e-12, "rotation": 1e-12, "joints": 1e-12, "force": 1e-9}
+EXACT = Motion(np.full((3, 8), 0.5), np.full((3, 12), 2.0))
+
+
+def random_costs(seed: int) -> dict[str, tuple[float, float]]:
+    """Method -> order and cost of its coarsest run."""
+    rng = np.random.default_rng(seed)
+    names = {ladder.series for ladder in our_ladders(0.01, 0.1, 0.005)}
+    return {name: (rng.uniform(0.5, 6.0), rng.uniform(0.005, 0.1)) for name in sorted(names)}
+
+
+class World:
+    """Runs that follow laws: errors fall and costs rise along each ladder, but for disturbances.
+
+    Every run advances the clock by its cost; one of them, by its number, may be interrupted.  Some
+    quick settings may be ``slowed`` by a factor when they are run for the first time.
+    """
+
+    def __init__(self, seed: int, interrupt_at: int | None = None, slowed: float = 1.0):
+        self.slowed = slowed
+        self.now, self.seed, self.runs, self.calls = 0.0, seed, [], 0
+        self.interrupt_at = interrupt_at
+        self.costs = random_costs(seed)
+        ladders = our_ladders(0.01, 0.1, 0.005)
+        self.places = {s.key: k for ladder in ladders for k, s in enumerate(ladder.settings)}
+
+    def call(self, seconds: float) -> None:
+        self.calls += 1
+        if self.calls == self.interrupt_at:
+            raise KeyboardInterrupt
+        self.now += seconds
+
+    def run(self, system, about: Setting, limit_s: float) -> Measured:
+        order, cost = self.costs[about.series]
+        place = self.places[about.key]
+        rng = np.random.default_rng([self.seed, *about.key.encode()])
+        wall, luck = cost * 1.6**place * rng.uniform(0.9, 1.1), rng.uniform(0.8, 1.25)
+        if rng.random() < 0.3 and self.slowed * wall < 0.2 and about.key not in self.runs:
+            wall *= self.slowed
+        self.call(min(wall, limit_s))
+        self.runs.append(about.key)
+        if wall > limit_s:
+            return too_slow(about, limit_s)
+        error = max(0.1 * 2.0 ** (-order * place), 1e-14) * luck
+        motion = Motion(EXACT.positions.copy(), EXACT.forces + 100.0 * error)
+        motion.positions[:, 0] += error
+        point = Point(about, COMPLETED, wall_time_s=wall, steps=10, evaluations=40, used="dop853")
+        return Measured(point, motion)
+
+    def reference(self, *_) -> Reference:
+        self.call(60.0)
+        about = {"integrator": "dop853", "tolerance": 1e-14, "check": {}}
+        return Reference(EXACT, DIGITS, 0.005, 1.0, about)
+
+
+@pytest.fixture
+def study_in(monkeypatch, system):
+    """Runs a study in a world; keeps the system, and its peers away."""
+
+    def run(world: World, results=None, **options) -> Results:
+        monkeypatch.setattr(studies, "clock", lambda: world.now)
+        monkeypatch.setattr(studies, "run_ours", world.run)
+        monkeypatch.setattr(studies, "make_reference", world.reference)
+        monkeypatch.setattr(studies, "compile_system", lambda _scene: system)
+        return run_study(system.scene, results, peers=False, **options)
+
+    return run
+
+
+def front(results: Results, quantity: str) -> set[str]:
+    """Settings that no other one beats in both time and error."""
+    rows = [
+        (key, found.wall_time_s, max(found.error(quantity), DIGITS[quantity]))
+        for key, found in results.points.items()
+        if found.completed
+    ]
+    return {
+        key
+        for key, time, error in rows
+        if not any(t <= time and e <= error and (t, e) != (time, error) for _, t, e in rows)
+    }
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_setting_on_the_front_of_a_thorough_study_is_left_out(study_in, seed):
+    whole = study_in(World(seed), thorough=True)
+    found = study_in(World(seed, slowed=1.0 if seed % 2 else 4.0))
+    assert found.left_out and not whole.left_out
+    assert len(found.points) < 0.85 * len(whole.points)
+    assert set(found.points) <= set(whole.points)
+    for quantity in DIGITS:
+        assert front(whole, quantity) <= set(found.points)
+        assert [d.ours.setting for d in decades(found, quantity)] == [
+            d.ours.setting for d in decades(whole, quantity)
+        ]
+
+
+def test_first_results_come_soon_and_claim_no_error_below_their_uncertainty(study_in):
+    world, shown = World(3), []
+
+    def watch(results):
+        errors = {key: found.error("motion") for key, found in results.points.items()}
+        shown.append((world.now, dict(results.reference), errors, results.planned))
+
+    results = study_in(world, watch=watch)
+    when, first, errors, planned = shown[0]
+    assert when < studies.FIRST_RESULTS + studies.LEAST_PATIENCE
+    assert first["first"]
+    assert first["digits"]["motion"] > 0.0
+    assert {Setting(*key.split("/")[:3], "", 0.0).series for key in errors} == set(world.costs)
+    assert planned > len(errors)
+    later = [item for item in shown if not item[1]["first"]]
+    assert later[0][0] >= when + 60.0, "the reference takes its time"
+    # each run's error is what its law says, once the full reference is there
+    for key, before in errors.items():
+        after = results.points[key].error("motion")
+        assert after > 0.0
+        assert abs(before - after) <= 3.0 * first["digits"]["motion"]
+    assert all(item[3] is not None for item in shown[:-1])
+    assert shown[-1][3] is None is results.planned
+
+
+def test_a_slow_scene_shows_its_runs_by_accuracy_first(study_in):
+    world, when = World(0), []
+    world.costs = {name: (order, 1.0) for name, (order, _) in world.costs.items()}
+    study_in(world, watch=lambda results: when.append((world.now, len(results.points))))
+    assert when[0][0] < 20.0
+    assert when[0][1] >= 2
+
+
+@pytest.mark.parametrize("part", [0.0, 0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9])
+def test_an_interrupted_study_goes_on_where_it_was(study_in, system, tmp_path, part):
+    path = tmp_path / "study.json"
+    whole = World(1)
+    expected = study_in(whole)
+    world = World(1, interrupt_at=1 + int(part * whole.calls))
+    with pytest.raises(KeyboardInterrupt):
+        study_in(world, Results.of(system.scene, MACHINE, path))
+    kept = read_results(path)
+    again = World(1)
+    results = study_in(again, read_results(path))
+    assert list(results.points)[: len(kept.points)] == list(kept.points)
+    assert front(results, "motion") == front(expected, "motion")
+    for key, found in results.points.items():
+        assert found.errors == pytest.approx(expected.points.get(key, found).errors)
+        before = kept.points[key].repeats if key in kept.points else 0
+        runs = again.runs.count(key)
+        if kept.reference is None and key == again.runs[0]:
+            runs -= 1  # which only loads what is compiled
+        assert found.repeats == before + runs
+
+
+def test_an_interruption_in_the_reference_keeps_first_results(study_in, system, tmp_path):
+    path, world = tmp_path / "study.json", World(1)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    world.reference = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        study_in(world, Results.of(system.scene, MACHINE, path))
+    kept = read_results(path)
+    assert kept.reference["first"]
+    assert kept.known_reference().motion.positions.shape == EXACT.positions.shape
+    again, shown = World(1), []
+    study_in(again, read_results(path), watch=lambda _: shown.append(again.now))
+    assert shown[0] == 0.0, "what is known is shown at once"
+    assert not read_results(path).reference["first"]
+
+
+def test_files_of_earlier_studies_are_read(study_in, system, tmp_path):
+    path = tmp_path / "study.json"
+    study_in(World(2), Results.of(system.scene, MACHINE, path))
+    data = json.loads(path.read_text(encoding="utf-8"))
+    for key in ("exact", "motions", "planned", "left_out"):
+        del data[key]
+    del data["reference"]["first"]
+    path.write_text(json.dumps({**data, "format": "multiarm accuracy, 1"}), encoding="utf-8")
+    world = World(2)
+    study_in(world, read_results(path))
+    assert world.runs == [], "the reference is computed again, and no point"
+    assert world.calls == 1
 
 
 def test_results_are_of_a_scene_and_a_machine():
@@ -526,7 +714,7 @@ def test_series_put_ours_first_and_go_from_coarse_to_fine():
 
 def course_of(peers: Peers, solver: str, method: str, value: float, reference, system) -> Point:
     about = Setting(solver, method, "", peers.able[solver].methods[method], value)
-    return peers.measure(about, reference, 60.0)
+    return peers.run(about, 60.0).against(reference.motion)
 
 
 @pytest.fixture(scope="module", params=["weld", "ball", "revolute"])
@@ -633,7 +821,7 @@ def test_what_a_peer_raises_is_a_failed_point(system, reference):
     def broken(*_):
         raise RuntimeError("the tree is broken\nsecond line")
 
-    peers.able["Pinocchio"] = replace(peers.able["Pinocchio"], follow=broken)
+    peers.able["Pinocchio"].follow = broken
     found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
     assert (found.status, found.message) == (FAILED, "RuntimeError: the tree is broken")
 
@@ -641,16 +829,14 @@ def test_what_a_peer_raises_is_a_failed_point(system, reference):
 def test_a_peer_that_diverges_or_takes_too_long_is_a_point_too(system, reference):
     peers = Peers(system)
 
-    def diverging(series, start, *_):
+    def diverging(series, grid, start, *_):
         series.positions += [start.position, start.position]
 
-    peers.able["Pinocchio"] = replace(peers.able["Pinocchio"], follow=diverging)
+    peers.able["Pinocchio"].follow = diverging
     found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
     assert found.message == "the state is no longer finite after 0.01 s"
-    late = Peers(system).measure(
-        Setting("Pinocchio", "RK4", "", "step", 1e-5), reference, limit_s=0.02
-    )
-    assert late.status == TOO_SLOW
+    late = Peers(system).run(Setting("Pinocchio", "RK4", "", "step", 1e-5), limit_s=0.02)
+    assert late.point.status == TOO_SLOW
 
 
 def test_sinusoidal_torques_are_the_scenes(system):
@@ -675,10 +861,10 @@ def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     if not MUJOCO_IS_HERE:
         assert NOT_INSTALLED in Peers(system).refusals.values()
         return
-    from multiarm.studies.mujoco_peer import INTEGRATORS, MujocoModel
+    from multiarm.studies.mujoco_peer import MujocoModel
 
     drive, grid = sinusoid(system), Grid.of(system.scene.run)
-    for method in INTEGRATORS:
+    for method in MujocoModel.methods:
         model, ends = MujocoModel(system, joint_damping(system)), []
         for torques in (drive, lambda t, state: drive.at(np.array([t]))[0]):
             series = TimeSeries()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
@@ -32,6 +34,10 @@ if TYPE_CHECKING:
 
 __all__ = ["accuracy", "decade_table", "method_table", "point_table"]
 
+REWRITE, SHARE = 5.0, 0.1
+"""Files of an unfinished study are written at most so often [s], and take such a share of the time
+at most."""
+
 
 class Quantity(str, Enum):
     """What an error is of."""
@@ -60,6 +66,10 @@ def accuracy(
     ] = True,
     quick: Annotated[
         bool, typer.Option("--quick", help="Every second setting only, and fewer repeats.")
+    ] = False,
+    thorough: Annotated[
+        bool,
+        typer.Option("--thorough", help="Measure dominated settings too, as often as others."),
     ] = False,
     error: Annotated[
         Quantity, option("What is ranked; motion is the worst of position, rotation and joints.")
@@ -105,11 +115,21 @@ def accuracy(
     are measured against a tight reference, which an independent solver and another method have
     checked; wall times are the fastest of several interleaved runs.
 
+    First results come within half a minute. Their errors are measured against the tightest run that
+    fits the time, and are computed again when the reference is there. The figures of --plot and
+    --html are written at once, and again as points arrive; the page says how many are measured.
+
+    A setting is dominated when another one, of the same or another method, takes less than two
+    thirds of its time and has no larger error of position, rotation, joints or force; errors that
+    the reference cannot resolve count as equal. A setting between two measured ones of its method
+    takes at least the coarser one's time, and its errors are at least half of the finer one's. What
+    is dominated even so is left out, unless --thorough. Peers dominate peers only.
+
     The file of the study stores every point when it is measured: after Ctrl-C the same command
     resumes. A file holds for one scene, one machine and one set of versions.
 
-    The JSON has the keys scene, machine, reference, refusals, wall_time_s, points, cheapest,
-    recommendation. Numbers are finite, or null where there is none.
+    The JSON has the keys scene, machine, reference, refusals, wall_time_s, left_out, points,
+    cheapest, recommendation. Numbers are finite, or null where there is none.
     """
     if (scene is None) == (source is None):
         raise MultiarmError("name a scene to measure, or '--from FILE.json' to look at a study")
@@ -125,7 +145,10 @@ def accuracy(
             {"--results": target, "--plot": plot, "--html": html, "--json": json}, source=scene
         )
         loaded = scene_to_run(scene, no_code)
-        found = _measure(loaded, target, settings, peers, quick, redo)
+        with StudyProgress() as progress:
+            shown = _Shown(progress, error.value, plot, html)
+            found = _measure(loaded, target, settings, shown, redo,
+                             peers=peers, quick=quick, thorough=thorough)  # fmt: skip
         print_written("study", target)
     _print(found, error.value, every)
     _write(found, error.value, plot, html, json)
@@ -138,27 +161,61 @@ def _own_file(scene: Path, settings: dict[str, Any]) -> Path:
 
 
 def _measure(
-    scene: Scene, target: Path, changes: dict, peers: bool, quick: bool, redo: bool
+    scene: Scene, target: Path, changes: dict, shown: _Shown, redo: bool, **options: bool
 ) -> Results:
     """Study a scene behind a progress bar; what was measured stays in the file."""
     from multiarm.simulation.setup import run_spec
+    from multiarm.studies.hard_cases import machine
+    from multiarm.studies.work_precision.store import Results
+    from multiarm.studies.work_precision.study import run_study
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
-    with StudyProgress() as watched:
-        from multiarm.studies.hard_cases import machine
-        from multiarm.studies.work_precision.store import Results
-        from multiarm.studies.work_precision.study import run_study
+    kept = _kept(target, Results.of(scene, machine(), target), redo)
+    report = shown.progress.report
+    try:
+        return run_study(scene, kept, progress=report, watch=shown, **options)
+    except KeyboardInterrupt:
+        shown.progress.stop()
+        print_error(
+            f"interrupted; {len(kept.points)} points are in '{target}', and the same command "
+            "resumes from there"
+        )
+        raise typer.Exit(1) from None
 
-        kept = _kept(target, Results.of(scene, machine(), target), redo)
-        try:
-            return run_study(scene, kept, peers=peers, quick=quick, progress=watched.report)
-        except KeyboardInterrupt:
-            watched.stop()
-            print_error(
-                f"interrupted; {len(kept.points)} points are in '{target}', and the same command "
-                "resumes from there"
-            )
-            raise typer.Exit(1) from None
+
+class _Shown:
+    """What is shown of a study while it goes on: first results, recommendation, files.
+
+    Parameters
+    ----------
+    progress : StudyProgress
+    quantity : str
+    plot, html : Path or None
+        Files that are written again as points arrive.
+    """
+
+    def __init__(
+        self, progress: StudyProgress, quantity: str, plot: Path | None, html: Path | None
+    ) -> None:
+        self.progress = progress
+        self._quantity, self._plot, self._html = quantity, plot, html
+        self._printed, self._due = False, -math.inf
+
+    def __call__(self, results: Results) -> None:
+        """Show results, of which there are more than at the last call."""
+        from multiarm.studies.work_precision.words import recommendation
+
+        if results.planned is None:  # finished, and about to be printed and written
+            return
+        self.progress.note(recommendation(results, self._quantity))
+        if not self._printed:
+            self._printed = True
+            self.progress.print("First results", *_texts(results, self._quantity))
+        begin = time.monotonic()
+        if begin >= self._due:
+            _draw(results, self._quantity, self._plot, self._html)
+            now = time.monotonic()
+            self._due = now + max(REWRITE, (now - begin) / SHARE)
 
 
 def _kept(target: Path, empty: Results, redo: bool) -> Results:
@@ -177,21 +234,43 @@ def _kept(target: Path, empty: Results, redo: bool) -> Results:
     return old
 
 
-def _print(results: Results, quantity: str, every: bool) -> None:
-    from multiarm.studies.work_precision.words import comparison, recommendation, reference_text
+def _texts(results: Results, quantity: str, *tables: RenderableType) -> Iterator[RenderableType]:
+    """A study as it is printed: reference, decades, further tables, and what follows from them."""
+    from multiarm.studies.work_precision.words import (
+        comparison,
+        recommendation,
+        reference_text,
+        state_text,
+    )
 
-    console = output()
-    console.print(Text(results.about["scene"]["name"], "bold"))
-    console.print(Text(reference_text(results), "dim"))
-    console.print(decade_table(results, quantity))
-    console.print(method_table(results, quantity))
-    if every:
-        console.print(point_table(results))
+    yield Text(reference_text(results), "dim")
+    yield decade_table(results, quantity)
+    yield from tables
     for solver, reason in results.refusals.items():
-        console.print(Text(f"{solver}: {reason}", "dim"))
+        yield Text(f"{solver}: {reason}", "dim")
+    if state_text(results):
+        yield Text(state_text(results), "dim")
     for sentence in (comparison(results, quantity), recommendation(results, quantity)):
         if sentence:
-            console.print(Text(sentence, "bold green"), soft_wrap=True)
+            yield Text(sentence, "bold green")
+
+
+def _print(results: Results, quantity: str, every: bool) -> None:
+    console = output()
+    console.print(Text(results.about["scene"]["name"], "bold"))
+    tables = [method_table(results, quantity), *([point_table(results)] if every else [])]
+    for text in _texts(results, quantity, *tables):
+        console.print(text, soft_wrap=getattr(text, "style", "") == "bold green")
+
+
+def _draw(results: Results, quantity: str, plot: Path | None, html: Path | None) -> None:
+    """Write the diagram and the page."""
+    from multiarm.studies.work_precision.page import write_page, write_plot
+
+    if plot is not None:
+        write_plot(results, plot, quantity)
+    if html is not None:
+        write_page(results, html)
 
 
 def _write(
@@ -199,19 +278,12 @@ def _write(
 ) -> None:
     from multiarm.studies.work_precision.words import figures
 
-    if plot is not None:
-        from multiarm.studies.work_precision.page import write_plot
-
-        write_plot(results, plot, quantity)
-        print_written("plot", plot)
-    if html is not None:
-        from multiarm.studies.work_precision.page import write_page
-
-        write_page(results, html)
-        print_written("page", html)
+    _draw(results, quantity, plot, html)
     if json is not None:
         write_json(json, figures(results, quantity))
-        print_written("figures", json)
+    for what, path in (("plot", plot), ("page", html), ("figures", json)):
+        if path is not None:
+            print_written(what, path)
 
 
 def decade_table(results: Results, quantity: str) -> Table:

@@ -8,7 +8,6 @@ bodies, in interleaved bursts of which the fastest counts.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -38,8 +37,10 @@ from multiarm.geometry.records import (
 from multiarm.geometry.smooth_surfaces import SignedDistanceSurface
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import PythonCallback
+from multiarm.studies.timing import fastest, measure
 
 ROWS = 24
+BURSTS_PER_ROUND = 2
 X, Y, Z = np.eye(3)
 
 
@@ -84,48 +85,43 @@ def measure_rows(
     rounds: int = 7, progress: Callable[[str], None] | None = None
 ) -> dict[str, float]:
     """Microseconds a row, of every kind in :func:`row_kinds`."""
-    bursts = {name: _Burst(contacts) for name, contacts in row_kinds().items()}
+    tables = {name: _Rows(contacts) for name, contacts in row_kinds().items()}
+    bursts = {name: rows.burst for name, rows in tables.items()}
     best = dict.fromkeys(bursts, math.inf)
     for turn in range(rounds):
         if progress is not None:
             progress(f"contact rows, round {turn + 1} of {rounds}")
-        for name, burst in bursts.items():
-            best[name] = min(best[name], burst.time())
-    return {name: 1e6 * cost for name, cost in best.items()}
+        for name, cost in fastest(measure(bursts, BURSTS_PER_ROUND)).items():
+            best[name] = min(best[name], cost / tables[name].count)
+    return best
 
 
-class _Burst:
-    """A table of rows of one kind, and how long writing one takes."""
+class _Rows:
+    """A table of rows of one kind, to be written again and again."""
 
     def __init__(self, contacts: list[Contact]) -> None:
         contacts = contacts * (ROWS // len(contacts))
-        self._table, self._count = pack(contacts), len(contacts)
+        self._table, self.count = pack(contacts), len(contacts)
         self._arm, self._body = _moving(0.01), _moving(-0.02)
-        self._rows = np.zeros((self._count, CONTACT_WIDTH))
-        self._parts = np.zeros((len(self._table.codes) - self._count, CONTACT_WIDTH))
+        self._rows = np.zeros((self.count, CONTACT_WIDTH))
+        self._parts = np.zeros((len(self._table.codes) - self.count, CONTACT_WIDTH))
         self._scratch = np.zeros(RELATIVE_WIDTH + QUERY_WIDTH)
         shapes = len(self._table.shapes)
         self._places = np.tile([0.47, 0.01, 0.01], (shapes, 1))
         self._located = np.zeros((shapes, 3))
         answer = user_surface_callback(self._table.functions, self._scratch[RELATIVE_WIDTH:])
         self._call = PythonCallback(answer, np.zeros(1, dtype=np.int64))
-        self._repeats = 1
-        self.time()
-        self._repeats = max(1, round(2e-3 / (self.time() * self._count)))
 
-    def time(self) -> float:
-        """Seconds a row in one burst."""
+    def burst(self, repeats: int) -> None:
+        """Write the table that many times."""
         table = self._table
-        begin = time.perf_counter()
         _write_often(
-            self._repeats, self._count, self._arm, self._body, np.zeros(RELATIVE_WIDTH),
+            repeats, self.count, self._arm, self._body, np.zeros(RELATIVE_WIDTH),
             table.codes, table.geometry, table.shapes, self._call.address, self._rows,
             self._parts, self._scratch, self._places, self._located, np.zeros(1, dtype=np.int64),
         )  # fmt: skip
-        end = time.perf_counter()
         self._call.reraise()
         assert np.all(np.isfinite(self._rows)), "the rows that are timed exist"
-        return (end - begin) / (self._repeats * self._count)
 
 
 def _moving(speed: float) -> np.ndarray:

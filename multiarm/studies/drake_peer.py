@@ -12,7 +12,7 @@ need not be there: it is imported when a plant is built.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,12 +20,47 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.studies.observables import Sinusoid
+from multiarm.studies.peers import Drive, joint_ends, links, moments, tip_frame
 from multiarm.studies.time_series import Grid, TimeSeries
 
-EXPRESSIBLE = ("weld", "ball", "revolute")
-"""Kinds of joint that can be written with Drake's constraints."""
-METHODS = {"discrete": "step"}
-"""Integrators, and what sets their accuracy."""
+
+class DrakePeer:
+    """A system in Drake, a plant for each step.
+
+    Parameters
+    ----------
+    system : System
+        Welds, balls and hinges only; links with mass.
+    damping : ndarray, shape (n,)
+        Of the joints [N m s/rad, N s/m]; Drake integrates it implicitly.
+
+    Raises
+    ------
+    ModelError
+        For a joint without a constraint, and what Drake refuses.
+    ImportError
+        Where Drake is not installed.
+    """
+
+    methods: ClassVar = {"discrete": "step"}
+
+    def __init__(self, system: System, damping: np.ndarray):
+        self.system, self.damping = system, damping
+        # refuses now, or never
+        interval = Grid.of(system.scene.run).interval
+        DrakeModel(system, damping, interval, Sinusoid.none(damping.size))
+
+    def follow(
+        self,
+        series: TimeSeries,
+        grid: Grid,
+        start: State,
+        method: str,
+        value: float,
+        drive: Drive,
+    ) -> None:
+        """Record the motion (:meth:`.peers.Peer.follow`)."""
+        DrakeModel(self.system, self.damping, value, drive).follow(series, grid, start)
 
 
 class DrakeModel:
@@ -60,7 +95,7 @@ class DrakeModel:
         system: System,
         damping: np.ndarray,
         step: float,
-        drive: Sinusoid | Callable[[float, State], np.ndarray],
+        drive: Drive,
     ):
         from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
         from pydrake.systems.framework import DiagramBuilder
@@ -102,36 +137,29 @@ class DrakeModel:
         """Links and joints of an arm; returns its last body and the joint's frame on it."""
         from pydrake.multibody.tree import FixedOffsetFrame, PrismaticJoint, RevoluteJoint
 
-        arm = self.system.arms[name]
-        model, bodies = arm.model, [plant.world_body()]
-        q = arm.configuration(np.zeros(arm.dof))
-        for i in range(1, model.njoints):
-            inertia, place = model.inertias[i], model.jointPlacements[i]
+        arm, bodies = self.system.arms[name], [plant.world_body()]
+        for i, link in enumerate(links(arm), start=1):
+            inertia = link.inertia
             body = plant.AddRigidBody(
                 f"{name}/{i}", _inertia(inertia.mass, inertia.lever, inertia.inertia)
             )
             base = plant.AddFrame(
                 FixedOffsetFrame(
                     f"{name}/base{i}",
-                    bodies[model.parents[i]].body_frame(),
-                    _pose(place.homogeneous),
+                    bodies[link.parent].body_frame(),
+                    _pose(link.placement.homogeneous),
                 )
             )
-            data = model.joints[i].createData()
-            model.joints[i].calc(data, q)
-            slide, turn = np.array(data.S).reshape(6)[:3], np.array(data.S).reshape(6)[3:]
-            kind, axis = (RevoluteJoint, turn) if np.any(turn) else (PrismaticJoint, slide)
+            kind = RevoluteJoint if link.turns else PrismaticJoint
             self._joints.append(
                 plant.AddJoint(
-                    kind(f"{name}/j{i}", base, body.body_frame(), axis, damping=damping[i - 1])
+                    kind(f"{name}/j{i}", base, body.body_frame(), link.axis, damping=damping[i - 1])
                 )
             )
             bodies.append(body)
-        tip = np.eye(4)
-        tip[:3, :3], tip[:3, 3] = arm.tip_rotation, arm.tip_translation
-        return bodies[arm.tip_joint], tip @ self.system.frames[name].on_tip
+        return bodies[arm.tip_joint], tip_frame(self.system, name)
 
-    def _drive(self, builder: Any, drive: Sinusoid | Callable[[float, State], np.ndarray]) -> None:
+    def _drive(self, builder: Any, drive: Drive) -> None:
         """Connect the torques: Drake's own sines, or a function that is called back."""
         from pydrake.systems.primitives import Adder, ConstantVectorSource, Sine
 
@@ -233,27 +261,23 @@ def _constrain(
     plant: Any, body: Any, on_object: np.ndarray, tip: Any, on_tip: np.ndarray, joint: Any
 ) -> None:
     """Close an arm's joint to the object."""
-    if joint.kind not in EXPRESSIBLE:
-        kinds = ", ".join(EXPRESSIBLE)
-        raise ModelError(f"Drake has no constraint for {joint.kind}; only {kinds}")
+    ends = joint_ends(joint, "Drake has no constraint")
     if joint.kind == "weld":
         plant.AddWeldConstraint(body, _pose(on_object), tip, _pose(on_tip))
         return
-    reach = joint.size / 2.0 if joint.kind == "revolute" else 0.0
-    for shift in (-reach, reach) if reach else (0.0,):
+    for end in ends:
         plant.AddBallConstraint(
             body,
-            on_object[:3, 3] + shift * on_object[:3, 2],
+            on_object[:3, 3] + end * on_object[:3, 2],
             tip,
-            on_tip[:3, 3] + shift * on_tip[:3, 2],
+            on_tip[:3, 3] + end * on_tip[:3, 2],
         )
 
 
 def _inertia(mass: float, centre: np.ndarray, about_centre: np.ndarray) -> Any:
     from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInertia
 
-    xx, xy, xz, yy, yz, zz = about_centre[np.triu_indices(3)]
-    own = RotationalInertia(xx, yy, zz, xy, xz, yz)
+    own = RotationalInertia(*moments(about_centre))
     unit = UnitInertia().SetFromRotationalInertia(own, mass)
     return SpatialInertia(mass, centre, unit.ShiftFromCenterOfMass(-np.asarray(centre)))
 

@@ -32,8 +32,7 @@ from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_python
 from multiarm.problems import ring_of_arms
 from multiarm.studies.peer_trials import BYTES_PER_CUBE
-from multiarm.studies.peers import PinocchioForest
-from multiarm.studies.pinocchio_motion import PinocchioMotion
+from multiarm.studies.pinocchio_peer import PinocchioForest, PinocchioMotion
 from multiarm.studies.timing import (
     Burst,
     fastest,

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -33,19 +33,17 @@ from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.jit.structs import floats_at, struct_at
 from multiarm.studies.observables import Sinusoid
+from multiarm.studies.peers import Drive, joint_ends, links, moments, tip_frame
 from multiarm.studies.time_series import Grid, TimeSeries
 
 HARDNESS = 1e-6
 _HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]
-EXPRESSIBLE = ("weld", "ball", "revolute")
-"""Kinds of joint that can be written with MuJoCo's equality constraints."""
 _INTEGRATORS = {
     "Euler": (mujoco.mjtIntegrator.mjINT_EULER, (0.0,)),
     "implicitfast": (mujoco.mjtIntegrator.mjINT_IMPLICITFAST, (0.0,)),
     "RK4": (mujoco.mjtIntegrator.mjINT_RK4, (0.0, 0.5, 0.5, 1.0)),
 }
 # and the stages of a step at which MuJoCo calls for torques
-INTEGRATORS = tuple(_INTEGRATORS)
 
 
 class MujocoModel:
@@ -65,6 +63,8 @@ class MujocoModel:
     ModelError
         For a joint without an equality constraint, and what MuJoCo's compiler refuses.
     """
+
+    methods: ClassVar = dict.fromkeys(_INTEGRATORS, "step")
 
     def __init__(self, system: System, damping: np.ndarray, as_shipped: bool = False):
         self.system = system
@@ -142,18 +142,14 @@ class MujocoModel:
         series: TimeSeries,
         grid: Grid,
         start: State,
-        integrator: str,
-        step: float,
-        drive: Sinusoid | Callable[[float, State], np.ndarray],
+        method: str,
+        value: float,
+        drive: Drive,
     ) -> None:
-        """Step from output to output and record the motion, with the steps alone on the clock.
-
-        ``drive`` are the torques, of time alone or of time and state.  It ends early when the state
-        is no longer finite.
-        """
-        kind, stages = _INTEGRATORS[integrator]
-        d, n, count = self.data, self.system.model.layout.joints, grid.steps(step)
-        self.model.opt.integrator, self.model.opt.timestep = kind, step
+        """Step from output to output and record the motion (:meth:`.peers.Peer.follow`)."""
+        kind, stages = _INTEGRATORS[method]
+        d, n, count = self.data, self.system.model.layout.joints, grid.steps(value)
+        self.model.opt.integrator, self.model.opt.timestep = kind, value
         self.place(start)
         series.positions.append(start.position.copy())
         played: tuple[TorqueTape, Sinusoid] | None = None
@@ -170,7 +166,7 @@ class MujocoModel:
             for k in range(grid.intervals):
                 if played is not None:
                     tape, torques = played
-                    tape.load(torques.at(k * grid.interval + step * offsets))
+                    tape.load(torques.at(k * grid.interval + value * offsets))
                 series.start()
                 mujoco.mj_step(self.model, d, nstep=count)
                 series.stop()
@@ -209,26 +205,17 @@ def _quiet(control: Callable | None = None) -> Iterator[None]:
 
 def _add_arm(spec: Any, system: System, name: str) -> None:
     """Links and joints of an arm, and the sites of its joint to the object."""
-    arm = system.arms[name]
-    model, bodies = arm.model, [spec.worldbody]
-    q = arm.configuration(np.zeros(arm.dof))
-    for i in range(1, model.njoints):
-        placement, inertia = model.jointPlacements[i], model.inertias[i]
-        body = bodies[model.parents[i]].add_body(
-            pos=placement.translation, quat=_quaternion(placement.rotation)
+    arm, bodies = system.arms[name], [spec.worldbody]
+    for link in links(arm):
+        body = bodies[link.parent].add_body(
+            pos=link.placement.translation, quat=_quaternion(link.placement.rotation)
         )
-        _set_inertia(body, inertia.mass, inertia.lever, inertia.inertia)
-        data = model.joints[i].createData()
-        model.joints[i].calc(data, q)
-        slide, turn = np.array(data.S).reshape(6)[:3], np.array(data.S).reshape(6)[3:]
-        hinge = bool(np.any(turn))
-        kind = mujoco.mjtJoint.mjJNT_HINGE if hinge else mujoco.mjtJoint.mjJNT_SLIDE
-        body.add_joint(type=kind, axis=turn if hinge else slide)
+        _set_inertia(body, link.inertia.mass, link.inertia.lever, link.inertia.inertia)
+        kind = mujoco.mjtJoint.mjJNT_HINGE if link.turns else mujoco.mjtJoint.mjJNT_SLIDE
+        body.add_joint(type=kind, axis=link.axis)
         bodies.append(body)
-    tip = np.eye(4)
-    tip[:3, :3], tip[:3, 3] = arm.tip_rotation, arm.tip_translation
     joint = next(joint for joint in system.scene.joints if joint.arm == name)
-    _add_sites(bodies[arm.tip_joint], "arm", joint, tip @ system.frames[name].on_tip)
+    _add_sites(bodies[arm.tip_joint], "arm", joint, tip_frame(system, name))
 
 
 def _add_object(spec: Any, system: System) -> None:
@@ -245,8 +232,7 @@ def _add_object(spec: Any, system: System) -> None:
 
 def _set_inertia(body: Any, mass: float, centre: np.ndarray, inertia: np.ndarray) -> None:
     body.explicitinertial, body.mass, body.ipos = True, mass, centre
-    xx, xy, xz, yy, yz, zz = inertia[np.triu_indices(3)]
-    body.fullinertia = [xx, yy, zz, xy, xz, yz]
+    body.fullinertia = moments(inertia)
 
 
 def _add_sites(body: Any, side: str, joint: Any, pose: np.ndarray) -> None:
@@ -269,10 +255,7 @@ def _add_joint(spec: Any, joint: Any, options: dict[str, Any]) -> None:
 
 
 def _shifts(joint: Any) -> tuple[float, ...]:
-    if joint.kind not in EXPRESSIBLE:
-        kinds = ", ".join(EXPRESSIBLE)
-        raise ModelError(f"MuJoCo has no equality constraint for {joint.kind}; only {kinds}")
-    return (-joint.size / 2.0, joint.size / 2.0) if joint.kind == "revolute" else (0.0,)
+    return joint_ends(joint, "MuJoCo has no equality constraint")
 
 
 def _quaternion(rotation: np.ndarray) -> np.ndarray:

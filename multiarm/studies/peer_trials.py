@@ -35,6 +35,7 @@ from multiarm.studies.observables import (
     largest_gap,
     total_energy,
 )
+from multiarm.studies.peers import NOT_INSTALLED
 
 if TYPE_CHECKING:
     from multiarm.studies.mujoco_peer import MujocoModel
@@ -44,7 +45,6 @@ WINDOW = 0.5
 PATIENCE = 1.0
 """A solver's wall time for the short run [s]."""
 OURS = "multiarm"
-NOT_INSTALLED = "not installed: pip install multiarm[peers]"
 PINOCCHIO = ("constraintDynamics as shipped", "constraintDynamics", "lcaba")
 MUJOCO = {"MuJoCo as shipped": True, "MuJoCo": False}
 STEPS_PER_LOOK = 10
@@ -292,7 +292,7 @@ def pinocchio_peer(trial: Trial, algorithm: str) -> MakePeer:
     """A function that makes one of Pinocchio's algorithms."""
 
     def make():
-        from multiarm.studies.peers import PinocchioForest
+        from multiarm.studies.pinocchio_peer import PinocchioForest
 
         memory = BYTES_PER_CUBE * (6 + trial.system.model.layout.joints) ** 3
         if memory > MOST_MEMORY:

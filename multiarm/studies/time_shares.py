@@ -228,7 +228,8 @@ def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
     begin_chart(data.struct, slopes.base, slopes.z)
     pushed = slopes.z.copy()
     pushed[:3] += OPEN
-    _kinematics_often(struct, 1)
+    parts = data.arrays.functions
+    _call_often(struct, parts.kinematics, 1)
     L, Y = work.L.copy(), work.Y.copy()
     sample = np.zeros(sample_width(data))
     closed = projection_tolerance(data)
@@ -245,8 +246,8 @@ def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
     return {
         "evaluation": slope_burst(data),
         "terms": terms_burst(data),
-        "kinematics": checked(_kinematics_often),
-        "forces": checked(_forces_often),
+        "kinematics": checked(_call_often, parts.kinematics),
+        "forces": checked(_call_often, parts.forces),
         "reload": checked(_reload_often, L, Y, work.L, work.Y),
         "reload and solve": checked(_solve_often, L, Y, work.L, work.Y),
         "state": checked(_pass_often, slopes.z, slopes.base, slopes.slope),
@@ -272,18 +273,11 @@ def _arithmetic_burst(joints: int, integrator: str) -> Burst:
 
 
 @kernel
-def _kinematics_often(struct, count):
+def _call_often(struct, address, count):
+    """Call a part of an evaluation."""
     status = OK
     for _ in range(count):
-        status = call_cfunc(open_data(struct).functions.kinematics, struct, 0.0, 0.0)
-    return status
-
-
-@kernel
-def _forces_often(struct, count):
-    status = OK
-    for _ in range(count):
-        status = call_cfunc(open_data(struct).functions.forces, struct, 0.0, 0.0)
+        status = call_cfunc(address, struct, 0.0, 0.0)
     return status
 
 

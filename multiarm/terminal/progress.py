@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterable
 from datetime import datetime, timedelta
 from types import TracebackType
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import (
     BarColumn,
     Progress,
@@ -51,9 +52,27 @@ def kernels_are_cached(integrator: str | None = None) -> bool:
     return all(kernel.is_cached() for kernel in kernels)
 
 
-def passing_bar(console: Console, *columns: ProgressColumn, hidden: bool = False) -> Progress:
+class _Bar(Progress):
+    """A bar with a sentence below it.
+
+    Attributes
+    ----------
+    note : str
+        Empty where there is nothing to say.
+    """
+
+    note = ""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """What is drawn: the bar, and the sentence."""
+        yield from super().get_renderables()
+        if self.note:
+            yield Text(self.note, "green")
+
+
+def passing_bar(console: Console, *columns: ProgressColumn, hidden: bool = False) -> _Bar:
     """A bar with a description and further columns, on terminals only; removed at the end."""
-    return Progress(
+    return _Bar(
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -212,6 +231,15 @@ class StudyProgress:
     def stop(self) -> None:
         """Take the bar away."""
         self._bar.stop()
+
+    def note(self, text: str) -> None:
+        """Show a sentence below the bar."""
+        self._bar.note = text
+
+    def print(self, *items: RenderableType) -> None:
+        """Print on stderr, above the bar."""
+        for item in items:
+            self._bar.console.print(item)
 
     def report(self, text: str, done: float | None = None, total: float = 0.0) -> None:
         """Show what is being done, and how many parts are done of how many there may be.

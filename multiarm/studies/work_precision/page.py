@@ -25,7 +25,12 @@ from multiarm.studies.work_precision.points import Point
 from multiarm.studies.work_precision.reference import QUANTITIES
 from multiarm.studies.work_precision.settings import BY_ACCURACY
 from multiarm.studies.work_precision.store import Results
-from multiarm.studies.work_precision.words import described, recommendation, reference_text
+from multiarm.studies.work_precision.words import (
+    described,
+    recommendation,
+    reference_text,
+    state_text,
+)
 
 PALETTE = (
     "#3b7dd8", "#d1495b", "#2f9e67", "#d9822b", "#8a5cc2", "#0f9aa8", "#c2417c", "#8c7a2b",
@@ -149,6 +154,7 @@ def render(results: Results) -> str:
         quantities=QUANTITIES,
         recommendations={name: recommendation(results, name) for name in QUANTITIES},
         reference=reference_text(results),
+        state=state_text(results),
         decades={name: decades(results, name) for name in QUANTITIES},
         described=described,
         data=printable_texts(plain(_data(results, series))),

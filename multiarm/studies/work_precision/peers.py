@@ -1,53 +1,32 @@
 """Other programs on the same scene: which of them can run it, and why the others cannot.
 
-Each peer has its best settings: models are built and torques tabulated outside the measured time,
-no Python is in a loop that can do without, and a feedback controller, which is ours and is called
-back, costs the peer nothing.
+A feedback controller, which is ours and is called back, costs the peer nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
-from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.studies.observables import (
-    Sinusoid,
     control_torque,
     inexpressible_effects,
     joint_damping,
     sinusoid,
 )
-from multiarm.studies.peer_trials import NOT_INSTALLED
+from multiarm.studies.peers import NOT_INSTALLED, Drive, Peer
 from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
-from multiarm.studies.work_precision.points import FAILED, Point, point_of_series, too_slow
-from multiarm.studies.work_precision.reference import Reference
+from multiarm.studies.work_precision.points import (
+    FAILED,
+    Measured,
+    Point,
+    measured_series,
+    too_slow,
+)
 from multiarm.studies.work_precision.settings import Ladder, Setting, peer_ladder
 
-Follow = Callable[[TimeSeries, State, str, float, Any], None]
-"""Runs a series from a state by a method and its step or tolerance, driven by torques."""
-
-
-@dataclass(frozen=True)
-class Peer:
-    """A program that can run this scene.
-
-    Attributes
-    ----------
-    solver : str
-    methods : dict
-        Integrator -> what sets its accuracy, ``step`` or ``tolerance``.
-    follow : callable
-    """
-
-    solver: str
-    methods: dict[str, str]
-    follow: Follow
+SOLVERS = ("MuJoCo", "MuJoCo as shipped", "Pinocchio", "Drake")
 
 
 class Peers:
@@ -67,89 +46,67 @@ class Peers:
         self._start = system.initial_state()
         self._drive = sinusoid(system)
         strange = inexpressible_effects(system)
-        for solver, make in _MAKERS.items():
+        for solver in SOLVERS:
             if strange:
                 self.refusals[solver] = f"cannot express {', '.join(strange)}"
                 continue
             try:
-                methods, follow = make(system, joint_damping(system), self.grid)
+                self.able[solver] = _make_peer(solver, system, joint_damping(system))
             except ModelError as error:
                 self.refusals[solver] = f"cannot express it: {error}"
             except ImportError:
                 self.refusals[solver] = NOT_INSTALLED
-            else:
-                self.able[solver] = Peer(solver, methods, follow)
 
-    def ladders(self, average: float, quick: bool) -> list[Ladder]:
+    def ladders(self, average: float) -> list[Ladder]:
         """The settings of all peers; ``average`` is the reference's average step [s]."""
         return [
-            peer_ladder(peer.solver, method, knob, self.grid.interval, average, quick)
-            for peer in self.able.values()
+            peer_ladder(solver, method, knob, self.grid.interval, average)
+            for solver, peer in self.able.items()
             for method, knob in peer.methods.items()
         ]
 
-    def measure(self, setting: Setting, reference: Reference, limit_s: float) -> Point:
-        """Run a peer's setting and compare it; whatever it raises becomes a failed point."""
+    def run(self, setting: Setting, limit_s: float) -> Measured:
+        """Run a peer's setting; whatever it raises becomes a failed point."""
         series = TimeSeries(limit_s)
         peer = self.able[setting.solver]
         try:
             with np.errstate(all="ignore"):
                 peer.follow(
-                    series, self._start, setting.method, setting.value, self._torques(series)
-                )
+                    series, self.grid, self._start, setting.method, setting.value,
+                    self._torques(series),
+                )  # fmt: skip
         except OutOfTime:
             return too_slow(setting, limit_s)
         except Exception as error:
-            return Point(setting, FAILED, f"{type(error).__name__}: {error}".splitlines()[0])
-        return point_of_series(self.system, setting, reference, self.grid, series)
+            reason = f"{type(error).__name__}: {error}".splitlines()[0]
+            return Measured(Point(setting, FAILED, reason))
+        return measured_series(self.system, setting, self.grid, series)
 
-    def _torques(self, series: TimeSeries) -> Sinusoid | Callable[[float, State], np.ndarray]:
+    def _torques(self, series: TimeSeries) -> Drive:
         if self._drive is not None:
             return self._drive
         system = self.system
         return series.off_the_clock(lambda t, state: control_torque(system, t, state))
 
 
-def _mujoco(as_shipped: bool):
-    def make(system: System, damping: np.ndarray, grid: Grid):
-        from multiarm.studies.mujoco_peer import INTEGRATORS, MujocoModel
+def _make_peer(solver: str, system: System, damping: np.ndarray) -> Peer:
+    """The model of one of ``SOLVERS``.
 
-        model = MujocoModel(system, damping, as_shipped)
+    Raises
+    ------
+    ModelError
+        The program cannot express the system.
+    ImportError
+        It is not installed.
+    """
+    if solver == "Pinocchio":
+        from multiarm.studies.pinocchio_peer import PinocchioMotion
 
-        def follow(series, start, method, value, drive):
-            model.follow(series, grid, start, method, value, drive)
+        return PinocchioMotion(system, damping)
+    if solver == "Drake":
+        from multiarm.studies.drake_peer import DrakePeer
 
-        return dict.fromkeys(INTEGRATORS, "step"), follow
+        return DrakePeer(system, damping)
+    from multiarm.studies.mujoco_peer import MujocoModel
 
-    return make
-
-
-def _pinocchio(system: System, damping: np.ndarray, grid: Grid):
-    from multiarm.studies.pinocchio_motion import METHODS, PinocchioMotion
-
-    model = PinocchioMotion(system, damping)
-
-    def follow(series, start, method, value, drive):
-        model.follow(series, grid, start, method, value, drive)
-
-    return METHODS, follow
-
-
-def _drake(system: System, damping: np.ndarray, grid: Grid):
-    from multiarm.studies.drake_peer import METHODS, DrakeModel
-
-    DrakeModel(system, damping, grid.interval, Sinusoid.none(damping.size))  # refuses now, or never
-
-    def follow(series, start, method, value, drive):
-        DrakeModel(system, damping, value, drive).follow(series, grid, start)
-
-    return METHODS, follow
-
-
-_MAKERS = {
-    "MuJoCo": _mujoco(as_shipped=False),
-    "MuJoCo as shipped": _mujoco(as_shipped=True),
-    "Pinocchio": _pinocchio,
-    "Drake": _drake,
-}
-SOLVERS = tuple(_MAKERS)
+    return MujocoModel(system, damping, as_shipped=solver == "MuJoCo as shipped")

@@ -14,7 +14,7 @@ from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import plain
 from multiarm.studies.observables import largest_gap
 from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
-from multiarm.studies.work_precision.reference import Motion, Reference, limited, motion_error
+from multiarm.studies.work_precision.reference import Motion, limited, motion_error
 from multiarm.studies.work_precision.settings import Setting
 
 COMPLETED, FAILED, TOO_SLOW = "completed", "failed", "too slow"
@@ -85,52 +85,72 @@ class Point:
         return cls(**{**data, "setting": Setting(**data["setting"])})
 
 
-def measure_ours(system: System, setting: Setting, reference: Reference, limit_s: float) -> Point:
-    """Run one of our settings and compare it."""
+@dataclass(frozen=True)
+class Measured:
+    """A run: its point, whose errors are found when it is compared, and its motion if it has one.
+
+    Attributes
+    ----------
+    point : Point
+    motion : Motion or None
+    """
+
+    point: Point
+    motion: Motion | None = None
+
+    def against(self, exact: Motion) -> Point:
+        """The point with its errors."""
+        if self.motion is None:
+            return self.point
+        return replace(self.point, errors=self.motion.errors(exact))
+
+
+def run_ours(system: System, setting: Setting, limit_s: float) -> Measured:
+    """Run one of our settings."""
     try:
         run = limited(system, limit_s, **setting.options)
     except OutOfTime:
         return too_slow(setting, limit_s)
     except MultiarmError as error:
-        return Point(setting, FAILED, str(error))
+        return Measured(Point(setting, FAILED, str(error)))
     if run.status != "completed":
-        return Point(setting, FAILED, run.message)
+        return Measured(Point(setting, FAILED, run.message))
     counted = run.statistics
-    return Point(
+    point = Point(
         setting,
         COMPLETED,
         wall_time_s=counted["wall_time_s"],
         steps=counted["steps"],
         evaluations=counted["evaluations"],
-        errors=Motion.of(run).errors(reference.motion),
         gap_m=float(np.max(run.position_drift)),
         gap_rate_m_per_s=float(np.max(run.velocity_drift)),
         energy_J=float(np.max(np.abs(run.energy_balance))),
         used=counted["integrator"],
     )
+    return Measured(point, Motion.of(run))
 
 
-def point_of_series(
-    system: System, setting: Setting, reference: Reference, grid: Grid, series: TimeSeries
-) -> Point:
-    """A peer's point from its series."""
+def measured_series(system: System, setting: Setting, grid: Grid, series: TimeSeries) -> Measured:
+    """A peer's run from its series."""
     found = np.array(series.positions)
     if len(found) <= grid.intervals:
         reached = (len(found) - 1) * grid.interval
-        return Point(setting, FAILED, f"the state is no longer finite after {reached:.3g} s")
+        return Measured(
+            Point(setting, FAILED, f"the state is no longer finite after {reached:.3g} s")
+        )
     still = np.zeros(6 + system.model.layout.joints)
     gaps = [largest_gap(system, State(position, still, system.model.layout)) for position in found]
-    return Point(
+    point = Point(
         setting,
         COMPLETED,
         wall_time_s=series.wall_time_s,
         steps=series.steps,
         evaluations=series.evaluations,
-        errors=Motion(found).errors(reference.motion),
         gap_m=max(gaps),
     )
+    return Measured(point, Motion(found))
 
 
-def too_slow(setting: Setting, limit_s: float) -> Point:
-    """The point of a run that was ended by its time limit."""
-    return Point(setting, TOO_SLOW, f"not done after {limit_s:.2g} s")
+def too_slow(setting: Setting, limit_s: float) -> Measured:
+    """A run that was ended by its time limit."""
+    return Measured(Point(setting, TOO_SLOW, f"not done after {limit_s:.2g} s"))

@@ -1,5 +1,8 @@
 """The reference: a tight run, and an independent run that determines its digits.
 
+Both take long.  Until they are there, the most accurate of the first runs stands in for the
+reference, and its difference from the next one for the digits.
+
 The reference is a run of the node algorithm with a method of high order.  Its check shares nothing
 with it but the model: the dense solution of all equations at once
 (:mod:`multiarm.dynamics.solver.dense`), and another method.  The differences of the two are the
@@ -110,6 +113,8 @@ class Reference:
     wall_time_s : float
     about : dict
         How it was made and checked: method, tolerance, evaluations, check.
+    first : bool
+        It is a first one, which the one of :func:`make_reference` is to replace.
     """
 
     motion: Motion
@@ -117,6 +122,7 @@ class Reference:
     average_step_s: float
     wall_time_s: float
     about: Mapping[str, Any] = field(default_factory=dict)
+    first: bool = False
 
 
 def motion_error(errors: Mapping[str, float | None]) -> float | None:
@@ -197,6 +203,12 @@ def make_reference(
     )
 
 
+def difference(check: Motion, motion: Motion) -> dict[str, float]:
+    """Quantity -> what two motions differ by: the digits of the second."""
+    errors = {name: error for name, error in check.errors(motion).items() if error is not None}
+    return {"motion": motion_error(errors) or 0.0, **errors}
+
+
 def _tight_run(system: System) -> tuple[Trajectory, str, float]:
     trouble = ""
     for method in METHODS:
@@ -254,8 +266,7 @@ def _check(
         left -= took
         if run.status != "completed":
             return best
-        errors = {k: e for k, e in Motion.of(run).errors(motion).items() if e is not None}
-        digits = {"motion": motion_error(errors) or 0.0, **errors}
+        digits = difference(Motion.of(run), motion)
         if best is None or digits["motion"] < best[0]["motion"]:
             about = {
                 "solver": solver,

@@ -101,7 +101,7 @@ class Ladder:
         return self.settings[0].series
 
 
-def our_ladders(output_step: float, duration: float, average: float, quick: bool) -> list[Ladder]:
+def our_ladders(output_step: float, duration: float, average: float) -> list[Ladder]:
     """All methods of this program, with each stabilisation that goes with them.
 
     Parameters
@@ -110,13 +110,10 @@ def our_ladders(output_step: float, duration: float, average: float, quick: bool
         [s]
     average : float
         Average step of the reference [s], from which the fixed steps follow.
-    quick : bool
-        Every second setting only.
     """
-    stride = 2 if quick else 1
-    ladders = [_ladder(OURS, BY_ACCURACY, "", "accuracy", _powers(DECADES_OF_ACCURACY, stride))]
-    tolerances = _powers(DECADES_OF_TOLERANCE, stride)
-    steps = halved_steps(output_step, min(COARSEST * average, duration / 4.0), stride)
+    ladders = [_ladder(OURS, BY_ACCURACY, "", "accuracy", _powers(DECADES_OF_ACCURACY))]
+    tolerances = _powers(DECADES_OF_TOLERANCE)
+    steps = halved_steps(output_step, min(COARSEST * average, duration / 4.0))
     for names, knob, values in (
         (ADAPTIVE_INTEGRATORS, "tolerance", tolerances),
         (FIXED_STEP_INTEGRATORS, "step", steps),
@@ -128,25 +125,22 @@ def our_ladders(output_step: float, duration: float, average: float, quick: bool
     return ladders
 
 
-def peer_ladder(
-    solver: str, method: str, knob: str, interval: float, average: float, quick: bool
-) -> Ladder:
+def peer_ladder(solver: str, method: str, knob: str, interval: float, average: float) -> Ladder:
     """The settings of a peer's method; its steps divide the time between two outputs."""
-    stride = 2 if quick else 1
     if knob == "step":
-        values = halved_steps(interval, min(COARSEST * average, interval), stride)
+        values = halved_steps(interval, min(COARSEST * average, interval))
     else:
-        values = _powers(DECADES_OF_TOLERANCE, stride)
+        values = _powers(DECADES_OF_TOLERANCE)
     return _ladder(solver, method, "", knob, values)
 
 
-def halved_steps(output_step: float, coarsest: float, stride: int = 1) -> tuple[float, ...]:
+def halved_steps(output_step: float, coarsest: float) -> tuple[float, ...]:
     """The output step, doubled or halved to at most ``coarsest``, and then halved again and again.
 
     Every step that is not longer than the output step divides it.
     """
     first = math.floor(math.log2(coarsest / output_step) + 1e-9)
-    return tuple(math.ldexp(output_step, first - k) for k in range(0, HALVINGS, stride))
+    return tuple(math.ldexp(output_step, first - k) for k in range(HALVINGS))
 
 
 def short(value: float) -> str:
@@ -158,8 +152,8 @@ def short(value: float) -> str:
     return f"{value:.7g}"
 
 
-def _powers(decades: range, stride: int) -> tuple[float, ...]:
-    return tuple(float(f"1e-{k}") for k in decades[::stride])
+def _powers(decades: range) -> tuple[float, ...]:
+    return tuple(float(f"1e-{k}") for k in decades)
 
 
 def _ladder(solver: str, method: str, kind: str, knob: str, values: tuple[float, ...]) -> Ladder:

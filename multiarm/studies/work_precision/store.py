@@ -1,11 +1,14 @@
 """The file of a study: every point is written as soon as it is measured.
 
+Points that were compared with a first reference keep their motions, until a better reference comes
+and their errors are computed again.
 An interrupted study resumes from it, and pages and plots are drawn from the file alone.  It belongs
 to a scene, to versions and to a machine: times of different machines are not comparable.
 """
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import time
@@ -13,15 +16,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from multiarm.errors import MultiarmError
 from multiarm.results.files import atomic_output
 from multiarm.results.trajectory import plain
 from multiarm.scene import RunSpec, Scene, dump_scene, resolve_arm
 from multiarm.scene.run import DEFAULT_ACCURACY
-from multiarm.studies.work_precision.points import Point
-from multiarm.studies.work_precision.reference import Reference
+from multiarm.studies.work_precision.points import Measured, Point
+from multiarm.studies.work_precision.reference import Motion, Reference
 
-FORMAT = "multiarm accuracy, 1"
+FORMAT = "multiarm accuracy, 2"
+OLD_FORMAT = "multiarm accuracy, 1"
+"""Of studies without motions, first references and plans."""
 WRITE_INTERVAL = 1.0
 """The file is written at most so often [s]."""
 DEFAULT_FORCE_ACCURACY = 1e-3
@@ -40,13 +47,17 @@ class Results:
         Scene (name, digest, duration_s, output_step_s, text, and accuracy: the error that is aimed
         at, for each quantity) and machine.
     reference : dict or None
-        digits, about, wall_time_s, average_step_s.
+        digits, about, wall_time_s, average_step_s, first.
     points : dict of str to Point
         By the setting's key, in the order in which they were measured.
     refusals : dict of str to str
         Peer -> why it has no points.
     wall_time_s : float
         That the study took.
+    planned : int or None
+        How many points there will be, as far as that is known; None when all are measured.
+    left_out : bool
+        Dominated settings were left out.
     """
 
     def __init__(self, about: dict[str, Any], path: Path | None = None):
@@ -55,6 +66,10 @@ class Results:
         self.points: dict[str, Point] = {}
         self.refusals: dict[str, str] = {}
         self.wall_time_s = 0.0
+        self.planned: int | None = None
+        self.left_out = False
+        self._exact: Motion | None = None
+        self._motions: dict[str, Motion] = {}
         self._path, self._written = path, 0.0
 
     @classmethod
@@ -84,31 +99,53 @@ class Results:
         return ""
 
     def found_reference(self, reference: Reference) -> None:
-        """Keep what is to be known about the reference."""
+        """Keep a reference; points whose motions are known are compared with it."""
         self.reference = plain(
             {
                 "digits": reference.digits,
                 "about": reference.about,
                 "wall_time_s": reference.wall_time_s,
                 "average_step_s": reference.average_step_s,
+                "first": reference.first,
             }
         )
+        self._exact = reference.motion
+        for key, motion in self._motions.items():
+            self.points[key] = Measured(self.points[key], motion).against(reference.motion)
+        if not reference.first:
+            self._motions = {}
         self.write()
 
-    def add(self, point: Point) -> None:
-        """Keep a point; the file is written now and then."""
+    def known_reference(self) -> Reference | None:
+        """The reference; None where there is none, or where its motion is not in the file."""
+        if self.reference is None or self._exact is None:
+            return None
+        return Reference(self._exact, **self.reference)
+
+    def add(self, measured: Measured) -> None:
+        """Keep a run, compared with the reference; the file is written now and then."""
+        assert self._exact is not None and self.reference is not None, "the reference comes first"
+        key = measured.point.setting.key
+        if self.reference["first"] and measured.motion is not None:
+            self._motions[key] = measured.motion
+        self.replace(measured.against(self._exact))
+
+    def replace(self, point: Point) -> None:
+        """Keep a point as it is; the file is written now and then."""
         self.points[point.setting.key] = point
         if time.monotonic() - self._written > WRITE_INTERVAL:
             self.write()
 
     def as_dict(self) -> dict[str, Any]:
-        """The results in what JSON knows."""
+        """The results in what JSON knows, without motions."""
         return {
             "format": FORMAT,
             **self.about,
             "reference": self.reference,
             "refusals": self.refusals,
             "wall_time_s": self.wall_time_s,
+            "planned": self.planned,
+            "left_out": self.left_out,
             "points": [point.as_dict() for point in self.points.values()],
         }
 
@@ -123,7 +160,10 @@ class Results:
         self._written = time.monotonic()
         if self._path is None:
             return
-        text = json.dumps(plain(self.as_dict()), allow_nan=False, ensure_ascii=False, indent=1)
+        motions = {key: _encoded(motion) for key, motion in self._motions.items()}
+        exact = None if self._exact is None else _encoded(self._exact)
+        data = {**plain(self.as_dict()), "exact": exact, "motions": motions}
+        text = json.dumps(data, allow_nan=False, ensure_ascii=False, indent=1)
         with atomic_output(self._path, "--results") as partial:
             partial.write_text(text + "\n", encoding="utf-8")
 
@@ -143,17 +183,52 @@ def read_results(path: Path) -> Results:
     except ValueError:
         data = None
     strange = f"'{path}' is not the file of an accuracy study; name another one"
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
+    if not isinstance(data, dict) or data.get("format") not in (FORMAT, OLD_FORMAT):
         raise MultiarmError(strange)
     try:
-        results = Results({key: data[key] for key in ("scene", "machine")}, path)
-        results.reference, results.refusals = data["reference"], data["refusals"]
-        results.wall_time_s = data["wall_time_s"]
-        found = [Point.from_dict(item) for item in data["points"]]
-    except (KeyError, TypeError):
+        return _read(data, path)
+    except (KeyError, TypeError, ValueError):
         raise MultiarmError(strange) from None
+
+
+def _read(data: dict[str, Any], path: Path) -> Results:
+    """The results in a file's data."""
+    results = Results({key: data[key] for key in ("scene", "machine")}, path)
+    results.reference, results.refusals = data["reference"], data["refusals"]
+    results.wall_time_s = data["wall_time_s"]
+    found = [Point.from_dict(item) for item in data["points"]]
     results.points = {point.setting.key: point for point in found}
+    if data["format"] == OLD_FORMAT:
+        if results.reference is not None:
+            results.reference["first"] = False
+        return results
+    results.planned, results.left_out = data["planned"], data["left_out"]
+    results._exact = None if data["exact"] is None else _decoded(data["exact"])
+    results._motions = {key: _decoded(motion) for key, motion in data["motions"].items()}
     return results
+
+
+def _encoded(motion: Motion) -> dict[str, Any]:
+    """A motion in what JSON knows, all numbers bit for bit."""
+    return {
+        "rows": len(motion.positions),
+        "positions": _text(motion.positions),
+        "forces": None if motion.forces is None else _text(motion.forces),
+    }
+
+
+def _text(numbers: np.ndarray) -> str:
+    return base64.b64encode(numbers.tobytes()).decode()
+
+
+def _decoded(data: Mapping[str, Any]) -> Motion:
+    """The motion that :func:`_encoded` was given."""
+
+    def numbers(text: str) -> np.ndarray:
+        return np.frombuffer(base64.b64decode(text)).reshape(data["rows"], -1)
+
+    forces = data["forces"]
+    return Motion(numbers(data["positions"]), None if forces is None else numbers(forces))
 
 
 def _targets(run: RunSpec) -> dict[str, float]:

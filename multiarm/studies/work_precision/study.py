@@ -1,39 +1,57 @@
-"""The study: all settings of a scene are measured, and then repeated in rounds.
+"""The study: first results soon, then the full reference, all settings, and repetitions.
 
-First every ladder is run from coarse to fine, one setting of each in turn, until its error reaches
-the digits of the reference, no longer falls, or a run exceeds its time limit.  Then all runs are
-repeated in rounds, so that disturbances affect all of them alike; the fastest run counts.
+1. *First results.*  Runs by accuracy, tighter and tighter as time allows; the tightest is the first
+   reference, and settings of all methods are compared with it.
+2. *The reference.*  It replaces the first one, and errors are computed again from stored motions.
+3. *All settings* that are worth their time (:mod:`multiarm.studies.work_precision.plan`): of each
+   ladder first every fourth setting, then every second one, then the others; cheap ones first, and
+   those of peers last.
+4. *Repetitions*, in rounds over all settings, so that disturbances affect all of them alike; the
+   fastest run counts.
+
+Every stage takes up what is already in the results, so that a study can be interrupted anywhere.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.dynamics.system import System
 from multiarm.scene import Scene
 from multiarm.studies.hard_cases import machine
 from multiarm.studies.timing import one_thread
 from multiarm.studies.work_precision.peers import Peers
-from multiarm.studies.work_precision.points import TOO_SLOW, Point, measure_ours
-from multiarm.studies.work_precision.reference import Reference, make_reference
-from multiarm.studies.work_precision.settings import Ladder, Setting, our_ladders
+from multiarm.studies.work_precision.plan import Plan
+from multiarm.studies.work_precision.points import TOO_SLOW, Measured, run_ours
+from multiarm.studies.work_precision.reference import Reference, difference, make_reference
+from multiarm.studies.work_precision.settings import BY_ACCURACY, OURS, Ladder, Setting, our_ladders
 from multiarm.studies.work_precision.store import Results
 
+FIRST_RESULTS, LEAST_FIRST = 10.0, 2.0
+"""First results are shown after so long [s], but so long after the first reference at least."""
+FIRST_REFERENCE, FIRST_PATIENCE = 4.0, 8.0
+"""The runs for the first reference take so long together, about, and each of them at most [s]."""
+FIRST_ACCURACIES = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
+TIGHTER_TAKES = 3.0
+"""The next of the first accuracies takes about so many times as long."""
 LEAST_PATIENCE, PATIENCE = 1.0, 5.0
 """A run may take so many seconds of wall time at least, and so many times that of the reference."""
+STRIDES = (4, 2, 1)
+QUICK_STRIDES = (4, 2)
 REPEATS, QUICK_REPEATS = 8, 4
+LEAST_REPEATS = 3
+"""Dominated settings are run so often too: their first time may have been disturbed."""
 REPEAT_BUDGET = 0.5
 """The runs of one setting take about so long together [s]: slow ones are repeated less."""
-STALE = 3
-"""A ladder ends when so many settings in a row have made it no better."""
-BETTER = 0.7
-"""Fraction to which an error must fall to count as better."""
 
 Progress = Callable[[str, float, float], None]
 """Called with what is being done, how much is done, and how much there is at most."""
+Watch = Callable[[Results], None]
+"""Called with results that are worth showing, whenever there are more of them."""
+
+clock = time.perf_counter
 
 
 def run_study(
@@ -42,7 +60,9 @@ def run_study(
     *,
     peers: bool = True,
     quick: bool = False,
+    thorough: bool = False,
     progress: Progress | None = None,
+    watch: Watch | None = None,
 ) -> Results:
     """Measure all methods on a scene.
 
@@ -56,7 +76,9 @@ def run_study(
         Run other programs too.
     quick : bool
         Half the settings, fewer repeats.
-    progress : callable, optional
+    thorough : bool
+        Measure dominated settings too.
+    progress, watch : callable, optional
 
     Raises
     ------
@@ -66,113 +88,210 @@ def run_study(
         Ctrl-C; what was measured is in the results.
     """
     results = Results.of(scene, machine()) if results is None else results
-    report = progress or (lambda _text, _done, _total: None)
-    begin = time.perf_counter()
+    begin = clock()
     try:
         with one_thread():
-            system = compile_system(scene)
-            reference = make_reference(
-                system, lambda text: report(text, 0.0, 0.0), results.reference
-            )
-            results.found_reference(reference)
-            others = Peers(system) if peers else None
-            results.refusals = {} if others is None else others.refusals
-            bench = _Bench(system, reference, others, results)
-            digits = reference.digits["motion"]
-            climbs = [_Climb(ladder, digits) for ladder in bench.ladders(scene, quick)]
-            _climb_all(climbs, bench, report)
-            _repeat_all(climbs, bench, report, QUICK_REPEATS if quick else REPEATS)
+            study = _Study(scene, results, quick, thorough, progress, watch)
+            if results.reference is None:
+                study.first_results(begin + FIRST_RESULTS)
+            study.find_reference()
+            study.measure_all(peers)
     finally:
-        results.wall_time_s += time.perf_counter() - begin
+        results.wall_time_s += clock() - begin
         results.write()
     return results
 
 
-@dataclass(frozen=True)
-class _Bench:
-    """What measures a setting."""
+class _Study:
+    """A study as it goes on."""
 
-    system: System
-    reference: Reference
-    peers: Peers | None
-    results: Results
+    def __init__(
+        self,
+        scene: Scene,
+        results: Results,
+        quick: bool,
+        thorough: bool,
+        progress: Progress | None,
+        watch: Watch | None,
+    ) -> None:
+        self.scene, self.results = scene, results
+        self.strides = QUICK_STRIDES if quick else STRIDES
+        self.repeats = QUICK_REPEATS if quick else REPEATS
+        self.thorough = thorough
+        self.report = progress or (lambda _text, _done, _total: None)
+        self.watch = watch or (lambda _results: None)
+        self.system = compile_system(scene)
+        self.peers: Peers | None = None
+
+    def first_results(self, until: float) -> None:
+        """Find a first reference, and measure with it until a time of the clock."""
+        reference = self._first_reference()
+        if reference is None:
+            return
+        until = max(until, clock() + LEAST_FIRST)
+        ladders, plan = self._our_ladders(), self._plan()
+        given_up: set[str] = set()
+        while clock() < until:
+            left = [ladder for ladder in ladders if ladder.series not in given_up]
+            settings = plan.open(left, STRIDES[0])
+            if not settings:
+                break
+            self._count(plan, ladders)
+            self._report(settings[0].text)
+            measured = self._run_first(settings[0], LEAST_PATIENCE)
+            if measured.point.status == TOO_SLOW:  # there will be more time for it
+                given_up.add(settings[0].series)
+            else:
+                self.results.add(measured)
+        self._count(plan, ladders)
+        self.results.write()
+        self.watch(self.results)
+
+    def find_reference(self) -> None:
+        """Replace the first reference, unless that was done before."""
+        known = self.results.known_reference()
+        if known is not None and not known.first:
+            return
+        if known is not None:
+            self.watch(self.results)
+        found = make_reference(
+            self.system,
+            lambda text: self.report(text, 0.0, 0.0),
+            None if known is not None else self.results.reference,
+        )
+        if known is not None:  # the ladders of fixed steps stay as they are
+            found = replace(found, average_step_s=known.average_step_s)
+        self.results.found_reference(found)
+
+    def measure_all(self, peers: bool) -> None:
+        """Measure all settings that are worth their time, and repeat them."""
+        ours, theirs = self._our_ladders(), []
+        if peers:
+            self.peers = Peers(self.system)
+            theirs = self.peers.ladders(self._reference.average_step_s)
+        self.results.refusals = {} if self.peers is None else self.peers.refusals
+        ladders, plan = [*ours, *theirs], self._plan()
+        while True:
+            for lot in (ours, theirs):
+                for stride in self.strides:
+                    self._measure(plan, lot, stride, ladders)
+            self._repeat(plan)
+            if not plan.open(ladders, self.strides[-1]):  # times that were disturbed are better now
+                break
+        self.results.planned = None
+        self.results.left_out = plan.leaves_out(ladders, self.strides[-1])
+        self.watch(self.results)
 
     @property
-    def limit_s(self) -> float:
-        return max(LEAST_PATIENCE, PATIENCE * self.reference.wall_time_s)
+    def _reference(self) -> Reference:
+        found = self.results.known_reference()
+        assert found is not None, "points are measured when there is a reference"
+        return found
 
-    def ladders(self, scene: Scene, quick: bool) -> list[Ladder]:
-        average, run = self.reference.average_step_s, scene.run
-        found = our_ladders(run.output_step, run.duration, average, quick)
-        return found + ([] if self.peers is None else self.peers.ladders(average, quick))
+    def _plan(self) -> Plan:
+        reference = self._reference
+        limit = max(LEAST_PATIENCE, PATIENCE * reference.wall_time_s)
+        return Plan(self.results.points, reference.digits, limit, self.thorough)
 
-    def measure(self, setting: Setting) -> Point:
+    def _our_ladders(self) -> list[Ladder]:
+        run = self.scene.run
+        return our_ladders(run.output_step, run.duration, self._reference.average_step_s)
+
+    def _first_reference(self) -> Reference | None:
+        """The tightest of the first accuracies; None where fewer than two have a result."""
+        settings = [Setting(OURS, BY_ACCURACY, "", "accuracy", x) for x in FIRST_ACCURACIES]
+        self.report("first reference", 0.0, 0.0)
+        self._run(settings[0], FIRST_PATIENCE)  # loads what is compiled
+        done: list[Measured] = []
+        begin = clock()
+        for setting in settings:
+            self.report(f"first reference: {setting.text}", 0.0, 0.0)
+            before = clock()
+            measured = self._run(setting, FIRST_PATIENCE)
+            if measured.motion is None:
+                break
+            done.append(measured)
+            now = clock()
+            ends = now + TIGHTER_TAKES * (now - before)
+            if len(done) >= 2 and ends > begin + FIRST_REFERENCE:
+                break
+        if len(done) < 2:
+            return None
+        reference = _first_reference(done[-2], done[-1], self.scene.run.duration)
+        self.results.found_reference(reference)
+        for measured in done:
+            self.results.add(measured)
+        return reference
+
+    def _run(self, setting: Setting, limit_s: float) -> Measured:
         if setting.ours:
-            return measure_ours(self.system, setting, self.reference, self.limit_s)
+            return run_ours(self.system, setting, limit_s)
         assert self.peers is not None, "settings of peers come from them"
-        return self.peers.measure(setting, self.reference, self.limit_s)
+        return self.peers.run(setting, limit_s)
+
+    def _run_first(self, setting: Setting, limit_s: float) -> Measured:
+        """Run a setting, a second time if it is the first of its ladder: the first loads code."""
+        measured = self._run(setting, limit_s)
+        if any(p.setting.series == setting.series for p in self.results.points.values()):
+            return measured
+        again = self._run(setting, limit_s)
+        if not measured.point.completed:
+            return again
+        return replace(measured, point=measured.point.again(again.point.wall_time_s))
+
+    def _measure(
+        self, plan: Plan, ladders: Sequence[Ladder], stride: int, all_ladders: Sequence[Ladder]
+    ) -> None:
+        """Measure every ``stride``-th setting that is worth its time, cheap ones first."""
+        while settings := plan.open(ladders, stride):
+            self._count(plan, all_ladders)
+            self._report(settings[0].text)
+            self.results.add(self._run_first(settings[0], plan.limit_s))
+            self.watch(self.results)
+
+    def _repeat(self, plan: Plan) -> None:
+        """Repeat what is quick, in rounds over all settings; soon without the dominated ones."""
+        self.results.planned = len(self.results.points)
+        for turn in range(1, self.repeats):
+            dominated = plan.dominated() if turn >= LEAST_REPEATS else set()
+            points = [point for point in self.results.points.values() if point.completed]
+            for number, point in enumerate(points):
+                spent = (point.wall_time_s or 0.0) * (turn + 1)
+                setting = point.setting
+                if point.repeats > turn or spent > REPEAT_BUDGET or setting.key in dominated:
+                    continue
+                self.report(f"once more: {setting.text}", number + turn * len(points),
+                            self.repeats * len(points))  # fmt: skip
+                once_more = self._run(setting, plan.limit_s)
+                self.results.replace(point.again(once_more.point.wall_time_s))
+                self.watch(self.results)
+
+    def _count(self, plan: Plan, ladders: Sequence[Ladder]) -> None:
+        """How many points there will be, by what is known now."""
+        left = len(plan.open(ladders, self.strides[-1]))
+        self.results.planned = len(self.results.points) + left
+
+    def _report(self, text: str) -> None:
+        self.report(text, len(self.results.points), self.results.planned or 0)
 
 
-class _Climb:
-    """The way down a ladder, from coarse to fine."""
-
-    def __init__(self, ladder: Ladder, digits: float):
-        self.points: list[Point] = []
-        self._left = list(ladder.settings)
-        self._best, self._stale = float("inf"), 0
-        self._digits = digits
-
-    @property
-    def left(self) -> int:
-        return len(self._left)
-
-    def take(self) -> Setting:
-        return self._left.pop(0)
-
-    def saw(self, point: Point, limit_s: float) -> None:
-        """Decide whether finer settings are worth their time."""
-        self.points.append(point)
-        error = point.error("motion")
-        if error is not None and error < BETTER * self._best:
-            self._stale = 0
-        elif self._best < float("inf"):  # before the first success, finer settings are the hope
-            self._stale += 1
-        if error is not None:
-            self._best = min(self._best, error)
-        next_takes = 2.0 * (point.wall_time_s or 0.0)
-        done = error is not None and error <= self._digits
-        if done or self._stale >= STALE or point.status == TOO_SLOW or next_takes > limit_s:
-            self._left = []
-
-
-def _climb_all(climbs: list[_Climb], bench: _Bench, report: Progress) -> None:
-    """Measure each setting once, one of each ladder in turn."""
-    done = 0
-    while any(climb.left for climb in climbs):
-        for climb in climbs:
-            if not climb.left:
-                continue
-            setting = climb.take()
-            point = bench.results.points.get(setting.key)
-            if point is None:
-                report(setting.text, done, done + 1 + sum(other.left for other in climbs))
-                point = bench.measure(setting)
-                if point.status == TOO_SLOW and not climb.points:
-                    point = bench.measure(setting)  # the only check that the time was no outlier
-                bench.results.add(point)
-            climb.saw(point, bench.limit_s)
-            done += 1
-
-
-def _repeat_all(climbs: list[_Climb], bench: _Bench, report: Progress, repeats: int) -> None:
-    """Repeat what is quick, in rounds over all settings."""
-    settings = [point.setting for climb in climbs for point in climb.points if point.completed]
-    for turn in range(1, repeats):
-        for number, setting in enumerate(settings):
-            known = bench.results.points[setting.key]
-            spent = (known.wall_time_s or 0.0) * (turn + 1)
-            if known.repeats > turn or spent > REPEAT_BUDGET:
-                continue
-            report(f"once more: {setting.text}", number + turn * len(settings),
-                 repeats * len(settings))  # fmt: skip
-            bench.results.add(known.again(bench.measure(setting).wall_time_s))
+def _first_reference(coarse: Measured, fine: Measured, duration: float) -> Reference:
+    """The finer one of two runs by accuracy as a reference until there is a better one."""
+    assert coarse.motion is not None and fine.motion is not None, "both have a result"
+    made, check = (
+        {
+            "integrator": run.point.used,
+            "accuracy": run.point.setting.value,
+            "evaluations": run.point.evaluations,
+        }
+        for run in (fine, coarse)
+    )
+    assert fine.point.wall_time_s is not None and fine.point.steps is not None
+    return Reference(
+        fine.motion,
+        difference(coarse.motion, fine.motion),
+        duration / max(1, fine.point.steps),
+        fine.point.wall_time_s,
+        {**made, "check": check},
+        first=True,
+    )

@@ -9,7 +9,7 @@ from multiarm.studies.work_precision.choice import CLAIMED, Decade, decades, wal
 from multiarm.studies.work_precision.points import Point
 from multiarm.studies.work_precision.reference import QUANTITIES
 from multiarm.studies.work_precision.settings import BY_ACCURACY, short
-from multiarm.studies.work_precision.store import FORMAT, Results
+from multiarm.studies.work_precision.store import Results
 
 FARTHER = 1e-3
 """The second level of the recommendation, as a fraction of the first."""
@@ -76,17 +76,32 @@ def reference_text(results: Results) -> str:
         for name, value in digits.items()
         if name != "motion"
     )
+    times = f"{scene['duration_s']:g} s, looked at every {scene['output_step_s']:g} s. "
+    if results.reference["first"]:
+        return (
+            f"{times}First reference: {about['integrator']} at accuracy {about['accuracy']:g}, "
+            f"from which accuracy {check['accuracy']:g} differs by: {known}. Errors below that are "
+            "not ranked. A checked reference will replace it."
+        )
     return (
-        f"{scene['duration_s']:g} s, looked at every {scene['output_step_s']:g} s. "
-        f"Reference: {about['integrator']} at {about['tolerance']:g}; checked by the "
+        f"{times}Reference: {about['integrator']} at {about['tolerance']:g}; checked by the "
         f"{check['solver']} solver with {check['integrator']} at {check['tolerance']:g}, which "
         f"differs by: {known}. Errors below that are not ranked."
     )
 
 
+def state_text(results: Results) -> str:
+    """How far the study is, and what it leaves out; empty when all is measured."""
+    if results.planned is not None:
+        return f"{len(results.points)} of {results.planned} points measured."
+    return "Dominated settings are left out; --thorough measures them." if results.left_out else ""
+
+
 def figures(results: Results, quantity: str = "motion") -> dict[str, Any]:
     """All figures of a study, under the keys that ``multiarm accuracy --help`` lists."""
-    kept = {key: value for key, value in results.as_dict().items() if value != FORMAT}
+    kept = {
+        key: value for key, value in results.as_dict().items() if key not in ("format", "planned")
+    }
     cheapest = [
         {
             "level": decade.level,

@@ -1,6 +1,6 @@
 """Calibration of certificates: estimated errors of random scenes against independent references.
 
-``python -m multiarm.studies.certificate_calibration [COUNT] [FIRST]`` simulates random scenes with
+``python tests/certificate_calibration.py [COUNT] [FIRST]`` simulates random scenes with
 default settings and compares every result with a reference: another method at the tightest
 tolerance, for some scenes evaluated by the dense solver. A second reference, by the run's own
 method at its tightest, gives the digits of the first one. A certificate is a false positive when it
