@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arrays import array_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face, area_vector
 from multiarm.scene.object import TOO_THIN, hull_triangles
 
@@ -132,16 +133,26 @@ def halfspaces(normals: Any, offsets: Any) -> Boundary:
 
 def _deepest_point(n: np.ndarray, h: np.ndarray) -> np.ndarray:
     """Centre of the largest ball inside the half-spaces, shape (3,)."""
-    from scipy.optimize import linprog
-
     unit = float(np.abs(h).max()) or 1.0
-    A = np.column_stack([n, np.ones(len(n))])
-    best = linprog([0, 0, 0, -1], A_ub=A, b_ub=h / unit, bounds=[(None, None)] * 3 + [(0, None)])
+    best = largest_ball(n, h / unit)
     if best.status == 3:
         raise GraspError("the half-spaces leave an unbounded body; add the faces that close it")
     if best.x is None or not best.x[3] > SAME_CORNER:
         raise GraspError("no point is inside all half-spaces: turn the normals outward")
     return best.x[:3] * unit
+
+
+def largest_ball(rows: np.ndarray, levels: np.ndarray, within: float | None = None) -> Any:
+    """Maximise r >= 0 with ``rows x + r <= levels``: SciPy's result, ``x`` of which is [x; r].
+
+    For outward unit normals in the rows, x is the centre of the largest ball inside.  ``within``
+    bounds each coordinate, either way.
+    """
+    from scipy.optimize import linprog
+
+    bounds = [(None if within is None else -within, within)] * 3 + [(0.0, None)]
+    A = np.column_stack([rows, np.ones(len(rows))])
+    return linprog([0, 0, 0, -1], A_ub=A, b_ub=levels, bounds=bounds)
 
 
 def _cut_corners(n: np.ndarray, levels: np.ndarray) -> np.ndarray:
@@ -187,10 +198,7 @@ def _outline(corners: Any) -> np.ndarray:
     """A simple polygon (K, 2), counter-clockwise."""
     from shapely.geometry import Polygon
 
-    try:
-        outline = np.array(corners, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError("a polygon is a list of corners (x, y)") from error
+    outline = array_of(corners, "a polygon is a list of corners (x, y)")
     if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
         raise GraspError(
             f"a polygon has shape (K, 2) with three corners or more, not {outline.shape}"
@@ -202,20 +210,15 @@ def _outline(corners: Any) -> np.ndarray:
 
 
 def _positive(values: Any, count: int, what: str) -> np.ndarray:
-    try:
-        numbers = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(f"{what}: {count} positive numbers in metres, not {values!r}") from error
+    refusal = f"{what}: {count} positive numbers in metres, not {values!r}"
+    numbers = array_of(values, refusal)
     if numbers.shape != (count,) or not np.all(np.isfinite(numbers) & (numbers > 0.0)):
-        raise GraspError(f"{what}: {count} positive numbers in metres, not {values!r}")
+        raise GraspError(refusal)
     return numbers
 
 
 def _finite(values: Any, what: str) -> np.ndarray:
-    try:
-        table = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(f"{what} are rows of three numbers") from error
+    table = array_of(values, f"{what} are rows of three numbers")
     if table.ndim != 2 or table.shape[1] != 3 or len(table) < 4 or not np.all(np.isfinite(table)):
         raise GraspError(
             f"{what} are four or more rows of three finite numbers, not of shape {table.shape}"

@@ -23,6 +23,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arrays import array_of
 
 # A normal is a unit vector when its length is off by no more than this; it is then made exact.
 UNIT_TOLERANCE = 1e-6
@@ -247,10 +248,7 @@ def nearest_to_lines(points: np.ndarray, directions: np.ndarray) -> tuple[np.nda
 
 def _table(values: Any, what: str) -> np.ndarray:
     """An array (N, 2) or (N, 3) of finite numbers, own memory."""
-    try:
-        table = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(f"{what} are a list of vectors of numbers, all of one length") from error
+    table = array_of(values, f"{what} are a list of vectors of numbers, all of one length")
     if table.ndim != 2 or table.shape[0] == 0 or table.shape[1] not in (2, 3):
         raise GraspError(
             f"{what} have shape (N, 3) in space or (N, 2) in the plane, not {table.shape}"

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arrays import array_of
 
 if TYPE_CHECKING:
     from shapely.geometry import MultiPolygon, Polygon
@@ -122,10 +123,7 @@ class Face:
         GraspError
             Something else than finite points of three coordinates.
         """
-        try:
-            at = np.asarray(points, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise GraspError("points are an array of numbers, shape (..., 3)") from error
+        at = array_of(points, "points are an array of numbers, shape (..., 3)")
         if at.shape[-1:] != (3,) or not np.all(np.isfinite(at)):
             raise GraspError(f"points are finite, of shape (..., 3), not {at.shape}")
         return (at - self.frame[:3, 3]) @ self.frame[:3, :2]
@@ -175,11 +173,7 @@ class Face:
 
         Points are projected along the normal first.
         """
-        import shapely
-
-        at = shapely.points(self.coordinates(points))
-        away = shapely.distance(self.shape.boundary, at)
-        return np.where(shapely.contains(self.shape, at), away, -away)
+        return room_in(self.shape, self.coordinates(points))
 
     def contains(self, points: Any) -> np.ndarray:
         """Which of the points (..., 3), projected along the normal, are inside the face."""
@@ -192,6 +186,15 @@ class Face:
         p = self.coordinates(start)
         far = p + 2.0 * self.shape.length * (self.coordinates(start + direction) - p)
         return float(self.shape.boundary.intersection(LineString([p, far])).distance(Point(p)))
+
+
+def room_in(shape: Polygon | MultiPolygon, places: np.ndarray) -> np.ndarray:
+    """Distance (...) of places (..., 2) from the edge of a plane shape [m], negative outside."""
+    import shapely
+
+    at = shapely.points(places)
+    away = shapely.distance(shape.boundary, at)
+    return np.where(shapely.contains(shape, at), away, -away)
 
 
 def frame_of(z: np.ndarray, along: np.ndarray, origin: np.ndarray) -> np.ndarray:
@@ -214,10 +217,7 @@ def as_face(face: Face | Any) -> Face:
 
 
 def _loop(corners: Sequence[Any] | np.ndarray, name: str) -> np.ndarray:
-    try:
-        loop = np.array(corners, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(f"{name}: corners are an array of numbers, shape (K, 3)") from error
+    loop = array_of(corners, f"{name}: corners are an array of numbers, shape (K, 3)")
     if loop.ndim != 2 or loop.shape[1] != 3 or len(loop) < 3 or not np.all(np.isfinite(loop)):
         raise GraspError(
             f"{name}: a face needs three or more corners of three finite coordinates, shape "

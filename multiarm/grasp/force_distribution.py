@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arrays import array_of
 from multiarm.grasp.balances import BAND, LeastDistance, floor_of, least_distance, rank_of
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.form_closure import about_origin, motion_in_words, twist_of
@@ -343,10 +344,7 @@ def bounds_of(contacts: Contacts, minimum: Any, limit: Any) -> tuple[np.ndarray,
 
 def wrench_of(contacts: Contacts, wrench: Any) -> np.ndarray:
     """A wrench about the frame's origin in scaled coordinates, shape (6,) or (3,)."""
-    try:
-        given = np.asarray(wrench, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(f"a wrench is a list of numbers, not {wrench!r}") from error
+    given = array_of(wrench, f"a wrench is a list of numbers, not {wrench!r}")
     n, d = contacts.freedoms, contacts.dimension
     if given.shape != (n,) or not np.all(np.isfinite(given)):
         shape = "three finite numbers [fx, fy, m]" if d == 2 else "six finite numbers"
@@ -357,15 +355,8 @@ def wrench_of(contacts: Contacts, wrench: Any) -> np.ndarray:
 
 
 def _each(contacts: Contacts, values: Any, what: str) -> np.ndarray:
-    try:
-        numbers = np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(
-            f"the {what} of the forces is a number or {contacts.count} of them"
-        ) from error
+    wanted = f"the {what} of the forces is a number or {contacts.count} of them"
+    numbers = array_of(values, wanted)
     if numbers.ndim > 1 or numbers.size not in (1, contacts.count) or np.isnan(numbers).any():
-        raise GraspError(
-            f"the {what} of the forces is a number or {contacts.count} of them, one for each "
-            f"contact, not {values!r}"
-        )
+        raise GraspError(f"{wanted}, one for each contact, not {values!r}")
     return np.broadcast_to(numbers, (contacts.count,)).astype(float)

@@ -41,6 +41,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arrays import array_of
 from multiarm.grasp.balances import (
     BAND,
     Balance,
@@ -434,10 +435,8 @@ def closed_many(points: Any, normals: Any) -> ManyClosures:
 
 
 def _checked(points: Any, normals: Any) -> tuple[np.ndarray, np.ndarray]:
-    try:
-        p, e = np.asarray(points, dtype=float), np.asarray(normals, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError("points and normals are arrays (M, N, 3) or (M, N, 2)") from error
+    refusal = "points and normals are arrays (M, N, 3) or (M, N, 2)"
+    p, e = array_of(points, refusal), array_of(normals, refusal)
     if p.ndim != 3 or p.shape != e.shape or p.shape[1] == 0 or p.shape[2] not in (2, 3):
         raise GraspError(
             f"M sets of N contacts have points and normals of shape (M, N, 3) in space or "

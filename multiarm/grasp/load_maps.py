@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arrays import array_of
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
 from multiarm.grasp.force_distribution import (
     ForceDistribution,
@@ -347,10 +348,7 @@ class LiftableMap:
 
 def _pair(values: Any) -> np.ndarray:
     """Coordinates (x, y) in the map."""
-    try:
-        pair = np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(f"a place in the map is two numbers (x, y), not {values!r}") from error
+    pair = array_of(values, f"a place in the map is two numbers (x, y), not {values!r}")
     if pair.shape != (2,) or not np.all(np.isfinite(pair)):
         raise GraspError(f"a place in the map is two finite numbers (x, y), not {values!r}")
     return pair

@@ -43,6 +43,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
+from multiarm.grasp.arrays import array_of
 from multiarm.grasp.contacts import UNIT_TOLERANCE
 
 # Normals span space when the third singular value is above this part of the first.
@@ -192,10 +193,7 @@ def outside(data: ContactData, R: np.ndarray, x: np.ndarray) -> float:
 
 def table_of(values: Any, what: str) -> np.ndarray:
     """Finite vectors, shape (N, 3), own memory."""
-    try:
-        table = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(f"{what} are a list of vectors of three numbers") from error
+    table = array_of(values, f"{what} are a list of vectors of three numbers")
     if table.ndim != 2 or table.shape[1] != 3 or not np.all(np.isfinite(table)):
         raise GraspError(f"{what} have shape (N, 3) and are finite; given: shape {table.shape}")
     return table
@@ -203,10 +201,7 @@ def table_of(values: Any, what: str) -> np.ndarray:
 
 def numbers_of(values: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
     """A finite array of a given shape."""
-    try:
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraspError(f"{what} consists of numbers, shape {shape}") from error
+    array = array_of(values, f"{what} consists of numbers, shape {shape}")
     if array.shape != shape or not np.all(np.isfinite(array)):
         raise GraspError(f"{what} has shape {shape} and finite numbers, not shape {array.shape}")
     return array

@@ -45,7 +45,7 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
-from multiarm.grasp.face import Face, as_face, cut_face, distinct
+from multiarm.grasp.face import Face, as_face, cut_face, distinct, room_in
 from multiarm.grasp.wrench_cones import WrenchCone, strictness, wrench_cone
 
 if TYPE_CHECKING:
@@ -136,13 +136,8 @@ class ContactRegion:
         So far a contact may slip in any direction of the face and the grasp stays closed.  It is
         negative outside the region, and minus infinity everywhere when there is no region.
         """
-        import shapely
-
-        at = shapely.points(self.face.coordinates(points))
-        if not self:
-            return np.full(np.shape(at), -np.inf)
-        away = shapely.distance(self.shape.boundary, at)
-        return np.where(shapely.contains(self.shape, at), away, -away)
+        places = self.face.coordinates(points)
+        return room_in(self.shape, places) if self else np.full(places.shape[:-1], -np.inf)
 
     def best_point(self) -> np.ndarray:
         """The point farthest from the border: centre of the largest circle inside; shape (3,) [m].

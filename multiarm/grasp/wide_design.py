@@ -48,6 +48,7 @@ from multiarm.grasp.assembling import (
     smallest_pushes,
 )
 from multiarm.grasp.body_class import Triple, classify
+from multiarm.grasp.boundaries import largest_ball
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.parallel_bodies import (
@@ -262,8 +263,6 @@ def deep_point(body: Polyhedron, faces: Three) -> np.ndarray | None:
     maximise r  subject to  t . (foot_k(O) - v) >= r  for each edge of each of the faces, with t
     its normal in the face, towards the material: linear in O and r.
     """
-    from scipy.optimize import linprog
-
     rows, levels = [], []
     for k in faces:
         face = body.faces[k]
@@ -272,10 +271,7 @@ def deep_point(body: Polyhedron, faces: Three) -> np.ndarray | None:
         inward /= np.linalg.norm(inward, axis=1)[:, None]
         rows.append(inward)  # inward . normal = 0: the foot counts as the point does
         levels.append(np.sum(inward * (face.vertices - body.centre), axis=1))
-    A = np.vstack(rows)
-    bounds = [(-body.size, body.size)] * 3 + [(0.0, None)]
-    limits = -np.concatenate(levels)
-    best = linprog([0, 0, 0, -1], np.column_stack([-A, np.ones(len(A))]), limits, bounds=bounds)
+    best = largest_ball(-np.vstack(rows), -np.concatenate(levels), body.size)
     return None if best.x is None or best.x[3] <= 1e-9 * body.size else best.x[:3] + body.centre
 
 
