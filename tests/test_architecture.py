@@ -35,7 +35,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "coal": ("contacts.unilateral", "viewer.shapes"),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
-    "h5py": ("control.tables", "results.hdf5", "sweeps.row_file", "results.trajectory_file"),
+    "h5py": ("control.tables", "results.hdf5", "results.trajectory_file", "sweeps.store"),
     "joblib": ("sweeps.executors",),
     "llvmlite": ("jit",),
     "matplotlib": (
@@ -56,7 +56,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "studies.peers",
         "studies.pinocchio_motion",
     ),
-    "pyarrow": ("control.tables", "sweeps.table"),
+    "pyarrow": ("control.tables", "sweeps.store", "sweeps.summary", "sweeps.table"),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
     "pydrake": ("studies.drake_peer",),

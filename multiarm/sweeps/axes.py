@@ -205,6 +205,16 @@ class Axis:
         assert self.spec.distribution is not None, "the axis is drawn"
         return self._changes(self.spec.distribution.quantile(u))
 
+    def examples(self, path: str) -> list[Any]:
+        """Values of all types that a path takes: listed ones, or one of a kind of numbers."""
+        spec = self.spec
+        if spec.rows is not None:
+            return [row[self.paths.index(path)] for row in spec.rows]
+        listed = spec.values if spec.values is not None else spec.choice
+        if listed is not None:
+            return listed
+        return list((self.drawn_at(0.5) if self.drawn else self.at(0)).values())
+
     def _changes(self, value: Any) -> dict[str, Any]:
         values = value if self.spec.rows is not None else [value] * len(self.paths)
         return dict(zip(self.paths, values, strict=True))

@@ -23,12 +23,55 @@ from typing import Any
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import Scene, changed, dump_scene, load_scene
 from multiarm.sweeps.axes import Axis
-from multiarm.sweeps.checking import axis_faults, quantity_faults, value_faults
+from multiarm.sweeps.checking import axis_faults, quantity_faults, value_faults, words
 from multiarm.sweeps.quantities import Quantity
 from multiarm.sweeps.sampling import Sampler
 from multiarm.sweeps.spec import SweepSpec, examined, parse_sweep, read_sweep
 
-__all__ = ["SweepPlan", "digests", "make_plan", "plan_of", "program_version"]
+__all__ = ["Job", "Record", "SweepPlan", "make_plan", "plan_of", "program_version"]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run: its number, and the values that it sets in the scene."""
+
+    run: int
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Record:
+    """Inputs, status and outputs of one run of a sweep.
+
+    All but ``wall_time`` and ``worker`` follow from the scene, the sweep and the run's number.
+
+    Attributes
+    ----------
+    run : int
+        From 1 on.
+    status : {"completed", "failed"}
+        Also "failed" if the run completed but a user-defined quantity raised an error; the other
+        quantities are there.
+    message : str
+        How the run ended and, after a failure, the remedy.
+    values : mapping
+        Path in the scene -> value in this run.
+    quantities : mapping
+        Name -> number, in the quantity's unit; None if the run failed or the quantity is not
+        defined for it.
+    wall_time : float
+        [s]
+    worker : str
+        Computer and process of the run.
+    """
+
+    run: int
+    status: str
+    message: str
+    values: Mapping[str, Any]
+    quantities: Mapping[str, float | None]
+    wall_time: float
+    worker: str
 
 
 @dataclass(frozen=True)
@@ -57,6 +100,10 @@ class SweepPlan:
     def paths(self) -> tuple[str, ...]:
         """The paths that vary."""
         return tuple(path for axis in self.axes for path in axis.paths)
+
+    def examples(self, path: str) -> list[Any]:
+        """Values of all types that a path takes."""
+        return next(axis.examples(path) for axis in self.axes if path in axis.paths)
 
     @cached_property
     def sizes(self) -> tuple[int, ...]:
@@ -98,9 +145,9 @@ class SweepPlan:
         Runs give other numbers when such a file changes.  Robots by name belong to installed
         packages, whose versions are in the file's provenance.
         """
-        texts = [self.scene.model_dump(mode="json"), [axis.spec.written() for axis in self.axes]]
         found: dict[str, str] = {}
-        for text in _texts(texts):
+        written = [axis.spec.written() for axis in self.axes]
+        for text in words([self.scene.model_dump(mode="json"), written]):
             function = _FUNCTION.fullmatch(text)
             name = function[1] if function else text
             if not name.lower().endswith(_ENDINGS):
@@ -265,36 +312,3 @@ def _path_of(scene: Any) -> Any:
 _FUNCTION = re.compile(r"(.+\.py):\w+")
 # Endings of strings that may name a file.
 _ENDINGS = (".urdf", ".stl", ".obj", ".dae", ".csv", ".py", ".yaml", ".yml")
-
-
-def digests(scene: Scene, values: Iterable[Any]) -> dict[str, str]:
-    """Path -> digest of every file that the scene names, or the values that take places in it.
-
-    Parameters
-    ----------
-    scene : Scene
-        Relative paths start at its folder.
-    values : iterable
-        Of the axes: whatever may stand in a scene.
-    """
-    found: dict[str, str] = {}
-    for text in [*_texts(scene.model_dump(mode="json")), *_texts(list(values))]:
-        function = _FUNCTION.fullmatch(text)
-        name = function[1] if function else text
-        if not name.lower().endswith(_ENDINGS):
-            continue
-        path = (scene.folder / Path(name).expanduser()).resolve()
-        if str(path) not in found and path.is_file():
-            found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
-    return dict(sorted(found.items()))
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping):
-        for item in value.values():
-            yield from _texts(item)
-    elif isinstance(value, (list, tuple)):
-        for item in value:
-            yield from _texts(item)

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 from multiarm.errors import SweepError
 from multiarm.scene import Scene
 from multiarm.simulation.interrupts import deferred_interrupt
-from multiarm.sweeps.plan import SweepPlan, make_plan
-from multiarm.sweeps.records import Record
+from multiarm.sweeps.plan import Job, Record, SweepPlan, make_plan
 from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.sweeps.store import SweepFile
 
@@ -133,9 +132,9 @@ def run_plan(
     # first the cluster: if it does not answer, the rows of an earlier sweep must not be lost
     with (
         connected(dask) if dask else nullcontext() as client,
-        SweepFile.open(out, plan, fresh=not resume) as file,
+        SweepFile(out, plan, fresh=not resume) as file,
     ):
-        if len(file.done) < plan.count:
+        if file.made < plan.count:
             _fill(file, plan, _records(plan, file, workers, client), progress)
         elif progress is not None:
             progress(plan.count, plan.count, 0)
@@ -153,14 +152,14 @@ def _fill(
     failed = 0
     try:
         if progress is not None:
-            progress(len(file.done), plan.count, failed)
+            progress(file.made, plan.count, failed)
         for records in batches:
             with deferred_interrupt() as interrupt:  # not while the file is written
                 file.append(records)
             interrupt.deliver()
             failed += sum(record.status != "completed" for record in records)
             if progress is not None:
-                progress(len(file.done), plan.count, failed)
+                progress(file.made, plan.count, failed)
     except KeyboardInterrupt:
         pass  # the finished runs are in the file
     finally:
@@ -177,11 +176,11 @@ def _records(
         run_in_processes,
         run_on_cluster,
     )
-    from multiarm.sweeps.worker import Job, JobContext
+    from multiarm.sweeps.worker import JobContext
 
     context = JobContext.of(plan, session=uuid.uuid4().hex)
-    jobs = (Job(run, values) for run, values in plan.among(file.done.missing()))
-    missing = plan.count - len(file.done)
+    jobs = (Job(run, values) for run, values in plan.among(file.missing()))
+    missing = plan.count - file.made
     if client is not None:
         yield from run_on_cluster(context, jobs, client, missing)
     elif (workers or processors()) == 1:

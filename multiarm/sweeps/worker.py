@@ -25,19 +25,10 @@ from multiarm.scene import REGISTRIES, Scene, changed, parse_path, parse_scene
 from multiarm.simulation.certified import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.simulation.simulate import simulate
 from multiarm.sweeps.checking import words
-from multiarm.sweeps.plan import SweepPlan, program_version
+from multiarm.sweeps.plan import Job, Record, SweepPlan, program_version
 from multiarm.sweeps.quantities import Quantity, measure
-from multiarm.sweeps.records import Record
 
-__all__ = ["Job", "JobContext", "run_job", "run_jobs", "simulate_run", "warm_up"]
-
-
-@dataclass(frozen=True)
-class Job:
-    """One run: its number, and the values that it sets in the scene."""
-
-    run: int
-    values: Mapping[str, Any]
+__all__ = ["JobContext", "run_job", "run_jobs", "simulate_run", "warm_up"]
 
 
 @dataclass(frozen=True)
