@@ -60,7 +60,6 @@ def sweep(tmp_path_factory):
     yield found
 
 
-
 def median_line(panel):
     (line,) = [line for line in panel.lines if line.get_label() == "median"]
     return np.array(line.get_xydata())
@@ -161,7 +160,6 @@ def test_ten_thousand_runs_make_a_figure_of_bounded_size(tmp_path):
     drawn = [len(line.get_xdata()) for panel in figure.axes for line in panel.lines]
     drawn += [len(c.get_offsets()) for panel in figure.axes for c in panel.collections]
     assert max(drawn) <= POINTS
-
 
 
 def test_what_cannot_be_drawn_is_said(sweep, tmp_path):

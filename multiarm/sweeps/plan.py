@@ -5,6 +5,14 @@
 A point of the grid is a number whose digits are the entries of the axes, the last axis fastest.
 The values of a run are computed on demand from its number alone: a plan of a million runs takes no
 more memory than one of ten.
+
+A random value is the quantile Q(u) of a number u in (0, 1), so that one sampler serves all kinds:
+
+    random            u = Philox(seed, run), independent for every run
+    latin_hypercube   the runs of one grid point fill `repeat` layers of every axis once
+    sobol             the runs of one grid point are a scrambled Sobol sequence
+
+The last two are SciPy's; every grid point has its own sample, keyed by the seed and the point.
 """
 
 from __future__ import annotations
@@ -15,17 +23,18 @@ import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import Scene, changed, dump_scene, load_scene
 from multiarm.sweeps.axes import Axis
 from multiarm.sweeps.checking import axis_faults, quantity_faults, value_faults, words
 from multiarm.sweeps.quantities import Quantity
-from multiarm.sweeps.sampling import Sampler
 from multiarm.sweeps.spec import SweepSpec, examined, parse_sweep, read_sweep
 
 __all__ = ["Job", "Record", "SweepPlan", "make_plan", "plan_of", "program_version"]
@@ -306,6 +315,68 @@ def _path_of(scene: Any) -> Any:
         f"a sweep needs a scene, or the path of its file; got {type(scene).__name__} (a system has "
         "its scene as `system.scene`)"
     )
+
+
+_SMALLEST = 2.0**-54
+"""Distance of u from 0 and 1, where many quantiles are infinite."""
+
+
+@dataclass
+class Sampler:
+    """Numbers in (0, 1), one for each drawn axis, for any run.
+
+    Parameters
+    ----------
+    sampling : {"random", "latin_hypercube", "sobol"}
+    seed : int
+    axes : int
+        How many numbers a run needs.
+    repeat : int
+        Runs of one grid point.
+    """
+
+    sampling: str
+    seed: int
+    axes: int
+    repeat: int
+    # the sample of the last grid point: runs mostly come in order
+    _point: int = field(default=-1, init=False)
+    _sample: Any = field(default=None, init=False, repr=False)
+
+    def at(self, run: int) -> np.ndarray:
+        """The numbers of a run, counted from 1, shape (axes,)."""
+        if self.axes == 0:
+            return np.zeros(0)
+        point, repetition = divmod(run - 1, self.repeat)
+        if self.sampling == "random":
+            u = self._generator(run).random(self.axes)
+        elif self.sampling == "latin_hypercube":
+            u = self._hypercube(point)[repetition]
+        else:
+            u = self._sobol(point, repetition)
+        return np.clip(u, _SMALLEST, 1.0 - 2.0 * _SMALLEST)
+
+    def _generator(self, key: int) -> np.random.Generator:
+        own = np.random.SeedSequence(self.seed, spawn_key=(key,))
+        return np.random.Generator(np.random.Philox(own))
+
+    def _hypercube(self, point: int) -> np.ndarray:
+        if point != self._point:
+            from scipy.stats.qmc import LatinHypercube
+
+            hypercube = LatinHypercube(self.axes, rng=self._generator(point))
+            self._point, self._sample = point, hypercube.random(self.repeat)
+        return self._sample
+
+    def _sobol(self, point: int, repetition: int) -> np.ndarray:
+        if point != self._point or repetition < self._sample.num_generated:
+            from scipy.stats.qmc import Sobol
+
+            self._point, self._sample = point, Sobol(self.axes, rng=self._generator(point))
+        skipped = repetition - self._sample.num_generated
+        if skipped:
+            self._sample.fast_forward(skipped)
+        return self._sample.random(1)[0]
 
 
 # A user-defined function in a file.
