@@ -46,34 +46,24 @@ AHEAD = 2
 
 
 class Pool(Protocol):
-    """Workers that carry out batches of jobs.
-
-    Attributes
-    ----------
-    deaths : int
-        Workers that a job has killed when it is given up.
-    knows_killers : bool
-        Whether a batch is lost only if its own jobs kill workers.
-    """
+    """Workers that carry out batches of jobs."""
 
     deaths: int
+    """Workers that a job has killed when it is given up."""
     knows_killers: bool
+    """Whether a batch is lost only if its own jobs kill workers."""
 
     def size(self) -> int:
         """Number of workers at present."""
-        ...
 
     def submit(self, context: JobContext, batch: list[Job]) -> Future:
         """Begin a batch as soon as a worker is free."""
-        ...
 
     def records(self, future: Future) -> list[Record] | None:
         """The records of a batch that has ended; None if its worker died."""
-        ...
 
     def stop(self) -> None:
         """Give up all batches that have not ended."""
-        ...
 
 
 def run_in_process(context: JobContext, jobs: Iterable[Job]) -> Iterator[list[Record]]:

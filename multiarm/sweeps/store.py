@@ -42,6 +42,7 @@ from multiarm.errors import SweepError
 from multiarm.results.files import atomic_file
 from multiarm.results.hdf5 import StoredFile, reason
 from multiarm.results.sinks import provenance
+from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.sweeps.plan import Record, SweepPlan, program_version
 from multiarm.sweeps.table import TYPES, Column, columns_of, schema_of, table_of
 
@@ -302,7 +303,7 @@ class SweepFile:
         """
         try:
             if _folder(self.path).exists():
-                with self._disk():
+                with self._disk(), deferred_interrupt():
                     _write(self.path, self._texts, self._columns, StoredSweep.read(self.path).table)
                 shutil.rmtree(_folder(self.path), ignore_errors=True)
         finally:
