@@ -123,19 +123,9 @@ class SweepPlan:
         return tuple(counts)
 
     @property
-    def points(self) -> int:
-        """Points of the grid."""
-        return math.prod(self.sizes)
-
-    @property
     def count(self) -> int:
         """Number of runs."""
-        return self.points * self.spec.repeat
-
-    @property
-    def seed(self) -> int:
-        """Seed of all random samples."""
-        return self.spec.seed
+        return math.prod(self.sizes) * self.spec.repeat
 
     @cached_property
     def text(self) -> str:
@@ -236,11 +226,7 @@ class SweepPlan:
         """Indices of the values of the enumerated axes at a point of the grid."""
         if self.spec.combine == "zip":
             return [point] * sum(not axis.drawn for axis in self.axes)
-        entries = []
-        for size in reversed(self.sizes):
-            point, entry = divmod(point, size)
-            entries.append(entry)
-        return entries[::-1]
+        return [int(entry) for entry in np.unravel_index(point, self.sizes)]
 
 
 def make_plan(

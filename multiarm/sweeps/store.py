@@ -135,9 +135,14 @@ class SweepReader(StoredFile):
         self.texts = {name: self.file[name].asstr()[()] for name in ("scene", "sweep", "header")}
         self.columns = {}
         for own in json.loads(self.texts["header"])["columns"]:
-            stored = self.file["columns"][own["name"]]
+            stored = self.file[_dataset(own["name"])]
             is_text = h5py.check_string_dtype(stored.dtype) is not None
             self.columns[own["name"]] = (stored.asstr() if is_text else stored)[()]
+
+
+def _dataset(name: str) -> str:
+    """The dataset of a column; in HDF5 a slash would make a group, so that it is U+2215 there."""
+    return f"columns/{name.replace('/', chr(0x2215))}"
 
 
 def _write(path: Path, texts: Mapping[str, str], columns: Sequence[Column], rows: pa.Table) -> None:
@@ -150,7 +155,7 @@ def _write(path: Path, texts: Mapping[str, str], columns: Sequence[Column], rows
         for own in columns:
             is_text = pa.types.is_string(TYPES[own.type])
             stored = file.create_dataset(
-                f"columns/{own.name}",
+                _dataset(own.name),
                 data=rows[own.name].to_pylist() if is_text else rows[own.name].to_numpy(),
                 dtype=h5py.string_dtype() if is_text else None,
             )
