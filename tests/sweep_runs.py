@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from multiarm.sweeps.worker import Job
+from multiarm.sweeps.plan import Job
 
 MASS, LIFT, GRIP = "object.mass", "arms.left.base.xyz[2]", "joints[0].at"
 OVER = {MASS: [5.0, 10.0, 20.0], LIFT: {"uniform": [-1e-3, 1e-3]}}

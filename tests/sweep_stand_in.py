@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.sweeps.records import Record
+from multiarm.sweeps.plan import Record
 from multiarm.sweeps.store import SweepFile
 
 NAMES = ("gap", "force", "never")
@@ -41,6 +41,9 @@ class StandInPlan:
     @property
     def quantities(self) -> tuple[Any, ...]:
         return tuple(SimpleNamespace(name=n, unit=UNITS[n], words=f"its {n}") for n in NAMES)
+
+    def examples(self, path: str) -> list[Any]:
+        return [row_of(run).values.get(path, 0.5) for run in range(1, 6)]
 
     @property
     def scene(self) -> Any:
@@ -69,15 +72,15 @@ def row_of(run: int, worker: str = "here") -> Record:
 def write_on(path: Path, plan: StandInPlan, order: int) -> None:
     """Make what is missing, in an order of its own; say after every block what is safe."""
     print("begin", flush=True)
-    with SweepFile.open(path, plan) as file:
-        print(len(file.done), flush=True)
-        rng, left = random.Random(order), list(file.done.missing())
+    with SweepFile(path, plan) as file:
+        print(file.made, flush=True)
+        rng, left = random.Random(order), list(file.missing())
         # in threads of work that finish out of order, as real workers do
         left.sort(key=lambda run: run + rng.uniform(0, 40))
         while left:
             block, left = left[: (size := rng.randint(1, 7))], left[size:]
             file.append([row_of(run, f"process {order}") for run in block])
-            print(len(file.done), flush=True)
+            print(file.made, flush=True)
             time.sleep(PAUSE)
     print("end", flush=True)
 

@@ -97,7 +97,7 @@ short, endless = {"run.duration": 0.01}, {}
 told = []
 
 def progress(t, done):
-    if done >= 2 and t > 0.5 and not told:
+    if done >= 2 and t > 20.0 and not told:  # both others are under way
         told.append(print("under way", flush=True))
 
 found = ma.simulate_many(

@@ -32,9 +32,8 @@ from multiarm.errors import SweepError
 from multiarm.scene import changed
 from multiarm.sweeps import worker
 from multiarm.sweeps.executors import MOST_JOBS, TARGET, Batches, run_in_process, run_in_processes
-from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.records import Record
-from multiarm.sweeps.worker import Job, JobContext, run_job, simulate_run
+from multiarm.sweeps.plan import Job, Record, make_plan
+from multiarm.sweeps.worker import JobContext, run_job, simulate_run
 
 NOTES = """
 from pathlib import Path
@@ -345,8 +344,8 @@ def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypat
 CALLER = """
 from mechanics import ur5_pair
 from multiarm.sweeps.executors import run_in_processes
-from multiarm.sweeps.plan import make_plan
-from multiarm.sweeps.worker import Job, JobContext
+from multiarm.sweeps.plan import Job, make_plan
+from multiarm.sweeps.worker import JobContext
 weld = {"kind": "weld"}
 over, run = {"object.mass": {"linspace": [1, 9, 100000]}}, {"duration": 0.02, "arms": "compiled"}
 plan = make_plan(ur5_pair(weld, weld), over, keep=["steps"], run=run)

@@ -49,7 +49,7 @@ def grid_row(run: int):
 
 
 def sweep_of(path, count, row=grid_row, paths=PATHS):
-    with SweepFile.open(path, StandInPlan(count, paths=paths)) as file:
+    with SweepFile(path, StandInPlan(count, paths=paths)) as file:
         file.append(map(row, range(1, count + 1)))
     return load_sweep(path)
 
@@ -58,7 +58,6 @@ def sweep_of(path, count, row=grid_row, paths=PATHS):
 def sweep(tmp_path_factory):
     found = sweep_of(tmp_path_factory.mktemp("figures") / "s.h5", 600)
     yield found
-    found.close()
 
 
 def median_line(panel):
@@ -161,7 +160,6 @@ def test_ten_thousand_runs_make_a_figure_of_bounded_size(tmp_path):
     drawn = [len(line.get_xdata()) for panel in figure.axes for line in panel.lines]
     drawn += [len(c.get_offsets()) for panel in figure.axes for c in panel.collections]
     assert max(drawn) <= POINTS
-    found.close()
 
 
 def test_what_cannot_be_drawn_is_said(sweep, tmp_path):
@@ -172,10 +170,8 @@ def test_what_cannot_be_drawn_is_said(sweep, tmp_path):
     empty = sweep_of(tmp_path / "empty.h5", 0)
     with pytest.raises(SweepError, match="has no run with a number to draw"):
         sweep_overview(empty)
-    empty.close()
     named = sweep_of(
         tmp_path / "n.h5", 60, lambda k: replace(grid_row(k), values={"name": f"n{k}"}), ("name",)
     )
     with pytest.raises(SweepError, match="nothing to draw over: name varies as a number"):
         sweep_overview(named)
-    named.close()

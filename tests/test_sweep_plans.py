@@ -266,7 +266,7 @@ run: {duration: 1.0}
     (tmp_path / "sweep.yaml").write_text(text)
     (tmp_path / "quantities.py").write_text("def wobble(trajectory):\n    return 1.0\n")
     plan = make_plan(scene, tmp_path / "sweep.yaml", seed=8)
-    assert (plan.count, plan.seed, plan.scene.run.duration) == (120, 8, 1.0)
+    assert (plan.count, plan.spec.seed, plan.scene.run.duration) == (120, 8, 1.0)
     assert plan.values(120)[DAMPING] == 10 and plan.values(1)[DAMPING] == 0.1
     assert [own.name for own in plan.quantities] == ["largest_contact_force", "wobble"]
     assert str(tmp_path / "quantities.py:wobble") in plan.text
@@ -428,13 +428,6 @@ def test_a_file_that_is_no_sweep_is_told(scene, content, text, tmp_path):
 def test_a_spread_of_one_draw_is_refused(scene):
     with pytest.raises(SweepError, match=r"\$\.sampling: 'sobol' spreads the runs of one point"):
         make_plan(scene, {MASS: {"uniform": [1, 2]}}, sampling="sobol")
-
-
-def test_more_quantities_than_a_row_takes_are_refused(scene, tmp_path):
-    (tmp_path / "many.py").write_text("def f(trajectory):\n    return {}\n")
-    asked = {"function": f"{tmp_path / 'many.py'}:f", "gives": [f"q{k}" for k in range(3000)]}
-    with pytest.raises(SweepError, match=r"\$\.keep: 3,000 quantities, at most 500"):
-        make_plan(scene, {MASS: [1.0]}, keep=[asked])
 
 
 def test_values_that_fit_no_scene_beside_their_path_are_all_told(scene):

@@ -16,7 +16,7 @@ from multiarm.cli.files import check_targets
 from multiarm.errors import MultiarmError, SweepError
 from multiarm.results.files import atomic_file, atomic_output, temporary_name
 from multiarm.scene import parse_scene
-from multiarm.sweeps.row_file import WriterLock
+from multiarm.sweeps.store import WriterLock
 
 TEXT = "what was there"
 
@@ -120,7 +120,7 @@ def test_a_file_appears_when_it_is_complete_with_the_modes_that_the_user_wants(t
 def test_a_lock_is_not_written_through_a_link(shared, victim, plant):
     getattr(shared / ".sweep.h5.lock", plant)(victim)
     with pytest.raises(SweepError, match=r"sweep\.h5\.lock' is a link.*: remove it, or choose"):
-        WriterLock(shared / "sweep.h5", SweepError)
+        WriterLock(shared / "sweep.h5")
     assert victim.read_text() == TEXT
 
 

@@ -143,10 +143,10 @@ def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
 
 
 def _is_sweep(result: Path) -> bool:
-    from multiarm.sweeps.row_file import RowReader
+    from multiarm.sweeps.store import SweepReader
 
     path = result.expanduser()
-    return path.is_file() and RowReader.matches(path)
+    return path.is_file() and SweepReader.matches(path)
 
 
 def _only_run(result: Path, run: int | None) -> Trajectory:

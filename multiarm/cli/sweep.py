@@ -103,7 +103,7 @@ def sweep(
     ] = None,
     csv: Annotated[Path | None, file_option("Write the table as CSV.", "FILE.csv")] = None,
     parquet: Annotated[
-        Path | None, file_option("Write the table as Parquet, which takes PyArrow.", "FILE.parquet")
+        Path | None, file_option("Write the table as Parquet.", "FILE.parquet")
     ] = None,
     json: JsonFile = None,
     quiet: Quiet = False,
@@ -127,10 +127,6 @@ def sweep(
     written = {"--plot": plot, "--csv": csv, "--parquet": parquet, "--json": json}
     for source in (scene, over):
         check_targets({"--out": target, **written}, source=source)
-    if parquet is not None:
-        from multiarm.sweeps.table import require_pyarrow
-
-        require_pyarrow()
     changes: dict[str, Any] = {"repeat": repeat, "seed": seed}
     changes |= settings
     changes |= {"workers": workers, "dask": True if dask == "config" else dask}

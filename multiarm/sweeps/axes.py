@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,24 +22,8 @@ from typing_extensions import Self
 
 from multiarm.scene.faults import fault, listed, shown
 from multiarm.scene.values import Number, Positive, Spec, number_list
-from multiarm.sweeps.sampling import Distribution, LogNormal, LogUniform, Normal, OneOf, Uniform
 
-__all__ = [
-    "Axis",
-    "AxisSpec",
-    "Count",
-    "NonNegativeCount",
-    "bounds",
-    "counted",
-    "exponents",
-    "items",
-    "paths_of",
-    "plain_value",
-    "positive_bounds",
-    "ratios",
-    "spaced",
-    "whole_bounds",
-]
+__all__ = ["Axis", "AxisSpec", "Count", "NonNegativeCount", "paths_of", "plain_value"]
 
 
 def plain_value(value: Any) -> Any:
@@ -69,20 +53,12 @@ def _whole(least: int, value: Any) -> int:
     return int(value)
 
 
-def _from_zero(value: Any) -> int:
-    return _whole(0, value)
-
-
-def _from_one(value: Any) -> int:
-    return _whole(1, value)
-
-
 # Values that an axis may have, and its largest whole number: up to there floats are exact.
 MOST_VALUES, LARGEST = 10**9, 2**53
 
 
-Count = Annotated[int, BeforeValidator(_from_one), Field(ge=1)]
-NonNegativeCount = Annotated[int, BeforeValidator(_from_zero), Field(ge=0)]
+Count = Annotated[int, BeforeValidator(partial(_whole, 1)), Field(ge=1)]
+NonNegativeCount = Annotated[int, BeforeValidator(partial(_whole, 0)), Field(ge=0)]
 
 
 def items(value: Any) -> list[Any]:
@@ -170,48 +146,48 @@ def whole_bounds(value: Any) -> list[int]:
     return [int(low), int(high)]
 
 
-@dataclass(frozen=True)
-class Axis:
-    """The values of one path of the scene, or of several that vary together.
+class NormalSpec(Spec):
+    """Normal distribution: mean and standard deviation, in the unit of the value."""
 
-    Attributes
-    ----------
-    paths : tuple of str
-    written : str
-        The key in the sweep file.
-    spec : AxisSpec
+    mean: Number
+    deviation: Positive
+
+
+class LogNormalSpec(Spec):
+    """Median, and the standard deviation of the natural logarithm, about the relative one."""
+
+    median: Positive
+    deviation: Positive
+
+    @model_validator(mode="after")
+    def _stays_finite(self) -> Self:
+        if math.log(self.median) + 9.0 * self.deviation > math.log(1e300):
+            raise fault(
+                "values 9 deviations above the median exceed the range of floats; the deviation "
+                "is that of the logarithm: 0.1 is a relative deviation of a tenth"
+            )
+        return self
+
+
+@dataclass(frozen=True)
+class Enumerated:
+    """A kind of axis whose values come one after the other: the sequence of them, as given."""
+
+    sequence: Callable[[Any], Sequence[Any]]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A kind of axis whose values are random: the quantile Q(u) as given, u in (0, 1).
+
+    A share ``u`` of all values lies below Q(u).
     """
 
-    paths: tuple[str, ...]
-    written: str
-    spec: AxisSpec
-
-    @property
-    def drawn(self) -> bool:
-        """Whether its values are drawn at random."""
-        return self.spec.distribution is not None
-
-    @property
-    def count(self) -> int:
-        """Number of enumerated values; 1 if they are drawn."""
-        return 1 if self.drawn else len(self.spec.steps)
-
-    def at(self, number: int) -> dict[str, Any]:
-        """Path -> value, of an enumerated value; the first has number 0."""
-        return self._changes(self.spec.steps[number])
-
-    def drawn_at(self, u: float) -> dict[str, Any]:
-        """Path -> value, of the quantile of ``u`` in (0, 1)."""
-        assert self.spec.distribution is not None, "the axis is drawn"
-        return self._changes(self.spec.distribution.quantile(u))
-
-    def _changes(self, value: Any) -> dict[str, Any]:
-        values = value if self.spec.rows is not None else [value] * len(self.paths)
-        return dict(zip(self.paths, values, strict=True))
+    quantile: Callable[[Any, float], Any]
 
 
 @dataclass(frozen=True)
-class _Spaced(Sequence):
+class Spaced(Sequence):
     """Values from one bound to the other: with equal differences, or as ``between`` gives them."""
 
     start: float
@@ -234,38 +210,43 @@ class _Spaced(Sequence):
         return self.start + k * ((self.stop - self.start) / (self.size - 1))
 
 
-def _in_ratio(start: float, stop: float, share: float) -> float:
+def whole_numbers(given: Sequence[int]) -> range:
+    """Whole numbers, as Python's range goes through them."""
+    return range(*given)
+
+
+def in_ratio(start: float, stop: float, share: float) -> float:
     low, high = math.log10(start), math.log10(stop)
     return 10.0 ** (low + share * (high - low))
 
 
-def paths_of(key: str) -> tuple[str, ...]:
-    """The paths in a key of ``over``: one, or several separated by commas."""
-    parts = re.split(r""",(?=(?:[^'"]|'[^']*'|"[^"]*")*$)""", key)
-    return tuple(part.strip() for part in parts)
+def uniform_quantile(bounds: Sequence[float], u: float) -> float:
+    """All values between two bounds are equally likely."""
+    return bounds[0] + u * (bounds[1] - bounds[0])
 
 
-class NormalSpec(Spec):
-    """Normal distribution: mean and standard deviation, in the unit of the value."""
-
-    mean: Number
-    deviation: Positive
+def loguniform_quantile(bounds: Sequence[float], u: float) -> float:
+    """All ratios between two positive bounds are equally likely."""
+    return bounds[0] * (bounds[1] / bounds[0]) ** u
 
 
-class LogNormalSpec(Spec):
-    """Median, and the standard deviation of the natural logarithm, about the relative one."""
+def normal_quantile(given: NormalSpec, u: float) -> float:
+    """The normal distribution."""
+    from scipy.special import ndtri
 
-    median: Positive
-    deviation: Positive
+    return given.mean + given.deviation * float(ndtri(u))
 
-    @model_validator(mode="after")
-    def _stays_finite(self) -> Self:
-        if math.log(self.median) + 9.0 * self.deviation > math.log(1e300):
-            raise fault(
-                "values 9 deviations above the median exceed the range of floats; the deviation "
-                "is that of the logarithm: 0.1 is a relative deviation of a tenth"
-            )
-        return self
+
+def lognormal_quantile(given: LogNormalSpec, u: float) -> float:
+    """A value whose logarithm is normal."""
+    from scipy.special import ndtri
+
+    return given.median * math.exp(given.deviation * float(ndtri(u)))
+
+
+def one_of(values: Sequence[Any], u: float) -> Any:
+    """The value whose interval of (0, 1) contains u: all are equally likely."""
+    return values[int(u * len(values))]
 
 
 class AxisSpec(Spec):
@@ -295,18 +276,32 @@ class AxisSpec(Spec):
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
-    values: Annotated[list[Any] | None, BeforeValidator(items)] = None
-    linspace: Annotated[list[Any] | None, BeforeValidator(spaced)] = None
-    logspace: Annotated[list[Any] | None, BeforeValidator(exponents)] = None
-    geomspace: Annotated[list[Any] | None, BeforeValidator(ratios)] = None
-    range: Annotated[list[int] | None, BeforeValidator(counted)] = None
-    rows: Annotated[list[Any] | None, BeforeValidator(items)] = None
-    uniform: Annotated[list[float] | None, BeforeValidator(bounds)] = None
-    loguniform: Annotated[list[float] | None, BeforeValidator(positive_bounds)] = None
-    normal: NormalSpec | None = None
-    lognormal: LogNormalSpec | None = None
-    integers: Annotated[list[int] | None, BeforeValidator(whole_bounds)] = None
-    choice: Annotated[list[Any] | None, BeforeValidator(items)] = None
+    values: Annotated[list[Any] | None, BeforeValidator(items), Enumerated(list)] = None
+    linspace: Annotated[
+        list[Any] | None, BeforeValidator(spaced), Enumerated(lambda own: Spaced(*own))
+    ] = None
+    logspace: Annotated[
+        list[Any] | None,
+        BeforeValidator(exponents),
+        Enumerated(lambda own: Spaced(10.0 ** own[0], 10.0 ** own[1], own[2], in_ratio)),
+    ] = None
+    geomspace: Annotated[
+        list[Any] | None, BeforeValidator(ratios), Enumerated(lambda own: Spaced(*own, in_ratio))
+    ] = None
+    range: Annotated[list[int] | None, BeforeValidator(counted), Enumerated(whole_numbers)] = None
+    rows: Annotated[list[Any] | None, BeforeValidator(items), Enumerated(list)] = None
+    uniform: Annotated[list[float] | None, BeforeValidator(bounds), Drawn(uniform_quantile)] = None
+    loguniform: Annotated[
+        list[float] | None, BeforeValidator(positive_bounds), Drawn(loguniform_quantile)
+    ] = None
+    normal: Annotated[NormalSpec | None, Drawn(normal_quantile)] = None
+    lognormal: Annotated[LogNormalSpec | None, Drawn(lognormal_quantile)] = None
+    integers: Annotated[
+        list[int] | None,
+        BeforeValidator(whole_bounds),
+        Drawn(lambda own, u: own[0] + int(u * (own[1] + 1 - own[0]))),
+    ] = None
+    choice: Annotated[list[Any] | None, BeforeValidator(items), Drawn(one_of)] = None
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
@@ -325,36 +320,85 @@ class AxisSpec(Spec):
         """The key that is given."""
         return next(iter(self.model_fields_set))
 
+    @property
+    def meaning(self) -> Enumerated | Drawn:
+        """What the key means."""
+        marks = type(self).model_fields[self.name].metadata
+        return next(mark for mark in marks if isinstance(mark, (Enumerated, Drawn)))
+
+    @property
+    def drawn(self) -> bool:
+        """Whether values are drawn at random."""
+        return isinstance(self.meaning, Drawn)
+
     @cached_property
     def steps(self) -> Sequence[Any]:
         """The enumerated values; empty if they are drawn."""
+        meaning = self.meaning
         given = getattr(self, self.name)
-        return _STEPS[self.name](given) if self.name in _STEPS else ()
+        return meaning.sequence(given) if isinstance(meaning, Enumerated) else ()
 
-    @cached_property
-    def distribution(self) -> Distribution | None:
-        """The distribution of drawn values; None if they are enumerated."""
-        given = getattr(self, self.name)
-        return _DISTRIBUTIONS[self.name](given) if self.name in _DISTRIBUTIONS else None
+    def quantile(self, u: float) -> Any:
+        """The value below which a share ``u`` of all drawn ones lies."""
+        meaning = self.meaning
+        assert isinstance(meaning, Drawn), "the axis is drawn"
+        return meaning.quantile(getattr(self, self.name), u)
 
     def written(self) -> Any:
         """The axis as in a sweep file."""
         return self.values if self.values is not None else self.model_dump(exclude_unset=True)
 
 
-_STEPS: dict[str, Callable[[Any], Sequence[Any]]] = {
-    "values": lambda given: given,
-    "rows": lambda given: given,
-    "range": lambda given: range(*given),
-    "linspace": lambda given: _Spaced(*given),
-    "geomspace": lambda given: _Spaced(given[0], given[1], given[2], _in_ratio),
-    "logspace": lambda given: _Spaced(10.0 ** given[0], 10.0 ** given[1], given[2], _in_ratio),
-}
-_DISTRIBUTIONS: dict[str, Callable[[Any], Distribution]] = {
-    "uniform": lambda given: Uniform(*given),
-    "loguniform": lambda given: LogUniform(*given),
-    "normal": lambda given: Normal(given.mean, given.deviation),
-    "lognormal": lambda given: LogNormal(given.median, given.deviation),
-    "integers": lambda given: OneOf(range(given[0], given[1] + 1)),
-    "choice": OneOf,
-}
+@dataclass(frozen=True)
+class Axis:
+    """The values of one path of the scene, or of several that vary together.
+
+    Attributes
+    ----------
+    paths : tuple of str
+    written : str
+        The key in the sweep file.
+    spec : AxisSpec
+    """
+
+    paths: tuple[str, ...]
+    written: str
+    spec: AxisSpec
+
+    @property
+    def drawn(self) -> bool:
+        """Whether its values are drawn at random."""
+        return self.spec.drawn
+
+    @property
+    def count(self) -> int:
+        """Number of enumerated values; 1 if they are drawn."""
+        return 1 if self.drawn else len(self.spec.steps)
+
+    def at(self, number: int) -> dict[str, Any]:
+        """Path -> value, of an enumerated value; the first has number 0."""
+        return self._changes(self.spec.steps[number])
+
+    def drawn_at(self, u: float) -> dict[str, Any]:
+        """Path -> value, of the quantile of ``u`` in (0, 1)."""
+        return self._changes(self.spec.quantile(u))
+
+    def examples(self, path: str) -> list[Any]:
+        """Values of all types that a path takes: listed ones, or one of a kind of numbers."""
+        spec = self.spec
+        if spec.rows is not None:
+            return [row[self.paths.index(path)] for row in spec.rows]
+        listed = spec.values if spec.values is not None else spec.choice
+        if listed is not None:
+            return listed
+        return list((self.drawn_at(0.5) if self.drawn else self.at(0)).values())
+
+    def _changes(self, value: Any) -> dict[str, Any]:
+        values = value if self.spec.rows is not None else [value] * len(self.paths)
+        return dict(zip(self.paths, values, strict=True))
+
+
+def paths_of(key: str) -> tuple[str, ...]:
+    """The paths in a key of ``over``: one, or several separated by commas."""
+    parts = re.split(r""",(?=(?:[^'"]|'[^']*'|"[^"]*")*$)""", key)
+    return tuple(part.strip() for part in parts)

@@ -26,13 +26,11 @@ from multiarm.sweeps.axes import Axis
 if TYPE_CHECKING:
     from multiarm.sweeps.spec import SweepSpec
 
-__all__ = ["axis_faults", "quantity_faults", "sweep_code", "value_faults", "words"]
+__all__ = ["axis_faults", "axis_words", "quantity_faults", "sweep_code", "value_faults", "words"]
 
 # A value that names a function; an address such as package:// has no name after the colon.
 _FUNCTION = re.compile(r"[^:\s][^\n]*:[A-Za-z_][\w.]*")
 
-MOST_QUANTITIES = 500
-"""Of a sweep: HDF5 limits the length of a row's description."""
 TRIED = 24
 """Values of an axis that are tried, at most."""
 TAILS = (0.5, 0.001, 0.999)
@@ -88,11 +86,6 @@ def quantity_faults(spec: SweepSpec, folder: Path | None = None) -> list[str]:
             # the message was written for functions that a scene names
             faults.append(f"$.keep: {reason}".replace("the scene's folder", "the sweep's folder"))
     names = [quantity.name for quantity in spec.quantities()]
-    if len(names) > MOST_QUANTITIES:
-        faults.append(
-            f"$.keep: {len(names):,} quantities, at most {MOST_QUANTITIES} fit into a row; keep "
-            f"fewer, and simulate single runs again for the others"
-        )
     for name in sorted({name for name in names if names.count(name) > 1}):
         faults.append(f"$.keep: {name!r} stands twice; give one of them another 'name'")
     return faults
@@ -105,7 +98,7 @@ def sweep_code(scene: Scene, spec: SweepSpec) -> list[NamedCode]:
     classes = [(own, name) for own in REGISTRIES for name in own.names() if name not in used]
     for axis in spec.axes:
         at = ("over", axis.written)
-        texts = {*words([axis.spec.written(), *map(parse_path, axis.paths)])}
+        texts = axis_words(axis)
         found += [NamedCode.user_class(at, own, name) for own, name in classes if name in texts]
         for text in sorted(texts):
             if _FUNCTION.fullmatch(text):
@@ -131,6 +124,11 @@ def words(value: Any) -> Iterator[str]:
     elif isinstance(value, (list, tuple)):
         for item in value:
             yield from words(item)
+
+
+def axis_words(axis: Axis) -> set[str]:
+    """All strings in the paths and values of an axis."""
+    return {*words([axis.spec.written(), *map(parse_path, axis.paths)])}
 
 
 def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:

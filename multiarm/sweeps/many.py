@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from multiarm.dynamics.system import System, require_control
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, RunSpec, Scene, changed_scenes
+from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, Scene, changed_scenes
 from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.simulation.run import leave_undone
 from multiarm.simulation.setup import positive, run_spec
@@ -289,16 +289,10 @@ def _check_states(system: System, states: list[Any], same_arms: bool) -> None:
 
 
 def _check_settings(scenes: list[Scene], options: Mapping[str, Any]) -> None:
-    def given(*names: str) -> dict[str, Any]:
-        return {name: options.get(name) for name in names}
-
-    changes = given("duration", "stabilization", "output_step")
-    choice = given(*STEPS_CHOSEN_BY)
-    checked: list[RunSpec] = []
-    for scene in scenes:
-        if not any(scene.run is run for run in checked):
-            run_spec(scene.run, changes, choice, options.get("solver"))
-            checked.append(scene.run)
+    changes = {name: options.get(name) for name in ("duration", "stabilization", "output_step")}
+    choice = {name: options.get(name) for name in STEPS_CHOSEN_BY}
+    for run in {id(scene.run): scene.run for scene in scenes}.values():
+        run_spec(run, changes, choice, options.get("solver"))
     if options.get("max_step") is not None:
         positive("max_step", options["max_step"])
 
@@ -334,91 +328,63 @@ def run_cases(
     Exception
         An error of the program, not of a run; raised after the other runs have ended.
     """
-    runs = _Runs(cases)
+    waiting, stopped = deque(enumerate(cases)), threading.Event()
+    results: list[Trajectory | None] = [None] * len(cases)
+    times = [0.0] * len(cases)  # simulated time of each run [s]
+
+    def work() -> None:
+        while waiting and not stopped.is_set():
+            try:
+                k, case = waiting.popleft()
+            except IndexError:  # another thread took the last one
+                return
+            try:
+                results[k] = run_case(case, system, _Progress(times, k, stopped))
+            except BaseException:
+                stopped.set()
+                raise
+
+    def report() -> None:
+        if progress is not None:
+            try:
+                progress(sum(times), sum(result is not None for result in results))
+            except KeyboardInterrupt:
+                stopped.set()
+
     count = max(1, min(threads, len(cases)))
     with deferred_interrupt() as interrupt, ThreadPoolExecutor(count, "multiarm") as pool:
         try:
-            workers = [pool.submit(runs.work, system) for _ in range(count)]
+            workers = [pool.submit(work) for _ in range(count)]
             while wait(workers, POLL).not_done:
                 if interrupt.pressed:
-                    runs.stop()
-                runs.report(progress)
+                    stopped.set()
+                report()
         finally:
-            runs.stop()  # else the pool would wait for all remaining cases
+            stopped.set()  # else the pool would wait for all remaining cases
     for worker in workers:
         worker.result()
-    runs.report(progress)
+    report()
     never = "interrupted", "stopped by the user before it began"
     return [
         empty_result(case, system, *never, write=False) if result is None else result
-        for case, result in zip(cases, runs.results, strict=True)
+        for case, result in zip(cases, results, strict=True)
     ]
 
 
-class _Runs:
-    """Queue, results and progress of the runs, shared by the worker threads and the caller.
-
-    Attributes
-    ----------
-    results : list of Trajectory or None
-        None: not finished.
-    times : list of float
-        Simulated time of each run [s].
-    """
-
-    def __init__(self, cases: Sequence[Case]) -> None:
-        self.results: list[Trajectory | None] = [None] * len(cases)
-        self.times = [0.0] * len(cases)
-        self._queue: SimpleQueue[tuple[int, Case]] = SimpleQueue()
-        for item in enumerate(cases):
-            self._queue.put(item)
-        self._stopped = threading.Event()
-
-    def work(self, system: System) -> None:
-        """Carry out cases from the queue until it is empty."""
-        while not self._stopped.is_set():
-            try:
-                k, case = self._queue.get_nowait()
-            except Empty:
-                return
-            try:
-                self.results[k] = run_case(case, system, _Progress(self, k))
-            except BaseException:
-                self.stop()
-                raise
-
-    def stop(self) -> None:
-        """End the active runs at their next call of progress, and begin no other."""
-        self._stopped.set()
-
-    def check(self) -> None:
-        """End the calling run if all are to end."""
-        if self._stopped.is_set():
-            raise KeyboardInterrupt
-
-    def report(self, progress: ManyProgress | None) -> None:
-        """Call ``progress``."""
-        if progress is None:
-            return
-        try:
-            progress(sum(self.times), sum(result is not None for result in self.results))
-        except KeyboardInterrupt:
-            self.stop()
-
-
 class _Progress:
-    """The progress callback of one run."""
+    """The progress callback of one run, which notes its time and ends it when all are to end."""
 
-    def __init__(self, runs: _Runs, number: int) -> None:
-        self._runs, self._number = runs, number
+    def __init__(self, times: list[float], number: int, stopped: threading.Event) -> None:
+        self._times, self._number, self._stopped = times, number, stopped
 
     def __call__(self, t: float) -> None:
-        self._runs.times[self._number] = t
-        self._runs.check()
+        self._times[self._number] = t
+        self.checking(t, 0)
 
     def checking(self, _t: float, _number: int) -> None:
         """Called while the run's accuracy is checked."""
-        self._runs.check()
+        if self._stopped.is_set():
+            raise KeyboardInterrupt
 
 
 def run_files(out: str | os.PathLike | None, count: int) -> list[Path | None]:

@@ -5,6 +5,14 @@
 A point of the grid is a number whose digits are the entries of the axes, the last axis fastest.
 The values of a run are computed on demand from its number alone: a plan of a million runs takes no
 more memory than one of ten.
+
+A random value is the quantile Q(u) of a number u in (0, 1), so that one sampler serves all kinds:
+
+    random            u = Philox(seed, run), independent for every run
+    latin_hypercube   the runs of one grid point fill `repeat` layers of every axis once
+    sobol             the runs of one grid point are a scrambled Sobol sequence
+
+The last two are SciPy's; every grid point has its own sample, keyed by the seed and the point.
 """
 
 from __future__ import annotations
@@ -15,20 +23,64 @@ import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import Scene, changed, dump_scene, load_scene
 from multiarm.sweeps.axes import Axis
-from multiarm.sweeps.checking import axis_faults, quantity_faults, value_faults
+from multiarm.sweeps.checking import axis_faults, quantity_faults, value_faults, words
 from multiarm.sweeps.quantities import Quantity
-from multiarm.sweeps.sampling import Sampler
 from multiarm.sweeps.spec import SweepSpec, examined, parse_sweep, read_sweep
 
-__all__ = ["SweepPlan", "digests", "make_plan", "plan_of", "program_version"]
+__all__ = ["Job", "Record", "SweepPlan", "make_plan", "plan_of", "program_version"]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run: its number, and the values that it sets in the scene."""
+
+    run: int
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Record:
+    """Inputs, status and outputs of one run of a sweep.
+
+    All but ``wall_time`` and ``worker`` follow from the scene, the sweep and the run's number.
+
+    Attributes
+    ----------
+    run : int
+        From 1 on.
+    status : {"completed", "failed"}
+        Also "failed" if the run completed but a user-defined quantity raised an error; the other
+        quantities are there.
+    message : str
+        How the run ended and, after a failure, the remedy.
+    values : mapping
+        Path in the scene -> value in this run.
+    quantities : mapping
+        Name -> number, in the quantity's unit; None if the run failed or the quantity is not
+        defined for it.
+    wall_time : float
+        [s]
+    worker : str
+        Computer and process of the run.
+    """
+
+    run: int
+    status: str
+    message: str
+    values: Mapping[str, Any]
+    quantities: Mapping[str, float | None]
+    wall_time: float
+    worker: str
 
 
 @dataclass(frozen=True)
@@ -58,6 +110,10 @@ class SweepPlan:
         """The paths that vary."""
         return tuple(path for axis in self.axes for path in axis.paths)
 
+    def examples(self, path: str) -> list[Any]:
+        """Values of all types that a path takes."""
+        return next(axis.examples(path) for axis in self.axes if path in axis.paths)
+
     @cached_property
     def sizes(self) -> tuple[int, ...]:
         """Size of the grid along each enumerated axis; a zip has one size."""
@@ -67,19 +123,9 @@ class SweepPlan:
         return tuple(counts)
 
     @property
-    def points(self) -> int:
-        """Points of the grid."""
-        return math.prod(self.sizes)
-
-    @property
     def count(self) -> int:
         """Number of runs."""
-        return self.points * self.spec.repeat
-
-    @property
-    def seed(self) -> int:
-        """Seed of all random samples."""
-        return self.spec.seed
+        return math.prod(self.sizes) * self.spec.repeat
 
     @cached_property
     def text(self) -> str:
@@ -98,9 +144,9 @@ class SweepPlan:
         Runs give other numbers when such a file changes.  Robots by name belong to installed
         packages, whose versions are in the file's provenance.
         """
-        texts = [self.scene.model_dump(mode="json"), [axis.spec.written() for axis in self.axes]]
         found: dict[str, str] = {}
-        for text in _texts(texts):
+        written = [axis.spec.written() for axis in self.axes]
+        for text in words([self.scene.model_dump(mode="json"), written]):
             function = _FUNCTION.fullmatch(text)
             name = function[1] if function else text
             if not name.lower().endswith(_ENDINGS):
@@ -180,11 +226,7 @@ class SweepPlan:
         """Indices of the values of the enumerated axes at a point of the grid."""
         if self.spec.combine == "zip":
             return [point] * sum(not axis.drawn for axis in self.axes)
-        entries = []
-        for size in reversed(self.sizes):
-            point, entry = divmod(point, size)
-            entries.append(entry)
-        return entries[::-1]
+        return [int(entry) for entry in np.unravel_index(point, self.sizes)]
 
 
 def make_plan(
@@ -261,40 +303,69 @@ def _path_of(scene: Any) -> Any:
     )
 
 
+_SMALLEST = 2.0**-54
+"""Distance of u from 0 and 1, where many quantiles are infinite."""
+
+
+@dataclass
+class Sampler:
+    """Numbers in (0, 1), one for each drawn axis, for any run.
+
+    Parameters
+    ----------
+    sampling : {"random", "latin_hypercube", "sobol"}
+    seed : int
+    axes : int
+        How many numbers a run needs.
+    repeat : int
+        Runs of one grid point.
+    """
+
+    sampling: str
+    seed: int
+    axes: int
+    repeat: int
+    # the sample of the last grid point: runs mostly come in order
+    _point: int = field(default=-1, init=False)
+    _sample: Any = field(default=None, init=False, repr=False)
+
+    def at(self, run: int) -> np.ndarray:
+        """The numbers of a run, counted from 1, shape (axes,)."""
+        if self.axes == 0:
+            return np.zeros(0)
+        point, repetition = divmod(run - 1, self.repeat)
+        if self.sampling == "random":
+            u = self._generator(run).random(self.axes)
+        elif self.sampling == "latin_hypercube":
+            u = self._hypercube(point)[repetition]
+        else:
+            u = self._sobol(point, repetition)
+        return np.clip(u, _SMALLEST, 1.0 - 2.0 * _SMALLEST)
+
+    def _generator(self, key: int) -> np.random.Generator:
+        own = np.random.SeedSequence(self.seed, spawn_key=(key,))
+        return np.random.Generator(np.random.Philox(own))
+
+    def _hypercube(self, point: int) -> np.ndarray:
+        if point != self._point:
+            from scipy.stats.qmc import LatinHypercube
+
+            hypercube = LatinHypercube(self.axes, rng=self._generator(point))
+            self._point, self._sample = point, hypercube.random(self.repeat)
+        return self._sample
+
+    def _sobol(self, point: int, repetition: int) -> np.ndarray:
+        if point != self._point or repetition < self._sample.num_generated:
+            from scipy.stats.qmc import Sobol
+
+            self._point, self._sample = point, Sobol(self.axes, rng=self._generator(point))
+        skipped = repetition - self._sample.num_generated
+        if skipped:
+            self._sample.fast_forward(skipped)
+        return self._sample.random(1)[0]
+
+
 # A user-defined function in a file.
 _FUNCTION = re.compile(r"(.+\.py):\w+")
 # Endings of strings that may name a file.
 _ENDINGS = (".urdf", ".stl", ".obj", ".dae", ".csv", ".py", ".yaml", ".yml")
-
-
-def digests(scene: Scene, values: Iterable[Any]) -> dict[str, str]:
-    """Path -> digest of every file that the scene names, or the values that take places in it.
-
-    Parameters
-    ----------
-    scene : Scene
-        Relative paths start at its folder.
-    values : iterable
-        Of the axes: whatever may stand in a scene.
-    """
-    found: dict[str, str] = {}
-    for text in [*_texts(scene.model_dump(mode="json")), *_texts(list(values))]:
-        function = _FUNCTION.fullmatch(text)
-        name = function[1] if function else text
-        if not name.lower().endswith(_ENDINGS):
-            continue
-        path = (scene.folder / Path(name).expanduser()).resolve()
-        if str(path) not in found and path.is_file():
-            found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
-    return dict(sorted(found.items()))
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping):
-        for item in value.values():
-            yield from _texts(item)
-    elif isinstance(value, (list, tuple)):
-        for item in value:
-            yield from _texts(item)

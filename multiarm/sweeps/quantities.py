@@ -9,12 +9,12 @@ from __future__ import annotations
 import hashlib
 import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -191,66 +191,71 @@ def _rotation_error(trajectory: Trajectory) -> float:
     return float(np.linalg.norm(turned))
 
 
-def _coordinate(axis: int) -> Callable[[Trajectory], float]:
-    return lambda trajectory: float(trajectory.object_position[-1, axis])
+def _speed(trajectory: Trajectory, columns: slice) -> float:
+    return float(np.max(np.linalg.norm(trajectory.object_twist[:, columns], axis=1)))
 
 
-def _speed(columns: slice) -> Callable[[Trajectory], float]:
-    def largest(trajectory: Trajectory) -> float:
-        return float(np.max(np.linalg.norm(trajectory.object_twist[:, columns], axis=1)))
-
-    return largest
+def _final_coordinate(axis: int) -> Callable[[Trajectory], float]:
+    return lambda run: _last(run.object_position[:, axis])
 
 
 def _estimated_error(trajectory: Trajectory) -> float | None:
     return (trajectory.certificate or {}).get("estimated_error", {}).get("position_m")
 
 
-def _counted(key: str) -> Callable[[Trajectory], float | None]:
-    def count(trajectory: Trajectory) -> float | None:
-        found = trajectory.statistics.get(key)
-        return None if found is None else float(found)
-
-    return count
+def _count(trajectory: Trajectory, key: str) -> float | None:
+    found = trajectory.statistics.get(key)
+    return None if found is None else float(found)
 
 
-def _known() -> Iterator[tuple[str, str, str, Callable[[Any], float | None]]]:
-    pose = "at the end, from where the control leads it, or from the start where it has no path"
-    yield "final_position_error", "m", f"distance of the object {pose}", _position_error
-    yield "final_rotation_error", "rad", f"turn of the object {pose}", _rotation_error
-    for axis, name in enumerate("xyz"):
-        words = f"{name} of the object's centre of mass at the end"
-        yield f"final_{name}", "m", words, _coordinate(axis)
-    yield "largest_speed", "m/s", "of the object's centre of mass", _speed(slice(0, 3))
-    yield "largest_turn_rate", "rad/s", "of the object", _speed(slice(3, 6))
-    yield (
-        "largest_contact_force", "N", "magnitude along a contact's normal",
-        lambda trajectory: _largest_of(trajectory.contact_forces),
-    )  # fmt: skip
-    yield (
-        "largest_joint_torque", "N m", "magnitude of the controller's, of sliding joints in N",
-        lambda trajectory: _largest_of(trajectory.joint_torques),
-    )  # fmt: skip
-    yield "position_drift", "m", "largest gap of a contact", lambda t: _largest(t.position_drift)
-    yield "velocity_drift", "m/s", "largest rate of a gap", lambda t: _largest(t.velocity_drift)
-    yield (
-        "energy_balance", "J", "largest magnitude of energy gained less work done",
-        lambda trajectory: _largest(trajectory.energy_balance),
-    )  # fmt: skip
-    yield "final_energy", "J", "kinetic plus potential, at the end", lambda t: _last(t.energy)
-    yield "work", "J", "done by control and effects", lambda t: _last(t.work)
-    yield "estimated_error", "m", "of positions, by the run's check", _estimated_error
-    yield "events", "1", "number of events", lambda t: float(len(t.events))
-    yield "steps", "1", "of the integration", _counted("steps")
-    yield "evaluations", "1", "of the equations of motion", _counted("evaluations")
+class Known(NamedTuple):
+    """A built-in quantity: its unit, its description, and the number of a trajectory."""
 
-
-@dataclass(frozen=True)
-class _Known:
     unit: str
     words: str
-    function: Callable[[Any], float | None]
+    function: Callable[[Trajectory], float | None]
 
 
-KNOWN: dict[str, _Known] = {name: _Known(unit, words, own) for name, unit, words, own in _known()}
+_POSE = "at the end, from where the control leads it, or from the start where it has no path"
+KNOWN = {
+    "final_position_error": Known("m", f"distance of the object {_POSE}", _position_error),
+    "final_rotation_error": Known("rad", f"turn of the object {_POSE}", _rotation_error),
+    **{
+        f"final_{name}": Known(
+            "m",
+            f"{name} of the object's centre of mass at the end",
+            _final_coordinate(axis),
+        )
+        for axis, name in enumerate("xyz")
+    },
+    "largest_speed": Known(
+        "m/s", "of the object's centre of mass", lambda run: _speed(run, slice(0, 3))
+    ),
+    "largest_turn_rate": Known("rad/s", "of the object", lambda run: _speed(run, slice(3, 6))),
+    "largest_contact_force": Known(
+        "N", "magnitude along a contact's normal", lambda run: _largest_of(run.contact_forces)
+    ),
+    "largest_joint_torque": Known(
+        "N m",
+        "magnitude of the controller's, of sliding joints in N",
+        lambda run: _largest_of(run.joint_torques),
+    ),
+    "position_drift": Known(
+        "m", "largest gap of a contact", lambda run: _largest(run.position_drift)
+    ),
+    "velocity_drift": Known(
+        "m/s", "largest rate of a gap", lambda run: _largest(run.velocity_drift)
+    ),
+    "energy_balance": Known(
+        "J",
+        "largest magnitude of energy gained less work done",
+        lambda run: _largest(run.energy_balance),
+    ),
+    "final_energy": Known("J", "kinetic plus potential, at the end", lambda run: _last(run.energy)),
+    "work": Known("J", "done by control and effects", lambda run: _last(run.work)),
+    "estimated_error": Known("m", "of positions, by the run's check", _estimated_error),
+    "events": Known("1", "number of events", lambda run: float(len(run.events))),
+    "steps": Known("1", "of the integration", lambda run: _count(run, "steps")),
+    "evaluations": Known("1", "of the equations of motion", lambda run: _count(run, "evaluations")),
+}
 """The built-in quantities by name."""

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import SweepError
-from multiarm.sweeps.records import Record
-from multiarm.sweeps.store import differences
+from multiarm.scene.faults import unknown
+from multiarm.sweeps.plan import Record
+from multiarm.sweeps.store import StoredSweep, differences
 from multiarm.sweeps.summary import SweepSummary, status_counts, summarise
-from multiarm.sweeps.table import Column, SweepTable, cell, collected, write_csv, write_parquet
+from multiarm.sweeps.table import Column, numpy_column, records, write_csv, write_parquet
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
@@ -30,7 +31,7 @@ __all__ = ["Sweep", "load_sweep"]
 
 
 class Sweep:
-    """A sweep's file, read-only; rows that are appended later are not seen.
+    """The rows of a sweep when its file was read; rows that are appended later are not seen.
 
     Parameters
     ----------
@@ -47,10 +48,10 @@ class Sweep:
     def __init__(self, path: str | os.PathLike, code: bool = False):
         self.path = Path(path).expanduser().absolute()
         self._code = code
-        self._table = SweepTable(self.path)
+        self._stored = StoredSweep.read(self.path)
 
     def __len__(self) -> int:
-        return len(self._table)
+        return len(self._stored.table)
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{count} {status}" for status, count in self.status_counts.items())
@@ -59,7 +60,7 @@ class Sweep:
     @property
     def count(self) -> int:
         """Number of planned runs."""
-        return self._table.header["count"]
+        return self._stored.header["count"]
 
     @property
     def complete(self) -> bool:
@@ -69,40 +70,40 @@ class Sweep:
     @property
     def runs(self) -> np.ndarray:
         """Numbers of the runs that have a row, ascending."""
-        return self._table.runs.copy()
+        return self._stored.table["run"].to_numpy().copy()
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns of the table: run, status, message, values, quantities, wall time, worker."""
-        return self._table.columns
+        return self._stored.columns
 
     @property
     def paths(self) -> tuple[str, ...]:
         """Paths in the scene that vary."""
-        return tuple(self._table.header["paths"])
+        return self._keys("values")
 
     @property
     def quantities(self) -> tuple[str, ...]:
         """Outputs of each run."""
-        return tuple(own["name"] for own in self._table.header["quantities"])
+        return self._keys("quantities")
 
     @property
     def provenance(self) -> Mapping[str, Any]:
         """Version, computer and time of the start."""
-        return dict(self._table.header["provenance"])
+        return dict(self._stored.header["provenance"])
 
     @cached_property
     def scene(self) -> Scene:
         """The scene that is varied."""
         from multiarm.scene import parse_scene
 
-        text, folder = self._table.text("scene"), self._table.header["folder"]
+        text, folder = self._stored.texts["scene"], self._stored.header["folder"]
         return parse_scene(text, folder, stored=True, code=self._code)
 
     @property
     def text(self) -> str:
         """The sweep as YAML."""
-        return self._table.text("sweep")
+        return self._stored.texts["sweep"]
 
     @cached_property
     def plan(self) -> SweepPlan:
@@ -114,7 +115,7 @@ class Sweep:
     @cached_property
     def status_counts(self) -> dict[str, int]:
         """Status -> runs, the most frequent first."""
-        return status_counts(self._table)
+        return status_counts(self._stored.table)
 
     @cached_property
     def table(self) -> dict[str, np.ndarray]:
@@ -147,23 +148,22 @@ class Sweep:
         SweepError
             There is no such column, with the alternatives.
         """
-        table = self._table
-        wanted = (
-            [table.column(name) for name in columns] if columns is not None else list(self.columns)
-        )
-        conditions = {table.column(name): value for name, value in (where or {}).items()}
-        if status is not None:
-            conditions[table.column("status")] = status
-        found: dict[str, list] = {column.name: [] for column in wanted}
-        for row in table.rows():
-            if all(_fits(cell(row, column), value) for column, value in conditions.items()):
-                for column in wanted:
-                    found[column.name].append(cell(row, column))
-        return {column.name: collected(column, found[column.name]) for column in wanted}
+        stored = self._stored
+        named = {column.name: column for column in stored.columns}
+        wanted = list(named if columns is None else columns)
+        conditions = dict(where or {}) | ({} if status is None else {"status": status})
+        for name in (*wanted, *conditions):
+            if name not in named:
+                raise SweepError(unknown("column", name, named))
+        fits = np.ones(len(self), dtype=bool)
+        for name, condition in conditions.items():
+            fits &= [_fits(value, condition) for value in named[name].values(stored.table)]
+        table = stored.table.filter(fits)
+        return {name: numpy_column(table, named[name]) for name in wanted}
 
     def rows(self) -> Iterator[Record]:
-        """The records in the order of the runs, read in blocks."""
-        return self._table.rows()
+        """The records in the order of the runs."""
+        return records(self._stored.table, self.columns)
 
     def row(self, run: int) -> Record:
         """The record of one run.
@@ -174,14 +174,14 @@ class Sweep:
             There is no such run, or it has no record yet.
         """
         self._check(run)
-        found = self._table.row(run)
-        if found is None:
+        place = np.flatnonzero(self.runs == run)
+        if not len(place):
             raise SweepError(f"run {run} has not been made yet; resume the sweep")
-        return found
+        return next(records(self._stored.table.slice(place[0], 1), self.columns))
 
     def summary(self) -> SweepSummary:
         """How the runs ended and how each quantity spreads."""
-        return summarise(self._table)
+        return summarise(self._stored)
 
     def values_of(self, run: int) -> dict[str, Any]:
         """Path -> value in the scene of one run, also of a run that has not been made.
@@ -221,8 +221,7 @@ class Sweep:
         from multiarm.sweeps.worker import simulate_run
 
         self._check(run)
-        texts = {"scene": self._table.text("scene"), "sweep": self.text}
-        differs = differences(self._table.header, texts, self.plan)
+        differs = differences(self._stored, self.plan)
         if differs:
             warnings.warn(
                 f"this run may give other numbers than its row has: {'; '.join(differs)}",
@@ -238,7 +237,7 @@ class Sweep:
         MultiarmError
             The file cannot be written.
         """
-        return write_csv(self._table, path)
+        return write_csv(self._stored.table, self.columns, path)
 
     def to_parquet(self, path: str | os.PathLike) -> Path:
         """Write the table as Parquet.
@@ -246,13 +245,17 @@ class Sweep:
         Raises
         ------
         MultiarmError
-            PyArrow is not installed, or the file cannot be written.
+            The file cannot be written.
         """
-        return write_parquet(self._table, path)
+        texts = {name: self._stored.texts[name] for name in ("scene", "sweep")}
+        return write_parquet(self._stored.table, self.columns, path, texts)
 
     def close(self) -> None:
-        """Close the file; nothing more can be read."""
-        self._table.close()
+        """Release the rows; nothing more can be read."""
+        del self._stored
+
+    def _keys(self, group: str) -> tuple[str, ...]:
+        return tuple(column.key for column in self.columns if column.group == group)
 
     def _check(self, run: int) -> None:
         whole = isinstance(run, (int, np.integer)) and not isinstance(run, bool)

@@ -1,115 +1,274 @@
-"""The file of a sweep: rows are appended as runs end, and a killed sweep resumes from it.
+"""The rows of a sweep: shards that are written whole and renamed, in the end one HDF5 file.
 
-To resume, the complete rows are copied to a new file next to the old one, which it then replaces: a
-kill at any moment leaves one of the two.  The set of finished runs takes one bit a run.
+    x.h5         scene, sweep and the rows of finished calls, in the order of the runs
+    x.h5.rows/   shards: Parquet files with rows that are not in x.h5 yet
+
+The youngest shard is written anew whenever runs end, until it is long enough.  A file is forced to
+the disk under a temporary name before it replaces its elder, so that a kill or a power cut at any
+moment leaves either with all its rows.  When a call of :func:`multiarm.sweep` ends, all rows move
+to the HDF5 file and the folder disappears.  Readers take rows from both; one that is found twice
+counts once, for a row follows from the number of its run.
+
+The HDF5 file (format `multiarm sweep`, version 2)::
+
+    /              attributes: format, format_version
+    /<text>        scene, sweep (YAML), header (JSON)
+    /columns/<x>   a column; attributes: unit, description, type (`json`: texts to be decoded)
 """
 
 from __future__ import annotations
 
 import difflib
+import errno
+import io
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+import platform
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import h5py
 import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
 from typing_extensions import Self
 
 from multiarm.errors import SweepError
+from multiarm.results.files import atomic_file
+from multiarm.results.hdf5 import StoredFile, reason
 from multiarm.results.sinks import provenance
-from multiarm.sweeps.records import Record, fields_of, pack
-from multiarm.sweeps.row_file import Block, RowReader, RowWriter, WriterLock
+from multiarm.simulation.interrupts import deferred_interrupt
+from multiarm.sweeps.plan import Record, SweepPlan, program_version
+from multiarm.sweeps.table import TYPES, Column, columns_of, schema_of, table_of
 
-if TYPE_CHECKING:
-    from multiarm.sweeps.plan import SweepPlan
+try:
+    import fcntl
+except ImportError:  # this system has no such locks: nothing is refused
+    fcntl = None  # type: ignore[assignment]
 
-__all__ = ["RunSet", "SweepFile"]
+__all__ = ["StoredSweep", "SweepFile", "SweepReader", "WriterLock", "differences"]
 
-BLOCK = 1024
-"""Rows that are copied at once."""
-
-
-class RunSet:
-    """A set of runs, one bit each.
-
-    Parameters
-    ----------
-    count : int
-        Of all runs; the first has number 1.
-    """
-
-    def __init__(self, count: int):
-        self.count, self._members, self._bits = count, 0, bytearray(count // 8 + 1)
-
-    def __len__(self) -> int:
-        return self._members
-
-    def __contains__(self, run: int) -> bool:
-        return 1 <= run <= self.count and bool(self._bits[run // 8] >> run % 8 & 1)
-
-    def add(self, run: int) -> None:
-        """Add a run."""
-        if run not in self:
-            self._bits[run // 8] |= 1 << run % 8
-            self._members += 1
-
-    def missing(self) -> Iterator[int]:
-        """The runs that are not in the set, in order."""
-        return (run for run in range(1, self.count + 1) if run not in self)
+SHARD_ROWS = 1024
+"""Rows of a shard, at least, before the next one begins."""
+FINGERPRINT = b"fingerprint"
+"""Of the sweep, in the metadata of a shard."""
 
 
-class SweepFile:
-    """A file of a sweep, open for writing; make one with :meth:`open`.
+@dataclass(frozen=True)
+class StoredSweep:
+    """What is stored of a sweep.
 
     Attributes
     ----------
-    path : Path
-    done : RunSet
-        Runs whose rows are in the file.
+    texts : dict
+        "scene" and "sweep" as YAML, "header" as JSON.
+    header : dict
+        Metadata: fingerprint, count, columns, folder, files, provenance.
+    columns : tuple of Column
+    table : pyarrow.Table
+        One row a run, in the order of the runs.
     """
 
-    def __init__(
-        self, path: Path, done: RunSet, writer: RowWriter, fields: np.dtype, lock: WriterLock
-    ):
-        self.path, self.done = path, done
-        self._writer, self._fields, self._lock = writer, fields, lock
+    texts: dict[str, str]
+    header: dict[str, Any]
+    columns: tuple[Column, ...]
+    table: pa.Table
 
     @classmethod
-    def open(cls, path: str | os.PathLike, plan: SweepPlan, *, fresh: bool = False) -> Self:
-        """Create a file, or resume one of the same plan.
-
-        Parameters
-        ----------
-        path : path-like
-        plan : SweepPlan
-        fresh : bool
-            Overwrite an existing file.
+    def read(cls, path: Path) -> StoredSweep:
+        """Read a sweep, complete or not, also while it is being written.
 
         Raises
         ------
         SweepError
-            The file belongs to another sweep (the message lists the differences), is being written
-            by another process, or cannot be written.
+            Missing, damaged, no sweep, or of another version.
         """
-        target = RowReader.writable_target(path)
-        fields = fields_of(plan.paths, [quantity.name for quantity in plan.quantities])
-        done, lock = RunSet(plan.count), WriterLock(target, SweepError)
+        shards = list(_shards(path))  # first: rows only move from there to the file
+        reader = SweepReader(path)
+        reader.close()
+        header = json.loads(reader.texts["header"])
+        columns = tuple(Column(**own) for own in header["columns"])
+        schema, mark = schema_of(columns), header["fingerprint"].encode()
+        arrays = [
+            pa.array(reader.columns[field.name], field.type, from_pandas=True) for field in schema
+        ]
+        parts = [pa.table(arrays, schema=schema)]
+        parts += [
+            shard.replace_schema_metadata()
+            for shard in shards
+            if (shard.schema.metadata or {}).get(FINGERPRINT) == mark
+        ]
+        table = pa.concat_tables(parts).combine_chunks()
+        _, first = np.unique(table["run"].to_numpy(), return_index=True)
+        return cls(reader.texts, header, columns, table.take(first))
+
+
+class SweepReader(StoredFile):
+    """The HDF5 file of a sweep, open for reading.
+
+    Attributes
+    ----------
+    texts : dict
+    columns : dict
+        Name -> array of numbers, NaN where there is none, or of texts.
+    """
+
+    format, version = "multiarm sweep", 2
+    noun = "a sweep"
+    origin = "a sweep is written by multiarm sweep or ma.sweep()"
+    remedy = "copy it again or repeat the sweep"
+    error = SweepError
+
+    def load(self) -> None:
+        """Read everything."""
+        if int(self.file.attrs["format_version"]) < self.version:
+            raise SweepError(
+                f"'{self.path}' was written by an earlier multiarm, in a format that this one does "
+                "not read: make the sweep again in another file, or overwrite this one (--fresh, "
+                "in Python resume=False)"
+            )
+        self.texts = {name: self.file[name].asstr()[()] for name in ("scene", "sweep", "header")}
+        self.columns = {}
+        for own in json.loads(self.texts["header"])["columns"]:
+            stored = self.file[_dataset(own["name"])]
+            is_text = h5py.check_string_dtype(stored.dtype) is not None
+            self.columns[own["name"]] = (stored.asstr() if is_text else stored)[()]
+
+
+def _dataset(name: str) -> str:
+    """The dataset of a column; in HDF5 a slash would make a group, so that it is U+2215 there."""
+    return f"columns/{name.replace('/', chr(0x2215))}"
+
+
+def _write(path: Path, texts: Mapping[str, str], columns: Sequence[Column], rows: pa.Table) -> None:
+    """Write the HDF5 file of a sweep, in memory first: HDF5 does not survive a full disk."""
+    image = io.BytesIO()
+    with h5py.File(image, "w") as file:
+        file.attrs["format"], file.attrs["format_version"] = SweepReader.format, SweepReader.version
+        for name, text in texts.items():
+            file.create_dataset(name, data=text, dtype=h5py.string_dtype())
+        for own in columns:
+            is_text = pa.types.is_string(TYPES[own.type])
+            stored = file.create_dataset(
+                _dataset(own.name),
+                data=rows[own.name].to_pylist() if is_text else rows[own.name].to_numpy(),
+                dtype=h5py.string_dtype() if is_text else None,
+            )
+            stored.attrs.update({"unit": own.unit, "description": own.words, "type": own.type})
+    _write_whole(path, lambda file: file.write(image.getbuffer()))
+
+
+def _folder(path: Path) -> Path:
+    return path.with_name(f"{path.name}.rows")
+
+
+def _paths(path: Path) -> list[Path]:
+    return sorted(_folder(path).glob("*.parquet"))
+
+
+def _shards(path: Path) -> Iterator[pa.Table]:
+    """The shards beside a file, in the order in which they were written."""
+    for shard in _paths(path):
         try:
-            if fresh or not target.exists():
-                texts, earlier = _texts(plan), _no_rows()
+            yield parquet.ParquetFile(shard).read()
+        except FileNotFoundError:
+            pass  # its rows have just moved to the file
+        except (pa.ArrowException, OSError) as error:
+            raise SweepError(
+                f"'{shard}' is damaged or was cut short ({reason(error)}); copy it again, or "
+                "remove it and resume the sweep: its runs are made again"
+            ) from error
+
+
+def _write_whole(path: Path, write: Callable[[Any], Any]) -> None:
+    """Write a file under a temporary name, force it to the disk, and let it replace the old one."""
+    # there is one writer at a time; with the same name the next one removes what a kill left
+    with (
+        atomic_file(path, path.with_name(f".{path.name}.part")) as partial,
+        partial.open("wb") as f,
+    ):
+        write(f)
+        f.flush()
+        os.fsync(f.fileno())
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+class SweepFile:
+    """The file of a sweep, open for writing: created, or resumed if it holds the same sweep.
+
+    Parameters
+    ----------
+    path : path-like
+    plan : SweepPlan
+    fresh : bool
+        Overwrite an existing file.
+
+    Raises
+    ------
+    SweepError
+        The file belongs to another sweep (the message lists the differences), is being written by
+        another process, or cannot be written.
+
+    Attributes
+    ----------
+    path : Path
+    made : int
+        Runs whose rows are on the disk.
+    """
+
+    def __init__(self, path: str | os.PathLike, plan: SweepPlan, *, fresh: bool = False):
+        self.path = SweepReader.writable_target(path)
+        if _folder(self.path).is_symlink():
+            raise SweepError(
+                f"'{_folder(self.path)}' is a link, which is not followed: remove it, or choose "
+                "another folder"
+            )
+        self._lock = WriterLock(self.path)
+        self._shard: pa.Table
+        try:
+            if fresh or not self.path.exists():
+                self._begin(plan)
             else:
-                texts, earlier = _earlier(target, plan, done)
-            return cls(target, done, RowWriter(target, fields, texts, earlier), fields, lock)
+                self._resume(plan)
         except BaseException:
-            lock.release()
+            self._lock.release()
             raise
+
+    def _begin(self, plan: SweepPlan) -> None:
+        shutil.rmtree(_folder(self.path), ignore_errors=True)  # of a file that is no more wanted
+        self._columns = columns_of(plan)
+        self._texts = _texts(plan, self._columns)
+        self._done, self.made = bytearray(plan.count + 1), 0
+        self._open_shard(1)
+        with self._disk():
+            _write(self.path, self._texts, self._columns, table_of([], self._columns))
+
+    def _resume(self, plan: SweepPlan) -> None:
+        stored = StoredSweep.read(self.path)
+        _check_same(self.path, stored, plan)
+        self._columns, self._texts = stored.columns, stored.texts
+        self._done, self.made = bytearray(plan.count + 1), len(stored.table)
+        for run in stored.table["run"].to_pylist():
+            self._done[run] = True
+        self._open_shard(1 + max((int(own.stem) for own in _paths(self.path)), default=0))
+
+    def missing(self) -> Iterator[int]:
+        """The runs that have no row, in order."""
+        return (run for run in range(1, len(self._done)) if not self._done[run])
 
     def append(self, rows: Iterable[Record]) -> None:
         """Append records; they are on the disk when this returns.
 
-        A record of a run that is in the file already is dropped: it is the same.
+        A record of a run that has a row already is dropped: it is the same.
 
         Raises
         ------
@@ -118,20 +277,42 @@ class SweepFile:
         """
         new: dict[int, Record] = {}
         for row in rows:
-            if not 1 <= row.run <= self.done.count:
-                raise SweepError(f"there is no run {row.run}; runs are 1 to {self.done.count}")
-            if row.run not in self.done:
+            if not 1 <= row.run < len(self._done):
+                raise SweepError(f"there is no run {row.run}; runs are 1 to {len(self._done) - 1}")
+            if not self._done[row.run]:
                 new.setdefault(row.run, row)
         if not new:
             return
-        self._writer.append(*pack(list(new.values()), self._fields))
+        shard = pa.concat_tables([self._shard, table_of(list(new.values()), self._columns)])
+        mark = {FINGERPRINT: json.loads(self._texts["header"])["fingerprint"]}
+        with self._disk():
+            _folder(self.path).mkdir(exist_ok=True)
+            _write_whole(
+                _folder(self.path) / f"{self._number:06d}.parquet",
+                lambda file: parquet.write_table(shard.replace_schema_metadata(mark), file),
+            )
+        self._shard = shard
         for run in new:
-            self.done.add(run)
+            self._done[run] = True
+        self.made += len(new)
+        if len(shard) >= SHARD_ROWS:
+            self._open_shard(self._number + 1)
 
     def close(self) -> None:
-        """Close the file and release its lock."""
-        self._writer.close()
-        self._lock.release()
+        """Move all rows to the HDF5 file, and let others write.
+
+        Raises
+        ------
+        SweepError
+            The disk is full; the rows are safe in the shards.
+        """
+        try:
+            if _folder(self.path).exists():
+                with self._disk(), deferred_interrupt():
+                    _write(self.path, self._texts, self._columns, StoredSweep.read(self.path).table)
+                shutil.rmtree(_folder(self.path), ignore_errors=True)
+        finally:
+            self._lock.release()
 
     def __enter__(self) -> Self:
         return self
@@ -144,87 +325,56 @@ class SweepFile:
     ) -> None:
         self.close()
 
+    def _open_shard(self, number: int) -> None:
+        self._number, self._shard = number, table_of([], self._columns)
 
-def _earlier(path: Path, plan: SweepPlan, done: RunSet) -> tuple[dict[str, str], Iterator[Block]]:
-    """Texts and rows of an existing file of the same sweep."""
-    reader = RowReader(path)
-    texts = {name: reader.text(name) for name in ("scene", "sweep", "header")}
-    _check_same(path, texts, plan)
-    return texts, _kept(reader, done)
-
-
-def _no_rows() -> Iterator[Block]:
-    return iter(())
-
-
-def _kept(reader: RowReader, done: RunSet) -> Iterator[Block]:
-    """The rows of a file without duplicates and interrupted runs; marks them as done."""
-    for start in range(0, reader.count, BLOCK):
-        rows, texts = reader.block(start, start + BLOCK)
-        keep = []
-        for k, (run, status) in enumerate(zip(rows["run"], rows["status"], strict=True)):
-            if 1 <= run <= done.count and int(run) not in done and status != b"interrupted":
-                done.add(int(run))
-                keep.append(k)
-        yield rows[keep], [texts[k] for k in keep]
-    reader.close()
+    @contextmanager
+    def _disk(self) -> Iterator[None]:
+        """Turn an error of the operating system into a message."""
+        try:
+            yield
+        except OSError as error:
+            raise SweepError(
+                f"cannot write to '{self.path}': {reason(error)}; free some space on the disk or "
+                "choose another folder"
+            ) from error
 
 
-def _texts(plan: SweepPlan) -> dict[str, str]:
+def _texts(plan: SweepPlan, columns: Sequence[Column]) -> dict[str, str]:
     """Scene, sweep and header of a new file."""
-    header = json.dumps(_header(plan))
-    return {"scene": plan.scene_text, "sweep": plan.text, "header": header}
-
-
-def _header(plan: SweepPlan) -> dict[str, Any]:
-    """Metadata of a new file, as JSON."""
-    return {
+    origin = {key: value for key, value in provenance("").items() if key != "scene"}
+    header = {
         "fingerprint": plan.fingerprint,
         "count": plan.count,
-        "paths": list(plan.paths),
-        "quantities": [
-            {"name": own.name, "unit": own.unit, "words": own.words} for own in plan.quantities
-        ],
+        "columns": [asdict(column) for column in columns],
         "folder": str(plan.scene.folder),
         "files": plan.files,
-        "provenance": _provenance(),
+        "provenance": origin,
     }
+    return {"scene": plan.scene_text, "sweep": plan.text, "header": json.dumps(header)}
 
 
-def _provenance() -> dict[str, Any]:
-    return {key: value for key, value in provenance("").items() if key != "scene"}
-
-
-def differences(header: Mapping[str, Any], texts: Mapping[str, str], plan: SweepPlan) -> list[str]:
-    """Differences between a file and a plan that change the numbers of runs, as text.
-
-    Parameters
-    ----------
-    header, texts : mappings
-        Of the file; the texts of "scene" and "sweep".
-    plan : SweepPlan
-    """
+def differences(stored: StoredSweep, plan: SweepPlan) -> list[str]:
+    """Differences between a file and a plan that change the numbers of runs, as text."""
     differs = [
-        *_differences("scene", texts["scene"], plan.scene_text),
-        *_differences("sweep", texts["sweep"], plan.text),
+        *_changed_lines("scene", stored.texts["scene"], plan.scene_text),
+        *_changed_lines("sweep", stored.texts["sweep"], plan.text),
     ]
-    there, here = header["provenance"]["version"], _provenance()["version"]
+    there, here = stored.header["provenance"]["version"], program_version()
     if not differs and there != here:
         differs = [f"it was begun by multiarm {there}, this is {here}"]
-    then = header.get("files", {})
+    then = stored.header["files"]
     for name in sorted({*then, *plan.files}):
         if then.get(name) != plan.files.get(name):
             differs.append(f"the file '{name}' has changed, or is missing")
     return differs
 
 
-def _check_same(path: Path, texts: Mapping[str, str], plan: SweepPlan) -> None:
+def _check_same(path: Path, stored: StoredSweep, plan: SweepPlan) -> None:
     """Refuse the file of another sweep."""
-    header = json.loads(texts["header"])
-    if header["fingerprint"] == plan.fingerprint:
+    if stored.header["fingerprint"] == plan.fingerprint:
         return
-    differs = differences(header, texts, plan)
-    differs = differs or ["the text of a function that gives a quantity"]
+    differs = differences(stored, plan) or ["the text of a function that gives a quantity"]
     lines = "\n".join(f"  {line}" for line in differs)
     raise SweepError(
         f"'{path}' holds another sweep; choose another file, or begin afresh and overwrite it. "
@@ -232,9 +382,96 @@ def _check_same(path: Path, texts: Mapping[str, str], plan: SweepPlan) -> None:
     )
 
 
-def _differences(what: str, there: str, here: str) -> list[str]:
+def _changed_lines(what: str, there: str, here: str) -> list[str]:
     lines = difflib.unified_diff(there.splitlines(), here.splitlines(), n=0, lineterm="")
     changed = [line for line in lines if line[0] in "+-" and line[:3] not in ("+++", "---")]
     shown = [f"{what}: {line}" for line in changed[:6]]
     more = len(changed) - len(shown)
     return [*shown, f"{what}: and {more} more lines"] if more > 0 else shown
+
+
+class WriterLock:
+    """Exclusive right to write a file, until :meth:`release` or the end of the process.
+
+    The lock is the operating system's (`flock`), on a small file next to the guarded one. The
+    guarded file itself is replaced on resuming, and a lock would stay with the old one.
+
+    Parameters
+    ----------
+    path : Path
+        The guarded file.
+
+    Raises
+    ------
+    SweepError
+        Another process, or another part of this one, holds the lock.
+    """
+
+    def __init__(self, path: Path):
+        self._path = path.with_name(f".{path.name}.lock")
+        self._descriptor: int | None = None
+        while fcntl is not None and self._descriptor is None:
+            descriptor = self._open()
+            if not _locked(descriptor):
+                holder = _holder(descriptor)
+                os.close(descriptor)
+                raise SweepError(
+                    f"'{path}' is being written by another process{holder}; wait for it, end it, "
+                    "or choose another file"
+                )
+            if self._is_current(descriptor):
+                self._descriptor = descriptor
+                owner = {"process": os.getpid(), "host": platform.node()}
+                os.ftruncate(descriptor, 0)
+                os.pwrite(descriptor, json.dumps(owner).encode(), 0)
+            else:  # its last owner has just removed it
+                os.close(descriptor)
+
+    def release(self) -> None:
+        """Let others write."""
+        if self._descriptor is not None:
+            self._path.unlink(missing_ok=True)
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def _open(self) -> int:
+        linked = SweepError(
+            f"'{self._path}' is a link, which is not followed: remove it, or choose another folder"
+        )
+        try:
+            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        except OSError as fault:
+            if fault.errno == errno.ELOOP:
+                raise linked from None
+            raise SweepError(
+                f"cannot write to '{self._path.parent}': {fault.strerror}; "
+                "choose a folder that you may write to"
+            ) from None
+        if os.fstat(descriptor).st_nlink > 1:  # a hard link: writing would change another file
+            os.close(descriptor)
+            raise linked
+        return descriptor
+
+    def _is_current(self, descriptor: int) -> bool:
+        try:
+            return os.path.samestat(os.fstat(descriptor), os.stat(self._path))
+        except FileNotFoundError:
+            return False
+
+
+def _locked(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass  # a file system without locks
+    return True
+
+
+def _holder(descriptor: int) -> str:
+    try:
+        owner = json.loads(os.pread(descriptor, 500, 0))
+        return f" ({owner['process']} on {owner['host']})"
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""

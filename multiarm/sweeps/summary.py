@@ -1,21 +1,21 @@
 """Summary of a sweep: how its runs ended, and how each quantity spreads.
 
-One quantity is in memory at a time.  Sums are rounded once, so that no number depends on the order
-in which runs ended.
+Rows are in the order of the runs, so that no number depends on the order in which they ended.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
-from multiarm.sweeps.table import BLOCK, Column, SweepTable
+from multiarm.sweeps.store import StoredSweep
+from multiarm.sweeps.table import Column
 
 __all__ = ["LEVELS", "Failure", "Spread", "SweepSummary", "summarise"]
 
@@ -36,7 +36,7 @@ class Spread:
     count : int
         Runs that have it.
     smallest, largest, mean : float or None
-        None if no run has it, or it is infinite.
+        None if no run has it, or it is beyond the range of floats.
     smallest_run, largest_run : int or None
         The first runs with these values.
     quantiles : dict
@@ -97,93 +97,66 @@ class SweepSummary:
         return data
 
 
-def summarise(table: SweepTable) -> SweepSummary:
-    """Read a sweep's table, one quantity at a time."""
-    statuses = status_counts(table)
-    quantities = [column for column in table.columns if column.group == "quantities"]
+def summarise(stored: StoredSweep) -> SweepSummary:
+    """The summary of a stored sweep."""
+    table = stored.table
     return SweepSummary(
-        count=table.header["count"],
+        count=stored.header["count"],
         done=len(table),
-        statuses=statuses,
-        wall_time=math.fsum(_numbers(table, table.column("wall_time"))),
-        spreads=tuple(_spread(table, column) for column in quantities),
-        failures=_failures(table, statuses),
+        statuses=status_counts(table),
+        wall_time=math.fsum(table["wall_time"].to_pylist()),
+        spreads=tuple(_spread(table, own) for own in stored.columns if own.group == "quantities"),
+        failures=_failures(table),
     )
 
 
-def status_counts(table: SweepTable) -> dict[str, int]:
+def status_counts(table: pa.Table) -> dict[str, int]:
     """Status -> runs, the most frequent first."""
-    found: Counter[str] = Counter()
-    for low in range(0, len(table), BLOCK):
-        names, counts = np.unique(table.statuses(low, low + BLOCK), return_counts=True)
-        for name, count in zip(names.tolist(), counts.tolist(), strict=True):
-            found[name.decode("ascii")] += count
+    found = {own["values"]: own["counts"] for own in table["status"].value_counts().to_pylist()}
     return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
 
 
-def _spread(table: SweepTable, column: Column) -> Spread:
-    values, runs = _numbers(table, column), _numbers(table, table.column("run"))
-    present = ~np.isnan(values)
-    values, runs = values[present], runs[present]
-    unit = Spread(column.name, column.unit, column.words, len(values))
+def _spread(table: pa.Table, column: Column) -> Spread:
+    there = table.select(["run", column.name]).drop_null()
+    runs, values = (own.to_numpy() for own in there.columns)
+    spread = Spread(column.name, column.unit, column.words, len(values))
     if not len(values):
-        return unit
-    smallest, largest = values.min(), values.max()
-    mean = None
-    if math.isfinite(smallest) and math.isfinite(largest):
-        try:
-            mean = math.fsum(values) / len(values)
-        except OverflowError:  # the sum exceeds the range of floats, the mean does not
-            mean = math.fsum(value / len(values) for value in values)
+        return spread
+    values = values + 0.0  # -0.0 becomes 0.0
+    first, last = int(np.argmin(values)), int(np.argmax(values))
+    with np.errstate(invalid="ignore"):  # between infinite values
+        quantiles = np.quantile(values, LEVELS).tolist()
     return replace(
-        unit,
-        smallest=_finite(smallest),
-        smallest_run=int(runs[values == smallest].min()),
-        largest=_finite(largest),
-        largest_run=int(runs[values == largest].min()),
-        mean=mean,
-        quantiles=dict(zip(LEVELS, map(_finite, quantiles(values, LEVELS)), strict=True)),
+        spread,
+        smallest=_finite(values[first]),
+        smallest_run=int(runs[first]),
+        largest=_finite(values[last]),
+        largest_run=int(runs[last]),
+        mean=_mean(values),
+        quantiles=dict(zip(LEVELS, map(_finite, quantiles), strict=True)),
     )
 
 
-def quantiles(values: np.ndarray, levels: Sequence[float]) -> list[float]:
-    """Quantiles, linear between neighbours as in ``numpy.quantile``, also next to infinite values.
-
-    Parameters
-    ----------
-    values : ndarray
-        At least one, none of them NaN.
-    levels : sequence of float
-        0 to 1.
-    """
-    ordered, found = np.sort(values), []
-    for level in levels:
-        place = level * (len(values) - 1)
-        low, high = float(ordered[math.floor(place)]), float(ordered[math.ceil(place)])
-        share = place - math.floor(place)
-        found.append(low if low == high else low + share * (high - low))
-    return found
+def _mean(values: np.ndarray) -> float | None:
+    """The mean, from a sum that is rounded once; None if that exceeds the range of floats."""
+    try:
+        return _finite(math.fsum(values) / len(values))
+    except (OverflowError, ValueError):  # too large; of infinite values with both signs
+        return None
 
 
-def _numbers(table: SweepTable, column: Column) -> np.ndarray:
-    """The numbers of a column in the order of the file, read in blocks; -0.0 becomes 0.0."""
-    blocks = [table.numbers(column, low, low + BLOCK) for low in range(0, len(table), BLOCK)]
-    return np.concatenate(blocks) + 0.0 if blocks else np.zeros(0)
-
-
-def _failures(table: SweepTable, statuses: dict[str, int]) -> tuple[Failure, ...]:
+def _failures(table: pa.Table) -> tuple[Failure, ...]:
     """The different messages of runs that did not complete, the first few."""
     found: dict[tuple[str, str], Failure] = {}
-    if set(statuses) <= {"completed"}:
-        return ()
-    for row in table.rows():
-        key = row.status, _NUMBER.sub("#", row.message)
-        if row.status == "completed" or (key not in found and len(found) == FAILURES):
+    failed = table.filter(pc.not_equal(table["status"], "completed"))
+    for row in failed.select(["run", "status", "message"]).to_pylist():
+        key = row["status"], _NUMBER.sub("#", row["message"])
+        if key not in found and len(found) == FAILURES:
             continue
-        known = found.get(key, Failure(row.status, row.message, 0, row.run))
+        known = found.get(key, Failure(row["status"], row["message"], 0, row["run"]))
         found[key] = replace(known, runs=known.runs + 1)
     return tuple(found.values())
 
 
 def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    return float(value) if math.isfinite(value) else None

@@ -5,22 +5,21 @@ from __future__ import annotations
 import os
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import SweepError
 from multiarm.scene import Scene
 from multiarm.simulation.interrupts import deferred_interrupt
-from multiarm.sweeps.plan import SweepPlan, make_plan
-from multiarm.sweeps.records import Record
+from multiarm.sweeps.plan import Job, Record, SweepPlan, make_plan
 from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.sweeps.store import SweepFile
 
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["SweepProgress", "run_plan", "sweep"]
+__all__ = ["SweepProgress", "sweep"]
 
 SweepProgress = Callable[[int, int, int], None]
 
@@ -58,8 +57,8 @@ def sweep(
         ``range``, ``rows``; drawn at random by ``uniform``, ``loguniform``, ``normal``,
         ``lognormal``, ``integers``, ``choice``.
     out : path-like
-        HDF5 file of the table, to which rows are appended as runs end.  A sweep that was killed or
-        stopped resumes from it.
+        HDF5 file of the table.  Until the call ends, rows of new runs are in a folder beside it,
+        ``sweep.h5.rows``.  A sweep that was killed or stopped resumes from both.
     workers : int, optional
         Processes on this computer, by default one for each core; 1 runs everything in this process.
     dask : str, True or distributed.Client, optional
@@ -99,6 +98,8 @@ def sweep(
         When the sweep is wrong, naming all faults; the file belongs to another sweep or cannot be
         written; the cluster does not answer or cannot run the jobs.
     """
+    from multiarm.sweeps.executors import connected
+
     _check_executor(workers, dask)
     keys = {
         "keep": [keep] if isinstance(keep, str) else None if keep is None else list(keep),
@@ -110,61 +111,23 @@ def sweep(
         "run": run or None,
     }
     plan = make_plan(scene, over, **{key: v for key, v in keys.items() if v is not None})
-    if progress is not True:
-        return run_plan(plan, out, workers, dask, progress or None, resume)
-    from multiarm.terminal.progress import SweepProgress as Bar
-
-    with Bar() as bar:
-        return run_plan(plan, out, workers, dask, bar, resume)
-
-
-def run_plan(
-    plan: SweepPlan,
-    out: str | os.PathLike = "sweep.h5",
-    workers: int | None = None,
-    dask: str | bool | Client | None = None,
-    progress: SweepProgress | None = None,
-    resume: bool = True,
-) -> Sweep:
-    """Carry out the missing runs of a plan; see :func:`sweep`."""
-    from multiarm.sweeps.executors import connected
-
-    _check_executor(workers, dask)
-    # first the cluster: if it does not answer, the rows of an earlier sweep must not be lost
     with (
+        _shown(progress) as show,
+        # before the file: if the cluster does not answer, rows of an earlier sweep must not be lost
         connected(dask) if dask else nullcontext() as client,
-        SweepFile.open(out, plan, fresh=not resume) as file,
+        SweepFile(out, plan, fresh=not resume) as file,
     ):
-        if len(file.done) < plan.count:
-            _fill(file, plan, _records(plan, file, workers, client), progress)
-        elif progress is not None:
-            progress(plan.count, plan.count, 0)
-        path = file.path
-    return load_sweep(path, code=plan.scene.may_load_code)
+        _fill(file, plan, _records(plan, file, workers, client), show)
+    return load_sweep(file.path, code=plan.scene.may_load_code)
 
 
-def _fill(
-    file: SweepFile,
-    plan: SweepPlan,
-    batches: Iterator[list[Record]],
-    progress: SweepProgress | None,
-) -> None:
-    """Append records to the file until all are there or Ctrl-C is pressed."""
-    failed = 0
-    try:
-        if progress is not None:
-            progress(len(file.done), plan.count, failed)
-        for records in batches:
-            with deferred_interrupt() as interrupt:  # not while the file is written
-                file.append(records)
-            interrupt.deliver()
-            failed += sum(record.status != "completed" for record in records)
-            if progress is not None:
-                progress(len(file.done), plan.count, failed)
-    except KeyboardInterrupt:
-        pass  # the finished runs are in the file
-    finally:
-        batches.close()  # type: ignore[attr-defined]
+def _shown(progress: bool | SweepProgress | None) -> AbstractContextManager[SweepProgress]:
+    """The function to be told of the progress."""
+    if progress is True:
+        from multiarm.terminal.progress import SweepProgress as Bar
+
+        return Bar()
+    return nullcontext(progress or (lambda done, count, failed: None))
 
 
 def _records(
@@ -177,17 +140,39 @@ def _records(
         run_in_processes,
         run_on_cluster,
     )
-    from multiarm.sweeps.worker import Job, JobContext
+    from multiarm.sweeps.worker import JobContext
 
+    missing = plan.count - file.made
+    if not missing:
+        return
     context = JobContext.of(plan, session=uuid.uuid4().hex)
-    jobs = (Job(run, values) for run, values in plan.among(file.done.missing()))
-    missing = plan.count - len(file.done)
+    jobs = (Job(run, values) for run, values in plan.among(file.missing()))
+    workers = workers or processors()
     if client is not None:
         yield from run_on_cluster(context, jobs, client, missing)
-    elif (workers or processors()) == 1:
+    elif workers == 1:
         yield from run_in_process(context, jobs)
     else:
-        yield from run_in_processes(context, jobs, min(workers or processors(), missing), missing)
+        yield from run_in_processes(context, jobs, min(workers, missing), missing)
+
+
+def _fill(
+    file: SweepFile, plan: SweepPlan, batches: Iterator[list[Record]], show: SweepProgress
+) -> None:
+    """Append records to the file until all are there or Ctrl-C is pressed."""
+    failed = 0
+    try:
+        show(file.made, plan.count, failed)
+        for records in batches:
+            with deferred_interrupt() as interrupt:  # not while the file is written
+                file.append(records)
+            interrupt.deliver()
+            failed += sum(record.status != "completed" for record in records)
+            show(file.made, plan.count, failed)
+    except KeyboardInterrupt:
+        pass  # the finished runs are in the file
+    finally:
+        batches.close()  # type: ignore[attr-defined]
 
 
 def _check_executor(workers: Any, dask: Any) -> None:

@@ -1,11 +1,8 @@
-"""The table of a sweep, read from its file in blocks, in the order of the runs; CSV and Parquet.
+"""The table of a sweep: one row a run, with columns whose types follow from the sweep.
 
-The file holds rows in the order in which runs ended; an index of one integer a run finds them.
-Nothing else grows with the number of runs, except columns that are requested as a whole.
-
-A first pass finds the type of every column for the export: integers, numbers, truth values or
-texts; mixed columns, lists and tables are written as JSON.  Null is an empty cell in CSV and a null
-in Parquet, whose fields carry unit and description as metadata.
+Columns are the run's number, status and message, the values that vary, the quantities, and what was
+measured.  A missing number is null.  Values that have no type in common (texts and numbers, lists,
+tables) are JSON.
 """
 
 from __future__ import annotations
@@ -13,33 +10,38 @@ from __future__ import annotations
 import csv
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from pyarrow import parquet
 
-from multiarm.errors import SweepError
-from multiarm.results.files import atomic_output
-from multiarm.scene.faults import unknown
-from multiarm.sweeps.records import QUANTITIES, VALUES, Record, unpack
-from multiarm.sweeps.row_file import RowReader
+from multiarm.results.files import atomic_output, printable
+from multiarm.sweeps.plan import Record, SweepPlan
 
-__all__ = ["Column", "SweepTable", "cell", "collected", "kinds_of", "write_csv", "write_parquet"]
+__all__ = [
+    "TYPES",
+    "Column",
+    "columns_of",
+    "numpy_column",
+    "records",
+    "schema_of",
+    "table_of",
+    "write_csv",
+    "write_parquet",
+]
 
-
-BLOCK = 1024
-"""Rows in memory at once."""
-FIXED = (
-    ("run", "number of the run, from 1 on"),
-    ("status", "how it ended"),
-    ("message", "why it did not complete"),
-)
-MEASURED = (
-    ("wall_time", "s", "time that the run took"),
-    ("worker", "", "computer and process that carried it out"),
-)
+TYPES = {
+    "bool": pa.bool_(),
+    "int64": pa.int64(),
+    "float64": pa.float64(),
+    "string": pa.string(),
+    "json": pa.string(),
+}
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,8 @@ class Column:
     key : str
         The path or the quantity.
     unit, words : str
+    type : str
+        "bool", "int64", "float64", "string", or "json": values of several types, lists, tables.
     """
 
     name: str
@@ -62,260 +66,162 @@ class Column:
     key: str
     unit: str
     words: str
+    type: str = "float64"
+
+    def cell(self, record: Record) -> Any:
+        """The entry of a record, as the table holds it."""
+        if self.group in _OWN:
+            value = getattr(record, self.key)
+            return printable(value) if self.type == "string" else value
+        value = getattr(record, self.group)[self.key]
+        return json.dumps(value) if self.type == "json" else value
+
+    def values(self, table: pa.Table) -> list[Any]:
+        """The values in a table; null is None."""
+        cells = table[self.name].to_pylist()
+        return [json.loads(cell) for cell in cells] if self.type == "json" else cells
 
 
-class SweepTable:
-    """Rows of a sweep's file.
+_OWN = ("fixed", "measured")
+"""Groups whose columns are attributes of a record."""
+FIXED = (
+    Column("run", "fixed", "run", "", "number of the run, from 1 on", "int64"),
+    Column("status", "fixed", "status", "", "how it ended", "string"),
+    Column("message", "fixed", "message", "", "why it did not complete", "string"),
+)
+MEASURED = (
+    Column("wall_time", "measured", "wall_time", "s", "time that the run took"),
+    Column(
+        "worker", "measured", "worker", "", "computer and process that carried it out", "string"
+    ),
+)
 
-    Parameters
-    ----------
-    path : Path
 
-    Raises
-    ------
-    SweepError
-        The file cannot be read, or is no sweep.
+def columns_of(plan: SweepPlan) -> tuple[Column, ...]:
+    """The columns of a sweep's table; their types follow from the sweep, not from its rows."""
+    taken = {column.name for column in (*FIXED, *MEASURED)}
+    values = [
+        Column(
+            f"$.{path}" if path in taken else path,
+            "values", path, "", "value in the scene", type_of(plan.examples(path)),
+        )
+        for path in plan.paths
+    ]  # fmt: skip
+    taken |= {column.name for column in values}
+    quantities = [
+        Column(
+            f"quantity {own.name}" if own.name in taken else own.name,
+            "quantities", own.name, own.unit, own.words,
+        )
+        for own in plan.quantities
+    ]  # fmt: skip
+    return (*FIXED, *values, *quantities, *MEASURED)
 
-    Attributes
-    ----------
-    header : dict
-        Metadata of the file.
-    columns : tuple of Column
-    runs : ndarray
-        Numbers of the runs that have a row, ascending.
+
+def type_of(values: Iterable[Any]) -> str:
+    """The type of a column for these values: one that leaves them equal to what they are."""
+    values = list(values)
+    types = {type(value) for value in values}
+    if types == {bool}:
+        return "bool"
+    if types == {str} and all(value == printable(value) for value in values):
+        return "string"
+    numbers, missing = types & {int, float}, types - {int, float}
+    exact = all(abs(value) < 2**53 for value in values if type(value) is int)
+    if numbers and exact and missing <= {type(None)}:
+        return "int64" if types == {int} else "float64"
+    return "json"
+
+
+def table_of(rows: Sequence[Record], columns: Sequence[Column]) -> pa.Table:
+    """Records as a table."""
+    schema = schema_of(columns)
+    arrays = [
+        pa.array([column.cell(row) for row in rows], field.type)
+        for column, field in zip(columns, schema, strict=True)
+    ]
+    return pa.table(arrays, schema=schema)
+
+
+def schema_of(columns: Sequence[Column]) -> pa.Schema:
+    """The columns for Arrow, with unit and description as metadata."""
+    return pa.schema(
+        pa.field(
+            own.name,
+            TYPES[own.type],
+            metadata={"unit": own.unit, "description": own.words, "kind": own.group},
+        )
+        for own in columns
+    )
+
+
+def records(table: pa.Table, columns: Sequence[Column]) -> Iterator[Record]:
+    """The records in a table, converted in blocks."""
+    for block in table.to_batches(max_chunksize=1024):
+        part = pa.table(block)
+        entries = {own: own.values(part) for own in columns}
+        for k in range(len(part)):
+            row: dict[str, Any] = {"values": {}, "quantities": {}}
+            for own, column in entries.items():
+                (row if own.group in _OWN else row[own.group])[own.key] = column[k]
+            yield Record(**row)
+
+
+def numpy_column(table: pa.Table, column: Column) -> np.ndarray:
+    """A column as an array: numbers, truth values or texts, else objects.
+
+    A missing quantity is NaN; a missing value, which the sweep gave, is None.
     """
-
-    def __init__(self, path: Path):
-        self._reader = RowReader(path)
-        self.header = json.loads(self._reader.text("header"))
-        self.columns = _columns(self.header["paths"], self.header["quantities"])
-        self.runs, self._places = self._index()
-
-    def __len__(self) -> int:
-        return len(self.runs)
-
-    def text(self, name: str) -> str:
-        """``"scene"`` or ``"sweep"``, as YAML text."""
-        return self._reader.text(name)
-
-    def rows(self, start: int = 0, stop: int | None = None) -> Iterator[Record]:
-        """Records ``start`` to ``stop`` in the order of the runs."""
-        stop = len(self) if stop is None else min(stop, len(self))
-        for low in range(start, stop, BLOCK):
-            yield from unpack(self._reader.picked(self._places[low : min(low + BLOCK, stop)]))
-
-    def row(self, run: int) -> Record | None:
-        """The record of a run, None if it has none yet."""
-        at = int(np.searchsorted(self.runs, run))
-        if at == len(self) or self.runs[at] != run:
-            return None
-        return next(self.rows(at, at + 1))
-
-    def blocks(self, columns: Sequence[Column], rows: int = BLOCK) -> Iterator[dict[str, list]]:
-        """Some columns by name, in blocks of rows."""
-        for low in range(0, len(self), rows):
-            yield self._block(columns, low, low + rows)
-
-    def numbers(self, column: Column, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """The numbers of a column in the order of the file; NaN for other values.
-
-        Raises
-        ------
-        SweepError
-            The column has texts only.
-        """
-        stop = self._reader.count if stop is None else stop
-        if column.group in (VALUES, QUANTITIES):
-            return self._reader.field(column.group, start, stop)[column.key]
-        if column.name in ("run", "wall_time"):
-            return self._reader.field(column.name, start, stop).astype(float)
-        raise SweepError(f"'{column.name}' is no number")
-
-    def statuses(self, start: int, stop: int) -> np.ndarray:
-        """Statuses in the order of the file, as bytes."""
-        return self._reader.field("status", start, stop)
-
-    def column(self, name: str) -> Column:
-        """The column with this name.
-
-        Raises
-        ------
-        SweepError
-            There is none; the message lists the alternatives.
-        """
-        found = {column.name: column for column in self.columns}
-        if name not in found:
-            raise SweepError(unknown("column", name, found))
-        return found[name]
-
-    def close(self) -> None:
-        """Close the file; nothing more can be read."""
-        self._reader.close()
-
-    def _block(self, columns: Sequence[Column], start: int, stop: int) -> dict[str, list]:
-        records = list(self.rows(start, stop))
-        return {column.name: [cell(record, column) for record in records] for column in columns}
-
-    def _index(self) -> tuple[np.ndarray, np.ndarray]:
-        """Runs, ascending, and the indices of their rows in the file."""
-        count = self._reader.count
-        runs = np.empty(count, dtype=np.int64)
-        for low in range(0, count, BLOCK):
-            runs[low : low + BLOCK] = self._reader.field("run", low, low + BLOCK)
-        return np.unique(runs, return_index=True)
+    entries = table[column.name]
+    if column.type == "string":
+        return np.array(entries.to_pylist(), dtype=np.str_)
+    if column.type == "json" or (column.group == "values" and entries.null_count):
+        array = np.empty(len(entries), dtype=object)
+        array[:] = column.values(table)
+        return array
+    return entries.to_numpy()
 
 
-def cell(row: Record, column: Column) -> Any:
-    """The value of a record in a column."""
-    if column.group == VALUES:
-        return row.values[column.key]
-    if column.group == QUANTITIES:
-        return row.quantities[column.key]
-    return getattr(row, column.key)
+def _exported(table: pa.Table, columns: Sequence[Column]) -> pa.Table:
+    """The table for other programs: a null in JSON is a missing entry."""
+    for k, column in enumerate(columns):
+        if column.type == "json":
+            cells = table[column.name]
+            given = pc.if_else(pc.equal(cells, "null"), pa.scalar(None, pa.string()), cells)
+            table = table.set_column(k, table.schema.field(k), given)
+    return table
 
 
-def collected(column: Column, cells: list) -> np.ndarray:
-    """A column as an array: integers, floats with NaN for null, or objects."""
-    kinds = {type(value) for value in cells}
-    if column.group == QUANTITIES or kinds == {float}:
-        return np.array([np.nan if value is None else value for value in cells], dtype=float)
-    if kinds == {bool}:
-        return np.array(cells, dtype=bool)
-    if kinds == {int} and max(map(abs, cells)) < 2**63:
-        return np.array(cells, dtype=np.int64)
-    if kinds and kinds <= {float, int} and all(float(value) == value for value in cells):
-        return np.array(cells, dtype=float)
-    if kinds == {str}:
-        return np.array(cells, dtype=np.str_)
-    array = np.empty(len(cells), dtype=object)
-    array[:] = cells
-    return array
-
-
-def _columns(paths: Sequence[str], quantities: Sequence[Mapping[str, str]]) -> tuple[Column, ...]:
-    columns = [Column(name, "fixed", name, "", words) for name, words in FIXED]
-    taken = {name for name, _ in FIXED} | {name for name, _, _ in MEASURED}
-    for path in paths:
-        name = f"$.{path}" if path in taken else path
-        columns.append(Column(name, VALUES, path, "", "value in the scene"))
-    taken |= {column.name for column in columns}
-    for own in quantities:
-        name = f"quantity {own['name']}" if own["name"] in taken else own["name"]
-        columns.append(Column(name, QUANTITIES, own["name"], own["unit"], own["words"]))
-    measured = [Column(name, "measured", name, unit, words) for name, unit, words in MEASURED]
-    return (*columns, *measured)
-
-
-GROUP_ROWS = 8192
-"""Rows of a group of a Parquet file."""
-_KINDS: dict[str, tuple[type, ...]] = {
-    "bool": (bool,),
-    "int64": (int,),
-    "float64": (float, int),
-    "string": (str,),
-}
-JSON = "json"
-
-
-def write_csv(table: SweepTable, path: str | os.PathLike) -> Path:
-    """Write the table as CSV with a header; numbers are written without loss.
+def write_csv(table: pa.Table, columns: Sequence[Column], path: str | os.PathLike) -> Path:
+    """Write a table as CSV with a header; numbers are written without loss.
 
     Raises
     ------
     MultiarmError
         The file cannot be written.
     """
-    kinds = kinds_of(table)
     with (
         atomic_output(Path(path), "CSV") as partial,
-        partial.open("w", newline="", encoding="utf-8", errors="backslashreplace") as f,
+        partial.open("w", newline="", encoding="utf-8") as file,
     ):
-        writer = csv.writer(f)
-        writer.writerow([column.name for column in table.columns])
-        for block in table.blocks(table.columns):
-            written = [_written(block.pop(name), kind) for name, kind in kinds.items()]
-            writer.writerows(zip(*written, strict=True))
-            written.clear()  # before the next block is read: one of them is in memory at a time
+        writer = csv.writer(file)
+        writer.writerow(table.column_names)
+        for block in _exported(table, columns).to_batches():
+            writer.writerows(zip(*block.to_pydict().values(), strict=True))
     return Path(path)
 
 
-def require_pyarrow() -> None:
-    """Check that Parquet files can be written, before a long computation.
-
-    Raises
-    ------
-    SweepError
-        PyArrow is not installed.
-    """
-    try:
-        import pyarrow.parquet  # noqa: F401
-    except ImportError:
-        raise SweepError(
-            "Parquet files need PyArrow, which is not installed: pip install pyarrow; or write CSV"
-        ) from None
-
-
-def write_parquet(table: SweepTable, path: str | os.PathLike) -> Path:
-    """Write the table as Parquet, in row groups.
+def write_parquet(
+    table: pa.Table, columns: Sequence[Column], path: str | os.PathLike, texts: Mapping[str, str]
+) -> Path:
+    """Write a table as Parquet, with ``texts`` as its metadata.
 
     Raises
     ------
     MultiarmError
-        PyArrow is not installed, or the file cannot be written.
+        The file cannot be written.
     """
-    require_pyarrow()
-    import pyarrow as arrow
-    from pyarrow import parquet
-
-    kinds = kinds_of(table)
-    schema = arrow.schema([_field(arrow, column, kinds[column.name]) for column in table.columns])
-    schema = schema.with_metadata({name: table.text(name) for name in ("scene", "sweep")})
-    with (
-        atomic_output(Path(path), "Parquet") as partial,
-        parquet.ParquetWriter(partial, schema) as writer,
-    ):
-        for block in table.blocks(table.columns, GROUP_ROWS):
-            cells = [_written(block[name], kind) for name, kind in kinds.items()]
-            arrays = [
-                arrow.array(own, field.type) for own, field in zip(cells, schema, strict=True)
-            ]
-            writer.write_table(arrow.table(arrays, schema=schema))
+    with atomic_output(Path(path), "Parquet") as partial:
+        described = _exported(table, columns).replace_schema_metadata(dict(texts))
+        parquet.write_table(described, partial, row_group_size=8192)
     return Path(path)
-
-
-def kinds_of(table: SweepTable) -> dict[str, str]:
-    """Name of a column -> its type: bool, int64, float64, string or json."""
-    kinds = {column.name: _FIXED_KINDS.get(column.name, "float64") for column in table.columns}
-    varied = [column for column in table.columns if column.group == VALUES]
-    seen: dict[str, set[type]] = {column.name: set() for column in varied}
-    small = dict.fromkeys(seen, True)
-    for block in table.blocks(varied):
-        for name, cells in block.items():
-            seen[name] |= {type(value) for value in cells}
-            small[name] &= all(abs(value) < 2**53 for value in cells if type(value) is int)
-    return kinds | {name: _kind(own, small[name]) for name, own in seen.items()}
-
-
-_FIXED_KINDS = {"run": "int64", "status": "string", "message": "string", "worker": "string"}
-
-
-def _kind(types: set[type], small: bool) -> str:
-    """The first type that holds all values, null included, without rounding integers."""
-    types = types - {type(None)}
-    fitting = (kind for kind, taken in _KINDS.items() if types and types <= set(taken))
-    return next(fitting, JSON) if small else JSON
-
-
-def _written(cells: Sequence[Any], kind: str) -> Sequence[Any]:
-    if kind == JSON:
-        return [None if value is None else json.dumps(value) for value in cells]
-    return cells
-
-
-def _field(arrow: Any, column: Column, kind: str) -> Any:
-    types: dict[str, Callable[[], Any]] = {
-        "bool": arrow.bool_, "int64": arrow.int64, "float64": arrow.float64,
-        "string": arrow.string, JSON: arrow.string,
-    }  # fmt: skip
-    words = {"unit": column.unit, "description": column.words, "kind": column.group}
-    return arrow.field(column.name, types[kind](), metadata=words)

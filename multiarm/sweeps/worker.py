@@ -21,23 +21,14 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.system import System
 from multiarm.errors import USER_FAULTS, MultiarmError, SweepError
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene import REGISTRIES, Scene, changed, parse_path, parse_scene
+from multiarm.scene import REGISTRIES, Scene, changed, parse_scene
 from multiarm.simulation.certified import INTERRUPTED, INTERRUPTED_WORDS
 from multiarm.simulation.simulate import simulate
-from multiarm.sweeps.checking import words
-from multiarm.sweeps.plan import SweepPlan, program_version
+from multiarm.sweeps.checking import axis_words, words
+from multiarm.sweeps.plan import Job, Record, SweepPlan, program_version
 from multiarm.sweeps.quantities import Quantity, measure
-from multiarm.sweeps.records import Record
 
-__all__ = ["Job", "JobContext", "run_job", "run_jobs", "simulate_run", "warm_up"]
-
-
-@dataclass(frozen=True)
-class Job:
-    """One run: its number, and the values that it sets in the scene."""
-
-    run: int
-    values: Mapping[str, Any]
+__all__ = ["JobContext", "run_job", "run_jobs", "simulate_run", "warm_up"]
 
 
 @dataclass(frozen=True)
@@ -75,8 +66,7 @@ class JobContext:
     def of(cls, plan: SweepPlan, session: str = "") -> JobContext:
         """The context of a plan."""
         named = {*words(plan.scene.model_dump(mode="json"))}
-        for axis in plan.spec.axes:  # a class may occur in the sweep only
-            named |= {*words([axis.spec.written(), *map(parse_path, axis.paths)])}
+        named = named.union(*map(axis_words, plan.axes))  # a class may occur in the sweep only
         return cls(
             scene=plan.scene_text,
             quantities=plan.quantities,
