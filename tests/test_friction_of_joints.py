@@ -291,8 +291,11 @@ def test_friction_that_cannot_be_is_refused(joint, effects, message):
 
 
 def test_the_variational_method_knows_no_friction():
+    variational = {"integrator": "variational", "step": 1e-3}
     with pytest.raises(SceneError, match="'mu'"):
-        run(drawer(0.2, []), 0.1, integrator="variational", step=1e-3)
+        run(drawer(0.2, []), 0.1, **variational)
+    with pytest.raises(SceneError, match=r"run.integrator: .* 'mu'"):
+        drawer(0.2, [], run=variational)
 
 
 def test_a_rolling_contact_keeps_rolling_in_a_joint_with_friction():

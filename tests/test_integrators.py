@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
-from mechanics import EPS, single_arm
+from mechanics import EPS, SCENES, single_arm
 from scipy.integrate import DOP853 as SCIPY_DOP853
 from scipy.integrate import RK45 as SCIPY_RK45
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
+from multiarm import tableaus
 from multiarm.integration.step import make_method
 from multiarm.scene import StabilizationSpec
 from multiarm.scene.run import STABILIZATIONS
@@ -280,6 +284,53 @@ def test_an_explicit_method_is_a_tableau_and_nothing_else(
         errors.append(np.max(np.abs(found - reference)))
     slope = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert slope == pytest.approx(2.0, abs=0.1), errors
+
+
+HEUN = """
+HEUN = Tableau(
+    "heun", 2, A=((0.0, 0.0), (1.0, 0.0)), b=(0.5, 0.5), c=(0.0, 1.0), purpose="to see it listed"
+)
+"""
+USE_OF_HEUN = """
+import importlib.util, sys
+import numpy as np
+found = importlib.util.spec_from_file_location("multiarm.tableaus", sys.argv[1])
+sys.modules["multiarm.tableaus"] = tableaus = importlib.util.module_from_spec(found)
+found.loader.exec_module(tableaus)
+import multiarm as ma
+from typer.testing import CliRunner
+from multiarm.cli import app
+print(CliRunner().invoke(app, ["methods", "heun"]).output)
+print(CliRunner().invoke(app, ["schema", "scene"]).output)
+scene = ma.load_scene(sys.argv[2])
+run = ma.simulate(ma.compile_system(scene), duration=0.01)
+print("run:", run.status, run.statistics["integrator"])
+try:
+    scene.replace(run={"integrator": "huen"})
+except ma.SceneError as error:
+    print(error)
+"""
+
+
+def test_a_method_is_one_record_from_which_all_lists_follow(tmp_path):
+    """The tableau's text in the list of methods, as one adds it; everything else is as it was."""
+    source = Path(tableaus.__file__).read_text()
+    listed = source.replace("METHODS = {", f"{HEUN}\nMETHODS = {{").replace(
+        "RK4, DOP", "RK4, HEUN, DOP"
+    )
+    (tmp_path / "tableaus.py").write_text(listed)
+    scene = (SCENES / "two_ur5_box.yaml").read_text()
+    run = scene[scene.index("\nrun:") :]
+    scene = scene.replace(run, "\nrun: {integrator: heun, step: 1e-3}\n")
+    (tmp_path / "scene.yaml").write_text(scene)
+    words = [str(tmp_path / "tableaus.py"), str(tmp_path / "scene.yaml")]
+    result = subprocess.run(
+        [sys.executable, "-c", USE_OF_HEUN, *words], capture_output=True, text=True, check=True
+    )
+    assert "to see it listed" in result.stdout
+    assert '"heun"' in result.stdout
+    assert "run: completed heun" in result.stdout
+    assert "did you mean 'heun'" in result.stdout
 
 
 @pytest.mark.parametrize(

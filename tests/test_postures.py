@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from event_scenes import arm as plain_arm
 from event_scenes import box
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.arms.arm import Arm
 from multiarm.assembly.compilation import arm_files
 from multiarm.assembly.inverse_kinematics import REACHED, InverseKinematics
+from multiarm.cli import app
 from multiarm.errors import SceneError
 from multiarm.scene import ArmSpec, parse_scene, resolve_arm
+from multiarm.scene.text import parse_yaml, with_values
 
 UR5 = {"robot": "ur5", "tip": "tool0"}
 PANDA = {"robot": "panda", "tip": "panda_hand"}
@@ -134,3 +139,53 @@ def test_a_written_posture_stays():
         scene(arms, [{"arm": "a", "kind": "ball", "at": {"xyz": [0, 0, 0.1]}}])
     )
     assert np.array_equal(system.initial_state().joint_positions["a"], near)
+
+
+# --- into the scene's file ------------------------------------------------------------------------
+
+RING = Path(__file__).parents[1] / "examples" / "scenes" / "three_makes_ring.yaml"
+
+
+def test_postures_are_written_into_a_scene_that_keeps_its_comments(tmp_path):
+    path, text = tmp_path / "ring.yaml", RING.read_text()
+    path.write_text(text)
+    shown = CliRunner().invoke(app, ["pose", str(path)])
+    assert shown.exit_code == 0 and path.read_text() == text
+    assert CliRunner().invoke(app, ["pose", str(path), "--write"]).exit_code == 0
+    written = path.read_text()
+    changed = [
+        old for old, new in zip(text.splitlines(), written.splitlines(), strict=True) if old != new
+    ]
+    assert len(changed) == 3 and all("posture: solve" in line for line in changed)
+    found, expected = (ma.compile_system(ma.load_scene(file)) for file in (path, RING))
+    for name, posture in expected.initial_state().joint_positions.items():
+        assert f"{name}: {{posture: [" in shown.output
+        np.testing.assert_allclose(found.scene.arms[name].posture, posture, atol=1e-8)
+    again = CliRunner().invoke(app, ["pose", str(path)])
+    assert again.exit_code == 2 and "gives every arm a posture" in again.stderr
+
+
+def test_values_come_into_tables_of_every_form():
+    text = (
+        "# top\narms:  # all\n  a: {tip: x, posture: solve}  # one\n  b:\n    tip: y  # two\n"
+        "    lock:\n      j: 1.0  # three\n\n  c:\n    posture: solve # four\n    tip: z"
+    )
+    written = with_values(text, {("arms", name, "posture"): "[1, 2]" for name in "abc"})
+    expected = parse_yaml(text.replace("solve", "[1, 2]"))
+    expected["arms"]["b"]["posture"] = [1, 2]
+    assert parse_yaml(written) == expected
+    assert [line.partition("#")[2] for line in written.splitlines() if "#" in line] == [
+        " top", " all", " one", " two", " three", " four",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: &same {tip: x}\nb: *same", "written out|write them out"),
+        ("a: {tip: x}\nb: {<<: {tip: y}, lock: {}}", "'<<'"),
+    ],
+)
+def test_values_of_tables_that_share_their_text_are_refused(text, message):
+    with pytest.raises(SceneError, match=message):
+        with_values(text, {("a", "posture"): "[1]", ("b", "posture"): "[2]"})

@@ -20,6 +20,7 @@ from multiarm.cli.effects import effects
 from multiarm.cli.grasp import grasp_app
 from multiarm.cli.joints import controls, joints, methods
 from multiarm.cli.new import new
+from multiarm.cli.pose import pose
 from multiarm.cli.run import run
 from multiarm.cli.scaling import scaling
 from multiarm.cli.schema import schema
@@ -105,8 +106,8 @@ def _program(
 
 
 _COMMANDS = (
-    new, run, check, joints, controls, methods, schema, replay, report, accuracy, effects, scaling,
-    stability, sweep, warmup,
+    new, run, check, pose, joints, controls, methods, schema, replay, report, accuracy, effects,
+    scaling, stability, sweep, warmup,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command()(_command)

@@ -30,7 +30,7 @@ from multiarm.scene.control import ControlKind, ControlSpec, NoControl
 from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.faults import Parts, explain, listed, place, shown, unknown
 from multiarm.scene.functions import function_references, located, reference_fault
-from multiarm.scene.joints import Joint, JointSpec, pushing_kinds
+from multiarm.scene.joints import ContactsJoint, Joint, JointSpec, pushing_kinds
 from multiarm.scene.object import ObjectSpec
 from multiarm.scene.registry import called
 from multiarm.scene.run import RunSpec
@@ -224,12 +224,15 @@ class _Parts:
         The arms that they name, as they are written, whatever that is; None where there is none.
     pushes : bool
         Whether there may be contacts that only push.
+    rubs : bool
+        Whether a joint, or a contact that is listed, has friction of its own.
     """
 
     arm_names: list[str] | None
     arms: dict[str, ArmSpec]
     joints: list[Any] | None
     pushes: bool
+    rubs: bool
     object: ObjectSpec | None
     control: ControlKind | None
     effects: EffectsSpec | None
@@ -250,6 +253,7 @@ class _Parts:
             arms={name: arm for name, arm in valid.items() if arm is not None},
             joints=None if joints is None else [_arm(joint) for joint in joints],
             pushes=not joints or any(_pushes(joint) for joint in joints),
+            rubs=any(_rubs(joint) for joint in joints or ()),
             object=_valid(ObjectSpec, data.get("object"), folder),
             control=_valid(ControlSpec, data.get("control"), folder, {"load": load}),
             effects=_valid(EffectsSpec, data.get("effects", {}), folder, {"load": load}),
@@ -278,6 +282,13 @@ def _pushes(joint: Any) -> bool:
         return not isinstance(joint, Joint) or joint.pushes
     except USER_FAULTS:
         return True
+
+
+def _rubs(joint: Any) -> bool:
+    """Whether a joint that is valid has friction, as far as the scene says."""
+    if isinstance(joint, ContactsJoint) and any(contact.mu for contact in joint.contacts):
+        return True
+    return isinstance(joint, Joint) and bool(joint.mu)
 
 
 @dataclass
@@ -376,7 +387,8 @@ def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findi
     for where, text in effects.warnings(arms):
         findings.warning(("effects", *where), text)
     if parts.run is not None:
-        message = method_fault(parts.run.integrator, effects.with_states, effects.with_events)
+        with_events = effects.with_events or FRICTION * parts.rubs
+        message = method_fault(parts.run.integrator, effects.with_states, with_events)
         if message:
             findings.fault(("run", "integrator"), message)
     if parts.pushes:
@@ -387,6 +399,10 @@ def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findi
             "adds nothing, since no joint has contacts that only push; such joints are "
             f"{listed(pushing_kinds())}",
         )
+
+
+FRICTION = ("friction ('mu')",)
+"""What has events in scenes without an effect that has some."""
 
 
 def method_fault(

@@ -7,7 +7,7 @@ table is a fault (not a silent loss of the first).
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 import yaml
@@ -31,6 +31,54 @@ def parse_yaml(text: str) -> Any:
         raise SceneError(f"{where}{error.problem or error.context}; this is not YAML") from None
     except yaml.YAMLError as error:
         raise SceneError(f"this is not YAML: {error}") from None
+
+
+def with_values(text: str, values: Mapping[Sequence[str], str]) -> str:
+    """A YAML text with other values in tables, its comments and all else as they are.
+
+    Parameters
+    ----------
+    text : str
+    values : mapping
+        Keys from the outermost table to the value -> the value as YAML on one line.  The table that
+        has the value must be there and have an entry; a key that it lacks is added at its end.
+
+    Raises
+    ------
+    SceneError
+        Where two tables are one by an alias, or a value is taken over from another table.
+    """
+    root = yaml.compose(text, Loader=_Loader)
+    edits = []
+    for (*tables, key), written in values.items():
+        node = root
+        for name in tables:
+            node = _entries(node)[name]
+        entries = _entries(node)
+        if key in entries:
+            old = entries[key]
+            edits.append((old.start_mark.index, old.end_mark.index, written))
+        elif node.flow_style:
+            end = node.value[-1][1].end_mark.index
+            edits.append((end, end, f", {key}: {written}"))
+        else:
+            first, last = node.value[0][0].start_mark, node.value[-1][1].end_mark.index
+            # of a table or a list the end is where the next thing begins
+            last = len(text[:last].rstrip()) if text[:last].rstrip(" ").endswith("\n") else last
+            line = text.find("\n", last)
+            at = len(text) if line < 0 else line
+            edits.append((at, at, f"\n{' ' * first.column}{key}: {written}"))
+    if len({begin for begin, *_ in edits}) < len(edits):
+        raise SceneError("two tables are one by an alias '*'; write them out")
+    for begin, end, written in sorted(edits, reverse=True):
+        text = text[:begin] + written + text[end:]
+    return text
+
+
+def _entries(node: yaml.Node) -> dict[str, yaml.Node]:
+    if any(key.tag == _MERGE for key, _ in node.value):
+        raise SceneError("a table takes entries over by '<<'; write them out")
+    return {key.value: value for key, value in node.value}
 
 
 _MERGE, _TRUTH = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:bool"

@@ -42,7 +42,7 @@ from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
-from multiarm.scene.schema import method_fault
+from multiarm.scene.schema import FRICTION, method_fault
 from multiarm.simulation.solver_log import SolverLog
 from multiarm.tableaus import METHODS, ROSENBROCK, VARIATIONAL, Tableau
 
@@ -162,8 +162,7 @@ def prepare(
     _check_samples(data.model, spec)
     if METHODS[name].kind == VARIATIONAL:
         effects, with_states = system.scene.effects, data.model.effects.with_states
-        has_events = system.model.unilateral is not None
-        with_events = effects.with_events or ("friction ('mu')",) * has_events
+        with_events = effects.with_events or FRICTION * (system.model.unilateral is not None)
         fault = method_fault(name, with_states, with_events)
         if fault:
             raise SceneError(f"integrator: {fault}")
