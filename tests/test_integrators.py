@@ -307,7 +307,7 @@ run = ma.simulate(ma.compile_system(scene), duration=0.01)
 print("run:", run.status, run.statistics["integrator"])
 try:
     scene.replace(run={"integrator": "huen"})
-except ma.SceneError as error:
+except ma.MultiarmError as error:
     print(error)
 """
 

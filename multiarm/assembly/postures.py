@@ -19,6 +19,7 @@ from multiarm.errors import SceneError
 from multiarm.geometry.records import basis
 from multiarm.scene import JointSpec, ObjectSpec, Scene
 from multiarm.scene.faults import place
+from multiarm.scene.values import SOLVE
 
 # Postures at which the search begins: half a millisecond each.
 STARTS = 96
@@ -50,15 +51,13 @@ def find_postures(
         arm, posture = arms[joint.arm], scene.arms[joint.arm].posture
         where = place(("arms", joint.arm, "posture"))
         if joint.at is None:
-            if posture == "solve":
+            if posture == SOLVE:
                 faults.append(
                     f"{where}: 'solve' needs the joint's place on the object: give "
                     f"$.joints[{number}].at"
                 )
             continue
-        if posture == "solve" or (
-            posture is None and _is_far(scene, joint, arm, written[joint.arm])
-        ):
+        if posture == SOLVE or (posture is None and _is_far(scene, joint, arm, written[joint.arm])):
             positions = _posture(scene, joint, arm)
             if isinstance(positions, str):
                 faults.append(f"{where}: {positions} ($.joints[{number}].at)")

@@ -8,6 +8,7 @@ from typing import Annotated
 from multiarm.cli.files import check_targets, scene_to_inspect, write_text
 from multiarm.cli.options import Code, SceneFile, switch
 from multiarm.errors import SceneError
+from multiarm.scene.values import SOLVE
 from multiarm.terminal.console import output, print_written
 
 __all__ = ["pose"]
@@ -29,7 +30,7 @@ def pose(
     if write:
         check_targets({"SCENE": scene})
     loaded = scene_to_inspect(scene, code)
-    open_ones = [name for name, arm in loaded.arms.items() if arm.posture in (None, "solve")]
+    open_ones = [name for name, arm in loaded.arms.items() if arm.posture in (None, SOLVE)]
     if not open_ones:
         raise SceneError(f"'{scene}' gives every arm a posture; write 'posture: solve' to find one")
     from multiarm.assembly.compilation import compile_for_inspection

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -30,12 +29,14 @@ from multiarm.scene.robots import (
     resolve_package_dirs,
 )
 from multiarm.scene.values import (
+    SOLVE,
     Color,
     Faults,
     JointValues,
     KnownArm,
     Number,
     Pose,
+    Posture,
     Spec,
     joint_value_faults,
     joint_vector,
@@ -91,7 +92,8 @@ class ArmSpec(_FromUrdf):
     tip: str
     """The link whose frame is joined to the object: of the tool if there is one."""
     tool: ToolSpec | None = None
-    posture: Literal["solve"] | JointValues | None = None
+    """A tool on the robot."""
+    posture: Posture | None = None
     """Positions [rad] or [m] at the start, one number per movable joint from base to tip. Joints
     that are not named are at 0, or at the limit nearest to 0. 'solve': found for the place of the
     arm's joint on the object (its 'at'); so too where there is no posture and the tip would be far
@@ -327,7 +329,7 @@ def _start(
     vectors = []
     for key, default in (("posture", neutral), ("velocity", np.zeros(len(free)))):
         values = getattr(spec, key)
-        if values == "solve":
+        if values == SOLVE:
             values = None
         faults = joint_value_faults(values, names)
         for where, text in faults:

@@ -42,6 +42,8 @@ Faults = list[tuple[Parts, str]]
 """Pairs of a place, relative to that of the value, and the fault there."""
 URDF = "urdf"
 """Stands for the numbers in the robot's file."""
+SOLVE = "solve"
+"""Stands for a posture that the program finds."""
 
 
 class Spec(BaseModel):
@@ -395,7 +397,18 @@ def _is_urdf(value: Any) -> bool:
     return isinstance(value, str) and value == URDF
 
 
+def _posture(value: Any) -> Any:
+    if not isinstance(value, str):
+        return _joint_values(value)
+    if value != SOLVE:
+        raise fault(f"must be a list, a table 'joint: value' or {SOLVE!r}, got {shown(value)}")
+    return value
+
+
 JointValues = Annotated[tuple[float, ...] | dict[str, float], BeforeValidator(_joint_values)]
+Posture = Annotated[
+    tuple[float, ...] | dict[str, float] | Literal["solve"], BeforeValidator(_posture)
+]
 PerArm = Annotated[
     dict[str, float | tuple[float, ...] | dict[str, float]], BeforeValidator(_per_arm)
 ]
