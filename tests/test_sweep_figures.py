@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -48,8 +49,18 @@ def grid_row(run: int):
     )
 
 
+@dataclass(frozen=True)
+class RowsPlan(StandInPlan):
+    """The plan of a sweep with these rows."""
+
+    row: Callable = grid_row
+
+    def examples(self, path):
+        return [self.row(run).values[path] for run in range(1, 25)]
+
+
 def sweep_of(path, count, row=grid_row, paths=PATHS):
-    with SweepFile(path, StandInPlan(count, paths=paths)) as file:
+    with SweepFile(path, RowsPlan(count, paths=paths, row=row)) as file:
         file.append(map(row, range(1, count + 1)))
     return load_sweep(path)
 
@@ -152,7 +163,10 @@ def test_ten_thousand_runs_make_a_figure_of_bounded_size(tmp_path):
         rng = np.random.default_rng(run)
         x, y, z = rng.normal(size=3).tolist()
         return replace(
-            row_of(1), run=run, values={"a": x, "b": y}, quantities={"gap": z, "force": x + y}
+            row_of(1),
+            run=run,
+            values={"a": x, "b": y},
+            quantities={"gap": z, "force": x + y, "never": None},
         )
 
     found = sweep_of(tmp_path / "s.h5", 10_000, scattered, ("a", "b"))

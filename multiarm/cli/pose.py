@@ -8,7 +8,6 @@ from typing import Annotated
 from multiarm.cli.files import check_targets, scene_to_inspect, write_text
 from multiarm.cli.options import Code, SceneFile, switch
 from multiarm.errors import SceneError
-from multiarm.scene.values import SOLVE
 from multiarm.terminal.console import output, print_written
 
 __all__ = ["pose"]
@@ -29,6 +28,8 @@ def pose(
     """
     if write:
         check_targets({"SCENE": scene})
+    from multiarm.scene.values import SOLVE
+
     loaded = scene_to_inspect(scene, code)
     open_ones = [name for name, arm in loaded.arms.items() if arm.posture in (None, SOLVE)]
     if not open_ones:

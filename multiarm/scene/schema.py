@@ -401,7 +401,7 @@ def _check_effects(parts: _Parts, arms: Mapping[str, KnownArm], findings: _Findi
         )
 
 
-FRICTION = ("friction ('mu')",)
+FRICTION = ("mu",)
 """What has events in scenes without an effect that has some."""
 
 
