@@ -1,4 +1,8 @@
-"""Shared fixtures: compiled systems (compiled once; tests never change them) and randomness."""
+"""Shared fixtures: compiled systems (compiled once; tests never change them) and randomness.
+
+``--quick`` runs one case of each test that is not marked ``slow``: what takes most of a second or
+more, such as browsers, clusters and whole commands.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,24 @@ from hypothesis import settings
 # The first example of a test may have to compile kernels.
 settings.register_profile("multiarm", deadline=None)
 settings.load_profile("multiarm")
+
+
+def pytest_addoption(parser):
+    parser.addoption("--quick", action="store_true", help="one case of each test that is not slow")
+
+
+def pytest_collection_modifyitems(config, items):
+    if not config.getoption("--quick"):
+        return
+    chosen, left = {}, []
+    for item in items:
+        test = item.nodeid.partition("[")[0]
+        if item.get_closest_marker("slow") or test in chosen:
+            left.append(item)
+        else:
+            chosen[test] = item
+    config.hook.pytest_deselected(items=left)
+    items[:] = chosen.values()
 
 
 @pytest.fixture

@@ -123,6 +123,7 @@ def two_ladders(monkeypatch):
     return ladders
 
 
+@pytest.mark.slow
 def test_a_scene_is_studied_kept_and_drawn(two_ladders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = accuracy(
@@ -148,6 +149,7 @@ def test_a_scene_is_studied_kept_and_drawn(two_ladders, tmp_path, monkeypatch):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_compiled_arms_have_a_study_of_their_own(two_ladders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     used, begin = [], studies.compile_system
@@ -174,6 +176,7 @@ def test_compiled_arms_have_a_study_of_their_own(two_ladders, tmp_path, monkeypa
             assert same.errors["position"] == expected
 
 
+@pytest.mark.slow
 def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = (SCENE, "--duration", "0.05", "--no-peers")
@@ -214,6 +217,7 @@ def test_a_file_that_is_no_study_is_left_alone(tmp_path):
     assert path.read_text(encoding="utf-8") == '{"mine": 1}'
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_was_measured(two_ladders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run, seen = studies.run_ours, []
@@ -252,6 +256,7 @@ def test_a_terminal_shows_the_recommendation_so_far(monkeypatch):
     assert "For errors below 1e-6 take [anything]" in shown[shown.rindex("rk4, step 0.005 s") :]
 
 
+@pytest.mark.slow
 def test_files_are_there_early_and_are_written_again(two_ladders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command_module, "REWRITE", 0.0)
@@ -272,6 +277,7 @@ def test_files_are_there_early_and_are_written_again(two_ladders, tmp_path, monk
     assert [bool(re.search(r"\d+ of \d+ points measured", page)) for page in pages] == [True, False]
 
 
+@pytest.mark.slow
 def test_a_study_is_looked_at_without_measuring(study_file, monkeypatch, tmp_path):
     monkeypatch.setattr(studies, "run_study", None)
     result = accuracy("--from", study_file, "--plot", tmp_path / "plot.pdf")

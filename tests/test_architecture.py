@@ -193,10 +193,12 @@ def in_fresh_python(code: str) -> list[str]:
     return json.loads(result.stdout)
 
 
+@pytest.mark.slow
 def test_every_room_has_its_place():
     assert {name.partition(".")[0] for name in modules()} == set(ROOMS)
 
 
+@pytest.mark.slow
 def test_imports_point_down():
     faults = []
     for found in imports():
@@ -260,6 +262,7 @@ def test_public_names_are_complete_and_sorted():
     assert set(ma.__all__) <= set(dir(ma))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["sorted", "reversed"])
 def test_public_names_stay_functions_and_classes_after_all_modules_were_imported(order):
     names = [f"multiarm.{name}" for name in modules() if name not in ("multiarm", "__main__")]

@@ -65,6 +65,7 @@ def test_contacts_that_do_not_touch_are_refused_with_their_gap(compiled):
     told_once(caught, "'arm'", "gap of 0.6", "at")
 
 
+@pytest.mark.slow
 def test_surfaces_that_do_not_touch_are_refused_with_their_gap(compiled):
     """Two ellipsoids 0.7 m apart."""
     egg = {"ellipsoid": {"semi_axes": [0.1, 0.12, 0.14]}}

@@ -224,6 +224,7 @@ def test_bead_moves_as_lagrange_says(sledge, name):
     compare(bead_scene(sledge, BEADS[name]), BEADS[name])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "thinner"),
     [

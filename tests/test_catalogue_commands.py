@@ -44,6 +44,7 @@ def figures(path, *words) -> dict:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", LISTS)
 def test_every_name_is_listed_and_shown_in_full(command, tmp_path):
     words = command.split()

@@ -288,6 +288,7 @@ def test_a_rerun_that_goes_elsewhere_is_noticed(ring, monkeypatch):
     assert run.certificate["estimated_error"]["position_m"] > 1e-8
 
 
+@pytest.mark.slow
 def test_a_chaotic_run_cannot_be_certified_and_says_how_errors_grow():
     scene = ur5_pair({"kind": "weld"}, {"kind": "ball"})
     run = ma.simulate(ma.compile_system(scene), 20.0, accuracy=1e-10, output_step=0.05)
@@ -600,6 +601,7 @@ ma.simulate(system, 0.2, accuracy=1e-6, output_step=0.02, out=sys.argv[1], progr
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("when", ["rerun", "amendment"])
 def test_a_kill_after_the_run_leaves_a_complete_result(ring, tmp_path, when):
     out = tmp_path / "run.h5"

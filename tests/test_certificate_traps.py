@@ -20,6 +20,7 @@ def ring():
     return ma.compile_system(ring_of_arms(2))
 
 
+@pytest.mark.slow
 def test_a_rerun_takes_shorter_steps_where_not_the_tolerance_limits_them():
     """A controller in Python limits the steps to the time between samples: both runs took these."""
     swing = ma.compile_system(ring_of_arms(2, "ball").replace(control={"kind": "none"}))

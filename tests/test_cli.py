@@ -137,6 +137,7 @@ def test_module_and_command_are_one_program():
     assert out.strip() == f"multiarm {ma.__version__}"
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error_worth_a_message():
     """As in ``multiarm joints | head``."""
     program = start("joints")
@@ -274,6 +275,7 @@ def test_run_that_fails_keeps_its_data_and_names_a_remedy(tmp_path):
     assert ma.load_trajectory(out).status == "failed"
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_run_in_good_order(tmp_path):
     out, summary = tmp_path / "run.h5", tmp_path / "run.json"
     program = start("run", TWO_UR5, "--duration", 1e5, "--out", out, "--json", summary)
@@ -315,6 +317,7 @@ def test_progress_is_told_in_simulated_time():
     assert re.search(r"2\.5 of 4 s, \S+ x real time", screen.getvalue())
 
 
+@pytest.mark.slow
 def test_kernels_count_as_cached_only_where_they_are(finished, tmp_path):
     assert kernels_are_cached()
     code = "from multiarm.terminal.progress import kernels_are_cached as f; print(f())"
@@ -610,6 +613,7 @@ def test_files_that_are_no_results_are_refused(command, finished, tmp_path):
     assert not (tmp_path / "page.html").exists()
 
 
+@pytest.mark.slow
 def test_pages_are_written_from_a_result(finished, tmp_path):
     folder, _ = finished
     page = tmp_path / "page.html"
@@ -625,6 +629,7 @@ def test_replay_rejects_a_speed_that_is_none(finished, tmp_path):
     assert_refused(result, "speed", "greater than 0")
 
 
+@pytest.mark.slow
 def test_live_replay_is_served_until_ctrl_c(finished):
     folder, _ = finished
     program = start("replay", folder / "run.h5", "--no-open")

@@ -231,6 +231,7 @@ def test_a_fault_elsewhere_in_the_scene_loads_nothing_either(stranger):
     assert stranger.marks() == set()
 
 
+@pytest.mark.slow
 def test_a_look_at_a_result_runs_nothing_and_draws_the_rest(stored):
     page, report = stored.folder / "replay.html", stored.folder / "report.html"
     result = multiarm("replay", stored.result, "--html", page)

@@ -160,6 +160,7 @@ def test_terms_are_pinocchios(robot, tip, joints, rng):
         assert max(worst.values()) < 1e-13, worst
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), away=st.sampled_from([0.0, 1.0, 2000.0]))
 def test_terms_of_random_chains_side_by_side_are_pinocchios(tmp_path_factory, seed, away):

@@ -180,6 +180,7 @@ def test_trajectories_are_the_same_with_effects(effect, build):
     assert_same(*(ma.simulate(system, 0.2, integrator="rk4", step=1e-3) for system in two))
 
 
+@pytest.mark.slow
 def test_a_controller_in_python_drives_them_alike():
     def control(t, state):
         return {"left": np.full(6, np.sin(9 * t)), "right": -2.0 * state.joint_velocities["right"]}
@@ -200,6 +201,7 @@ EVENT_SCENES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", EVENT_SCENES)
 def test_events_happen_at_the_same_times(kind):
     scene = EVENT_SCENES[kind]()
@@ -289,6 +291,7 @@ def mixed(request, monkeypatch):
     return build
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", CONTROLS)
 def test_mixed_systems_move_like_those_of_one_kind(law, mixed):
     scene = three_kinds(control=CONTROLS[law], effects=EFFECTS["loads"])
@@ -370,6 +373,7 @@ def test_an_unknown_word_is_refused_with_the_alternatives():
         pair(run={"arms": "numba"})
 
 
+@pytest.mark.slow
 def test_run_and_check_take_the_choice(tmp_path):
     scene = SCENES / "two_ur5_box.yaml"
     result = multiarm(

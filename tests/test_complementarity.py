@@ -89,6 +89,7 @@ def test_holding_the_rows_gives_the_same_forces_with_a_margin(kinds, seed):
             assert set(unit.tangents) <= set(solution.active_rows)
 
 
+@pytest.mark.slow
 def test_active_rows_are_found_for_all_but_one_in_a_hundred_random_contacts_with_friction():
     """Few freedoms, much friction, forces that only together are inside of all cones."""
     failed = 0
@@ -178,6 +179,7 @@ def linear_solutions(G, g):
     return found
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(seed=seeds, count=st.integers(1, 4))
 def test_sliding_contacts_have_as_many_solutions_as_there_are(seed, count):

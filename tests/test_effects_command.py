@@ -398,6 +398,7 @@ def test_a_share_is_told_with_its_uncertainty(share, text):
 # --- the command ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_prints_writes_and_draws(scene_file, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(study, "defaults", lambda _: {"rotor_inertia": 0.2, "drag": "thick"})

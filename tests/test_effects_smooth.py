@@ -411,6 +411,7 @@ def test_a_scene_without_effects_has_nothing_of_them(sledge):
     assert not system.model.constants.monitors.size
 
 
+@pytest.mark.slow
 def test_effects_that_are_not_named_are_not_imported():
     code = (
         "import sys; sys.path.insert(0, 'tests')\n"

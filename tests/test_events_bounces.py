@@ -49,6 +49,7 @@ def test_a_ball_bounces_when_a_textbook_says(restitution):
     assert np.max(np.abs(trajectory.energy_balance)) < 1e-8
 
 
+@pytest.mark.slow
 def test_a_perfect_bounce_keeps_the_energy_through_a_thousand_bounces():
     height = 1e-3
     trajectory = run(ball_on_plate(FIXED, ball(height=height), 1.0), 2000.0 * fall_time(height))

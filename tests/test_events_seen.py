@@ -350,11 +350,13 @@ def test_strip_of_very_many_contacts_says_how_many_are_left_out():
     assert "9 more contacts are not shown" in axes.get_xlabel()
 
 
+@pytest.mark.slow
 def test_there_is_no_strip_without_states():
     assert plots.contact_states(record(MemorySink())) is None
     assert "Contact states" not in plots.figures(record(MemorySink()))
 
 
+@pytest.mark.slow
 def test_a_state_of_one_sample_in_a_long_run_is_seen():
     run = eventful(step=6.0 / 40_000)
     codes = run.contact_states["floor"].copy()
@@ -415,6 +417,7 @@ def test_report_tells_when_what_where_and_how():
     Page(page)  # every tag is closed
 
 
+@pytest.mark.slow
 def test_report_groups_bounces_and_counts_kinds():
     page = render(eventful([*bounces(500), event(2.5, "comes to rest")]))
     rows = table(page)
@@ -423,6 +426,7 @@ def test_report_groups_bounces_and_counts_kinds():
     assert "bounces: 500, comes to rest: 1" in Page(page).text
 
 
+@pytest.mark.slow
 def test_report_shows_the_first_events_and_counts_the_rest():
     events = [event(0.001 * i, "slides", contact=f"c{i}") for i in range(SHOWN_EVENTS + 57)]
     page = render(eventful(events))
@@ -430,6 +434,7 @@ def test_report_shows_the_first_events_and_counts_the_rest():
     assert "and 57 more, in the trajectory's events" in Page(page).text
 
 
+@pytest.mark.slow
 def test_report_shows_events_of_another_program_as_they_are():
     page = render(eventful([event(1.0, "touches"), {"what": "<b>odd</b>", "n": 3}]))
     assert "what: &lt;b&gt;odd&lt;/b&gt;, n: 3" in page
@@ -440,6 +445,7 @@ def test_report_without_events_has_no_section():
     assert "<h2>Events</h2>" not in render(eventful())
 
 
+@pytest.mark.slow
 def test_report_names_the_work_of_each_effect():
     run = eventful()
     text = Page(render(run)).text
@@ -450,11 +456,13 @@ def test_report_names_the_work_of_each_effect():
     assert "Work done by" not in Page(render(record(MemorySink()))).text
 
 
+@pytest.mark.slow
 def test_report_shows_the_strip_of_states():
     assert "Contact states" in Page(render(eventful())).text
     assert "Contact states" not in Page(render(record(MemorySink()))).text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["events", "contacts"])
 def test_hostile_names_of_contacts_are_text(where):
     attack = "<script>alert(1)</script>".replace("/", "")
@@ -480,6 +488,7 @@ def test_runs_of_few_samples_with_events_are_drawn(count):
     assert "it stopped" in Page(render(cut)).text
 
 
+@pytest.mark.slow
 def test_report_says_whose_the_largest_contact_force_is():
     assert "largest contact force 135 n arm left" in Page(render(eventful())).text.lower()
     block = samples(step=0.5)

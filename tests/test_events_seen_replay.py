@@ -111,6 +111,7 @@ def test_open_contact_has_no_arrow_whatever_force_was_recorded(animation):
     assert not animation.arrow_lengths(right)[:, 4].any()
 
 
+@pytest.mark.slow
 def test_film_of_a_run_without_states_is_as_before(plain):
     animation = animate(plain, fps=10, speed=1, meshes=False)
     assert [contacts.state for contacts in animation.contacts] == [None, None]
@@ -282,6 +283,7 @@ def size_of(page, *path):
     return page.evaluate(SIZE, ["world", *path])
 
 
+@pytest.mark.slow
 def test_marks_and_surfaces_follow_the_states(view, exported):  # noqa: F811
     page = shown(view, exported)
     mark = ("contacts", "left", "1")
@@ -303,6 +305,7 @@ def test_marks_and_surfaces_follow_the_states(view, exported):  # noqa: F811
     assert view.complaints == []
 
 
+@pytest.mark.slow
 def test_force_of_an_open_contact_is_not_drawn(view, exported):  # noqa: F811
     page = shown(view, exported)
     arrows = """() => Object.values(
@@ -314,6 +317,7 @@ def test_force_of_an_open_contact_is_not_drawn(view, exported):  # noqa: F811
     assert max(page.evaluate(arrows)) < 1e-3
 
 
+@pytest.mark.slow
 def test_what_happens_flashes_where_it_happens(view, exported):  # noqa: F811
     page = shown(view, exported)
     page.click("#events summary")
@@ -331,6 +335,7 @@ def test_what_happens_flashes_where_it_happens(view, exported):  # noqa: F811
     assert page.evaluate("viewer.scene_tree.find(['world', 'events']).object.visible") is False
 
 
+@pytest.mark.slow
 def test_list_and_ticks_lead_to_the_events(view, exported):  # noqa: F811
     page = shown(view, exported)
     assert page.inner_text("#events summary") == "events (3)"
@@ -348,6 +353,7 @@ def test_list_and_ticks_lead_to_the_events(view, exported):  # noqa: F811
     assert "lets go" in page.get_attribute("#ticks", "title")
 
 
+@pytest.mark.slow
 def test_thousands_of_events_leave_the_page_light(view, plain, tmp_path):  # noqa: F811
     events = [event(0.5 * i / 8000, "slides", contact=f"c{i % 2000}") for i in range(8000)]
     page = shown(view, replay(with_states(plain, events), tmp_path / "many.html", meshes=False))
@@ -359,6 +365,7 @@ def test_thousands_of_events_leave_the_page_light(view, plain, tmp_path):  # noq
     assert view.complaints == []
 
 
+@pytest.mark.slow
 def test_run_without_events_has_no_list_and_no_ticks(view, plain, tmp_path):  # noqa: F811
     page = shown(view, replay(plain, tmp_path / "none.html", meshes=False))
     assert not page.is_visible("#events")

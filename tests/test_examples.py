@@ -55,6 +55,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.M | re.S)
 
 
+@pytest.mark.slow
 def test_the_scene_of_the_readme_can_be_run(tmp_path):
     scene = next(text for text in blocks("yaml") if text.startswith("name:"))
     (tmp_path / "scene.yaml").write_text(scene)
@@ -78,6 +79,7 @@ def test_every_example_is_run_here():
     assert scripts == set(re.findall(r'printed\(\s*"(\w+\.py)"', Path(__file__).read_text()))
 
 
+@pytest.mark.slow
 def test_two_ur5_box_lifts_the_box_without_gaps(printed, tmp_path):
     text = printed("01_two_ur5_box.py", "--replay", tmp_path / "run.html")
     assert "constraints 12," in text and "completed: " in text
@@ -93,6 +95,7 @@ def test_two_ur5_box_lifts_the_box_without_gaps(printed, tmp_path):
     assert (tmp_path / "run.html").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_three_panda_plate_converges_with_the_accuracy(printed):
     text = printed("02_three_panda_plate.py")
     rows = np.array(figures(r"(?m)^#\s+# +# s# m$", text))
@@ -143,6 +146,7 @@ def test_any_joint_is_the_same_hinge_three_times(printed):
     assert max(gap for (gap,) in figures("largest gap# m", text)) < 1e-11
 
 
+@pytest.mark.slow
 def test_what_accuracy_costs_meets_what_it_asks_for(printed):
     text = printed("06_what_accuracy_costs.py")
     rows = np.array(figures(r"asked#: met, estimated# m and# rad, \w+,# evaluations", text))
@@ -184,6 +188,7 @@ def test_a_grasp_without_friction_is_designed_run_and_found_by_touch(printed):
     assert "off by less than 1e-9 m: True" in text
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_on_where_it_was_ended(printed, tmp_path):
     text = printed("11_sweep.py", "--plot", tmp_path / "sweep.png")
     assert "ended half way: True" in text
@@ -195,6 +200,7 @@ def test_a_sweep_goes_on_where_it_was_ended(printed, tmp_path):
     assert (tmp_path / "sweep.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_many_runs_tell_where_the_box_ends(printed, tmp_path):
     text = printed("09_many_runs.py", "--runs", 12, "--plot", tmp_path / "ends.png")
     assert figures("(?m)^# runs of# s in# s: completed$", text)[0][:2] == (12.0, 5.0)
@@ -207,6 +213,7 @@ def test_many_runs_tell_where_the_box_ends(printed, tmp_path):
     assert (tmp_path / "ends.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_digital_controller_holds_a_box_that_is_pushed(printed, tmp_path):
     text = printed("12_closed_loop_1khz.py", "--replay", tmp_path / "run.html")
     ((end, rate, factor),) = figures("(?m)^# s at# Hz:# times real time$", text)
@@ -218,6 +225,7 @@ def test_a_digital_controller_holds_a_box_that_is_pushed(printed, tmp_path):
     assert (tmp_path / "run.html").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"
@@ -229,6 +237,7 @@ def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     assert written == set(re.findall(r'"([\w.]+\.(?:h5|html))"', code))
 
 
+@pytest.mark.slow
 def test_all_python_of_the_readme_runs_and_prints_what_stands_below_it(workshop, capsys):
     names: dict[str, object] = {}
     pairs = re.findall(r"^```python\n(.*?)^```\n(?:\s*^```text\n(.*?)^```$)?", README, re.M | re.S)
@@ -246,6 +255,7 @@ def test_readme_names_all_kinds_of_joints_and_control_and_all_integrators():
     assert [name for name in names if f"`{name}`" not in README] == []
 
 
+@pytest.mark.slow
 def test_grip_by_friction_lifts_the_box_or_lets_it_slip(printed):
     text = printed("08_grip_by_friction.py")
     found = figures(r"mu = #: completed, lifted by# mm", text)

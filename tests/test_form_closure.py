@@ -777,6 +777,7 @@ def test_three_concurrent_fingers_are_immobile_to_second_order_when_turning_pres
     assert 5 < orders.count(2) < 25
 
 
+@pytest.mark.slow
 def test_one_free_motion_in_space_is_decided_as_by_differences_of_the_gaps(rng):
     orders = []
     for number in range(75):
@@ -820,6 +821,7 @@ def test_concentric_fingers_are_decided_by_the_form_in_three_turns(rng):
     assert 5 < orders.count(2) < 25
 
 
+@pytest.mark.slow
 def test_what_is_called_immobile_has_no_motion_that_differences_leave_free(rng):
     orders = []
     for _ in range(20):

@@ -15,6 +15,7 @@ def frozen():
     return golden.load()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_results_are_the_frozen_ones(name, frozen):
     outcome = golden.compare(CASES[name], frozen[name])

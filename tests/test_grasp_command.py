@@ -68,6 +68,7 @@ def test_a_designed_scene_runs_with_every_contact_pressing(designed):
     assert {event["kind"] for event in run.events} <= {"start"}
 
 
+@pytest.mark.slow
 def test_a_scene_goes_to_standard_output_and_nothing_else_does(designed):
     """So that ``> scene.yaml`` works: the facts go to standard error."""
     _, path = designed
@@ -77,6 +78,7 @@ def test_a_scene_goes_to_standard_output_and_nothing_else_does(designed):
     assert result.stdout.startswith("# multiarm")
 
 
+@pytest.mark.slow
 def test_a_body_that_is_not_convex_gets_a_mesh_next_to_its_scene(tmp_path):
     ell = Polyhedron.prism([[0, 0], [0.8, 0], [0.8, 0.3], [0.3, 0.3], [0.3, 0.7], [0, 0.7]], 0.4)
     ell.save(tmp_path / "ell.stl")
@@ -101,6 +103,7 @@ def test_a_body_that_is_not_convex_gets_a_mesh_next_to_its_scene(tmp_path):
     assert min(forces.min() for forces in run.contact_forces.values()) > 0.0
 
 
+@pytest.mark.slow
 def test_an_optimised_grasp_tells_its_gap_and_is_drawn(tmp_path):
     picture, scene = tmp_path / "grasp.png", tmp_path / "grasp.yaml"
     result = grasp(
@@ -264,6 +267,7 @@ def test_sheets_cover_the_regions_and_face_outward():
         )
 
 
+@pytest.mark.slow
 def test_a_replay_shows_regions_only_of_closed_grasps_by_fingertips():
     for path, count in ((CORNERS, 8), (WELDED, 0)):
         system = ma.compile_system(ma.load_scene(path))

@@ -291,6 +291,7 @@ def test_the_same_grippers_hold_higher_bodies_and_no_lower_ones(seed):
         np.testing.assert_allclose(here, fixed, atol=TOL)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 100_000), st.floats(1e-3, 1e2), st.floats(0.0, 100.0))
 @settings(deadline=None, max_examples=20)
 def test_every_parallelepiped_is_held_of_any_size_anywhere(seed, factor, reach):
@@ -304,6 +305,7 @@ def test_every_parallelepiped_is_held_of_any_size_anywhere(seed, factor, reach):
     assert opens_at(grasp, 2, bound)
 
 
+@pytest.mark.slow
 def test_gripper_size_is_what_was_asked_for():
     for body in (oblique(3), Polyhedron.box([1.2, 1.0, 0.8]), WIDE["hexagon"]):
         for size in (0.2, 0.02):
@@ -399,6 +401,7 @@ def test_wide_designs_with_a_region_open_at_its_border(name):
         assert not closed(moved_last(grasp, last + (1.0 + ACROSS) * room * outward))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 100_000), st.floats(1e-3, 1e2))
 @settings(deadline=None, max_examples=8)
 def test_every_hull_is_held_of_any_size_anywhere(seed, factor):

@@ -172,6 +172,7 @@ def least_worst_force(contacts, loads, middle, size):
     return max(worst)
 
 
+@pytest.mark.slow
 def test_scores_are_the_margin_the_worst_force_and_the_radius(rng):
     touches = block_touches()
     y = touches.drawn(60, rng)
@@ -361,6 +362,7 @@ def checked(result, body, reach, tip=0.0):
         assert result.value == pytest.approx(closure_radius(grasp.contacts).lower, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("objective", NAMES)
 def test_grasps_of_a_block_keep_to_the_limits_and_say_what_is_proven(objective):
     result = optimise_grasp(
@@ -373,6 +375,7 @@ def test_grasps_of_a_block_keep_to_the_limits_and_say_what_is_proven(objective):
     assert ("budget" in result.message) != result.finished
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("objective", NAMES)
 def test_no_placement_drawn_from_all_choices_beats_the_bound(rng, objective):
     result = optimise_grasp(
@@ -439,6 +442,7 @@ def test_a_grid_over_few_parameters_finds_nothing_better(objective):
         assert result.value >= best / 1.15
 
 
+@pytest.mark.slow
 def test_a_body_with_twelve_faces_is_done_within_the_gap():
     body = dodecahedron()
     told = []
@@ -451,6 +455,7 @@ def test_a_body_with_twelve_faces_is_done_within_the_gap():
     assert all(done <= total == 300 for done, total, _ in told)
 
 
+@pytest.mark.slow
 def test_contacts_keep_their_distance_and_the_floor_of_the_conditioning():
     def best(**limits):
         return optimise_grasp(
@@ -469,6 +474,7 @@ def test_contacts_keep_their_distance_and_the_floor_of_the_conditioning():
     assert firm.conditioning >= 0.8 * free.conditioning
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter():
     def best(body, places):
         size = REACH * body.size / BLOCK.size
@@ -495,6 +501,7 @@ def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter():
     assert margins[1].bound == pytest.approx(margins[0].bound, rel=0.06)
 
 
+@pytest.mark.slow
 def test_more_nodes_never_raise_the_bound_nor_lower_the_value():
     few, more = (
         optimise_grasp(BLOCK, gripper_size=REACH, objective="force", places=CORNERS, nodes=n)
@@ -503,6 +510,7 @@ def test_more_nodes_never_raise_the_bound_nor_lower_the_value():
     assert few.bound <= more.bound <= more.value <= few.value
 
 
+@pytest.mark.slow
 def test_loads_and_fingers_and_places_may_be_given():
     weight = np.array([[0.0, 0.0, -1.0, 0.0, 0.0, 0.0]])
     light = optimise_grasp(
@@ -534,6 +542,7 @@ def test_loads_and_fingers_and_places_may_be_given():
     assert quick.nodes == 0 and quick.bound < quick.value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -199,6 +199,7 @@ def test_three_lines_through_a_point_and_three_others_may_be_independent(rng):
         assert violated_conditions(contacts) == ()
 
 
+@pytest.mark.slow
 def test_on_a_coarse_grid_a_violation_always_means_dependence(rng):
     violated, dependent = 0, 0
     for _ in range(300):
@@ -257,6 +258,7 @@ def test_worked_contacts_on_parallel_planes_break_rule_3_and_have_determinant_ze
     assert 3 in {violation.condition for violation in found.violations}
 
 
+@pytest.mark.slow
 def test_rules_are_equivalent_to_the_determinant_over_integer_triples(rng):
     verdicts, broken = [], set()
     for _ in range(4000):

@@ -145,12 +145,14 @@ def run_own(folder: Path, factor: float) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 def test_an_edited_constant_of_ones_own_kernel_counts(tmp_path):
     assert run_own(tmp_path, 3.0) == "False 6.0"
     assert run_own(tmp_path, 3.0) == "True 6.0"
     assert run_own(tmp_path, 5.0) == "False 10.0"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 def test_a_cache_that_cannot_be_read_is_no_cache(tmp_path, ending):
     run_own(tmp_path, 3.0)
@@ -202,6 +204,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_kernels_compiled_by_other_processes_are_loaded(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
     done = subprocess.run(
@@ -229,6 +232,7 @@ def test_only_kernels_with_all_types_known_are_compiled_ahead():
     assert INT in argument_types(told)
 
 
+@pytest.mark.slow
 def test_a_process_that_fails_is_an_error_and_no_obstacle(monkeypatch, capfd):
     """This test's module is none that another process could import."""
     monkeypatch.setattr(doubled.py_func, "__module__", "no_such_module")

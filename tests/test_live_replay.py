@@ -86,6 +86,7 @@ def place_of(url: str) -> tuple[str, int]:
     return host, int(port)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["SIGTERM", "SIGHUP", "SIGINT", "SIGKILL"])
 def test_only_this_computer_is_served_and_nothing_outlives_the_program(result, how):
     with Program(result) as program:
@@ -100,6 +101,7 @@ def test_only_this_computer_is_served_and_nothing_outlives_the_program(result, h
         assert not taken(here)
 
 
+@pytest.mark.slow
 def test_another_address_and_port_are_served_when_they_are_named(result):
     with socket.create_server(("127.0.0.2", 0)) as free:
         port = free.getsockname()[1]

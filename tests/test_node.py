@@ -110,6 +110,7 @@ def condition(system):
     return worst * np.linalg.cond(node) * np.linalg.cond(L) * np.linalg.cond(np.linalg.solve(L, W))
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(seeds, shapes, st.sampled_from([1e-3, 1.0, 1e3]))
 def test_node_algorithm_equals_the_dense_solution(seed, shapes, ratio):
@@ -166,6 +167,7 @@ def test_node_algorithm_gives_the_worked_example_without_friction():
     np.testing.assert_allclose(node.force, dense.force, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_an_arm_that_cannot_follow_its_constraints_is_left_to_the_coupled_system():
     system, _, _ = worked_system("node_solver_singular_arm")
     node = solve_by_node(system)

@@ -106,6 +106,7 @@ def test_runs_with_and_without_the_key_do_the_same_work_to_the_last_digit():
     assert (runs[0].object_position == runs[1].object_position).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "imported"), [({}, []), ({"joint_damping": 1.0}, ["joint_damping"])]
 )

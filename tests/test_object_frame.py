@@ -113,6 +113,7 @@ def test_axes_in_which_the_quadratic_of_the_thesis_breaks_are_not_special():
     np.testing.assert_allclose(frame.position, 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("oblique", [False, True])
 def test_random_poses_are_found_and_agree_with_the_thesis(rng, oblique):
     checked = 0
@@ -209,6 +210,7 @@ def general_contacts(rng, count):
     return h[:, None] * n + 0.5 * side, n, h
 
 
+@pytest.mark.slow
 def test_all_poses_of_six_contacts_are_found(rng):
     """Least squares from 300 random starts each finds no pose that is missing."""
     for _ in range(6):
@@ -298,6 +300,7 @@ def test_a_free_motion_is_said():
 # --- noise ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_covariance_is_the_spread_of_repeated_measurements(rng):
     given, expected = (WORKED["object_frame_oblique"][key] for key in ("inputs", "expected"))
     points = np.array(given["points"])

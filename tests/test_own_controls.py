@@ -224,6 +224,7 @@ def test_an_installed_kind_is_loaded_when_a_scene_file_is_compiled(tmp_path, mon
         ma.compile_system(scene)
 
 
+@pytest.mark.slow
 def test_a_stored_run_is_looked_at_and_replayed_without_the_class(tmp_path):
     ma.register_control(Pull)
     run_of({"kind": "pull", "stiffness": 5.0, "sample_time": 0.01}).save(tmp_path / "run.h5")

@@ -343,6 +343,7 @@ def registry_of(own: type):
     return next(one for one in REGISTRIES if one.group == f"multiarm.{group}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("own", "joint"),
     [(Hitch, {"kind": "hitch"}), (Marble, touching({"marble": {"radius": 0.05}}))],

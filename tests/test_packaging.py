@@ -78,6 +78,7 @@ def test_wheel_holds_every_template_of_a_page(contents):
     assert templates <= contents
 
 
+@pytest.mark.slow
 def test_source_archive_holds_every_template_of_a_page(tmp_path):
     command = [
         sys.executable,
@@ -118,6 +119,7 @@ def test_unpacked_wheel_is_what_is_imported(elsewhere, unpacked):
     assert Path(printed.strip()) == unpacked / "multiarm" / "__init__.py"
 
 
+@pytest.mark.slow
 def test_check_runs_from_the_wheel_with_its_own_robots(elsewhere, unpacked, tmp_path):
     """Everything is compiled anew, as on the first day of an installation."""
     shutil.copy(SCENE, tmp_path)

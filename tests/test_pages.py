@@ -35,6 +35,7 @@ def target(request, results, tmp_path_factory):  # noqa: F811
     return path
 
 
+@pytest.mark.slow
 def test_no_module_has_markup_in_its_strings():
     strings = [
         (path.name, node.value)

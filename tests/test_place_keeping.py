@@ -149,6 +149,7 @@ def test_contact_forces_do_not_feel_the_springs(rng):
         np.testing.assert_allclose(other.contact_forces[arm], one.contact_forces[arm], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_nearest_accelerations_are_the_constrained_minimum(rng):
     """Against the saddle point of its optimality conditions; rows may depend on each other."""
     for n, m, rank in ((6, 6, 6), (7, 6, 6), (4, 6, 4), (7, 6, 5)):

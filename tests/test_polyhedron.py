@@ -443,6 +443,7 @@ def test_triples_are_those_of_non_negative_least_squares_and_never_missing(seed)
     assert bool(found) == (len(n) > 4)
 
 
+@pytest.mark.slow
 def test_round_bodies_are_told_from_others():
     assert roundness(round_prism(64)) and not roundness(round_prism(12))
     found = roundness(round_prism(64).placed(random_pose(np.random.default_rng(1), 5.0)))

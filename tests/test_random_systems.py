@@ -37,6 +37,7 @@ def test_scenes_are_solved_exactly_whatever_computes_the_arms(seed, tmp_path):
                 )
 
 
+@pytest.mark.slow
 def test_families_reach_what_they_are_for():
     """Most systems are judged by all that is known of them, not by balances alone."""
     for family in set(FAMILIES) - {"repeated"}:

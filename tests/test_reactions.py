@@ -166,6 +166,7 @@ def test_worked_examples_with_friction_and_with_a_singular_arm(name):
     assert found.motion_unique and all(found.unique) and found.rank == len(found.force)
 
 
+@pytest.mark.slow
 def test_the_singular_arm_of_the_worked_example_is_coupled_and_the_other_one_is_not():
     system, _, _ = worked_system("node_solver_singular_arm")
     assert coupled_rows(system) == system.W[0].shape[1]

@@ -139,6 +139,7 @@ def shown(view, path):
     return view.page
 
 
+@pytest.mark.slow
 def test_exported_page_shows_the_run_without_network_or_complaints(view, exported, trajectory):
     page = shown(view, exported)
     page.wait_for_function("viewer.animator.time > 0.05", timeout=60_000)  # it plays by itself
@@ -149,6 +150,7 @@ def test_exported_page_shows_the_run_without_network_or_complaints(view, exporte
     assert page.evaluate("viewer.animator.duration") == pytest.approx(trajectory.time[-1])
 
 
+@pytest.mark.slow
 def test_object_and_tips_move_as_computed(view, exported, trajectory):
     page = shown(view, exported)
     system = ma.compile_system(trajectory.scene)
@@ -168,6 +170,7 @@ def test_object_and_tips_move_as_computed(view, exported, trajectory):
     assert np.linalg.norm(np.subtract(positions[2], positions[0])) > 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(480, 800), (1200, 450)])
 def test_whole_scene_is_in_the_picture_all_the_time(view, exported, trajectory, size):
     view.page.set_viewport_size({"width": size[0], "height": size[1]})
@@ -180,6 +183,7 @@ def test_whole_scene_is_in_the_picture_all_the_time(view, exported, trajectory, 
     assert np.ptp(corners[:, :2], axis=0).max() > 0.6  # and not lost in it
 
 
+@pytest.mark.slow
 def test_time_bar_and_layers_work(view, exported):
     page = shown(view, exported)
     page.evaluate(SEEK, 0.3)
@@ -207,6 +211,7 @@ def test_links_stand_where_the_joint_angles_put_them(trajectory):
         np.testing.assert_allclose(turn, about_z @ about_y, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_failed_run_is_shown_up_to_where_it_came(view, trajectory, tmp_path):
     cut = shortened(trajectory, 30, "failed", "the joints cannot follow; take smaller steps")
     page = shown(view, replay(cut, tmp_path / "cut.html"))
@@ -214,6 +219,7 @@ def test_failed_run_is_shown_up_to_where_it_came(view, trajectory, tmp_path):
     assert page.inner_text("#note") == "failed: the joints cannot follow; take smaller steps"
 
 
+@pytest.mark.slow
 def test_single_sample_is_a_still_picture(view, trajectory, tmp_path):
     page = shown(view, replay(shortened(trajectory, 1, "failed", "at once"), tmp_path / "1.html"))
     assert view.complaints == []
@@ -240,6 +246,7 @@ def test_run_that_ended_in_a_singular_posture_is_shown(trajectory):
     assert all(np.isfinite(contacts.point).all() for contacts in animation.contacts)
 
 
+@pytest.mark.slow
 def test_missing_mesh_is_a_warning_and_bars_stand_in(view, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(
@@ -260,6 +267,7 @@ def test_missing_mesh_is_a_warning_and_bars_stand_in(view, tmp_path):
     assert not any(name.endswith("_bar") for name in page.evaluate(LINKS, "right"))
 
 
+@pytest.mark.slow
 def test_without_meshes_the_file_is_small(trajectory, tmp_path):
     text = SCENE.replace("robot: textbook_6r", "robot: ur5").replace("tip: tool,", "tip: tool0,")
     run = ma.simulate(ma.compile_system(parse_scene(text, folder=None)), duration=0.02)
@@ -282,6 +290,7 @@ def test_unusable_options_are_named(trajectory, options, said):
         replay(trajectory, **{"path": "never.html", **options})
 
 
+@pytest.mark.slow
 def test_live_viewer_shows_the_same_scene(browser, trajectory):
     visualizer = replay(trajectory, open_browser=False, fps=20)
     page = browser.new_page(viewport={"width": 600, "height": 400})

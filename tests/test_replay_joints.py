@@ -230,6 +230,7 @@ def exported(trajectory, tmp_path_factory):
     return replay(trajectory, path, meshes=False)
 
 
+@pytest.mark.slow
 def test_page_shows_axes_limits_and_positions(view, exported, trajectory, animation):  # noqa: F811
     page = shown(view, exported)
     assert view.complaints == []
@@ -249,6 +250,7 @@ def test_page_shows_axes_limits_and_positions(view, exported, trajectory, animat
         assert bead["position"][2] == pytest.approx(slide.dials[0].value[row], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_legend_tells_where_a_joint_is_between_its_limits(view, exported, animation):  # noqa: F811
     page = shown(view, exported)
     page.wait_for_function("document.querySelectorAll('.dial').length === 2")
@@ -261,6 +263,7 @@ def test_legend_tells_where_a_joint_is_between_its_limits(view, exported, animat
     assert slide.replace("\u2212", "-").endswith("mm in -20 … 50 mm")
 
 
+@pytest.mark.slow
 def test_position_beyond_the_limits_is_marked_in_the_legend(view, animation, tmp_path):  # noqa: F811
     (turned,) = [h.dials[0].value for h in animation.hinges if h.arm == "left"]
     narrow = HINGE.replace("[-0.1, 0.8]", f"[{0.5 * turned.min() - 1e-3}, {0.5 * turned.max()}]")
@@ -270,12 +273,14 @@ def test_position_beyond_the_limits_is_marked_in_the_legend(view, animation, tmp
         page.wait_for_function(f"({BEYOND})()[0] === {str(beyond).lower()}")
 
 
+@pytest.mark.slow
 def test_joint_axes_are_a_layer_that_can_be_hidden(view, exported):  # noqa: F811
     page = shown(view, exported)
     page.get_by_label("joint axes").uncheck()
     assert page.evaluate("viewer.scene_tree.find(['world', 'joints']).object.visible") is False
 
 
+@pytest.mark.slow
 def test_page_without_limits_has_no_dials(view, tmp_path):  # noqa: F811
     still_run = run("{arm: left, kind: ball}", "{arm: right, kind: revolute}")
     page = shown(view, replay(still_run, tmp_path / "plain.html", meshes=False))

@@ -182,6 +182,7 @@ def test_runs_of_few_samples_are_drawn(count):
     assert "it stopped" in Page(render(run)).text
 
 
+@pytest.mark.slow
 def test_figures_leave_pyplot_alone():
     code = (
         "import sys; from sample_run import record; from multiarm.results.sinks import MemorySink;"
@@ -275,6 +276,7 @@ def test_the_report_is_written_and_its_place_returned(run, tmp_path, page):
     assert path.read_text(encoding="utf-8") == page
 
 
+@pytest.mark.slow
 def test_a_place_that_cannot_be_written_is_named(run, tmp_path):
     with pytest.raises(TrajectoryError, match=r"cannot write '.*nowhere/r.html': No such file"):
         report(run, tmp_path / "nowhere" / "r.html")

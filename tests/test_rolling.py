@@ -155,6 +155,7 @@ def slip(run, contact_points, carrier_velocity):
 FEEDBACK = {"kind": "feedback", "alpha": 5.0, "beta": 5.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stabilization", ["projection", FEEDBACK], ids=["projection", "feedback"])
 @pytest.mark.parametrize("roundness", [2 / 5, 2 / 3], ids=["solid", "shell"])
 def test_ball_rolls_down_a_plate_on_a_sledge(carriers, roundness, stabilization):
@@ -191,6 +192,7 @@ def test_ball_rolls_down_a_plate_on_a_sledge(carriers, roundness, stabilization)
     np.testing.assert_allclose(slip(run, touching, carried), 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_ball_in_a_tube_swings_up_and_down(carriers):
     """While it runs around n times, it swings sqrt(2/7) n times and does not sink.
 

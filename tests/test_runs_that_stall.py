@@ -69,6 +69,7 @@ def test_slower_torques_of_the_same_size_complete():
     assert ma.simulate(ma.compile_system(shaken(SLOW)), certificate=False).status == "completed"
 
 
+@pytest.mark.slow
 def test_a_controller_that_answers_at_random_ends_the_run(free_block_system):
     """Steps are then as short as keeps the error of a jump within the tolerance."""
 
@@ -80,6 +81,7 @@ def test_a_controller_that_answers_at_random_ends_the_run(free_block_system):
     assert tried(run) <= MOST_TRIED
 
 
+@pytest.mark.slow
 def test_a_run_that_goes_on_with_the_method_for_stiff_scenes_ends_too(monkeypatch):
     monkeypatch.setattr("multiarm.simulation.run.JUDGED_STEPS", 500)
 

@@ -572,6 +572,7 @@ def test_a_result_without_a_figure_can_be_plotted_and_shown(tmp_path):
 # --- the command ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_prints_tables_and_writes_all_files(result, monkeypatch, tmp_path):
     plans = []
 
@@ -662,6 +663,7 @@ def test_what_cannot_be_done_is_refused_before_anything_is_measured(monkeypatch,
 # --- the page -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_page_is_one_file_with_every_table(result, tmp_path):
     page = write_page(result, tmp_path / "page.html").read_text(encoding="utf-8")
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
@@ -672,6 +674,7 @@ def test_the_page_is_one_file_with_every_table(result, tmp_path):
     assert page.count("<svg") == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_page_shows_every_figure_in_light_and_in_the_dark(browser, result, tmp_path, scheme):  # noqa: F811
     path = write_page(result, tmp_path / "page.html")
@@ -685,6 +688,7 @@ def test_the_page_shows_every_figure_in_light_and_in_the_dark(browser, result, t
             assert page.locator(f"#{study} svg").first.bounding_box()["width"] > 600
 
 
+@pytest.mark.slow
 def test_a_page_that_cannot_be_written_says_so(result, tmp_path):
     with pytest.raises(ma.MultiarmError, match="--html: cannot write"):
         write_page(result, tmp_path / "no" / "page.html")

@@ -759,6 +759,7 @@ _places = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(path=_places, value=_junk)
 def test_junk_anywhere_gives_a_scene_or_a_scene_error(path, value):

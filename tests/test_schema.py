@@ -56,6 +56,7 @@ def scene_with(**parts: str) -> dict:
     return {**yaml.safe_load(SCENE), **{name: parse_yaml(text) for name, text in parts.items()}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sort", FILES)
 def test_stored_schema_is_what_the_command_writes(sort):
     command = [sys.executable, "-m", "multiarm", "schema", sort, "--built-in"]

@@ -310,6 +310,7 @@ def test_a_face_may_be_given_by_its_corners():
 # --- invariance ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000), st.floats(1e-3, 1e2), st.floats(0.0, 1e3), st.sampled_from(METHODS))
 @settings(deadline=None, max_examples=15)
 def test_region_moves_with_the_body_and_grows_with_it(seed, factor, reach, method):
@@ -498,6 +499,7 @@ def test_region_and_surface_draw_the_border_at_one_place():
         assert inside[steps == steps.min()].all() and not inside[steps >= 0.0].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [1e-9, 1e-8, 1e-7, 3e-7])
 def test_moments_refuse_normals_that_are_nearly_parallel(tilt):
     """What hangs on the difference of such normals is decided by the inverse alone, and rightly."""

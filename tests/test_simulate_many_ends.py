@@ -121,6 +121,7 @@ run: {duration: 10000, integrator: rk4, step: 0.001}
 """
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_all_in_good_order_and_keeps_what_is_done(tmp_path):
     (tmp_path / "pair.yaml").write_text(SCENE)
     words = [sys.executable, "-c", INTERRUPTED, str(tmp_path / "pair.yaml"), str(tmp_path / "runs")]
@@ -146,6 +147,7 @@ def test_ctrl_c_ends_all_in_good_order_and_keeps_what_is_done(tmp_path):
 # --- files --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_files_hold_what_memory_would(welded_ur5_system, tmp_path):
     states = random_states(welded_ur5_system, 5)
     kept = ma.simulate_many(welded_ur5_system, states=states, **RUN)
@@ -162,6 +164,7 @@ def test_files_hold_what_memory_would(welded_ur5_system, tmp_path):
     assert_same_run(ma.load_trajectory(tmp_path / "new" / "box_2.h5"), again[1])
 
 
+@pytest.mark.slow
 def test_results_keep_no_file_open(welded_ur5_system, tmp_path):
     found = ma.simulate_many(welded_ur5_system, 0.01, parameters=[{}] * 12, out=tmp_path)
     assert found[3].object_position.shape == (2, 3)
@@ -200,6 +203,7 @@ def resident() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["states", "parameters"])
 def test_memory_does_not_grow_with_the_runs(welded_ur5_system, tmp_path, what):
     """Beyond the results: a system that is not let go of has some 0.2 MB."""

@@ -276,6 +276,7 @@ def test_a_run_can_go_on_from_where_another_ended(free_block_system):
     assert pose_error(rest, whole) < 1e-9
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_run_when_it_is_streamed(free_block_system, tmp_path):
     """Many more samples, the same peak; the samples themselves would be megabytes more."""
 
@@ -409,6 +410,7 @@ def test_a_failed_run_leaves_nothing_behind(name):
     np.testing.assert_array_equal(after.object_position, before.object_position)
 
 
+@pytest.mark.slow
 def test_arms_that_fall_into_a_singularity_are_reported():
     """A UR5 that drops a weight stretches its elbow sooner or later, or finishes: never NaN."""
     scene = ur5_pair({"kind": "weld"}, {"kind": "weld"})

@@ -158,6 +158,7 @@ def test_a_direction_lost_for_one_step_is_told_twice():
         assert events[0]["text"] == f"{arm}: little motion along its own reach"
 
 
+@pytest.mark.slow
 def test_sides_of_a_singular_posture_are_those_of_the_determinants_sign():
     system = released()
     trajectory = ma.simulate(system, 0.3, output_step=1e-3)

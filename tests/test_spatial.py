@@ -59,6 +59,7 @@ def test_quaternion_survives_the_way_through_a_matrix(q):
     np.testing.assert_allclose(sign * back, q, atol=20 * EPS)
 
 
+@pytest.mark.slow
 @given(quaternions, vectors)
 @example(np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3))
 @example(np.array([0.5, 0.5, 0.5, 0.5]), np.array([1e-9, 0.0, -2e-9]))

@@ -303,6 +303,7 @@ def test_history_keeps_the_peaks_that_are_judged(suite):
     assert {len(values) for values in case.history.values()} == {len(case.history["time"])}
 
 
+@pytest.mark.slow
 def test_page_is_whole_well_formed_and_needs_nothing_else(suite):
     page = render(suite)
     reader = Page(page)
@@ -483,6 +484,7 @@ def test_a_peer_is_spared_what_would_take_all_memory(healthy_trial, monkeypatch)
         assert answer.refusal.startswith("not run: Pinocchio's Data for it takes about ")
 
 
+@pytest.mark.slow
 def test_page_lives_in_one_file(suite, tmp_path: Path):
     from multiarm.studies.hard_case_page import write_page
 

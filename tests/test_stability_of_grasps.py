@@ -276,6 +276,7 @@ def test_radius_of_squares_is_where_the_first_of_all_corners_opens(rng):
         assert not every_corner(contacts, found.lower * (1 + 1e-6)).all()
 
 
+@pytest.mark.slow
 def test_no_displacement_within_the_radius_opens_the_grasp_and_one_at_it_does(rng):
     for contacts in (block_grasp(0.4, 0.4), random_grasp(rng), random_grasp(rng)):
         found = closure_radius(contacts)
@@ -293,6 +294,7 @@ def test_no_displacement_within_the_radius_opens_the_grasp_and_one_at_it_does(rn
         assert square <= found.lower * (1 + 1e-9) <= np.sqrt(2.0) * square * (1 + 2e-9)
 
 
+@pytest.mark.slow
 def test_the_lower_bound_needs_no_luck_in_finding_the_worst_displacements(rng):
     """Directions that are not the worst, and a radius far too large, leave a bound that holds."""
 

@@ -372,6 +372,7 @@ def test_scenes_that_are_not_stiff_never_change_the_method(accuracy, welded_ur5_
         assert not method_events(run) and "stiff" not in run.message
 
 
+@pytest.mark.slow
 def test_a_trial_that_does_not_pay_is_given_up():
     """Many joints, mild damping, high accuracy: a long step costs more than some short ones."""
     scene = ring_of_arms(8).replace(effects={"joint_damping": 1000.0})

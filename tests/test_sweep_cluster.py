@@ -52,6 +52,7 @@ def cluster_of(folder, workers, **environment):
             process.wait()
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_rows_and_survives_the_death_of_a_worker(scene, tmp_path):
     plan = make_plan(scene, OVER, repeat=4, seed=7, keep=KEEP, run=RUN)
     expected = repeatable(run_in_process(JobContext.of(plan), jobs(plan)))
@@ -71,6 +72,7 @@ def test_a_cluster_gives_the_same_rows_and_survives_the_death_of_a_worker(scene,
         assert repeatable(found) == here
 
 
+@pytest.mark.slow
 def test_a_run_on_which_workers_of_a_cluster_die_is_a_row_that_says_so(scene, tmp_path):
     (tmp_path / "own.py").write_text(FUNCTIONS)
     plan = make_plan(scene, {MASS: [5.0, 10.0, 20.0]}, keep=[f"{tmp_path}/own.py:always"], run=RUN)

@@ -122,6 +122,7 @@ def test_the_same_command_finds_everything_done(made):
     assert load_sweep(folder / "m.h5").table["wall_time"].tolist() == before.tolist()
 
 
+@pytest.mark.slow
 def test_a_sweep_killed_among_its_runs_and_resumed_ends_with_the_same_table(made, tmp_path):
     over, out, whole = made[0] / "masses.yaml", tmp_path / "killed.h5", tmp_path / "whole.h5"
     words = ["sweep", SCENE, "--over", over, "--repeat", 40, "--workers", 1, "-q"]
@@ -202,6 +203,7 @@ def test_a_sweep_of_which_no_run_completes_is_an_error(tmp_path):
 # One run of it
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn_costs_no_table(tmp_path):
     """Nothing is kept of the runs: the figures are written all the same, and the plot is told."""
     (tmp_path / "few.yaml").write_text(SWEEP + "keep: []\n")
@@ -217,6 +219,7 @@ def test_what_cannot_be_drawn_costs_no_table(tmp_path):
     assert not files["png"].exists()
 
 
+@pytest.mark.slow
 def test_a_run_of_which_numbers_failed_says_so_when_it_is_looked_at(tmp_path):
     (tmp_path / "q.py").write_text("def f(trajectory):\n    raise ValueError('bad')\n")
     (tmp_path / "bad.yaml").write_text(SWEEP + "keep: ['q.py:f']\n")
@@ -237,6 +240,7 @@ def test_a_run_made_once_more_is_the_run_that_was_made(made):
         assert sweep.values_of(run) == sweep.row(run).values
 
 
+@pytest.mark.slow
 def test_a_run_is_replayed_and_reported_by_its_number(made, tmp_path):
     sweep, html = made[0] / "m.h5", tmp_path / "r.html"
     called = multiarm("replay", sweep, "--run", 3, "--html", html)

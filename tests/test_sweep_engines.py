@@ -96,6 +96,7 @@ def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, p
     assert len({row[4]["final_z"] for row in expected}) == 12  # so that a mix-up would be seen
 
 
+@pytest.mark.slow
 def test_a_run_does_not_depend_on_those_before_it(scene, plan, expected):
     backwards = run_in_process(JobContext.of(plan), jobs(plan, lambda runs: runs[::-1]))
     assert repeatable(backwards) == expected
@@ -187,6 +188,7 @@ def test_towards_the_end_batches_become_short_so_that_workers_end_together():
     assert sizes[0] == 12
 
 
+@pytest.mark.slow
 def test_jobs_are_made_when_they_are_asked_for(plan):
     asked = []
 
@@ -210,6 +212,7 @@ def test_jobs_are_made_when_they_are_asked_for(plan):
 # --- processes ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_rows(plan, expected):
     batches = list(run_in_processes(JobContext.of(plan), jobs(plan), 2))
     assert repeatable(batches) == expected
@@ -218,6 +221,7 @@ def test_processes_give_the_same_rows(plan, expected):
     assert not any(worker.endswith(f":{os.getpid()}") for worker in workers)
 
 
+@pytest.mark.slow
 def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
     plan = make_plan(scene, OVER, repeat=4, seed=7, keep=["final_z", f"{functions}:once"], run=RUN)
     found = statuses(run_in_processes(JobContext.of(plan), jobs(plan), 2))
@@ -225,6 +229,7 @@ def test_runs_of_a_worker_that_was_killed_are_done_again(scene, functions):
     assert len(found) == 12 and {status for status, _ in found.values()} == {"completed"}
 
 
+@pytest.mark.slow
 def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
     over = {MASS: [5.0, 10.0, 20.0, 30.0]}
     plan = make_plan(scene, over, keep=[f"{functions}:always"], run=RUN)
@@ -233,6 +238,7 @@ def test_a_run_on_which_all_workers_die_is_a_row_that_says_so(scene, functions):
     assert found[2][1].startswith("its worker died 3 times")
 
 
+@pytest.mark.slow
 def test_a_single_run_that_kills_its_worker_does_not_kill_its_caller(scene, functions, tmp_path):
     """Asked for two workers, and there is only one run: it still has a process of its own."""
     asked = {"over": {MASS: [10.0]}, "keep": [f"{functions}:always"], "certificate": False}
@@ -361,6 +367,7 @@ def alive(process):
         return False
 
 
+@pytest.mark.slow
 def test_workers_end_when_their_caller_was_killed():
     here = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, "-c", CALLER]
@@ -386,6 +393,7 @@ def test_what_cannot_be_sent_to_workers_is_told(scene):
 # --- the whole ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_sweep_that_is_stopped_goes_on_where_it_was(scene, expected, tmp_path):
     told = []
 

@@ -148,6 +148,7 @@ def test_a_sweep_that_is_not_complete_says_which_runs_it_has(tmp_path):
 # Killed, and resumed
 
 
+@pytest.mark.slow
 def test_a_sweep_killed_again_and_again_ends_with_the_same_table(tmp_path):
     path, count, rng = tmp_path / "s.h5", 1500, random.Random(11)
     safe = 0  # far from all after so few pieces of at most some 30 blocks, see PAUSE
@@ -177,6 +178,7 @@ class Killed(BaseException):
     """Stands for the end of the process."""
 
 
+@pytest.mark.slow
 def test_a_kill_before_any_step_of_writing_costs_at_most_what_was_appended(tmp_path, monkeypatch):
     """Before every call by which the writer changes the disk, also while it moves the rows."""
     monkeypatch.setattr(store, "SHARD_ROWS", 4)
@@ -238,6 +240,7 @@ def test_a_file_that_is_being_written_shows_what_is_safe(tmp_path):
             assert list(found.rows()) == [row_of(run) for run in range(1, end + 1)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["s.h5", "s.h5.rows/000001.parquet"])
 def test_a_file_cut_anywhere_is_refused(tmp_path, which):
     path = tmp_path / "s.h5"

@@ -186,6 +186,7 @@ def test_a_run_without_samples_has_a_summary(tmp_path, sink_in):
 # Nothing is lost, nothing is altered
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(cuts=st.lists(st.integers(0, 1500), max_size=5))
 def test_a_file_returns_every_bit_however_the_run_was_cut_into_blocks(tmp_path_factory, cuts):

@@ -203,6 +203,7 @@ def test_check_tells_what_comes_and_goes(tmp_path):
     assert found.freedom.mobility == 6  # the box is free but for the fingertip far above
 
 
+@pytest.mark.slow
 def test_the_commands_take_such_scenes(tmp_path):
     from multiarm.scene import dump_scene
 

@@ -171,6 +171,7 @@ def symplectic_defect(reduced, integrator, h):
     return np.max(np.abs(defect)), np.max(np.abs(D))
 
 
+@pytest.mark.slow
 def test_a_step_keeps_the_symplectic_form(reduced):
     """The derivative of the step, by differences, on the manifold of closed joints.
 
@@ -244,6 +245,7 @@ def quarters(run):
     return np.array([np.max(np.abs(part)) for part in np.array_split(run.energy_balance, 4)])
 
 
+@pytest.mark.slow
 def test_energy_does_not_drift_where_that_of_rk4_does():
     """A body that turns over for 20 000 steps, 160 mrad each."""
     system = ma.compile_system(free_spin_scene().replace(gravity=None, effects={}))
@@ -254,6 +256,7 @@ def test_energy_does_not_drift_where_that_of_rk4_does():
     assert np.all(np.diff(lost) > 0.5 * lost[0])  # on and on
 
 
+@pytest.mark.slow
 def test_energy_of_a_linkage_does_not_drift():
     """Bricard's loop, five redundant rods' worth of constraints, 20 000 steps."""
     system = ma.compile_system(HARD_CASES["bricard"].scene())
@@ -338,6 +341,7 @@ def test_works_of_effects_are_no_unknowns_of_a_step(ur5_system):
     assert step.last.shape == (2, 6 + system.model.layout.joints + system.model.layout.contacts)
 
 
+@pytest.mark.slow
 def test_rolling_converges_with_order_2(tmp_path):
     """A ball in a tube on a turntable: no slip is a condition on velocities, not on positions."""
     table = tmp_path / "turntable.urdf"

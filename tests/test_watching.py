@@ -87,6 +87,7 @@ def test_start_outside_the_patch_is_refused(sliding):
         sliding(table, {"point": [0, 0, 0]})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("output_step", [0.01, 0.5])
 def test_hinge_counts_full_turns_between_samples_too(output_step):
     """Several turns at about 10 rad/s: the last angle is the integral of the hinge's rate."""
@@ -108,6 +109,7 @@ def test_hinge_counts_full_turns_between_samples_too(output_step):
     assert passed == pytest.approx(3.0, abs=0.05)  # a straight line between the ends of a step
 
 
+@pytest.mark.slow
 def test_contact_of_two_surfaces_is_found_again_all_around(sliding):
     """Once around an ellipsoid: every sample can be evaluated, and simulation goes on from it."""
     system = sliding(

@@ -121,6 +121,7 @@ def test_digits_are_what_another_method_and_the_dense_solver_differ_by(system, r
     assert reference.digits["force"] < 1e-10
 
 
+@pytest.mark.slow
 def test_a_wrong_solver_would_show_in_the_digits(system, reference, monkeypatch):
     heavier = ma.compile_system(ring().replace(gravity=[0.0, 0.0, -9.8101]))
 
@@ -516,6 +517,7 @@ def test_a_slow_scene_shows_its_runs_by_accuracy_first(study_in):
     assert when[0][1] >= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [0.0, 0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9])
 def test_an_interrupted_study_goes_on_where_it_was(study_in, system, tmp_path, part):
     path = tmp_path / "study.json"
@@ -764,6 +766,7 @@ def test_drake_is_of_order_one_or_is_told_to_be_missing(trial):
     assert errors[1] < 5e-3
 
 
+@pytest.mark.slow
 def test_peers_follow_a_feedback_controller_and_damping():
     control = {"kind": "joint_pd", "stiffness": 100, "damping": 1,
                "path": [{"time": 0.1, "xyz": [0, 0, 0.51]}]}  # fmt: skip
@@ -784,6 +787,7 @@ def test_peers_follow_a_feedback_controller_and_damping():
         assert found.error("motion") < bound, solver
 
 
+@pytest.mark.slow
 def test_pinocchio_follows_joints_that_turn_without_end():
     scene = single_arm(
         "kinova", "j2s6s200_end_effector", [1.0, 2.5, 1.5, 0.3, 0.4, 0.5], {"kind": "ball"},

@@ -187,13 +187,8 @@ def _read_csv(path: Path) -> _Read:
 
 
 def _read_parquet(path: Path) -> _Read:
-    try:
-        from pyarrow import ArrowException, parquet
-    except ImportError:
-        raise _Unreadable(
-            f"{path}: Parquet files need PyArrow, which is not installed: pip install pyarrow; or "
-            f"give the table as CSV or HDF5"
-        ) from None
+    from pyarrow import ArrowException, parquet
+
     try:
         columns = parquet.read_table(path).to_pydict()
     except ArrowException as error:
