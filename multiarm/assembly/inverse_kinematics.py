@@ -30,6 +30,7 @@ from multiarm.arms.arm import Arm
 from multiarm.arms.terms import ArmStructure
 from multiarm.dynamics.solver.factors import solve_semidefinite
 from multiarm.jit.kernels import INTS, NUMBERS, TABLE, allocating, copy, inlined, kernel
+from multiarm.spatial import difference, matrix_to_quaternion
 
 # Length that compares shifts with turns [m]: about half an arm.
 LENGTH = 0.5
@@ -161,9 +162,8 @@ class InverseKinematics:
         found = [self._solve(place, rng.uniform(self.lower, self.upper)) for _ in range(starts)]
         posture, _ = min(found, key=lambda one: one[1])
         there, _ = self.pose(posture)
-        turn = there[:3, :3].T @ place[:3, :3]
-        angle = math.acos(min(max(0.5 * (float(np.trace(turn)) - 1.0), -1.0), 1.0))
-        return Miss(posture, place[:3, 3] - there[:3, 3], angle)
+        turn = difference(*(matrix_to_quaternion(X[:3, :3]) for X in (there, place)))
+        return Miss(posture, place[:3, 3] - there[:3, 3], float(np.linalg.norm(turn)))
 
     def pose(self, posture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pose (4, 4) of the frame in the world, and its Jacobian (6, n), world axes."""
@@ -204,6 +204,18 @@ class InverseKinematics:
         return Reach(course, dexterity, float(np.min(room[:, limited], initial=1.0)), clearance)
 
 
+def points_on_links(origins: np.ndarray) -> np.ndarray:
+    """Points on the lines between origins of joints, (5 (n - 1), 3) of (n, 3) [m]."""
+    steps = np.linspace(0.0, 1.0, 5)[:, None, None]
+    return (origins[:-1] + steps * np.diff(origins, axis=0)).reshape(-1, 3)
+
+
+def clearance(*distances: np.ndarray) -> float:
+    """A factor of the quality: 1 where all distances [m] are at least ``APART``, never zero."""
+    nearest = min(float(np.min(own, initial=APART)) for own in distances)
+    return float(np.clip(nearest / APART, 0.02, 1.0))
+
+
 def _bounds(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     low, high = arm.position_limits.T
     middle = 0.5 * (low + high)
@@ -238,7 +250,7 @@ def write_pose(chain: TABLE, q: NUMBERS, pose: TABLE, J: TABLE):
     n = q.size
     for k in range(n + 1):
         row = chain[k]
-        # origin and rotation of the next frame at zero; a matrix M holds the rotation meanwhile
+        # origin and rotation of the next frame at zero
         for i in range(3):
             for j in range(3):
                 pose[i, 3] += pose[i, j] * row[ORIGIN + j]

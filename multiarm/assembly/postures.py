@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.assembly.inverse_kinematics import APART, InverseKinematics
+from multiarm.assembly.inverse_kinematics import InverseKinematics, clearance, points_on_links
 from multiarm.errors import SceneError
 from multiarm.geometry.records import basis
 from multiarm.scene import JointSpec, ObjectSpec, Scene
@@ -115,17 +115,13 @@ def _clearance(body: ObjectSpec, there: np.ndarray, arm: Arm) -> Callable[[np.nd
     stands = base[2, 2] > 0.9 and base[2, 3] < there[2, 3]  # upright, and lower than its place
 
     def clear(skeleton: np.ndarray, _number: int) -> float:
-        joints = skeleton[:-1]
-        steps = np.linspace(0.0, 1.0, 5)[:, None, None]
-        links = (joints[:-1] + steps * np.diff(joints, axis=0)).reshape(-1, 3)
-        nearest = APART
+        outside = above = np.zeros(0)
         if corners is not None:
-            seen = (links - pose[:3, 3]) @ pose[:3, :3]
+            seen = (points_on_links(skeleton[:-1]) - pose[:3, 3]) @ pose[:3, :3]
             outside = np.maximum(corners[0] - seen, seen - corners[1]).max(axis=1)
-            nearest = min(nearest, float(np.min(outside, initial=APART)))
         if stands:
-            nearest = min(nearest, float(np.min(skeleton[2:-1, 2] - base[2, 3], initial=APART)))
-        return float(np.clip(nearest / APART, 0.02, 1.0))
+            above = skeleton[2:-1, 2] - base[2, 3]
+        return clearance(outside, above)
 
     return clear
 

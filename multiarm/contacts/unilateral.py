@@ -398,6 +398,7 @@ def _friction(spec: ContactFrictionSpec | None, arm: str, contact: Contact) -> f
     mu = contact.mu
     if mu is None and spec is not None and _named(spec, arm, contact):
         mu = spec.mu if contact.pushes_only or spec.contacts is not None else None
+    # without friction, one that holds both ways is bilateral and nothing else
     return mu if mu or contact.pushes_only else None
 
 

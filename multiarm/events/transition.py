@@ -334,17 +334,17 @@ class Transition:
         Friction along them moves nothing, and is none until they can slip.
         """
         bilateral = [u for u in involved if self._constraints[u].bilateral]
-        normal = [k for k, constraint in enumerate(self._constraints) if constraint.bilateral]
-        rows = [self._constraints[u].row for u in normal]
-        rows += [t for u in bilateral for t in self._constraints[u].tangents]
         if not bilateral:
             return set()
-        response, _ = self._rows.response(self._rows.jacobian(rows), self._modes.bare)
-        held, tangents = list(range(len(normal))), np.eye(len(rows))[len(normal) :]
+        normals = [own.row for own in self._constraints if own.bilateral]
+        tangents = [t for u in bilateral for t in self._constraints[u].tangents]
+        jacobian = self._rows.jacobian([*normals, *tangents])
+        response, _ = self._rows.response(jacobian, self._modes.bare)
+        held, along = list(range(len(normals))), np.eye(len(response))[len(normals) :]
         return {
             row
-            for row, tangent in zip(rows[len(normal) :], tangents, strict=True)
-            if not can_move(response, tangent, held)
+            for row, one in zip(tangents, along, strict=True)
+            if not can_move(response, one, held)
         }
 
     def _keep_closed(

@@ -18,7 +18,12 @@ import numpy as np
 
 from multiarm.arms.arm import Arm
 from multiarm.assembly.compilation import arm_files
-from multiarm.assembly.inverse_kinematics import APART, InverseKinematics, Reach
+from multiarm.assembly.inverse_kinematics import (
+    InverseKinematics,
+    Reach,
+    clearance,
+    points_on_links,
+)
 from multiarm.errors import GraspError
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
 from multiarm.grasp.scenes.hands import hand_pose
@@ -197,14 +202,11 @@ class _Search:
 
         A body that is not convex counts with the half-spaces of all its faces.
         """
-        steps = np.linspace(0.0, 1.0, 5)[:, None, None]
-        links = (points[:-1] + steps * np.diff(points, axis=0)).reshape(-1, 3)
-        seen = (links - pose[:3, 3]) @ pose[:3, :3]
+        seen = (points_on_links(points) - pose[:3, 3]) @ pose[:3, :3]
         offsets = np.array([face.offset for face in self.grasp.body.faces])
         outside = np.max(seen @ self.grasp.body.normals.T - offsets, axis=1)
         above = points[2:, 2]  # the shoulder belongs where it is
-        nearest = min(float(np.min(outside)), float(np.min(above, initial=APART)))
-        return float(np.clip(nearest / APART, 0.02, 1.0))
+        return clearance(outside, above)
 
 
 def _robot(spec: ArmSpec) -> Arm:
