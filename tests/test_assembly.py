@@ -79,6 +79,41 @@ def test_a_far_start_is_refused_with_all_gaps_and_a_remedy():
         assert f"'{name}'" in fault and "gap of" in fault and "at" in fault
 
 
+def test_a_start_that_is_not_assembled_serves_evaluations_elsewhere():
+    """Without assembly gaps and postures stay as written; runs need a state on the joints."""
+    there = {"kind": "weld", "at": displaced(at_tip("left"), [0.5, 0.0, 0.0])}
+    far = ma.compile_system(ur5_pair(there, {"kind": "ball"}), assemble=False)
+    assert far.start_report.gaps["left"] == pytest.approx(0.5, rel=1e-6)
+    np.testing.assert_array_equal(far.initial_state().joint_positions["left"], UR5_POSTURE)
+    near = {"kind": "weld", "at": displaced(at_tip("left"), [0.004, 0.0, 0.002])}
+    scene = ur5_pair(near, {"kind": "ball"}, gravity=[0, 0, -9.81])
+    closed, open_ = ma.compile_system(scene), ma.compile_system(scene, assemble=False)
+    begin = closed.initial_state()
+    state = open_.state(
+        begin.object_position, begin.object_quaternion_xyzw, begin.joint_positions
+    )
+    one, other = ma.evaluate(closed, 0.0, begin), ma.evaluate(open_, 0.0, state)
+    np.testing.assert_array_equal(one.object_acceleration, other.object_acceleration)
+    np.testing.assert_array_equal(one.contact_forces["left"], other.contact_forces["left"])
+    for run in (ma.simulate, ma.Stepper):
+        with pytest.raises(SceneError, match=r"gaps left: 0\.004 m.*`assemble=False`: give a"):
+            run(open_)
+    from_there = ma.simulate(open_, 0.05, state=state)
+    np.testing.assert_array_equal(
+        from_there.object_position, ma.simulate(closed, 0.05).object_position
+    )
+
+
+def test_an_arm_that_reaches_its_place_from_nowhere_can_be_compiled_without_assembly():
+    arms = {"arm": {"robot": "planar_3r", "tip": "tip"}}
+    scene = scene_of(arms, [{"arm": "arm", "kind": "ball", "at": {"xyz": [9.0, 0, 0]}}])
+    with pytest.raises(SceneError, match="no joint positions"):
+        ma.compile_system(scene)
+    system = ma.compile_system(scene, assemble=False)
+    assert np.all(system.initial_state().joint_positions["arm"] == 0.0)
+    assert np.isfinite(ma.evaluate(system).object_acceleration).all()
+
+
 def test_written_velocities_are_projected_with_the_least_change():
     scene = ur5_pair({"kind": "weld"}, {"kind": "ball"})
     twist = [0.1, 0.2, -0.1, 0.3, -0.2, 0.1]

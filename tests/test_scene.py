@@ -11,6 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import multiarm as ma
 from multiarm.errors import MultiarmError, SceneError
 from multiarm.scene import (
     ArmSpec,
@@ -325,6 +326,23 @@ def test_three_forms_of_inertia_mean_the_same():
     assert by_matrix == by_entries
     diagonal = ObjectSpec(shape=shape, mass=1, inertia=[1, 2, 2.5]).inertia_matrix()
     np.testing.assert_array_equal(diagonal, np.diag([1, 2, 2.5]))
+
+
+def test_an_object_of_known_inertia_needs_no_shape():
+    """Its motion is that of a box of this inertia, and the replay shows that box."""
+    box = ObjectSpec(shape={"box": [1.2, 0.6, 0.4]}, mass=20)
+    bare = ObjectSpec(mass=20, inertia=box.inertia_matrix())
+    from multiarm.viewer.shapes import object_mesh
+
+    seen = object_mesh(bare).vertices
+    np.testing.assert_allclose(np.ptp(seen, axis=0), [1.2, 0.6, 0.4], rtol=1e-12)
+    written = yaml.safe_dump({**TWO_ARMS, "object": {"mass": 20, "inertia": [1.0, 2.0, 2.5]}})
+    scene = parse_scene(written)
+    assert parse_scene(dump_scene(scene)) == scene and "shape" not in dump_scene(scene)
+    assert only_fault("object", {"mass": 20}).startswith("$.object: needs its 'shape', or 'iner")
+    floor = {"object": {"mass": 20, "inertia": [1, 2, 2.5]}, "effects": {"floor": {}}}
+    with pytest.raises(SceneError, match=r"the object has no 'shape'; name the points"):
+        ma.compile_system(parse_scene(yaml.safe_dump({**TWO_ARMS, **floor})))
 
 
 @pytest.mark.parametrize(

@@ -263,7 +263,7 @@ def test_a_missing_value_is_explained_by_how_its_documentation_begins(user_kinds
     for part, text, meaning in (
         ("joints", "[{arm: left, kind: latch}]", "how far it gives [m]"),
         ("effects", "{breeze: {}}", "how hard it blows [N]"),
-        ("object", "{mass: 1}", "such as {box: [1.0, 0.5, 0.2]}"),
+        ("object", "{shape: {sphere: 1}}", "its mass [kg]"),
     ):
         with pytest.raises(SceneError, match=re.escape(f"is missing ({meaning})")):
             parse_scene(scene_with(**{part: text}))

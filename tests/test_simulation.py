@@ -263,17 +263,65 @@ def test_runs_repeat_to_the_last_bit(free_block_system):
     np.testing.assert_array_equal(first.energy, second.energy)
 
 
-def test_a_run_can_go_on_from_where_another_ended(free_block_system):
-    run = {"accuracy": 1e-10, "output_step": 0.05}
-    whole = ma.simulate(free_block_system, duration=0.2, **run)
-    half = ma.simulate(free_block_system, duration=0.1, **run)
-    state = free_block_system.state(
-        half.object_position[-1], half.object_quaternion_xyzw[-1],
-        {a: half.joint_positions[a][-1] for a in half.arm_names}, half.object_twist[-1],
-        {a: half.joint_velocities[a][-1] for a in half.arm_names},
+def at_sample(trajectory, system, k=-1):
+    """The state of a sample."""
+    return system.state(
+        trajectory.object_position[k], trajectory.object_quaternion_xyzw[k],
+        {a: trajectory.joint_positions[a][k] for a in trajectory.arm_names},
+        trajectory.object_twist[k],
+        {a: trajectory.joint_velocities[a][k] for a in trajectory.arm_names},
     )  # fmt: skip
-    rest = ma.simulate(free_block_system, duration=0.1, state=state, **run)
-    assert pose_error(rest, whole) < 1e-9
+
+
+UR5_JOINTS = {"kind": "weld"}, {"kind": "ball"}
+PULSE = {"on": "object", "force": [40, 0, 10], "pulse": {"begin": 0.12, "end": 0.16}}
+LIFT = {
+    "kind": "joint_pd", "stiffness": 800, "damping": 80, "path": [{"time": 1, "xyz": [0, 0, 0.6]}],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        pytest.param({}, id="autonomous"),
+        pytest.param({"effects": {"external_wrenches": [PULSE]}}, id="a load in time"),
+        pytest.param({"control": LIFT}, id="a path"),
+        pytest.param(
+            {"control": {**LIFT, "damping": 5, "sample_time": 0.005}}, id="a sampled control"
+        ),
+    ],
+)
+def test_a_run_can_go_on_from_where_another_ended(scene):
+    """What acts at a time acts at that time, whenever the run begins."""
+    system = ma.compile_system(ur5_pair(*UR5_JOINTS, **scene))
+    run = {"accuracy": 1e-9, "output_step": 0.05}
+    whole = ma.simulate(system, duration=0.2, **run)
+    half = ma.simulate(system, duration=0.1, **run)
+    rest = ma.simulate(system, duration=0.1, start_time=0.1, state=at_sample(half, system), **run)
+    np.testing.assert_allclose(rest.time, [0.1, 0.15, 0.2], rtol=1e-15)
+    assert pose_error(rest, whole) < 1e-8
+    assert np.max(np.abs(rest.object_twist[-1] - whole.object_twist[-1])) < 1e-7
+    assert rest.certificate["met"] and np.max(np.abs(rest.energy_balance)) < 1e-6
+    assert rest.statistics["simulated_s"] == pytest.approx(0.1, rel=1e-12)
+
+
+def test_samples_come_at_the_times_that_are_given(tmp_path):
+    """They are those of any other run; the energy balance counts from the first one."""
+    system = ma.compile_system(ur5_pair(*UR5_JOINTS, control=LIFT))
+    run = {"accuracy": 1e-7}
+    even = ma.simulate(system, duration=0.2, output_step=0.01, **run)
+    rows = [3, 4, 11, 19]
+    times = even.time[rows]
+    some = ma.simulate(system, 0.2, output_times=times, out=tmp_path / "run.h5", **run)
+    np.testing.assert_array_equal(some.time, times)
+    np.testing.assert_array_equal(some.object_position, even.object_position[rows])
+    np.testing.assert_array_equal(some.contact_forces["left"], even.contact_forces["left"][rows])
+    assert some.statistics["simulated_s"] == pytest.approx(0.2) and some.certificate["met"]
+    assert np.max(np.abs(some.energy_balance)) < 1e-6 < abs(some.work[0])
+    assert some.summary()["energy_balance_max_J"] < 1e-6
+    shorter = ma.simulate(system, output_times=list(times), start_time=0.03, **run)
+    assert shorter.statistics["simulated_s"] == pytest.approx(0.16)
+    np.testing.assert_array_equal(shorter.time, times)
 
 
 @pytest.mark.slow
@@ -326,6 +374,13 @@ def test_a_streamed_run_is_the_run(free_block_system, tmp_path):
         ({"stabilization": "magic"}, "stabilization"),
         ({"output_step": 0.0}, "output_step"),
         ({"solver": "sparse"}, "solver"),
+        ({"output_times": [0.0, 0.1], "output_step": 0.1}, "exclude each other"),
+        ({"output_times": [0.0, 0.1, 0.05]}, "0.05 s comes after 0.1 s"),
+        ({"output_times": [0.0, math.nan]}, "must be a list of times"),
+        ({"output_times": "often"}, "must be a list of times"),
+        ({"output_times": [0.0, 0.5], "duration": 0.2}, "from 0 to 0.5 s, the run from 0 to 0.2"),
+        ({"output_times": [0.1], "start_time": 0.2}, "after 'start_time'"),
+        ({"start_time": math.inf}, "finite time"),
     ],
 )
 def test_contradicting_settings_are_refused(free_block_system, settings, message):

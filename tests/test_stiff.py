@@ -27,7 +27,7 @@ from multiarm.integration.time_loop import advance
 from multiarm.jit.structs import struct_of
 from multiarm.problems import HARD_CASES, ring_of_arms
 from multiarm.results.event_log import EventLog
-from multiarm.simulation.setup import prepare, run_spec
+from multiarm.simulation.setup import Task, prepare, run_spec
 from multiarm.tableaus import METHODS
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
@@ -126,7 +126,7 @@ def step_of_the_package(system, state, h):
     changes = {"duration": h, "stabilization": "none", "output_step": h}
     spec = run_spec(system.scene.run, changes, choice, None)
     data = data_of(system)
-    run = prepare(system, data, spec, state, None, np.inf, EventLog())
+    run = prepare(Task(system, data, spec, state, np.inf), None, EventLog())
     stepping = run.stepping
     settings = run.settings._replace(adaptive=False, step=h, divergence_bound=np.inf)
     reason = advance(

@@ -16,7 +16,8 @@ from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.paths import joint_path
 from multiarm.assembly.postures import find_postures
-from multiarm.assembly.start import assemble, check_patches, check_unilateral
+from multiarm.assembly.start import assemble as close_start
+from multiarm.assembly.start import check_patches, check_unilateral, unassembled
 from multiarm.contacts.joint import COMPONENTS, FRAME_WIDTH, Joint, JointFrame
 from multiarm.contacts.table import ContactTable, pack
 from multiarm.contacts.unilateral import SURROUNDINGS, UnilateralConstraints, unilateral_constraints
@@ -96,6 +97,7 @@ def compile_system(
     arms: str | None = None,
     like: System | None = None,
     code: bool | None = None,
+    assemble: bool = True,
 ) -> System:
     """Build the system that a scene describes; only what the scene names is in it.
 
@@ -117,6 +119,9 @@ def compile_system(
         Whether functions and effects of packages that the scene names may be loaded, which runs
         their code.  By default as the scene was read: allowed for scene files, unless
         ``load_scene`` forbade it, and not for stored results.
+    assemble : bool
+        False: the start is as written, gaps and all, and postures are not sought.  Such a system
+        can be evaluated; runs need a ``state`` that satisfies the joints.
 
     Raises
     ------
@@ -132,14 +137,20 @@ def compile_system(
     require_control(control, sample_time, sample_delay)
     scene = with_code(_with_arms(scene, arms), code)
     compile_ahead(advance, evaluate_slope)  # a run needs them: the first time in the background
-    robots = load_robots(scene, like)  # URDF -> arms with tips and limits
+    robots = load_robots(scene, like, assemble)  # URDF -> arms with tips and limits
     joints = scene_joints(scene, robots, like)  # contact records of every joint
     rows = contact_rows(scene, robots, joints)  # all rows of W, unilateral ones too
     backends = arm_backends(scene, robots, like)  # Pinocchio or compiled copies
     draft = draft_model(scene, robots, joints, rows, backends)  # bodies, rows, effects
     data = draft.data()
-    start, report = assembled_start(scene, data, written_start(scene, robots, rows.layout))
-    frames = joint_frames(scene, data, start)  # with the motions that each joint leaves free
+    written = written_start(scene, robots, rows.layout)
+    if assemble:
+        start, report = assembled_start(scene, data, written)
+        frames = joint_frames(scene, data, start)  # with the motions that each joint leaves free
+    else:
+        data.model = replace(draft, pair_places=locate_pairs(data, written))
+        data.set_state(0.0, written)
+        start, report, frames = written, unassembled(data), draft.frames
     law = control_law(scene, data, start) if control is None else None
     model = finished_model(draft, data, frames, law)
     system = System(scene, model, report, start)
@@ -191,8 +202,8 @@ class Robots:
     shared: tuple[str, ...] = ()  # arms that another system has too
 
 
-def load_robots(scene: Scene, like: System | None = None) -> Robots:
-    """The arms of a scene; equal ones of ``like`` are shared."""
+def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> Robots:
+    """The arms of a scene; equal ones of ``like`` are shared, missing postures sought."""
     shared: tuple[str, ...] = ()
     if like is not None and scene.effects.rotor_inertia == like.scene.effects.rotor_inertia:
         theirs = like.scene.arms
@@ -204,8 +215,9 @@ def load_robots(scene: Scene, like: System | None = None) -> Robots:
         else:
             resolved[name] = resolve_arm(spec, scene.folder)
             arms[name] = _make_arm(name, scene, resolved[name])
-    found = find_postures(scene, arms, {name: own.posture for name, own in resolved.items()})
-    resolved |= {name: replace(resolved[name], posture=own) for name, own in found.items()}
+    if seek:
+        found = find_postures(scene, arms, {name: own.posture for name, own in resolved.items()})
+        resolved |= {name: replace(resolved[name], posture=own) for name, own in found.items()}
     return Robots(resolved, arms, shared)
 
 
@@ -476,7 +488,7 @@ def assembled_start(scene: Scene, data: Data, written: State) -> tuple[State, St
         closed = data.view(data.model.select(unilateral.assembled))
     closed.model = replace(closed.model, unilateral=None, pair_places=locate_pairs(closed, written))
     closed.set_state(0.0, written)
-    start, report = assemble(closed, scene)
+    start, report = close_start(closed, scene)
     check_patches(closed, start)
     if unilateral is not None:
         check_unilateral(data, start)

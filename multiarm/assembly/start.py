@@ -102,6 +102,14 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     )
 
 
+def unassembled(data: Data) -> StartReport:
+    """The report of a start that is left as it is in the data."""
+    _update_kinematics(data)
+    gaps = gaps_by_arm(data)
+    rates = gaps_by_arm(data, GAP_RATE)
+    return StartReport(gaps=gaps, gap_rates=rates, gaps_left=gaps, assembled=False)
+
+
 def project_start(data: Data, scene: Scene, state: State) -> tuple[State, StartReport]:
     """Put a copy of a given state on the constraints, as a scene's start.
 

@@ -446,7 +446,9 @@ def _touching_points(spec: FloorSpec, shape: Shape) -> list[tuple[str, np.ndarra
         return _named_corners(list(hull_corners(np.array(shape.hull))))
     if shape.mesh is not None:
         return _named_corners(list(_mesh_corners(shape.mesh)))
-    raise _unknown_points("a cylinder has no corners", "such as eight or more around each rim")
+    if shape.cylinder is not None:
+        raise _unknown_points("a cylinder has no corners", "such as eight or more around each rim")
+    raise _unknown_points("the object has no 'shape'", "such as its corners")
 
 
 def _named_corners(corners: list[np.ndarray]) -> list[tuple[str, np.ndarray, float]]:

@@ -46,6 +46,7 @@ def require_control(
 class StartReport:
     """How the given start was corrected; all mappings are by arm."""
 
+    assembled: bool = True  # False: it was left as written
     gaps: dict[str, float] = field(default_factory=dict)  # largest gap of the given start [m]
     gap_rates: dict[str, float] = field(default_factory=dict)  # largest gap rate [m/s]
     gaps_left: dict[str, float] = field(default_factory=dict)  # of the assembled start [m]

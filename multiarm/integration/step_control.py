@@ -51,7 +51,8 @@ class Settings(NamedTuple):
 
     begin: Float  # [s]
     end: Float
-    sample_step: Float  # [s]: samples are taken at its multiples from ``begin``, and at ``end``
+    sample_step: Float  # [s]: samples are taken at its multiples from ``begin``, and at ``end``;
+    sample_times: Floats1  # or, unless this is empty, at these times [s]
     samples: Int  # number of them
     final_sample: Int  # the one that is taken at ``end``; negative: none
     adaptive: Flag

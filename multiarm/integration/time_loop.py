@@ -134,6 +134,8 @@ def start_monitors(struct: INTS):
 @kernel
 def sample_time(settings, k):
     """Time of sample ``k``."""
+    if settings.sample_times.size > 0:
+        return settings.sample_times[k]
     if k == settings.final_sample:
         return settings.end
     return settings.begin + k * settings.sample_step

@@ -8,7 +8,7 @@ resting, a hatched one for sliding, a full one for sticking.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -21,10 +21,7 @@ from multiarm.plots.panels import DECADES, LEGEND_ROW, EventMarks, Panel, draw, 
 from multiarm.plots.style import AXIS_COLOURS, GRID, ROLES, STYLE, family
 from multiarm.results.channels import CONTACT_STATES, Channel, channels_of
 from multiarm.results.event_log import STATE_COLOURS, Event
-
-if TYPE_CHECKING:
-    from multiarm.results.trajectory import Trajectory
-
+from multiarm.results.trajectory import ENERGIES, Trajectory
 
 FIGURE_POINTS = 60_000
 """Points of all lines of a figure together: many arms get fewer points each."""
@@ -83,14 +80,13 @@ def energy(trajectory: Trajectory) -> Figure:
 
     If the run has effects, the work of each of them has another pair of axes.
     """
-    names = ["energy/kinetic", "energy/potential", "energy/work"]
-    kinetic_start, potential_start = (trajectory.read(name, 0, 1).sum() for name in names[:2])
+    start, potential_start = trajectory.energy_at_start, trajectory.read(ENERGIES[1], 0, 1).sum()
 
     def combine(kinetic: np.ndarray, potential: np.ndarray, work: np.ndarray) -> np.ndarray:
-        balance = kinetic + potential - (kinetic_start + potential_start) - work
+        balance = kinetic + potential - start - work
         return np.column_stack([kinetic, potential - potential_start, work, balance])
 
-    time, values = decimate(trajectory, names, combine)
+    time, values = decimate(trajectory, ENERGIES, combine)
     colours = tuple(ROLES.values())
     labels = ("kinetic", "potential, change", "work")
     unit, scale = _prefixed("J", values[:, 3])

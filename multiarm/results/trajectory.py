@@ -27,6 +27,9 @@ from multiarm.results.files import temporary_name
 if TYPE_CHECKING:
     from multiarm.scene import Scene
 
+ENERGIES = ("energy/kinetic", "energy/potential", "energy/work")
+"""Channels of which the energy balance is made."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -246,7 +249,13 @@ class Trajectory:
     @property
     def energy_balance(self) -> np.ndarray:
         """Energy gained since the start less the work done, shape (K,) [J]; 0 if exact."""
-        return self.energy - self.energy[:1] - self.work
+        return self.energy - self.energy_at_start - self.work
+
+    @property
+    def energy_at_start(self) -> float:
+        """Energy less work done at the first sample [J]: the energy at the start, if exact."""
+        kinetic, potential, work = (self.read(name, 0, 1).sum() for name in ENERGIES)
+        return float(kinetic + potential - work)
 
     @property
     def position_drift(self) -> np.ndarray:
@@ -430,9 +439,8 @@ class Trajectory:
     def _largest_imbalance(self) -> float | None:
         if not len(self):
             return None
-        names = ("energy/kinetic", "energy/potential", "energy/work")
-        start = self.read(names[0], 0, 1) + self.read(names[1], 0, 1)
-        return float(max(np.abs(k + p - start - w).max() for k, p, w in self.blocks(*names)))
+        start = self.energy_at_start
+        return float(max(np.abs(k + p - start - w).max() for k, p, w in self.blocks(*ENERGIES)))
 
 
 def load_trajectory(path: str | os.PathLike) -> Trajectory:

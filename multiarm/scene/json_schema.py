@@ -83,7 +83,9 @@ class _Generator(GenerateJsonSchema):
             own["description"] = description_of(model, name)
             if not own["description"]:
                 del own["description"]
-            if own.get("default", 0) is None:
+            default = own.get("default", 0)
+            values = list(default.values()) if isinstance(default, dict) else [default]
+            if values and all(value is None for value in values):  # a file cannot say it
                 del own["default"]
         own_classes = self._user_classes(model.model_fields)
         if own_classes is not None:

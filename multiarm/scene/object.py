@@ -278,17 +278,22 @@ class Shape(OneOf):
             return 0.4 * mass * self.sphere**2 * np.eye(3)
         if self.hull is not None:
             return hull_mass_properties(np.array(self.hull), mass).inertia
-        assert self.cylinder is not None, "a mesh comes with its inertia"
+        assert self.cylinder is not None, "a mesh, or no shape, comes with an inertia"
         radius, height = self.cylinder.radius, self.cylinder.height
         across = mass * (3.0 * radius**2 + height**2) / 12.0
         return np.diag([across, across, mass * radius**2 / 2.0])
 
 
+NO_SHAPE = Shape.model_construct()
+"""Of an object of which mass and inertia are known only: none of the five."""
+
+
 class ObjectSpec(Spec):
     """The common object. Its frame has the origin at the centre of mass."""
 
-    shape: Shape
-    """Such as {box: [1.0, 0.5, 0.2]}. For the eye, and for the inertia where that is not given."""
+    shape: Shape = NO_SHAPE
+    """Such as {box: [1.0, 0.5, 0.2]}. For the eye, and for the inertia where that is not given;
+    absent: the replay shows the box of that mass and inertia."""
     mass: Positive
     """Its mass [kg]."""
     inertia: Inertia | None = None
@@ -304,8 +309,12 @@ class ObjectSpec(Spec):
 
     @model_validator(mode="after")
     def _inertia_is_known(self) -> Self:
-        if self.shape.mesh is not None and self.inertia is None:
+        if self.inertia is not None:
+            return self
+        if self.shape.mesh is not None:
             raise fault("a mesh needs 'inertia' (about the centre of mass, in kg m^2)")
+        if self.shape == NO_SHAPE:
+            raise fault("needs its 'shape', or 'inertia' (about the centre of mass, in kg m^2)")
         return self
 
     @model_validator(mode="after")

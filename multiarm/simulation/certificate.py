@@ -52,7 +52,7 @@ from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
-from multiarm.results.trajectory import Trajectory
+from multiarm.results.trajectory import ENERGIES, Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.comparison import (
     FORCE,
@@ -203,7 +203,7 @@ def judge(data: Data, run: Trajectory, finer: Trajectory, accuracy: AccuracySpec
         estimated,
         comparison,
         check_run(data, run, comparison, lengths),
-        growth_rate(comparison.time, apart),
+        growth_rate(comparison.time - run.statistics["start_time_s"], apart),
         complete=finer.status == "completed" and len(finer) == len(run),
     )
 
@@ -299,10 +299,9 @@ def _energy_check(
 
 def _worst_balance(run: Trajectory) -> tuple[int, float, float]:
     """Sample of the largest imbalance, the imbalance, and the largest energy or work [J]."""
-    names = ("energy/kinetic", "energy/potential", "energy/work")
-    begin = sum(float(run.read(name, 0, 1)[0]) for name in names[:2])
+    begin = run.energy_at_start
     worst, at, size, start = -1.0, 0, abs(begin), 0
-    for kinetic, potential, work in run.blocks(*names):
+    for kinetic, potential, work in run.blocks(*ENERGIES):
         balance = np.abs(kinetic + potential - begin - work)
         k = int(np.argmax(balance))
         if balance[k] > worst:

@@ -31,8 +31,8 @@ from multiarm.results.trajectory import Trajectory, amend_file, load_trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certificate import SAFETY, Finding, certificate, judge
 from multiarm.simulation.comparison import KINDS, LENGTHS
-from multiarm.simulation.run import BUDGET, TOO_MANY, Progress, Task, carry_out
-from multiarm.simulation.setup import SMALLEST_TOLERANCE
+from multiarm.simulation.run import BUDGET, TOO_MANY, Progress, carry_out
+from multiarm.simulation.setup import SMALLEST_TOLERANCE, Task
 
 GROWTH, EXHAUSTED, ATTEMPTS, CHECK = "growth", "rounding", "attempts", "check"
 FAILED_RERUN, INTERRUPTED, MEMORY = "failed rerun", "interrupted", "memory"
@@ -242,7 +242,7 @@ class Attempts:
         checking = getattr(progress, "checking", None)
         if checking is not None:
             return lambda t: checking(t, number)
-        return lambda _t: progress(self.task.spec.duration)
+        return lambda _t: progress(self.task.end)
 
     def _place(self, number: int) -> Path | None:
         """File for the samples of a rerun."""

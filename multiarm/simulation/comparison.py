@@ -162,7 +162,7 @@ def growth_rate(time: np.ndarray, apart: np.ndarray) -> float | None:
     Parameters
     ----------
     time : ndarray, shape (p,)
-        [s]
+        Since the start of the runs [s].
     apart : ndarray, shape (p,)
         Distance of two runs [m, rad].
     """

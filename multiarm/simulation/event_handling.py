@@ -101,19 +101,19 @@ class EventHandler:
 
     # --- beginning --------------------------------------------------------------------------------
 
-    def begin(self, start: State, given: bool) -> tuple[Data, State | None]:
-        """Data of the mode in which a run begins, and its state after an impact.
+    def begin(self, time: float, start: State, given: bool) -> tuple[Data, State | None]:
+        """Data of the mode in which a run begins at a time [s], and its state after an impact.
 
         ``given``: the start is not the scene's.  None: the scene's start as it is.
         """
-        touching, beside, self._size = touching_constraints(self.modes, 0.0, start)
+        touching, beside, self._size = touching_constraints(self.modes, time, start)
         of_step = None if self._tolerance is None else self._tolerance.smallest
         # lower bounces are not followed: below the tolerance of a step, or too low for the guards
         height = 1e-9 * self._size if of_step is None else of_step
         self._rest_height = max(height, 4.0 * GAP_THRESHOLD)
         before = Choice((), ())
-        decision = self._decide(0.0, _Participants(touching, beside=beside))
-        self._log_decision(0.0, decision, before)
+        decision = self._decide(time, _Participants(touching, beside=beside))
+        self._log_decision(time, decision, before)
         if self._fault:
             raise SolverError(f"at the start: {self._fault}")
         self.mode = self.modes.enter(decision.choice, decision.directions)

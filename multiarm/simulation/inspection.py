@@ -350,8 +350,7 @@ def _shape_words(spec: ObjectSpec) -> str:
         return f"cylinder of radius {shape.cylinder.radius:g} m, height {shape.cylinder.height:g} m"
     if shape.hull is not None:
         return f"convex polyhedron of {len(shape.hull)} corners"
-    assert shape.mesh is not None, "a shape is one of five"
-    return f"mesh {shape.mesh.file.name}"
+    return "no shape" if shape.mesh is None else f"mesh {shape.mesh.file.name}"
 
 
 def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmFacts:

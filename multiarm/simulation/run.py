@@ -10,11 +10,9 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
-from multiarm.dynamics.model import Data
-from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import TrajectoryError
 from multiarm.integration.samples import sample_columns
@@ -28,6 +26,7 @@ from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.interrupts import Interrupt, deferred_interrupt
 from multiarm.simulation.setup import (
     Run,
+    Task,
     check_control_span,
     method_and_tolerance,
     prepare,
@@ -47,17 +46,6 @@ MESSAGE_LENGTH = 600  # [characters], including the summary of events
 TOO_MANY = "steps became so short that the run hardly got on"
 
 Progress = Callable[[float], None]
-
-
-@dataclass(frozen=True)
-class Task:
-    """What is run: the same for all runs that differ in their tolerance only."""
-
-    system: System
-    data: Data
-    spec: RunSpec
-    state: State | None  # initial state; None: the scene's start
-    longest_step: float  # [s]
 
 
 def carry_out(
@@ -90,10 +78,10 @@ def carry_out(
         When the sink cannot be opened.
     """
     system, spec, given = task.system, task.spec, task.state is not None
-    check_control_span(task.data.model, spec.duration)
+    check_control_span(task.data.model, task.begin, task.end)
     driver = begin(task, sink, tighten)
     run, log = driver.run, driver.run.log
-    log.add(span_notice(task.data.model, spec.duration))
+    log.add(span_notice(task.data.model, task.end))
     run.sink.open(system.channels, run_metadata(system, spec, given), sample_columns)
     interrupt = Interrupt()
     try:
@@ -124,13 +112,13 @@ def begin(task: Task, sink: Sink, tighten: float = 1.0) -> Driver:
     SolverError, ControlError
         When the very first evaluation is impossible.
     """
-    system, data, spec, state = task.system, task.data, task.spec, task.state
-    log, events = EventLog(), None
-    if data.model.unilateral is not None:
-        events = EventHandler(data, method_and_tolerance(spec, tighten)[1], spec.step, log)
-        start = system.initial_state() if state is None else state
-        data, state = events.begin(start, state is not None)
-    run = prepare(system, data, spec, state, sink, task.longest_step, log, tighten)
+    spec, state, log, events = task.spec, task.state, EventLog(), None
+    if task.data.model.unilateral is not None:
+        events = EventHandler(task.data, method_and_tolerance(spec, tighten)[1], spec.step, log)
+        start = task.system.initial_state() if state is None else state
+        data, state = events.begin(task.begin, start, state is not None)
+        task = replace(task, data=data, state=state)
+    run = prepare(task, sink, log, tighten)
     if events is not None:
         events.arm(run)
     return Driver(run, events)
@@ -287,7 +275,7 @@ def run_statistics(driver: Driver, task: Task, wall: float) -> dict:
     run, events, sampling = driver.run, driver.events, task.data.model.sampling
     clock, settings, spec = run.clock, run.settings, task.spec
     backends = task.data.model.backends
-    simulated = clock.t
+    simulated = clock.t - settings.begin
     return {
         "integrator": run.stepping.tableau.name,
         "solver": spec.solver,
@@ -296,6 +284,7 @@ def run_statistics(driver: Driver, task: Task, wall: float) -> dict:
         "stabilization": spec.stabilization.kind,
         "accuracy": None if spec.accuracy is None else spec.accuracy.written,
         "tolerance": settings.tolerance if settings.adaptive else None,
+        "start_time_s": settings.begin,
         "simulated_s": simulated,
         "steps": clock.steps,
         "rejected_steps": clock.rejected,

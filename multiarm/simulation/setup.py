@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,7 @@ from multiarm.jit.structs import struct_of
 from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
+from multiarm.scene.faults import shown
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.scene.schema import FRICTION, method_fault
 from multiarm.simulation.solver_log import SolverLog
@@ -51,6 +53,41 @@ SMALLEST_TOLERANCE = 1e-14
 BLOCK_NUMBERS = 200_000
 # Compiled steps of the implicit methods.
 IMPLICIT_STEPS = {ROSENBROCK: rosenbrock_step, VARIATIONAL: variational_step}
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is run: the same for all runs that differ in their tolerance only."""
+
+    system: System
+    data: Data
+    spec: RunSpec
+    state: State | None  # initial state; None: the scene's start
+    longest_step: float  # [s]
+    begin: float = 0.0  # [s]
+    output_times: np.ndarray | None = None  # of the samples [s]; None: every ``spec.output_step``
+
+    def __post_init__(self) -> None:
+        times, rounding = self.output_times, 1e-12 * max(1.0, abs(self.end))
+        report = self.system.start_report
+        if self.state is None and not report.assembled:
+            gaps = ", ".join(f"{arm}: {gap:.3g} m" for arm, gap in report.gaps.items())
+            raise SceneError(
+                f"the start does not satisfy the joints (gaps {gaps}), and the system was compiled "
+                "with `assemble=False`: give a `state` that does, or compile it with assembly"
+            )
+        if not np.isfinite(self.begin):
+            raise SceneError(f"'start_time' must be a finite time [s], got {self.begin!r}")
+        if times is not None and (times[0] < self.begin or times[-1] > self.end + rounding):
+            raise SceneError(
+                f"'output_times' are from {times[0]:.9g} to {times[-1]:.9g} s, the run from "
+                f"{self.begin:.9g} to {self.end:.9g} s; change 'duration' or 'start_time'"
+            )
+
+    @property
+    def end(self) -> float:
+        """Time at which the run ends [s]."""
+        return self.begin + self.spec.duration
 
 
 @dataclass(frozen=True)
@@ -105,6 +142,29 @@ def run_spec(written: RunSpec, changes: dict, choice: dict, solver: str | None) 
     return RunSpec(**data)
 
 
+def increasing_times(values: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Output times as an array (K,) [s].
+
+    Raises
+    ------
+    SceneError
+        When they are not finite numbers that increase.
+    """
+    try:
+        times = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        times = np.empty(0)
+    if times.ndim != 1 or not times.size or not np.all(np.isfinite(times)):
+        raise SceneError(f"'output_times' must be a list of times [s], got {shown(values)}")
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if late.size:
+        k = late[0]
+        raise SceneError(
+            f"'output_times' must increase; {times[k + 1]:.9g} s comes after {times[k]:.9g} s"
+        )
+    return times
+
+
 def method_and_tolerance(spec: RunSpec, tighten: float = 1.0) -> tuple[str, Tolerance | None]:
     """Name of the method with which a run begins, and its tolerances (None: fixed step).
 
@@ -147,29 +207,21 @@ def make_stepping(data: Data, name: str, tolerance: Tolerance | None) -> Steppin
     return Stepping(tableau, method, step, work, struct)
 
 
-def prepare(
-    system: System,
-    data: Data,
-    spec: RunSpec,
-    state: State | None,
-    sink: Sink,
-    max_step: float,
-    log: EventLog,
-    tighten: float = 1.0,
-) -> Run:
+def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     """Settings, arrays and the first evaluation; ``tighten`` multiplies the tolerances."""
+    data, spec, begin = task.data, task.spec, task.begin
     name, tolerance = method_and_tolerance(spec, tighten)
     _check_samples(data.model, spec)
     if METHODS[name].kind == VARIATIONAL:
-        effects, with_states = system.scene.effects, data.model.effects.with_states
-        with_events = effects.with_events or FRICTION * (system.model.unilateral is not None)
+        effects, with_states = task.system.scene.effects, data.model.effects.with_states
+        with_events = effects.with_events or FRICTION * (task.system.model.unilateral is not None)
         fault = method_fault(name, with_states, with_events)
         if fault:
             raise SceneError(f"integrator: {fault}")
-    settings = _settings(data, spec, tolerance, max_step)
+    settings = _settings(task, tolerance)
     stepping = make_stepping(data, name, tolerance)
     step, feedback = stepping.step, gains(settings, settings.step)
-    begin, report = _begin_state(system, data, spec, state, step, feedback)
+    state, report = _begin_state(task, step, feedback)
     size = scene_size(data)
     settings = settings._replace(
         # gaps larger than a tenth of the scene mean that the run has diverged
@@ -179,14 +231,14 @@ def prepare(
     if settings.gap_tolerance >= 0.0 and data.coupled.status.arms:
         # two motions may cross at the start
         data.arrays.status.stage_gap = settings.gap_tolerance
-        _first_slope(data, step, feedback)
+        _first_slope(task, step, feedback)
         data.arrays.status.stage_gap = -1.0
     start_monitors(data.struct)
-    log.add([{"time": 0.0, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
+    log.add([{"time": begin, "kind": "start", "text": f"start: {x}"} for x in report.lines()])
     solver_log = SolverLog(data, log)
-    solver_log.collect(data, 0.0, begin)
+    solver_log.collect(data, begin, state)
     if settings.adaptive:
-        first_step = _first_step(data, step, feedback, settings.end, stepping.method)
+        first_step = _first_step(task, step, feedback, stepping.method)
         settings = settings._replace(step=first_step)
     width = sample_width(data)
     rows = min(max(BLOCK_NUMBERS // width, 16), settings.samples)
@@ -229,8 +281,8 @@ def _check_samples(model: Model, spec: RunSpec) -> None:
         )
 
 
-def check_control_span(model: Model, end: float) -> None:
-    """Refuse a run until ``end`` [s] with a control that is not defined all the time.
+def check_control_span(model: Model, begin: float, end: float) -> None:
+    """Refuse a run between two times [s] with a control that is not defined all the time.
 
     Raises
     ------
@@ -239,11 +291,11 @@ def check_control_span(model: Model, end: float) -> None:
     span = model.control_span
     if span is None or span.outside != "error":
         return
-    if span.begin > 0.0 or end > span.end * (1.0 + 1e-12):
+    if span.begin > begin or end > span.end * (1.0 + 1e-12):
         raise SolverError(
-            f"control: {span.what} is from {span.begin:.9g} s to {span.end:.9g} s, the run from 0 "
-            f"to {end:.9g} s; shorten the run, complete the table, or let `outside: hold` or "
-            f"`outside: zero` say what the torques are there"
+            f"control: {span.what} is from {span.begin:.9g} s to {span.end:.9g} s, the run from "
+            f"{begin:.9g} to {end:.9g} s; shorten the run, complete the table, or let "
+            f"`outside: hold` or `outside: zero` say what the torques are there"
         )
 
 
@@ -256,22 +308,24 @@ def span_notice(model: Model, end: float) -> list[dict]:
     return [{"time": span.end, "kind": "control", "text": f"{span.what} ends and {rest}"}]
 
 
-def _settings(data: Data, spec: RunSpec, tolerance: Tolerance | None, max_step: float) -> Settings:
+def _settings(task: Task, tolerance: Tolerance | None) -> Settings:
     """Settings, with placeholders for what depends on the start."""
+    data, spec, given = task.data, task.spec, task.output_times
     stabilization = spec.stabilization
     samples = int(np.floor(spec.duration / spec.output_step * (1 + 1e-12))) + 1
     if spec.duration - (samples - 1) * spec.output_step > 1e-9 * spec.duration:
         samples += 1
     kinds = {"none": NONE, "feedback": FEEDBACK, "projection": PROJECTION}
     return Settings(
-        begin=0.0,
-        end=float(spec.duration),
+        begin=task.begin,
+        end=task.end,
         sample_step=float(spec.output_step),
-        samples=samples,
+        sample_times=np.zeros(0) if given is None else given,
+        samples=samples if given is None else given.size,
         final_sample=samples - 1,
         adaptive=tolerance is not None,
         step=float(spec.step) if spec.step is not None else 1e-3,
-        longest_step=positive("max_step", max_step),
+        longest_step=positive("max_step", task.longest_step),
         tolerance=1.0 if tolerance is None else tolerance.smallest,
         stabilization=kinds[stabilization.kind],
         alpha=-1.0 if stabilization.alpha is None else float(stabilization.alpha),
@@ -286,53 +340,49 @@ def _settings(data: Data, spec: RunSpec, tolerance: Tolerance | None, max_step: 
 
 
 def _begin_state(
-    system: System,
-    data: Data,
-    spec: RunSpec,
-    state: State | None,
-    step: Step,
-    feedback: tuple[float, float],
+    task: Task, step: Step, feedback: tuple[float, float]
 ) -> tuple[State, StartReport]:
     """The state at which the run begins, evaluated, with the chart and effects' states there."""
+    system, data = task.system, task.data
     begin, report = system.initial_state(), system.start_report
-    if state is not None:
-        begin, report = state, StartReport()
-        if spec.stabilization.kind == "projection":
-            begin, report = project_start(data, system.scene, state)
-    place_state(data, 0.0, begin)
+    if task.state is not None:
+        begin, report = task.state, StartReport()
+        if task.spec.stabilization.kind == "projection":
+            begin, report = project_start(data, system.scene, task.state)
+    place_state(data, task.begin, begin)
     begin_chart(data.struct, step.base, step.z)
-    _first_slope(data, step, feedback)
+    _first_slope(task, step, feedback)
     states = data.model.effects.states
     if states:
         first = 12 + 2 * data.model.layout.joints
         step.z[first : first + states] = data.effect_states()
-        _first_slope(data, step, feedback)
+        _first_slope(task, step, feedback)
     return begin, report
 
 
-def _first_slope(data: Data, step: Step, feedback: tuple[float, float]) -> None:
+def _first_slope(task: Task, step: Step, feedback: tuple[float, float]) -> None:
     """Evaluate the beginning; a failure there is an error, not a result."""
-    status = evaluate_slope(data.struct, 0.0, step.z, step.base, *feedback, step.slope)
+    data = task.data
+    status = evaluate_slope(data.struct, task.begin, step.z, step.base, *feedback, step.slope)
     if status != OK:
         data.reraise()
         raise SolverError(failure_text(data, status))
 
 
-def _first_step(
-    data: Data, step: Step, feedback: tuple[float, float], end: float, method: Method
-) -> float:
+def _first_step(task: Task, step: Step, feedback: tuple[float, float], method: Method) -> float:
     """A first step whose error is about the tolerance (Hairer, Norsett, Wanner, II.4)."""
-    trial = min(1e-5, end)  # [s]: from its slopes the second derivative is taken
+    data, duration = task.data, task.spec.duration
+    trial = min(1e-5, duration)  # [s]: from its slopes the second derivative is taken
     scale = step.tolerance
     first = (np.abs(step.slope[: scale.size]) / scale).max()
     other = np.zeros_like(step.slope)
     z = step.z + trial * step.slope
-    if evaluate_slope(data.struct, trial, z, step.base, *feedback, other) != OK:
+    if evaluate_slope(data.struct, task.begin + trial, z, step.base, *feedback, other) != OK:
         data.forgive()  # the run itself will fail there, and report when
         return float(trial)
     second = (np.abs(other - step.slope)[: scale.size] / scale).max() / trial
     worst = max(first, second)
     if worst == 0.0:
-        return min(1e-2, end)
+        return min(1e-2, duration)
     h = (0.01 / worst) ** (1.0 / (method.error_order + 1.0))
-    return float(min(h, end))
+    return float(min(h, duration))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,12 @@ import numpy as np
 from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_control
+from multiarm.errors import SceneError
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts
-from multiarm.simulation.run import Progress, Task
-from multiarm.simulation.setup import run_spec
+from multiarm.simulation.run import Progress
+from multiarm.simulation.setup import Task, increasing_times, run_spec
 
 
 def simulate(
@@ -28,6 +29,8 @@ def simulate(
     tolerance: float | None = None,
     stabilization: str | dict | None = None,
     output_step: float | None = None,
+    output_times: Sequence[float] | np.ndarray | None = None,
+    start_time: float = 0.0,
     max_step: float | None = None,
     solver: str | None = None,
     state: State | None = None,
@@ -64,6 +67,11 @@ def simulate(
         ``{"kind": "feedback", "alpha": ..., "beta": ...}`` sets the gains [1/s].
     output_step : float, optional
         Time between samples [s].
+    output_times : sequence of float, optional
+        Increasing times of the samples [s], in place of ``output_step``.  Without a ``duration``
+        the run ends at the last one.
+    start_time : float
+        Time at which the run begins [s]: loads, paths and tables act as from there on.
     max_step : float, optional
         Longest step of an adaptive method [s].  By default unlimited; with user callbacks the time
         between samples, so that no sudden change of their values is stepped over.  A sampled
@@ -100,13 +108,21 @@ def simulate(
     Raises
     ------
     SceneError
-        When the settings contradict each other.
+        When the settings contradict each other, or output times are not within the run.
     SolverError, ControlError
         When the very first evaluation is impossible, ``sample_time`` cannot be used, or a recorded
         control ends before the run.
     TrajectoryError
         When ``out`` cannot be written.
     """
+    times = None
+    if output_times is not None:
+        if output_step is not None:
+            raise SceneError("'output_times' and 'output_step' exclude each other; keep one")
+        times = increasing_times(output_times)
+        if duration is None and not times[-1] > start_time:
+            raise SceneError("the last of 'output_times' must be after 'start_time'")
+        duration = times[-1] - start_time if duration is None else duration
     spec = run_spec(
         system.scene.run,
         {"duration": duration, "stabilization": stabilization, "output_step": output_step},
@@ -122,7 +138,7 @@ def simulate(
     with system.borrow() as data:
         for callback in data.user_callbacks:
             callback.forget()
-        task = Task(system, data, spec, state, max_step)
+        task = Task(system, data, spec, state, max_step, start_time, times)
         attempts = Attempts(task, None if out is None else Path(out), progress)
         trajectory = attempts.first()
         if certificate and spec.accuracy is not None and trajectory.status == "completed":

@@ -25,8 +25,8 @@ from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.driver import GOES_ON, Driver, failure_of, state_of, where_of
-from multiarm.simulation.run import BUDGET, Pace, Task, begin, run_metadata, run_statistics
-from multiarm.simulation.setup import Run, check_control_span, run_spec
+from multiarm.simulation.run import BUDGET, Pace, begin, run_metadata, run_statistics
+from multiarm.simulation.setup import Run, Task, check_control_span, run_spec
 
 Torques = Mapping[str, np.ndarray]
 # Durations are equal, and times are those of samples, up to this part of them.
@@ -191,7 +191,7 @@ class Stepper:
             raise SolverError(f"{self._broken}; `reset` it")
         end = self._end_after(duration)
         if torques is None:
-            check_control_span(self._task.data.model, end)
+            check_control_span(self._task.data.model, 0.0, end)
         self._control(torques)
         self._extend(end)
         started = time.perf_counter()

@@ -23,7 +23,7 @@ from multiarm.assembly.compilation import compile_system
 from multiarm.errors import MultiarmError
 from multiarm.plots.decimation import decimate
 from multiarm.results.sinks import provenance
-from multiarm.results.trajectory import Trajectory, plain
+from multiarm.results.trajectory import ENERGIES, Trajectory, plain
 from multiarm.scene import dump_scene
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.peer_trials import Answer, Trial, all_answers
@@ -40,7 +40,6 @@ HISTORY = {
     "rank": "solver/rank",
     "coupled_arms": "solver/coupled_arms",
 }
-ENERGIES = ("energy/kinetic", "energy/potential", "energy/work")
 NOT_RUN = "not run"
 SOLVER_EVENTS = frozenset(
     {
@@ -344,7 +343,7 @@ def _history(trajectory: Trajectory) -> dict[str, list[float | None]]:
     recorded = {key: name for key, name in HISTORY.items() if name in trajectory.channels}
     if not len(trajectory):
         return {}
-    start = sum(trajectory.read(name, 0, 1)[0] for name in ENERGIES[:2])
+    start = trajectory.energy_at_start
 
     def combine(kinetic, potential, work, *others) -> np.ndarray:
         return np.column_stack([kinetic + potential - start - work, *others])

@@ -80,16 +80,16 @@ def object_mesh(spec: ObjectSpec) -> Mesh:
             for k in range(1, len(loop) - 1)
         ]
         return Mesh(body.vertices, np.array(fans))
-    assert shape.mesh is not None  # a scene's shape is one of these five
-    try:
-        return load_mesh(shape.mesh.file, np.array(shape.mesh.scale))
-    except ValueError:
-        warnings.warn(
-            f"cannot read the object's mesh {shape.mesh.file}: the replay shows a box "
-            "with the object's inertia instead",
-            stacklevel=2,
-        )
-        return _inertia_box(spec.mass, spec.inertia_matrix())
+    if shape.mesh is not None:
+        try:
+            return load_mesh(shape.mesh.file, np.array(shape.mesh.scale))
+        except ValueError:
+            warnings.warn(
+                f"cannot read the object's mesh {shape.mesh.file}: the replay shows a box "
+                "with the object's inertia instead",
+                stacklevel=2,
+            )
+    return _inertia_box(spec.mass, spec.inertia_matrix())
 
 
 def _visual_file(item: pin.GeometryObject) -> Mesh | None:
