@@ -36,7 +36,7 @@ from multiarm.studies.work_precision.settings import (
 )
 from multiarm.studies.work_precision.store import Results, read_results
 from multiarm.studies.work_precision.words import described
-from multiarm.terminal import progress as progress_module
+from multiarm.terminal.progress import Progress
 
 command_module = sys.modules["multiarm.cli.accuracy"]
 MACHINE = {
@@ -245,12 +245,12 @@ def test_ctrl_c_keeps_what_was_measured(two_ladders, tmp_path, monkeypatch):
 def test_a_terminal_shows_the_recommendation_so_far(monkeypatch):
     text = io.StringIO()
     terminal = Console(file=text, force_terminal=True, width=120)
-    monkeypatch.setattr(progress_module, "messages", lambda: terminal)
-    with progress_module.StudyProgress() as progress:
-        progress.report("rk4, step 0.01 s", 3.0, 40.0)
+    monkeypatch.setattr("multiarm.terminal.console.messages", lambda: terminal)
+    with Progress() as progress:
+        progress(3.0, 40.0, "rk4, step 0.01 s")
         progress.note("For errors below 1e-6 take [anything]")
         progress.print("First results")
-        progress.report("rk4, step 0.005 s", 4.0, 40.0)
+        progress(4.0, 40.0, "rk4, step 0.005 s")
     shown = text.getvalue()
     assert shown.index("First results") < shown.rindex("rk4, step 0.005 s")
     assert "For errors below 1e-6 take [anything]" in shown[shown.rindex("rk4, step 0.005 s") :]

@@ -52,7 +52,7 @@ def told():
 @pytest.fixture(scope="module")
 def result(told):
     """All studies, tiny."""
-    return run_scaling(TINY, told.append)
+    return run_scaling(TINY, lambda *news: told.append(news))
 
 
 def command(*words: object):
@@ -518,9 +518,10 @@ def test_memory_is_asked_of_the_machine():
 
 
 def test_progress_is_told_as_often_as_planned(result, told):
-    assert len(told) == TINY.measurements
-    assert told[0] == "one evaluation: weld, 2 arms"
-    assert "section 4.4: 5 arms" in told
+    total = TINY.measurements
+    assert [news[:2] for news in told] == [(k, total) for k in range(total)]
+    assert told[0][2] == "one evaluation: weld, 2 arms"
+    assert "section 4.4: 5 arms" in [words for _, _, words in told]
 
 
 def test_only_what_was_asked_for_is_measured():
@@ -578,7 +579,7 @@ def test_the_command_prints_tables_and_writes_all_files(result, monkeypatch, tmp
 
     def measured(plan, progress):
         plans.append(plan)
-        progress("one evaluation: weld, 2 arms")
+        progress(0, 24, "one evaluation: weld, 2 arms")
         return result
 
     monkeypatch.setattr(scaling, "run_scaling", measured)

@@ -202,7 +202,7 @@ def test_events_that_are_expected_but_missing_fail_a_case(suite):
 
 
 def test_ctrl_c_in_a_case_ends_the_suite():
-    def interrupt(text: str, done: float) -> None:
+    def interrupt(done: float, total: float, text: str) -> None:
         if "simulating" in text:
             raise KeyboardInterrupt
 
@@ -213,7 +213,7 @@ def test_ctrl_c_in_a_case_ends_the_suite():
 def test_progress_grows_to_the_number_of_cases():
     told: list[float] = []
     run_suite(
-        ["healthy", "face"], cases=CASES, peers=False, progress=lambda text, done: told.append(done)
+        ["healthy", "face"], cases=CASES, peers=False, progress=lambda done, *_: told.append(done)
     )
     assert told == sorted(told)
     assert (told[0], told[-1]) == (0.0, 2.0)

@@ -25,7 +25,7 @@ from multiarm.cli.options import (
 )
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import columns, number, output, print_error, print_written
-from multiarm.terminal.progress import StudyProgress
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -145,7 +145,7 @@ def accuracy(
             {"--results": target, "--plot": plot, "--html": html, "--json": json}, source=scene
         )
         loaded = scene_to_run(scene, no_code)
-        with StudyProgress() as progress:
+        with Progress() as progress:
             shown = _Shown(progress, error.value, plot, html)
             found = _measure(loaded, target, settings, shown, redo,
                              peers=peers, quick=quick, thorough=thorough)  # fmt: skip
@@ -171,9 +171,8 @@ def _measure(
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
     kept = _kept(target, Results.of(scene, machine(), target), redo)
-    report = shown.progress.report
     try:
-        return run_study(scene, kept, progress=report, watch=shown, **options)
+        return run_study(scene, kept, progress=shown.progress, watch=shown, **options)
     except KeyboardInterrupt:
         shown.progress.stop()
         print_error(
@@ -188,14 +187,14 @@ class _Shown:
 
     Parameters
     ----------
-    progress : StudyProgress
+    progress : Progress
     quantity : str
     plot, html : Path or None
         Files that are written again as points arrive.
     """
 
     def __init__(
-        self, progress: StudyProgress, quantity: str, plot: Path | None, html: Path | None
+        self, progress: Progress, quantity: str, plot: Path | None, html: Path | None
     ) -> None:
         self.progress = progress
         self._quantity, self._plot, self._html = quantity, plot, html

@@ -21,6 +21,7 @@ from multiarm.terminal.console import (
     print_warnings,
     vector,
 )
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import StartReport
@@ -60,11 +61,14 @@ def check(
     from multiarm.simulation.inspection import inspect_system
     from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
 
-    system, left = compile_for_inspection(loaded, settings.get("arms"))
-    inspection = inspect_system(system, left)
+    with Progress() as progress:
+        system, left = compile_for_inspection(loaded, settings.get("arms"))
+        progress(0, 0, "inspecting")
+        inspection = inspect_system(system, left)
+        if inspection.start is not None:
+            progress(0, 0, "timing the effects")
+            inspection = replace(inspection, effects={**effects_of_evaluation(system)})
     print_warnings(inspection.not_looked_at)
-    if inspection.start is not None:
-        inspection = replace(inspection, effects={**effects_of_evaluation(system)})
     if json is not None:
         write_json(json, inspection.as_dict())
     console = output()

@@ -15,7 +15,7 @@ from multiarm.cli.joints import effect_section
 from multiarm.cli.options import JsonFile, NoCode, file_option, option, with_settings
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import columns, output, print_written
-from multiarm.terminal.progress import StudyProgress
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -90,10 +90,10 @@ def _measure(scene: Scene, changes: dict, candidates: bool, repeats: int) -> Led
     from multiarm.simulation.setup import run_spec
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
-    with StudyProgress() as watched:
+    with Progress() as progress:
         from multiarm.studies.effect_costs.study import ledger
 
-        return ledger(scene, candidates=candidates, repeats=repeats, progress=watched.report)
+        return ledger(scene, candidates=candidates, repeats=repeats, progress=progress)
 
 
 def _print(found: Ledger) -> None:

@@ -17,7 +17,7 @@ from multiarm.cli.files import check_targets, write_json
 from multiarm.cli.options import JsonFile, file_option, option
 from multiarm.errors import MultiarmError
 from multiarm.terminal.console import output, print_warnings, print_written
-from multiarm.terminal.progress import StudyProgress
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.studies.scaling_tables import Table
@@ -97,8 +97,8 @@ def scaling(
     kinds = benchmark.KINDS if kind is Kind.all else (kind.value,)
     plan = benchmark.quick(studies, kinds) if quick else benchmark.Plan(studies, kinds)
     plan = replace(plan, arms=counts or plan.arms, rounds=rounds or plan.rounds)
-    with StudyProgress(plan.measurements, counted=True) as watched:
-        result = benchmark.run_scaling(plan, progress=watched.report)
+    with Progress() as progress:
+        result = benchmark.run_scaling(plan, progress=progress)
     from multiarm.studies.scaling_tables import disturbance, tables
 
     console = output()

@@ -14,7 +14,7 @@ from rich.text import Text
 from multiarm.cli.files import check_targets, write_json
 from multiarm.cli.options import JsonFile, file_option
 from multiarm.terminal.console import columns, number, output, print_error, print_written
-from multiarm.terminal.progress import StudyProgress
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.problems import HardCase
@@ -69,8 +69,8 @@ def stability(
         rows = [(Text(case.name, "bold"), case.title, case.difficulty) for case in chosen]
         output().print(_table("Hard cases", ("name", "case", "what is hard"), rows, chosen))
         return
-    with StudyProgress(len(chosen), counted=True) as watched:
-        suite = run_suite(names or (), peers=peers, progress=watched.report)
+    with Progress() as progress:
+        suite = run_suite(names or (), peers=peers, progress=progress)
     console = output()
     for part in _parts(suite, peers):
         console.print(part)
