@@ -19,10 +19,12 @@ from typer.testing import CliRunner
 
 from multiarm.cli import accuracy as command
 from multiarm.cli import app
+from multiarm.plots.style import PALETTE
 from multiarm.problems import ring_of_arms
+from multiarm.results.files import save_page
 from multiarm.studies.work_precision import study as studies
 from multiarm.studies.work_precision.choice import all_series, decades
-from multiarm.studies.work_precision.page import PALETTE, render, write_page
+from multiarm.studies.work_precision.page import render
 from multiarm.studies.work_precision.peers import SOLVERS
 from multiarm.studies.work_precision.points import COMPLETED, FAILED, Point
 from multiarm.studies.work_precision.reference import QUANTITIES, Motion, Reference
@@ -189,7 +191,7 @@ def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(studies, "our_ladders", lambda *_: two_ladders)
     monkeypatch.setattr(studies, "REPEATS", 1)
-    assert accuracy(*words, "--redo").exit_code == 0
+    assert accuracy(*words, "--fresh").exit_code == 0
     again = read_results(tmp_path / "ring_weld.accuracy.json")
     assert {*again.points} >= {s.key for ladder in two_ladders for s in ladder.settings}
     assert [p.wall_time_s for p in again.points.values()] != [
@@ -198,20 +200,20 @@ def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_
 
 
 def test_a_study_of_another_scene_is_kept_unless_it_may_be_replaced(two_ladders, study_file):
-    other = (SCENE, "--duration", "0.05", "--no-peers", "--results", study_file)
+    other = (SCENE, "--duration", "0.05", "--no-peers", "--out", study_file)
     before = study_file.read_bytes()
     result = accuracy(*other)
     assert result.exit_code == 2
     assert "holds another study (the scene has changed)" in " ".join(result.stderr.split())
     assert study_file.read_bytes() == before
-    assert accuracy(*other, "--redo").exit_code == 0
+    assert accuracy(*other, "--fresh").exit_code == 0
     assert len(read_results(study_file).points) >= 4 + 2
 
 
 def test_a_file_that_is_no_study_is_left_alone(tmp_path):
     path = tmp_path / "precious.json"
     path.write_text('{"mine": 1}', encoding="utf-8")
-    result = accuracy(SCENE, "--results", path)
+    result = accuracy(SCENE, "--out", path)
     assert result.exit_code == 2
     assert "is not the file of an accuracy study" in result.stderr
     assert path.read_text(encoding="utf-8") == '{"mine": 1}'
@@ -345,7 +347,7 @@ def test_help_promises_the_keys_of_the_json(study_file, tmp_path):
 def page(request, browser, results, tmp_path):  # noqa: F811
     """The page in a browser without a network."""
     target = tmp_path / "page.html"
-    write_page(results, target)
+    save_page(render(results), target)
     with shown(browser, target, request.param) as page:
         yield page
 

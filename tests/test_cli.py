@@ -627,7 +627,7 @@ def test_numbers_of_arms_must_be_numbers():
 
 @pytest.mark.parametrize("command", ["replay", "report"])
 def test_files_that_are_no_results_are_refused(command, finished, tmp_path):
-    place = {"replay": "--html", "report": "--out"}[command]
+    place = "--html"
 
     def tried(path):
         return multiarm(command, path, place, tmp_path / "page.html")
@@ -649,7 +649,7 @@ def test_pages_are_written_from_a_result(finished, tmp_path):
     page = tmp_path / "page.html"
     assert multiarm("replay", folder / "run.h5", "--html", page, "--fps", 20).exit_code == 0
     assert "<html" in page.read_text(encoding="utf-8")
-    result = multiarm("report", folder / "run.h5", "--out", page)
+    result = multiarm("report", folder / "run.h5", "--html", page)
     assert (result.exit_code, result.stdout.strip()) == (0, f"report written to {page}")
 
 

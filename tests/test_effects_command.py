@@ -18,6 +18,7 @@ from multiarm.cli import app
 from multiarm.cli import check as check_command
 from multiarm.cli import effects as command
 from multiarm.effects.defaults import defaults
+from multiarm.results.files import save_page
 from multiarm.scene import EFFECTS, dump_scene
 from multiarm.simulation.comparison import rotation_apart
 from multiarm.studies.effect_costs import study
@@ -33,7 +34,7 @@ from multiarm.studies.effect_costs.entries import (
     paired_difference,
 )
 from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
-from multiarm.studies.effect_costs.page import ledger_figure, render, write_page
+from multiarm.studies.effect_costs.page import ledger_figure, render
 from multiarm.studies.effect_costs.study import changes, ledger
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING, without
 from multiarm.studies.effect_costs.words import percent, sentence, summary
@@ -403,7 +404,7 @@ def test_the_command_prints_writes_and_draws(scene_file, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(study, "defaults", lambda _: {"rotor_inertia": 0.2, "drag": "thick"})
     result = effects(
-        scene_file, "--duration", "0.1", "--repeats", 1, "--html", "page.html", "--plot",
+        scene_file, "--duration", "0.1", "--rounds", 1, "--html", "page.html", "--plot",
         "plot.svg", "--json", "figures.json", "--candidates",
     )  # fmt: skip
     assert result.exit_code == 0, result.output
@@ -434,7 +435,7 @@ def test_the_command_prints_writes_and_draws(scene_file, tmp_path, monkeypatch):
         (("SCENE", "--html", "nowhere/page.html"), "--html: cannot write"),
         (("SCENE", "--json", "SCENE"), "is the file that is read"),
         (("SCENE", "--duration", "-1"), "duration"),
-        (("SCENE", "--repeats", "0"), "Invalid value for '--repeats'"),
+        (("SCENE", "--rounds", "0"), "Invalid value for '--rounds'"),
     ],
 )
 def test_bad_input_is_named_before_the_work(words, message, scene_file, monkeypatch):
@@ -519,7 +520,7 @@ def test_check_says_when_nothing_is_added(tmp_path):
 def page(request, browser, tmp_path):  # noqa: F811
     """The page in a browser without a network."""
     target = tmp_path / "page.html"
-    write_page(synthetic(), target)
+    save_page(render(synthetic()), target)
     with shown(browser, target, request.param) as page:
         yield page
 

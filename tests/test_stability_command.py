@@ -8,7 +8,6 @@ import math
 import re
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -482,12 +481,3 @@ def test_a_peer_is_spared_what_would_take_all_memory(healthy_trial, monkeypatch)
     monkeypatch.setattr(peer_trials, "MOST_MEMORY", 1e3)
     for answer in peer_trials.all_answers(healthy_trial)[1:4]:
         assert answer.refusal.startswith("not run: Pinocchio's Data for it takes about ")
-
-
-@pytest.mark.slow
-def test_page_lives_in_one_file(suite, tmp_path: Path):
-    from multiarm.studies.hard_case_page import write_page
-
-    target = write_page(suite, tmp_path / "page.html")
-    assert target.read_text(encoding="utf-8") == render(suite)
-    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]

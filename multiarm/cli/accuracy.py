@@ -24,8 +24,9 @@ from multiarm.cli.options import (
     with_settings,
 )
 from multiarm.errors import MultiarmError
+from multiarm.results.files import save_figure, save_page
 from multiarm.terminal.console import columns, number, output, print_error, print_written
-from multiarm.terminal.progress import Progress
+from multiarm.terminal.progress import Progress, span
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -75,7 +76,7 @@ def accuracy(
         Quantity, option("What is ranked; motion is the worst of position, rotation and joints.")
     ] = Quantity.motion,
     every: Annotated[bool, typer.Option("--all", help="Print every point.")] = False,
-    results: Annotated[
+    out: Annotated[
         Path | None,
         typer.Option(
             help="File of the study; an interrupted study resumes from it.",
@@ -84,9 +85,9 @@ def accuracy(
             rich_help_panel=FILES,
         ),
     ] = None,
-    redo: Annotated[
+    fresh: Annotated[
         bool,
-        typer.Option("--redo", help="Measure again what is in that file.", rich_help_panel=FILES),
+        typer.Option("--fresh", help="Begin again, and overwrite the file.", rich_help_panel=FILES),
     ] = False,
     source: Annotated[
         Path | None,
@@ -140,14 +141,14 @@ def accuracy(
         found = read_results(source)
     else:
         assert scene is not None, "one of the two is there"
-        target = results if results is not None else _own_file(scene, settings)
+        target = out if out is not None else _own_file(scene, settings)
         check_targets(
-            {"--results": target, "--plot": plot, "--html": html, "--json": json}, source=scene
+            {"--out": target, "--plot": plot, "--html": html, "--json": json}, source=scene
         )
         loaded = scene_to_run(scene, no_code)
         with Progress() as progress:
             shown = _Shown(progress, error.value, plot, html)
-            found = _measure(loaded, target, settings, shown, redo,
+            found = _measure(loaded, target, settings, shown, fresh,
                              peers=peers, quick=quick, thorough=thorough)  # fmt: skip
         print_written("study", target)
     _print(found, error.value, every)
@@ -161,7 +162,7 @@ def _own_file(scene: Path, settings: dict[str, Any]) -> Path:
 
 
 def _measure(
-    scene: Scene, target: Path, changes: dict, shown: _Shown, redo: bool, **options: bool
+    scene: Scene, target: Path, changes: dict, shown: _Shown, fresh: bool, **options: bool
 ) -> Results:
     """Study a scene behind a progress bar; what was measured stays in the file."""
     from multiarm.simulation.setup import run_spec
@@ -170,7 +171,7 @@ def _measure(
     from multiarm.studies.work_precision.study import run_study
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
-    kept = _kept(target, Results.of(scene, machine(), target), redo)
+    kept = _kept(target, Results.of(scene, machine(), target), fresh)
     try:
         return run_study(scene, kept, progress=shown.progress, watch=shown, **options)
     except KeyboardInterrupt:
@@ -198,7 +199,7 @@ class _Shown:
     ) -> None:
         self.progress = progress
         self._quantity, self._plot, self._html = quantity, plot, html
-        self._printed, self._due = False, -math.inf
+        self._printed, self._announced, self._due = False, False, -math.inf
 
     def __call__(self, results: Results) -> None:
         """Show results, of which there are more than at the last call."""
@@ -210,6 +211,13 @@ class _Shown:
         if not self._printed:
             self._printed = True
             self.progress.print("First results", *_texts(results, self._quantity))
+        if not self._announced and not (results.reference or {}).get("first"):
+            self._announced = True
+            left = (results.planned or 0) - len(results.points)
+            self.progress.print(
+                f"The reference is checked. About {span(results.expected_s)} more: {left} further "
+                f"settings, and repetitions of the {len(results.points)} that are measured."
+            )
         begin = time.monotonic()
         if begin >= self._due:
             _draw(results, self._quantity, self._plot, self._html)
@@ -217,18 +225,18 @@ class _Shown:
             self._due = now + max(REWRITE, (now - begin) / SHARE)
 
 
-def _kept(target: Path, empty: Results, redo: bool) -> Results:
+def _kept(target: Path, empty: Results, fresh: bool) -> Results:
     """The points in the file; an error if they belong to another scene or machine."""
     from multiarm.studies.work_precision.store import read_results
 
-    if redo or not target.exists():
+    if fresh or not target.exists():
         return empty
     old = read_results(target)
     reason = old.stale(empty)
     if reason:
         raise MultiarmError(
-            f"--results: '{target}' holds another study ({reason}); name another file, or give "
-            "--redo to replace it"
+            f"--out: '{target}' holds another study ({reason}); name another file, or give "
+            "--fresh to replace it"
         )
     return old
 
@@ -249,7 +257,7 @@ def _texts(results: Results, quantity: str, *tables: RenderableType) -> Iterator
         yield Text(f"{solver}: {reason}", "dim")
     if state_text(results):
         yield Text(state_text(results), "dim")
-    for sentence in (comparison(results, quantity), recommendation(results, quantity)):
+    for sentence in (recommendation(results, quantity), comparison(results, quantity)):
         if sentence:
             yield Text(sentence, "bold green")
 
@@ -264,12 +272,12 @@ def _print(results: Results, quantity: str, every: bool) -> None:
 
 def _draw(results: Results, quantity: str, plot: Path | None, html: Path | None) -> None:
     """Write the diagram and the page."""
-    from multiarm.studies.work_precision.page import write_page, write_plot
+    from multiarm.studies.work_precision.page import diagram, render
 
     if plot is not None:
-        write_plot(results, plot, quantity)
+        save_figure(diagram(results, quantity), plot)
     if html is not None:
-        write_page(results, html)
+        save_page(render(results, quantity), html)
 
 
 def _write(

@@ -14,6 +14,7 @@ from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.joints import effect_section
 from multiarm.cli.options import JsonFile, NoCode, file_option, option, with_settings
 from multiarm.errors import MultiarmError
+from multiarm.results.files import save_figure, save_page
 from multiarm.terminal.console import columns, output, print_written
 from multiarm.terminal.progress import Progress
 
@@ -47,7 +48,7 @@ def effects(
             help="Add each effect that the scene does not have too, with its usual parameters.",
         ),
     ] = False,
-    repeats: Annotated[
+    rounds: Annotated[
         int, option("Timed runs of each, at most; more smooth out noise.", min=1)
     ] = 9,
     plot: Annotated[
@@ -81,19 +82,19 @@ def effects(
     if scene is None:
         raise MultiarmError("name a scene to measure, or '--list' to see what effects there are")
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
-    found = _measure(scene_to_run(scene, no_code), settings, candidates, repeats)
+    found = _measure(scene_to_run(scene, no_code), settings, candidates, rounds)
     _print(found)
     _write(found, plot, html, json)
 
 
-def _measure(scene: Scene, changes: dict, candidates: bool, repeats: int) -> Ledger:
+def _measure(scene: Scene, changes: dict, candidates: bool, rounds: int) -> Ledger:
     from multiarm.simulation.setup import run_spec
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
     with Progress() as progress:
         from multiarm.studies.effect_costs.study import ledger
 
-        return ledger(scene, candidates=candidates, repeats=repeats, progress=progress)
+        return ledger(scene, candidates=candidates, repeats=rounds, progress=progress)
 
 
 def _print(found: Ledger) -> None:
@@ -168,14 +169,14 @@ def _write(found: Ledger, plot: Path | None, html: Path | None, json: Path | Non
     from multiarm.studies.effect_costs.words import figures
 
     if plot is not None:
-        from multiarm.studies.effect_costs.page import write_plot
+        from multiarm.studies.effect_costs.page import ledger_figure
 
-        write_plot(found, plot)
+        save_figure(ledger_figure(found), plot)
         print_written("plot", plot)
     if html is not None:
-        from multiarm.studies.effect_costs.page import write_page
+        from multiarm.studies.effect_costs.page import render
 
-        write_page(found, html)
+        save_page(render(found), html)
         print_written("page", html)
     if json is not None:
         write_json(json, figures(found))

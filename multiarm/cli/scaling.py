@@ -16,6 +16,7 @@ from rich.text import Text
 from multiarm.cli.files import check_targets, write_json
 from multiarm.cli.options import JsonFile, file_option, option
 from multiarm.errors import MultiarmError
+from multiarm.results.files import save_page
 from multiarm.terminal.console import output, print_warnings, print_written
 from multiarm.terminal.progress import Progress
 
@@ -114,9 +115,9 @@ def scaling(
         plot_scaling(result, plot)
         print_written("plot", plot)
     if html is not None:
-        from multiarm.studies.scaling_page import write_page
+        from multiarm.studies.scaling_page import render
 
-        write_page(result, html)
+        save_page(render(result), html)
         print_written("page", html)
 
 

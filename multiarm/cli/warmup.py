@@ -13,8 +13,9 @@ __all__ = ["warmup"]
 
 
 def warmup(
-    processes: Annotated[
-        int | None, option("How many kernels at a time.", default="one a processor", min=1)
+    workers: Annotated[
+        int | None,
+        option("Processes, each with a kernel at a time.", default="one a processor", min=1),
     ] = None,
 ) -> None:
     """Compile the kernels that any scene may need, on all processors.
@@ -34,7 +35,7 @@ def warmup(
             done += 1
             progress(done, len(kernels), f"compiling, done: {name.rpartition(':')[2]}")
 
-        compile_all(kernels, processes, note)
+        compile_all(kernels, workers, note)
     took = time.perf_counter() - began
     output().print(
         f"{len(kernels)} kernels are in the cache; {len(kernels) - cached} of them compiled now, "

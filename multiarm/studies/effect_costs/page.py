@@ -6,7 +6,6 @@ effect left of the line at 1 can be left out.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -16,7 +15,6 @@ from matplotlib.lines import Line2D
 
 from multiarm.plots.style import GRID, INK, STYLE, inline_svg
 from multiarm.reports import pages
-from multiarm.results.files import save_figure, save_page
 from multiarm.studies.effect_costs.entries import (
     FORCE,
     JOINTS,
@@ -57,11 +55,6 @@ def ledger_figure(found: Ledger, with_title: bool = True) -> Figure:
         if with_title:
             figure.suptitle(found.scene["name"], fontsize=12, color=INK, parse_math=False)
     return figure
-
-
-def write_plot(found: Ledger, path: Path) -> None:
-    """Draw the figure to a file; its ending is the format."""
-    save_figure(ledger_figure(found), path)
 
 
 def _draw_costs(axes: Axes, shown: list[Entry]) -> None:
@@ -111,17 +104,6 @@ def _legend() -> list[Line2D]:
         )
         for quantity, mark in MARKS.items()
     ]  # fmt: skip
-
-
-def write_page(found: Ledger, path: Path) -> None:
-    """Write the page, complete or not at all.
-
-    Raises
-    ------
-    MultiarmError
-        The file cannot be written.
-    """
-    save_page(render(found), path)
 
 
 def render(found: Ledger) -> str:

@@ -47,6 +47,8 @@ LEAST_REPEATS = 3
 """Dominated settings are run so often too: their first time may have been disturbed."""
 REPEAT_BUDGET = 0.5
 """The runs of one setting take about so long together [s]: slow ones are repeated less."""
+BETWEEN = 0.02
+"""What a run takes besides its wall time, about [s]: setup, samples, comparison."""
 
 Watch = Callable[[Results], None]
 """Called with results that are worth showing, whenever there are more of them."""
@@ -270,9 +272,18 @@ class _Study:
                 self.watch(self.results)
 
     def _count(self, plan: Plan, ladders: Sequence[Ladder]) -> None:
-        """How many points there will be, by what is known now."""
-        left = len(plan.open(ladders, self.strides[-1]))
-        self.results.planned = len(self.results.points) + left
+        """How many points there will be, and how long that takes, by what is known now."""
+        left = plan.expected_times(ladders, self.strides[-1])
+        self.results.planned = len(self.results.points) + len(left)
+        done = [point for point in self.results.points.values() if point.completed]
+        self.results.expected_s = sum(self._takes(expected) for expected in left) + sum(
+            self._takes(point.wall_time_s or 0.0, point.repeats) for point in done
+        )
+
+    def _takes(self, wall_time_s: float, repeats: int = 0) -> float:
+        """About how long the runs of a setting take that are still to be made [s]."""
+        runs = min(self.repeats, 1.0 + REPEAT_BUDGET / max(wall_time_s, BETWEEN))
+        return max(0.0, runs - repeats) * (wall_time_s + BETWEEN)
 
     def _report(self, text: str) -> None:
         self.report(len(self.results.points), self.results.planned or 0, text)
