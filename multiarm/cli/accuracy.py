@@ -353,8 +353,7 @@ def point_table(results: Results) -> Table:
     """Every point, in the order of the methods."""
     from multiarm.studies.work_precision.choice import all_series
 
-    heads = ("setting", "ms", "evaluations", "position", "rotation", "joints", "force",
-             "gap [m]", "energy [J]")  # fmt: skip
+    heads = ("setting", "ms", "evals", "pos.", "rot.", "joints", "force", "gap", "energy")
 
     def rows() -> Iterator[list[RenderableType]]:
         for item in all_series(results):
@@ -371,7 +370,10 @@ def point_table(results: Results) -> Table:
                     *(_small(value) for value in (*errors, point.gap_m, point.energy_J)),
                 ]
 
-    return _right(columns("All points", heads, rows()), *range(1, len(heads)))
+    return _right(
+        columns("All points: errors [m, rad, rad, N], gap [m], energy [J]", heads, rows()),
+        *range(1, len(heads)),
+    )
 
 
 def _right(table: Table, *numbers: int) -> Table:

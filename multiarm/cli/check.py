@@ -203,8 +203,7 @@ def _start(found: Inspection, start: StartReport) -> dict[str, RenderableType]:
         "gaps as written": _by_arm(start.gaps, "m"),
         "gap rates as written": _by_arm(start.gap_rates, "m/s"),
         "corrections": "\n".join(start.lines()) or "none",
-        "gaps after assembly": _by_arm(start.gaps_left, "m"),
-        "after assembly": f"gap {number(found.position_residual, 'm')}, "
+        "left after them": f"gap {number(found.position_residual, 'm')}, "
         f"rate {number(found.velocity_residual, 'm/s')}",
         "residuals of the equations": f"arms {number(left.arm, 'N m')}, object "
         f"{number(left.object, 'N')}, constraints {number(left.constraint, 'm/s^2')}",

@@ -70,7 +70,8 @@ def effects(
     the accuracy can be left out. Further lines show the costs of stabilization, recording and
     certificate.
 
-    Runs are timed in turns; differences within the noise are marked.
+    Runs are timed in turns. Times within their uncertainty are called noise, and so are changes
+    below the accuracy to which all runs are made.
 
     The JSON has the keys scene, asked, asked_by_scene, run, entries, machine, wall_time_s, summary;
     their meaning and units are those of multiarm.studies.effect_costs.entries. Numbers are
@@ -129,22 +130,21 @@ def _table(found: Ledger) -> Table:
 def _row(found: Ledger, entry: Entry) -> list[Text]:
     from multiarm.studies.effect_costs.entries import FORCE, JOINTS, PATH, SLIDES, TURN
     from multiarm.studies.effect_costs.variants import CANDIDATE
-    from multiarm.studies.effect_costs.words import change_text, percent
+    from multiarm.studies.effect_costs.words import change_text, milliseconds, percent
 
     name = f"+ {entry.name}" if entry.kind == CANDIDATE else entry.name
     costs = [Text("-")] * 3
     if entry.milliseconds is not None and entry.share is not None:
-        style = "dim" if entry.share.within_noise else ""
-        shown = (f"{entry.milliseconds.value:.2g}", percent(entry.share))
-        costs = [*(Text(text, style) for text in shown), Text(f"{entry.evaluations:,}")]
+        shown = (milliseconds(entry), percent(entry.share), f"{entry.evaluations:,}")
+        costs = [*map(Text, shown)]
     slides = entry.value(JOINTS) is None and entry.value(SLIDES) is not None
     changed = [
-        Text(change_text(entry.changes.get(quantity), quantity, slides and quantity == SLIDES),
+        Text(change_text(found, entry, quantity, slides and quantity == SLIDES),
              "" if _above(found, entry, quantity) else "dim")
         for quantity in (PATH, TURN, SLIDES if slides else JOINTS, FORCE)
     ]  # fmt: skip
-    worst = entry.changes.get(found.moves(entry) or PATH)
-    at = Text("-" if worst is None else f"{worst.time:.3g}")
+    most = found.moves(entry)
+    at = Text("-" if most is None else f"{entry.changes[most].time:.3g}")
     return [Text(name, "green" if found.can_go(entry) else ""), *costs, *changed, at]
 
 

@@ -30,6 +30,7 @@ from multiarm.studies.effect_costs.words import (
     NO_EFFECTS,
     accuracy_text,
     change_text,
+    milliseconds,
     percent,
     sentence,
     verdict,
@@ -127,6 +128,7 @@ def _line(found: Ledger, entry: Entry) -> dict[str, Any]:
         "sentence": sentence(found, entry),
         "verdict": verdict(found, entry),
         "tone": "bad" if entry.trouble else "good" if found.can_go(entry) else "",
+        "milliseconds": "" if entry.milliseconds is None else milliseconds(entry),
         "share": "" if entry.share is None else percent(entry.share),
-        "changes": {name: change_text(one, name) for name, one in entry.changes.items()},
+        "changes": {name: change_text(found, entry, name) for name in entry.changes},
     }
