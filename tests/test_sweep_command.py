@@ -247,7 +247,7 @@ def test_a_run_is_replayed_and_reported_by_its_number(made, tmp_path):
     assert called.exit_code == 0, called.output
     assert "simulating run 3: object.mass = 27.5" in called.output
     assert html.stat().st_size > 100_000
-    called = multiarm("report", sweep, "--run", 3, "--out", tmp_path / "report.html")
+    called = multiarm("report", sweep, "--run", 3, "--html", tmp_path / "report.html")
     assert called.exit_code == 0, called.output
     assert "27.5" in (tmp_path / "report.html").read_text()
 

@@ -295,18 +295,17 @@ def design_facts(grasp: Grasp) -> dict[str, RenderableType]:
 
 def judgement_tables(found: GraspJudgement) -> list[RenderableType]:
     """The contacts of a scene's grasp, and its properties."""
-    return [
-        columns(
-            "Contacts, in the object's frame, at the start",
-            ("no.", "arm", "contact", "face", "at, m", "force", "may slide by", "share"),
-            [
-                (str(number_), *_contact(contact, found))
-                for number_, contact in enumerate(found.contacts, 1)
-                if not contact.pulls
-            ],
-        ),
-        facts("Grasp", _grasp_facts(found)),
-    ]
+    table = columns(
+        "Contacts, in the object's frame, at the start; numbers are those of the picture",
+        ("no.", "arm", "contact", "face", "at, m", "force", "may slide by", "share"),
+        [
+            (str(place), *_contact(contact, found))
+            for place, contact in enumerate(found.contacts, 1)
+            if not contact.pulls
+        ],
+    )
+    table.padding, table.pad_edge = (0, 1, 0, 0), False
+    return [table, facts("Grasp", _grasp_facts(found))]
 
 
 def _contact(contact: ContactFacts, found: GraspJudgement) -> tuple[RenderableType, ...]:
