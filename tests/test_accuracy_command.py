@@ -37,7 +37,7 @@ from multiarm.studies.work_precision.settings import (
     short,
 )
 from multiarm.studies.work_precision.store import Results, read_results
-from multiarm.studies.work_precision.words import described
+from multiarm.studies.work_precision.words import comparison, described, recommendation
 from multiarm.terminal.progress import Progress
 
 command_module = sys.modules["multiarm.cli.accuracy"]
@@ -437,6 +437,15 @@ def test_tables_fit_on_the_page(page):
     assert len(tables) == 3, "cheapest, methods, refusals"
     for table in tables:
         assert table.evaluate("e => e.scrollWidth <= e.clientWidth")
+
+
+def test_the_page_begins_with_the_ranked_quantity_and_says_what_the_terminal_says(results):
+    text = render(results, "force")
+    assert re.findall(r'<option value="(\w+)" selected>', text) == ["force"]
+    assert json.loads(re.search(r'id="data">(.*?)</script>', text, re.S)[1])["quantity"] == "force"
+    plain = text.replace("\N{NON-BREAKING HYPHEN}", "-")
+    for sentence in (recommendation(results, "motion"), comparison(results, "motion")):
+        assert sentence in plain
 
 
 def test_every_method_and_every_peer_has_a_colour_of_its_own():
