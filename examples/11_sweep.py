@@ -48,9 +48,9 @@ def main() -> None:
         again = sweep.trajectory(worst)
         print(f"run {worst} once more: {again.status}")
         if asked.plot is not None:
-            from multiarm.plots.sweep_figures import write_overview
+            from multiarm.plots.sweep_figures import sweep_overview
 
-            write_overview(sweep, asked.plot)
+            sweep_overview(sweep).savefig(asked.plot, dpi=150)
 
 
 if __name__ == "__main__":

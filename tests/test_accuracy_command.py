@@ -19,10 +19,12 @@ from typer.testing import CliRunner
 
 from multiarm.cli import accuracy as command
 from multiarm.cli import app
+from multiarm.plots.style import PALETTE
 from multiarm.problems import ring_of_arms
+from multiarm.results.files import save_page
 from multiarm.studies.work_precision import study as studies
 from multiarm.studies.work_precision.choice import all_series, decades
-from multiarm.studies.work_precision.page import PALETTE, render, write_page
+from multiarm.studies.work_precision.page import render
 from multiarm.studies.work_precision.peers import SOLVERS
 from multiarm.studies.work_precision.points import COMPLETED, FAILED, Point
 from multiarm.studies.work_precision.reference import QUANTITIES, Motion, Reference
@@ -35,8 +37,8 @@ from multiarm.studies.work_precision.settings import (
     short,
 )
 from multiarm.studies.work_precision.store import Results, read_results
-from multiarm.studies.work_precision.words import described
-from multiarm.terminal import progress as progress_module
+from multiarm.studies.work_precision.words import comparison, described, recommendation
+from multiarm.terminal.progress import Progress
 
 command_module = sys.modules["multiarm.cli.accuracy"]
 MACHINE = {
@@ -189,7 +191,7 @@ def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(studies, "our_ladders", lambda *_: two_ladders)
     monkeypatch.setattr(studies, "REPEATS", 1)
-    assert accuracy(*words, "--redo").exit_code == 0
+    assert accuracy(*words, "--fresh").exit_code == 0
     again = read_results(tmp_path / "ring_weld.accuracy.json")
     assert {*again.points} >= {s.key for ladder in two_ladders for s in ladder.settings}
     assert [p.wall_time_s for p in again.points.values()] != [
@@ -198,20 +200,20 @@ def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_
 
 
 def test_a_study_of_another_scene_is_kept_unless_it_may_be_replaced(two_ladders, study_file):
-    other = (SCENE, "--duration", "0.05", "--no-peers", "--results", study_file)
+    other = (SCENE, "--duration", "0.05", "--no-peers", "--out", study_file)
     before = study_file.read_bytes()
     result = accuracy(*other)
     assert result.exit_code == 2
     assert "holds another study (the scene has changed)" in " ".join(result.stderr.split())
     assert study_file.read_bytes() == before
-    assert accuracy(*other, "--redo").exit_code == 0
+    assert accuracy(*other, "--fresh").exit_code == 0
     assert len(read_results(study_file).points) >= 4 + 2
 
 
 def test_a_file_that_is_no_study_is_left_alone(tmp_path):
     path = tmp_path / "precious.json"
     path.write_text('{"mine": 1}', encoding="utf-8")
-    result = accuracy(SCENE, "--results", path)
+    result = accuracy(SCENE, "--out", path)
     assert result.exit_code == 2
     assert "is not the file of an accuracy study" in result.stderr
     assert path.read_text(encoding="utf-8") == '{"mine": 1}'
@@ -245,12 +247,12 @@ def test_ctrl_c_keeps_what_was_measured(two_ladders, tmp_path, monkeypatch):
 def test_a_terminal_shows_the_recommendation_so_far(monkeypatch):
     text = io.StringIO()
     terminal = Console(file=text, force_terminal=True, width=120)
-    monkeypatch.setattr(progress_module, "messages", lambda: terminal)
-    with progress_module.StudyProgress() as progress:
-        progress.report("rk4, step 0.01 s", 3.0, 40.0)
+    monkeypatch.setattr("multiarm.terminal.console.messages", lambda: terminal)
+    with Progress() as progress:
+        progress(3.0, 40.0, "rk4, step 0.01 s")
         progress.note("For errors below 1e-6 take [anything]")
         progress.print("First results")
-        progress.report("rk4, step 0.005 s", 4.0, 40.0)
+        progress(4.0, 40.0, "rk4, step 0.005 s")
     shown = text.getvalue()
     assert shown.index("First results") < shown.rindex("rk4, step 0.005 s")
     assert "For errors below 1e-6 take [anything]" in shown[shown.rindex("rk4, step 0.005 s") :]
@@ -345,7 +347,7 @@ def test_help_promises_the_keys_of_the_json(study_file, tmp_path):
 def page(request, browser, results, tmp_path):  # noqa: F811
     """The page in a browser without a network."""
     target = tmp_path / "page.html"
-    write_page(results, target)
+    save_page(render(results), target)
     with shown(browser, target, request.param) as page:
         yield page
 
@@ -435,6 +437,15 @@ def test_tables_fit_on_the_page(page):
     assert len(tables) == 3, "cheapest, methods, refusals"
     for table in tables:
         assert table.evaluate("e => e.scrollWidth <= e.clientWidth")
+
+
+def test_the_page_begins_with_the_ranked_quantity_and_says_what_the_terminal_says(results):
+    text = render(results, "force")
+    assert re.findall(r'<option value="(\w+)" selected>', text) == ["force"]
+    assert json.loads(re.search(r'id="data">(.*?)</script>', text, re.S)[1])["quantity"] == "force"
+    plain = text.replace("\N{NON-BREAKING HYPHEN}", "-")
+    for sentence in (recommendation(results, "motion"), comparison(results, "motion")):
+        assert sentence in plain
 
 
 def test_every_method_and_every_peer_has_a_colour_of_its_own():

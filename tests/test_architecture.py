@@ -24,9 +24,9 @@ PACKAGE = ROOT / "multiarm"
 # From the bottom to the top.  A room is a module or a package directly below `multiarm`; it imports
 # rooms above it in this list only, wherever the import stands.  "multiarm" is the public surface.
 ROOMS = (
-    "errors", "geometry", "jit", "spatial", "tableaus", "scene", "results", "contacts", "arms",
-    "dynamics", "control", "effects", "integration", "assembly", "events", "simulation", "terminal",
-    "grasp", "sweeps",
+    "errors", "public", "geometry", "jit", "spatial", "tableaus", "scene", "results", "contacts",
+    "arms", "dynamics", "control", "effects", "integration", "terminal", "assembly", "events",
+    "simulation", "grasp", "sweeps",
     "plots", "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 

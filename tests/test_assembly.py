@@ -89,9 +89,7 @@ def test_a_start_that_is_not_assembled_serves_evaluations_elsewhere():
     scene = ur5_pair(near, {"kind": "ball"}, gravity=[0, 0, -9.81])
     closed, open_ = ma.compile_system(scene), ma.compile_system(scene, assemble=False)
     begin = closed.initial_state()
-    state = open_.state(
-        begin.object_position, begin.object_quaternion_xyzw, begin.joint_positions
-    )
+    state = open_.state(begin.object_position, begin.object_quaternion_xyzw, begin.joint_positions)
     one, other = ma.evaluate(closed, 0.0, begin), ma.evaluate(open_, 0.0, state)
     np.testing.assert_array_equal(one.object_acceleration, other.object_acceleration)
     np.testing.assert_array_equal(one.contact_forces["left"], other.contact_forces["left"])

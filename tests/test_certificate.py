@@ -528,14 +528,15 @@ def test_progress_tells_the_first_run_and_the_check_apart(ring, monkeypatch):
     assert plain == sorted(plain) and plain[: len(watcher.times)] == watcher.times
 
 
-def test_the_bar_says_that_the_accuracy_is_checked():
+def test_the_bar_says_that_the_accuracy_is_checked(monkeypatch):
     from io import StringIO
 
     from rich.console import Console
 
     screen = StringIO()
     console = Console(file=screen, force_terminal=True, width=100, color_system=None)
-    with RunProgress(console, 4.0, quiet=False) as progress:
+    monkeypatch.setattr("multiarm.terminal.console.messages", lambda: console)
+    with RunProgress(4.0) as progress:
         progress(4.0)
         progress.checking(1.0, 1)
         progress._bar.refresh()

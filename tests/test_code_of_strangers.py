@@ -238,7 +238,7 @@ def test_a_look_at_a_result_runs_nothing_and_draws_the_rest(stored):
     assert result.exit_code == 0, result.output
     needs = stored.kind == "surface"
     assert (f"need {stored.what} are not drawn" in told(result)) == needs
-    assert multiarm("report", stored.result, "--out", report).exit_code == 0
+    assert multiarm("report", stored.result, "--html", report).exit_code == 0
     trajectory = ma.load_trajectory(stored.result)
     assert trajectory.scene.name == "scene"
     with pytest.raises(SceneError, match="is not loaded, since code is not allowed"):
@@ -313,8 +313,8 @@ def test_a_stored_sweep_is_looked_at_without_its_code_and_run_again_with_it(stra
     assert sweep.summary().done == 2 and sweep.scene_of(2).object.mass == 2.0
     with pytest.raises(SceneError, match="is not loaded, since code is not allowed"):
         sweep.trajectory(1)
-    for command, option in (("replay", "--html"), ("report", "--out")):
-        result = multiarm(command, out, "--run", 1, option, page)
+    for command in ("replay", "report"):
+        result = multiarm(command, out, "--run", 1, "--html", page)
         assert result.exit_code == 2
         assert f"which needs {stranger.what}" in told(result) and "--code" in told(result)
     assert stranger.marks() == set()

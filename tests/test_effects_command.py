@@ -18,6 +18,7 @@ from multiarm.cli import app
 from multiarm.cli import check as check_command
 from multiarm.cli import effects as command
 from multiarm.effects.defaults import defaults
+from multiarm.results.files import save_page
 from multiarm.scene import EFFECTS, dump_scene
 from multiarm.simulation.comparison import rotation_apart
 from multiarm.studies.effect_costs import study
@@ -33,10 +34,10 @@ from multiarm.studies.effect_costs.entries import (
     paired_difference,
 )
 from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
-from multiarm.studies.effect_costs.page import ledger_figure, render, write_page
+from multiarm.studies.effect_costs.page import ledger_figure, render
 from multiarm.studies.effect_costs.study import changes, ledger
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING, without
-from multiarm.studies.effect_costs.words import percent, sentence, summary
+from multiarm.studies.effect_costs.words import NOISE, change_text, percent, sentence, summary
 
 RING = ma.load_scene(SCENES / "ring_weld.yaml").replace(effects={"joint_damping": 0.5})
 SHORT = RING.replace(run={"duration": 0.3, "output_step": 0.01, "accuracy": 1e-6})
@@ -174,7 +175,7 @@ def test_an_effect_that_does_nothing_can_go_and_is_said_to(own):
     assert result.can_go(nothing)
     assert not result.can_go(entry_of(result, "joint_damping"))
     assert nothing.value(PATH) == 0.0
-    assert sentence(result, nothing).endswith(", changes nothing: leave it out")
+    assert sentence(result, nothing).endswith(", changes nothing beyond the noise: leave it out")
 
 
 def test_an_effect_without_which_the_scene_does_not_run_is_told(own):
@@ -363,18 +364,23 @@ def synthetic() -> Ledger:
 
 def test_the_summary_says_what_to_keep_and_what_to_leave_out():
     assert summary(synthetic()) == (
-        "joint_damping: 3 % of the time, changes the object's path by 41 mm; "
-        "drag: 2 % of the time, changes the object's path by 0.02 mm, below the requested "
-        "accuracy: leave it out; "
-        "friction: no time that can be measured, changes left & <right>'s contact forces by "
-        "3.2 N; "
-        "limits: saves 5 % of the time, changes the object's path by 2000 mm; "
-        "doubtful: 2 % of the time, changes the object's path by 0.02 mm; "
+        "Leave out drag: without it nothing changes beyond the noise. "
+        "Keep joint_damping (3 % of the time, the object's path by 41 mm), "
+        "friction (time within the noise, left & <right>'s contact forces by 3.2 N) and "
+        "limits (saves 5 % of the time, the object's path by 2000 mm). "
+        "doubtful is undecided, as its run does not meet the requested accuracy; "
         "floor: the scene does not run without it: the object <falls>; "
         "rotor_inertia (added): 20 % more time, would change the object's path by 500 mm; "
-        "lag (added): 20 % more time, would change the object's path by 0.001 mm, below the "
-        "requested accuracy: leave it out."
+        "lag (added): 20 % more time, would change nothing beyond the noise: leave it out."
     )
+
+
+def test_what_is_within_the_noise_is_called_noise():
+    found = synthetic()
+    drag, friction = entry_of(found, "drag"), entry_of(found, "friction")
+    assert change_text(found, drag, PATH) == NOISE == percent(friction.share)
+    assert change_text(found, friction, PATH) == "0 mm", "equal to the bit"
+    assert change_text(found, friction, FORCE) == "3.2 N"
 
 
 def test_a_scene_without_effects_has_a_sentence_too():
@@ -387,7 +393,7 @@ def test_a_scene_without_effects_has_a_sentence_too():
     [
         (Estimate(0.0312, 0.0041), "3.1 ± 0.4"),
         (Estimate(0.24, 0.012), "24 ± 1"),
-        (Estimate(-0.004, 0.02), "-0 ± 2"),
+        (Estimate(-0.004, 0.02), "noise"),
         (Estimate(1.5, 0.0), "150"),
     ],
 )
@@ -403,7 +409,7 @@ def test_the_command_prints_writes_and_draws(scene_file, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(study, "defaults", lambda _: {"rotor_inertia": 0.2, "drag": "thick"})
     result = effects(
-        scene_file, "--duration", "0.1", "--repeats", 1, "--html", "page.html", "--plot",
+        scene_file, "--duration", "0.1", "--rounds", 1, "--html", "page.html", "--plot",
         "plot.svg", "--json", "figures.json", "--candidates",
     )  # fmt: skip
     assert result.exit_code == 0, result.output
@@ -434,7 +440,7 @@ def test_the_command_prints_writes_and_draws(scene_file, tmp_path, monkeypatch):
         (("SCENE", "--html", "nowhere/page.html"), "--html: cannot write"),
         (("SCENE", "--json", "SCENE"), "is the file that is read"),
         (("SCENE", "--duration", "-1"), "duration"),
-        (("SCENE", "--repeats", "0"), "Invalid value for '--repeats'"),
+        (("SCENE", "--rounds", "0"), "Invalid value for '--rounds'"),
     ],
 )
 def test_bad_input_is_named_before_the_work(words, message, scene_file, monkeypatch):
@@ -467,7 +473,7 @@ def test_the_table_fits_a_narrow_terminal(found):
     rows = capture.get().splitlines()
     head, line = (row for row in rows if re.match(r" *(ms/s|joint_damping)", row))
     assert "at s" in head
-    assert line.startswith(" joint_damping ") and len(line.split()) == 11
+    assert line.startswith(" joint_damping ") and len(line.split()) in (9, 11)
 
 
 # --- check ----------------------------------------------------------------------------------------
@@ -519,7 +525,7 @@ def test_check_says_when_nothing_is_added(tmp_path):
 def page(request, browser, tmp_path):  # noqa: F811
     """The page in a browser without a network."""
     target = tmp_path / "page.html"
-    write_page(synthetic(), target)
+    save_page(render(synthetic()), target)
     with shown(browser, target, request.param) as page:
         yield page
 
@@ -527,7 +533,7 @@ def page(request, browser, tmp_path):  # noqa: F811
 def test_the_page_says_everything_in_both_themes(page):
     said = page.locator("ul.said li").all_inner_texts()
     assert len(said) == 8, "effects; settings stand in their table"
-    assert said[1].endswith("below the requested accuracy: leave it out")
+    assert said[1].endswith("changes nothing beyond the noise: leave it out")
     assert page.locator("ul.said li.good").count() == 2
     assert page.locator("ul.said li.bad").count() == 1
     assert page.locator("tbody tr").count() == len(synthetic().entries)

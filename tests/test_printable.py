@@ -135,7 +135,7 @@ def test_check_run_and_sweep_show_a_hostile_scene_as_it_is(folder):
 @pytest.mark.slow
 def test_pages_of_a_hostile_result_have_its_names_as_texts_only(folder, foreign):
     report, replay = folder / "report.html", folder / "replay.html"
-    assert printable(HOSTILE) in said("report", foreign, "--out", report)
+    assert printable(HOSTILE) in said("report", foreign, "--html", report)
     assert printable(HOSTILE) in said("replay", foreign, "--html", replay)
     shown = Page(report.read_text(encoding="utf-8"))
     assert steering(report.read_text(encoding="utf-8")) == set()

@@ -14,6 +14,7 @@ from sample_run import CHANNELS, JOINTS, SCENE, record, rows_of, samples
 from multiarm import plots
 from multiarm.errors import TrajectoryError
 from multiarm.plots.decimation import RotationSinceStart, decimate
+from multiarm.plots.style import INK
 from multiarm.reports.pages import NOTHING, quantity
 from multiarm.reports.report import render, report
 from multiarm.results.channels import Channel, trajectory_channels
@@ -170,9 +171,13 @@ def test_labels_leave_out_what_all_share(run):
     assert labels == ["shoulder pan", "shoulder lift", "elbow", "wrist 1", "wrist 2", "wrist 3"]
 
 
-def test_every_arm_has_colours_of_its_own():
-    colours = [colour for arm in range(8) for colour in plots.family(arm, 6)]
-    assert len(set(colours)) == len(colours)
+def test_every_joint_has_a_look_of_its_own_and_a_piece_of_its_line_before_its_name(run):
+    axes = plots.joint_positions(run).axes[0]
+    keys = [line for line in axes.figure.artists if line.get_transform() == axes.transAxes]
+    looks = [(line.get_color(), line.get_linestyle()) for line in axes.lines]
+    assert len(set(looks)) == len(looks) == len(JOINTS["left"]) == len(axes.texts)
+    assert [(key.get_color(), key.get_linestyle()) for key in keys] == looks
+    assert all(min(key.get_xdata()) > 1.0 for key in keys), "beside the curves"
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -261,7 +266,7 @@ def test_the_report_gives_the_numbers_of_the_run(page, run):
 
 
 def test_ink_follows_the_theme_of_the_page(page):
-    assert plots.INK not in page.partition("</style>")[2]
+    assert INK not in page.partition("</style>")[2]
     assert "var(--ink)" in page
 
 

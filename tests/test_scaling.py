@@ -19,6 +19,7 @@ from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.node import ELIMINATED, FIRST_ARM, START, make_work
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.simd import LANES
+from multiarm.results.files import save_page
 from multiarm.studies import (
     evaluation_costs,
     scaling,
@@ -28,7 +29,7 @@ from multiarm.studies import (
     timing,
 )
 from multiarm.studies.scaling import Plan, run_scaling
-from multiarm.studies.scaling_page import plot_scaling, render, write_page
+from multiarm.studies.scaling_page import plot_scaling, render
 from multiarm.studies.scaling_tables import Cell, disturbance, tables
 from multiarm.studies.solver_forms import Coefficients
 from multiarm.studies.solver_study import (
@@ -52,7 +53,7 @@ def told():
 @pytest.fixture(scope="module")
 def result(told):
     """All studies, tiny."""
-    return run_scaling(TINY, told.append)
+    return run_scaling(TINY, lambda *news: told.append(news))
 
 
 def command(*words: object):
@@ -518,9 +519,10 @@ def test_memory_is_asked_of_the_machine():
 
 
 def test_progress_is_told_as_often_as_planned(result, told):
-    assert len(told) == TINY.measurements
-    assert told[0] == "one evaluation: weld, 2 arms"
-    assert "section 4.4: 5 arms" in told
+    total = TINY.measurements
+    assert [news[:2] for news in told] == [(k, total) for k in range(total)]
+    assert told[0][2] == "one evaluation: weld, 2 arms"
+    assert "section 4.4: 5 arms" in [words for _, _, words in told]
 
 
 def test_only_what_was_asked_for_is_measured():
@@ -578,7 +580,7 @@ def test_the_command_prints_tables_and_writes_all_files(result, monkeypatch, tmp
 
     def measured(plan, progress):
         plans.append(plan)
-        progress("one evaluation: weld, 2 arms")
+        progress(0, 24, "one evaluation: weld, 2 arms")
         return result
 
     monkeypatch.setattr(scaling, "run_scaling", measured)
@@ -664,9 +666,8 @@ def test_what_cannot_be_done_is_refused_before_anything_is_measured(monkeypatch,
 
 
 @pytest.mark.slow
-def test_the_page_is_one_file_with_every_table(result, tmp_path):
-    page = write_page(result, tmp_path / "page.html").read_text(encoding="utf-8")
-    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+def test_the_page_has_every_table_and_needs_no_other_file(result):
+    page = render(result)
     found = Page(page)
     assert found.sources == []
     assert found.ids >= {table.study for table in tables(result)}
@@ -677,7 +678,8 @@ def test_the_page_is_one_file_with_every_table(result, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_page_shows_every_figure_in_light_and_in_the_dark(browser, result, tmp_path, scheme):  # noqa: F811
-    path = write_page(result, tmp_path / "page.html")
+    path = tmp_path / "page.html"
+    save_page(render(result), path)
     with shown(browser, path, scheme, width=1100) as page:
         ground = brightness(page, "body", "backgroundColor")
         assert (ground > 128) == (scheme == "light")
@@ -686,9 +688,3 @@ def test_the_page_shows_every_figure_in_light_and_in_the_dark(browser, result, t
         assert sticks_out(page) <= 0
         for study in ("evaluations", "thesis", "shares"):
             assert page.locator(f"#{study} svg").first.bounding_box()["width"] > 600
-
-
-@pytest.mark.slow
-def test_a_page_that_cannot_be_written_says_so(result, tmp_path):
-    with pytest.raises(ma.MultiarmError, match="--html: cannot write"):
-        write_page(result, tmp_path / "no" / "page.html")

@@ -231,7 +231,7 @@ def test_progress_true_is_a_bar_of_runs(welded_ur5_system, monkeypatch):
     from rich.console import Console
 
     console = Console(force_terminal=True, width=100, file=io.StringIO(), record=True)
-    monkeypatch.setattr("multiarm.terminal.progress.messages", lambda: console)
+    monkeypatch.setattr("multiarm.terminal.console.messages", lambda: console)
     monkeypatch.setattr("multiarm.sweeps.many.POLL", 1e-3)
     found = ma.simulate_many(welded_ur5_system, parameters=[{}] * 4, progress=True, **RUN)
     assert len(found) == 4

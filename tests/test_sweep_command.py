@@ -247,7 +247,7 @@ def test_a_run_is_replayed_and_reported_by_its_number(made, tmp_path):
     assert called.exit_code == 0, called.output
     assert "simulating run 3: object.mass = 27.5" in called.output
     assert html.stat().st_size > 100_000
-    called = multiarm("report", sweep, "--run", 3, "--out", tmp_path / "report.html")
+    called = multiarm("report", sweep, "--run", 3, "--html", tmp_path / "report.html")
     assert called.exit_code == 0, called.output
     assert "27.5" in (tmp_path / "report.html").read_text()
 
@@ -313,14 +313,14 @@ def test_the_end_is_estimated_from_the_pace_of_the_runs_made_here(monkeypatch):
     clock, printed = [100.0], []
     monkeypatch.setattr("multiarm.terminal.progress.time.monotonic", lambda: clock[0])
     bar = SweepProgress()
-    monkeypatch.setattr(bar._console, "print", lambda text, **_: printed.append(text))
     for seconds, done in [(0, 500), (60, 510), (100, 610), (140, 710), (180, 1000)]:
         clock[0] = 100.0 + seconds
         bar(done, 1000, 3)
+        printed.append(bar._line())
     # 200 runs in the 80 s after the first ten, which came with compiling: 290 take 116 s
-    assert printed[0] == "500 of 1000 runs, 3 failed"
-    assert printed[3].startswith("710 of 1000 runs, 3 failed, about 2 min left, ends ")
-    assert printed[4] == "1000 of 1000 runs, 3 failed"
+    assert printed[0] == "500 of 1000 runs, 3 failed, 50 %, 0 s so far"
+    assert printed[3].startswith("710 of 1000 runs, 3 failed, 71 %, about 2 min left, ends ")
+    assert printed[4] == "1000 of 1000 runs, 3 failed, 100 %, 3 min so far"
     assert all(
         text.startswith(f"{n} of") for text, n in zip(printed, (500, 510, 610), strict=False)
     )

@@ -18,8 +18,6 @@ from multiarm.plots.sweep_figures import (
     POINTS,
     bands,
     cells,
-    sweep_curves,
-    sweep_map,
     sweep_overview,
     variable,
 )
@@ -71,13 +69,18 @@ def sweep(tmp_path_factory):
     yield found
 
 
+def panel_of(figure, x, y):
+    (panel,) = [own for own in figure.axes if (own.get_xlabel(), own.get_ylabel()) == (x, y)]
+    return panel
+
+
 def median_line(panel):
     (line,) = [line for line in panel.lines if line.get_label() == "median"]
     return np.array(line.get_xydata())
 
 
 def test_a_curve_is_the_median_at_each_value_of_a_grid(sweep):
-    panel = sweep_curves(sweep, ["effects.drag"], ["gap"]).axes[0]
+    panel = panel_of(sweep_overview(sweep), "effects.drag", "gap [m]")
     table = sweep.table
     expected = [
         (drag, np.median([g for g, d in zip(table["gap"], table["effects.drag"], strict=True)
@@ -85,7 +88,7 @@ def test_a_curve_is_the_median_at_each_value_of_a_grid(sweep):
         for drag in DRAGS
     ]  # fmt: skip
     np.testing.assert_allclose(median_line(panel), expected, rtol=1e-14)
-    assert (panel.get_xlabel(), panel.get_ylabel()) == ("effects.drag", "gap [m]")
+    assert [label.get_text() for label in panel.get_xticklabels()] == ["0.01", "0.1", "1", "10"]
     assert (panel.get_xscale(), panel.get_yscale()) == ("log", "log")
 
 
@@ -105,14 +108,16 @@ def test_a_value_that_always_differs_is_cut_into_parts_of_equally_many_runs(swee
     assert sorted(run for _, runs in axis.groups() for run in runs) == list(range(600))
     ends = [(axis.at[runs].min(), axis.at[runs].max()) for _, runs in axis.groups()]
     assert all(high <= low for (_, high), (low, _) in pairwise(ends))
-    panel = sweep_curves(sweep, ["$x.odd_"], ["force"]).axes[0]
+    panel = panel_of(sweep_overview(sweep), "$x.odd_", "force [N]")
     dots = [line for line in panel.lines if line.get_marker() == "."]
     assert len(dots[0].get_xdata()) == sweep.status_counts["completed"]
 
 
 def test_a_map_shows_the_median_of_every_pair(sweep):
-    figure = sweep_map(sweep, "object.mass", "effects.drag", ["gap"])
-    (mesh,) = figure.axes[0].collections
+    figure = sweep_overview(sweep)
+    maps = [own for own in figure.axes if own.get_ylabel() == "effects.drag"]
+    (mesh,) = maps[0].collections
+    assert maps[0].get_xticks().tolist() == MASSES and maps[0].get_yticks().tolist() == DRAGS
     table = np.array(mesh.get_array()).reshape(4, 3)
     np.testing.assert_allclose(table, np.outer(DRAGS, MASSES), rtol=0.1)
     for i, drag in enumerate(DRAGS):
@@ -125,28 +130,34 @@ def test_a_map_shows_the_median_of_every_pair(sweep):
     )
 
 
-def test_a_pair_without_runs_is_empty_and_a_map_without_a_grid_shows_the_runs(sweep):
+def test_a_pair_without_runs_is_empty_and_a_map_without_a_grid_shows_the_runs(sweep, tmp_path):
     x = variable("x", np.array([1.0, 2.0, 2.0]))
     y = variable("y", np.array([1.0, 1.0, 3.0]))
     np.testing.assert_array_equal(
         cells(x, y, np.array([7.0, np.nan, 9.0])), [[7.0, np.nan], [np.nan, 9.0]]
     )
-    panel = sweep_map(sweep, "$x.odd_", "object.mass", ["force"]).axes[0]
-    (dots,) = panel.collections
+    paths = ("$x.odd_", "object.mass")
+
+    def two(k):
+        return replace(grid_row(k), values={path: grid_row(k).values[path] for path in paths})
+
+    figure = sweep_overview(sweep_of(tmp_path / "two.h5", 600, two, paths))
+    (dots,) = next(own for own in figure.axes if own.get_ylabel() == "object.mass").collections
     assert len(dots.get_offsets()) == sweep.status_counts["completed"]
 
 
 def test_runs_that_did_not_complete_are_seen(sweep):
-    panel = sweep_curves(sweep, ["object.mass"], ["gap"]).axes[0]
+    panel = panel_of(sweep_overview(sweep), "object.mass", "gap [m]")
     (ticks,) = [line for line in panel.lines if line.get_label() == "did not complete"]
     failed = sweep.select(["object.mass"], status="failed")["object.mass"]
     assert sorted(ticks.get_xdata()) == sorted(failed)
 
 
 def test_words_are_levels_with_their_names_and_no_formulas(sweep):
-    figure = sweep_curves(sweep, ["control.kind"], ["gap"])
+    figure = sweep_overview(sweep)
     figure.savefig(io.BytesIO(), format="svg")
-    labels = [label.get_text() for label in figure.axes[0].get_xticklabels()]
+    panel = panel_of(figure, "control.kind", "gap [m]")
+    labels = [label.get_text() for label in panel.get_xticklabels()]
     assert labels == ["$none_", "joint_pd"]
 
 
@@ -156,6 +167,16 @@ def test_the_overview_has_every_quantity_over_every_value_and_a_map(sweep):
     assert len(panels) == 2 * (len(PATHS) + 1), "the third quantity has no number"
     for kind in ("png", "svg", "pdf"):
         figure.savefig(io.BytesIO(), format=kind)
+
+
+def test_a_legend_below_the_panels_explains_all_marks(sweep):
+    figure = sweep_overview(sweep)
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["a run", "median", "middle half", "nine tenths", "did not complete"]
+    top = legend.get_window_extent().y1
+    assert all(top <= panel.get_tightbbox().y0 + 1.0 for panel in figure.axes)
 
 
 def test_ten_thousand_runs_make_a_figure_of_bounded_size(tmp_path):
@@ -176,11 +197,7 @@ def test_ten_thousand_runs_make_a_figure_of_bounded_size(tmp_path):
     assert max(drawn) <= POINTS
 
 
-def test_what_cannot_be_drawn_is_said(sweep, tmp_path):
-    with pytest.raises(SweepError, match="unknown quantity 'gpa'; did you mean 'gap'"):
-        sweep_curves(sweep, quantities=["gpa"])
-    with pytest.raises(SweepError, match=r"unknown varied value 'object.mas'; did you mean"):
-        sweep_map(sweep, "object.mas", "effects.drag")
+def test_what_cannot_be_drawn_is_said(tmp_path):
     empty = sweep_of(tmp_path / "empty.h5", 0)
     with pytest.raises(SweepError, match="has no run with a number to draw"):
         sweep_overview(empty)

@@ -24,8 +24,9 @@ from multiarm.cli.options import (
     with_settings,
 )
 from multiarm.errors import MultiarmError
+from multiarm.results.files import save_figure, save_page
 from multiarm.terminal.console import columns, number, output, print_error, print_written
-from multiarm.terminal.progress import StudyProgress
+from multiarm.terminal.progress import Progress, span
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -75,7 +76,7 @@ def accuracy(
         Quantity, option("What is ranked; motion is the worst of position, rotation and joints.")
     ] = Quantity.motion,
     every: Annotated[bool, typer.Option("--all", help="Print every point.")] = False,
-    results: Annotated[
+    out: Annotated[
         Path | None,
         typer.Option(
             help="File of the study; an interrupted study resumes from it.",
@@ -84,9 +85,9 @@ def accuracy(
             rich_help_panel=FILES,
         ),
     ] = None,
-    redo: Annotated[
+    fresh: Annotated[
         bool,
-        typer.Option("--redo", help="Measure again what is in that file.", rich_help_panel=FILES),
+        typer.Option("--fresh", help="Begin again, and overwrite the file.", rich_help_panel=FILES),
     ] = False,
     source: Annotated[
         Path | None,
@@ -140,14 +141,14 @@ def accuracy(
         found = read_results(source)
     else:
         assert scene is not None, "one of the two is there"
-        target = results if results is not None else _own_file(scene, settings)
+        target = out if out is not None else _own_file(scene, settings)
         check_targets(
-            {"--results": target, "--plot": plot, "--html": html, "--json": json}, source=scene
+            {"--out": target, "--plot": plot, "--html": html, "--json": json}, source=scene
         )
         loaded = scene_to_run(scene, no_code)
-        with StudyProgress() as progress:
+        with Progress() as progress:
             shown = _Shown(progress, error.value, plot, html)
-            found = _measure(loaded, target, settings, shown, redo,
+            found = _measure(loaded, target, settings, shown, fresh,
                              peers=peers, quick=quick, thorough=thorough)  # fmt: skip
         print_written("study", target)
     _print(found, error.value, every)
@@ -161,7 +162,7 @@ def _own_file(scene: Path, settings: dict[str, Any]) -> Path:
 
 
 def _measure(
-    scene: Scene, target: Path, changes: dict, shown: _Shown, redo: bool, **options: bool
+    scene: Scene, target: Path, changes: dict, shown: _Shown, fresh: bool, **options: bool
 ) -> Results:
     """Study a scene behind a progress bar; what was measured stays in the file."""
     from multiarm.simulation.setup import run_spec
@@ -170,10 +171,9 @@ def _measure(
     from multiarm.studies.work_precision.study import run_study
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
-    kept = _kept(target, Results.of(scene, machine(), target), redo)
-    report = shown.progress.report
+    kept = _kept(target, Results.of(scene, machine(), target), fresh)
     try:
-        return run_study(scene, kept, progress=report, watch=shown, **options)
+        return run_study(scene, kept, progress=shown.progress, watch=shown, **options)
     except KeyboardInterrupt:
         shown.progress.stop()
         print_error(
@@ -188,18 +188,18 @@ class _Shown:
 
     Parameters
     ----------
-    progress : StudyProgress
+    progress : Progress
     quantity : str
     plot, html : Path or None
         Files that are written again as points arrive.
     """
 
     def __init__(
-        self, progress: StudyProgress, quantity: str, plot: Path | None, html: Path | None
+        self, progress: Progress, quantity: str, plot: Path | None, html: Path | None
     ) -> None:
         self.progress = progress
         self._quantity, self._plot, self._html = quantity, plot, html
-        self._printed, self._due = False, -math.inf
+        self._printed, self._announced, self._due = False, False, -math.inf
 
     def __call__(self, results: Results) -> None:
         """Show results, of which there are more than at the last call."""
@@ -211,6 +211,13 @@ class _Shown:
         if not self._printed:
             self._printed = True
             self.progress.print("First results", *_texts(results, self._quantity))
+        if not self._announced and not (results.reference or {}).get("first"):
+            self._announced = True
+            left = (results.planned or 0) - len(results.points)
+            self.progress.print(
+                f"The reference is checked. About {span(results.expected_s)} more: {left} further "
+                f"settings, and repetitions of the {len(results.points)} that are measured."
+            )
         begin = time.monotonic()
         if begin >= self._due:
             _draw(results, self._quantity, self._plot, self._html)
@@ -218,18 +225,18 @@ class _Shown:
             self._due = now + max(REWRITE, (now - begin) / SHARE)
 
 
-def _kept(target: Path, empty: Results, redo: bool) -> Results:
+def _kept(target: Path, empty: Results, fresh: bool) -> Results:
     """The points in the file; an error if they belong to another scene or machine."""
     from multiarm.studies.work_precision.store import read_results
 
-    if redo or not target.exists():
+    if fresh or not target.exists():
         return empty
     old = read_results(target)
     reason = old.stale(empty)
     if reason:
         raise MultiarmError(
-            f"--results: '{target}' holds another study ({reason}); name another file, or give "
-            "--redo to replace it"
+            f"--out: '{target}' holds another study ({reason}); name another file, or give "
+            "--fresh to replace it"
         )
     return old
 
@@ -250,7 +257,7 @@ def _texts(results: Results, quantity: str, *tables: RenderableType) -> Iterator
         yield Text(f"{solver}: {reason}", "dim")
     if state_text(results):
         yield Text(state_text(results), "dim")
-    for sentence in (comparison(results, quantity), recommendation(results, quantity)):
+    for sentence in (recommendation(results, quantity), comparison(results, quantity)):
         if sentence:
             yield Text(sentence, "bold green")
 
@@ -265,12 +272,12 @@ def _print(results: Results, quantity: str, every: bool) -> None:
 
 def _draw(results: Results, quantity: str, plot: Path | None, html: Path | None) -> None:
     """Write the diagram and the page."""
-    from multiarm.studies.work_precision.page import write_page, write_plot
+    from multiarm.studies.work_precision.page import diagram, render
 
     if plot is not None:
-        write_plot(results, plot, quantity)
+        save_figure(diagram(results, quantity), plot)
     if html is not None:
-        write_page(results, html)
+        save_page(render(results, quantity), html)
 
 
 def _write(
@@ -346,8 +353,7 @@ def point_table(results: Results) -> Table:
     """Every point, in the order of the methods."""
     from multiarm.studies.work_precision.choice import all_series
 
-    heads = ("setting", "ms", "evaluations", "position", "rotation", "joints", "force",
-             "gap [m]", "energy [J]")  # fmt: skip
+    heads = ("setting", "ms", "evals", "pos.", "rot.", "joints", "force", "gap", "energy")
 
     def rows() -> Iterator[list[RenderableType]]:
         for item in all_series(results):
@@ -364,7 +370,10 @@ def point_table(results: Results) -> Table:
                     *(_small(value) for value in (*errors, point.gap_m, point.energy_J)),
                 ]
 
-    return _right(columns("All points", heads, rows()), *range(1, len(heads)))
+    return _right(
+        columns("All points: errors [m, rad, rad, N], gap [m], energy [J]", heads, rows()),
+        *range(1, len(heads)),
+    )
 
 
 def _right(table: Table, *numbers: int) -> Table:

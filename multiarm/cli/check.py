@@ -21,6 +21,7 @@ from multiarm.terminal.console import (
     print_warnings,
     vector,
 )
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import StartReport
@@ -60,11 +61,14 @@ def check(
     from multiarm.simulation.inspection import inspect_system
     from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
 
-    system, left = compile_for_inspection(loaded, settings.get("arms"))
-    inspection = inspect_system(system, left)
+    with Progress() as progress:
+        system, left = compile_for_inspection(loaded, settings.get("arms"))
+        progress(0, 0, "inspecting")
+        inspection = inspect_system(system, left)
+        if inspection.start is not None:
+            progress(0, 0, "timing the effects")
+            inspection = replace(inspection, effects={**effects_of_evaluation(system)})
     print_warnings(inspection.not_looked_at)
-    if inspection.start is not None:
-        inspection = replace(inspection, effects={**effects_of_evaluation(system)})
     if json is not None:
         write_json(json, inspection.as_dict())
     console = output()
@@ -199,8 +203,7 @@ def _start(found: Inspection, start: StartReport) -> dict[str, RenderableType]:
         "gaps as written": _by_arm(start.gaps, "m"),
         "gap rates as written": _by_arm(start.gap_rates, "m/s"),
         "corrections": "\n".join(start.lines()) or "none",
-        "gaps after assembly": _by_arm(start.gaps_left, "m"),
-        "after assembly": f"gap {number(found.position_residual, 'm')}, "
+        "left after them": f"gap {number(found.position_residual, 'm')}, "
         f"rate {number(found.velocity_residual, 'm/s')}",
         "residuals of the equations": f"arms {number(left.arm, 'N m')}, object "
         f"{number(left.object, 'N')}, constraints {number(left.constraint, 'm/s^2')}",

@@ -14,8 +14,9 @@ from multiarm.cli.files import check_targets, scene_to_run, write_json
 from multiarm.cli.joints import effect_section
 from multiarm.cli.options import JsonFile, NoCode, file_option, option, with_settings
 from multiarm.errors import MultiarmError
+from multiarm.results.files import save_figure, save_page
 from multiarm.terminal.console import columns, output, print_written
-from multiarm.terminal.progress import StudyProgress
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -47,7 +48,7 @@ def effects(
             help="Add each effect that the scene does not have too, with its usual parameters.",
         ),
     ] = False,
-    repeats: Annotated[
+    rounds: Annotated[
         int, option("Timed runs of each, at most; more smooth out noise.", min=1)
     ] = 9,
     plot: Annotated[
@@ -69,7 +70,8 @@ def effects(
     the accuracy can be left out. Further lines show the costs of stabilization, recording and
     certificate.
 
-    Runs are timed in turns; differences within the noise are marked.
+    Runs are timed in turns. Times within their uncertainty are called noise, and so are changes
+    below the accuracy to which all runs are made.
 
     The JSON has the keys scene, asked, asked_by_scene, run, entries, machine, wall_time_s, summary;
     their meaning and units are those of multiarm.studies.effect_costs.entries. Numbers are
@@ -81,19 +83,19 @@ def effects(
     if scene is None:
         raise MultiarmError("name a scene to measure, or '--list' to see what effects there are")
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
-    found = _measure(scene_to_run(scene, no_code), settings, candidates, repeats)
+    found = _measure(scene_to_run(scene, no_code), settings, candidates, rounds)
     _print(found)
     _write(found, plot, html, json)
 
 
-def _measure(scene: Scene, changes: dict, candidates: bool, repeats: int) -> Ledger:
+def _measure(scene: Scene, changes: dict, candidates: bool, rounds: int) -> Ledger:
     from multiarm.simulation.setup import run_spec
 
     scene = scene.replace(run=run_spec(scene.run, changes, {}, None))
-    with StudyProgress() as watched:
+    with Progress() as progress:
         from multiarm.studies.effect_costs.study import ledger
 
-        return ledger(scene, candidates=candidates, repeats=repeats, progress=watched.report)
+        return ledger(scene, candidates=candidates, repeats=rounds, progress=progress)
 
 
 def _print(found: Ledger) -> None:
@@ -128,22 +130,21 @@ def _table(found: Ledger) -> Table:
 def _row(found: Ledger, entry: Entry) -> list[Text]:
     from multiarm.studies.effect_costs.entries import FORCE, JOINTS, PATH, SLIDES, TURN
     from multiarm.studies.effect_costs.variants import CANDIDATE
-    from multiarm.studies.effect_costs.words import change_text, percent
+    from multiarm.studies.effect_costs.words import change_text, milliseconds, percent
 
     name = f"+ {entry.name}" if entry.kind == CANDIDATE else entry.name
     costs = [Text("-")] * 3
     if entry.milliseconds is not None and entry.share is not None:
-        style = "dim" if entry.share.within_noise else ""
-        shown = (f"{entry.milliseconds.value:.2g}", percent(entry.share))
-        costs = [*(Text(text, style) for text in shown), Text(f"{entry.evaluations:,}")]
+        shown = (milliseconds(entry), percent(entry.share), f"{entry.evaluations:,}")
+        costs = [*map(Text, shown)]
     slides = entry.value(JOINTS) is None and entry.value(SLIDES) is not None
     changed = [
-        Text(change_text(entry.changes.get(quantity), quantity, slides and quantity == SLIDES),
+        Text(change_text(found, entry, quantity, slides and quantity == SLIDES),
              "" if _above(found, entry, quantity) else "dim")
         for quantity in (PATH, TURN, SLIDES if slides else JOINTS, FORCE)
     ]  # fmt: skip
-    worst = entry.changes.get(found.moves(entry) or PATH)
-    at = Text("-" if worst is None else f"{worst.time:.3g}")
+    most = found.moves(entry)
+    at = Text("-" if most is None else f"{entry.changes[most].time:.3g}")
     return [Text(name, "green" if found.can_go(entry) else ""), *costs, *changed, at]
 
 
@@ -168,14 +169,14 @@ def _write(found: Ledger, plot: Path | None, html: Path | None, json: Path | Non
     from multiarm.studies.effect_costs.words import figures
 
     if plot is not None:
-        from multiarm.studies.effect_costs.page import write_plot
+        from multiarm.studies.effect_costs.page import ledger_figure
 
-        write_plot(found, plot)
+        save_figure(ledger_figure(found), plot)
         print_written("plot", plot)
     if html is not None:
-        from multiarm.studies.effect_costs.page import write_page
+        from multiarm.studies.effect_costs.page import render
 
-        write_page(found, html)
+        save_page(render(found), html)
         print_written("page", html)
     if json is not None:
         write_json(json, figures(found))

@@ -27,7 +27,7 @@ from multiarm.terminal.console import (
     print_written,
     vector,
 )
-from multiarm.terminal.progress import PartProgress
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
@@ -138,19 +138,18 @@ def design(
     from multiarm.scene import dump_scene
 
     solid = body_of_text(body, scale)
-    with PartProgress() as progress:
-        made = _designed(solid, offset, gripper_size, optimise, gap, tip_radius, seed, progress)
-        scene = made.to_scene(
-            arms,
-            mass=mass,
-            tip_radius=tip_radius,
-            height=height,
-            duration=duration,
-            seed=seed,
-            mesh=_mesh_file(solid, out, body),
-            name=f"{_who(arms)} hold {body} by two corners",
-            progress=progress,
-        )
+    made = _designed(solid, offset, gripper_size, optimise, gap, tip_radius, seed)
+    scene = made.to_scene(
+        arms,
+        mass=mass,
+        tip_radius=tip_radius,
+        height=height,
+        duration=duration,
+        seed=seed,
+        mesh=_mesh_file(solid, out, body),
+        name=f"{_who(arms)} hold {body} by two corners",
+        progress=True,
+    )
     comments = "".join(f"# {line}\n" for line in (f"multiarm grasp design {body}", *made.notes))
     text = comments + dump_scene(scene)
     rows = design_facts(made)
@@ -194,15 +193,16 @@ def check(
     from multiarm.grasp.scenes.judging import judge_grasp
     from multiarm.grasp.scenes.reading import read_grasp
 
-    system, left = compile_for_inspection(loaded)
-    unknown = [f"{one.what} ({one.place})" for one in left if one.arm]
-    if unknown:
-        raise GraspError(
-            f"this grasp cannot be judged without {', '.join(unknown)}, which this command does "
-            "not load; if you trust its author, allow it with --code"
-        )
-    found = read_grasp(system)
-    judgement = judge_grasp(system, found)
+    with Progress() as progress:
+        system, left = compile_for_inspection(loaded)
+        unknown = [f"{one.what} ({one.place})" for one in left if one.arm]
+        if unknown:
+            raise GraspError(
+                f"this grasp cannot be judged without {', '.join(unknown)}, which this command "
+                "does not load; if you trust its author, allow it with --code"
+            )
+        found = read_grasp(system)
+        judgement = judge_grasp(system, found, progress)
     if json is not None:
         write_json(json, judgement.as_dict())
     console = output()
@@ -221,7 +221,6 @@ def _designed(
     gap: float,
     tip_radius: float,
     seed: int,
-    progress: PartProgress,
 ) -> Grasp:
     import numpy as np
 
@@ -229,7 +228,6 @@ def _designed(
     if optimise is None:
         from multiarm.grasp import design_grasp
 
-        progress(0.0, "a construction that fits the body")
         return design_grasp(body, offset=offset, gripper_size=gripper_size, generator=rng)
     from multiarm.grasp import optimise_grasp
 
@@ -241,7 +239,7 @@ def _designed(
         gripper_size=gripper_size or USUAL_SIZE * body.size,
         tip_radius=tip_radius,
         gap=gap,
-        progress=lambda done, total, what: progress(done / max(total, 1), what),
+        progress=True,
         rng=rng,
     )
     return found.grasp.noted(found.message)
@@ -297,14 +295,17 @@ def design_facts(grasp: Grasp) -> dict[str, RenderableType]:
 
 def judgement_tables(found: GraspJudgement) -> list[RenderableType]:
     """The contacts of a scene's grasp, and its properties."""
-    return [
-        columns(
-            "Contacts, in the object's frame, at the start",
-            ("arm", "contact", "face", "at, m", "force", "may slide by", "share"),
-            [_contact(contact, found) for contact in found.contacts if not contact.pulls],
-        ),
-        facts("Grasp", _grasp_facts(found)),
-    ]
+    table = columns(
+        "Contacts, in the object's frame, at the start; numbers are those of the picture",
+        ("no.", "arm", "contact", "face", "at, m", "force", "may slide by", "share"),
+        [
+            (str(place), *_contact(contact, found))
+            for place, contact in enumerate(found.contacts, 1)
+            if not contact.pulls
+        ],
+    )
+    table.padding, table.pad_edge = (0, 1, 0, 0), False
+    return [table, facts("Grasp", _grasp_facts(found))]
 
 
 def _contact(contact: ContactFacts, found: GraspJudgement) -> tuple[RenderableType, ...]:

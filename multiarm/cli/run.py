@@ -31,7 +31,6 @@ from multiarm.terminal.console import (
     STATUS_STYLES,
     accuracy,
     facts,
-    messages,
     number,
     output,
     print_error,
@@ -160,7 +159,7 @@ def _simulate(
     """
     duration = settings.get("duration", scene.run.duration)
     integrator = settings.get("integrator", scene.run.integrator)
-    with RunProgress(messages(), duration, quiet, integrator) as progress:
+    with RunProgress(duration, quiet, integrator) as progress:
         from multiarm.assembly.compilation import compile_system
         from multiarm.simulation.setup import run_spec
         from multiarm.simulation.simulate import simulate

@@ -16,8 +16,9 @@ from rich.text import Text
 from multiarm.cli.files import check_targets, write_json
 from multiarm.cli.options import JsonFile, file_option, option
 from multiarm.errors import MultiarmError
+from multiarm.results.files import save_page
 from multiarm.terminal.console import output, print_warnings, print_written
-from multiarm.terminal.progress import StudyProgress
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.studies.scaling_tables import Table
@@ -97,8 +98,8 @@ def scaling(
     kinds = benchmark.KINDS if kind is Kind.all else (kind.value,)
     plan = benchmark.quick(studies, kinds) if quick else benchmark.Plan(studies, kinds)
     plan = replace(plan, arms=counts or plan.arms, rounds=rounds or plan.rounds)
-    with StudyProgress(plan.measurements, counted=True) as watched:
-        result = benchmark.run_scaling(plan, progress=watched.report)
+    with Progress() as progress:
+        result = benchmark.run_scaling(plan, progress=progress)
     from multiarm.studies.scaling_tables import disturbance, tables
 
     console = output()
@@ -114,9 +115,9 @@ def scaling(
         plot_scaling(result, plot)
         print_written("plot", plot)
     if html is not None:
-        from multiarm.studies.scaling_page import write_page
+        from multiarm.studies.scaling_page import render
 
-        write_page(result, html)
+        save_page(render(result), html)
         print_written("page", html)
 
 

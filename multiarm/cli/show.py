@@ -90,7 +90,7 @@ def replay(
 
 def report(
     result: Annotated[Path, RESULT],
-    out: Annotated[Path, option("The HTML file; replaced if it exists.", "FILE.html")] = Path(
+    html: Annotated[Path, option("The HTML file; replaced if it exists.", "FILE.html")] = Path(
         "report.html"
     ),
     run: Annotated[int | None, RUN] = None,
@@ -100,12 +100,12 @@ def report(
 
     Of a sweep, --run names the run.
     """
-    check_targets({"--out": out}, source=result)
+    check_targets({"--html": html}, source=result)
     trajectory = _open_with_samples(result, run, code)
     import multiarm
 
-    multiarm.report(trajectory, out)
-    print_written("report", out)
+    multiarm.report(trajectory, html)
+    print_written("report", html)
 
 
 def serve_until_interrupt(trajectory: Trajectory, *, quiet: bool = False, **options: Any) -> None:

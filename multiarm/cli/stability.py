@@ -13,8 +13,9 @@ from rich.text import Text
 
 from multiarm.cli.files import check_targets, write_json
 from multiarm.cli.options import JsonFile, file_option
+from multiarm.results.files import save_page
 from multiarm.terminal.console import columns, number, output, print_error, print_written
-from multiarm.terminal.progress import StudyProgress
+from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.problems import HardCase
@@ -69,8 +70,8 @@ def stability(
         rows = [(Text(case.name, "bold"), case.title, case.difficulty) for case in chosen]
         output().print(_table("Hard cases", ("name", "case", "what is hard"), rows, chosen))
         return
-    with StudyProgress(len(chosen), counted=True) as watched:
-        suite = run_suite(names or (), peers=peers, progress=watched.report)
+    with Progress() as progress:
+        suite = run_suite(names or (), peers=peers, progress=progress)
     console = output()
     for part in _parts(suite, peers):
         console.print(part)
@@ -78,9 +79,9 @@ def stability(
         write_json(json, suite.as_dict())
         print_written("figures", json)
     if html is not None:
-        from multiarm.studies.hard_case_page import write_page
+        from multiarm.studies.hard_case_page import render
 
-        write_page(suite, html)
+        save_page(render(suite), html)
         print_written("page", html)
     for case in suite.cases:
         if not case.passed:

@@ -22,6 +22,7 @@ from multiarm.cli.options import (
     with_settings,
 )
 from multiarm.errors import SweepError
+from multiarm.results.files import save_figure
 from multiarm.terminal.console import (
     STATUS_STYLES,
     columns,
@@ -176,9 +177,9 @@ def _write(found: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[s
 
 def _write_one(found: Sweep, what: str, path: Path) -> None:
     if what == "plot":
-        from multiarm.plots.sweep_figures import write_overview
+        from multiarm.plots.sweep_figures import sweep_overview
 
-        write_overview(found, path)
+        save_figure(sweep_overview(found), path)
     elif what == "csv":
         found.to_csv(path)
     else:

@@ -7,14 +7,15 @@ from typing import Annotated
 
 from multiarm.cli.options import option
 from multiarm.terminal.console import output
-from multiarm.terminal.progress import StudyProgress
+from multiarm.terminal.progress import Progress
 
 __all__ = ["warmup"]
 
 
 def warmup(
-    processes: Annotated[
-        int | None, option("How many kernels at a time.", default="one a processor", min=1)
+    workers: Annotated[
+        int | None,
+        option("Processes, each with a kernel at a time.", default="one a processor", min=1),
     ] = None,
 ) -> None:
     """Compile the kernels that any scene may need, on all processors.
@@ -22,7 +23,7 @@ def warmup(
     Scenes compile what they need when they first run; after this, they find it in the cache.
     Needed once after installing or changing multiarm, and by no means necessary.
     """
-    with StudyProgress(counted=True) as progress:
+    with Progress() as progress:
         from multiarm.jit.ahead import all_kernels, compile_all
 
         began, kernels = time.perf_counter(), all_kernels()
@@ -32,9 +33,9 @@ def warmup(
         def note(name: str) -> None:
             nonlocal done
             done += 1
-            progress.report(f"compiling, done: {name.rpartition(':')[2]}", done, len(kernels))
+            progress(done, len(kernels), f"compiling, done: {name.rpartition(':')[2]}")
 
-        compile_all(kernels, processes, note)
+        compile_all(kernels, workers, note)
     took = time.perf_counter() - began
     output().print(
         f"{len(kernels)} kernels are in the cache; {len(kernels) - cached} of them compiled now, "

@@ -46,6 +46,7 @@ from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
+from multiarm.public import public_names
 
 Rows = TypeVar("Rows", np.ndarray, tuple)
 Arrays = TypeVar("Arrays", Variables, NodeWork, CoupledWork)
@@ -180,6 +181,8 @@ class Evaluation:
     _unique: Callable[[], np.ndarray]
     _lost_motions: Callable[[], Mapping[str, tuple[str, ...]]]
     _joint_forces: Mapping[str, np.ndarray]
+
+    __dir__ = public_names
 
     def __repr__(self) -> str:
         left = self.residuals

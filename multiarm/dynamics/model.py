@@ -64,6 +64,7 @@ from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
+from multiarm.public import public_names
 from multiarm.scene import ResolvedArm
 
 
@@ -77,7 +78,7 @@ class ControlSpan:
     outside: str  # what happens at other times; "error": a run must not come there
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Model:
     """Constants of a compiled scene."""
 
@@ -108,6 +109,11 @@ class Model:
     # Which rows can open, slide and stick.  Such a model has all rows that can ever be closed; only
     # models with selected rows are solved.
     unilateral: UnilateralConstraints | None = None
+
+    __dir__ = public_names
+
+    def __repr__(self) -> str:
+        return f"Model({self.layout})"
 
     def data(self) -> Data:
         """Variables of evaluations; each thread needs its own."""
@@ -304,6 +310,11 @@ class Data:
     arrays: Variables
     work: NodeWork
     coupled: CoupledWork
+
+    __dir__ = public_names
+
+    def __repr__(self) -> str:
+        return f"Data({self.model.layout})"
 
     def __init__(self, model: Model) -> None:
         self.model, self._backends = model, model.backends.copy()

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from multiarm.errors import ModelError, MultiarmError
+from multiarm.public import public_names
+
+NAMED_ARMS = 4
+"""More arms are counted where an object shows itself in a line."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,11 @@ class Layout:
     names: tuple[str, ...]
     dofs: tuple[int, ...]
     rows: tuple[int, ...]
+
+    def __str__(self) -> str:
+        count = len(self.names)
+        arms = f"arms {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} arms"
+        return f"{arms}; {self.joints} joints, {self.contacts} contacts"
 
     @property
     def joints(self) -> int:
@@ -56,7 +65,7 @@ class Layout:
         return {name: vector[..., a:b] for name, a, b in pairs}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class State:
     """Positions and velocities of object and arms.
 
@@ -74,7 +83,13 @@ class State:
 
     position: np.ndarray
     velocity: np.ndarray
-    layout: Layout = field(repr=False)
+    layout: Layout
+
+    __dir__ = public_names
+
+    def __repr__(self) -> str:
+        place = ", ".join(f"{x:.4g}" for x in self.object_position)
+        return f"State(object at ({place}) m; {self.layout})"
 
     @property
     def object_position(self) -> np.ndarray:

@@ -22,6 +22,7 @@ from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector, fill_by_arm
 from multiarm.errors import ControlError, ModelError
 from multiarm.geometry.records import Contact
+from multiarm.public import public_names
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.scene import Scene
 
@@ -87,7 +88,7 @@ class StartReport:
         return found
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class System:
     """A compiled scene.
 
@@ -100,10 +101,15 @@ class System:
     """
 
     scene: Scene
-    model: Model = field(repr=False)
-    start_report: StartReport = field(repr=False)
-    _start: State = field(repr=False)
-    _free_data: deque[Data] = field(default_factory=deque, init=False, repr=False)
+    model: Model
+    start_report: StartReport
+    _start: State
+    _free_data: deque[Data] = field(default_factory=deque, init=False)
+
+    __dir__ = public_names
+
+    def __repr__(self) -> str:
+        return f"System({self.scene.name!r}: {self.model.layout})"
 
     @contextmanager
     def borrow(self) -> Iterator[Data]:

@@ -82,7 +82,7 @@ class Search:
         middle: np.ndarray,
         size: float,
         rng: np.random.Generator,
-        progress: Callable[[int, int, str], None] | None,
+        progress: Callable[[int, int, str], None],
     ) -> None:
         self.objective, self.limits = objective, limits
         self.middle, self.size, self.rng = middle, size, rng
@@ -301,8 +301,7 @@ class Search:
             self.value, self.best = margin, (touches, grown[0])
 
     def _tell(self, words: str) -> None:
-        if self.progress is not None:
-            self.progress(self.done, self.limits.nodes, words)
+        self.progress(self.done, self.limits.nodes, words)
 
 
 # --- Good placements by evolution -----------------------------------------------------------------

@@ -40,6 +40,7 @@ from multiarm.grasp.face import frame_of
 from multiarm.grasp.grasp_objectives import Force, Margin, Objective, Stability
 from multiarm.grasp.grasp_search import Limits, Search
 from multiarm.grasp.placements import touch_regions
+from multiarm.terminal.progress import Progress, shown
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
@@ -109,7 +110,7 @@ def optimise_grasp(
     gap: float = 0.05,
     nodes: int = NODES,
     seconds: float | None = None,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: bool | Callable[[int, int, str], None] | None = None,
     rng: np.random.Generator | int | None = 0,
 ) -> OptimisedGrasp:
     """Search the placements of seven contacts on a polyhedron.
@@ -142,8 +143,9 @@ def optimise_grasp(
         It also ends after so many cells.
     seconds : float, optional
         And after this time; results then depend on the machine.
-    progress : callable, optional
-        Called as ``progress(done, total, words)``, in nodes.
+    progress : bool or callable, optional
+        True: a bar on the terminal, elsewhere a line on stderr every few seconds.  A function is
+        called as ``progress(done, total, words)``, in nodes.
     rng : Generator or int
         The same seed gives the same result.
 
@@ -162,22 +164,17 @@ def optimise_grasp(
     where = body.vertices if places is None else _places(places)
     size, middle = body.size, np.asarray(body.centre, dtype=float)
     regions = touch_regions(body, where, gripper_size, clearance=tip_radius, faces=faces)
-    search = Search(
-        goal,
-        Limits(
-            spacing=(2.0 * tip_radius if spacing is None else spacing) / size,
-            conditioning=conditioning,
-            gap=gap,
-            nodes=nodes,
-            until=None if seconds is None else started + seconds,
-        ),
-        middle,
-        size,
-        np.random.default_rng(rng),
-        progress,
+    limits = Limits(
+        spacing=(2.0 * tip_radius if spacing is None else spacing) / size,
+        conditioning=conditioning,
+        gap=gap,
+        nodes=nodes,
+        until=None if seconds is None else started + seconds,
     )
-    search.choose(regions, fingers)
-    search.run()
+    with shown(progress, Progress) as show:
+        search = Search(goal, limits, middle, size, np.random.default_rng(rng), show)
+        search.choose(regions, fingers)
+        search.run()
     grasp, conditioned = _grasp(body, search, where, fingers)
     value, bound = _in_units(objective, search.value, search.bound, size)
     return OptimisedGrasp(

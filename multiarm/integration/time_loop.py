@@ -20,6 +20,7 @@ from multiarm.dynamics.equations import finite, largest
 from multiarm.integration.monitors import update_monitors
 from multiarm.integration.near_singular import evaluate_on_branch
 from multiarm.integration.projection import near_loss, project
+from multiarm.integration.rosenbrock import rosenbrock_step
 from multiarm.integration.samples import follow_joints, write_sample
 from multiarm.integration.step import (
     error_estimate,
@@ -58,13 +59,16 @@ from multiarm.integration.step_control import (
     view_clock,
     view_settings,
 )
+from multiarm.integration.variational import variational_step
 from multiarm.jit.kernels import INT, INTS, TABLE, clear, copy, kernel, unlocked
 from multiarm.jit.pointers import call_cfunc
-from multiarm.tableaus import EXPLICIT, SEMI_IMPLICIT, VARIATIONAL
+from multiarm.tableaus import EXPLICIT, ROSENBROCK, SEMI_IMPLICIT, VARIATIONAL
 
 # Near a loss of rank this many steps after a failed one are made with projected stages, which
 # allows long steps.
 RETRY_STEPS = 3
+# Compiled steps of the implicit methods.
+IMPLICIT_STEPS = {ROSENBROCK: rosenbrock_step, VARIATIONAL: variational_step}
 
 
 @unlocked

@@ -1,8 +1,8 @@
 """Figures of a run: motion, forces, energy and accuracy.
 
 Each function takes a trajectory and returns a matplotlib `Figure` without a window; save it with
-`figure.savefig`. Every arm has the same family of colours in all figures. Events are thin vertical
-lines, one style for each family, explained below the axes.
+`figure.savefig`. A joint, and a contact, has the same colour and dashes in the panels of all arms.
+Events are thin vertical lines, one style for each family, explained below the axes.
 
 A line has some thousand points at most, however long the run (see `decimation`).
 """
@@ -22,7 +22,6 @@ from multiarm.plots.run_figures import (
     object_pose,
     work_channels,
 )
-from multiarm.plots.style import INK, family
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,13 +29,11 @@ if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
 
 __all__ = [
-    "INK",
     "accuracy_course",
     "contact_forces",
     "contact_states",
     "drift",
     "energy",
-    "family",
     "figures",
     "joint_positions",
     "joint_torques",

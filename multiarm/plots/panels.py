@@ -132,6 +132,8 @@ def _style(family: Family) -> dict[str, Any]:
     }
 
 
+KEY = 0.32
+"""Length of the piece of a line before its name, with a gap on both sides [in]."""
 LABEL_HEIGHT = 0.155
 """Of a label at the end of a line [in]."""
 SMALLEST_SPAN = 1e-3
@@ -157,8 +159,15 @@ class Panel:
     values: np.ndarray
     labels: tuple[str, ...]
     colours: Sequence[str]
+    dashes: Sequence[tuple[float, ...]] = ()  # of the lines; solid where there are none
     log: bool = False
     levels: tuple[float | None, ...] = ()
+
+    def looks(self) -> list[dict[str, Any]]:
+        """Colour and dashes of each line."""
+        dashes = self.dashes or [()] * len(self.colours)
+        pairs = zip(self.colours, dashes, strict=True)
+        return [{"color": own, "linestyle": (0, dash) if dash else "solid"} for own, dash in pairs]
 
 
 def draw(panels: list[Panel], zero_line: bool = False, events: Iterable[Event] = ()) -> Figure:
@@ -205,7 +214,7 @@ def sheet(rows: int, columns: int, height: float, longest: int, marks: EventMark
         Letters of the longest label at the right end of a line.
     marks : EventMarks
     """
-    left, right, top = LEFT, 0.2 + 0.067 * longest, 0.4
+    left, right, top = LEFT, 0.2 + (KEY if longest else 0.0) + 0.067 * longest, 0.4
     bottom = 0.5 + marks.legend_height(WIDTHS[columns])
     width = WIDTHS[columns] / columns - left - right
     size = columns * (left + width + right), rows * (top + height) + bottom
@@ -238,8 +247,8 @@ def _draw_panel(axes: Axes, panel: Panel, height: float, zero_line: bool) -> Non
         axes.minorticks_off()
     if panel.values.dtype.kind == "i":
         axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-    for values, colour in zip(panel.values.T, panel.colours, strict=True):
-        axes.plot(panel.time, values, color=colour, marker=marker, markersize=4)
+    for values, look in zip(panel.values.T, panel.looks(), strict=True):
+        axes.plot(panel.time, values, marker=marker, markersize=4, **look)
     for level, colour in zip(panel.levels, panel.colours, strict=False):
         if level is not None:
             axes.axhline(level, color=colour, linewidth=1.0, linestyle="--")
@@ -257,19 +266,21 @@ def _draw_panel(axes: Axes, panel: Panel, height: float, zero_line: bool) -> Non
 
 
 def _label_ends(axes: Axes, panel: Panel, gap: float) -> None:
-    """Write each line's name at its right end, moved apart where ends are close."""
+    """Write each line's name beside its right end, after a piece of the line; moved apart."""
     axes.autoscale_view()
     ends = [(panel.time[-1], value) for value in panel.values[-1]]
     places = axes.transAxes.inverted().transform(axes.transData.transform(ends))[:, 1]
     spread = _moved_apart(places, gap)
-    for label, colour, place in zip(panel.labels, panel.colours, spread, strict=True):
-        style: dict[str, Any] = {
-            "color": colour,
-            "fontsize": 8.5,
-            "va": "center",
-            "parse_math": False,
-        }
-        axes.text(1.012, place, label, transform=axes.transAxes, **style)
+    figure = axes.figure
+    assert isinstance(figure, Figure), "panels are drawn into a figure"
+    width = axes.get_position().width * figure.get_figwidth()
+    begin, end, name = (1.0 + part * KEY / width for part in (0.2, 0.8, 0.95))
+    for label, look, place in zip(panel.labels, panel.looks(), spread, strict=True):
+        figure.add_artist(Line2D([begin, end], [place] * 2, transform=axes.transAxes, **look))
+        axes.text(
+            name, place, label, transform=axes.transAxes, color=look["color"], fontsize=8.5,
+            va="center", parse_math=False,
+        )  # fmt: skip
 
 
 def _moved_apart(places: np.ndarray, gap: float) -> np.ndarray:

@@ -18,7 +18,15 @@ from matplotlib.patches import Patch
 
 from multiarm.plots.decimation import POINTS, RotationSinceStart, decimate
 from multiarm.plots.panels import DECADES, LEGEND_ROW, EventMarks, Panel, draw, sheet
-from multiarm.plots.style import AXIS_COLOURS, GRID, ROLES, STYLE, family
+from multiarm.plots.style import (
+    AXIS_COLOURS,
+    DASHES,
+    GRID,
+    PALETTE,
+    PREFIXES,
+    ROLES,
+    STYLE,
+)
 from multiarm.results.channels import CONTACT_STATES, Channel, channels_of
 from multiarm.results.event_log import STATE_COLOURS, Event
 from multiarm.results.trajectory import ENERGIES, Trajectory
@@ -34,7 +42,6 @@ _SHOWN = {
     ("joint_torque", "N"): ("force [N]", 1.0),
     ("contact_force", "N"): ("force [N]", 1.0),
 }
-_PREFIXES = {1e9: "G", 1e6: "M", 1e3: "k", 1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n", 1e-12: "p"}
 
 
 def object_pose(trajectory: Trajectory) -> Figure:
@@ -89,11 +96,12 @@ def energy(trajectory: Trajectory) -> Figure:
     time, values = decimate(trajectory, ENERGIES, combine)
     colours = tuple(ROLES.values())
     labels = ("kinetic", "potential, change", "work")
-    unit, scale = _prefixed("J", values[:, 3])
+    peak = float(np.abs(values[:, 3]).max(initial=0.0))
+    scale = next((own for own in PREFIXES if peak >= own), 1)
     panels = [
         Panel("Energy and work", "energy [J]", time, values[:, :3], labels, colours[:3]),
         Panel(
-            "Energy gained less work done: 0 for an exact run", f"balance [{unit}]",
+            "Energy gained less work done: 0 for an exact run", f"balance [{PREFIXES[scale]}J]",
             time, values[:, 3:] / scale, ("",), colours[3:],
         ),
     ]  # fmt: skip
@@ -155,7 +163,7 @@ def _work_panels(trajectory: Trajectory) -> list[Panel]:
     if not works:
         return []
     time, values = decimate(trajectory, list(works.values()))
-    colours = [family(number, 1)[0] for number in range(len(works))]
+    colours = [PALETTE[number % len(PALETTE)] for number in range(len(works))]
     return [Panel("Work done by each effect", "work [J]", time, values, tuple(works), colours)]
 
 
@@ -165,16 +173,18 @@ def _arm_panels(trajectory: Trajectory, quantity: str) -> list[Panel]:
     lines = sum(len(channel.column_units) for channel in channels)
     points = min(POINTS, max(200, FIGURE_POINTS // max(1, lines)))
     panels = []
-    for number, (arm, channel) in enumerate(zip(named, channels, strict=True)):
+    for arm, channel in zip(named, channels, strict=True):
         time, values = decimate(trajectory, [channel.name], points=points)
-        colours, labels = family(number, values.shape[1]), _short(_labels(channel))
+        labels = _short(_labels(channel))
         for unit in dict.fromkeys(channel.column_units):
             chosen = [i for i, other in enumerate(channel.column_units) if other == unit]
             shown, factor = _SHOWN[quantity, unit]
             panels.append(
                 Panel(
                     arm, shown, time, factor * values[:, chosen],
-                    tuple(labels[i] for i in chosen), [colours[i] for i in chosen],
+                    tuple(labels[i] for i in chosen),
+                    [PALETTE[i % len(PALETTE)] for i in chosen],
+                    [DASHES[(i + i // len(PALETTE)) % len(DASHES)] for i in chosen],
                 )
             )  # fmt: skip
     return panels
@@ -192,13 +202,6 @@ def _short(labels: Sequence[str]) -> list[str]:
     while len(words) > 1 and all(len(w) > 1 for w in words) and len({w[0] for w in words}) == 1:
         words = [w[1:] for w in words]
     return [" ".join(w) for w in words]
-
-
-def _prefixed(unit: str, values: np.ndarray) -> tuple[str, float]:
-    """The unit with a prefix for the largest value, and the divisor."""
-    peak = float(np.abs(values).max()) if values.size else 0.0
-    scale = next((s for s in _PREFIXES if peak >= s), 1.0 if peak == 0 else 1e-12)
-    return f"{_PREFIXES[scale]}{unit}", scale
 
 
 ROW = 0.24

@@ -18,6 +18,13 @@ RED, GREEN, BLUE, ORANGE, PINK = "#d1495b", "#2f9e67", "#3b7dd8", "#d9822b", "#c
 """Colours of lines; they are readable on light and on dark ground."""
 AXIS_COLOURS = (RED, GREEN, BLUE)
 """Of x, y and z, as in every viewer."""
+PALETTE = (
+    BLUE, RED, GREEN, ORANGE, "#8a5cc2", "#0f9aa8", PINK, "#8c7a2b",
+    "#5a6b7d", "#a0522d", "#5fa8d3", "#93b83a",
+)  # fmt: skip
+"""Colours of lines that have no meaning of their own."""
+DASHES: tuple[tuple[float, ...], ...] = ((), (5, 1.6), (1.2, 1.4), (6, 1.6, 1.2, 1.6))
+"""Dashes of lines that have no meaning of their own: lines of one place are told apart too."""
 ROLES = {"kinetic": ORANGE, "potential": BLUE, "work": GREEN, "balance": PINK}
 """Colours of the parts of the energy."""
 STYLE: dict[Any, Any] = {
@@ -53,6 +60,11 @@ STYLE: dict[Any, Any] = {
     "ytick.major.width": 0.7,
 }
 """Settings of matplotlib under which all figures are drawn."""
+
+PREFIXES = {
+    1e9: "G", 1e6: "M", 1e3: "k", 1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n", 1e-12: "p", 1e-15: "f",
+}  # fmt: skip
+"""Divisor -> the prefix of a unit, the largest first."""
 
 _HUES = (0.59, 0.07, 0.41, 0.87, 0.72, 0.49, 0.98, 0.14)
 

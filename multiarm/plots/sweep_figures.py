@@ -1,7 +1,8 @@
-"""Figures of a sweep: each quantity over each varied value, and over two of them as a map.
+"""The figure of a sweep: each quantity over each varied value, and over two of them as a map.
 
-Curves show the median, the middle half and nine tenths of the runs.  Runs that did not complete are
-red ticks at the bottom.  Points are thinned out, so that a figure of very many runs stays small.
+Dots are runs; curves show their median, the middle half and nine tenths of them.  Runs that did not
+complete are red ticks at the bottom.  Dots are thinned out, so that a figure of very many runs
+stays small.  Where few values were run, these are the ticks of the axis.
 
 A varied value with few different values has levels, as on a grid.  One that is different in every
 run is cut into parts with equally many runs, so that each has quantiles.
@@ -10,21 +11,21 @@ run is cut into parts with equally many runs, so that each has quantiles.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullLocator
 
 from multiarm.errors import SweepError
 from multiarm.plots.style import BLUE, INK, RED, STYLE
-from multiarm.results.files import save_figure
-from multiarm.scene.faults import unknown
 
 if TYPE_CHECKING:
     from multiarm.sweeps.result import Sweep
@@ -132,8 +133,10 @@ POINTS = 3000
 WIDTH, HEIGHT = 4.6, 2.7
 """Of a panel [in]."""
 MOST_PATHS, MOST_QUANTITIES = 4, 8
-"""Columns and rows of a figure, unless they are named."""
+"""Columns and rows of a figure, at most."""
 COLOURS = "viridis"
+MOST_TICKS, NARROWEST = 8, 0.08
+"""Ticks at levels: how many at most, and the least distance of two as a part of the axis."""
 
 
 def sweep_overview(sweep: Sweep) -> Figure:
@@ -144,113 +147,64 @@ def sweep_overview(sweep: Sweep) -> Figure:
     SweepError
         There is no run, no quantity or no varied value to draw.
     """
-    data = _Data(sweep, None, None)
+    data = _Data(sweep)
     pairs = [] if len(data.axes) < 2 else [(data.axes[0], data.axes[1])]
-    return _sheet(data, data.axes, pairs)
-
-
-def sweep_curves(
-    sweep: Sweep, paths: Sequence[str] | None = None, quantities: Sequence[str] | None = None
-) -> Figure:
-    """Quantities over varied values, a row of panels each.
-
-    Parameters
-    ----------
-    sweep : Sweep
-    paths, quantities : sequence of str, optional
-        Names of columns; the first few of the sweep when left out.
-
-    Raises
-    ------
-    SweepError
-        There is none of that name, with the alternatives, or nothing to draw.
-    """
-    data = _Data(sweep, paths, quantities)
-    return _sheet(data, data.axes, [])
-
-
-def sweep_map(sweep: Sweep, x: str, y: str, quantities: Sequence[str] | None = None) -> Figure:
-    """Quantities over two varied values: medians of a grid, else the runs themselves.
-
-    Parameters
-    ----------
-    sweep : Sweep
-    x, y : str
-        Names of columns.
-    quantities : sequence of str, optional
-
-    Raises
-    ------
-    SweepError
-        There is none of that name, with the alternatives, or nothing to draw.
-    """
-    data = _Data(sweep, [x, y], quantities)
-    return _sheet(data, [], [(data.axes[0], data.axes[1])])
-
-
-def write_overview(sweep: Sweep, path: Path) -> None:
-    """Draw :func:`sweep_overview` to a file; its ending is the format.
-
-    Raises
-    ------
-    MultiarmError
-        There is nothing to draw, or the file cannot be written.
-    """
-    save_figure(sweep_overview(sweep), path)
+    rows, columns = len(data.values), len(data.axes) + len(pairs)
+    with matplotlib.rc_context(STYLE):
+        size = (WIDTH * columns, HEIGHT * rows + 0.6)
+        figure = Figure(figsize=size, layout="constrained")
+        grid = figure.subplots(rows, columns, squeeze=False)
+        for row, (name, values) in zip(grid, data.values.items(), strict=True):
+            for panel, axis in zip(row, data.axes, strict=False):
+                _draw_curve(panel, axis, values, data.failed)
+                panel.set_ylabel(data.labels[name], parse_math=False)
+            for panel, (x, y) in zip(row[len(data.axes) :], pairs, strict=True):
+                _draw_map(figure, panel, x, y, values, data.labels[name])
+        keys = _keys(bool(data.failed.any()))
+        figure.legend(handles=keys, loc="outside lower center", frameon=False, ncols=len(keys))
+    return figure
 
 
 class _Data:
     """Axes, quantities and failed runs of a figure."""
 
-    def __init__(self, sweep: Sweep, paths: Sequence[str] | None, names: Sequence[str] | None):
+    def __init__(self, sweep: Sweep) -> None:
         varied = [own.name for own in sweep.columns if own.group == "values"]
         kept = {own.name: own for own in sweep.columns if own.group == "quantities"}
-        _check(paths, varied, "varied value")
-        _check(names, kept, "quantity", "quantities")
-        wanted = varied if paths is None else list(paths)
-        table = sweep.select(dict.fromkeys(["status", *wanted, *(names or kept)]))
-        there = [name for name in names or kept if np.isfinite(table[name]).any()]
+        table = sweep.select(dict.fromkeys(["status", *varied, *kept]))
+        there = [name for name in kept if np.isfinite(table[name]).any()]
         if not there:
             raise SweepError(f"'{sweep.path}' has no run with a number to draw")
-        shown = there[:MOST_QUANTITIES] if names is None else list(names)
-        found = {path: variable(path, table[path]) for path in wanted}
-        refused = [path for path, axis in found.items() if axis is None]
-        axes = [axis for axis in found.values() if axis is not None]
-        if not axes or (paths is not None and refused):
+        found = {path: variable(path, table[path]) for path in varied}
+        self.axes = [axis for axis in found.values() if axis is not None][:MOST_PATHS]
+        if not self.axes:
             raise SweepError(
                 f"'{sweep.path}': there is nothing to draw over: "
-                f"{', '.join(refused) or 'no value'} varies as a number, or takes few values"
+                f"{', '.join(found) or 'no value'} varies as a number, or takes few values"
             )
-        self.axes = axes[:MOST_PATHS] if paths is None else axes
-        self.values = {name: table[name] for name in shown}
+        self.values = {name: table[name] for name in there[:MOST_QUANTITIES]}
         self.labels = {
-            name: f"{name} [{kept[name].unit}]" if kept[name].unit else name for name in shown
+            name: f"{name} [{kept[name].unit}]" if kept[name].unit else name for name in self.values
         }
         self.failed = table["status"] != "completed"
 
 
-def _check(names: Sequence[str] | None, known: Any, noun: str, plural: str | None = None) -> None:
-    faults = [unknown(noun, name, known, plural) for name in names or () if name not in known]
-    if faults:
-        raise SweepError(faults)
+_RUN: dict[str, Any] = {"color": INK, "marker": ".", "markersize": 2.5, "alpha": 0.35, "lw": 0}
+_MEDIAN: dict[str, Any] = {"color": BLUE, "marker": "o", "markersize": 3.5}
+_NINE_TENTHS: dict[str, Any] = {"color": BLUE, "alpha": 0.15, "linewidth": 0}
+_MIDDLE_HALF: dict[str, Any] = {"color": BLUE, "alpha": 0.25, "linewidth": 0}
+_LOST: dict[str, Any] = {"color": RED, "marker": "|", "markersize": 8, "lw": 0}
 
 
-def _sheet(
-    data: _Data, axes: Sequence[Variable], pairs: Sequence[tuple[Variable, Variable]]
-) -> Figure:
-    """A row of panels for each quantity: its curves, then its maps."""
-    rows, columns = len(data.values), len(axes) + len(pairs)
-    with matplotlib.rc_context(STYLE):
-        size = (WIDTH * columns, HEIGHT * rows + 0.3)
-        figure = Figure(figsize=size, layout="constrained")
-        grid = figure.subplots(rows, columns, squeeze=False)
-        for row, (name, values) in zip(grid, data.values.items(), strict=True):
-            for panel, axis in zip(row, axes, strict=False):
-                _draw_curve(panel, axis, values, data.failed)
-                panel.set_ylabel(data.labels[name], parse_math=False)
-            for panel, (x, y) in zip(row[len(axes) :], pairs, strict=True):
-                _draw_map(figure, panel, x, y, values, data.labels[name])
-    return figure
+def _keys(with_lost: bool) -> list[Artist]:
+    """The legend of all panels with curves."""
+    keys: list[Artist] = [
+        Line2D([], [], **_RUN, label="a run"),
+        Line2D([], [], **_MEDIAN, label="median"),
+        Patch(**_MIDDLE_HALF, label="middle half"),
+        Patch(**_NINE_TENTHS, label="nine tenths"),
+    ]
+    return [*keys, Line2D([], [], **_LOST, label="did not complete")] if with_lost else keys
 
 
 def _draw_curve(panel: Axes, axis: Variable, values: np.ndarray, failed: np.ndarray) -> None:
@@ -259,17 +213,16 @@ def _draw_curve(panel: Axes, axis: Variable, values: np.ndarray, failed: np.ndar
         panel.set_yscale("log")
     _dress(panel, axis, "x")
     places, found = bands(axis, values)
-    if axis.levels is None:
-        shown = _thinned(np.flatnonzero(finite))
-        panel.plot(axis.at[shown], values[shown], ".", color=INK, markersize=2.5, alpha=0.35)
+    shown = _thinned(np.flatnonzero(finite))
+    panel.plot(axis.at[shown], values[shown], **_RUN)
     if len(places):
-        panel.fill_between(places, found[:, 0], found[:, 4], color=BLUE, alpha=0.15, linewidth=0)
-        panel.fill_between(places, found[:, 1], found[:, 3], color=BLUE, alpha=0.25, linewidth=0)
-        panel.plot(places, found[:, 2], "o-", color=BLUE, markersize=3.5, label="median")
+        panel.fill_between(places, found[:, 0], found[:, 4], **_NINE_TENTHS)
+        panel.fill_between(places, found[:, 1], found[:, 3], **_MIDDLE_HALF)
+        panel.plot(places, found[:, 2], **_MEDIAN, label="median")
     lost = _thinned(np.flatnonzero(failed))
     if len(lost):
         panel.plot(
-            axis.at[lost], np.full(len(lost), 0.025), "|", color=RED, markersize=8,
+            axis.at[lost], np.full(len(lost), 0.025), **_LOST,
             transform=panel.get_xaxis_transform(), label="did not complete",
         )  # fmt: skip
 
@@ -303,10 +256,23 @@ def _dress(panel: Axes, axis: Variable, which: Literal["x", "y"]) -> None:
     line.set_label_text(axis.name, parse_math=False)
     if axis.log:
         panel.set(**{f"{which}scale": "log"})
+    if not axis.labels and _few(axis):
+        assert axis.levels is not None, "levels are few"
+        line.set_ticks(axis.levels, [f"{level:.4g}" for level in axis.levels])
+        line.set_minor_locator(NullLocator())
     if axis.labels and axis.levels is not None:
         crowded = which == "x" and len(axis.labels) > 3
         turned: dict[str, Any] = {"rotation": 30, "ha": "right"} if crowded else {}
         line.set_ticks(axis.levels, axis.labels, parse_math=False, **turned)
+
+
+def _few(axis: Variable) -> bool:
+    """Whether an axis has few levels, so far apart that each can have its tick."""
+    if axis.levels is None or len(axis.levels) > MOST_TICKS:
+        return False
+    levels = np.log(axis.levels) if axis.log else axis.levels
+    apart = np.diff(levels)
+    return not len(apart) or bool(apart.min() >= NARROWEST * (levels[-1] - levels[0]))
 
 
 def _edges(axis: Variable) -> np.ndarray:

@@ -14,8 +14,9 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from multiarm.plots.style import PREFIXES
+
 NOTHING = "\N{EN DASH}"
-_PREFIXES = ((1, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"), (1e-15, "f"))
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -58,8 +59,8 @@ def quantity(value: float | None, unit: str) -> str:
     value = float(f"{value:.3g}")  # 0.9999 m is 1 m, not 1000 mm
     if value == 0 or abs(value) >= 1e4 or abs(value) < 1e-15:
         return f"{value:.3g} {unit}"
-    scale, prefix = next(pair for pair in _PREFIXES if abs(value) >= pair[0])
-    return f"{value / scale:.4g} {prefix}{unit}"
+    scale = next(own for own in PREFIXES if own <= 1 and abs(value) >= own)
+    return f"{value / scale:.4g} {PREFIXES[scale]}{unit}"
 
 
 def scientific(value: float | None) -> str:

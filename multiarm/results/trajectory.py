@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from multiarm.errors import TrajectoryError
+from multiarm.public import public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
 from multiarm.results.files import temporary_name
 
@@ -106,6 +107,8 @@ class Trajectory:
         self._cache: dict[str, np.ndarray] = {}
         self._scene: Scene | None = None
         self._simulated: Scene | None = None
+
+    __dir__ = public_names
 
     def __len__(self) -> int:
         return self._store.samples

@@ -32,6 +32,7 @@ from pydantic import (
 from typing_extensions import Self
 
 from multiarm.errors import SceneError
+from multiarm.public import public_names
 from multiarm.scene.faults import Parts, explain, fault, listed, shown, unknown
 from multiarm.scene.robots import JointOutline
 
@@ -59,6 +60,9 @@ class Spec(BaseModel):
         arbitrary_types_allowed=True,
         defer_build=True,  # at its first use: a scene uses few of all parts
     )
+
+    def __dir__(self) -> list[str]:
+        return [name for name in public_names(self) if not hasattr(BaseModel, name)]
 
     def __init__(self, /, **data: Any) -> None:
         try:

@@ -16,7 +16,7 @@ from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport, System
 from multiarm.errors import SceneError, SolverError
-from multiarm.integration.rosenbrock import make_rosenbrock, rosenbrock_step
+from multiarm.integration.rosenbrock import make_rosenbrock
 from multiarm.integration.samples import sample_width
 from multiarm.integration.step import (
     Method,
@@ -35,8 +35,8 @@ from multiarm.integration.step_control import (
     gains,
     make_clock,
 )
-from multiarm.integration.time_loop import start_monitors
-from multiarm.integration.variational import make_variational, variational_step
+from multiarm.integration.time_loop import IMPLICIT_STEPS, start_monitors
+from multiarm.integration.variational import make_variational
 from multiarm.jit.pointers import address_of
 from multiarm.jit.structs import struct_of
 from multiarm.results.event_log import EventLog
@@ -51,8 +51,6 @@ from multiarm.tableaus import METHODS, ROSENBROCK, VARIATIONAL, Tableau
 # Tolerances below this change roundings only.
 SMALLEST_TOLERANCE = 1e-14
 BLOCK_NUMBERS = 200_000
-# Compiled steps of the implicit methods.
-IMPLICIT_STEPS = {ROSENBROCK: rosenbrock_step, VARIATIONAL: variational_step}
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts
 from multiarm.simulation.run import Progress
 from multiarm.simulation.setup import Task, increasing_times, run_spec
+from multiarm.terminal.progress import RunProgress, shown
 
 
 def simulate(
@@ -38,7 +40,7 @@ def simulate(
     sample_time: float | None = None,
     sample_delay: bool = False,
     out: str | os.PathLike | None = None,
-    progress: Progress | None = None,
+    progress: bool | Progress | None = None,
     certificate: bool = True,
 ) -> Trajectory:
     """Simulate a system.
@@ -89,10 +91,12 @@ def simulate(
         sample.
     out : path-like, optional
         HDF5 file that the samples are streamed to; memory then does not grow with the run.
-    progress : callable, optional
-        Called with the simulated time now and then; may raise ``KeyboardInterrupt`` to end the run.
-        While a run is checked, its method ``checking(time, number)`` is called with the simulated
-        time and the number of the rerun, if it has one; else it is called with the end of the run.
+    progress : bool or callable, optional
+        True: a bar on the terminal, elsewhere a line on stderr every few seconds.  A function is
+        called with the simulated time now and then; it may raise ``KeyboardInterrupt`` to end the
+        run.  While a run is checked, its method ``checking(time, number)`` is called with the
+        simulated time and the number of the rerun, if it has one; else it is called with the end of
+        the run.
     certificate : bool
         Check a run of some ``accuracy`` against a rerun with smaller tolerances, and repeat it if
         it is not accurate enough; ``trajectory.certificate`` tells the estimated errors. False:
@@ -135,11 +139,12 @@ def simulate(
         system = system.with_control(control, sample_time, sample_delay)
     if max_step is None:
         max_step = spec.output_step if system.model.calls_user else np.inf
-    with system.borrow() as data:
+    own = partial(RunProgress, spec.duration, integrator=spec.integrator, begin=start_time)
+    with shown(progress, own) as show, system.borrow() as data:
         for callback in data.user_callbacks:
             callback.forget()
         task = Task(system, data, spec, state, max_step, start_time, times)
-        attempts = Attempts(task, None if out is None else Path(out), progress)
+        attempts = Attempts(task, None if out is None else Path(out), show)
         trajectory = attempts.first()
         if certificate and spec.accuracy is not None and trajectory.status == "completed":
             trajectory = attempts.certify()

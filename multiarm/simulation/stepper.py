@@ -21,6 +21,7 @@ from multiarm.errors import ControlError, SolverError
 from multiarm.integration.samples import sample_columns
 from multiarm.integration.step_control import BLOCK_FULL, FINISHED
 from multiarm.integration.time_loop import observe
+from multiarm.public import public_names
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
@@ -92,6 +93,11 @@ class Stepper:
         self._torques = np.zeros(self._layout.joints)
         self._by_arm = self._layout.split_joints(self._torques)
         self.reset()
+
+    __dir__ = public_names
+
+    def __repr__(self) -> str:
+        return f"Stepper(t = {self.time:.6g} s: {self._layout})"
 
     # --- what it shows ------------------------------------------------------------------------
 

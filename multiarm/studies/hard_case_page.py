@@ -8,8 +8,6 @@ its events and the peers' answers.
 from __future__ import annotations
 
 import math
-import os
-from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
@@ -19,7 +17,6 @@ from matplotlib.figure import Figure
 from multiarm.plots.panels import DECADES, Panel, draw
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK, inline_svg
 from multiarm.reports import pages
-from multiarm.results.files import save_page
 from multiarm.studies.hard_cases import (
     CaseResult,
     CriterionResult,
@@ -78,19 +75,6 @@ SHOWN_EVENTS = 12
 DOUBTFUL, WRONG = 1e-6, 1e-2
 """Relative errors of accelerations above these are shown in yellow and in red."""
 _METER_DECADES = 6
-
-
-def write_page(suite: SuiteResult, path: str | os.PathLike) -> Path:
-    """Write the page.
-
-    Raises
-    ------
-    MultiarmError
-        The file cannot be written.
-    """
-    target = Path(path).expanduser()
-    save_page(render(suite), target)
-    return target
 
 
 def render(suite: SuiteResult) -> str:

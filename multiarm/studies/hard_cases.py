@@ -27,6 +27,7 @@ from multiarm.results.trajectory import ENERGIES, Trajectory, plain
 from multiarm.scene import dump_scene
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.peer_trials import Answer, Trial, all_answers
+from multiarm.terminal.progress import Progress, Report, shown
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import System
@@ -52,10 +53,8 @@ SOLVER_EVENTS = frozenset(
 )
 """Kinds of event about the rank and lost directions."""
 
-Progress = Callable[[str, float], None]
+CaseProgress = Callable[[str, float], None]
 """Called with what is being done and which part of the case is done, 0 to 1."""
-SuiteProgress = Callable[[str, float], None]
-"""Called with case and what is being done, and how many cases are done, with parts."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +183,7 @@ def run_suite(
     *,
     cases: Mapping[str, HardCase] | None = None,
     peers: bool = True,
-    progress: SuiteProgress | None = None,
+    progress: bool | Report | None = None,
 ) -> SuiteResult:
     """Run hard cases one after the other; none of them ends the suite.
 
@@ -196,8 +195,8 @@ def run_suite(
         Where the names are looked up; ``multiarm.problems.HARD_CASES`` when left out.
     peers : bool
         Run other programs too.
-    progress : callable, optional
-        ``progress(text, cases done)``, now and then.
+    progress : bool or callable, optional
+        ``progress(done, total, words)``, in cases; True: on stderr.
 
     Raises
     ------
@@ -209,15 +208,14 @@ def run_suite(
     chosen = choose_cases(names, cases)
     begin = time.perf_counter()
     results = []
-    for number, case in enumerate(chosen):
+    with shown(progress, Progress) as show:
+        for number, case in enumerate(chosen):
 
-        def report(what: str, part: float, number: int = number, name: str = case.name) -> None:
-            if progress is not None:
-                progress(f"{name}: {what}", number + part)
+            def report(what: str, part: float, number: int = number, name: str = case.name) -> None:
+                show(number + part, len(chosen), f"{name}: {what}")
 
-        results.append(run_case(case, peers=peers, progress=report))
-    if progress is not None:
-        progress("done", float(len(results)))
+            results.append(run_case(case, peers=peers, progress=report))
+        show(len(chosen), len(chosen), "done")
     return SuiteResult(tuple(results), machine(), time.perf_counter() - begin)
 
 
@@ -241,7 +239,9 @@ def choose_cases(
     return [case for name, case in known.items() if not names or name in names]
 
 
-def run_case(case: HardCase, *, peers: bool = True, progress: Progress | None = None) -> CaseResult:
+def run_case(
+    case: HardCase, *, peers: bool = True, progress: CaseProgress | None = None
+) -> CaseResult:
     """Run one hard case and judge it.
 
     Whatever is raised on the way, except Ctrl-C, becomes a result that did not pass.

@@ -9,14 +9,15 @@ algorithms (:mod:`multiarm.studies.evaluation_costs`), section 4.4 of the thesis
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from multiarm.studies import contact_rows, solver_study, time_shares
 from multiarm.studies.evaluation_costs import evaluation_costs
 from multiarm.studies.hard_cases import machine
+from multiarm.terminal.progress import Progress, Report, shown
 
 EVALUATIONS, THESIS, SHARES, ROWS = STUDIES = ("evaluations", "thesis", "shares", "rows")
 KINDS = ("weld", "ball")
@@ -65,8 +66,14 @@ def quick(studies: tuple[str, ...] = STUDIES, kinds: tuple[str, ...] = KINDS) ->
     )  # fmt: skip
 
 
-def run_scaling(plan: Plan, progress: Callable[[str], None] | None = None) -> dict[str, Any]:
+def run_scaling(plan: Plan, progress: bool | Report | None = None) -> dict[str, Any]:
     """Carry out a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+    progress : bool or callable, optional
+        ``progress(done, total, words)``, in measurements; True: on stderr.
 
     Returns
     -------
@@ -79,16 +86,27 @@ def run_scaling(plan: Plan, progress: Callable[[str], None] | None = None) -> di
         microseconds).
     """
     begin, busy = time.perf_counter(), time.process_time()
-    found: dict[str, Any] = {"machine": machine(), "rounds": plan.rounds}
-    if EVALUATIONS in plan.studies:
-        found["evaluations"] = evaluation_costs(plan.arms, plan.kinds, plan.rounds, progress)
-    if THESIS in plan.studies:
-        found["thesis"] = solver_study.solver_study(plan.thesis_arms, plan.rounds, progress)
-    if SHARES in plan.studies:
-        found["shares"] = time_shares.time_shares(plan.share_arms, plan.rounds, progress)
-    if ROWS in plan.studies:
-        found["contact_rows"] = contact_rows.measure_rows(plan.rounds, progress)
+    with shown(progress, Progress) as show:
+        found = _measured(plan, show)
     wall = time.perf_counter() - begin
     found["wall_time_s"] = wall
     found["waited"] = max(0.0, 1.0 - (time.process_time() - busy) / wall)
+    return found
+
+
+def _measured(plan: Plan, show: Report) -> dict[str, Any]:
+    found: dict[str, Any] = {"machine": machine(), "rounds": plan.rounds}
+    counted = itertools.count()
+
+    def report(words: str) -> None:
+        show(next(counted), plan.measurements, words)
+
+    if EVALUATIONS in plan.studies:
+        found["evaluations"] = evaluation_costs(plan.arms, plan.kinds, plan.rounds, report)
+    if THESIS in plan.studies:
+        found["thesis"] = solver_study.solver_study(plan.thesis_arms, plan.rounds, report)
+    if SHARES in plan.studies:
+        found["shares"] = time_shares.time_shares(plan.share_arms, plan.rounds, report)
+    if ROWS in plan.studies:
+        found["contact_rows"] = contact_rows.measure_rows(plan.rounds, report)
     return found

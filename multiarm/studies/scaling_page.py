@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import groupby
@@ -17,7 +16,7 @@ from matplotlib.ticker import NullLocator
 
 from multiarm.plots.style import BLUE, GREEN, INK, ORANGE, PINK, STYLE, inline_svg
 from multiarm.reports import pages
-from multiarm.results.files import save_figure, save_page
+from multiarm.results.files import save_figure
 from multiarm.studies.scaling_tables import disturbance, exponent, micro, tables
 
 Drawing = Callable[[Axes], None]
@@ -188,19 +187,6 @@ def _finish(axes: Axes, arms: Sequence[int], title: str, unit: str, columns: int
     room = 1.0 - _LEGEND_ROW * -(-len(legend.get_texts()) // columns)
     low, high = axes.get_ylim()
     axes.set_ylim(low, low * (high / low) ** (1.0 / room))
-
-
-def write_page(result: dict[str, Any], path: str | os.PathLike) -> Path:
-    """Write the page.
-
-    Raises
-    ------
-    MultiarmError
-        The file cannot be written.
-    """
-    target = Path(path).expanduser()
-    save_page(render(result), target)
-    return target
 
 
 def render(result: dict[str, Any]) -> str:

@@ -33,6 +33,7 @@ from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.simulation.run import leave_undone
 from multiarm.simulation.setup import positive, run_spec
 from multiarm.simulation.simulate import simulate
+from multiarm.terminal.progress import ManyRunsProgress, shown
 
 
 def simulate_many(
@@ -82,9 +83,9 @@ def simulate_many(
         effects and surfaces.  Such threads only wait for each other, and so do runs whose loop
         takes less than half a millisecond.
     progress : bool or callable, optional
-        True: a bar on the terminal.  A function is called repeatedly in the calling thread with the
-        simulated time of all runs together [s] and the number of finished runs; it may raise
-        ``KeyboardInterrupt`` to end them all.
+        True: a bar on the terminal, elsewhere a line on stderr every few seconds.  A function is
+        called repeatedly in the calling thread with the simulated time of all runs together [s] and
+        the number of finished runs; it may raise ``KeyboardInterrupt`` to end them all.
     out : path-like, optional
         Samples are streamed to HDF5 files ``run_0001.h5`` and so on in this folder, or to files of
         a pattern such as ``"runs/box_{:03d}.h5"``.  Memory then does not grow with the runs.
@@ -133,13 +134,9 @@ def simulate_many(
     require_control(control, sample_time, sample_delay)
     threads = _threads(threads, system, control)
     cases = describe(system, states, parameters, out, options)
-    if progress is not True:
-        return run_cases(cases, system, threads, progress or None)
-    from multiarm.terminal.progress import ManyRunsProgress
-
     ends = (case.scene.run.duration if duration is None else duration for case in cases)
-    with ManyRunsProgress(len(cases), sum(ends)) as bar:
-        return run_cases(cases, system, threads, bar)
+    with shown(progress, lambda: ManyRunsProgress(len(cases), sum(ends))) as show:
+        return run_cases(cases, system, threads, show)
 
 
 def _threads(threads: int | None, system: System, control: ControlFunction | None) -> int:
@@ -304,7 +301,7 @@ ManyProgress = Callable[[float, int], None]
 
 
 def run_cases(
-    cases: Sequence[Case], system: System, threads: int, progress: ManyProgress | None = None
+    cases: Sequence[Case], system: System, threads: int, progress: ManyProgress
 ) -> list[Trajectory]:
     """Carry out all cases.
 
@@ -314,7 +311,7 @@ def run_cases(
         Of the system's scene, or of changes of it.
     system : System
     threads : int
-    progress : callable, optional
+    progress : callable
         Called in this thread with the simulated time of all runs together [s] and the number of
         finished runs; may raise ``KeyboardInterrupt`` to end them all.
 
@@ -345,11 +342,10 @@ def run_cases(
                 raise
 
     def report() -> None:
-        if progress is not None:
-            try:
-                progress(sum(times), sum(result is not None for result in results))
-            except KeyboardInterrupt:
-                stopped.set()
+        try:
+            progress(sum(times), sum(result is not None for result in results))
+        except KeyboardInterrupt:
+            stopped.set()
 
     count = max(1, min(threads, len(cases)))
     with deferred_interrupt() as interrupt, ThreadPoolExecutor(count, "multiarm") as pool:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import SweepError
+from multiarm.public import public_names
 from multiarm.scene.faults import unknown
 from multiarm.sweeps.plan import Record
 from multiarm.sweeps.store import StoredSweep, differences
@@ -49,6 +50,8 @@ class Sweep:
         self.path = Path(path).expanduser().absolute()
         self._code = code
         self._stored = StoredSweep.read(self.path)
+
+    __dir__ = public_names
 
     def __len__(self) -> int:
         return len(self._stored.table)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,8 @@ from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.sweeps.plan import Job, Record, SweepPlan, make_plan
 from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.sweeps.store import SweepFile
+from multiarm.terminal.progress import SweepProgress as SweepBar
+from multiarm.terminal.progress import shown
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -76,9 +78,9 @@ def sweep(
     certificate : bool, optional
         Check runs of some ``accuracy``, as :func:`multiarm.simulate` does.
     progress : bool or callable, optional
-        True: a bar on the terminal.  A function is called in this thread with the number of
-        finished runs, of all runs, and of runs that failed since the call; it may raise
-        ``KeyboardInterrupt`` to end the sweep.
+        True: a bar on the terminal, elsewhere a line on stderr every few seconds.  A function is
+        called in this thread with the number of finished runs, of all runs, and of runs that failed
+        since the call; it may raise ``KeyboardInterrupt`` to end the sweep.
     resume : bool
         Continue from the rows of this sweep in the file.  False: overwrite the file.
     **run
@@ -112,22 +114,13 @@ def sweep(
     }
     plan = make_plan(scene, over, **{key: v for key, v in keys.items() if v is not None})
     with (
-        _shown(progress) as show,
+        shown(progress, SweepBar) as show,
         # before the file: if the cluster does not answer, rows of an earlier sweep must not be lost
         connected(dask) if dask else nullcontext() as client,
         SweepFile(out, plan, fresh=not resume) as file,
     ):
         _fill(file, plan, _records(plan, file, workers, client), show)
     return load_sweep(file.path, code=plan.scene.may_load_code)
-
-
-def _shown(progress: bool | SweepProgress | None) -> AbstractContextManager[SweepProgress]:
-    """The function to be told of the progress."""
-    if progress is True:
-        from multiarm.terminal.progress import SweepProgress as Bar
-
-        return Bar()
-    return nullcontext(progress or (lambda done, count, failed: None))
 
 
 def _records(

@@ -36,6 +36,8 @@ __all__ = [
     "vector",
 ]
 
+WHOLE = 24
+"""Words of tables with so many letters at most are never broken."""
 STATUS_STYLES = {"completed": "bold green", "interrupted": "bold yellow", "failed": "bold red"}
 
 
@@ -130,13 +132,22 @@ def facts(title: str, rows: dict[str, RenderableType]) -> Table:
 
 
 def columns(title: str, names: Sequence[str], rows: Iterable[Sequence[RenderableType]]) -> Table:
-    """A table with a heading for each column; texts are shown as they are."""
+    """A table with a heading for each column; texts are shown as they are, words stay whole."""
     table = Table(title=Text(printable(title), "bold"), box=box.SIMPLE_HEAD, title_justify="left")
-    for name in names:
-        table.add_column(_as_text(name), header_style="cyan", overflow="fold")
-    for row in rows:
-        table.add_row(*(_as_text(cell) for cell in row))
+    shown = [[_as_text(cell) for cell in row] for row in rows]
+    for k, name in enumerate(names):
+        cells = [_as_text(name), *(row[k] for row in shown if k < len(row))]
+        width = max(map(_longest_word, cells))
+        table.add_column(cells[0], header_style="cyan", overflow="fold", min_width=width)
+    for row in shown:
+        table.add_row(*row)
     return table
+
+
+def _longest_word(cell: RenderableType) -> int:
+    """Letters of the longest word of a cell; of longer ones than ``WHOLE``, that many."""
+    words = cell.plain.split() if isinstance(cell, Text) else []
+    return min(max(map(len, words), default=0), WHOLE)
 
 
 def _as_text(value: RenderableType) -> RenderableType:

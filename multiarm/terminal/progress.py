@@ -1,50 +1,55 @@
-"""Progress bars of long work: a run, many runs, a sweep, a study, a search."""
+"""Progress of long work: a run, many runs, a sweep, a study, a search.
+
+On a terminal it is a bar that goes away at the end.  Elsewhere it is a plain line on stderr every
+few seconds, so that work that takes less prints nothing.  Both say the same: what is being done,
+how much of it is done, and how long it will take at the pace so far.
+"""
 
 from __future__ import annotations
 
-import math
+import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from datetime import datetime, timedelta
-from types import TracebackType
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console, RenderableType
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    Task,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.text import Text
 from typing_extensions import Self
 
 from multiarm.tableaus import METHODS
-from multiarm.terminal.console import messages
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 __all__ = [
     "ManyRunsProgress",
     "PartProgress",
+    "Progress",
+    "Report",
     "RunProgress",
-    "StudyProgress",
     "SweepProgress",
     "kernels_are_cached",
-    "passing_bar",
+    "shown",
+    "span",
 ]
 
-# Where there is no terminal, a sweep prints a line so often [s].
-LINES = 30.0
+Shown = AbstractContextManager[Callable[..., None]]
+Report = Callable[[float, float, str], None]
+"""Called with how much is done, of how much (0: not known), and what is being done."""
 
-COMPILING = "compiling kernels (only the first time on this machine)"
+LINES, SLOWEST, SHARE = 5.0, 30.0, 0.1
+"""Where there is no terminal, a line comes after so long [s] at least and at most; between the two
+after such a share of the time so far."""
+SETTLED = 1.0
+"""The time left is estimated when the pace has been watched for so long [s]."""
+CLOCK_TIMES = 90.0
+"""Where more time is left [s], the end is given as a time of day too."""
+PREPARING, COMPILING = "preparing", "compiling kernels (only the first time on this machine)"
 
 
 def kernels_are_cached(integrator: str | None = None) -> bool:
     """Whether the compiled loop, and this method's step, are in Numba's cache and fresh."""
-    from multiarm.integration.time_loop import advance
-    from multiarm.simulation.setup import IMPLICIT_STEPS
+    from multiarm.integration.time_loop import IMPLICIT_STEPS, advance
 
     kernels = [advance]
     if integrator is not None and METHODS[integrator].kind in IMPLICIT_STEPS:
@@ -52,185 +57,63 @@ def kernels_are_cached(integrator: str | None = None) -> bool:
     return all(kernel.is_cached() for kernel in kernels)
 
 
-class _Bar(Progress):
-    """A bar with a sentence below it.
-
-    Attributes
-    ----------
-    note : str
-        Empty where there is nothing to say.
-    """
-
-    note = ""
-
-    def get_renderables(self) -> Iterable[RenderableType]:
-        """What is drawn: the bar, and the sentence."""
-        yield from super().get_renderables()
-        if self.note:
-            yield Text(self.note, "green")
+def shown(progress: bool | Callable[..., None] | None, own: Callable[[], Shown]) -> Shown:
+    """What long work calls as it goes on: the caller's function, or for True a display of ours."""
+    if progress is True:
+        return own()
+    return nullcontext(progress or _ignore)
 
 
-def passing_bar(console: Console, *columns: ProgressColumn, hidden: bool = False) -> _Bar:
-    """A bar with a description and further columns, on terminals only; removed at the end."""
-    return _Bar(
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        *columns,
-        console=console,
-        transient=True,
-        disable=hidden or not console.is_terminal,
-    )
+def _ignore(*_: Any) -> None:
+    """Show nothing."""
 
 
-class RunProgress:
-    """Shows how far a run is, on a terminal; elsewhere one line says when kernels are compiled.
+class _Display:
+    """A bar, or lines; subclasses are called with what their kind of work counts.
 
     Parameters
     ----------
-    console : Console
-    duration : float
-        [s] of simulated time.
     quiet : bool
         Show nothing.
     integrator : str, optional
-        The requested method.
+        The method that runs use.
 
     Attributes
     ----------
     compiling : bool
-        The kernels are not in the cache: the run begins by compiling them.
+        The kernels are not in the cache: the work begins by compiling them.
     """
 
-    def __init__(
-        self, console: Console, duration: float, quiet: bool, integrator: str | None = None
-    ) -> None:
-        self._console, self._duration, self._quiet = console, duration, quiet
-        self._bar = passing_bar(console, _SimulatedTime(), hidden=quiet)
-        self._task = self._bar.add_task("preparing", total=None)
-        self._began: float | None = None
+    def __init__(self, quiet: bool = False, integrator: str | None = None) -> None:
+        from multiarm.terminal.bar import Bar
+        from multiarm.terminal.console import messages
+
+        self._console = messages()
         self.compiling = not kernels_are_cached(integrator)
+        self._words = COMPILING if self.compiling else PREPARING
+        self._amount, self._pace = "", _Pace()
+        self._bar = Bar(self._console, self._words, hidden=quiet)
+        self._lines = not (quiet or self._console.is_terminal)
+        self._ended = threading.Event()
+        self._printer = threading.Thread(target=self._print_lines, daemon=True)
 
     def __enter__(self) -> Self:
         self._bar.start()
-        if self.compiling:
-            self._bar.update(self._task, description=COMPILING)
-            if self._bar.disable and not self._quiet:
+        if self._lines:
+            if self.compiling:
                 self._console.print(f"{COMPILING} ...", soft_wrap=True)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
-
-    def __call__(self, t: float) -> None:
-        """Show that the run has come to time ``t`` [s]; what ``simulate`` calls."""
-        self.advance(t)
-
-    def advance(self, t: float) -> None:
-        """Show that the run has come to time ``t`` [s]."""
-        now = time.perf_counter()
-        if self._began is None:  # the first step has just been made: all kernels are compiled
-            self._began = now
-            self._bar.update(self._task, description="simulating", total=self._duration)
-        rate = t / (now - self._began) if now > self._began else None
-        self._bar.update(self._task, completed=t, rate=rate)
-
-    def checking(self, t: float, number: int) -> None:
-        """Show that a rerun has come to time ``t`` [s]: the second, third, ... run."""
-        repeated = "" if number < 2 else f" (run {number + 1})"
-        self._bar.update(
-            self._task, description=f"checking the accuracy{repeated}", completed=t, rate=None
-        )
-
-
-class ManyRunsProgress:
-    """A bar over many runs on a terminal: how much of their time is simulated, how many are done.
-
-    Parameters
-    ----------
-    runs : int
-    duration : float
-        [s] of simulated time of all of them together.
-    """
-
-    def __init__(self, runs: int, duration: float) -> None:
-        self._bar = passing_bar(messages(), _SimulatedTime(), TimeRemainingColumn())
-        self._runs, self._began = runs, time.perf_counter()
-        words = f"0 of {runs} runs" if kernels_are_cached() else COMPILING
-        self._task = self._bar.add_task(words, total=duration)
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, t: float, done: int) -> None:
-        """Show that the runs have come to ``t`` seconds together, and that some are done."""
-        if t == 0.0:  # the first one may still wait for its kernels
-            self._began = time.perf_counter()
-            return
-        passed = time.perf_counter() - self._began
-        words = f"{done} of {self._runs} runs"
-        self._bar.update(self._task, description=words, completed=t, rate=t / max(passed, 1e-9))
-
-
-class PartProgress:
-    """A bar on a terminal: the fraction that is done, 0 to 1, and what is being done."""
-
-    def __init__(self) -> None:
-        self._bar = passing_bar(messages(), TimeElapsedColumn())
-        self._task = self._bar.add_task("preparing", total=1.0)
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, part: float, what: str) -> None:
-        """Show how far it is."""
-        self._bar.update(self._task, description=what, completed=part)
-
-
-class StudyProgress:
-    """A bar over the parts of a study on a terminal; elsewhere a line when kernels are compiled.
-
-    Parameters
-    ----------
-    total : float, optional
-        How many parts there are, where that is known from the start.
-    counted : bool
-        Show how many of them are done.
-    """
-
-    def __init__(self, total: float | None = None, counted: bool = False) -> None:
-        console = messages()
-        count = [TextColumn("{task.completed:.0f} of {task.total:.0f}")] if counted else []
-        self._bar = passing_bar(console, *count, TimeElapsedColumn())
-        compiling = not kernels_are_cached()
-        self._task = self._bar.add_task(COMPILING if compiling else "preparing", total=total)
-        self._begun = -1
-        if compiling and self._bar.disable:
-            console.print(f"{COMPILING} ...", soft_wrap=True)
-
-    def __enter__(self) -> Self:
-        self._bar.start()
+            self._printer.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()
 
     def stop(self) -> None:
-        """Take the bar away."""
+        """Take the bar away; print no more lines."""
         self._bar.stop()
+        self._ended.set()
+        if self._printer.is_alive():
+            self._printer.join()
 
     def note(self, text: str) -> None:
         """Show a sentence below the bar."""
@@ -241,81 +124,172 @@ class StudyProgress:
         for item in items:
             self._bar.console.print(item)
 
-    def report(self, text: str, done: float | None = None, total: float = 0.0) -> None:
-        """Show what is being done, and how many parts are done of how many there may be.
+    def _show(self, words: str, done: float, total: float, amount: str) -> None:
+        self._pace.note(done, total)
+        self._words, self._amount = words, amount
+        self._bar.show(words, done, total, ", ".join(filter(None, (amount, self._pace.left()))))
 
-        Without ``done``, what was shown before is done; a ``total`` of 0 says nothing new.
-        """
-        self._begun += 1
-        completed = self._begun if done is None else done
-        self._bar.update(self._task, description=text, completed=completed, total=total or None)
+    def _line(self) -> str:
+        end = self._pace.left() or f"{span(self._pace.passed())} so far"
+        return ", ".join(filter(None, (self._words, self._amount, end)))
+
+    def _print_lines(self) -> None:
+        pause = LINES
+        while not self._ended.wait(pause):
+            self._console.print(self._line(), soft_wrap=True)
+            pause = min(max(LINES, SHARE * self._pace.passed()), SLOWEST)
 
 
-class SweepProgress:
-    """A bar over the runs of a sweep on a terminal; elsewhere a line now and then.
+class _Pace:
+    """How fast work goes on, and how long it will take."""
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+        self._done = self._total = 0.0
+        self._start: float | None = None  # what is done before does not count
+        self._first: tuple[float, float] | None = None
+
+    def note(self, done: float, total: float) -> None:
+        """Note how much is done."""
+        if self._start is None or done < self._done:  # another stage begins
+            self._start, self._first = done, None
+        if self._first is None and done > self._start:
+            self._first = done, time.monotonic()  # before that, code was compiled and loaded
+        self._done, self._total = done, total
+
+    def passed(self) -> float:
+        """How long the work has taken [s]."""
+        return time.monotonic() - self._began
+
+    def left(self) -> str:
+        """How long it will take at the pace so far, and when it ends; empty if not known."""
+        if self._first is None or not self._first[0] < self._done < self._total:
+            return ""
+        first, since = self._first
+        watched = time.monotonic() - since
+        if watched < SETTLED:
+            return ""
+        seconds = (self._total - self._done) * watched / (self._done - first)
+        if seconds < CLOCK_TIMES:
+            return f"about {span(seconds)} left"
+        ends = datetime.now() + timedelta(seconds=seconds)
+        return f"about {span(seconds)} left, ends {ends:{_clock(seconds)}}"
+
+
+class Progress(_Display):
+    """How far work is that counts its parts: ``progress(done, total, words)``."""
+
+    def __call__(self, done: float, total: float, words: str) -> None:
+        """Show what is being done, and how many parts of how many are done; 0 of 0: not known."""
+        self._show(words, done, total, f"{done:.0f} of {total:.0f}" if total else "")
+
+
+class RunProgress(_Display):
+    """How far a run is: ``progress(t)``, and ``progress.checking(t, number)`` of a rerun.
 
     Parameters
     ----------
-    quiet : bool
-        Show nothing.
+    duration : float
+        [s] of simulated time.
+    quiet, integrator
+        As of every display.
+    begin : float
+        Time at which the run begins [s].
     """
 
-    def __init__(self, quiet: bool = False) -> None:
-        self._console, self._quiet = messages(), quiet
-        done, left = TextColumn("{task.percentage:3.0f} %"), TextColumn("{task.fields[left]}")
-        self._bar = passing_bar(self._console, done, left, hidden=quiet)
-        self._task = self._bar.add_task("preparing", total=None, left="")
-        self._begun: int | None = None
-        self._first: tuple[int, float] | None = None
-        self._printed = -math.inf
+    def __init__(
+        self,
+        duration: float,
+        quiet: bool = False,
+        integrator: str | None = None,
+        begin: float = 0.0,
+    ) -> None:
+        super().__init__(quiet, integrator)
+        self._simulated, self._begin = _SimulatedTime(duration), begin
 
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
+    def __call__(self, t: float) -> None:
+        """Show that the run has come to time ``t`` [s]; what ``simulate`` calls."""
+        t -= self._begin
+        self._show("simulating", t, self._simulated.duration, self._simulated.text(t))
 
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+    def checking(self, t: float, number: int) -> None:
+        """Show that a rerun has come to time ``t`` [s]: the second, third, ... run."""
+        repeated = "" if number < 2 else f" (run {number + 1})"
+        duration, t = self._simulated.duration, t - self._begin
+        self._show(f"checking the accuracy{repeated}", t, duration, f"{t:.4g} of {duration:g} s")
+
+
+class ManyRunsProgress(_Display):
+    """How far many runs are: ``progress(t, done)``, t of all of them together [s].
+
+    Parameters
+    ----------
+    runs : int
+    duration : float
+        [s] of simulated time of all of them together.
+    """
+
+    def __init__(self, runs: int, duration: float) -> None:
+        super().__init__()
+        self._runs, self._simulated = runs, _SimulatedTime(duration)
+
+    def __call__(self, t: float, done: int) -> None:
+        """Show that the runs have come to ``t`` seconds together, and that some are done."""
+        if t > 0.0:  # before, the first one may still wait for its kernels
+            words = f"{done} of {self._runs} runs"
+            self._show(words, t, self._simulated.duration, self._simulated.text(t))
+
+
+class PartProgress(_Display):
+    """How far work is whose parts are not counted: ``progress(fraction, words)``."""
+
+    def __call__(self, part: float, words: str) -> None:
+        """Show which fraction is done, 0 to 1."""
+        self._show(words, part, 1.0, f"{100.0 * part:.0f} %")
+
+
+class SweepProgress(_Display):
+    """How far a sweep is: ``progress(done, count, failed)``, in runs."""
 
     def __call__(self, done: int, total: int, failed: int = 0) -> None:
         """Show how many runs are done, and how many of them failed."""
-        now = time.monotonic()
-        if self._begun is None:
-            self._begun = done
-        if self._first is None and done > self._begun:
-            self._first = done, now  # what came before was compiled and loaded meanwhile
-        lost = f", {failed} failed" if failed else ""
-        words, left = f"{done} of {total} runs{lost}", self._left(done, total, now)
-        self._bar.update(self._task, description=words, completed=done, total=total, left=left)
-        if self._bar.disable and not self._quiet and (now > self._printed + LINES or done == total):
-            self._printed = now
-            self._console.print(f"{words}{', ' if left else ''}{left}", soft_wrap=True)
-
-    def _left(self, done: int, total: int, now: float) -> str:
-        """How long it will take, at the pace so far, and when it ends."""
-        first, since = self._first or (done, now)
-        if done <= first or done >= total:
-            return ""
-        seconds = (total - done) * (now - since) / (done - first)
-        ends = datetime.now() + timedelta(seconds=seconds)
-        day = "%H:%M:%S" if seconds < 3600 else "%a %d %b %H:%M"
-        return f"about {_span(seconds)} left, ends {ends.strftime(day)}"
+        self._show(
+            f"{done} of {total} runs{f', {failed} failed' if failed else ''}", done, total,
+            f"{100 * done // max(total, 1)} %",
+        )  # fmt: skip
 
 
-class _SimulatedTime(ProgressColumn):
-    """``3.20 of 5.00 s, 24 x real time``."""
+class _SimulatedTime:
+    """``3.20 of 5.00 s, 24 x real time``.
 
-    def render(self, task: Task) -> Text:
-        """Return the text of one moment; empty until the run has begun."""
-        if task.total is None:
-            return Text()
-        rate = task.fields.get("rate")
-        pace = "" if rate is None else f", {rate:.3g} x real time"
-        return Text(f"{task.completed:.4g} of {task.total:g} s{pace}", "cyan")
+    Parameters
+    ----------
+    duration : float
+        [s]
+    """
+
+    def __init__(self, duration: float) -> None:
+        self.duration = duration
+        self._first: tuple[float, float] | None = None
+
+    def text(self, t: float) -> str:
+        """The text at a time [s]; the pace counts from the first one on."""
+        now = time.perf_counter()
+        if self._first is None:  # a step has just been made: all kernels are compiled
+            self._first = t, now
+        first, since = self._first
+        pace = f", {(t - first) / (now - since):.3g} x real time" if t > first else ""
+        return f"{t:.4g} of {self.duration:g} s{pace}"
 
 
-def _span(seconds: float) -> str:
+def span(seconds: float) -> str:
     """``40 s``, ``12 min``, ``3 h 20 min``."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     hours, minutes = divmod(round(seconds / 60), 60)
     return f"{hours} h {minutes} min" if hours else f"{minutes} min"
+
+
+def _clock(seconds: float) -> str:
+    """Format of the time of day after so many seconds."""
+    return "%H:%M:%S" if seconds < 3600 else "%a %d %b %H:%M"

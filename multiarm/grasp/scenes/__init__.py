@@ -36,6 +36,7 @@ from multiarm.grasp.scenes.hands import contacts, fingers, pose_table, require_r
 from multiarm.grasp.scenes.standing import Progress, Stand, lifted, stand_arms
 from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robot, resolve_arm
 from multiarm.spatial import quaternion_to_matrix
+from multiarm.terminal.progress import PartProgress, shown
 
 __all__ = ["grasp_scene", "motion_wrenches", "needed_squeeze"]
 
@@ -68,7 +69,7 @@ def grasp_scene(
     name: str | None = None,
     mesh: str | Path | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: bool | Progress | None = None,
 ) -> Scene:
     """A scene in which arms hold a grasp's body and move it.
 
@@ -98,8 +99,9 @@ def grasp_scene(
         STL file that is written for a body that is not convex, and that the scene names.
     seed : int
         Of the search for postures.
-    progress : callable, optional
-        Called with the finished fraction, 0 to 1, and the current stage.
+    progress : bool or callable, optional
+        True: a bar on the terminal, elsewhere a line on stderr every few seconds.  A function is
+        called with the finished fraction, 0 to 1, and the current stage.
 
     Raises
     ------
@@ -120,7 +122,8 @@ def grasp_scene(
     way = path_of(path, duration)
     course = [waypoint.matrix() for waypoint in way]
     rng = np.random.default_rng(seed)
-    z, stands = stand_arms(grasp, specs, course, tip_radius, height, rng, progress)
+    with shown(progress, PartProgress) as show:
+        z, stands = stand_arms(grasp, specs, course, tip_radius, height, rng, show)
     properties = grasp.body.mass_properties(mass)
     if squeeze is None:
         wrenches = motion_wrenches(way, mass, properties.inertia, np.array(GRAVITY))

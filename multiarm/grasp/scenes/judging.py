@@ -17,6 +17,7 @@ from multiarm.grasp.independent_contacts import independence
 from multiarm.grasp.object_frame import object_frame_on_body
 from multiarm.grasp.scenes.reading import SceneGrasp, read_grasp
 from multiarm.grasp.stability import configuration_stability
+from multiarm.terminal.progress import Progress, Report, shown
 
 # Standard deviation of a measured contact point, for that of the pose [m].
 MEASURED = 1e-4
@@ -138,7 +139,9 @@ class GraspJudgement:
         return asdict(self)
 
 
-def judge_grasp(system: System, grasp: SceneGrasp | None = None) -> GraspJudgement:
+def judge_grasp(
+    system: System, grasp: SceneGrasp | None = None, progress: bool | Report | None = None
+) -> GraspJudgement:
     """Judge the grasp of a scene at its start.
 
     Parameters
@@ -146,18 +149,27 @@ def judge_grasp(system: System, grasp: SceneGrasp | None = None) -> GraspJudgeme
     system : System
     grasp : SceneGrasp, optional
         As :func:`multiarm.grasp.scenes.reading.read_grasp` finds it.
+    progress : bool or callable, optional
+        ``progress(done, total, words)``, in parts of the judgement; True: on stderr.
 
     Raises
     ------
     GraspError
         When no row of the scene's joints is a contact in a point.
     """
-    grasp = read_grasp(system) if grasp is None else grasp
-    closure = grasp.closure
-    frame = _frame(grasp)
+    with shown(progress, Progress) as show:
+        show(0, 4, "judging the grasp: closure and its margin")
+        grasp = read_grasp(system) if grasp is None else grasp
+        closure = grasp.closure
+        show(1, 4, "judging the grasp: where each contact may be")
+        contacts = _contacts(grasp, evaluate(system))
+        show(2, 4, "judging the grasp: how far contacts may slip")
+        stability = _stability(grasp)
+        show(3, 4, "judging the grasp: forces and the object's frame")
+        force, frame = _carrying_force(system, grasp), _frame(grasp)
     return GraspJudgement(
         scene=system.scene.name,
-        contacts=_contacts(grasp, evaluate(system)),
+        contacts=contacts,
         left_out=list(grasp.left_out),
         only_pushes=grasp.only_pushes,
         closed=bool(closure),
@@ -167,8 +179,8 @@ def judge_grasp(system: System, grasp: SceneGrasp | None = None) -> GraspJudgeme
         distance=_finite(closure.distance),
         motion=None if closure.motion is None else closure.motion.tolist(),
         immobility_order=closure.order,
-        stability=_stability(grasp),
-        carrying_force=_carrying_force(system, grasp),
+        stability=stability,
+        carrying_force=force,
         frame_position=None if frame is None else float(frame[0]),
         frame_rotation=None if frame is None else float(frame[1]),
     )

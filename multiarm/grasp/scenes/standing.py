@@ -78,7 +78,7 @@ def stand_arms(
     tip_radius: float,
     height: float | None,
     rng: np.random.Generator,
-    progress: Progress | None = None,
+    progress: Progress,
 ) -> tuple[float, list[Stand]]:
     """Height of the object's frame at the start [m], and a place for each arm.
 
@@ -96,7 +96,7 @@ def stand_arms(
         Of the object's frame at the start [m]; left out: the best of several.
     rng : numpy.random.Generator
         Where searches for postures start.
-    progress : callable, optional
+    progress : callable
         Called with the finished fraction and the current stage.
 
     Raises
@@ -117,8 +117,7 @@ def stand_arms(
         if len(found[z]) < g:  # an arm before this one found no place
             continue
         gripper = grasp.grippers[g]
-        if progress is not None:
-            progress(k / len(parts), f"postures of '{gripper.name}', object at {z:.2f} m")
+        progress(k / len(parts), f"postures of '{gripper.name}', object at {z:.2f} m")
         poses = [lifted(z) @ pose for pose in course]
         stand = _Search(grasp, gripper, robots[g], poses, tip_radius, rng).best(reaches[g])
         if stand is None or stand.reach.quality < POOREST:

@@ -5,7 +5,7 @@ const data = JSON.parse(document.getElementById("data").textContent);
 const NS = "http://www.w3.org/2000/svg";
 const WIDTH = 620, HEIGHT = 440, LEFT = 62, RIGHT = 14, TOP = 10, BOTTOM = 44;
 const shown = new Set(data.series.map(series => series.name));
-let quantity = "motion";
+let quantity = data.quantity;
 
 function element(name, attributes, parent) {
   const node = document.createElementNS(NS, name);

@@ -6,7 +6,6 @@ effect left of the line at 1 can be left out.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -16,7 +15,6 @@ from matplotlib.lines import Line2D
 
 from multiarm.plots.style import GRID, INK, STYLE, inline_svg
 from multiarm.reports import pages
-from multiarm.results.files import save_figure, save_page
 from multiarm.studies.effect_costs.entries import (
     FORCE,
     JOINTS,
@@ -32,6 +30,7 @@ from multiarm.studies.effect_costs.words import (
     NO_EFFECTS,
     accuracy_text,
     change_text,
+    milliseconds,
     percent,
     sentence,
     verdict,
@@ -57,11 +56,6 @@ def ledger_figure(found: Ledger, with_title: bool = True) -> Figure:
         if with_title:
             figure.suptitle(found.scene["name"], fontsize=12, color=INK, parse_math=False)
     return figure
-
-
-def write_plot(found: Ledger, path: Path) -> None:
-    """Draw the figure to a file; its ending is the format."""
-    save_figure(ledger_figure(found), path)
 
 
 def _draw_costs(axes: Axes, shown: list[Entry]) -> None:
@@ -113,17 +107,6 @@ def _legend() -> list[Line2D]:
     ]  # fmt: skip
 
 
-def write_page(found: Ledger, path: Path) -> None:
-    """Write the page, complete or not at all.
-
-    Raises
-    ------
-    MultiarmError
-        The file cannot be written.
-    """
-    save_page(render(found), path)
-
-
 def render(found: Ledger) -> str:
     """The page as text."""
     drawn = any(entry.share is not None and entry.changes for entry in found.entries)
@@ -145,6 +128,7 @@ def _line(found: Ledger, entry: Entry) -> dict[str, Any]:
         "sentence": sentence(found, entry),
         "verdict": verdict(found, entry),
         "tone": "bad" if entry.trouble else "good" if found.can_go(entry) else "",
+        "milliseconds": "" if entry.milliseconds is None else milliseconds(entry),
         "share": "" if entry.share is None else percent(entry.share),
-        "changes": {name: change_text(one, name) for name, one in entry.changes.items()},
+        "changes": {name: change_text(found, entry, name) for name in entry.changes},
     }

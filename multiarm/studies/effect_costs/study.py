@@ -11,7 +11,7 @@ have forces that it lacks without it, such as those of friction; these are not c
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,6 +51,7 @@ from multiarm.studies.effect_costs.variants import (
 )
 from multiarm.studies.hard_cases import machine
 from multiarm.studies.timing import clocked_run, one_thread
+from multiarm.terminal.progress import Progress, Report, shown
 
 _QUANTITY_OF = {
     "object position": PATH,
@@ -139,16 +140,13 @@ BUDGET = 3.0
 FORCE_ACCURACY = 1e-3
 """Accuracy of contact forces if the scene requests none, as a fraction of the largest one."""
 
-Progress = Callable[[str, float, float], None]
-"""Called with what is being done, how much is done, and how much there is."""
-
 
 def ledger(
     scene: Scene,
     *,
     candidates: bool = False,
     repeats: int = REPEATS,
-    progress: Progress | None = None,
+    progress: bool | Report | None = None,
 ) -> Ledger:
     """Measure what each effect of a scene costs, and what it changes.
 
@@ -160,7 +158,8 @@ def ledger(
         (:func:`multiarm.effects.defaults.defaults`).
     repeats : int
         Timed runs of each variant, at most.
-    progress : callable, optional
+    progress : bool or callable, optional
+        ``progress(done, total, words)``; True: on stderr.
 
     Raises
     ------
@@ -170,11 +169,10 @@ def ledger(
         Ctrl-C.
     """
     begin = time.perf_counter()
-    report = progress or (lambda _text, _done, _total: None)
     variants = [*left_out(scene), *simpler_settings(scene)]
     if candidates:
         variants += added(scene, defaults(scene))
-    with one_thread():
+    with one_thread(), shown(progress, Progress) as report:
         own, benches = _run_all(scene, variants, report)
         able = {key: bench for key, bench in benches.items() if isinstance(bench, _Bench)}
         times = _times({_OWN: own, **able}, repeats, report)
@@ -218,17 +216,17 @@ class _Bench:
 
 
 def _run_all(
-    scene: Scene, variants: Sequence[Variant], report: Progress
+    scene: Scene, variants: Sequence[Variant], report: Report
 ) -> tuple[_Bench, dict[str, _Bench | str]]:
     """Bench of the scene, and of each variant: its bench, or why there is none."""
-    total = 2.0 * (1 + len(variants))
-    report(_OWN, 0.0, total)
+    total = 1 + len(variants)
+    report(0.0, total, _OWN)
     own = _Bench.of(compile_system(scene))
     if own.run.status != "completed":
         raise SolverError(f"the scene itself does not run: {own.run.message}")
     found: dict[str, _Bench | str] = {}
     for number, variant in enumerate(variants):
-        report(f"{variant.name}, {variant.about}", number + 1.0, total)
+        report(number + 1.0, total, f"{variant.name}, {variant.about}")
         try:
             found[_key(variant)] = _Bench.of(compile_system(variant.scene()))
         except Exception as error:  # one that fails must not hide the others
@@ -240,7 +238,7 @@ def _key(variant: Variant) -> str:
     return f"{variant.kind}/{variant.name}"
 
 
-def _times(benches: Mapping[str, _Bench], repeats: int, report: Progress) -> dict[str, np.ndarray]:
+def _times(benches: Mapping[str, _Bench], repeats: int, report: Report) -> dict[str, np.ndarray]:
     """Seconds a simulated second of each variant that runs, in rounds.
 
     A variant that has spent its time takes no part any more; the first, the scene itself, does.
@@ -249,7 +247,7 @@ def _times(benches: Mapping[str, _Bench], repeats: int, report: Progress) -> dic
     found: dict[str, list[float]] = {key: [] for key in running}
     left = dict.fromkeys(running, BUDGET)
     for turn in range(repeats):
-        report("timing", float(repeats + turn), 2.0 * repeats)
+        report(turn, repeats, "timing, round by round")
         for key in [k for k in running if left[k] > 0.0 or k == _OWN or turn < LEAST_REPEATS]:
             _, seconds = clocked_run(running[key].system)
             left[key] -= seconds

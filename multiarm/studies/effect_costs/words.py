@@ -1,7 +1,10 @@
-"""The ledger as text: one sentence for each entry, and one line for all.
+"""The ledger as text: one sentence for each entry, and a verdict on all of at most three.
 
-``joint_damping: 3 % of the time, changes the object's path by 41 mm; drag: 2 % of the time, changes
-it by 0.02 mm, below the requested accuracy: leave it out``
+``Leave out drag: without it nothing changes beyond the noise. Keep joint_damping (3 % of the time,
+the object's path by 41 mm).``
+
+A time within its uncertainty is noise, and so is a change below the requested accuracy, to which
+all runs are made.
 """
 
 from __future__ import annotations
@@ -16,7 +19,6 @@ from multiarm.studies.effect_costs.entries import (
     QUANTITIES,
     SLIDES,
     TURN,
-    Change,
     Entry,
     Estimate,
     Ledger,
@@ -34,26 +36,58 @@ SHOWN = {
 NO_EFFECTS = "No effects: nothing is added, and nothing can be left out."
 
 
+NOISE = "noise"
+
+
 def summary(found: Ledger) -> str:
-    """All effects in one line; settings are in the table."""
-    present = [sentence(found, entry, PATH) for entry in found.of_kind(PRESENT)]
-    more = [sentence(found, entry, PATH) for entry in found.of_kind(CANDIDATE)]
+    """What to leave out, what to keep, and what else is known, in a sentence each."""
+    present, more = found.of_kind(PRESENT), found.of_kind(CANDIDATE)
     if not present and not more:
         return NO_EFFECTS
-    return "; ".join([*present, *more]) + "."
+    go = [entry.name for entry in present if found.can_go(entry)]
+    keep = [_briefly(found, e) for e in present if not e.trouble and found.moves(e)]
+    rest = [
+        _rest(found, e) for e in present if e.trouble or not (found.can_go(e) or found.moves(e))
+    ]
+    rest += [_rest(found, entry) for entry in more]
+    them = "it" if len(go) == 1 else "them"
+    sentences = (
+        f"Leave out {_listed(go)}: without {them} nothing changes beyond the noise." if go else "",
+        f"Keep {_listed(keep)}." if keep else "",
+        f"{'; '.join(rest)}." if rest else "",
+    )
+    return " ".join(filter(None, sentences))
 
 
-def sentence(found: Ledger, entry: Entry, known: str = "") -> str:
-    """What an entry costs and changes; ``known`` is a quantity that "it" stands for."""
+def _briefly(found: Ledger, entry: Entry) -> str:
+    """``joint_damping (3 % of the time, the object's path by 41 mm)``."""
+    quantity = found.moves(entry)
+    assert quantity is not None, "the entry changes something"
+    return f"{entry.name} ({_cost(entry)}, {_change(found, entry, quantity)})"
+
+
+def _rest(found: Ledger, entry: Entry) -> str:
+    """An effect that was added, or of which it is not known whether it can go."""
+    if entry.kind == PRESENT and not entry.trouble:
+        return f"{entry.name} is undecided, as its run does not meet the requested accuracy"
+    return sentence(found, entry)
+
+
+def _listed(names: list[str]) -> str:
+    """``a, b and c``."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def sentence(found: Ledger, entry: Entry) -> str:
+    """What an entry costs and changes."""
     name = f"{entry.name} (added)" if entry.kind == CANDIDATE else entry.name
     if entry.trouble:
         return f"{name}: {trouble(entry)}"
-    parts = [f"{name}: {_cost(entry)}", *_change(found, entry)]
-    if not found.can_go(entry):
-        return ", ".join(parts)
-    if any(change.value for change in entry.changes.values()):
-        parts.append("below the requested accuracy")
-    return f"{', '.join(parts)}: leave it out"
+    would = "would change" if entry.kind == CANDIDATE else "changes"
+    quantity = found.moves(entry)
+    what = "nothing beyond the noise" if quantity is None else _change(found, entry, quantity)
+    text = f"{name}: {_cost(entry)}, {would} {what}" if entry.changes else f"{name}: {_cost(entry)}"
+    return f"{text}: leave it out" if found.can_go(entry) else text
 
 
 def verdict(found: Ledger, entry: Entry) -> str:
@@ -83,12 +117,15 @@ def trouble(entry: Entry) -> str:
     return f"the scene does not run {'with it' if entry.kind == CANDIDATE else 'so'}: {first}"
 
 
-def change_text(change: Change | None, quantity: str, with_unit: bool = True) -> str:
-    """A change in the unit in which people read it; a dash for None."""
-    if change is None:
+def change_text(found: Ledger, entry: Entry, quantity: str, with_unit: bool = True) -> str:
+    """A change in the unit in which people read it; "noise" below the accuracy, a dash for none."""
+    value = entry.value(quantity)
+    if value is None:
         return "-"
+    if 0.0 < value <= found.asked[quantity]:
+        return NOISE
     factor, unit = SHOWN[quantity]
-    text = _short(factor * change.value)
+    text = _short(factor * value)
     return f"{text} {unit}" if with_unit else text
 
 
@@ -99,11 +136,19 @@ def _short(value: float) -> str:
     return f"{value:.2g}" if value >= 1e-4 or value == 0.0 else f"{value:.0e}"
 
 
+def milliseconds(entry: Entry) -> str:
+    """The time of an entry without a unit, or that it is noise."""
+    assert entry.milliseconds is not None and entry.share is not None, "the entry has a time"
+    return NOISE if entry.share.within_noise else f"{entry.milliseconds.value:.2g}"
+
+
 def percent(share: Estimate) -> str:
-    """A share of the time with its uncertainty, such as ``3.1 ± 0.4``."""
+    """A share of the time with its uncertainty, such as ``3.1 ± 0.4``, or that it is noise."""
     value, spread = 100.0 * share.value, 100.0 * share.uncertainty
     digits = 0 if max(spread, abs(value) / 10.0) >= 1.0 else 1
     text = f"{value:.{digits}f}"
+    if share.within_noise:
+        return NOISE
     return text if not spread else f"{text} \N{PLUS-MINUS SIGN} {spread:.{digits}f}"
 
 
@@ -133,24 +178,17 @@ def _cost(entry: Entry) -> str:
     assert entry.share is not None, "entries without trouble have times"
     share = entry.share
     if share.within_noise:
-        return "no time that can be measured"
+        return "time within the noise"
     size = f"{_short(abs(100.0 * share.value))} %"
     if share.value < 0.0:
         return f"{'would save' if entry.kind == CANDIDATE else 'saves'} {size} of the time"
     return f"{size} more time" if entry.kind == CANDIDATE else f"{size} of the time"
 
 
-def _change(found: Ledger, entry: Entry) -> list[str]:
-    """What an entry changes: the first quantity that is above the accuracy, else the path."""
-    would = "would change" if entry.kind == CANDIDATE else "changes"
-    if not entry.changes:
-        return []
-    quantity = found.moves(entry) or PATH
-    change = entry.changes[quantity]
-    if not any(one.value for one in entry.changes.values()):
-        return [f"{would} nothing"]
-    whose = f"{change.arm}'s " if change.arm else "the "
-    text = f"{would} {whose}{QUANTITIES[quantity][0]} by {change_text(change, quantity)}"
-    if entry.name == RECORDING and entry.kind == SETTING:
-        text += " at the end"
-    return [text]
+def _change(found: Ledger, entry: Entry, quantity: str) -> str:
+    """``the object's path by 41 mm``."""
+    arm = entry.changes[quantity].arm
+    whose = f"{arm}'s " if arm else "the "
+    text = f"{whose}{QUANTITIES[quantity][0]} by {change_text(found, entry, quantity)}"
+    end = " at the end" if entry.name == RECORDING and entry.kind == SETTING else ""
+    return text + end

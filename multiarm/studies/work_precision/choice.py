@@ -10,11 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from multiarm.studies.work_precision.points import Point
-from multiarm.studies.work_precision.settings import BY_ACCURACY
 from multiarm.studies.work_precision.store import Results
 
-NOISE = 0.1
-"""Times that differ by less are alike: of such settings, one number beats several."""
 LEVELS = tuple(float(f"1e-{k}") for k in range(1, 14))
 CLAIMED = (1e-6, 1e-9)
 """The levels at which we are compared with the best peer."""
@@ -100,21 +97,9 @@ def decades(results: Results, quantity: str = "motion") -> list[Decade]:
 def cheapest(
     points: Iterable[Point], level: float, quantity: str, digits: float = 0.0
 ) -> Point | None:
-    """The fastest point whose error is within a level; None when there is none.
-
-    Of points that are as fast but for ``NOISE``, one that names an accuracy only is taken.
-    """
-    able = [point for point in points if reaches(point, level, quantity, digits)]
-    if not able:
-        return None
-    fastest = min(able, key=wall_time)
-    alike = [
-        point
-        for point in able
-        if point.setting.method == BY_ACCURACY
-        and wall_time(point) <= (1.0 + NOISE) * wall_time(fastest)
-    ]
-    return min(alike, key=wall_time) if alike else fastest
+    """The fastest point whose error is within a level; None when there is none."""
+    able = (point for point in points if reaches(point, level, quantity, digits))
+    return min(able, key=wall_time, default=None)
 
 
 def reaches(point: Point, level: float, quantity: str, digits: float) -> bool:

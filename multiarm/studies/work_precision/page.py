@@ -9,16 +9,16 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from multiarm.plots.style import GRID, INK, STYLE
+from multiarm.plots.style import GRID, INK, PALETTE, STYLE
 from multiarm.reports import pages
-from multiarm.results.files import printable_texts, save_figure, save_page
+from multiarm.results.files import printable_texts
 from multiarm.results.trajectory import plain
 from multiarm.studies.work_precision.choice import Series, all_series, decades, digits_of
 from multiarm.studies.work_precision.points import Point
@@ -26,19 +26,19 @@ from multiarm.studies.work_precision.reference import QUANTITIES
 from multiarm.studies.work_precision.settings import BY_ACCURACY
 from multiarm.studies.work_precision.store import Results
 from multiarm.studies.work_precision.words import (
+    comparison,
     described,
     recommendation,
     reference_text,
     state_text,
 )
 
-PALETTE = (
-    "#3b7dd8", "#d1495b", "#2f9e67", "#d9822b", "#8a5cc2", "#0f9aa8", "#c2417c", "#8c7a2b",
-    "#5a6b7d", "#a0522d", "#5fa8d3", "#93b83a",
-)  # fmt: skip
-"""A colour for each method; dashes show the stabilisation."""
+# A method has a colour; dashes show the stabilisation.
 _DASHES = {"projection": "", "feedback": "6 3", "none": "1.5 3", "": ""}
 _PEER_DASHES, _PEER_MARKERS = "8 3 2 3", "^Ds"
+
+
+_BEST: dict[str, Any] = {"marker": "o", "markersize": 10, "markerfacecolor": "none", "color": INK}
 
 
 class Look(NamedTuple):
@@ -100,14 +100,11 @@ def diagram(results: Results, quantity: str = "motion") -> Figure:
         right.set_xlabel("evaluations")
         left.set_ylabel(f"largest error: {what} [{unit}]")
         handles, labels = left.get_legend_handles_labels()
+        handles.append(Line2D([], [], linewidth=0, **_BEST))
+        labels.append("cheapest of a decade")
         figure.legend(handles, labels, loc="outside right center", frameon=False, fontsize=8)
         figure.suptitle(results.about["scene"]["name"], fontsize=12, color=INK, parse_math=False)
     return figure
-
-
-def write_plot(results: Results, path: Path, quantity: str = "motion") -> None:
-    """Draw the diagram to a file; its ending is the format."""
-    save_figure(diagram(results, quantity), path)
 
 
 def _draw(
@@ -123,7 +120,7 @@ def _draw(
         label=name,
     )  # fmt: skip
     for place in (places[key] for key in places if key in best):
-        axes.plot(*place, "o", markersize=10, markerfacecolor="none", color=INK, zorder=5)
+        axes.plot(*place, zorder=5, **_BEST)
 
 
 def _place(point: Point, work: str, quantity: str, digits: float) -> tuple[float, float] | None:
@@ -133,31 +130,24 @@ def _place(point: Point, work: str, quantity: str, digits: float) -> tuple[float
     return cost, max(error, digits)
 
 
-def write_page(results: Results, path: Path) -> None:
-    """Write the page, complete or not at all.
-
-    Raises
-    ------
-    MultiarmError
-        The file cannot be written.
-    """
-    save_page(render(results), path)
-
-
-def render(results: Results) -> str:
-    """The page as text."""
+def render(results: Results, quantity: str = "motion") -> str:
+    """The page as text; it shows errors of a quantity first."""
     series = all_series(results)
     return pages.render(
         "accuracy.html",
         results=results,
         series=series,
         quantities=QUANTITIES,
-        recommendations={name: recommendation(results, name) for name in QUANTITIES},
+        quantity=quantity,
+        sentences={
+            name: [recommendation(results, name), *filter(None, [comparison(results, name)])]
+            for name in QUANTITIES
+        },
         reference=reference_text(results),
         state=state_text(results),
         decades={name: decades(results, name) for name in QUANTITIES},
         described=described,
-        data=printable_texts(plain(_data(results, series))),
+        data=printable_texts(plain({**_data(results, series), "quantity": quantity})),
     )
 
 

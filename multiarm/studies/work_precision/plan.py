@@ -63,14 +63,22 @@ class Plan:
 
     def open(self, ladders: Iterable[Ladder], stride: int = 1) -> list[Setting]:
         """Every ``stride``-th setting that is still to be measured, cheapest first."""
+        found = self._open(ladders, stride)
+        return [setting for _, setting in sorted(found, key=lambda item: item[0])]
+
+    def expected_times(self, ladders: Iterable[Ladder], stride: int = 1) -> list[float]:
+        """About how long a run of each of these settings takes [s]."""
+        return [min(expected, self.limit_s) for expected, _ in self._open(ladders, stride)]
+
+    def _open(self, ladders: Iterable[Ladder], stride: int) -> list[tuple[float, Setting]]:
+        """Settings that are still to be measured, with their expected times."""
         fronts = self._fronts()
-        found = [
+        return [
             (self._expected_time(ladder, k), ladder.settings[k])
             for ladder in ladders
             for k in self._wanted(ladder, fronts)
             if k % stride == 0
         ]
-        return [setting for _, setting in sorted(found, key=lambda item: item[0])]
 
     def leaves_out(self, ladders: Iterable[Ladder], stride: int = 1) -> bool:
         """Whether there are settings that would be measured, were they not dominated."""

@@ -56,6 +56,8 @@ class Results:
         That the study took.
     planned : int or None
         How many points there will be, as far as that is known; None when all are measured.
+    expected_s : float
+        About how long what is left takes [s], while a study goes on; not stored.
     left_out : bool
         Dominated settings were left out.
     """
@@ -67,6 +69,7 @@ class Results:
         self.refusals: dict[str, str] = {}
         self.wall_time_s = 0.0
         self.planned: int | None = None
+        self.expected_s = 0.0
         self.left_out = False
         self._exact: Motion | None = None
         self._motions: dict[str, Motion] = {}
@@ -164,7 +167,7 @@ class Results:
         exact = None if self._exact is None else _encoded(self._exact)
         data = {**plain(self.as_dict()), "exact": exact, "motions": motions}
         text = json.dumps(data, allow_nan=False, ensure_ascii=False, indent=1)
-        with atomic_output(self._path, "--results") as partial:
+        with atomic_output(self._path, "--out") as partial:
             partial.write_text(text + "\n", encoding="utf-8")
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.scene import Scene
@@ -28,6 +29,7 @@ from multiarm.studies.work_precision.points import TOO_SLOW, Measured, run_ours
 from multiarm.studies.work_precision.reference import Reference, difference, make_reference
 from multiarm.studies.work_precision.settings import BY_ACCURACY, OURS, Ladder, Setting, our_ladders
 from multiarm.studies.work_precision.store import Results
+from multiarm.terminal.progress import Progress, Report, shown
 
 FIRST_RESULTS, LEAST_FIRST = 10.0, 2.0
 """First results are shown after so long [s], but so long after the first reference at least."""
@@ -45,9 +47,9 @@ LEAST_REPEATS = 3
 """Dominated settings are run so often too: their first time may have been disturbed."""
 REPEAT_BUDGET = 0.5
 """The runs of one setting take about so long together [s]: slow ones are repeated less."""
+BETWEEN = 0.02
+"""What a run takes besides its wall time, about [s]: setup, samples, comparison."""
 
-Progress = Callable[[str, float, float], None]
-"""Called with what is being done, how much is done, and how much there is at most."""
 Watch = Callable[[Results], None]
 """Called with results that are worth showing, whenever there are more of them."""
 
@@ -61,7 +63,7 @@ def run_study(
     peers: bool = True,
     quick: bool = False,
     thorough: bool = False,
-    progress: Progress | None = None,
+    progress: bool | Report | None = None,
     watch: Watch | None = None,
 ) -> Results:
     """Measure all methods on a scene.
@@ -78,7 +80,10 @@ def run_study(
         Half the settings, fewer repeats.
     thorough : bool
         Measure dominated settings too.
-    progress, watch : callable, optional
+    progress : bool or callable, optional
+        ``progress(done, total, words)``, in settings; True: on stderr.
+    watch : callable, optional
+        Called with the results whenever there are more of them.
 
     Raises
     ------
@@ -90,8 +95,8 @@ def run_study(
     results = Results.of(scene, machine()) if results is None else results
     begin = clock()
     try:
-        with one_thread():
-            study = _Study(scene, results, quick, thorough, progress, watch)
+        with one_thread(), shown(progress, Progress) as report:
+            study = _Study(scene, results, quick, thorough, report, watch)
             if results.reference is None:
                 study.first_results(begin + FIRST_RESULTS)
             study.find_reference()
@@ -111,14 +116,14 @@ class _Study:
         results: Results,
         quick: bool,
         thorough: bool,
-        progress: Progress | None,
+        report: Report,
         watch: Watch | None,
     ) -> None:
         self.scene, self.results = scene, results
         self.strides = QUICK_STRIDES if quick else STRIDES
         self.repeats = QUICK_REPEATS if quick else REPEATS
         self.thorough = thorough
-        self.report = progress or (lambda _text, _done, _total: None)
+        self.report = report
         self.watch = watch or (lambda _results: None)
         self.system = compile_system(scene)
         self.peers: Peers | None = None
@@ -156,7 +161,7 @@ class _Study:
             self.watch(self.results)
         found = make_reference(
             self.system,
-            lambda text: self.report(text, 0.0, 0.0),
+            partial(self.report, 0.0, 0.0),
             None if known is not None else self.results.reference,
         )
         if known is not None:  # the ladders of fixed steps stay as they are
@@ -200,12 +205,12 @@ class _Study:
     def _first_reference(self) -> Reference | None:
         """The tightest of the first accuracies; None where fewer than two have a result."""
         settings = [Setting(OURS, BY_ACCURACY, "", "accuracy", x) for x in FIRST_ACCURACIES]
-        self.report("first reference", 0.0, 0.0)
+        self.report(0.0, 0.0, "first reference")
         self._run(settings[0], FIRST_PATIENCE)  # loads what is compiled
         done: list[Measured] = []
         begin = clock()
         for setting in settings:
-            self.report(f"first reference: {setting.text}", 0.0, 0.0)
+            self.report(0.0, 0.0, f"first reference: {setting.text}")
             before = clock()
             measured = self._run(setting, FIRST_PATIENCE)
             if measured.motion is None:
@@ -260,19 +265,28 @@ class _Study:
                 setting = point.setting
                 if point.repeats > turn or spent > REPEAT_BUDGET or setting.key in dominated:
                     continue
-                self.report(f"once more: {setting.text}", number + turn * len(points),
-                            self.repeats * len(points))  # fmt: skip
+                done, total = number + turn * len(points), self.repeats * len(points)
+                self.report(done, total, f"once more: {setting.text}")
                 once_more = self._run(setting, plan.limit_s)
                 self.results.replace(point.again(once_more.point.wall_time_s))
                 self.watch(self.results)
 
     def _count(self, plan: Plan, ladders: Sequence[Ladder]) -> None:
-        """How many points there will be, by what is known now."""
-        left = len(plan.open(ladders, self.strides[-1]))
-        self.results.planned = len(self.results.points) + left
+        """How many points there will be, and how long that takes, by what is known now."""
+        left = plan.expected_times(ladders, self.strides[-1])
+        self.results.planned = len(self.results.points) + len(left)
+        done = [point for point in self.results.points.values() if point.completed]
+        self.results.expected_s = sum(self._takes(expected) for expected in left) + sum(
+            self._takes(point.wall_time_s or 0.0, point.repeats) for point in done
+        )
+
+    def _takes(self, wall_time_s: float, repeats: int = 0) -> float:
+        """About how long the runs of a setting take that are still to be made [s]."""
+        runs = min(self.repeats, 1.0 + REPEAT_BUDGET / max(wall_time_s, BETWEEN))
+        return max(0.0, runs - repeats) * (wall_time_s + BETWEEN)
 
     def _report(self, text: str) -> None:
-        self.report(text, len(self.results.points), self.results.planned or 0)
+        self.report(len(self.results.points), self.results.planned or 0, text)
 
 
 def _first_reference(coarse: Measured, fine: Measured, duration: float) -> Reference:
