@@ -362,7 +362,7 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
         robot=_model_name(spec),
         urdf=str(arm.files.urdf),
         tool=None if spec.tool is None else _model_name(spec.tool),
-        tip=spec.tip,
+        tip=arm.files.tip,
         base_position=position,
         base_quaternion_xyzw=quaternion,
         joints=dict(arm.joint_units),

@@ -1,0 +1,162 @@
+"""``multiarm robots``: the robots that a scene may name, with their joints and tips."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from multiarm.cli.catalogue import Card, Section, show
+from multiarm.cli.options import JsonFile
+
+if TYPE_CHECKING:
+    from multiarm.scene import JointOutline, RobotEntry, UrdfOutline
+
+__all__ = ["robots"]
+
+FILE = "a file"
+
+
+def robots(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            help="One robot, or a URDF file, shown in full.",
+            show_default="all robots",
+            metavar="[NAME]",
+        ),
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """List the robots that a scene may name: 'robot:' below an arm, with their tips.
+
+    A robot with several tips has several arms, or nothing tells which link is its tip: a scene
+    names it then. The joints counted are those that lead from the base to a tip.
+
+    The JSON has the key robots: a table by name, with what is shown here.
+    """
+    from multiarm.scene import available_robots, find_robot
+    from multiarm.scene.robot_descriptions import PACKAGE, names, remedy
+
+    known = available_robots()
+    if name is not None and name not in known:
+        entry = _of_file(Path(name)) if Path(name).suffix == ".urdf" else find_robot(name)
+        known, name = {entry.name: entry}, entry.name
+    left = [described for described in names() if described not in known]
+    section = Section(
+        "Robots",
+        "robot",
+        "robots",
+        {own: _card(entry) for own, entry in known.items() if name in (None, own)},
+        heads=("robot", "joints", "where it is from"),
+        note=f"{PACKAGE} has {len(left)} more: {', '.join(left)}; such a one {remedy('NAME')}"
+        if left
+        else "",
+    )
+    show("robots", {"robots": section}, name, json)
+
+
+def _of_file(urdf: Path) -> RobotEntry:
+    from multiarm.scene import RobotEntry
+
+    return RobotEntry(urdf.stem, urdf, FILE)
+
+
+def _card(entry: RobotEntry) -> Card:
+    from multiarm.scene import read_urdf
+    from multiarm.scene.robots import arm_ends
+
+    outline = read_urdf(entry.urdf)
+    ends = entry.tips or arm_ends(outline)
+    counts = {tip: len(outline.movable(tip)) for tip in ends}
+    chains = {outline.movable(tip): tip for tip in ends}
+    joints = " to ".join(map(str, sorted({min(counts.values()), max(counts.values())})))
+    movable = [joint for joint in outline.joints if joint.movable]
+    links = {joint.name: _carried(outline, joint) for joint in movable}
+    twice = ", ".join(sorted({joint.name for joint in outline.joints} & {*outline.links}))
+    trouble = {"cannot be used": f"joint and link are both named {twice}"} if twice else {}
+    label = "tip" if len(ends) == 1 else "tips"
+    return Card(
+        entry.name,
+        f"from {entry.source}",
+        [],
+        _snippet(entry, outline, ends),
+        count=joints,
+        facts={
+            "file": str(entry.urdf),
+            label: ", ".join(f"{tip} ({count} joints)" for tip, count in counts.items()),
+            **trouble,
+        },
+        listed={label: " | ".join(chains.values()), **trouble},
+        table=(
+            "Joints",
+            ("joint", "kind and limits", "links that it carries, which can be tips"),
+            [(joint.name, _words(joint), ", ".join(links[joint.name])) for joint in movable],
+        )
+        if movable
+        else None,
+        further={
+            "source": entry.source,
+            "urdf": str(entry.urdf),
+            "tip": entry.tip,
+            "tips": counts,
+            "joints": [_figures(joint, links[joint.name]) for joint in movable],
+            "trouble": trouble.get("cannot be used"),
+        },
+    )
+
+
+def _carried(outline: UrdfOutline, joint: JointOutline) -> list[str]:
+    """The links that end an arm whose last joint this is."""
+    return [
+        link
+        for link in outline.links
+        if outline.movable(link)[-1:] == (joint,) and outline.ends_an_arm(link)
+    ]
+
+
+def _snippet(entry: RobotEntry, outline: UrdfOutline, ends: tuple[str, ...]) -> str:
+    """An arm with the robot; with a tool, which moves nothing, on another robot."""
+    lines = ["arms:", "  left:"]
+    if not any(joint.movable for joint in outline.joints):
+        return "\n".join([*lines, "    robot: ur5", f"    tool: {{{_named(entry)}, mount: tool0}}"])
+    lines.append(f"    {_named(entry)}")
+    if entry.tip is None:
+        others = f"  # or {', '.join(ends[1:])}" if ends[1:] else ""
+        lines.append(f"    tip: {ends[0]}{others}")
+    return "\n".join([*lines, "    base: {xyz: [0, 0, 0], rpy: [0, 0, 0]}"])
+
+
+def _named(entry: RobotEntry) -> str:
+    return f"urdf: {entry.urdf}" if entry.source == FILE else f"robot: {entry.name}"
+
+
+def _words(joint: JointOutline) -> str:
+    """Kind and limits of a joint, those that there are."""
+    unit, effort = ("m", "N") if joint.kind == "prismatic" else ("rad", "N m")
+    words = [joint.kind if joint.mimic is None else f"{joint.kind}, copies {joint.mimic.joint}"]
+    if math.isfinite(joint.lower):
+        words.append(f"{joint.lower:.4g} to {joint.upper:.4g} {unit}")
+    if math.isfinite(joint.velocity_limit):
+        words.append(f"{joint.velocity_limit:.4g} {unit}/s")
+    if math.isfinite(joint.effort_limit):
+        words.append(f"{joint.effort_limit:.4g} {effort}")
+    return ", ".join(words)
+
+
+def _figures(joint: JointOutline, links: list[str]) -> dict[str, Any]:
+    numbers = {
+        "lower": joint.lower,
+        "upper": joint.upper,
+        "velocity_limit": joint.velocity_limit,
+        "effort_limit": joint.effort_limit,
+    }
+    return {
+        "name": joint.name,
+        "kind": joint.kind,
+        "unit": "m" if joint.kind == "prismatic" else "rad",
+        **{key: value if math.isfinite(value) else None for key, value in numbers.items()},
+        "tips": links,
+    }
