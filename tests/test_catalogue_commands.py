@@ -10,6 +10,8 @@ import sys
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
+import pinocchio as pin
 import pytest
 from typer.testing import CliRunner
 
@@ -85,6 +87,44 @@ def test_unknown_names_list_similar_ones(command):
     assert result.exit_code == 2
     assert f"did you mean '{first}'?" in result.stderr
     assert f"'multiarm {command}' shows them all" in result.stderr
+
+
+def test_a_robot_in_full_has_its_joints_with_limits_and_the_links_that_can_be_tips(tmp_path):
+    card = figures(tmp_path / "a.json", "robots", "panda")["robots"]["panda"]
+    model = pin.buildModelFromUrdf(card["urdf"])
+    names = [joint["name"] for joint in card["joints"]]
+    assert names == list(model.names[1:])
+    np.testing.assert_array_equal([j["lower"] for j in card["joints"]], model.lowerPositionLimit)
+    np.testing.assert_array_equal([j["upper"] for j in card["joints"]], model.upperPositionLimit)
+    np.testing.assert_array_equal([j["effort_limit"] for j in card["joints"]], model.effortLimit)
+    for number, joint in enumerate(card["joints"][:7], start=1):
+        frames = [f for f in model.frames if f.type == pin.FrameType.BODY]
+        assert joint["tips"] == [f.name for f in frames if f.parentJoint == number]
+    assert (card["tip"], card["tips"]) == ("panda_hand_tcp", {"panda_hand_tcp": 7})
+    full = shown("robots", "panda")
+    assert all(name in full for name in names) and "-2.897 to 2.897 rad" in full
+
+
+def test_a_file_is_shown_like_a_robot_and_says_if_it_has_no_arm(tmp_path):
+    text = Path(available_robots()["planar_2r"].urdf).read_text(encoding="utf-8")
+    path = tmp_path / "own.urdf"
+    path.write_text(text, encoding="utf-8")
+    pasted(snippet_of(shown("robots", path)), tmp_path)
+    path.write_text(re.sub('type="(revolute|continuous)"', 'type="floating"', text), "utf-8")
+    card = figures(tmp_path / "a.json", "robots", path)["robots"]["own"]
+    assert (card["tip"], card["tips"], card["example"]) == (None, {}, "")
+    assert "none" in shown("robots", path)
+
+
+def test_robots_that_pinocchio_refuses_say_why():
+    assert "joint and link are both named gripper" in shown("robots", "so100")
+
+
+def test_an_unknown_command_names_similar_ones():
+    result = multiarm("robotz")
+    assert result.exit_code == 2
+    assert "unknown command 'robotz'; did you mean 'robots'?" in result.stderr
+    assert "'multiarm --help' shows them all" in result.stderr
 
 
 def test_parameters_of_control_are_those_of_the_schema(tmp_path):

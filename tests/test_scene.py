@@ -395,7 +395,11 @@ def test_inertias_that_no_body_has_are_refused(inertia, reason):
         ("run", {"integrator": "dopri5", "step": 0.1}, "chooses its own steps"),
         ("run", {"integrator": "rk4", "accuracy": 1e-3}, "cannot aim at 'accuracy'"),
         ("run", {"step": 0.1}, "'step' needs an integrator of fixed step"),
-        ("run", {"stabilization": "springs"}, "$.run.stabilization.kind: unknown stabilization 'springs'"),
+        (
+            "run",
+            {"stabilization": "springs"},
+            "$.run.stabilization.kind: unknown stabilization 'springs'",
+        ),
         ("arms", {}, "a scene needs at least one arm"),
         ("joints", {"left": "weld"}, "$.joints: must be a list"),
         ("objet", 1, "$.objet: unknown key 'objet'; did you mean 'object'?"),

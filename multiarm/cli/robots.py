@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -32,13 +33,14 @@ def robots(
 ) -> None:
     """List the robots that a scene may name: 'robot:' below an arm, with their tips.
 
-    A robot with several tips has several arms, or nothing tells which link is its tip: a scene
-    names it then. The joints counted are those that lead from the base to a tip.
+    Where a robot has one tip, an arm need not name it. Where it has several, since it has several
+    arms or no link is usual, 'tip:' names one of them, or another link that joints carry. The
+    number of joints is that from the base to a tip.
 
     The JSON has the key robots: a table by name, with what is shown here.
     """
     from multiarm.scene import available_robots, find_robot
-    from multiarm.scene.robot_descriptions import PACKAGE, names, remedy
+    from multiarm.scene.robot_descriptions import PACKAGE, names
 
     known = available_robots()
     if name is not None and name not in known:
@@ -51,7 +53,7 @@ def robots(
         "robots",
         {own: _card(entry) for own, entry in known.items() if name in (None, own)},
         heads=("robot", "joints", "where it is from"),
-        note=f"{PACKAGE} has {len(left)} more: {', '.join(left)}; such a one {remedy('NAME')}"
+        note=f"To be fetched first (python -m {PACKAGE} pull NAME): {', '.join(left)}"
         if left
         else "",
     )
@@ -72,7 +74,7 @@ def _card(entry: RobotEntry) -> Card:
     ends = entry.tips or arm_ends(outline)
     counts = {tip: len(outline.movable(tip)) for tip in ends}
     chains = {outline.movable(tip): tip for tip in ends}
-    joints = " to ".join(map(str, sorted({min(counts.values()), max(counts.values())})))
+    numbers = sorted({*counts.values()}) or [0]
     movable = [joint for joint in outline.joints if joint.movable]
     links = {joint.name: _carried(outline, joint) for joint in movable}
     twice = ", ".join(sorted({joint.name for joint in outline.joints} & {*outline.links}))
@@ -82,11 +84,11 @@ def _card(entry: RobotEntry) -> Card:
         entry.name,
         f"from {entry.source}",
         [],
-        _snippet(entry, outline, ends),
-        count=joints,
+        _snippet(entry, outline, ends) if ends else "",
+        count=" to ".join(map(str, numbers[:1] + numbers[1:][-1:])),
         facts={
             "file": str(entry.urdf),
-            label: ", ".join(f"{tip} ({count} joints)" for tip, count in counts.items()),
+            label: ", ".join(f"{tip} ({n} joints)" for tip, n in counts.items()) or "none",
             **trouble,
         },
         listed={label: " | ".join(chains.values()), **trouble},
@@ -102,7 +104,7 @@ def _card(entry: RobotEntry) -> Card:
             "urdf": str(entry.urdf),
             "tip": entry.tip,
             "tips": counts,
-            "joints": [_figures(joint, links[joint.name]) for joint in movable],
+            "joints": [{**asdict(joint), "tips": links[joint.name]} for joint in movable],
             "trouble": trouble.get("cannot be used"),
         },
     )
@@ -144,19 +146,3 @@ def _words(joint: JointOutline) -> str:
     if math.isfinite(joint.effort_limit):
         words.append(f"{joint.effort_limit:.4g} {effort}")
     return ", ".join(words)
-
-
-def _figures(joint: JointOutline, links: list[str]) -> dict[str, Any]:
-    numbers = {
-        "lower": joint.lower,
-        "upper": joint.upper,
-        "velocity_limit": joint.velocity_limit,
-        "effort_limit": joint.effort_limit,
-    }
-    return {
-        "name": joint.name,
-        "kind": joint.kind,
-        "unit": "m" if joint.kind == "prismatic" else "rad",
-        **{key: value if math.isfinite(value) else None for key, value in numbers.items()},
-        "tips": links,
-    }

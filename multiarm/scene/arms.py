@@ -200,7 +200,7 @@ def examine_arm(spec: ArmSpec) -> Examination:
     found = Examination(shown_by=spec.shown_by if spec.tool is None else None)
     robot = _outline(spec, found, ())
     tool = _outline(spec.tool, found, ("tool",)) if spec.tool is not None else None
-    tip = spec.tip or _usual_tip(spec, robot, tool, found)
+    tip = _usual_tip(spec, robot, tool, found) if spec.tip is None else spec.tip
     chain = _chain(spec, tip, robot, tool, found)
     if robot is None or (spec.tool is not None and tool is None):
         return found

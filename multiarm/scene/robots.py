@@ -113,7 +113,8 @@ def find_robot(name: str) -> RobotEntry:
     if name in described:
         urdf = robot_descriptions.local_urdf(name)
         if urdf is None:
-            raise SceneError(f"robot {name!r} {robot_descriptions.remedy(name)}")
+            fetch = f"python -m {robot_descriptions.PACKAGE} pull {name}"
+            raise SceneError(f"robot {name!r} is not on this machine yet; fetch it: {fetch}")
         return RobotEntry(name, urdf, robot_descriptions.PACKAGE)
     message = unknown("robot", name, [*own, *examples, *described])
     if name in {*_FILES, *_TIPS} and _share_folder() is None:
