@@ -1,20 +1,23 @@
 """A commented scene to start from: arms around an object, each with its tip at the object.
 
 Each arm stands where, of some distances, its tip reaches a side of the object most dexterously.
-The scene leaves the postures to the program (``posture: solve``).
+The scene leaves the postures to the program (``posture: solve``), but those of arms with too few
+joints to point as they are told.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm
 from multiarm.assembly.compilation import arm_files, load_robots
-from multiarm.assembly.inverse_kinematics import InverseKinematics, Reach
+from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.errors import SceneError
 from multiarm.scene import (
     JOINTS,
@@ -78,7 +81,7 @@ def first_scene(robots: list[str], joint: str, solid: str) -> str:
     names = ["left", "right"] if len(robots) == 2 else [f"arm{k + 1}" for k in range(len(robots))]
     kind = _joint_kind(joint)
     holds = {robot: _hold(robot, kind) for robot in kinds}
-    height = holds[robots[0]].above or HEIGHT
+    height = max(holds[robots[0]].xyz[2], 0.0) or HEIGHT
     shape = SOLIDS[solid]
     lines = [
         (f"name: {crew} hold a {solid}", "a title for reports"),
@@ -95,24 +98,25 @@ def first_scene(robots: list[str], joint: str, solid: str) -> str:
     joints = []
     for k, (name, robot) in enumerate(zip(names, robots, strict=True)):
         hold, yaw = holds[robot], 2.0 * np.pi * k / len(robots)
-        x, y = side = -_side(shape, solid == "box", yaw)
-        x, y = side - hold.ahead * np.array([np.cos(yaw), np.sin(yaw)])
+        side = -_side(shape, solid == "box", yaw)
+        base = [*side, height] - Pose(rpy=(0.0, 0.0, yaw)).rotation() @ hold.xyz
         lines += [
             (f"  {name}:", "an arm, by its name"),
+            (f"    robot: {robot}", "see multiarm robots; or write 'urdf:' and a file"),
             (
-                f"    robot: {robot}",
-                "its name, others: multiarm robots; or write 'urdf:' and a file",
-            ),
-            (
-                f"    base: {{{_written([x, y, height - hold.above], [0.0, 0.0, yaw])}}}",
+                f"    base: {_written(base, (0.0, 0.0, yaw))}",
                 "where it stands [m], turned by roll, pitch, yaw [rad]",
             ),
         ]
         if hold.tip is not None:
             lines.append((f"    tip: {hold.tip}", "the link that is joined to the object"))
-        lines.append(("    posture: solve", "its joints at the start are found; or a list of them"))
-        at = _written([*side, 0.0], [*hold.turn, yaw])
-        joints += _joint_lines(joint, kind, name, at)
+        posture = "solve" if hold.posture is None else hold.posture
+        lines.append((f"    posture: {posture}", "of its joints at the start; solve: is found"))
+        roll, pitch, turn = hold.rpy
+        at = _written([*side, 0.0], (roll, pitch, turn + yaw))
+        joints += _joint_lines(
+            joint, kind, name, None if hold.posture and not kind.as_listed else at
+        )
     lines += [("", ""), ("joints:", "how the arms hold the object, one for each arm"), *joints]
     lines += [
         ("", ""),
@@ -140,13 +144,14 @@ def _joint_kind(kind: str) -> type[Joint]:
     return model
 
 
-def _joint_lines(kind: str, model: type[Joint], arm: str, at: str) -> list[tuple[str, str]]:
+def _joint_lines(kind: str, model: type[Joint], arm: str, at: str | None) -> list[tuple[str, str]]:
     """The lines of a joint: those of the example of its kind, explained by its parameters."""
     lines = [
         (f"  - arm: {arm}", "the arm whose tip it holds"),
         (f"    kind: {kind}", picture_of(model)),
-        (f"    at: {{{at}}}", "the frame of the joint on the object [m, rad]; the tip is there"),
     ]
+    if at is not None:
+        lines.append((f"    at: {at}", "the frame of the joint on the object [m, rad]"))
     for line in example_of(model).splitlines()[3:]:
         written, _, remark = line.partition("#")
         key = written.strip().removeprefix("- ").partition(":")[0]
@@ -164,51 +169,73 @@ def _side(solid: Solid, edged: bool, yaw: float) -> np.ndarray:
     return ray / (np.max(parts) if edged else np.linalg.norm(parts))
 
 
-def _written(xyz: list[float], rpy: list[float]) -> str:
+def _written(xyz: Sequence[float], rpy: Sequence[float]) -> str:
     """A pose as a scene has it, without negative zeros."""
-    parts = (", ".join(f"{round(value, 4) + 0.0:g}" for value in part) for part in (xyz, rpy))
-    return "xyz: [{}], rpy: [{}]".format(*parts)
+    parts = (", ".join(f"{round(value, 6) + 0.0:.7g}" for value in part) for part in (xyz, rpy))
+    return "{{xyz: [{}], rpy: [{}]}}".format(*parts)
 
 
 @dataclass(frozen=True)
 class _Hold:
-    """How an arm holds its tip, seen from its base.
+    """How an arm holds its tip.
 
     Attributes
     ----------
     tip : str or None
         The link, where the scene has to name it.
-    ahead, above : float
-        Its place [m].
-    turn : tuple of 2 floats
-        Its roll and pitch [rad].
+    xyz, rpy : tuple of 3 floats
+        Its place [m], and its roll, pitch and yaw [rad], in the frame of the arm's base.
+    posture : list of float or None
+        Positions of the joints, where they are not left to the program.
     """
 
     tip: str | None
-    ahead: float
-    above: float
-    turn: tuple[float, float]
+    xyz: tuple[float, float, float]
+    rpy: tuple[float, float, float]
+    posture: list[float] | None = None
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Pose of the tip, shape (4, 4)."""
+        return Pose(xyz=self.xyz, rpy=self.rpy).matrix()
 
 
 def _hold(robot: str, kind: type[Joint]) -> _Hold:
-    """Of the places that are tried, the one that the arm reaches best."""
-    entry = find_robot(robot)
-    tip = entry.tips[0] if len(entry.tips) > 1 else None
+    """Of the places that are tried, the one that the arm reaches best; else where it comes near.
+
+    Raises
+    ------
+    SceneError
+        The robot is not known, or nothing tells which link is its tip.
+    """
+    tips = find_robot(robot).tips
+    if not tips:
+        raise SceneError(
+            f"nothing tells which link of robot {robot!r} is its tip; take another robot (multiarm "
+            f"robots), or write a scene with 'tip:', one of the links that 'multiarm robots "
+            f"{robot}' shows"
+        )
+    tip = tips[0] if len(tips) > 1 else None
     spec = ArmSpec(robot=robot, tip=tip)
     arm = Arm(robot, arm_files(spec, resolve_arm(spec)))
     length = float(np.max(arm.levers(np.zeros(3))))
     for free, turn, above in product(dict.fromkeys([(), kind.free or ()]), TURNS, ABOVE):
         search = InverseKinematics(arm, free)
-        found: list[tuple[Reach, _Hold]] = []
-        for ahead in AHEAD:
-            hold = _Hold(tip, round(ahead * length, 2), round(above * length, 2), turn)
-            place = Pose(xyz=(hold.ahead, 0.0, hold.above), rpy=(*turn, 0.0)).matrix()
-            reach = search.search([place], np.random.default_rng(0))
-            found += [] if reach is None else [(reach, hold)]
-        if found:
-            return max(found, key=lambda one: one[0].quality)[1]
-    raise SceneError(
-        f"robot {robot!r} cannot hold its tip level before its base by a joint of this kind; take "
-        f"a robot with more joints ('multiarm robots') or a joint that leaves more free "
-        f"('multiarm joints')"
-    )
+        places = [
+            (_two_digits(ahead * length), 0.0, _two_digits(above * length)) for ahead in AHEAD
+        ]
+        holds = [_Hold(tip, xyz, (*turn, 0.0)) for xyz in places]
+        found = [(hold, search.search([hold.matrix], np.random.default_rng(0))) for hold in holds]
+        reached = [(reach.quality, hold) for hold, reach in found if reach is not None]
+        if reached:
+            return max(reached, key=lambda one: one[0])[1]
+    miss = search.nearest(holds[1].matrix, np.random.default_rng(0))
+    posture = np.round(miss.posture, 4) + 0.0
+    pose = arm.tip_pose(posture)
+    x, y, z = pose[:3, 3].tolist()
+    roll, pitch, yaw = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz").tolist()
+    return _Hold(tip, (x, y, z), (roll, pitch, yaw), posture.tolist())
+
+
+def _two_digits(number: float) -> float:
+    return float(f"{number:.2g}")
