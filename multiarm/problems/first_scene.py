@@ -110,8 +110,11 @@ def first_scene(robots: list[str], joint: str, solid: str) -> str:
         ]
         if hold.tip is not None:
             lines.append((f"    tip: {hold.tip}", "the link that is joined to the object"))
-        posture = "solve" if hold.posture is None else hold.posture
-        lines.append((f"    posture: {posture}", "of its joints at the start; solve: is found"))
+        if hold.posture is None:
+            lines.append(("    posture: solve", "its joints at the start are found; or a list"))
+        else:
+            words = "its joints at the start, from base to tip [rad, of sliding joints m]"
+            lines.append((f"    posture: {hold.posture}", words))
         roll, pitch, turn = hold.rpy
         at = _written([*side, 0.0], (roll, pitch, turn + yaw))
         joints += _joint_lines(
