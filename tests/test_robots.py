@@ -361,6 +361,7 @@ def test_faults_of_tools_are_told(changes, expected):
     [
         ("<robot", "not valid XML"),
         ("<sdf/>", "not a URDF file: its root element is <sdf>"),
+        ("<mujoco/>", "root element is <mujoco>; name it with 'mjcf:'"),
         (
             "<robot xmlns:xacro='http://ros.org/xacro'><xacro:macro name='a'/></robot>",
             "xacro file; expand it first",

@@ -222,6 +222,7 @@ def arm_files(spec: ArmSpec, resolved: ResolvedArm) -> ArmFiles:
         tool_package_dirs=resolved.tool_package_dirs,
         mount=tool.mount if tool is not None else None,
         tool_placement=tool.at.matrix() if tool is not None else None,
+        mjcf=resolved.mjcf,
     )
 
 

@@ -13,7 +13,7 @@ from multiarm.cli.catalogue import Card, Section, show
 from multiarm.cli.options import JsonFile
 
 if TYPE_CHECKING:
-    from multiarm.scene import JointOutline, RobotEntry, UrdfOutline
+    from multiarm.scene import JointOutline, RobotEntry, RobotOutline
 
 __all__ = ["robots"]
 
@@ -24,7 +24,7 @@ def robots(
     name: Annotated[
         str | None,
         typer.Argument(
-            help="One robot, or a URDF file, shown in full.",
+            help="One robot, or a URDF or MJCF file, shown in full.",
             show_default="all robots",
             metavar="[NAME]",
         ),
@@ -39,12 +39,13 @@ def robots(
 
     The JSON has the key robots: a table by name, with what is shown here.
     """
-    from multiarm.scene import available_robots, find_robot
+    from multiarm.scene import RobotEntry, available_robots, find_robot
     from multiarm.scene.robot_descriptions import PACKAGE, names
 
     known = available_robots()
     if name is not None and name not in known:
-        entry = _of_file(Path(name)) if Path(name).suffix == ".urdf" else find_robot(name)
+        is_file = Path(name).suffix in (".urdf", ".xml")
+        entry = RobotEntry(Path(name).stem, Path(name), FILE) if is_file else find_robot(name)
         known, name = {entry.name: entry}, entry.name
     left = [described for described in names() if described not in known]
     section = Section(
@@ -60,17 +61,10 @@ def robots(
     show("robots", {"robots": section}, name, json)
 
 
-def _of_file(urdf: Path) -> RobotEntry:
-    from multiarm.scene import RobotEntry
-
-    return RobotEntry(urdf.stem, urdf, FILE)
-
-
 def _card(entry: RobotEntry) -> Card:
-    from multiarm.scene import read_urdf
     from multiarm.scene.robots import arm_ends
 
-    outline = read_urdf(entry.urdf)
+    outline = entry.outline
     ends = entry.tips or arm_ends(outline)
     counts = {tip: len(outline.movable(tip)) for tip in ends}
     chains = {outline.movable(tip): tip for tip in ends}
@@ -110,7 +104,7 @@ def _card(entry: RobotEntry) -> Card:
     )
 
 
-def _carried(outline: UrdfOutline, joint: JointOutline) -> list[str]:
+def _carried(outline: RobotOutline, joint: JointOutline) -> list[str]:
     """The links that end an arm whose last joint this is."""
     return [
         link
@@ -119,7 +113,7 @@ def _carried(outline: UrdfOutline, joint: JointOutline) -> list[str]:
     ]
 
 
-def _snippet(entry: RobotEntry, outline: UrdfOutline, ends: tuple[str, ...]) -> str:
+def _snippet(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) -> str:
     """An arm with the robot; with a tool, which moves nothing, on another robot."""
     lines = ["arms:", "  left:"]
     if not any(joint.movable for joint in outline.joints):
@@ -132,7 +126,8 @@ def _snippet(entry: RobotEntry, outline: UrdfOutline, ends: tuple[str, ...]) -> 
 
 
 def _named(entry: RobotEntry) -> str:
-    return f"urdf: {entry.urdf}" if entry.source == FILE else f"robot: {entry.name}"
+    key = "mjcf" if entry.urdf.suffix == ".xml" else "urdf"
+    return f"{key}: {entry.urdf}" if entry.source == FILE else f"robot: {entry.name}"
 
 
 def _words(joint: JointOutline) -> str:

@@ -18,6 +18,7 @@ from multiarm.errors import ModelError, SceneError
 from multiarm.scene.faults import fault, listed, place, unknown
 from multiarm.scene.fingers import FingersSpec, urdf_text
 from multiarm.scene.functions import located
+from multiarm.scene.mjcf import read_mjcf
 from multiarm.scene.robots import (
     arm_ends,
     find_robot,
@@ -29,7 +30,7 @@ from multiarm.scene.urdf import (
     CHAIN_JOINTS,
     MOST_JOINTS,
     JointOutline,
-    UrdfOutline,
+    RobotOutline,
     outline_of_text,
     read_urdf,
 )
@@ -72,14 +73,19 @@ class _FromUrdf(Spec):
         """The keys, of which exactly one gives the model, with their values."""
         return {"robot": "a name", "urdf": "a file"}
 
-    def usual_tips(self, outline: UrdfOutline) -> tuple[str, ...]:
+    def usual_tips(self, outline: RobotOutline) -> tuple[str, ...]:
         """The links usually taken as tips of the model with this outline."""
         return usual_tips(outline, self.robot)
 
     @property
+    def file(self) -> Path | None:
+        """The file, where one is given instead of a name."""
+        return self.urdf
+
+    @property
     def shown_by(self) -> str:
         """The command that shows all links and joints of the model."""
-        return f"multiarm robots {self.robot or self.urdf}"
+        return f"multiarm robots {self.robot or self.file}"
 
 
 class ToolSpec(_FromUrdf):
@@ -95,7 +101,7 @@ class ToolSpec(_FromUrdf):
     def _sources(self) -> dict[str, str]:
         return {**super()._sources(), "fingers": "fingertips"}
 
-    def usual_tips(self, outline: UrdfOutline) -> tuple[str, ...]:
+    def usual_tips(self, outline: RobotOutline) -> tuple[str, ...]:
         """Of a hand its corner, else as of other models."""
         return super().usual_tips(outline) if self.fingers is None else ("corner",)
 
@@ -103,6 +109,8 @@ class ToolSpec(_FromUrdf):
 class ArmSpec(_FromUrdf):
     """One arm: a serial chain of 1 to 16 joints from its base to its tip."""
 
+    mjcf: Path | None = None
+    """A MuJoCo file, instead of a name."""
     base: Pose = Pose()
     """The root link in the world."""
     tip: str | None = None
@@ -122,6 +130,14 @@ class ArmSpec(_FromUrdf):
     color: Color | None = None
     """Red, green, blue, opacity from 0 to 1."""
 
+    def _sources(self) -> dict[str, str]:
+        return {**super()._sources(), "mjcf": "a MuJoCo file"}
+
+    @property
+    def file(self) -> Path | None:
+        """The file, where one is given instead of a name."""
+        return self.mjcf or self.urdf
+
 
 @dataclass(frozen=True)
 class ResolvedArm:
@@ -130,7 +146,7 @@ class ResolvedArm:
     Attributes
     ----------
     urdf : Path
-        The robot's file.
+        The robot's file: a URDF, or with ``mjcf`` a MuJoCo file.
     package_dirs : tuple of Path
         Where ``package://`` addresses of the robot are looked for, in order.
     tool_urdf : Path, str or None
@@ -156,6 +172,7 @@ class ResolvedArm:
     posture: np.ndarray
     velocity: np.ndarray
     locked: dict[str, float]
+    mjcf: bool = False
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -234,18 +251,22 @@ def examine_arm(spec: ArmSpec) -> Examination:
             posture=posture,
             velocity=velocity,
             locked=locked,
+            mjcf=spec.mjcf is not None,
         )
     return found
 
 
 def _outline(
     spec: ArmSpec | ToolSpec, found: Examination, where: tuple[str, ...]
-) -> UrdfOutline | None:
-    key = "urdf" if spec.robot is None else "robot"
+) -> RobotOutline | None:
+    key = "robot" if spec.file is None else "urdf"
     try:
         if isinstance(spec, ToolSpec) and spec.fingers is not None:
             return outline_of_text(urdf_text(spec.fingers), "hand.urdf")
-        path = spec.urdf if spec.robot is None else find_robot(spec.robot).urdf
+        if isinstance(spec, ArmSpec) and spec.mjcf is not None:
+            key = "mjcf"
+            return read_mjcf(spec.mjcf)
+        path = find_robot(spec.robot).urdf if spec.robot is not None else spec.file
         assert path is not None, "a model has a name or a file"
         return read_urdf(path)
     except (SceneError, ModelError) as error:
@@ -254,7 +275,7 @@ def _outline(
 
 
 def _usual_tip(
-    spec: ArmSpec, robot: UrdfOutline | None, tool: UrdfOutline | None, found: Examination
+    spec: ArmSpec, robot: RobotOutline | None, tool: RobotOutline | None, found: Examination
 ) -> str | None:
     """The tip of an arm that names none; a fault where nothing tells which it is."""
     model, outline = (spec, robot) if spec.tool is None else (spec.tool, tool)
@@ -275,8 +296,8 @@ def _usual_tip(
 def _chain(
     spec: ArmSpec,
     tip: str | None,
-    robot: UrdfOutline | None,
-    tool: UrdfOutline | None,
+    robot: RobotOutline | None,
+    tool: RobotOutline | None,
     found: Examination,
 ) -> list[JointOutline] | None:
     """All joints from the robot's root to the tip, None where the chain is not known."""
@@ -299,7 +320,7 @@ def _chain(
 
 def _part(
     model: ArmSpec | ToolSpec,
-    outline: UrdfOutline | None,
+    outline: RobotOutline | None,
     link: str | None,
     found: Examination,
     *where: str,
@@ -395,7 +416,7 @@ def _start(
 
 
 def _package_dirs(
-    spec: ArmSpec | ToolSpec | None, outline: UrdfOutline, found: Examination
+    spec: ArmSpec | ToolSpec | None, outline: RobotOutline, found: Examination
 ) -> tuple[Path, ...]:
     """Where the meshes of a model are looked for; a warning if some are not there."""
     if spec is None or outline.text is not None:

@@ -58,5 +58,5 @@ from multiarm.scene.run import (
 )
 from multiarm.scene.schema import Scene
 from multiarm.scene.surfaces import Surface
-from multiarm.scene.urdf import JointOutline, UrdfOutline, read_urdf
+from multiarm.scene.urdf import JointOutline, RobotOutline, read_urdf
 from multiarm.scene.values import Pose, gain_vector, joint_vector

@@ -19,7 +19,8 @@ from pathlib import Path
 from multiarm.errors import ModelError, SceneError
 from multiarm.scene import robot_descriptions
 from multiarm.scene.faults import unknown
-from multiarm.scene.urdf import UrdfOutline, read_urdf
+from multiarm.scene.mjcf import read_mjcf
+from multiarm.scene.urdf import RobotOutline, read_urdf
 
 PROJECT = "this project"
 _DISTRIBUTION = "example-robot-data"
@@ -65,6 +66,7 @@ class RobotEntry:
     ----------
     name : str
     urdf : Path
+        Its file; that of a robot without a name may be MuJoCo's, ``.xml``.
     source : str
         The collection that it is from.
     """
@@ -74,9 +76,14 @@ class RobotEntry:
     source: str
 
     @property
+    def outline(self) -> RobotOutline:
+        """Its links and joints."""
+        return read_mjcf(self.urdf) if self.urdf.suffix == ".xml" else read_urdf(self.urdf)
+
+    @property
     def tips(self) -> tuple[str, ...]:
         """The links usually taken as the tip: one for each arm; empty where nothing tells."""
-        return usual_tips(read_urdf(self.urdf), self.name)
+        return usual_tips(self.outline, self.name)
 
     @property
     def tip(self) -> str | None:
@@ -125,7 +132,7 @@ def find_robot(name: str) -> RobotEntry:
     raise SceneError(f"{message}; or give the path of a file with 'urdf:'")
 
 
-def usual_tips(outline: UrdfOutline, name: str | None = None) -> tuple[str, ...]:
+def usual_tips(outline: RobotOutline, name: str | None = None) -> tuple[str, ...]:
     """The links usually taken as tips: one for each arm of a robot, or of a tool.
 
     Those that people take of the robot called ``name``, else the flange, else the only link in
@@ -141,7 +148,7 @@ def usual_tips(outline: UrdfOutline, name: str | None = None) -> tuple[str, ...]
     return ends if len(ends) == 1 else ()
 
 
-def arm_ends(outline: UrdfOutline) -> tuple[str, ...]:
+def arm_ends(outline: RobotOutline) -> tuple[str, ...]:
     """The last links of all chains that can be arms, of a tool without joints all last links."""
     if any(joint.movable for joint in outline.joints):
         return tuple(link for link in outline.leaves if outline.ends_an_arm(link))
@@ -211,7 +218,7 @@ def _named_files(folder: Path) -> dict[str, Path]:
 
 def _is_usable(entry: RobotEntry) -> bool:
     try:
-        outline = read_urdf(entry.urdf)
+        outline = entry.outline
     except ModelError:  # such as a piece that other files include
         return False
     return entry.source == PROJECT or any(map(outline.ends_an_arm, outline.leaves))

@@ -80,8 +80,8 @@ class JointOutline:
 
 
 @dataclass(frozen=True)
-class UrdfOutline:
-    """Names and structure of one URDF.
+class RobotOutline:
+    """Names and structure of one robot, from a URDF or from an MJCF file.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ class UrdfOutline:
         )
 
 
-def read_urdf(path: Path | str) -> UrdfOutline:
+def read_urdf(path: Path | str) -> RobotOutline:
     """Read the outline of a URDF file.
 
     Raises
@@ -166,13 +166,13 @@ def read_urdf(path: Path | str) -> UrdfOutline:
 
 
 @lru_cache(maxsize=128)
-def outline_of_text(text: str, name: str) -> UrdfOutline:
+def outline_of_text(text: str, name: str) -> RobotOutline:
     """The outline of a URDF that is no file; `name` is its name in messages."""
     return replace(_outline(ElementTree.fromstring(text), Path(name)), text=text)
 
 
 @lru_cache(maxsize=128)
-def _read(path: Path, _stamp: int) -> UrdfOutline:
+def _read(path: Path, _stamp: int) -> RobotOutline:
     try:
         robot = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
@@ -182,9 +182,10 @@ def _read(path: Path, _stamp: int) -> UrdfOutline:
     return _outline(robot, path)
 
 
-def _outline(robot: ElementTree.Element, path: Path) -> UrdfOutline:
+def _outline(robot: ElementTree.Element, path: Path) -> RobotOutline:
     if robot.tag != "robot":
-        raise ModelError(f"{path} is not a URDF file: its root element is <{robot.tag}>")
+        remedy = "; name it with 'mjcf:'" if robot.tag == "mujoco" else ""
+        raise ModelError(f"{path} is not a URDF file: its root element is <{robot.tag}>{remedy}")
     if any("xacro" in str(element.tag) for element in robot.iter()):
         raise ModelError(f"{path} is a xacro file; expand it first: xacro {path.name} > robot.urdf")
     links = tuple(_required(link, "name", path) for link in robot.findall("link"))
@@ -192,10 +193,17 @@ def _outline(robot: ElementTree.Element, path: Path) -> UrdfOutline:
     meshes = dict.fromkeys(
         mesh.get("filename", "") for mesh in robot.findall("link/visual/geometry/mesh")
     )
-    return UrdfOutline(path, links, joints, tuple(meshes), _root(links, joints, path))
+    return RobotOutline(path, links, joints, tuple(meshes), root_link(links, joints, path))
 
 
-def _root(links: tuple[str, ...], joints: tuple[JointOutline, ...], path: Path) -> str:
+def root_link(links: tuple[str, ...], joints: tuple[JointOutline, ...], path: Path) -> str:
+    """The link that has no parent.
+
+    Raises
+    ------
+    ModelError
+        If these are not one tree, or two of them have one name.
+    """
     for names, noun in ((links, "link"), ([j.name for j in joints], "joint")):
         twice = sorted({name for name in names if list(names).count(name) > 1})
         if twice:
@@ -207,7 +215,7 @@ def _root(links: tuple[str, ...], joints: tuple[JointOutline, ...], path: Path) 
     children = [joint.child for joint in joints]
     if len(set(children)) < len(children):
         twice = sorted({child for child in children if children.count(child) > 1})
-        raise ModelError(f"{path}: {listed(twice)} hang on more than one joint; a URDF is a tree")
+        raise ModelError(f"{path}: {listed(twice)} hang on more than one joint; a robot is a tree")
     roots = [link for link in links if link not in children]
     if len(roots) != 1:
         raise ModelError(f"{path} must have exactly one root link, it has {listed(roots)}")

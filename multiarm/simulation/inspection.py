@@ -391,8 +391,8 @@ def _model_name(spec: ArmSpec | ToolSpec) -> str:
         return spec.robot
     if isinstance(spec, ToolSpec) and spec.fingers is not None:
         return f"hand of {len(spec.fingers.tips)} fingers"
-    assert spec.urdf is not None, "a model has a name or a file"
-    return spec.urdf.name
+    assert spec.file is not None, "a model has a name or a file"
+    return spec.file.name
 
 
 def _joint_facts(system: System, joint: JointSpec, terms: ContactTerms) -> JointFacts:
