@@ -196,10 +196,24 @@ MASS = "<inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/>"
     [
         ("<robot/>", "not an MJCF file: its root element is <robot>"),
         ("<mujoco", "not valid XML"),
+        (model_text(ONE.format(MASS).replace("name='a'", "name='a' pos='a b'")), "'a'"),
         (model_text(""), "<worldbody> has 0 bodies; an arm hangs on one"),
         (model_text(2 * ONE.format(MASS)), "<worldbody> has 2 bodies"),
+        (model_text(ONE.format(MASS).replace("name='j'", "")), "a <joint> has no name"),
+        (model_text(ONE.format(MASS).replace("axis=", "limited='false' axis=")), "limited='false'"),
+        (
+            model_text(ONE.format(f"{MASS}<site name='s' axisangle='1 1 0 1'/>")),
+            "the axis of axisangle='1 1 0 1' must have the length 1",
+        ),
+        (
+            model_text(ONE.format(MASS), "<default><joint pos='0 0 1'/></default>"),
+            "<joint> in a <default> has 'pos'",
+        ),
         (model_text(f"<body name='a'><freejoint/>{MASS}</body>"), "it has 'freejoint'"),
-        (model_text(f"<body name='a'><joint type='ball'/>{MASS}</body>"), "is ball; arms hinge"),
+        (
+            model_text(f"<body name='a'><joint type='ball'/>{MASS}</body>"),
+            "is a ball; arms move by",
+        ),
         (model_text(ONE.format(f"<joint name='k'/>{MASS}")), "body 'a' has several joints"),
         (model_text(ONE.format(MASS), "<equality><weld body1='a'/></equality>"), "'equality'"),
         (

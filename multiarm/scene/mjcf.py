@@ -1,8 +1,8 @@
 """The outline of an MJCF file, MuJoCo's XML, as Pinocchio reads it.
 
 Pinocchio passes over what it does not know, such as a ``<frame>`` with all bodies in it, and over
-the pose of a first body without a joint.  So a file is refused if something in it would make the
-arm another one in MuJoCo, and that pose is read here.
+the pose of a first body without a joint; some of the rest it reads otherwise than MuJoCo.  So a
+file is refused if something in it would make the arm another one there, and that pose is read here.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ def mjcf_model(path: Path) -> tuple[pin.Model, Pose]:
 
     first = _checked(path)
     try:
+        place = {
+            key: [float(number) for number in first.get(key, "").split()] for key in ("pos", "quat")
+        }
         model = pin.buildModelFromMJCF(str(path))
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"Pinocchio cannot read {path}: {error}") from None
     if first.find("joint") is not None:
         return model, Pose()
-    place = {
-        key: [float(number) for number in first.get(key, "").split()] for key in ("pos", "quat")
-    }
     w, *xyz = place["quat"] or [1.0, 0.0, 0.0, 0.0]
     return model, Pose(xyz=place["pos"] or [0.0] * 3, quaternion_xyzw=[*xyz, w])
 
@@ -138,7 +138,10 @@ def _checked(path: Path) -> ElementTree.Element:
     if root.tag != "mujoco":
         raise ModelError(f"{path} is not an MJCF file: its root element is <{root.tag}>")
     bodies = root.findall("worldbody/body")
-    reasons = list(_reasons(root))
+    try:
+        reasons = list(_reasons(root))
+    except ValueError as error:
+        raise ModelError(f"{path}: {error}") from None
     if len(bodies) != 1:
         reasons.append(f"<worldbody> has {len(bodies)} bodies; an arm hangs on one")
     if reasons:
@@ -158,28 +161,49 @@ def _reasons(root: ElementTree.Element) -> Iterator[str]:
         used = sorted({key for part in root.iter(tag) for key in keys if key in part.attrib})
         if used:
             yield f"<{tag}> has {listed(used)}, which Pinocchio does not read as MuJoCo does"
-    for joint in root.iter("joint"):
-        if joint.get("type", "hinge") not in ("hinge", "slide"):
-            yield f"a joint {joint.get('name', '')!r} is {joint.get('type')}; arms hinge and slide"
     compilers = {key: value for part in root.iter("compiler") for key, value in part.items()}
     if compilers.get("eulerseq", "xyz") != "xyz":
         yield "Pinocchio reads Euler angles in the sequence 'xyz' only"
     slides = any(joint.get("type") == "slide" for joint in root.iter("joint"))
     if slides and compilers.get("angle") != "radian":
         yield "Pinocchio takes the limits of slides as degrees; write <compiler angle='radian'/>"
+    for part in root.iter():
+        axis = [float(number) for number in part.get("axisangle", "1 0 0 0").split()[:3]]
+        if abs(math.hypot(*axis) - 1.0) > 1e-6:
+            yield f"the axis of axisangle='{part.get('axisangle')}' must have the length 1"
+    yield from _reasons_of_joints(root)
+    yield from _reasons_of_bodies(root)
+
+
+def _reasons_of_joints(root: ElementTree.Element) -> Iterator[str]:
+    for joint in root.iter("joint"):
+        name = joint.get("name", "")
+        if joint.get("type", "hinge") not in ("hinge", "slide"):
+            yield f"joint {name!r} is a {joint.get('type')}; arms move by hinges and slides"
+        if joint.get("limited") == "false":
+            yield f"joint {name!r} has limited='false'; leave its range out"
+    for part in (*root.iterfind(".//default/joint"), *root.iterfind(".//default/site")):
+        placed = sorted({"pos", "quat", "type", *_ORIENTATIONS} & part.attrib.keys())
+        if placed:
+            yield f"<{part.tag}> in a <default> has {listed(placed)}; write it where it counts"
+
+
+def _reasons_of_bodies(root: ElementTree.Element) -> Iterator[str]:
+    for part in (*root.iterfind(".//body"), *root.iterfind(".//body/joint")):
+        if not part.get("name"):
+            yield f"a <{part.tag}> has no name"
+    for body in root.iter("body"):
+        if body.find("geom") is not None and body.find("inertial") is None:
+            yield f"body {body.get('name', '')!r} has a shape but no <inertial>"
     families = {
         own.get("class", "main"): {below.get("class", "main") for below in own.iter("default")}
         for own in root.iter("default")
     }
     for body in root.findall("worldbody/body"):
-        yield from _mixed_defaults(body, None, families)
-    for body in root.iter("body"):
-        if body.find("geom") is not None and body.find("inertial") is None:
-            yield f"body {body.get('name', '')!r} has a shape but no <inertial>"
-    for body in root.findall("worldbody/body"):
         turned = [key for key in _ORIENTATIONS if key in body.attrib]
         if turned and body.find("joint") is None:
             yield f"the orientation of the first body is a {turned[0]}; write it as 'quat'"
+        yield from _mixed_defaults(body, None, families)
 
 
 def _mixed_defaults(
