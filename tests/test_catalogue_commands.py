@@ -111,7 +111,7 @@ def test_a_file_is_shown_like_a_robot_and_says_if_it_has_no_arm(tmp_path):
     path.write_text(text, encoding="utf-8")
     pasted(snippet_of(shown("robots", path)), tmp_path)
     path.write_text(re.sub('type="(revolute|continuous)"', 'type="floating"', text), "utf-8")
-    card = figures(tmp_path / "a.json", "robots", path)["robots"]["own"]
+    card = figures(tmp_path / "a.json", "robots", path)["robots"][str(path)]
     assert (card["tip"], card["tips"], card["example"]) == (None, {}, "")
     assert "none" in shown("robots", path)
 

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from typer.testing import CliRunner
 
+from multiarm.cli import app
 from multiarm.errors import ModelError, SceneError
 from multiarm.scene import (
     ArmSpec,
@@ -199,6 +201,8 @@ def test_described_robots_are_used_if_they_are_there_and_never_fetched(descripti
     assert (entry.source, entry.tip) == ("robot_descriptions", "l2")
     assert resolve_arm(ArmSpec(robot="lathe_description")).joint_names == ("j0",)
     assert "crane_description" not in available_robots()
+    listed = CliRunner().invoke(app, ["robots"], env={"COLUMNS": "200"}).stdout
+    assert "(python -m robot_descriptions pull NAME): crane_description" in listed
     with pytest.raises(SceneError, match="python -m robot_descriptions pull crane_description"):
         find_robot("crane_description")
     with pytest.raises(SceneError, match="did you mean 'crane_description'"):

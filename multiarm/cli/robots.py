@@ -42,17 +42,18 @@ def robots(
     from multiarm.scene import RobotEntry, available_robots, find_robot
     from multiarm.scene.robot_descriptions import PACKAGE, names
 
-    known = available_robots()
-    if name is not None and name not in known:
-        is_file = Path(name).suffix in (".urdf", ".xml")
-        entry = RobotEntry(Path(name).stem, Path(name), FILE) if is_file else find_robot(name)
-        known, name = {entry.name: entry}, entry.name
-    left = [described for described in names() if described not in known]
+    if name is None:
+        known = available_robots()
+    elif Path(name).suffix in (".urdf", ".xml"):
+        known = {name: RobotEntry(Path(name).stem, Path(name), FILE)}
+    else:
+        known = {name: find_robot(name)}
+    left = [] if name else [described for described in names() if described not in known]
     section = Section(
         "Robots",
         "robot",
         "robots",
-        {own: _card(entry) for own, entry in known.items() if name in (None, own)},
+        {own: _card(entry) for own, entry in known.items()},
         heads=("robot", "joints", "where it is from"),
         note=f"To be fetched first (python -m {PACKAGE} pull NAME): {', '.join(left)}"
         if left
@@ -70,7 +71,9 @@ def _card(entry: RobotEntry) -> Card:
     chains = {outline.movable(tip): tip for tip in ends}
     numbers = sorted({*counts.values()}) or [0]
     movable = [joint for joint in outline.joints if joint.movable]
-    links = {joint.name: _carried(outline, joint) for joint in movable}
+    links: dict[str, list[str]] = {joint.name: [] for joint in movable}
+    for link in filter(outline.ends_an_arm, outline.links):
+        links[outline.movable(link)[-1].name].append(link)
     twice = ", ".join(sorted({joint.name for joint in outline.joints} & {*outline.links}))
     trouble = {"cannot be used": f"joint and link are both named {twice}"} if twice else {}
     label = "tip" if len(ends) == 1 else "tips"
@@ -102,15 +105,6 @@ def _card(entry: RobotEntry) -> Card:
             "trouble": trouble.get("cannot be used"),
         },
     )
-
-
-def _carried(outline: RobotOutline, joint: JointOutline) -> list[str]:
-    """The links that end an arm whose last joint this is."""
-    return [
-        link
-        for link in outline.links
-        if outline.movable(link)[-1:] == (joint,) and outline.ends_an_arm(link)
-    ]
 
 
 def _snippet(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) -> str:
