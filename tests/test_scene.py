@@ -364,11 +364,7 @@ def test_inertias_that_no_body_has_are_refused(inertia, reason):
         ("object.pose", {"rpy": [1, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}, "keep one of them"),
         ("object.color", "blueish", "unknown colour 'blueish'"),
         ("object.twist", [0] * 5, "must be a list of 6 numbers"),
-        (
-            "arms.left.robot",
-            None,
-            "needs either 'robot' (a name) or 'urdf' (a file) or 'mjcf' (a MuJoCo file), got neither",
-        ),
+        ("arms.left.robot", None, "'urdf' (a file) or 'mjcf' (a MuJoCo file), got neither"),
         ("arms.left.urdf", "x.urdf", "got both"),
         ("arms.left.tip", "tol", "$.arms.left.tip: unknown link 'tol'; did you mean 'tool'?"),
         ("arms.left.robot", "ur6", "unknown robot 'ur6'; did you mean 'ur5'?"),
