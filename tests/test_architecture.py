@@ -52,6 +52,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pinocchio": (
         "arms.arm",
         "arms.backends",
+        "scene.mjcf",
         "viewer",
         "studies.pinocchio_peer",
     ),

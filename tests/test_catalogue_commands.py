@@ -3,14 +3,29 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
 from typing import get_args
 
+import numpy as np
+import pinocchio as pin
 import pytest
 from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.cli import app
-from multiarm.scene import EFFECTS, EffectsSpec, Scene, parse_scene
+from multiarm.scene import (
+    EFFECTS,
+    EffectsSpec,
+    Scene,
+    Shape,
+    available_robots,
+    load_scene,
+    parse_scene,
+)
 from multiarm.scene.faults import models_in
 from multiarm.scene.loading import parse_yaml
 from multiarm.scene.parameters import parameters_of
@@ -26,6 +41,8 @@ LISTS = {
     "effects --list": list(EffectsSpec.model_fields),
     "methods": [*METHODS, *STABILIZATIONS],
     "joints": ["weld", "contacts", "plane"],
+    "shapes": list(Shape.model_fields),
+    "robots": list(available_robots()),
 }
 
 
@@ -72,6 +89,44 @@ def test_unknown_names_list_similar_ones(command):
     assert f"'multiarm {command}' shows them all" in result.stderr
 
 
+def test_a_robot_in_full_has_its_joints_with_limits_and_the_links_that_can_be_tips(tmp_path):
+    card = figures(tmp_path / "a.json", "robots", "panda")["robots"]["panda"]
+    model = pin.buildModelFromUrdf(card["urdf"])
+    names = [joint["name"] for joint in card["joints"]]
+    assert names == list(model.names[1:])
+    np.testing.assert_array_equal([j["lower"] for j in card["joints"]], model.lowerPositionLimit)
+    np.testing.assert_array_equal([j["upper"] for j in card["joints"]], model.upperPositionLimit)
+    np.testing.assert_array_equal([j["effort_limit"] for j in card["joints"]], model.effortLimit)
+    for number, joint in enumerate(card["joints"][:7], start=1):
+        frames = [f for f in model.frames if f.type == pin.FrameType.BODY]
+        assert joint["tips"] == [f.name for f in frames if f.parentJoint == number]
+    assert (card["tip"], card["tips"]) == ("panda_hand_tcp", {"panda_hand_tcp": 7})
+    full = shown("robots", "panda")
+    assert all(name in full for name in names) and "-2.897 to 2.897 rad" in full
+
+
+def test_a_file_is_shown_like_a_robot_and_says_if_it_has_no_arm(tmp_path):
+    text = Path(available_robots()["planar_2r"].urdf).read_text(encoding="utf-8")
+    path = tmp_path / "own.urdf"
+    path.write_text(text, encoding="utf-8")
+    pasted(snippet_of(shown("robots", path)), tmp_path)
+    path.write_text(re.sub('type="(revolute|continuous)"', 'type="floating"', text), "utf-8")
+    card = figures(tmp_path / "a.json", "robots", path)["robots"][str(path)]
+    assert (card["tip"], card["tips"], card["example"]) == (None, {}, "")
+    assert "none" in shown("robots", path)
+
+
+def test_robots_that_pinocchio_refuses_say_why():
+    assert "joint and link are both named gripper" in shown("robots", "so100")
+
+
+def test_an_unknown_command_names_similar_ones():
+    result = multiarm("robotz")
+    assert result.exit_code == 2
+    assert "unknown command 'robotz'; did you mean 'robots'?" in result.stderr
+    assert "'multiarm --help' shows them all" in result.stderr
+
+
 def test_parameters_of_control_are_those_of_the_schema(tmp_path):
     found = figures(tmp_path / "a.json", "controls")["controls"]
     for kind, model in CONTROLS.items():
@@ -101,14 +156,52 @@ def test_methods_are_those_of_the_tableaus_with_examples_that_load(tmp_path):
         assert run.integrator == name
 
 
-def test_examples_are_printed_as_they_stand_in_a_scene(tmp_path):
-    """Neither wrapped, nor filled with blanks, nor coloured where the output is a pipe."""
-    card = figures(tmp_path / "a.json", "joints", "wrenches")["joints"]["wrenches"]
-    text = shown("joints", "wrenches", width=30)
-    _, _, printed = text.partition("In a scene\n\n")
-    expected = "".join(f"  {line}\n" for line in card["example"].splitlines())
-    assert printed == expected + "\n"
+# What snippets are pasted into.
+SCENE = {
+    "object": "object: {shape: {box: [0.6, 0.5, 0.4]}, mass: 5.0}",
+    "arms": "arms: {left: {robot: ur5}}",
+    "joints": "joints: [{arm: left, kind: weld}]",
+}
+
+
+def snippet_of(text: str) -> str:
+    """The snippet that a command prints last: neither wrapped, nor filled up, nor coloured."""
     assert "\x1b" not in text
+    _, _, printed = text.partition("In a scene\n\n")
+    lines = printed.splitlines()
+    assert [line for line in lines if line != line.rstrip()] == []
+    return "".join(f"{line[2:]}\n" for line in lines)
+
+
+def pasted(snippet: str, folder: Path) -> Scene:
+    """A scene with the snippet in place of its own lines."""
+    own = [line for key, line in SCENE.items() if not re.search(rf"(?m)^{key}:", snippet)]
+    (folder / "scene.yaml").write_text("\n".join([*own, snippet]), encoding="utf-8")
+    return load_scene(folder / "scene.yaml")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", LISTS)
+def test_every_snippet_that_a_pipe_gets_is_part_of_a_scene(command, tmp_path):
+    found = figures(tmp_path / "all.json", *command.split())
+    for section in found.values():
+        for name, card in section.items():
+            snippet = snippet_of(shown(*command.split(), name, width=60))
+            assert snippet.rstrip("\n") == card["example"] != ""
+            pasted(snippet, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", ["joints weld", "robots ur5", "shapes hull", "methods rk4"])
+def test_snippets_of_a_process_are_the_same(words, tmp_path):
+    found = subprocess.run(
+        [sys.executable, "-m", "multiarm", *words.split()],
+        env={**os.environ, "COLUMNS": "60"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    pasted(snippet_of(found.stdout), tmp_path)
 
 
 def test_user_effects_are_listed(monkeypatch, tmp_path):

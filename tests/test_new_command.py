@@ -37,7 +37,9 @@ def test_a_scene_of_every_kind_of_joint_runs(kind, tmp_path):
     assert ma.simulate(system, 0.02, accuracy=1e-4).status == "completed"
 
 
-@pytest.mark.parametrize("robots", [["panda"], ["ur5", "panda", "ur10"], ["textbook_6r"] * 4])
+@pytest.mark.parametrize(
+    "robots", [["panda"], ["ur5", "panda", "ur10"], ["textbook_6r"] * 4, ["baxter", "so101"]]
+)
 @pytest.mark.parametrize("solid", SOLIDS)
 def test_any_robots_hold_any_object_and_keep_it_still(robots, solid, tmp_path):
     words = [word for robot in robots for word in ("--robot", robot)]
@@ -51,6 +53,7 @@ def test_any_robots_hold_any_object_and_keep_it_still(robots, solid, tmp_path):
 def test_every_line_is_explained_and_the_schema_comes_first(tmp_path):
     path = tmp_path / "scene.yaml"
     made(path)
+    assert "tip:" not in path.read_text(encoding="utf-8")
     first, *lines = path.read_text(encoding="utf-8").splitlines()
     schema = tmp_path / first.removeprefix("# yaml-language-server: $schema=")
     found = json.loads(schema.read_text(encoding="utf-8"))
@@ -75,6 +78,7 @@ def test_a_file_is_replaced_by_force_only(tmp_path):
         (("--robot", "ur55"), "unknown robot 'ur55'; did you mean 'ur5'?"),
         (("--joint", "welt"), "unknown joint kind 'welt'; did you mean 'weld'?"),
         (("--object", "torus"), "'torus'"),
+        (("--robot", "tiago_pro"), "nothing tells which link of robot 'tiago_pro' is its tip"),
     ],
 )
 def test_unknown_names_are_refused_with_similar_ones(words, message, tmp_path):

@@ -4,28 +4,36 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from typer.testing import CliRunner
 
+from multiarm.cli import app
 from multiarm.errors import ModelError, SceneError
 from multiarm.scene import (
     ArmSpec,
     CornerGripperJoint,
     Pose,
     available_robots,
+    dump_scene,
     find_robot,
     parse_scene,
     read_urdf,
     resolve_arm,
     resolve_mesh,
     resolve_package_dirs,
+    robot_descriptions,
 )
+from multiarm.scene.robots import arm_ends
 
 ROOT = Path(__file__).parents[1]
-OWN = ("planar_2r", "planar_3r", "textbook_6r", "corner_gripper")
+OWN = tuple(sorted(folder.name for folder in (ROOT / "robots").iterdir() if folder.is_dir()))
+ROBOTS = sorted(available_robots())
 WORKED = json.loads((ROOT / "tests" / "data" / "worked_examples.json").read_text())["examples"]
 
 
@@ -61,21 +69,56 @@ def chain_text(kinds: list[str], extra: str = "") -> str:
 # --- by name -----------------------------------------------------------------------------------
 
 
-def test_own_robots_and_example_arms_are_available():
-    names = set(available_robots())
-    assert set(OWN) <= names
-    assert {"ur3", "ur5", "ur10", "panda", "kinova", "xarm7", "z1", "so100", "so101"} <= names
+# The link that each of these had as its tip when the tip had to be written.
+TIPS = {
+    **dict.fromkeys(["ur3", "ur3_gripper", "ur3_limited", "ur5", "ur5_gripper"], "tool0"),
+    **dict.fromkeys(["ur5_limited", "ur10", "ur10_limited"], "tool0"),
+    "panda": "panda_hand_tcp",
+    "xarm7": "link_eef",
+    "kinova": "j2s6s200_end_effector",
+    "z1": "gripperStator",
+    "so100": "gripper",
+    "so101": "gripper_frame_link",
+    "talos_arm": "gripper_left_base_link",
+    "asr_twodof": "Tip",
+    "double_pendulum": "link2",
+    "planar_2r": "tip",
+    "planar_3r": "tip",
+    "textbook_6r": "tool",
+    "corner_gripper": "corner",
+}
 
 
-@pytest.mark.parametrize("name", sorted(available_robots()))
-def test_every_robot_loads_and_its_usual_tip_ends_the_same_chain_as_in_pinocchio(name):
+def test_own_robots_and_all_that_are_installed_are_available():
+    """Every URDF file of example-robot-data in which Pinocchio finds a movable joint."""
+    assert set(OWN) | set(TIPS) <= set(ROBOTS)
+    files = {entry.urdf for entry in available_robots().values()}
+    share = find_robot("ur5").urdf.parents[2]
+    others = [path for path in share.rglob("*.urdf") if path not in files]
+    for path in others:
+        text = path.read_text(encoding="utf-8")
+        joints = "<link" in text and pin.buildModelFromXML(text).njoints > 1
+        assert not joints, path
+    assert {"baxter", "talos", "tiago_dual", "pr2", "anymal_b_simple"} <= set(ROBOTS)
+
+
+@pytest.mark.parametrize("name", TIPS)
+def test_usual_tips_are_those_that_scenes_had_to_write(name):
+    assert find_robot(name).tip == TIPS[name]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_robot_loads_and_its_tips_end_the_same_chains_as_in_pinocchio(name):
     entry = find_robot(name)
     outline = read_urdf(entry.urdf)
     model = pin.buildModelFromUrdf(str(entry.urdf))
-    assert model.existFrame(entry.tip)
-    chain = [joint.name for joint in outline.chain(entry.tip) if joint.movable]
-    parent = model.frames[model.getFrameId(entry.tip, pin.FrameType.BODY)].parentJoint
-    assert chain == [model.names[i] for i in model.supports[parent] if i > 0]
+    tips = entry.tips or arm_ends(outline)
+    assert tips
+    for tip in tips:
+        chain = [joint.name for joint in outline.movable(tip)]
+        parent = model.frames[model.getFrameId(tip, pin.FrameType.BODY)].parentJoint
+        assert chain == [model.names[i] for i in model.supports[parent] if i > 0]
+        assert outline.ends_an_arm(tip) or name == "corner_gripper"
     limits = {joint.name: joint for joint in outline.joints}
     for joint, joint_name in zip(model.joints[1:], list(model.names)[1:], strict=True):
         if joint.nq == 1:
@@ -83,12 +126,12 @@ def test_every_robot_loads_and_its_usual_tip_ends_the_same_chain_as_in_pinocchio
             assert limits[joint_name].upper == model.upperPositionLimit[joint.idx_q]
 
 
-@pytest.mark.parametrize("name", sorted(available_robots()))
+@pytest.mark.parametrize("name", ROBOTS)
 def test_meshes_of_every_robot_are_found(name):
     outline = read_urdf(find_robot(name).urdf)
     folders = resolve_package_dirs(outline.path)
-    missing = [m for m in outline.meshes if resolve_mesh(m, outline.path, folders) is None]
-    assert missing == []
+    meshes = [m for m in outline.meshes if not m.startswith("file:")]  # on its author's machine
+    assert [m for m in meshes if resolve_mesh(m, outline.path, folders) is None] == []
 
 
 def test_unknown_robot_names_alternatives():
@@ -101,6 +144,127 @@ def test_without_example_robot_data_the_message_says_what_to_install(monkeypatch
     assert set(available_robots()) == set(OWN)
     with pytest.raises(SceneError, match="pip install example-robot-data"):
         find_robot("ur5")
+
+
+# --- the package robot_descriptions ---
+
+MODULE = """
+from os import path as _path
+from ._cache import clone_to_cache as _clone_to_cache
+REPOSITORY_PATH: str = _clone_to_cache(
+    "{repository}",
+)
+URDF_PATH: str = _path.join(REPOSITORY_PATH, "arm.urdf")
+"""
+CACHE = """
+import os
+def clone_to_cache(name):
+    assert os.environ["GIT_ALLOW_PROTOCOL"] == "none", "git may fetch"
+    return os.path.join(os.environ["ROBOT_DESCRIPTIONS_CACHE"], REPOSITORIES[name].cache_path)
+from ._repositories import REPOSITORIES
+"""
+REPOSITORIES = """
+class Repository:
+    def __init__(self, cache_path): self.cache_path = cache_path
+REPOSITORIES = {"here": Repository("here"), "away": Repository("away")}
+"""
+
+
+@pytest.fixture
+def descriptions(tmp_path, monkeypatch):
+    """A package like robot_descriptions with one robot in its cache and one that is not."""
+    package = tmp_path / "site" / "robot_descriptions"
+    package.mkdir(parents=True)
+    for name, text in {
+        "__init__": "",
+        "_cache": CACHE,
+        "_repositories": REPOSITORIES,
+        "lathe_description": MODULE.format(repository="here"),
+        "crane_description": MODULE.format(repository="away"),
+        "hoist_mj_description": MODULE.replace("URDF", "MJCF").format(repository="here"),
+    }.items():
+        (package / f"{name}.py").write_text(text)
+    (tmp_path / "cache" / "here").mkdir(parents=True)
+    write_urdf(tmp_path / "cache" / "here" / "arm.urdf", chain_text(["revolute", "fixed"]))
+    monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    robot_descriptions._sources.cache_clear()
+    yield tmp_path
+    robot_descriptions._sources.cache_clear()
+    for module in [name for name in sys.modules if name.startswith("robot_descriptions")]:
+        del sys.modules[module]
+
+
+def test_described_robots_are_used_if_they_are_there_and_never_fetched(descriptions):
+    assert robot_descriptions.names() == ("crane_description", "lathe_description")
+    entry = available_robots()["lathe_description"]
+    assert (entry.source, entry.tip) == ("robot_descriptions", "l2")
+    assert resolve_arm(ArmSpec(robot="lathe_description")).joint_names == ("j0",)
+    assert "crane_description" not in available_robots()
+    listed = CliRunner().invoke(app, ["robots"], env={"COLUMNS": "200"}).stdout
+    assert "(python -m robot_descriptions pull NAME): crane_description" in listed
+    with pytest.raises(SceneError, match="python -m robot_descriptions pull crane_description"):
+        find_robot("crane_description")
+    with pytest.raises(SceneError, match="did you mean 'crane_description'"):
+        find_robot("crans_description")
+    assert not (descriptions / "cache" / "away").exists()
+    assert "robot_descriptions.crane_description" not in sys.modules
+    assert "GIT_ALLOW_PROTOCOL" not in os.environ
+
+
+def test_without_robot_descriptions_the_message_says_what_to_install():
+    with pytest.raises(SceneError, match="pip install robot_descriptions"):
+        find_robot("iiwa14_description")
+
+
+# --- the tip that a scene leaves out ---
+
+
+@pytest.mark.parametrize(
+    ("spec", "tip"),
+    [
+        ({"robot": "ur5"}, "tool0"),
+        ({"robot": "ur5", "tip": "wrist_3_link"}, "wrist_3_link"),
+        ({"robot": "ur5", "tool": {"robot": "corner_gripper", "mount": "tool0"}}, "corner"),
+        ({"robot": "ur5", "tool": {"fingers": {"tips": [[0, 0, 0]]}, "mount": "tool0"}}, "corner"),
+    ],
+)
+def test_an_arm_without_a_tip_has_the_usual_one_of_robot_or_tool(spec, tip):
+    scene = scene_of(spec)
+    assert resolve_arm(scene.arms["a"]).tip == tip
+    again = parse_scene(dump_scene(scene))
+    assert again.arms["a"].tip == spec.get("tip") and again == scene
+
+
+def test_the_only_end_of_a_file_is_its_tip_and_the_flange_before_others(tmp_path):
+    path = write_urdf(tmp_path / "arm.urdf", chain_text(["revolute", "fixed"]))
+    assert resolve_arm(ArmSpec(urdf=path)).tip == "l2"
+    flange = "<link name='{0}'/><joint name='{0}_' type='fixed'><parent link='l1'/>"
+    flange += "<child link='{0}'/></joint>"
+    path.write_text(f"<robot name='r'>{chain_text(['revolute'], flange.format('tool0'))}</robot>")
+    assert resolve_arm(ArmSpec(urdf=path)).tip == "tool0"
+    both = flange.format("tool0") + flange.format("camera")
+    path = write_urdf(tmp_path / "both.urdf", chain_text(["revolute"], both))
+    assert resolve_arm(ArmSpec(urdf=path)).tip == "tool0"
+
+
+@pytest.mark.parametrize(
+    ("spec", "expected"),
+    [
+        (
+            {"robot": "baxter"},
+            "of baxter it may be 'left_gripper', 'right_gripper';.*robots baxter'",
+        ),
+        ({"robot": "tiago_pro"}, r"it may be .*'head_front_camera_link', .* shows all links"),
+        (
+            {"robot": "ur5", "tool": {"robot": "panda_collision", "mount": "tool0"}},
+            "of panda_collision it may be 'panda_hand_tcp', 'panda_leftfinger'",
+        ),
+    ],
+)
+def test_a_tip_that_nothing_tells_is_asked_for_with_candidates(spec, expected):
+    with pytest.raises(SceneError, match=rf"\$\.arms\.a\.tip: is missing \(the link.*{expected}"):
+        scene_of(spec)
 
 
 # --- chains ------------------------------------------------------------------------------------
@@ -201,6 +365,7 @@ def test_faults_of_tools_are_told(changes, expected):
     [
         ("<robot", "not valid XML"),
         ("<sdf/>", "not a URDF file: its root element is <sdf>"),
+        ("<mujoco/>", "root element is <mujoco>; name it with 'mjcf:'"),
         (
             "<robot xmlns:xacro='http://ros.org/xacro'><xacro:macro name='a'/></robot>",
             "xacro file; expand it first",

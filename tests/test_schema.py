@@ -146,7 +146,7 @@ def test_what_scenes_may_abbreviate_fits(part, text):
         ("object", "{shape: {box: [1, 1, 1]}}", "$.object"),
         ("object", "{shape: {box: [1, 1, 1]}, mass: -1}", "$.object.mass"),
         ("object", "{shape: {box: [1, 1, 1]}, mass: 1, color: red}", "$.object.color"),
-        ("arms", "{left: {robot: textbook_6r}}", "$.arms.left"),
+        ("arms", "{left: {robot: textbook_6r, tip: [tool]}}", "$.arms.left.tip"),
         ("speed", "1", "$"),
     ],
 )

@@ -19,13 +19,14 @@ import pinocchio as pin
 
 from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms
 from multiarm.errors import ModelError
+from multiarm.scene.mjcf import mjcf_model
 
 
 @dataclass(frozen=True)
 class ArmFiles:
     """URDFs of an arm and its tool, folders of their meshes, mounting and locked joints.
 
-    ``tool_urdf`` is a path, or the text of a URDF.
+    ``tool_urdf`` is a path, or the text of a URDF; with ``mjcf`` the arm's file is MuJoCo's.
     """
 
     urdf: Path
@@ -37,6 +38,7 @@ class ArmFiles:
     tool_package_dirs: tuple[Path, ...] = ()
     mount: str | None = None
     tool_placement: np.ndarray | None = None
+    mjcf: bool = False
 
 
 class Arm:
@@ -79,7 +81,8 @@ class Arm:
                 f"arm '{name}': Pinocchio cannot put {files.urdf} together: {error}"
             ) from error
         if rotor_inertia is not None:
-            self.model.armature = rotor_inertia  # `crba` adds it to the diagonal of M
+            # `crba` adds it to the diagonal of M
+            self.model.armature = self.model.armature + rotor_inertia
         self.dof = self.model.nv
         self.joint_names = tuple(self.model.names[1:])
         self.circular = np.array([j.nq == 2 for j in self.model.joints[1:]], dtype=bool)
@@ -135,7 +138,10 @@ class Arm:
 
     def link(self, name: str) -> tuple[int, np.ndarray, np.ndarray]:
         """Joint that carries a link; the link's rotation and origin [m] in its frame."""
-        frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.BODY)]
+        kind = pin.FrameType.BODY
+        if not self.model.existFrame(name, kind):  # a site of an MJCF file
+            kind = pin.FrameType.OP_FRAME
+        frame = self.model.frames[self.model.getFrameId(name, kind)]
         place = frame.placement
         return frame.parentJoint, place.rotation.copy(), place.translation.copy()
 
@@ -298,8 +304,14 @@ def _from_urdf(name: str, urdf: Path | str) -> pin.Model:
 
 def _assemble(name: str, files: ArmFiles, visuals: bool) -> tuple[pin.Model, pin.GeometryModel]:
     """Robot, tool, locked joints, base: the model and (for ``visuals``) its visual geometry."""
-    model = _from_urdf(name, files.urdf)
-    geometry = _geometry(model, files.urdf, files.package_dirs, visuals)
+    base = pin.SE3(files.base)
+    if files.mjcf:
+        model, first = mjcf_model(files.urdf)
+        base = base * pin.SE3(first.matrix())
+    else:
+        model = _from_urdf(name, files.urdf)
+    geometry = _geometry(model, files.urdf, files.package_dirs, visuals, files.mjcf)
+    armature = dict(zip(model.names[1:], model.armature, strict=False))
     if files.tool_urdf is not None:
         assert files.mount is not None, "a tool has a mount"
         tool = _from_urdf(name, files.tool_urdf)
@@ -317,19 +329,26 @@ def _assemble(name: str, files: ArmFiles, visuals: bool) -> tuple[pin.Model, pin
             at, size = model.joints[ids[-1]].idx_q, model.joints[ids[-1]].nq
             reference[at : at + size] = [np.cos(value), np.sin(value)] if size == 2 else value
         model, geometry = pin.buildReducedModel(model, geometry, ids, reference)
-    return pin.appendModel(
-        pin.Model(), model, pin.GeometryModel(), geometry, 0, pin.SE3(files.base)
-    )
+    model, geometry = pin.appendModel(pin.Model(), model, pin.GeometryModel(), geometry, 0, base)
+    if files.mjcf:  # appending leaves it out
+        model.armature = np.array([armature[joint] for joint in model.names[1:]])
+    return model, geometry
 
 
 def _geometry(
-    model: pin.Model, urdf: Path | str, package_dirs: tuple[Path, ...], visuals: bool
+    model: pin.Model,
+    urdf: Path | str,
+    package_dirs: tuple[Path, ...],
+    visuals: bool,
+    mjcf: bool = False,
 ) -> pin.GeometryModel:
     if not visuals:
         return pin.GeometryModel()
     build = pin.buildGeomFromUrdfString if isinstance(urdf, str) else pin.buildGeomFromUrdf
     folders = [str(p) for p in package_dirs]
     try:
+        if mjcf:
+            return pin.buildGeomFromMJCF(model, str(urdf), pin.GeometryType.VISUAL)
         return build(model, str(urdf), pin.GeometryType.VISUAL, None, folders)
     except (ValueError, RuntimeError) as error:
         warnings.warn(f"no visual geometry from {urdf}: {error}", stacklevel=2)

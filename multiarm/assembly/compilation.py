@@ -228,12 +228,13 @@ def arm_files(spec: ArmSpec, resolved: ResolvedArm) -> ArmFiles:
         urdf=resolved.urdf,
         package_dirs=resolved.package_dirs,
         base=spec.base.matrix(),
-        tip=spec.tip,
+        tip=resolved.tip,
         locked=resolved.locked,
         tool_urdf=resolved.tool_urdf,
         tool_package_dirs=resolved.tool_package_dirs,
         mount=tool.mount if tool is not None else None,
         tool_placement=tool.at.matrix() if tool is not None else None,
+        mjcf=resolved.mjcf,
     )
 
 

@@ -18,9 +18,10 @@ from multiarm.cli.accuracy import accuracy
 from multiarm.cli.check import check
 from multiarm.cli.effects import effects
 from multiarm.cli.grasp import grasp_app
-from multiarm.cli.joints import controls, joints, methods
+from multiarm.cli.joints import controls, joints, methods, shapes
 from multiarm.cli.new import new
 from multiarm.cli.pose import pose
+from multiarm.cli.robots import robots
 from multiarm.cli.run import run
 from multiarm.cli.scaling import scaling
 from multiarm.cli.schema import schema
@@ -41,6 +42,14 @@ _UsageError: Any = typer.BadParameter.__base__
 
 class _Commands(TyperGroup):
     """All commands; prints warnings and multiarm's errors, the latter with exit code 2."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that the first word names."""
+        if args and self.get_command(ctx, args[0]) is None:
+            from multiarm.scene.faults import unknown
+
+            raise MultiarmError(unknown("command", args[0], self.list_commands(ctx)))
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; other exceptions pass through."""
@@ -106,8 +115,8 @@ def _program(
 
 
 _COMMANDS = (
-    new, run, check, pose, joints, controls, methods, schema, replay, report, accuracy, effects,
-    scaling, stability, sweep, warmup,
+    new, run, check, pose, robots, shapes, joints, controls, methods, schema, replay, report,
+    accuracy, effects, scaling, stability, sweep, warmup,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command()(_command)

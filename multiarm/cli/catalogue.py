@@ -6,8 +6,8 @@ card says comes from the class: its picture, its parameters, its example.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -43,6 +43,8 @@ class Card:
         What the column beside the name shows.
     facts, listed : dict
         What the card, and what the list, says further, by headings.
+    table : tuple of title, headings and rows, optional
+        What the card shows below its facts.
     key : str
         What the JSON calls the name.
     further : dict
@@ -56,6 +58,7 @@ class Card:
     count: str = ""
     facts: Mapping[str, str] = field(default_factory=dict)
     listed: Mapping[str, str] = field(default_factory=dict)
+    table: tuple[str, Sequence[str], Sequence[Sequence[str]]] | None = None
     key: str = "name"
     further: Mapping[str, Any] = field(default_factory=dict)
 
@@ -64,6 +67,19 @@ class Card:
         """The card of a class; of ``parameters``, a model, where these are those of another one."""
         keys = parameters_of(parameters or model)
         return cls(name, picture_of(model), keys, example_of(model))
+
+    @classmethod
+    def of_key(cls, owner: Any, name: str, example: str) -> Card:
+        """The card of one key of a table: its parameters, or the one value that it has."""
+        from multiarm.scene.faults import models_in
+
+        (own,) = (parameter for parameter in parameters_of(owner) if parameter.name == name)
+        within = [
+            parameter
+            for model in models_in(owner.model_fields[name].annotation)
+            for parameter in parameters_of(model)
+        ]
+        return cls(name, own.meaning, within or [replace(own, default="required")], example)
 
     def figures(self) -> dict[str, Any]:
         """What is shown, as JSON."""
@@ -89,8 +105,6 @@ class Section:
     shared : dict
         Title -> parameters that all of them have, and whether a card shows them too.
     note : str
-    with_examples : bool
-        Whether the list shows the examples too.
     """
 
     title: str
@@ -101,7 +115,6 @@ class Section:
     heads: tuple[str, ...] = ("kind", "what it is")
     shared: Mapping[str, tuple[list[Parameter], bool]] = field(default_factory=dict)
     note: str = ""
-    with_examples: bool = False
 
 
 def show(
@@ -123,8 +136,8 @@ def show(
     if name is not None and name not in known:
         from multiarm.scene.faults import unknown
 
-        text = unknown(sections[first].noun, name, known, sections[first].plural)
-        raise MultiarmError(f"{text}; 'multiarm {command}' shows them all")
+        noun, plural = sections[first].noun, sections[first].plural
+        raise MultiarmError(unknown(noun, name, known, plural, f"multiarm {command}"))
     chosen = {
         key: {own: card for own, card in section.cards.items() if name in (None, key, own)}
         for key, section in sections.items()
@@ -159,28 +172,24 @@ def _print_list(console: Console, section: Section) -> None:
     console.print(columns(section.title, section.heads, rows))
     if section.note:
         console.print(Text(section.note, "dim"))
-    if section.with_examples:
-        _print_example(console, "\n".join(card.example for card in section.cards.values()))
     for title, (parameters, _) in section.shared.items():
         console.print(_parameter_table(title, parameters))
 
 
 def _print_card(console: Console, section: Section, card: Card) -> None:
     console.print(facts(card.name, {"what it is": card.picture, **card.facts}))
+    if card.table is not None:
+        console.print(columns(*card.table))
     if card.parameters:
         console.print(_parameter_table("Parameters", card.parameters))
     for title, (parameters, with_cards) in section.shared.items():
         if with_cards:
             console.print(_parameter_table(title, parameters))
     if card.example:
-        _print_example(console, card.example)
-
-
-def _print_example(console: Console, text: str) -> None:
-    """Lines as they stand in a scene: neither wrapped nor filled up, so that they can be copied."""
-    console.print(Text("In a scene", "bold"))
-    for line in ("", *text.splitlines(), ""):
-        console.print(Text(f"  {line}".rstrip(), "green"), soft_wrap=True)
+        console.print(Text("In a scene", "bold"))
+        # Neither wrapped nor filled up, so that the lines can be copied.
+        for line in ("", *card.example.splitlines(), ""):
+            console.print(Text(f"  {line}".rstrip(), "green"), soft_wrap=True)
 
 
 def _parameter_table(title: str, parameters: Iterable[Parameter]) -> Table:

@@ -15,7 +15,7 @@ from multiarm.errors import MultiarmError
 from multiarm.geometry.records import CYLINDER, PLANE, SPHERE, Contact
 from multiarm.geometry.screws import FreeMotions, free_motions, wrenches_in_frame
 from multiarm.geometry.words import made_of, wrench_row
-from multiarm.scene import JOINTS, SURFACES, ContactSpec, Joint
+from multiarm.scene import JOINTS, SURFACES, ContactSpec, Joint, Surface
 from multiarm.scene.joints import BUILT_IN as KINDS
 from multiarm.scene.joints.contacts import BUILT_IN as SHAPES
 from multiarm.scene.parameters import example_of, parameters_of, picture_of
@@ -48,7 +48,6 @@ def surface_section() -> Section:
         faults,
         heads=("surface", "what it is"),
         shared={"Parameters of a contact, besides its two sides": (options, False)},
-        with_examples=True,
     )
 
 
@@ -61,9 +60,22 @@ def joint_cards() -> tuple[dict[str, Card], list[str]]:
 def surface_cards() -> tuple[dict[str, Card], list[str]]:
     """A card for every surface that may take part in a contact, and why others cannot be used."""
     own, faults = SURFACES.classes()
-    cards = {name: Card.of(name, model) for name, model in {**SHAPES, **own}.items()}
+    cards = {name: _surface_card(name, model) for name, model in {**SHAPES, **own}.items()}
     cards["point"] = replace(cards["point"], parameters=[])  # a point is 3 numbers
     return cards, faults
+
+
+def _surface_card(name: str, model: type[Surface]) -> Card:
+    """One surface; its example is one side of a contact, which stands against a simple other."""
+    card = Card.of(name, model)
+    if not card.example:
+        return card
+    sides = ["arm: {point: [0, 0, 0]}", *card.example.splitlines()]
+    if card.example.startswith("arm:"):
+        sides = [*card.example.splitlines(), "object: {plane: {normal: [0, 0, 1]}}"]
+    head = "joints:\n  - arm: left\n    kind: contacts\n    contacts:\n"
+    listed = {"as one side of a contact": " ".join(card.example.split())}
+    return replace(card, example=f"{head}      - " + "\n        ".join(sides), listed=listed)
 
 
 def _joint_card(kind: str, model: type[Joint]) -> Card:

@@ -1,4 +1,4 @@
-"""``multiarm joints``, ``controls``, ``methods``: catalogues of what scenes may name."""
+"""``multiarm joints``, ``shapes``, ``controls``, ``methods``: what scenes may name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from multiarm.scene.parameters import parameters_of
 if TYPE_CHECKING:
     from multiarm.scene.registry import Registry
 
-__all__ = ["controls", "effect_section", "joints", "methods"]
+__all__ = ["controls", "effect_section", "joints", "methods", "shapes"]
 
 
 def joints(
@@ -39,6 +39,22 @@ def joints(
     from multiarm.cli.joint_cards import joint_section, surface_section
 
     show("joints", {"joints": joint_section(), "surfaces": surface_section()}, kind, json)
+
+
+def shapes(name: KindName = None, json: JsonFile = None) -> None:
+    """List the shapes of the object with their parameters: 'shape:' below 'object:' in a scene.
+
+    The JSON has the key shapes: a table by name, with what is shown here.
+    """
+    from multiarm.scene import Shape
+
+    cards = {
+        name: Card.of_key(Shape, name, Shape.example_text(name)) for name in Shape.model_fields
+    }
+    section = Section(
+        "Shapes of the object", "shape", "shapes", cards, heads=("shape", "what it is")
+    )
+    show("shapes", {"shapes": section}, name, json)
 
 
 def controls(name: KindName = None, json: JsonFile = None) -> None:

@@ -33,7 +33,11 @@ def new(
     ] = Path("scene.yaml"),
     robot: Annotated[
         list[str] | None,
-        option("The robot of one arm; again for each further arm.", "NAME", default="two ur5"),
+        option(
+            "The robot of one arm, multiarm robots lists them; again for each further arm.",
+            "NAME",
+            default="two ur5",
+        ),
     ] = None,
     joint: Annotated[
         str,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -29,8 +28,7 @@ TEXTBOOK_POSTURES = (
 
 def own_urdf(name: str) -> str:
     """File of one of the project's own models."""
-    folder: Path = find_robot("planar_2r").urdf.parents[1]
-    return str(folder / name / f"{name}.urdf")
+    return str(find_robot(name).urdf)
 
 
 def tip_pose(robot: str, tip: str, posture: tuple[float, ...]) -> np.ndarray:

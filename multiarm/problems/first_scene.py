@@ -1,34 +1,48 @@
 """A commented scene to start from: arms around an object, each with its tip at the object.
 
-An arm takes, of random postures, the one in which it is most dexterous; its base is then put where
-the tip touches the object from one side.  So the loops of the scene are closed as it is written.
+Each arm stands where, of some distances, its tip reaches a side of the object most dexterously.
+The scene leaves the postures to the program (``posture: solve``), but those of arms with too few
+joints to point as they are told.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import product
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm
-from multiarm.assembly.compilation import arm_files
+from multiarm.assembly.compilation import arm_files, load_robots
+from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.errors import SceneError
-from multiarm.scene import JOINTS, ArmSpec, ContactSpec, Pose, find_robot, parse_scene, resolve_arm
+from multiarm.scene import (
+    JOINTS,
+    ArmSpec,
+    ContactSpec,
+    Joint,
+    Pose,
+    find_robot,
+    parse_scene,
+    resolve_arm,
+)
 from multiarm.scene.faults import unknown
 from multiarm.scene.joints import BUILT_IN
 from multiarm.scene.parameters import description_of, example_of, picture_of
 
-TRIED = 300
-"""Random postures of an arm."""
 HEIGHT = 0.5
-"""Of the object, where the arms reach no other [m]."""
-LOWEST = 0.2
-"""Of the tips, so that the object is above the floor on which the arms stand [m]."""
+"""Of the object, where the first arm holds it at the height of its base [m]."""
+AHEAD, ABOVE = (0.35, 0.5, 0.65, 0.8), (0.3, 0.0)
+"""Places of the tip that are tried, before and above the base, as parts of the arm's length."""
+TURNS = ((0.0, np.pi / 2), (0.0, 0.0), (np.pi, 0.0))
+"""Its roll and pitch that are tried: z axis ahead, x axis ahead, z axis down."""
 
 
-class Solid(NamedTuple):
+@dataclass(frozen=True)
+class Solid:
     """A shape as it is written, in words, and half its sizes along x and y [m]."""
 
     written: str
@@ -65,7 +79,9 @@ def first_scene(robots: list[str], joint: str, solid: str) -> str:
     kinds = Counter(robots)
     crew = ", ".join(f"{count} {robot}" for robot, count in kinds.items())
     names = ["left", "right"] if len(robots) == 2 else [f"arm{k + 1}" for k in range(len(robots))]
-    stands = _stands(robots, solid)
+    kind = _joint_kind(joint)
+    holds = {robot: _hold(robot, kind) for robot in kinds}
+    height = max(holds[robots[0]].xyz[2], 0.0) or HEIGHT
     shape = SOLIDS[solid]
     lines = [
         (f"name: {crew} hold a {solid}", "a title for reports"),
@@ -75,28 +91,36 @@ def first_scene(robots: list[str], joint: str, solid: str) -> str:
         ("  shape:", "what it looks like; its inertia follows, or write 'inertia:'"),
         (f"    {shape.written}", shape.words),
         ("  mass: 5.0", "kg"),
-        (f"  pose: {{xyz: [0, 0, {stands[0].height:.4f}]}}", "where it is at the start [m]"),
+        (f"  pose: {{xyz: [0, 0, {height:g}]}}", "where it is at the start [m]"),
         ("", ""),
         ("arms:", "the robots; their names are yours"),
     ]
-    for name, robot, stand in zip(names, robots, stands, strict=True):
-        x, y, z = stand.base
+    joints = []
+    for k, (name, robot) in enumerate(zip(names, robots, strict=True)):
+        hold, yaw = holds[robot], 2.0 * np.pi * k / len(robots)
+        side = -_side(shape, solid == "box", yaw)
+        base = [*side, height] - Pose(rpy=(0.0, 0.0, yaw)).rotation() @ hold.xyz
         lines += [
             (f"  {name}:", "an arm, by its name"),
-            (f"    robot: {robot}", "the name of a robot, or write 'urdf:' and a file"),
+            (f"    robot: {robot}", "see multiarm robots; or write 'urdf:' and a file"),
             (
-                f"    base: {{xyz: [{x:.6f}, {y:.6f}, {z:.6f}], rpy: [0, 0, {stand.yaw:.6f}]}}",
+                f"    base: {_written(base, (0.0, 0.0, yaw))}",
                 "where it stands [m], turned by roll, pitch, yaw [rad]",
             ),
-            (f"    tip: {stand.tip}", "the link that is joined to the object"),
-            (
-                f"    posture: [{', '.join(f'{q:.4f}' for q in stand.posture)}]",
-                "its joints at the start, from base to tip [rad, of sliding joints m]",
-            ),
         ]
-    lines += [("", ""), ("joints:", "how the arms hold the object, one for each arm")]
-    for name, stand in zip(names, stands, strict=True):
-        lines += _joint_lines(joint, name, stand)
+        if hold.tip is not None:
+            lines.append((f"    tip: {hold.tip}", "the link that is joined to the object"))
+        if hold.posture is None:
+            lines.append(("    posture: solve", "its joints at the start are found; or a list"))
+        else:
+            words = "its joints at the start, from base to tip [rad, of sliding joints m]"
+            lines.append((f"    posture: {hold.posture}", words))
+        roll, pitch, turn = hold.rpy
+        at = _written([*side, 0.0], (roll, pitch, turn + yaw))
+        joints += _joint_lines(
+            joint, kind, name, None if hold.posture and not kind.as_listed else at
+        )
+    lines += [("", ""), ("joints:", "how the arms hold the object, one for each arm"), *joints]
     lines += [
         ("", ""),
         ("control: gravity_compensation", "the arms hold all still; others: multiarm controls"),
@@ -111,24 +135,26 @@ def first_scene(robots: list[str], joint: str, solid: str) -> str:
     ]
     body = (f"{line}  # {words}" if line else "" for line, words in lines)
     text = "\n".join([*body, ""])
-    parse_scene(text)
+    load_robots(parse_scene(text))  # finds the postures
     return f"# Every line has its meaning behind the sign '#'.\n\n{text}"
 
 
-def _joint_lines(kind: str, arm: str, stand: _Stand) -> list[tuple[str, str]]:
-    """The lines of a joint: those of the example of its kind, explained by its parameters."""
+def _joint_kind(kind: str) -> type[Joint]:
     model = BUILT_IN.get(kind) or JOINTS.find(kind)
     if model is None:
         text = unknown("joint kind", kind, [*BUILT_IN, *JOINTS.names()], "kinds")
-        raise SceneError(f"$.joints: {text}; 'multiarm joints' shows them all")
+        raise SceneError(f"$.joints: {text}")
+    return model
+
+
+def _joint_lines(kind: str, model: type[Joint], arm: str, at: str | None) -> list[tuple[str, str]]:
+    """The lines of a joint: those of the example of its kind, explained by its parameters."""
     lines = [
         (f"  - arm: {arm}", "the arm whose tip it holds"),
         (f"    kind: {kind}", picture_of(model)),
     ]
-    if model.as_listed:
-        xyz, rpy = (", ".join(f"{value:.6f}" for value in part) for part in stand.grip)
-        place = "the frame of the joint on the object: where the tip is [m, rad]"
-        lines.append((f"    at: {{xyz: [{xyz}], rpy: [{rpy}]}}", place))
+    if at is not None:
+        lines.append((f"    at: {at}", "the frame of the joint on the object [m, rad]"))
     for line in example_of(model).splitlines()[3:]:
         written, _, remark = line.partition("#")
         key = written.strip().removeprefix("- ").partition(":")[0]
@@ -139,80 +165,80 @@ def _joint_lines(kind: str, arm: str, stand: _Stand) -> list[tuple[str, str]]:
     return lines
 
 
+def _side(solid: Solid, edged: bool, yaw: float) -> np.ndarray:
+    """Where a horizontal ray from the middle leaves the object, shape (2,) [m]."""
+    ray = np.array([np.cos(yaw), np.sin(yaw)])
+    parts = np.abs(ray) / solid.half_sizes
+    return ray / (np.max(parts) if edged else np.linalg.norm(parts))
+
+
+def _written(xyz: Sequence[float], rpy: Sequence[float]) -> str:
+    """A pose as a scene has it, without negative zeros."""
+    parts = (", ".join(f"{round(value, 6) + 0.0:.7g}" for value in part) for part in (xyz, rpy))
+    return "{{xyz: [{}], rpy: [{}]}}".format(*parts)
+
+
 @dataclass(frozen=True)
-class _Stand:
-    """Where an arm stands, so that its tip touches the object from one side.
+class _Hold:
+    """How an arm holds its tip.
 
     Attributes
     ----------
-    tip : str
-    posture : ndarray, shape (n,)
-    base, yaw
-        Place of its base [m], and turn about the vertical [rad], in the world.
-    grip : two lists of 3 numbers
-        Place [m] and roll, pitch, yaw [rad] of the tip in the object frame.
-    height : float
-        Of the tip [m].
+    tip : str or None
+        The link, where the scene has to name it.
+    xyz, rpy : tuple of 3 floats
+        Its place [m], and its roll, pitch and yaw [rad], in the frame of the arm's base.
+    posture : list of float or None
+        Positions of the joints, where they are not left to the program.
     """
 
-    tip: str
-    posture: np.ndarray
-    base: list[float]
-    yaw: float
-    grip: tuple[list[float], list[float]]
-    height: float
+    tip: str | None
+    xyz: tuple[float, float, float]
+    rpy: tuple[float, float, float]
+    posture: list[float] | None = None
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Pose of the tip, shape (4, 4)."""
+        return Pose(xyz=self.xyz, rpy=self.rpy).matrix()
 
 
-def _stands(robots: list[str], solid: str) -> list[_Stand]:
-    """Where the arms stand: in equal angles around the object, the first one on the floor."""
-    found: list[_Stand] = []
-    for k, robot in enumerate(robots):
-        direction = np.pi + 2.0 * np.pi * k / len(robots)
-        found.append(_stand(robot, direction, solid, found[0].height if found else None))
-    return found
+def _hold(robot: str, kind: type[Joint]) -> _Hold:
+    """Of the places that are tried, the one that the arm reaches best; else where it comes near.
 
-
-def _stand(robot: str, direction: float, solid: str, height: float | None) -> _Stand:
-    """Where an arm stands, seen from the object in a direction [rad]."""
-    tip = find_robot(robot).tip
+    Raises
+    ------
+    SceneError
+        The robot is not known, or nothing tells which link is its tip.
+    """
+    tips = find_robot(robot).tips
+    if not tips:
+        raise SceneError(
+            f"nothing tells which link of robot {robot!r} is its tip; take another robot (multiarm "
+            f"robots), or write a scene with 'tip:', one of the links that 'multiarm robots "
+            f"{robot}' shows"
+        )
+    tip = tips[0] if len(tips) > 1 else None
     spec = ArmSpec(robot=robot, tip=tip)
-    posture, pose = _dexterous(Arm(robot, arm_files(spec, resolve_arm(spec))))
-    x, y, z = pose[:3, 3]
-    if height is None:
-        height = round(float(z), 4) if z > LOWEST else HEIGHT  # digits that are written
-    yaw = float(np.angle(np.exp(1j * (direction + np.pi - np.arctan2(y, x)))))
-    R = Pose(rpy=(0.0, 0.0, yaw)).rotation()  # of the base
-    across, along = SOLIDS[solid].half_sizes
-    ahead = np.array([np.cos(direction), np.sin(direction), 0.0])
-    side = ahead / np.hypot(ahead[0] / across, ahead[1] / along)
-    if solid == "box":
-        side = ahead / np.max(np.abs(ahead[:2]) / [across, along])
-    base = side - R @ [x, y, 0.0] + [0.0, 0.0, height - z]
-    (a, *_), (c, *_), (e, f, g) = R @ pose[:3, :3]
-    rpy = [float(np.arctan2(f, g)), float(np.arctan2(-e, np.hypot(a, c))), float(np.arctan2(c, a))]
-    rounded = (np.round(base, 6) + 0.0).tolist()  # no negative zeros
-    return _Stand(tip, posture, rounded, yaw, ((np.round(side, 6) + 0.0).tolist(), rpy), height)
+    arm = Arm(robot, arm_files(spec, resolve_arm(spec)))
+    length = float(np.max(arm.levers(np.zeros(3))))
+    for free, turn, above in product(dict.fromkeys([(), kind.free or ()]), TURNS, ABOVE):
+        search = InverseKinematics(arm, free)
+        places = [
+            (_two_digits(ahead * length), 0.0, _two_digits(above * length)) for ahead in AHEAD
+        ]
+        holds = [_Hold(tip, xyz, (*turn, 0.0)) for xyz in places]
+        found = [(hold, search.search([hold.matrix], np.random.default_rng(0))) for hold in holds]
+        reached = [(reach.quality, hold) for hold, reach in found if reach is not None]
+        if reached:
+            return max(reached, key=lambda one: one[0])[1]
+    miss = search.nearest(holds[1].matrix, np.random.default_rng(0))
+    posture = np.round(miss.posture, 4) + 0.0
+    pose = arm.tip_pose(posture)
+    x, y, z = pose[:3, 3].tolist()
+    roll, pitch, yaw = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz").tolist()
+    return _Hold(tip, (x, y, z), (roll, pitch, yaw), posture.tolist())
 
 
-def _dexterous(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-    """A posture far from singular ones, of those that stretch the arm forward, and the tip's pose.
-
-    Among random postures the one with the largest smallest singular value of the Jacobian,
-    lengths over those of the arm.
-    """
-    rng = np.random.default_rng(0)
-    low, high = np.clip(arm.position_limits, -2.5, 2.5).T
-    middle, half = (low + high) / 2, 0.45 * (high - low)
-    best, chosen = -1.0, middle
-    for _ in range(TRIED):
-        posture = np.round(middle + half * rng.uniform(-1.0, 1.0, arm.dof), 4)
-        terms = arm.terms(posture, np.zeros(arm.dof))
-        reach = float(np.max(arm.levers(np.zeros(3))))
-        J = terms.J / np.array([[reach]] * 3 + [[1.0]] * 3)
-        ahead = np.hypot(*terms.tip_position[:2]) / reach
-        score = np.linalg.svd(J, compute_uv=False)[-1] * min(1.0, 2.0 * ahead)
-        if terms.tip_position[2] < LOWEST:
-            score *= 0.1
-        if score > best:
-            best, chosen = float(score), posture
-    return chosen, arm.tip_pose(chosen)
+def _two_digits(number: float) -> float:
+    return float(f"{number:.2g}")

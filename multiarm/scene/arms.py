@@ -18,15 +18,21 @@ from multiarm.errors import ModelError, SceneError
 from multiarm.scene.faults import fault, listed, place, unknown
 from multiarm.scene.fingers import FingersSpec, urdf_text
 from multiarm.scene.functions import located
+from multiarm.scene.mjcf import read_mjcf
 from multiarm.scene.robots import (
-    CHAIN_JOINTS,
-    JointOutline,
-    UrdfOutline,
+    arm_ends,
     find_robot,
-    outline_of_text,
-    read_urdf,
     resolve_mesh,
     resolve_package_dirs,
+    usual_tips,
+)
+from multiarm.scene.urdf import (
+    CHAIN_JOINTS,
+    MOST_JOINTS,
+    JointOutline,
+    RobotOutline,
+    outline_of_text,
+    read_urdf,
 )
 from multiarm.scene.values import (
     SOLVE,
@@ -41,8 +47,6 @@ from multiarm.scene.values import (
     joint_value_faults,
     joint_vector,
 )
-
-_MAX_JOINTS = 16
 
 
 class _FromUrdf(Spec):
@@ -69,6 +73,20 @@ class _FromUrdf(Spec):
         """The keys, of which exactly one gives the model, with their values."""
         return {"robot": "a name", "urdf": "a file"}
 
+    def usual_tips(self, outline: RobotOutline) -> tuple[str, ...]:
+        """The links usually taken as tips of the model with this outline."""
+        return usual_tips(outline, self.robot)
+
+    @property
+    def file(self) -> Path | None:
+        """The file, where one is given instead of a name."""
+        return self.urdf
+
+    @property
+    def shown_by(self) -> str:
+        """The command that shows all links and joints of the model."""
+        return f"multiarm robots {self.robot or self.file}"
+
 
 class ToolSpec(_FromUrdf):
     """A tool, from another URDF or made of fingers, fixed to a link of the robot."""
@@ -83,14 +101,21 @@ class ToolSpec(_FromUrdf):
     def _sources(self) -> dict[str, str]:
         return {**super()._sources(), "fingers": "fingertips"}
 
+    def usual_tips(self, outline: RobotOutline) -> tuple[str, ...]:
+        """Of a hand its corner, else as of other models."""
+        return super().usual_tips(outline) if self.fingers is None else ("corner",)
+
 
 class ArmSpec(_FromUrdf):
     """One arm: a serial chain of 1 to 16 joints from its base to its tip."""
 
+    mjcf: Path | None = None
+    """A MuJoCo file, instead of a name."""
     base: Pose = Pose()
     """The root link in the world."""
-    tip: str
-    """The link whose frame is joined to the object: of the tool if there is one."""
+    tip: str | None = None
+    """The link whose frame is joined to the object: of the tool if there is one. Absent: the usual
+    tip of robot or tool, see 'multiarm robots'."""
     tool: ToolSpec | None = None
     """A tool on the robot."""
     posture: Posture | None = None
@@ -105,6 +130,14 @@ class ArmSpec(_FromUrdf):
     color: Color | None = None
     """Red, green, blue, opacity from 0 to 1."""
 
+    def _sources(self) -> dict[str, str]:
+        return {**super()._sources(), "mjcf": "a MuJoCo file"}
+
+    @property
+    def file(self) -> Path | None:
+        """The file, where one is given instead of a name."""
+        return self.mjcf or self.urdf
+
 
 @dataclass(frozen=True)
 class ResolvedArm:
@@ -113,13 +146,15 @@ class ResolvedArm:
     Attributes
     ----------
     urdf : Path
-        The robot's file.
+        The robot's file: a URDF, or with ``mjcf`` a MuJoCo file.
     package_dirs : tuple of Path
         Where ``package://`` addresses of the robot are looked for, in order.
     tool_urdf : Path, str or None
         The tool's file, or the text of its URDF where the scene describes it.
     tool_package_dirs : tuple of Path
         The same for the tool.
+    tip : str
+        The link that is joined to the object.
     joints : tuple of JointOutline, length n
         The movable joints from base to tip.
     posture, velocity : ndarray, shape (n,)
@@ -132,10 +167,12 @@ class ResolvedArm:
     package_dirs: tuple[Path, ...]
     tool_urdf: Path | str | None
     tool_package_dirs: tuple[Path, ...]
+    tip: str
     joints: tuple[JointOutline, ...]
     posture: np.ndarray
     velocity: np.ndarray
     locked: dict[str, float]
+    mjcf: bool = False
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -177,10 +214,11 @@ def resolve_arm(spec: ArmSpec, folder: Path | str | None = None) -> ResolvedArm:
 
 def examine_arm(spec: ArmSpec) -> Examination:
     """Look at an arm whose paths are absolute, and note all faults and warnings."""
-    found = Examination()
+    found = Examination(shown_by=spec.shown_by if spec.tool is None else None)
     robot = _outline(spec, found, ())
     tool = _outline(spec.tool, found, ("tool",)) if spec.tool is not None else None
-    chain = _chain(spec, robot, tool, found)
+    tip = _usual_tip(spec, robot, tool, found) if spec.tip is None else spec.tip
+    chain = _chain(spec, tip, robot, tool, found)
     if robot is None or (spec.tool is not None and tool is None):
         return found
     joints = {joint.name: joint for outline in (robot, tool) if outline for joint in outline.joints}
@@ -188,9 +226,9 @@ def examine_arm(spec: ArmSpec) -> Examination:
         if name not in joints or not joints[name].movable:
             movable = [joint.name for joint in joints.values() if joint.movable]
             found.fault("lock", name, text=unknown("joint", name, movable))
-    if chain is None:
+    if tip is None or chain is None:
         return found
-    free = _free_joints(spec, chain, found)
+    free = _free_joints(spec, tip, chain, found)
     found.joints = free
     names = {joint.name for joint in free}
     found.links, found.moving = robot.links, robot.carried_by(names)
@@ -208,22 +246,27 @@ def examine_arm(spec: ArmSpec) -> Examination:
             package_dirs=package_dirs,
             tool_urdf=None if tool is None else tool.text or tool.path,
             tool_package_dirs=tool_package_dirs,
+            tip=tip,
             joints=free,
             posture=posture,
             velocity=velocity,
             locked=locked,
+            mjcf=spec.mjcf is not None,
         )
     return found
 
 
 def _outline(
     spec: ArmSpec | ToolSpec, found: Examination, where: tuple[str, ...]
-) -> UrdfOutline | None:
-    key = "urdf" if spec.robot is None else "robot"
+) -> RobotOutline | None:
+    key = "robot" if spec.file is None else "urdf"
     try:
         if isinstance(spec, ToolSpec) and spec.fingers is not None:
             return outline_of_text(urdf_text(spec.fingers), "hand.urdf")
-        path = spec.urdf if spec.robot is None else find_robot(spec.robot).urdf
+        if isinstance(spec, ArmSpec) and spec.mjcf is not None:
+            key = "mjcf"
+            return read_mjcf(spec.mjcf)
+        path = find_robot(spec.robot).urdf if spec.robot is not None else spec.file
         assert path is not None, "a model has a name or a file"
         return read_urdf(path)
     except (SceneError, ModelError) as error:
@@ -231,14 +274,37 @@ def _outline(
         return None
 
 
+def _usual_tip(
+    spec: ArmSpec, robot: RobotOutline | None, tool: RobotOutline | None, found: Examination
+) -> str | None:
+    """The tip of an arm that names none; a fault where nothing tells which it is."""
+    model, outline = (spec, robot) if spec.tool is None else (spec.tool, tool)
+    if outline is None:
+        return None
+    usual = model.usual_tips(outline)
+    if len(usual) == 1:
+        return usual[0]
+    links = listed(usual or arm_ends(outline))
+    found.fault(
+        "tip",
+        text=f"is missing (the link whose frame is joined to the object); of "
+        f"{model.robot or outline.path.name} it may be {links}; '{model.shown_by}' shows all links",
+    )
+    return None
+
+
 def _chain(
-    spec: ArmSpec, robot: UrdfOutline | None, tool: UrdfOutline | None, found: Examination
+    spec: ArmSpec,
+    tip: str | None,
+    robot: RobotOutline | None,
+    tool: RobotOutline | None,
+    found: Examination,
 ) -> list[JointOutline] | None:
     """All joints from the robot's root to the tip, None where the chain is not known."""
     if spec.tool is None:
-        return _part(robot, spec.tip, found, "tip")
-    below = _part(robot, spec.tool.mount, found, "tool", "mount")
-    above = _part(tool, spec.tip, found, "tip")
+        return _part(spec, robot, tip, found, "tip")
+    below = _part(spec, robot, spec.tool.mount, found, "tool", "mount")
+    above = _part(spec.tool, tool, tip, found, "tip")
     if robot is None or tool is None:
         return None
     for noun, ours, theirs in (
@@ -253,40 +319,45 @@ def _chain(
 
 
 def _part(
-    outline: UrdfOutline | None, link: str, found: Examination, *where: str
+    model: ArmSpec | ToolSpec,
+    outline: RobotOutline | None,
+    link: str | None,
+    found: Examination,
+    *where: str,
 ) -> list[JointOutline] | None:
-    if outline is None:
+    if outline is None or link is None:
         return None
     try:
         return list(outline.chain(link))
     except ModelError as error:
-        found.fault(*where, text=str(error))
+        shown = "" if outline.text else f"; '{model.shown_by}' shows them all"
+        found.fault(*where, text=f"{error}{shown}")
         return None
 
 
 def _free_joints(
-    spec: ArmSpec, chain: list[JointOutline], found: Examination
+    spec: ArmSpec, tip: str, chain: list[JointOutline], found: Examination
 ) -> tuple[JointOutline, ...]:
     free = tuple(joint for joint in chain if joint.movable and joint.name not in spec.lock)
     for joint in free:
         if joint.kind not in CHAIN_JOINTS:
             found.fault(
-                text=f"joint {joint.name!r} on the way to {spec.tip!r} is {joint.kind}; arms move "
+                text=f"joint {joint.name!r} on the way to {tip!r} is {joint.kind}; arms move "
                 f"by {listed(CHAIN_JOINTS)} joints (or lock it: lock: ({joint.name}: 0.0))"
             )
         if joint.mimic is not None:
             found.fault(
-                text=f"joint {joint.name!r} on the way to {spec.tip!r} copies joint "
+                text=f"joint {joint.name!r} on the way to {tip!r} copies joint "
                 f"{joint.mimic.joint!r}; coupled joints are not supported, lock it or choose "
                 "another tip"
             )
     if not free:
-        found.fault("tip", text=f"no movable joint lies between the base and {spec.tip!r}")
-    if len(free) > _MAX_JOINTS:
+        found.fault("tip", text=f"no movable joint lies between the base and {tip!r}")
+    if len(free) > MOST_JOINTS:
         found.fault(
             "tip",
-            text=f"{len(free)} movable joints lie between the base and {spec.tip!r}, at most "
-            f"{_MAX_JOINTS} are possible; lock some",
+            text=f"{len(free)} movable joints lie between the base and {tip!r}, at most "
+            f"{MOST_JOINTS} are possible; lock some",
         )
     return free
 
@@ -345,7 +416,7 @@ def _start(
 
 
 def _package_dirs(
-    spec: ArmSpec | ToolSpec | None, outline: UrdfOutline, found: Examination
+    spec: ArmSpec | ToolSpec | None, outline: RobotOutline, found: Examination
 ) -> tuple[Path, ...]:
     """Where the meshes of a model are looked for; a warning if some are not there."""
     if spec is None or outline.text is not None:

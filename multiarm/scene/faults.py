@@ -51,18 +51,41 @@ def listed(names: Iterable[str], similar_to: str | None = None) -> str:
     return text if left_out <= 0 else f"{text} and {left_out} more"
 
 
-def unknown(noun: str, value: object, known: Iterable[str], plural: str | None = None) -> str:
-    """``unknown arm 'rigth'; did you mean 'right'? arms are 'right', 'left'``."""
+# What lists the names of a sort, with what they mean.
+_COMMANDS = {
+    "robot": "multiarm robots",
+    "joint kind": "multiarm joints",
+    "surface": "multiarm joints surfaces",
+    "shape": "multiarm shapes",
+    "control kind": "multiarm controls",
+    "effect": "multiarm effects --list",
+    "method": "multiarm methods",
+    "stabilization": "multiarm methods stabilizations",
+    "command": "multiarm --help",
+}
+
+
+def unknown(
+    noun: str,
+    value: object,
+    known: Iterable[str],
+    plural: str | None = None,
+    command: str | None = None,
+) -> str:
+    """``unknown arm 'rigth'; did you mean 'right'? arms are 'right', 'left'``.
+
+    It ends with the command that lists them all, where there is one for the noun, or is given.
+    """
     known = list(known)
     plural = plural or f"{noun}s"
     text = f"unknown {noun} {shown(value)}"
     if not known:
         return f"{text}; there are no {plural}"
-    if not isinstance(value, str):
-        return f"{text}; {plural} are {listed(known)}"
-    close = difflib.get_close_matches(value, known, n=1, cutoff=_SIMILAR)
+    close = difflib.get_close_matches(value, known, 1, _SIMILAR) if isinstance(value, str) else []
     hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{text}; {hint}{plural} are {listed(known, similar_to=value if close else None)}"
+    text += f"; {hint}{plural} are {listed(known, similar_to=str(value) if close else None)}"
+    command = command or _COMMANDS.get(noun)
+    return f"{text}; '{command}' shows them all" if command else text
 
 
 def place(parts: Iterable[str | int], root: str = "$") -> str:
@@ -96,6 +119,8 @@ def sentences(
 # Names of the keys of some tables, in the singular and the plural.
 _KEY_NOUNS = {"EffectsSpec": ("effect", "effects"), "Shape": ("shape", "shapes")}
 _KIND_NOUNS = {"joints": "joint kind", "control": "control kind"}
+# What the values of some keys are called.
+_CHOICE_NOUNS = {"integrator": "method", "stabilization": "stabilization"}
 _EXPECTED = {
     "string_type": "must be text",
     "bool_type": "must be true or false",
@@ -130,7 +155,9 @@ def _sentence(
         group = next(part for part in reversed(parts) if isinstance(part, str))
         return unknown(_KIND_NOUNS.get(group, "kind"), context["tag"], _kinds(models), "kinds")
     if kind == "literal_error":
-        return unknown("value", value, _choices(owner, parts), "choices")
+        key = next((part for part in reversed(parts) if part != "kind"), None)
+        noun = _CHOICE_NOUNS.get(str(key), "value")
+        return unknown(noun, value, _choices(owner, parts), "choices" if noun == "value" else None)
     if kind == "greater_than":
         return f"must be greater than {context['gt']:g}, got {shown(value)}"
     if kind == "greater_than_equal":

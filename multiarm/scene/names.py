@@ -43,10 +43,9 @@ from multiarm.scene.loading import (
 )
 from multiarm.scene.object import Mesh, ObjectSpec, Shape
 from multiarm.scene.robots import (
-    JointOutline,
+    RobotEntry,
     available_robots,
     find_robot,
-    read_urdf,
     resolve_mesh,
     resolve_package_dirs,
 )
@@ -59,4 +58,5 @@ from multiarm.scene.run import (
 )
 from multiarm.scene.schema import Scene
 from multiarm.scene.surfaces import Surface
+from multiarm.scene.urdf import JointOutline, RobotOutline, read_urdf
 from multiarm.scene.values import Pose, gain_vector, joint_vector

@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, WithJsonSchema, model_validator
+import yaml
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 from typing_extensions import Self
 
 from multiarm.scene.faults import fault, shown
@@ -258,16 +259,28 @@ class Mesh(Spec):
 class Shape(OneOf):
     """The shape of the object: exactly one of these."""
 
-    box: Edges | None = None
-    """Full edge lengths [m] along x, y, z."""
-    sphere: Positive | None = None
-    """Radius [m]."""
-    cylinder: Cylinder | None = None
-    """Axis along z."""
-    hull: Points | None = None
+    box: Edges | None = Field(None, examples=[[0.6, 0.5, 0.4]])
+    """A block, by its full edge lengths [m] along x, y, z."""
+    sphere: Positive | None = Field(None, examples=[0.25])
+    """A ball, by its radius [m]."""
+    cylinder: Cylinder | None = Field(None, examples=[{"radius": 0.2, "height": 0.5}])
+    """A round bar or a disc, its axis along z."""
+    hull: Points | None = Field(
+        None, examples=[[[0.3, 0, -0.1], [-0.15, 0.26, -0.1], [-0.15, -0.26, -0.1], [0, 0, 0.3]]]
+    )
     """Corners of a convex polyhedron [m] whose centre of mass is the origin."""
-    mesh: Mesh | None = None
-    """For the eye only; then ``inertia`` must be given."""
+    mesh: Mesh | None = Field(None, examples=[{"file": "part.stl", "scale": 0.001}])
+    """A mesh from a file, for the eye only; then ``inertia`` must be given."""
+
+    @classmethod
+    def example_text(cls, name: str) -> str:
+        """An object of one of the shapes, as lines of a scene."""
+        shapes = cls.model_fields[name].examples or []
+        body: dict[str, Any] = {"shape": {name: shapes[0]}, "mass": 5.0}
+        if name == "mesh":
+            body["inertia"] = [0.1, 0.1, 0.1]
+        text = yaml.safe_dump({"object": body}, sort_keys=False, default_flow_style=None, width=100)
+        return text.strip()
 
     def uniform_inertia(self, mass: float) -> np.ndarray:
         """Inertia about the centre of mass at uniform density, shape (3, 3) [kg m^2]."""

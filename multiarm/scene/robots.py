@@ -1,77 +1,106 @@
-"""Robots by name, and the outlines of their URDF files.
+"""Robots by name, and the links that are usually their tips.
 
-``robot: ur5`` stands for the path of a URDF file.  Two collections are known.  The project's own
-robots lie in ``robots/<name>/<name>.urdf`` (inside the installed package, or at the top of a
-checkout).  The fixed-base arms of ``example-robot-data`` are found through the metadata of that
-installed distribution, wherever it lives.  A model of the project wins over one of the same name
-elsewhere.
-
-A scene can be checked, with every fault, from the names, types and limits of a URDF alone.  So the
-reader here needs the standard library only, takes milliseconds, and leaves inertias and geometry to
-the dynamics.
+``robot: ur5`` stands for the path of a URDF file.  Three collections are known, and the first wins
+where a name is in two: the project's own robots in ``robots/<name>/<name>.urdf`` (inside the
+installed package, or at the top of a checkout); those of the installed distribution
+``example-robot-data``, wherever it lives, by the names of their files; and those of the package
+``robot_descriptions``, see :mod:`multiarm.scene.robot_descriptions`.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
-import math
 import os
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections import Counter
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 from multiarm.errors import ModelError, SceneError
-from multiarm.scene.faults import listed, unknown
+from multiarm.scene import robot_descriptions
+from multiarm.scene.faults import unknown
+from multiarm.scene.mjcf import read_mjcf
+from multiarm.scene.urdf import RobotOutline, read_urdf
 
-CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
-_KNOWN_JOINTS = (*CHAIN_JOINTS, "fixed", "planar", "floating")
-
+PROJECT = "this project"
 _DISTRIBUTION = "example-robot-data"
 _SHARE = "cmeel.prefix/share"
 
-# name -> (file below example-robot-data/robots, usual tip)
-_EXAMPLE_ARMS = {
-    "ur3": ("ur_description/urdf/ur3_robot.urdf", "tool0"),
-    "ur3_gripper": ("ur_description/urdf/ur3_gripper.urdf", "tool0"),
-    "ur3_limited": ("ur_description/urdf/ur3_joint_limited_robot.urdf", "tool0"),
-    "ur5": ("ur_description/urdf/ur5_robot.urdf", "tool0"),
-    "ur5_gripper": ("ur_description/urdf/ur5_gripper.urdf", "tool0"),
-    "ur5_limited": ("ur_description/urdf/ur5_joint_limited_robot.urdf", "tool0"),
-    "ur10": ("ur_description/urdf/ur10_robot.urdf", "tool0"),
-    "ur10_limited": ("ur_description/urdf/ur10_joint_limited_robot.urdf", "tool0"),
-    "panda": ("panda_description/urdf/panda.urdf", "panda_hand_tcp"),
-    "xarm7": ("xarm_description/urdf/xarm7.urdf", "link_eef"),
-    "kinova": ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
-    "z1": ("z1_description/urdf/z1.urdf", "gripperStator"),
-    "so100": ("so_arm_description/urdf/so100.urdf", "gripper"),
-    "so101": ("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
-    "talos_arm": ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link"),
-    "asr_twodof": ("asr_twodof_description/urdf/TwoDofs.urdf", "Tip"),
-    "double_pendulum": ("double_pendulum_description/urdf/double_pendulum.urdf", "link2"),
+# Names of robots that are not those of their files.
+_FILES = {
+    "ur3": "ur3_robot",
+    "ur3_limited": "ur3_joint_limited_robot",
+    "ur5": "ur5_robot",
+    "ur5_limited": "ur5_joint_limited_robot",
+    "ur10": "ur10_robot",
+    "ur10_limited": "ur10_joint_limited_robot",
+    "asr_twodof": "TwoDofs",
+    "talos": "talos_reduced",
+    "talos_arm": "talos_left_arm",
 }
-# name -> usual tip
-_OWN_ROBOTS = {
-    "planar_2r": "tip",
-    "planar_3r": "tip",
-    "textbook_6r": "tool",
-    "corner_gripper": "corner",
+# The links that people take as tips, where the chain does not end in one link that says so.
+_TIPS = {
+    "corner_gripper": ("corner",),
+    "crank": ("tip",),
+    "panda": ("panda_hand_tcp",),
+    "kinova": ("j2s6s200_end_effector",),
+    "z1": ("gripperStator",),
+    "so100": ("gripper",),
+    "so101": ("gripper_frame_link",),
+    "talos_arm": ("gripper_left_base_link",),
+    "tiago": ("hand_tool_link",),
+    "baxter": ("left_gripper", "right_gripper"),
+    "pr2": ("l_gripper_tool_frame", "r_gripper_tool_frame"),
+    "talos": ("gripper_left_base_link", "gripper_right_base_link"),
+    "tiago_dual": ("hand_left_tool_link", "hand_right_tool_link"),
 }
+# The frame of a flange, which ROS-Industrial prescribes for all arms.
+_FLANGE = "tool0"
 
 
 @dataclass(frozen=True)
 class RobotEntry:
-    """A robot that a scene may name: its name, URDF file, and the link usually used as the tip."""
+    """A robot that a scene may name.
+
+    Attributes
+    ----------
+    name : str
+    urdf : Path
+        Its file; that of a robot without a name may be MuJoCo's, ``.xml``.
+    source : str
+        The collection that it is from.
+    """
 
     name: str
     urdf: Path
-    tip: str
+    source: str
+
+    @property
+    def outline(self) -> RobotOutline:
+        """Its links and joints."""
+        return read_mjcf(self.urdf) if self.urdf.suffix == ".xml" else read_urdf(self.urdf)
+
+    @property
+    def tips(self) -> tuple[str, ...]:
+        """The links usually taken as the tip: one for each arm; empty where nothing tells."""
+        return usual_tips(self.outline, self.name)
+
+    @property
+    def tip(self) -> str | None:
+        """The tip of an arm that names none; None where there are several, or nothing tells."""
+        return self.tips[0] if len(self.tips) == 1 else None
 
 
 def available_robots() -> dict[str, RobotEntry]:
     """All robots that can be used by name on this machine, the project's own first."""
-    return {**_own_robots(), **{k: v for k, v in _example_arms().items() if k not in _OWN_ROBOTS}}
+    found = _own_robots()
+    for name, urdf in _example_files().items():
+        found.setdefault(name, RobotEntry(name, urdf, _DISTRIBUTION))
+    for name in robot_descriptions.names():
+        local = robot_descriptions.local_urdf(name)
+        if local is not None:
+            found.setdefault(name, RobotEntry(name, local, robot_descriptions.PACKAGE))
+    return {name: entry for name, entry in found.items() if _is_usable(entry)}
 
 
 def find_robot(name: str) -> RobotEntry:
@@ -80,15 +109,50 @@ def find_robot(name: str) -> RobotEntry:
     Raises
     ------
     SceneError
-        If there is none; the message names the alternatives.
+        If there is none, or it has to be downloaded first; the message says what to do.
     """
-    robots = available_robots()
-    if name in robots:
-        return robots[name]
-    message = unknown("robot", name, robots)
-    if name in _EXAMPLE_ARMS and _share_folder() is None:
+    own, examples = _own_robots(), _example_files()
+    if name in own:
+        return own[name]
+    if name in examples:
+        return RobotEntry(name, examples[name], _DISTRIBUTION)
+    described = robot_descriptions.names()
+    if name in described:
+        urdf = robot_descriptions.local_urdf(name)
+        if urdf is None:
+            fetch = f"python -m {robot_descriptions.PACKAGE} pull {name}"
+            raise SceneError(f"robot {name!r} is not on this machine yet; fetch it: {fetch}")
+        return RobotEntry(name, urdf, robot_descriptions.PACKAGE)
+    message = unknown("robot", name, [*own, *examples, *described])
+    if name in {*_FILES, *_TIPS} and _share_folder() is None:
         message = f"robot {name!r} comes with {_DISTRIBUTION}; pip install {_DISTRIBUTION}"
+    elif name.endswith(robot_descriptions.SUFFIX) and not described:
+        package = robot_descriptions.PACKAGE
+        message = f"robot {name!r} may come with {package}; pip install {package}"
     raise SceneError(f"{message}; or give the path of a file with 'urdf:'")
+
+
+def usual_tips(outline: RobotOutline, name: str | None = None) -> tuple[str, ...]:
+    """The links usually taken as tips: one for each arm of a robot, or of a tool.
+
+    Those that people take of the robot called ``name``, else the flange, else the only link in
+    which a chain of joints ends, of a tool without joints the only link in which it ends.  Empty
+    where there are several and nothing tells.
+    """
+    known = tuple(tip for tip in _TIPS.get(name or "", ()) if tip in outline.links)
+    if known:
+        return known
+    ends = arm_ends(outline)
+    if _FLANGE in ends:
+        return (_FLANGE,)
+    return ends if len(ends) == 1 else ()
+
+
+def arm_ends(outline: RobotOutline) -> tuple[str, ...]:
+    """The last links of all chains that can be arms, of a tool without joints all last links."""
+    if any(joint.movable for joint in outline.joints):
+        return tuple(link for link in outline.leaves if outline.ends_an_arm(link))
+    return outline.leaves
 
 
 def resolve_package_dirs(urdf: Path, explicit: tuple[Path, ...] = ()) -> tuple[Path, ...]:
@@ -123,27 +187,41 @@ def resolve_mesh(address: str, urdf: Path, package_dirs: tuple[Path, ...]) -> Pa
 
 
 def _own_robots() -> dict[str, RobotEntry]:
+    """Those of the first folder that there is: inside the package, or beside it in a checkout."""
     package = Path(__file__).resolve().parents[1]
-    entries = {}
-    for name, tip in _OWN_ROBOTS.items():
-        for folder in (package / "robots", package.parent / "robots"):
-            urdf = folder / name / f"{name}.urdf"
-            if urdf.is_file():
-                entries[name] = RobotEntry(name, urdf, tip)
-                break
-    return entries
+    for folder in (package / "robots", package.parent / "robots"):
+        if folder.is_dir():
+            files = sorted(folder.glob("*/*.urdf"))
+            return {path.stem: RobotEntry(path.stem, path, PROJECT) for path in files}
+    return {}
 
 
-def _example_arms() -> dict[str, RobotEntry]:
+def _example_files() -> dict[str, Path]:
+    """The URDF files of example-robot-data by name."""
     share = _share_folder()
-    if share is None:
-        return {}
-    robots = share / "example-robot-data" / "robots"
-    return {
-        name: RobotEntry(name, robots / file, tip)
-        for name, (file, tip) in _EXAMPLE_ARMS.items()
-        if (robots / file).is_file()
-    }
+    return {} if share is None else _named_files(share / "example-robot-data" / "robots")
+
+
+@lru_cache(maxsize=1)
+def _named_files(folder: Path) -> dict[str, Path]:
+    """The files of a collection by their names, those of one name by that of their folder."""
+    files = sorted(folder.glob("*/*/*.urdf"))
+    names = {stem: name for name, stem in _FILES.items()}
+    found = {names[path.stem]: path for path in files if path.stem in names}
+    counts = Counter(path.stem for path in files)
+    for path in files:
+        if path.stem not in names:
+            package = path.parents[1].name.removesuffix(robot_descriptions.SUFFIX)
+            found.setdefault(path.stem if counts[path.stem] == 1 else package, path)
+    return dict(sorted(found.items()))
+
+
+def _is_usable(entry: RobotEntry) -> bool:
+    try:
+        outline = entry.outline
+    except ModelError:  # such as a piece that other files include
+        return False
+    return entry.source == PROJECT or any(map(outline.ends_an_arm, outline.leaves))
 
 
 @lru_cache(maxsize=1)
@@ -154,243 +232,3 @@ def _share_folder() -> Path | None:
         return None
     share = Path(str(distribution.locate_file(_SHARE)))
     return share if share.is_dir() else None
-
-
-# --- outlines of URDF files -----------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Mimic:
-    """position = multiplier * (position of ``joint``) + offset"""
-
-    joint: str
-    multiplier: float
-    offset: float
-
-
-@dataclass(frozen=True)
-class JointOutline:
-    """A joint as its URDF names it.
-
-    Attributes
-    ----------
-    name, parent, child : str
-        The joint and the links it connects.
-    kind : str
-        revolute, continuous, prismatic, fixed, planar or floating.
-    axis : tuple of 3 floats
-        In the joint frame.
-    lower, upper : float
-        Position limits [rad] or [m]; infinite where there are none.
-    velocity_limit, effort_limit : float
-        [rad/s] or [m/s], [N m] or [N]; infinite where there are none.
-    mimic : Mimic or None
-        The joint it copies.
-    damping, friction : float
-        Of ``<dynamics>``: viscous [N m s/rad] or [N s/m] and dry friction [N m] or [N]; 0 where
-        there are none.
-    """
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    axis: tuple[float, float, float]
-    lower: float
-    upper: float
-    velocity_limit: float
-    effort_limit: float
-    mimic: Mimic | None = None
-    damping: float = 0.0
-    friction: float = 0.0
-
-    @property
-    def movable(self) -> bool:
-        """Whether the joint moves at all."""
-        return self.kind != "fixed"
-
-    @property
-    def neutral(self) -> float:
-        """The position nearest to 0 within the limits."""
-        return min(max(0.0, self.lower), self.upper)
-
-
-@dataclass(frozen=True)
-class UrdfOutline:
-    """Names and structure of one URDF.
-
-    Attributes
-    ----------
-    path : Path
-        The file; if there is none, the name in messages.
-    links : tuple of str
-        All link names.
-    joints : tuple of JointOutline
-        All joints, in file order.
-    meshes : tuple of str
-        Addresses of the visual meshes as written in the file, each once.
-    root : str
-        The link that has no parent.
-    text : str or None
-        The URDF itself, where there is no file.
-    """
-
-    path: Path
-    links: tuple[str, ...]
-    joints: tuple[JointOutline, ...]
-    meshes: tuple[str, ...]
-    root: str
-    text: str | None = None
-
-    def chain(self, tip: str) -> tuple[JointOutline, ...]:
-        """All joints, fixed ones too, from the root to link ``tip``.
-
-        Raises
-        ------
-        ModelError
-            If there is no such link.
-        """
-        if tip not in self.links:
-            raise ModelError(f"{unknown('link', tip, self.links)} (of {self.path.name})")
-        above = {joint.child: joint for joint in self.joints}
-        chain = []
-        while tip in above:
-            chain.append(above[tip])
-            tip = above[tip].parent
-        return tuple(reversed(chain))
-
-    def carried_by(self, joints: Collection[str]) -> tuple[str, ...]:
-        """The links that some of these joints carry."""
-        return tuple(
-            link for link in self.links if any(joint.name in joints for joint in self.chain(link))
-        )
-
-
-def read_urdf(path: Path | str) -> UrdfOutline:
-    """Read the outline of a URDF file.
-
-    Raises
-    ------
-    ModelError
-        If the file cannot be read or is not one tree of links and joints.
-    """
-    path = Path(path)
-    try:
-        stamp = path.stat().st_mtime_ns
-    except OSError:
-        raise ModelError(f"no URDF file at {path}") from None
-    if path.is_dir():
-        raise ModelError(f"{path} is a folder; name the URDF file in it")
-    return _read(path, stamp)
-
-
-@lru_cache(maxsize=128)
-def outline_of_text(text: str, name: str) -> UrdfOutline:
-    """The outline of a URDF that is no file; `name` is its name in messages."""
-    return replace(_outline(ElementTree.fromstring(text), Path(name)), text=text)
-
-
-@lru_cache(maxsize=128)
-def _read(path: Path, _stamp: int) -> UrdfOutline:
-    try:
-        robot = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise ModelError(f"{path} is not valid XML: {error}") from None
-    except OSError as error:
-        raise ModelError(f"cannot read {path}: {error.strerror}") from None
-    return _outline(robot, path)
-
-
-def _outline(robot: ElementTree.Element, path: Path) -> UrdfOutline:
-    if robot.tag != "robot":
-        raise ModelError(f"{path} is not a URDF file: its root element is <{robot.tag}>")
-    if any("xacro" in str(element.tag) for element in robot.iter()):
-        raise ModelError(f"{path} is a xacro file; expand it first: xacro {path.name} > robot.urdf")
-    links = tuple(_required(link, "name", path) for link in robot.findall("link"))
-    joints = tuple(_joint(joint, path) for joint in robot.findall("joint"))
-    meshes = dict.fromkeys(
-        mesh.get("filename", "") for mesh in robot.findall("link/visual/geometry/mesh")
-    )
-    return UrdfOutline(path, links, joints, tuple(meshes), _root(links, joints, path))
-
-
-def _root(links: tuple[str, ...], joints: tuple[JointOutline, ...], path: Path) -> str:
-    for names, noun in ((links, "link"), ([j.name for j in joints], "joint")):
-        twice = sorted({name for name in names if list(names).count(name) > 1})
-        if twice:
-            raise ModelError(f"{path} has more than one {noun} named {listed(twice)}")
-    for joint in joints:
-        for link in (joint.parent, joint.child):
-            if link not in links:
-                raise ModelError(f"{path}, joint {joint.name!r}: {unknown('link', link, links)}")
-    children = [joint.child for joint in joints]
-    if len(set(children)) < len(children):
-        twice = sorted({child for child in children if children.count(child) > 1})
-        raise ModelError(f"{path}: {listed(twice)} hang on more than one joint; a URDF is a tree")
-    roots = [link for link in links if link not in children]
-    if len(roots) != 1:
-        raise ModelError(f"{path} must have exactly one root link, it has {listed(roots)}")
-    return roots[0]
-
-
-def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
-    name, kind = _required(element, "name", path), _required(element, "type", path)
-    where = f"{path}, joint {name!r}"
-    if kind not in _KNOWN_JOINTS:
-        raise ModelError(f"{where}: {unknown('type', kind, _KNOWN_JOINTS)}")
-    parent, child = element.find("parent"), element.find("child")
-    if parent is None or child is None:
-        raise ModelError(f"{where}: needs <parent link=.../> and <child link=.../>")
-    limit = element.find("limit")
-    bounded = limit is not None and kind in ("revolute", "prismatic")
-    axis, dynamics = element.find("axis"), element.find("dynamics")
-    text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
-    return JointOutline(
-        name=name,
-        kind=kind,
-        parent=_required(parent, "link", path),
-        child=_required(child, "link", path),
-        axis=_axis(text, where),
-        lower=_number(limit, "lower", 0.0, where) if bounded else -math.inf,
-        upper=_number(limit, "upper", 0.0, where) if bounded else math.inf,
-        velocity_limit=_number(limit, "velocity", math.inf, where),
-        effort_limit=_number(limit, "effort", math.inf, where),
-        mimic=_mimic(element.find("mimic"), where, path),
-        damping=_number(dynamics, "damping", 0.0, where),
-        friction=_number(dynamics, "friction", 0.0, where),
-    )
-
-
-def _mimic(element: ElementTree.Element | None, where: str, path: Path) -> Mimic | None:
-    if element is None:
-        return None
-    return Mimic(
-        _required(element, "joint", path),
-        _number(element, "multiplier", 1.0, where),
-        _number(element, "offset", 0.0, where),
-    )
-
-
-def _required(element: ElementTree.Element, key: str, path: Path) -> str:
-    value = element.get(key)
-    if not value:
-        raise ModelError(f"{path}: a <{element.tag}> has no {key!r}")
-    return value
-
-
-def _number(element: ElementTree.Element | None, key: str, default: float, where: str) -> float:
-    text = None if element is None else element.get(key)
-    if text is None:
-        return default
-    try:
-        return float(text)
-    except ValueError:
-        raise ModelError(f"{where}: {key} must be a number, got {text!r}") from None
-
-
-def _axis(text: str, where: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(part) for part in text.split())
-    except ValueError:
-        raise ModelError(f"{where}: axis must be three numbers, got {text!r}") from None
-    return x, y, z

@@ -34,7 +34,7 @@ from typing_extensions import Self
 from multiarm.errors import SceneError
 from multiarm.public import public_names
 from multiarm.scene.faults import Parts, explain, fault, listed, shown, unknown
-from multiarm.scene.robots import JointOutline
+from multiarm.scene.urdf import JointOutline
 
 if TYPE_CHECKING:
     import numpy as np
@@ -497,11 +497,14 @@ class KnownArm:
         All links, of the robot and of its tool.
     moving : tuple of str
         Those that the movable joints carry.
+    shown_by : str or None
+        The command that shows all links.
     """
 
     joints: tuple[JointOutline, ...] | None = None
     links: tuple[str, ...] | None = None
     moving: tuple[str, ...] = ()
+    shown_by: str | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...] | None:

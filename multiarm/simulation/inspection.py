@@ -361,7 +361,7 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
         robot=_model_name(spec),
         urdf=str(arm.files.urdf),
         tool=None if spec.tool is None else _model_name(spec.tool),
-        tip=spec.tip,
+        tip=arm.files.tip,
         base_position=position,
         base_quaternion_xyzw=quaternion,
         joints=dict(arm.joint_units),
@@ -390,8 +390,8 @@ def _model_name(spec: ArmSpec | ToolSpec) -> str:
         return spec.robot
     if isinstance(spec, ToolSpec) and spec.fingers is not None:
         return f"hand of {len(spec.fingers.tips)} fingers"
-    assert spec.urdf is not None, "a model has a name or a file"
-    return spec.urdf.name
+    assert spec.file is not None, "a model has a name or a file"
+    return spec.file.name
 
 
 def _joint_facts(system: System, joint: JointSpec, terms: ContactTerms) -> JointFacts:

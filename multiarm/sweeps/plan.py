@@ -368,4 +368,4 @@ class Sampler:
 # A user-defined function in a file.
 _FUNCTION = re.compile(r"(.+\.py):\w+")
 # Endings of strings that may name a file.
-_ENDINGS = (".urdf", ".stl", ".obj", ".dae", ".csv", ".py", ".yaml", ".yml")
+_ENDINGS = (".urdf", ".xml", ".stl", ".obj", ".dae", ".csv", ".py", ".yaml", ".yml")

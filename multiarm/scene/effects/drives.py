@@ -12,7 +12,7 @@ from typing_extensions import Self
 
 from multiarm.scene.effects.kind import EffectKind, or_only
 from multiarm.scene.faults import fault
-from multiarm.scene.robots import JointOutline
+from multiarm.scene.urdf import JointOutline
 from multiarm.scene.values import (
     URDF,
     Faults,

@@ -303,5 +303,5 @@ effects:
         if known.links is None or link in known.moving:
             return ""
         if link not in known.links:
-            return unknown("link", link, known.moving)
+            return unknown("link", link, known.moving, command=known.shown_by)
         return f"link {link!r} does not move; links that do are {listed(known.moving)}"

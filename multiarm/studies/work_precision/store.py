@@ -254,6 +254,8 @@ def scene_digest(scene: Scene) -> str:
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode())
     for arm in scene.arms.values():
         resolved = resolve_arm(arm, scene.folder)
+        if arm.tip is None:  # a newer program may know another usual one
+            digest.update(resolved.tip.encode())
         for urdf in (resolved.urdf, resolved.tool_urdf):
             if urdf is not None:
                 digest.update(urdf.encode() if isinstance(urdf, str) else urdf.read_bytes())

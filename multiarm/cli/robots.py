@@ -1,0 +1,137 @@
+"""``multiarm robots``: the robots that a scene may name, with their joints and tips."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from multiarm.cli.catalogue import Card, Section, show
+from multiarm.cli.options import JsonFile
+
+if TYPE_CHECKING:
+    from multiarm.scene import JointOutline, RobotEntry, RobotOutline
+
+__all__ = ["robots"]
+
+FILE = "a file"
+
+
+def robots(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            help="One robot, or a URDF or MJCF file, shown in full.",
+            show_default="all robots",
+            metavar="[NAME]",
+        ),
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """List the robots that a scene may name: 'robot:' below an arm, with their tips.
+
+    Where a robot has one tip, an arm need not name it. Where it has several, since it has several
+    arms or no link is usual, 'tip:' names one of them, or another link that joints carry. The
+    number of joints is that from the base to a tip.
+
+    The JSON has the key robots: a table by name, with what is shown here.
+    """
+    from multiarm.scene import RobotEntry, available_robots, find_robot
+    from multiarm.scene.robot_descriptions import PACKAGE, names
+
+    if name is None:
+        known = available_robots()
+    elif Path(name).suffix in (".urdf", ".xml"):
+        known = {name: RobotEntry(Path(name).stem, Path(name), FILE)}
+    else:
+        known = {name: find_robot(name)}
+    left = [] if name else [described for described in names() if described not in known]
+    section = Section(
+        "Robots",
+        "robot",
+        "robots",
+        {own: _card(entry) for own, entry in known.items()},
+        heads=("robot", "joints", "where it is from"),
+        note=f"To be fetched first (python -m {PACKAGE} pull NAME): {', '.join(left)}"
+        if left
+        else "",
+    )
+    show("robots", {"robots": section}, name, json)
+
+
+def _card(entry: RobotEntry) -> Card:
+    from multiarm.scene.robots import arm_ends
+
+    outline = entry.outline
+    ends = entry.tips or arm_ends(outline)
+    counts = {tip: len(outline.movable(tip)) for tip in ends}
+    chains = {outline.movable(tip): tip for tip in ends}
+    numbers = sorted({*counts.values()}) or [0]
+    movable = [joint for joint in outline.joints if joint.movable]
+    links: dict[str, list[str]] = {joint.name: [] for joint in movable}
+    for link in filter(outline.ends_an_arm, outline.links):
+        links[outline.movable(link)[-1].name].append(link)
+    twice = ", ".join(sorted({joint.name for joint in outline.joints} & {*outline.links}))
+    trouble = {"cannot be used": f"joint and link are both named {twice}"} if twice else {}
+    label = "tip" if len(ends) == 1 else "tips"
+    return Card(
+        entry.name,
+        f"from {entry.source}",
+        [],
+        _snippet(entry, outline, ends) if ends else "",
+        count=" to ".join(map(str, numbers[:1] + numbers[1:][-1:])),
+        facts={
+            "file": str(entry.urdf),
+            label: ", ".join(f"{tip} ({n} joints)" for tip, n in counts.items()) or "none",
+            **trouble,
+        },
+        listed={label: " | ".join(chains.values()), **trouble},
+        table=(
+            "Joints",
+            ("joint", "kind and limits", "links that it carries, which can be tips"),
+            [(joint.name, _words(joint), ", ".join(links[joint.name])) for joint in movable],
+        )
+        if movable
+        else None,
+        further={
+            "source": entry.source,
+            "urdf": str(entry.urdf),
+            "tip": entry.tip,
+            "tips": counts,
+            "joints": [{**asdict(joint), "tips": links[joint.name]} for joint in movable],
+            "trouble": trouble.get("cannot be used"),
+        },
+    )
+
+
+def _snippet(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) -> str:
+    """An arm with the robot; with a tool, which moves nothing, on another robot."""
+    lines = ["arms:", "  left:"]
+    if not any(joint.movable for joint in outline.joints):
+        return "\n".join([*lines, "    robot: ur5", f"    tool: {{{_named(entry)}, mount: tool0}}"])
+    lines.append(f"    {_named(entry)}")
+    if entry.tip is None:
+        others = f"  # or {', '.join(ends[1:])}" if ends[1:] else ""
+        lines.append(f"    tip: {ends[0]}{others}")
+    return "\n".join([*lines, "    base: {xyz: [0, 0, 0], rpy: [0, 0, 0]}"])
+
+
+def _named(entry: RobotEntry) -> str:
+    key = "mjcf" if entry.urdf.suffix == ".xml" else "urdf"
+    return f"{key}: {entry.urdf}" if entry.source == FILE else f"robot: {entry.name}"
+
+
+def _words(joint: JointOutline) -> str:
+    """Kind and limits of a joint, those that there are."""
+    unit, effort = ("m", "N") if joint.kind == "prismatic" else ("rad", "N m")
+    words = [joint.kind if joint.mimic is None else f"{joint.kind}, copies {joint.mimic.joint}"]
+    if math.isfinite(joint.lower):
+        words.append(f"{joint.lower:.4g} to {joint.upper:.4g} {unit}")
+    if math.isfinite(joint.velocity_limit):
+        words.append(f"{joint.velocity_limit:.4g} {unit}/s")
+    if math.isfinite(joint.effort_limit):
+        words.append(f"{joint.effort_limit:.4g} {effort}")
+    return ", ".join(words)

@@ -1,0 +1,285 @@
+"""The outline of a URDF file: names, types and limits, and what hangs on what.
+
+A scene can be checked, with every fault, from these alone.  So the reader here needs the standard
+library only, takes milliseconds, and leaves inertias and geometry to the dynamics.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+from multiarm.errors import ModelError
+from multiarm.scene.faults import listed, unknown
+
+CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
+"""Joints by which arms move."""
+MOST_JOINTS = 16
+"""Of one arm."""
+_KNOWN_JOINTS = (*CHAIN_JOINTS, "fixed", "planar", "floating")
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """position = multiplier * (position of ``joint``) + offset"""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class JointOutline:
+    """A joint as its URDF names it.
+
+    Attributes
+    ----------
+    name, parent, child : str
+        The joint and the links it connects.
+    kind : str
+        revolute, continuous, prismatic, fixed, planar or floating.
+    axis : tuple of 3 floats
+        In the joint frame.
+    lower, upper : float
+        Position limits [rad] or [m]; infinite where there are none.
+    velocity_limit, effort_limit : float
+        [rad/s] or [m/s], [N m] or [N]; infinite where there are none.
+    mimic : Mimic or None
+        The joint it copies.
+    damping, friction : float
+        Of ``<dynamics>``: viscous [N m s/rad] or [N s/m] and dry friction [N m] or [N]; 0 where
+        there are none.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    axis: tuple[float, float, float]
+    lower: float
+    upper: float
+    velocity_limit: float
+    effort_limit: float
+    mimic: Mimic | None = None
+    damping: float = 0.0
+    friction: float = 0.0
+
+    @property
+    def movable(self) -> bool:
+        """Whether the joint moves at all."""
+        return self.kind != "fixed"
+
+    @property
+    def neutral(self) -> float:
+        """The position nearest to 0 within the limits."""
+        return min(max(0.0, self.lower), self.upper)
+
+
+@dataclass(frozen=True)
+class RobotOutline:
+    """Names and structure of one robot, from a URDF or from an MJCF file.
+
+    Attributes
+    ----------
+    path : Path
+        The file; if there is none, the name in messages.
+    links : tuple of str
+        All link names.
+    joints : tuple of JointOutline
+        All joints, in file order.
+    meshes : tuple of str
+        Addresses of the visual meshes as written in the file, each once.
+    root : str
+        The link that has no parent.
+    text : str or None
+        The URDF itself, where there is no file.
+    """
+
+    path: Path
+    links: tuple[str, ...]
+    joints: tuple[JointOutline, ...]
+    meshes: tuple[str, ...]
+    root: str
+    text: str | None = None
+
+    def chain(self, tip: str) -> tuple[JointOutline, ...]:
+        """All joints, fixed ones too, from the root to link ``tip``.
+
+        Raises
+        ------
+        ModelError
+            If there is no such link.
+        """
+        if tip not in self.links:
+            raise ModelError(f"{unknown('link', tip, self.links)} (of {self.path.name})")
+        above = {joint.child: joint for joint in self.joints}
+        chain = []
+        while tip in above:
+            chain.append(above[tip])
+            tip = above[tip].parent
+        return tuple(reversed(chain))
+
+    @property
+    def leaves(self) -> tuple[str, ...]:
+        """The links that carry no other."""
+        parents = {joint.parent for joint in self.joints}
+        return tuple(link for link in self.links if link not in parents)
+
+    def movable(self, tip: str) -> tuple[JointOutline, ...]:
+        """The joints that move link ``tip``, from the root on."""
+        return tuple(joint for joint in self.chain(tip) if joint.movable)
+
+    def ends_an_arm(self, tip: str) -> bool:
+        """Whether 1 to 16 joints that each move by one number lead to link ``tip``."""
+        joints = self.movable(tip)
+        return 1 <= len(joints) <= MOST_JOINTS and all(
+            joint.kind in CHAIN_JOINTS and joint.mimic is None for joint in joints
+        )
+
+    def carried_by(self, joints: Collection[str]) -> tuple[str, ...]:
+        """The links that some of these joints carry."""
+        return tuple(
+            link for link in self.links if any(joint.name in joints for joint in self.chain(link))
+        )
+
+
+def read_urdf(path: Path | str) -> RobotOutline:
+    """Read the outline of a URDF file.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be read or is not one tree of links and joints.
+    """
+    path = Path(path)
+    try:
+        stamp = path.stat().st_mtime_ns
+    except OSError:
+        raise ModelError(f"no URDF file at {path}") from None
+    if path.is_dir():
+        raise ModelError(f"{path} is a folder; name the URDF file in it")
+    return _read(path, stamp)
+
+
+@lru_cache(maxsize=128)
+def outline_of_text(text: str, name: str) -> RobotOutline:
+    """The outline of a URDF that is no file; `name` is its name in messages."""
+    return replace(_outline(ElementTree.fromstring(text), Path(name)), text=text)
+
+
+@lru_cache(maxsize=128)
+def _read(path: Path, _stamp: int) -> RobotOutline:
+    try:
+        robot = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise ModelError(f"{path} is not valid XML: {error}") from None
+    except OSError as error:
+        raise ModelError(f"cannot read {path}: {error.strerror}") from None
+    return _outline(robot, path)
+
+
+def _outline(robot: ElementTree.Element, path: Path) -> RobotOutline:
+    if robot.tag != "robot":
+        remedy = "; name it with 'mjcf:'" if robot.tag == "mujoco" else ""
+        raise ModelError(f"{path} is not a URDF file: its root element is <{robot.tag}>{remedy}")
+    if any("xacro" in str(element.tag) for element in robot.iter()):
+        raise ModelError(f"{path} is a xacro file; expand it first: xacro {path.name} > robot.urdf")
+    links = tuple(_required(link, "name", path) for link in robot.findall("link"))
+    joints = tuple(_joint(joint, path) for joint in robot.findall("joint"))
+    meshes = dict.fromkeys(
+        mesh.get("filename", "") for mesh in robot.findall("link/visual/geometry/mesh")
+    )
+    return RobotOutline(path, links, joints, tuple(meshes), root_link(links, joints, path))
+
+
+def root_link(links: tuple[str, ...], joints: tuple[JointOutline, ...], path: Path) -> str:
+    """The link that has no parent.
+
+    Raises
+    ------
+    ModelError
+        If these are not one tree, or two of them have one name.
+    """
+    for names, noun in ((links, "link"), ([j.name for j in joints], "joint")):
+        twice = sorted({name for name in names if list(names).count(name) > 1})
+        if twice:
+            raise ModelError(f"{path} has more than one {noun} named {listed(twice)}")
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise ModelError(f"{path}, joint {joint.name!r}: {unknown('link', link, links)}")
+    children = [joint.child for joint in joints]
+    if len(set(children)) < len(children):
+        twice = sorted({child for child in children if children.count(child) > 1})
+        raise ModelError(f"{path}: {listed(twice)} hang on more than one joint; a robot is a tree")
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1:
+        raise ModelError(f"{path} must have exactly one root link, it has {listed(roots)}")
+    return roots[0]
+
+
+def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
+    name, kind = _required(element, "name", path), _required(element, "type", path)
+    where = f"{path}, joint {name!r}"
+    if kind not in _KNOWN_JOINTS:
+        raise ModelError(f"{where}: {unknown('type', kind, _KNOWN_JOINTS)}")
+    parent, child = element.find("parent"), element.find("child")
+    if parent is None or child is None:
+        raise ModelError(f"{where}: needs <parent link=.../> and <child link=.../>")
+    limit = element.find("limit")
+    bounded = limit is not None and kind in ("revolute", "prismatic")
+    axis, dynamics = element.find("axis"), element.find("dynamics")
+    text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+    return JointOutline(
+        name=name,
+        kind=kind,
+        parent=_required(parent, "link", path),
+        child=_required(child, "link", path),
+        axis=_axis(text, where),
+        lower=_number(limit, "lower", 0.0, where) if bounded else -math.inf,
+        upper=_number(limit, "upper", 0.0, where) if bounded else math.inf,
+        velocity_limit=_number(limit, "velocity", math.inf, where),
+        effort_limit=_number(limit, "effort", math.inf, where),
+        mimic=_mimic(element.find("mimic"), where, path),
+        damping=_number(dynamics, "damping", 0.0, where),
+        friction=_number(dynamics, "friction", 0.0, where),
+    )
+
+
+def _mimic(element: ElementTree.Element | None, where: str, path: Path) -> Mimic | None:
+    if element is None:
+        return None
+    return Mimic(
+        _required(element, "joint", path),
+        _number(element, "multiplier", 1.0, where),
+        _number(element, "offset", 0.0, where),
+    )
+
+
+def _required(element: ElementTree.Element, key: str, path: Path) -> str:
+    value = element.get(key)
+    if not value:
+        raise ModelError(f"{path}: a <{element.tag}> has no {key!r}")
+    return value
+
+
+def _number(element: ElementTree.Element | None, key: str, default: float, where: str) -> float:
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    try:
+        return float(text)
+    except ValueError:
+        raise ModelError(f"{where}: {key} must be a number, got {text!r}") from None
+
+
+def _axis(text: str, where: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split())
+    except ValueError:
+        raise ModelError(f"{where}: axis must be three numbers, got {text!r}") from None
+    return x, y, z
