@@ -196,13 +196,19 @@ def load_robots(scene: Scene, like: System | None = None) -> Robots:
     shared: tuple[str, ...] = ()
     if like is not None and scene.effects.rotor_inertia == like.scene.effects.rotor_inertia:
         theirs = like.scene.arms
-        shared = tuple(name for name, spec in scene.arms.items() if theirs.get(name) == spec)
+        shared = tuple(
+            name
+            for name, spec in scene.arms.items()
+            if theirs.get(name) == spec
+            and like.scene.robot_of(name).lock == scene.robot_of(name).lock
+        )
     resolved, arms = {}, {}
     for name, spec in scene.arms.items():
         if like is not None and name in shared:
             resolved[name], arms[name] = like.model.robots[name], like.arms[name]
         else:
-            resolved[name] = resolve_arm(spec, scene.folder)
+            own = spec.model_copy(update={"lock": scene.robot_of(name).lock | spec.lock})
+            resolved[name] = resolve_arm(own, scene.folder)
             arms[name] = _make_arm(name, scene, resolved[name])
     found = find_postures(scene, arms, {name: own.posture for name, own in resolved.items()})
     resolved |= {name: replace(resolved[name], posture=own) for name, own in found.items()}

@@ -151,11 +151,23 @@ class Examination(KnownArm):
     ----------
     arm : ResolvedArm or None
         None where there are faults.
+    urdf : Path or None
+        The robot's file.
+    robot_joints : set of str
+        All joints of the robot; its tool's are not among them.
+    way : tuple of str
+        Movable joints of the robot on the way to the tip, locked ones too.
+    resting : dict of str to float
+        Joints that are not on the way and that 'lock' does not name, with their positions.
     faults : list of (place within the arm, text)
     warnings : list of str
     """
 
     arm: ResolvedArm | None = None
+    urdf: Path | None = None
+    robot_joints: set[str] = field(default_factory=set)
+    way: tuple[str, ...] = ()
+    resting: dict[str, float] = field(default_factory=dict)
     faults: Faults = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
@@ -190,6 +202,8 @@ def examine_arm(spec: ArmSpec) -> Examination:
             found.fault("lock", name, text=unknown("joint", name, movable))
     if chain is None:
         return found
+    found.urdf, found.robot_joints = robot.path, {joint.name for joint in robot.joints}
+    found.way = tuple(j.name for j in chain if j.movable and j.name in found.robot_joints)
     free = _free_joints(spec, chain, found)
     found.joints = free
     names = {joint.name for joint in free}
@@ -308,12 +322,7 @@ def _locked(
             source = locked[joint.mimic.joint]
             locked[joint.name] = joint.mimic.multiplier * source + joint.mimic.offset
     silently = [j.name for j in fixed if j.name not in spec.lock and _leader(j) not in spec.lock]
-    if silently:
-        positions = ", ".join(f"{name}: {locked[name]:g}" for name in silently)
-        found.warnings.append(
-            f"joints that are not on the way to the tip are locked at {{{positions}}}; "
-            "'lock' chooses other positions"
-        )
+    found.resting = {name: locked[name] for name in silently}
     return locked
 
 

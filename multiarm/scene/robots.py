@@ -47,6 +47,8 @@ _EXAMPLE_ARMS = {
     "z1": ("z1_description/urdf/z1.urdf", "gripperStator"),
     "so100": ("so_arm_description/urdf/so100.urdf", "gripper"),
     "so101": ("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
+    "baxter": ("baxter_description/urdf/baxter.urdf", "left_gripper"),
+    "tiago_pro": ("tiago_pro_description/robots/tiago_pro.urdf", "arm_left_tool_link"),
     "talos_arm": ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link"),
     "asr_twodof": ("asr_twodof_description/urdf/TwoDofs.urdf", "Tip"),
     "double_pendulum": ("double_pendulum_description/urdf/double_pendulum.urdf", "link2"),
