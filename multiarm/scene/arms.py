@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 from typing_extensions import Self
 
 from multiarm.errors import ModelError, SceneError
@@ -84,11 +85,33 @@ class ToolSpec(_FromUrdf):
         return {**super()._sources(), "fingers": "fingertips"}
 
 
+class BaseSpec(Pose):
+    """Where an arm stands: as written, or found by the program."""
+
+    solve: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
+    """What the program finds, of x, y, z, roll, pitch, yaw: the place from which the arm holds its
+    joint's place on the object ('at') best. The rest is as written."""
+
+    @model_validator(mode="after")
+    def _can_be_found(self) -> Self:
+        if len(set(self.solve)) < len(self.solve):
+            raise fault(f"'solve' names a component twice: {listed(self.solve)}")
+        if self.quaternion_xyzw is not None and {"roll", "pitch", "yaw"}.intersection(self.solve):
+            raise fault("turns that are found need 'rpy' for the others, not 'quaternion_xyzw'")
+        return self
+
+
+def _as_base(value: Any) -> Any:
+    plain = isinstance(value, Pose) and not isinstance(value, BaseSpec)
+    return value.model_dump() if plain else value
+
+
 class ArmSpec(_FromUrdf):
     """One arm: a serial chain of 1 to 16 joints from its base to its tip."""
 
-    base: Pose = Pose()
-    """The root link in the world."""
+    base: SerializeAsAny[Annotated[BaseSpec, BeforeValidator(_as_base)]] = BaseSpec()
+    """The root link in the world. {solve: [x, y, yaw]}: the place is found, for the arm's joint on
+    the object, and so is the posture."""
     tip: str
     """The link whose frame is joined to the object: of the tool if there is one."""
     tool: ToolSpec | None = None
@@ -104,6 +127,11 @@ class ArmSpec(_FromUrdf):
     """Joints that are held fixed at a position [rad] or [m]."""
     color: Color | None = None
     """Red, green, blue, opacity from 0 to 1."""
+
+    @property
+    def open_base(self) -> tuple[str, ...]:
+        """Components of the base that are found, in the order that is written."""
+        return self.base.solve if isinstance(self.base, BaseSpec) else ()  # or a copy's Pose
 
 
 @dataclass(frozen=True)
@@ -213,6 +241,9 @@ def examine_arm(spec: ArmSpec) -> Examination:
         moved = spec.tool.mount in found.moving
         found.moving += tool.links if moved else tool.carried_by(names)
     locked = _locked(spec, joints, free, found)
+    if spec.open_base and spec.posture not in (None, SOLVE):
+        text = "a base that is found has its posture with it; write 'posture: solve', or none"
+        found.fault("base", "solve", text=text)
     posture, velocity = _start(spec, free, found)
     package_dirs = _package_dirs(spec, robot, found)
     tool_package_dirs = () if tool is None else _package_dirs(spec.tool, tool, found)

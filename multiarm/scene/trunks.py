@@ -56,6 +56,8 @@ def _one_robot(name: str, other: str, arms: Arms, found: Found) -> bool:
     ways = set(ours.way), set(theirs.way)
     if ours.urdf != theirs.urdf or ways[0] <= ways[1] or ways[1] <= ways[0]:
         return False
+    if arms[name].open_base or arms[other].open_base:  # each is found by itself
+        return False
     return np.allclose(arms[name].base.matrix(), arms[other].base.matrix(), rtol=0.0, atol=1e-9)
 
 
