@@ -62,6 +62,7 @@ def check(
 
     system, left = compile_for_inspection(loaded, settings.get("arms"))
     inspection = inspect_system(system, left)
+    print_warnings(inspection.warnings[len(loaded.warnings) :])
     print_warnings(inspection.not_looked_at)
     if inspection.start is not None:
         inspection = replace(inspection, effects={**effects_of_evaluation(system)})

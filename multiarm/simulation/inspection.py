@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.assembly.start_warnings import start_warnings
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.arrays import OK
@@ -236,7 +237,7 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
         velocity_residual=None if evaluation is None else evaluation.velocity_residual,
         residuals=None if evaluation is None else evaluation.residuals,
         carrying=carrying,
-        warnings=scene.warnings,
+        warnings=scene.warnings + ([] if away else start_warnings(system)),
         not_looked_at=[_not_looked_at(code) for code in left],
     )
 
