@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.arms.arm import Arm
+from multiarm.assembly.bases import StandSearch
 from multiarm.assembly.compilation import arm_files
 from multiarm.assembly.inverse_kinematics import REACHED, InverseKinematics
 from multiarm.cli import app
@@ -142,6 +143,38 @@ def test_a_written_posture_stays():
 
 
 # --- places to stand ------------------------------------------------------------------------------
+
+
+def test_a_stand_holds_its_mount_as_the_arm_that_stands_there_does(rng):
+    """Whatever base the arm of the search has; what is asked of a clearance is in the world."""
+    turned = {"xyz": [0.3, -0.2, 0.4], "rpy": [0.5, -0.3, 1.0]}
+    pose, mount = (pin.SE3.Random().homogeneous for _ in range(2))
+    hold, seen = pose @ mount, []
+
+    def clear(base, points, there):
+        assert np.array_equal(there, pose)
+        seen.append((base, points))
+        return 1.0
+
+    places = []
+    for shift in rng.uniform(-0.5, 0.5, (12, 3)):
+        base = pin.SE3.Random().homogeneous
+        base[:3, 3] = hold[:3, 3] + shift
+        places.append((base, mount, 1.0))
+    search = StandSearch(InverseKinematics(robot(**UR5, base=turned)), [pose], clear, rng)
+    stand = search.best(places)
+    (q,) = stand.reach.postures
+    there = robot(**UR5, base=pose_table(stand.base))
+    np.testing.assert_allclose(there.tip_pose(q), hold, atol=1e-7)
+    base, points = seen[-1]
+    assert min(np.linalg.norm(b - stand.base) for b, _ in seen) == 0.0
+    np.testing.assert_allclose(points[0], (base @ [0, 0, 0.089159, 1])[:3], atol=1e-9)
+    poorer = [(b, m, 1e-6 if np.array_equal(b, stand.base) else 1.0) for b, m, _ in places]
+    assert not np.array_equal(search.best(poorer).base, stand.base)
+
+
+def pose_table(X: np.ndarray) -> dict:
+    return {"xyz": X[:3, 3], "quaternion_xyzw": Rotation.from_matrix(X[:3, :3]).as_quat()}
 
 
 def test_a_base_is_found_where_the_arm_holds_its_place_well():

@@ -11,7 +11,7 @@ distance from the bases of other arms.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from multiarm.assembly.inverse_kinematics import (
 )
 from multiarm.assembly.postures import clear_of, joint_places
 from multiarm.errors import SceneError
-from multiarm.scene import BaseSpec, Scene
+from multiarm.scene import BaseSpec, JointSpec, Scene
 from multiarm.scene.faults import listed, place
 
 # The most promising places are looked at again, from more starts and at every pose.
@@ -147,9 +147,9 @@ def find_bases(scene: Scene, arms: Mapping[str, Arm]) -> dict[str, BaseSpec]:
                 f"{where}: needs the joint's place on the object: give $.joints[{number}].at"
             )
             continue
-        arm, rng = arms[joint.arm], np.random.default_rng(0)
-        reach = farthest(arm, rng)
-        base = _best_base(scene, number, arm, reach, list(bases.values()), rng)
+        arm = arms[joint.arm]
+        reach = farthest(arm, np.random.default_rng(0))
+        base = _best_base(scene, joint, arm, reach, list(bases.values()))
         if base is None:
             faults.append(
                 f"{where}: from nowhere with other {listed(written.solve)} does the arm reach its "
@@ -165,41 +165,37 @@ def find_bases(scene: Scene, arms: Mapping[str, Arm]) -> dict[str, BaseSpec]:
 
 
 def _best_base(
-    scene: Scene,
-    number: int,
-    arm: Arm,
-    reach: float,
-    others: list[np.ndarray],
-    rng: np.random.Generator,
+    scene: Scene, joint: JointSpec, arm: Arm, reach: float, others: list[np.ndarray]
 ) -> BaseSpec | None:
-    joint, pose = scene.joints[number], scene.object.pose.matrix()
-    written = scene.arms[joint.arm].base
+    """The best base of an arm, apart from the places (3,) of others; None where there is none."""
+    written, pose = scene.arms[joint.arm].base, scene.object.pose.matrix()
     on_tip, there = joint_places(scene, joint)
+    mount, rng = np.linalg.solve(pose, there), np.random.default_rng(0)
+    near, apart = reach + np.linalg.norm(on_tip[:3, 3]), BASES_APART * reach
     clear_of_object = clear_of(scene.object, there)
 
     def clear(base: np.ndarray, points: np.ndarray, _pose: np.ndarray) -> float:
-        near = points_on_links(points)[:, None] - np.reshape(others, (-1, 3))
-        apart = np.linalg.norm(near, axis=2) - FROM_BASES
-        return min(clear_of_object(base, points), clearance(apart))
+        ways = points_on_links(points)[:, None] - np.reshape(others, (-1, 3))
+        return min(
+            clear_of_object(base, points), clearance(np.linalg.norm(ways, axis=2) - FROM_BASES)
+        )
+
+    def allowed(base: BaseSpec) -> bool:
+        distances = [np.linalg.norm(np.subtract(base.xyz, other)) for other in others]
+        return np.linalg.norm(base.xyz - there[:3, 3]) <= near and all(
+            d >= apart for d in distances
+        )
 
     for free in dict.fromkeys([(), joint.free or ()]):
         search = StandSearch(InverseKinematics(arm, free, on_tip), [pose], clear, rng)
         best, quality = None, POOREST
         for count, part in ROUNDS:
-            drawn = _drawn(best or written, written.solve, there[:3, 3], part, count, reach, rng)
-            near = reach + float(np.linalg.norm(on_tip[:3, 3]))
-            bases = {}
-            for base in drawn:
-                X = base.matrix()
-                apart = [np.linalg.norm(X[:3, 3] - other) for other in others]
-                if np.linalg.norm(X[:3, 3] - there[:3, 3]) <= near and all(
-                    distance >= BASES_APART * reach for distance in apart
-                ):
-                    bases[X.tobytes()] = base
-            places = [(base.matrix(), np.linalg.solve(pose, there), 1.0) for base in bases.values()]
-            stand = search.best(places)
+            drawn = _drawn(best or written, written.solve, there[:3, 3], part * reach, part, count)
+            bases = [base for base in drawn if allowed(base)]
+            stand = search.best((base.matrix(), mount, 1.0) for base in bases)
             if stand is not None and stand.quality > quality:
-                best, quality = bases[stand.base.tobytes()], stand.quality
+                quality = stand.quality
+                best = next(base for base in bases if np.array_equal(base.matrix(), stand.base))
             if best is None:
                 break
         if best is not None:
@@ -208,24 +204,20 @@ def _best_base(
 
 
 def _drawn(
-    around: BaseSpec,
-    names: tuple[str, ...],
-    there: np.ndarray,
-    part: float,
-    count: int,
-    reach: float,
-    rng: np.random.Generator,
+    around: BaseSpec, names: Sequence[str], there: np.ndarray, reach: float, part: float, count: int
 ) -> list[BaseSpec]:
-    """Bases that differ from one in the components of these names."""
+    """Bases around one, or around the place (3,) that it is found for, that differ in ``names``.
+
+    They are up to ``reach`` [m] and this part of half a turn away.
+    """
     varied = [COMPONENTS.index(name) for name in names]
-    middle = np.array([*around.xyz, *around.rpy])
-    if around.solve:  # anywhere within reach
+    values = np.tile([*around.xyz, *around.rpy], (count, 1))
+    if around.solve:
         shifts = [k for k in varied if k < 3]
-        middle[shifts] = there[shifts]
-    spans = part * np.array([reach] * 3 + [np.pi] * 3)
-    values = np.tile(middle, (count, 1))
-    values[:, varied] += spans[varied] * rng.uniform(-1.0, 1.0, (count, len(varied)))
-    values[:, varied] = np.round(values[:, varied], DECIMALS)
+        values[:, shifts] = there[shifts]
+    spans = np.array([reach] * 3 + [part * np.pi] * 3)[varied]
+    draws = np.random.default_rng(0).uniform(-1.0, 1.0, (count, len(varied)))
+    values[:, varied] = np.round(values[:, varied] + spans * draws, DECIMALS)
     if "z" in names and there[2] > 0.0:  # nothing stands below the ground
         values[:, 2] = np.maximum(values[:, 2], 0.0)
     bases = []
