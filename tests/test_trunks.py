@@ -14,7 +14,7 @@ import multiarm as ma
 from multiarm.arms import arm as arms_room
 from multiarm.errors import SceneError
 from multiarm.scene import find_robot, load_scene, read_urdf
-from multiarm.viewer.animate import WHITE, animate
+from multiarm.viewer.animate import WHITE, animate, lowest
 from multiarm.viewer.shapes import mesh_loader
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "scenes" / "two_arms_one_trunk.yaml"
@@ -134,7 +134,10 @@ def test_a_file_is_read_once(monkeypatch):
 
 def test_a_replay_shows_every_link_once_and_the_trunk_in_its_own_colours(moving):
     run = ma.simulate(moving, duration=0.02, accuracy=1e-6, certificate=False)
-    bodies = [b for b in animate(run, fps=100, speed=1, meshes=True).bodies if "/" in b.name]
+    animation = animate(run, fps=100, speed=1, meshes=True)
+    bodies = [b for b in animation.bodies if "/" in b.name]
+    trunk = [b for b in bodies if b.name.startswith("arms/left+right/")]
+    assert trunk and animation.floor == min(0.0, *map(lowest, trunk))
     shown = [b.name.rpartition("/")[2] for b in bodies if b.name.startswith("arms/")]
     visuals = moving.arms["left"].visual_model(mesh_loader()).geometryObjects
     assert sorted(shown) == sorted(item.name for item in visuals)

@@ -75,9 +75,13 @@ def animate(
     bodies = [_object(trajectory, rows)]
     angles = {name: trajectory.joint_positions[name][rows] for name in system.arm_names}
     shapes = _Shapes(meshes)
+    feet = {}  # of each robot: where it stands
     for robot in system.scene.robots:
         arms = [system.arms[name] for name in robot.arms]
-        bodies += _robot_bodies(arms, angles, colors, shapes)
+        links, trunk = _robot_bodies(arms, angles, colors, shapes)
+        bodies += links + trunk
+        feet[robot.arms[0]] = foot = arms[0].files.base.copy()
+        foot[2, 3] = min([foot[2, 3], *map(lowest, trunk)])
     grasp = None if missing else scene_grasp(system)  # regions depend on all contacts
     if grasp is not None:
         bodies += region_bodies(grasp, trajectory, rows, colors)
@@ -85,10 +89,8 @@ def animate(
     bodies += surface_bodies(system, trajectory, rows, colors, faces=not plain)
     ground = ground_bodies(trajectory, rows, object_size(system))
     bodies += ground
-    first = [robot.arms[0] for robot in system.scene.robots]
-    bases = {name: system.scene.arms[name].base.matrix() for name in first}
-    floor = min([base[2, 3] for base in bases.values()] + [lowest(body) for body in ground])
-    bodies += columns(bases, floor, len(rows))
+    floor = min([foot[2, 3] for foot in feet.values()] + [lowest(body) for body in ground])
+    bodies += columns(feet, floor, len(rows))
     contacts = contacts_of(system, trajectory, rows, colors)
     note = "" if trajectory.status == "completed" else trajectory.message
     notes = [f"{trajectory.status}: {note}"] if note else []
@@ -186,15 +188,15 @@ def _robot_bodies(
     angles: dict[str, np.ndarray],
     colors: dict[str, np.ndarray],
     shapes: _Shapes,
-) -> list[Body]:
-    """Return the links of a robot, each once: those that an arm moves in the arm's colour.
+) -> tuple[list[Body], list[Body]]:
+    """Return the links of a robot in the colours of its arms, and its trunk.
 
-    The others are the first arm's, or, of a robot with several arms, in the robot's own colours.
+    The trunk, of several arms only, are the links that no arm moves, in the robot's own colours.
     """
     first = arms[0]
     if len(arms) == 1:
         parts = shapes.parts(first, shapes.visuals(first))
-        return _bodies(first, parts, angles[first.name], colors[first.name])
+        return _bodies(first, parts, angles[first.name], colors[first.name]), []
     bodies, visuals = [], {arm.name: shapes.visuals(arm) for arm in arms}
     carried = {item.name for own in visuals.values() for item in own if item.parentJoint > 0}
     trunk = [item for item in visuals[first.name] if item.name not in carried]
@@ -205,7 +207,7 @@ def _robot_bodies(
         bodies += _bodies(arm, parts, angles[arm.name], colors[arm.name])
     fixed = [shapes.part(item, subdued=False) for item in trunk]
     both = "+".join(arm.name for arm in arms)
-    return bodies + _bodies(first, fixed, angles[first.name], WHITE, both)
+    return bodies, _bodies(first, fixed, angles[first.name], WHITE, both)
 
 
 def _bodies(
@@ -413,25 +415,25 @@ def ground_bodies(trajectory: Trajectory, rows: np.ndarray, size: float) -> list
     return [Body("floor", box(sides), still[:, :3], still[:, 3:], COLOR)]
 
 
-def columns(bases: dict[str, np.ndarray], floor: float, frames: int) -> list[Body]:
-    """Return a column for each upright base above the floor.
+def columns(feet: dict[str, np.ndarray], floor: float, frames: int) -> list[Body]:
+    """Return a column for each upright robot that stands above the floor.
 
     Parameters
     ----------
-    bases : table 'arm: pose (4, 4)'
-        In the world.
+    feet : table 'arm: pose (4, 4)'
+        Of its base, or of the trunk where that is lower, in the world.
     floor : float
         Height of the floor [m].
     frames : int
         Of the animation.
     """
     bodies = []
-    for name, base in bases.items():
-        height = float(base[2, 3] - floor)
-        if height < LOWEST or base[2, 2] < 0.99:
+    for name, foot in feet.items():
+        height = float(foot[2, 3] - floor)
+        if height < LOWEST or foot[2, 2] < 0.99:
             continue
         mesh = cylinder(float(np.clip(SLENDER * height, THINNEST, THICKEST)), height)
-        middle = np.array([*base[:2, 3], floor + 0.5 * height])
+        middle = np.array([*foot[:2, 3], floor + 0.5 * height])
         still = np.tile(np.array([0.0, 0.0, 0.0, 1.0]), (frames, 1))
         bodies.append(Body(f"columns/{name}", mesh, np.tile(middle, (frames, 1)), still, COLOR))
     return bodies
