@@ -82,7 +82,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "shapely": ("grasp", "viewer.animate"),
     "threadpoolctl": ("studies.timing", "sweeps.worker"),
     "tornado": ("viewer",),
-    "trimesh": ("grasp.boundaries",),
+    "trimesh": ("grasp.boundaries", "scene.object"),
     "typer": ("cli",),
     "typing_extensions": ("grasp", "terminal", "scene", "sweeps"),
     "umsgpack": ("viewer",),

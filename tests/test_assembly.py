@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
+import trimesh
 from mechanics import UR5_POSTURE, plain_gaps, scene_of, single_arm, ur5_pair
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 import multiarm as ma
+from multiarm.assembly.start_warnings import start_warnings
+from multiarm.cli import app
 from multiarm.errors import MultiarmError, SceneError
+from multiarm.scene import Shape, dump_scene
+from multiarm.simulation.inspection import inspect_system
 
 
 def at_tip(name):
@@ -203,3 +210,114 @@ def test_wound_up_joints_are_not_unwound():
     start = ma.compile_system(scene).initial_state()
     np.testing.assert_allclose(start.joint_positions["arm"], posture, atol=1e-14)
     assert start.joint_positions["arm"][5] > 2 * math.pi
+
+
+# --- what a start is warned of --------------------------------------------------------------------
+
+WEDGE = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.4, 0], [0, 0, 0.2]]) - [0.075, 0.1, 0.05]
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        {"box": [0.2, 0.4, 0.1]},
+        {"sphere": 0.15},
+        {"cylinder": {"radius": 0.1, "height": 0.3}},
+        {"hull": WEDGE.tolist()},
+    ],
+    ids=lambda shape: next(iter(shape)),
+)
+def test_the_nearest_point_of_a_convex_solid_is_on_its_side_of_a_plane(shape, rng):
+    """n is nearest to p exactly if n is in the solid and (p - n) . (x - n) <= 0 for all its x."""
+    solid, inside = Shape(**shape), rng.uniform(-0.4, 0.4, (4000, 3))
+    if "box" in shape:
+        inside = inside[np.all(np.abs(inside) <= np.array(shape["box"]) / 2, axis=1)]
+    elif "sphere" in shape:
+        inside = inside[np.linalg.norm(inside, axis=1) <= 0.15]
+    elif "cylinder" in shape:
+        inside = inside[(np.hypot(*inside.T[:2]) <= 0.1) & (np.abs(inside[:, 2]) <= 0.15)]
+    else:
+        inside = WEDGE
+    for p in rng.uniform(-0.5, 0.5, (40, 3)):
+        n = solid.nearest(p)
+        assert np.max((inside - n) @ (p - n), initial=0.0) < 1e-12
+        within = 0.5 * (n + inside.mean(axis=0))
+        np.testing.assert_allclose(solid.nearest(within), within, atol=1e-12)
+
+
+def test_the_nearest_point_of_a_mesh_with_a_dent(tmp_path, rng):
+    """An L of two boxes: its distance is the smaller of theirs, zero inside either."""
+    parts = [((-0.2, -0.1, -0.1), (0.2, 0.0, 0.1)), ((-0.2, 0.0, -0.1), (-0.1, 0.3, 0.1))]
+    boxes = [trimesh.creation.box(bounds=1000.0 * np.array(ends)) for ends in parts]
+    trimesh.util.concatenate(boxes).export(tmp_path / "l.stl")
+    solid = Shape(mesh={"file": tmp_path / "l.stl", "scale": 1e-3})
+    for p in rng.uniform(-0.4, 0.4, (60, 3)):
+        distances = [np.linalg.norm(p - np.clip(p, low, high)) for low, high in parts]
+        assert np.linalg.norm(p - solid.nearest(p)) == pytest.approx(min(distances), abs=1e-7)
+    assert Shape(mesh={"file": tmp_path / "none.stl"}).nearest(np.zeros(3)) is None
+
+
+@pytest.mark.parametrize(
+    ("joint", "words"),
+    [
+        (
+            {"kind": "weld"},
+            r"\$.joints\[0\]: .* 0.15 m off .* \[-0.2, 0, 0\].* posture or the base",
+        ),
+        ({"kind": "ball", "at": True}, r"0.15 m off the object's shape, .* correct 'at', or leave"),
+        ({"kind": "point_on_sphere", "radius": 0.14, "at": True}, None),
+        (
+            {
+                "kind": "contacts",
+                "contacts": [
+                    {"arm": {"point": [0, 0, 0]}, "object": {"plane": {"normal": [1, 0, 0]}}}
+                ],
+                "at": True,
+            },
+            None,
+        ),
+    ],
+    ids=["where the tip is", "at", "on a surface of its own", "listed contacts"],
+)
+def test_a_joint_off_the_object_is_told(joint, words):
+    arms = {"arm": {"robot": "ur5", "tip": "tool0", "posture": UR5_POSTURE}}
+    plain = ma.compile_system(scene_of(arms, [{"arm": "arm", "kind": "ball"}]))
+    tip = plain.arms["arm"].tip_pose(np.array(UR5_POSTURE))
+    body = {"shape": {"box": [0.4, 0.4, 0.4]}, "mass": 1.0}
+    # the joint is 0.15 m beyond the box's face, and the tip there, or on the sphere around it
+    offset = np.array([0.35 + joint.get("radius", 0.0), 0.0, 0.0])
+    body["pose"] = {"xyz": (tip[:3, 3] + offset).tolist()}
+    if joint.get("at"):
+        joint = {**joint, "at": {"xyz": [-0.35, 0.0, 0.0]}}
+    built = scene_of(arms, [{"arm": "arm", **joint}], object=body)
+    found = start_warnings(ma.compile_system(built))
+    assert len(found) == (words is not None)
+    for text in found:
+        assert re.search(words, text), text
+
+
+def test_a_posture_that_assembly_pushes_into_a_limit_is_told(tmp_path):
+    posture = [0.0, -0.4015, 0.0, -2.362, 0.0, 2.7459, 2.89]
+    arm = {"robot": "panda", "tip": "panda_hand_tcp", "posture": posture}
+    arm["lock"] = {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02}
+    tip = ma.compile_system(scene_of({"arm": arm}, [{"arm": "arm", "kind": "weld"}]))
+    X = tip.arms["arm"].tip_pose(np.array(posture))
+    turned = Rotation.from_matrix(X[:3, :3]) * Rotation.from_rotvec([0, 0, 0.05])
+    joint = {"arm": "arm", "kind": "weld", "at": {"xyz": [0, 0, 0]}}
+    body = {
+        "shape": {"sphere": 0.1},
+        "mass": 1.0,
+        "pose": {"xyz": X[:3, 3].tolist(), "quaternion_xyzw": turned.as_quat().tolist()},
+    }
+    built = scene_of({"arm": arm}, [joint], object=body, run={"duration": 0.01})
+    system = ma.compile_system(built)
+    (text,) = start_warnings(system)
+    assert "$.arms.arm.posture: 'panda_joint7' is written at 2.89 rad" in text
+    assert "limit 2.8973 rad" in text
+    assert inspect_system(system).warnings == [text]
+    path = tmp_path / "scene.yaml"
+    path.write_text(dump_scene(built))
+    for words in (["check"], ["run", "--out", str(tmp_path / "run.h5")]):
+        result = CliRunner().invoke(app, [*words, str(path)])
+        assert result.exit_code == 0 and text in result.stderr.replace("\n", " ")
+    assert start_warnings(tip) == []

@@ -14,12 +14,13 @@ from typer.testing import CliRunner
 
 import multiarm as ma
 from multiarm.arms.arm import Arm
+from multiarm.assembly.bases import StandSearch
 from multiarm.assembly.compilation import arm_files
 from multiarm.assembly.inverse_kinematics import REACHED, InverseKinematics
 from multiarm.cli import app
 from multiarm.errors import SceneError
 from multiarm.scene import ArmSpec, parse_scene, resolve_arm
-from multiarm.scene.text import parse_yaml, with_values
+from multiarm.scene.text import parse_yaml, with_values, without_entry
 
 UR5 = {"robot": "ur5", "tip": "tool0"}
 PANDA = {"robot": "panda", "tip": "panda_hand"}
@@ -141,6 +142,99 @@ def test_a_written_posture_stays():
     assert np.array_equal(system.initial_state().joint_positions["a"], near)
 
 
+# --- places to stand ------------------------------------------------------------------------------
+
+
+def test_a_stand_holds_its_mount_as_the_arm_that_stands_there_does(rng):
+    """Whatever base the arm of the search has; what is asked of a clearance is in the world."""
+    turned = {"xyz": [0.3, -0.2, 0.4], "rpy": [0.5, -0.3, 1.0]}
+    pose, mount = (pin.SE3.Random().homogeneous for _ in range(2))
+    hold, seen = pose @ mount, []
+
+    def clear(base, points, there):
+        assert np.array_equal(there, pose)
+        seen.append((base, points))
+        return 1.0
+
+    places = []
+    for shift in rng.uniform(-0.5, 0.5, (12, 3)):
+        base = pin.SE3.Random().homogeneous
+        base[:3, 3] = hold[:3, 3] + shift
+        places.append((base, mount, 1.0))
+    search = StandSearch(InverseKinematics(robot(**UR5, base=turned)), [pose], clear, rng)
+    stand = search.best(places)
+    (q,) = stand.reach.postures
+    there = robot(**UR5, base=pose_table(stand.base))
+    np.testing.assert_allclose(there.tip_pose(q), hold, atol=1e-7)
+    base, points = seen[-1]
+    assert min(np.linalg.norm(b - stand.base) for b, _ in seen) == 0.0
+    np.testing.assert_allclose(points[0], (base @ [0, 0, 0.089159, 1])[:3], atol=1e-9)
+    poorer = [(b, m, 1e-6 if np.array_equal(b, stand.base) else 1.0) for b, m, _ in places]
+    assert not np.array_equal(search.best(poorer).base, stand.base)
+
+
+def pose_table(X: np.ndarray) -> dict:
+    return {"xyz": X[:3, 3], "quaternion_xyzw": Rotation.from_matrix(X[:3, :3]).as_quat()}
+
+
+def test_a_base_is_found_where_the_arm_holds_its_place_well():
+    """Better than from almost all places that a quick look from elsewhere finds."""
+    joints = [{"arm": "a", "kind": "weld", "at": DOWN}, {"arm": "b", "kind": "ball", "at": DOWN}]
+    arms = {
+        "a": {**UR5, "base": {"xyz": [0, 0, 0.1], "solve": ["x", "y", "yaw"]}},
+        "b": {**UR5, "base": {"xyz": [0.6, 0.3, 0.0]}},
+    }
+    built = scene(arms, joints)
+    system = ma.compile_system(built)
+    base = system.scene.arms["a"].base
+    assert base.xyz[2] == 0.1 and base.rpy[:2] == (0.0, 0.0) and base.solve == ()
+    assert np.array_equal(np.round([*base.xyz, *base.rpy], 3), [*base.xyz, *base.rpy])
+    q = system.initial_state().joint_positions["a"]
+    there = built.object.pose.matrix() @ built.joints[0].at.matrix()
+    np.testing.assert_allclose(system.arms["a"].tip_pose(q), there, atol=1e-7)
+    assert np.linalg.norm(np.subtract(base.xyz[:2], [0.6, 0.3])) > 0.25  # beside the other arm
+    again = ma.compile_system(built)
+    assert again.scene.arms["a"].base == base
+    assert np.array_equal(again.initial_state().position, system.initial_state().position)
+    dexterity, others = _dexterity(system.arms["a"], q), []
+    for angle in np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False):
+        for distance in (0.3, 0.5, 0.7):
+            xyz = [distance * np.cos(angle), distance * np.sin(angle), 0.1]
+            arm = robot(**UR5, base={"xyz": xyz})
+            reach = InverseKinematics(arm).search([there], np.random.default_rng(1), 8)
+            others.append(0.0 if reach is None else _dexterity(arm, reach.postures[0]))
+    assert np.mean(dexterity > np.array(others)) > 0.6
+
+
+def _dexterity(arm: Arm, q: np.ndarray) -> float:
+    return np.linalg.svd(arm.terms(q, np.zeros(6)).J, compute_uv=False)[-1]
+
+
+@pytest.mark.parametrize(
+    ("base", "more", "message"),
+    [
+        ({"solve": ["z"], "xyz": [9, 0, 0]}, {}, r"arms.a.base.solve: from nowhere with other 'z'"),
+        ({"solve": ["x", "x"]}, {}, "names a component twice"),
+        ({"solve": ["u"]}, {}, r"\$.arms.a.base.solve\[0\]: .*'x', 'y', 'z', 'roll', 'pitch'"),
+        ({"solve": ["yaw"], "quaternion_xyzw": [0, 0, 0, 1]}, {}, "need 'rpy' for the others"),
+        ({"solve": ["x"]}, {"posture": 6 * [0.1]}, "write 'posture: solve', or none"),
+    ],
+    ids=["out of reach", "twice", "unknown", "quaternion", "posture"],
+)
+def test_a_base_that_cannot_be_found_is_refused(base, more, message):
+    with pytest.raises(SceneError, match=message):
+        ma.compile_system(
+            scene({"a": {**UR5, "base": base, **more}}, [{"arm": "a", "kind": "weld", "at": DOWN}])
+        )
+
+
+def test_a_base_needs_a_place_to_be_found_for():
+    with pytest.raises(SceneError, match=r"needs the joint's place .* give \$.joints\[0\].at"):
+        ma.compile_system(
+            scene({"a": {**UR5, "base": {"solve": ["x"]}}}, [{"arm": "a", "kind": "weld"}])
+        )
+
+
 # --- into the scene's file ------------------------------------------------------------------------
 
 RING = Path(__file__).parents[1] / "examples" / "scenes" / "three_makes_ring.yaml"
@@ -163,6 +257,44 @@ def test_postures_are_written_into_a_scene_that_keeps_its_comments(tmp_path):
         np.testing.assert_allclose(found.scene.arms[name].posture, posture, atol=1e-8)
     again = CliRunner().invoke(app, ["pose", str(path)])
     assert again.exit_code == 2 and "gives every arm a posture" in again.stderr
+
+
+def test_bases_are_written_into_a_scene_that_keeps_its_comments(tmp_path):
+    path, text = tmp_path / "ring.yaml", RING.read_text()
+    text = text.replace("base: {xyz: [0.95, 0, 0]}", "base: {solve: [x, y, yaw]}").replace(
+        "    base: {xyz: [-0.5, 0.75, 0]}\n",
+        "    base:  # a table\n      solve: [x, y]  # beside it\n"
+        "      xyz: [0, 0, 0.1]  # its top\n",
+    )
+    path.write_text(text)
+    expected = ma.compile_system(ma.load_scene(path))
+    shown = CliRunner().invoke(app, ["pose", str(path)]).output
+    assert "front: {base: {xyz: [" in shown and "left: {base: {xyz: [" in shown
+    assert "right: {posture: [" in shown
+    assert CliRunner().invoke(app, ["pose", str(path), "--write"]).exit_code == 0
+    written = path.read_text()
+    assert "solve" not in written.partition("arms:")[2]
+    for comment in ("# a table\n      # beside it\n      xyz: [", ", 0.1]  # its top\n"):
+        assert comment in written
+    found = ma.load_scene(path)
+    for name, arm in expected.scene.arms.items():
+        np.testing.assert_array_equal(found.arms[name].base.matrix(), arm.base.matrix())
+        posture = expected.initial_state().joint_positions[name]
+        np.testing.assert_allclose(found.arms[name].posture, posture, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("text", "left"),
+    [
+        ("a: {b: 1, c: [2, 3]}  # x", "a: {b: 1}  # x"),
+        ("a: {c: [2], b: 1}", "a: {b: 1}"),
+        ("a:\n  c:\n    - 1\n    - 2  # x\n  b: 1", "a:\n  # x\n  b: 1"),
+        ("a:\n  b: 1\n  c: 2\nd: 3", "a:\n  b: 1\nd: 3"),
+        ("a:\n  b: 1\n  c: 2", "a:\n  b: 1\n"),
+    ],
+)
+def test_an_entry_is_taken_out_and_nothing_else(text, left):
+    assert without_entry(text, ("a", "c")) == left
 
 
 def test_values_come_into_tables_of_every_form():

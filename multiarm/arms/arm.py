@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -75,7 +77,7 @@ class Arm:
         self.files = files
         self.color = color
         try:
-            self.model, _ = _assemble(name, files, visuals=False)
+            self.model, _ = _assemble(name, files)
         except ValueError as error:  # such as a joint and a link of one name
             raise ModelError(
                 f"arm '{name}': Pinocchio cannot put {files.urdf} together: {error}"
@@ -243,9 +245,12 @@ class Arm:
             found.append(_link_terms(model, data[0], q, rate, self.tip_joint, coriolis))
         return found
 
-    def visual_model(self) -> pin.GeometryModel:
-        """The URDF's visual geometry, placed consistently with :attr:`model`."""
-        return _assemble(self.name, self.files, visuals=True)[1]
+    def visual_model(self, loader: Any) -> pin.GeometryModel:
+        """The URDF's visual geometry, placed consistently with :attr:`model`.
+
+        ``loader`` is a mesh loader of coal's, which may read a file once for several arms.
+        """
+        return _assemble(self.name, self.files, loader)[1]
 
 
 def _motion(joint: pin.JointModel) -> np.ndarray:
@@ -294,28 +299,35 @@ def _frame_id(model: pin.Model, frame: str, arm: str) -> int:
 
 
 def _from_urdf(name: str, urdf: Path | str) -> pin.Model:
+    """The model of a URDF, which nobody may write: arms of one file share it."""
     try:
-        if isinstance(urdf, str):
-            return pin.buildModelFromXML(urdf)
-        return pin.buildModelFromUrdf(str(urdf))
-    except (ValueError, RuntimeError) as error:
+        return _read(urdf, urdf.stat().st_mtime_ns if isinstance(urdf, Path) else 0)
+    except (OSError, ValueError, RuntimeError) as error:
         raise ModelError(f"arm '{name}': Pinocchio cannot read {urdf}: {error}") from error
 
 
-def _assemble(name: str, files: ArmFiles, visuals: bool) -> tuple[pin.Model, pin.GeometryModel]:
-    """Robot, tool, locked joints, base: the model and (for ``visuals``) its visual geometry."""
+@lru_cache(maxsize=16)
+def _read(urdf: Path | str, _stamp: int) -> pin.Model:
+    build = pin.buildModelFromXML if isinstance(urdf, str) else pin.buildModelFromUrdf
+    return build(str(urdf))
+
+
+def _assemble(
+    name: str, files: ArmFiles, loader: Any = None
+) -> tuple[pin.Model, pin.GeometryModel]:
+    """Robot, tool, locked joints, base: the model and, with a ``loader``, its visual geometry."""
     base = pin.SE3(files.base)
     if files.mjcf:
         model, first = mjcf_model(files.urdf)
         base = base * pin.SE3(first.matrix())
     else:
         model = _from_urdf(name, files.urdf)
-    geometry = _geometry(model, files.urdf, files.package_dirs, visuals, files.mjcf)
+    geometry = _geometry(model, files.urdf, files.package_dirs, loader, files.mjcf)
     armature = dict(zip(model.names[1:], model.armature, strict=False))
     if files.tool_urdf is not None:
         assert files.mount is not None, "a tool has a mount"
         tool = _from_urdf(name, files.tool_urdf)
-        tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, visuals)
+        tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, loader)
         mount = _frame_id(model, files.mount, name)
         placement = pin.SE3(files.tool_placement)
         model, geometry = pin.appendModel(model, tool, geometry, tool_geometry, mount, placement)
@@ -339,17 +351,17 @@ def _geometry(
     model: pin.Model,
     urdf: Path | str,
     package_dirs: tuple[Path, ...],
-    visuals: bool,
+    loader: Any,
     mjcf: bool = False,
 ) -> pin.GeometryModel:
-    if not visuals:
+    if loader is None:
         return pin.GeometryModel()
     build = pin.buildGeomFromUrdfString if isinstance(urdf, str) else pin.buildGeomFromUrdf
     folders = [str(p) for p in package_dirs]
     try:
         if mjcf:
             return pin.buildGeomFromMJCF(model, str(urdf), pin.GeometryType.VISUAL)
-        return build(model, str(urdf), pin.GeometryType.VISUAL, None, folders)
+        return build(model, str(urdf), pin.GeometryType.VISUAL, None, folders, loader)
     except (ValueError, RuntimeError) as error:
         warnings.warn(f"no visual geometry from {urdf}: {error}", stacklevel=2)
         return pin.GeometryModel()

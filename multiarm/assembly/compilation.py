@@ -14,6 +14,7 @@ import numpy as np
 
 from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.backends import ArmBackends
+from multiarm.assembly.bases import find_bases
 from multiarm.assembly.paths import joint_path
 from multiarm.assembly.postures import find_postures
 from multiarm.assembly.start import assemble as close_start
@@ -70,6 +71,7 @@ from multiarm.scene import (
     without_code,
 )
 from multiarm.scene.joints import BUILT_IN
+from multiarm.scene.values import SOLVE
 from multiarm.spatial import matrix_to_quaternion
 
 # Functions of an evaluation: compiled at once, and when first called.
@@ -136,6 +138,7 @@ def compile_system(
     """
     require_control(control, sample_time, sample_delay)
     scene = with_code(_with_arms(scene, arms), code)
+    scene = with_bases(scene) if assemble else scene  # where arms stand, if that is to be found
     compile_ahead(advance, evaluate_slope)  # a run needs them: the first time in the background
     robots = load_robots(scene, like, assemble)  # URDF -> arms with tips and limits
     joints = scene_joints(scene, robots, like)  # contact records of every joint
@@ -172,6 +175,7 @@ def compile_for_inspection(scene: Scene, arms: str | None = None) -> tuple[Syste
     scene, left = without_code(_with_arms(scene, arms))
     if not any(code.arm for code in left):
         return compile_system(scene), left
+    scene = with_bases(scene)
     robots = load_robots(scene)
     joints = scene_joints(scene, robots)
     rows = contact_rows(scene, robots, joints)
@@ -202,18 +206,46 @@ class Robots:
     shared: tuple[str, ...] = ()  # arms that another system has too
 
 
+def with_bases(scene: Scene) -> Scene:
+    """The scene with the bases that it leaves to the program; the postures there are to be found.
+
+    Raises
+    ------
+    SceneError
+        Naming every arm for which there is no place.
+    """
+    arms = {
+        name: _make_arm(name, scene, resolve_arm(spec, scene.folder))
+        for name, spec in scene.arms.items()
+        if spec.open_base
+    }
+    if not arms:
+        return scene
+    specs = {
+        name: scene.arms[name].model_copy(update={"base": base, "posture": SOLVE})
+        for name, base in find_bases(scene, arms).items()
+    }
+    return scene.model_copy(update={"arms": {**scene.arms, **specs}})
+
+
 def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> Robots:
     """The arms of a scene; equal ones of ``like`` are shared, missing postures sought."""
     shared: tuple[str, ...] = ()
     if like is not None and scene.effects.rotor_inertia == like.scene.effects.rotor_inertia:
         theirs = like.scene.arms
-        shared = tuple(name for name, spec in scene.arms.items() if theirs.get(name) == spec)
+        shared = tuple(
+            name
+            for name, spec in scene.arms.items()
+            if theirs.get(name) == spec
+            and like.scene.robot_of(name).lock == scene.robot_of(name).lock
+        )
     resolved, arms = {}, {}
     for name, spec in scene.arms.items():
         if like is not None and name in shared:
             resolved[name], arms[name] = like.model.robots[name], like.arms[name]
         else:
-            resolved[name] = resolve_arm(spec, scene.folder)
+            own = spec.model_copy(update={"lock": scene.robot_of(name).lock | spec.lock})
+            resolved[name] = resolve_arm(own, scene.folder)
             arms[name] = _make_arm(name, scene, resolved[name])
     if seek:
         found = find_postures(scene, arms, {name: own.posture for name, own in resolved.items()})

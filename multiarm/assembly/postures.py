@@ -68,7 +68,7 @@ def find_postures(
     return found
 
 
-def _frames(scene: Scene, joint: JointSpec) -> tuple[np.ndarray, np.ndarray]:
+def joint_places(scene: Scene, joint: JointSpec) -> tuple[np.ndarray, np.ndarray]:
     """The joint frame in the tip's frame and its place in the world, z the joint's axis."""
     assert joint.at is not None, "the joint has a place"
     turn = np.eye(4)
@@ -81,7 +81,7 @@ def _is_far(scene: Scene, joint: JointSpec, arm: Arm, posture: np.ndarray) -> bo
     """Whether a posture leaves a gap in the joint that no assembly would close."""
     if joint.as_listed:  # its contacts may be anywhere
         return False
-    on_tip, there = _frames(scene, joint)
+    on_tip, there = joint_places(scene, joint)
     here = arm.tip_pose(posture) @ on_tip
     gap = there[:3, :3].T @ (here[:3, 3] - there[:3, 3])
     gap[[k for k in joint.free or () if k < 3]] = 0.0
@@ -90,8 +90,12 @@ def _is_far(scene: Scene, joint: JointSpec, arm: Arm, posture: np.ndarray) -> bo
 
 def _posture(scene: Scene, joint: JointSpec, arm: Arm) -> np.ndarray | str:
     """Joint positions, or why there are none."""
-    on_tip, there = _frames(scene, joint)
-    clear = _clearance(scene.object, there, arm)
+    on_tip, there = joint_places(scene, joint)
+    clear_of_object = clear_of(scene.object, there)
+
+    def clear(skeleton: np.ndarray, _number: int) -> float:
+        return clear_of_object(arm.files.base, skeleton)
+
     for free in dict.fromkeys([(), joint.free or ()]):
         search = InverseKinematics(arm, free, on_tip)
         reach = search.search([there], np.random.default_rng(0), STARTS, clear)
@@ -108,18 +112,29 @@ def _posture(scene: Scene, joint: JointSpec, arm: Arm) -> np.ndarray | str:
     )
 
 
-def _clearance(body: ObjectSpec, there: np.ndarray, arm: Arm) -> Callable[[np.ndarray, int], float]:
-    """How well the links of an arm keep apart from the object's box, and from the ground."""
-    pose, corners = body.pose.matrix(), _bounding_box(body)
-    base = arm.files.base
-    stands = base[2, 2] > 0.9 and base[2, 3] < there[2, 3]  # upright, and lower than its place
+def clear_of(body: ObjectSpec, there: np.ndarray) -> Callable[[np.ndarray, np.ndarray], float]:
+    """How well links keep apart from the object's box, and from the ground.
 
-    def clear(skeleton: np.ndarray, _number: int) -> float:
+    Parameters
+    ----------
+    body : ObjectSpec
+    there : ndarray, shape (4, 4)
+        The joint's place in the world.
+
+    Returns
+    -------
+    callable
+        Of the base (4, 4) and the origins of joints and tip (n + 1, 3) in the world: a factor on
+        the quality of a posture, see :meth:`InverseKinematics.search`.
+    """
+    pose, corners = body.pose.matrix(), _bounding_box(body)
+
+    def clear(base: np.ndarray, skeleton: np.ndarray) -> float:
         outside = above = np.zeros(0)
         if corners is not None:
             seen = (points_on_links(skeleton[:-1]) - pose[:3, 3]) @ pose[:3, :3]
             outside = np.maximum(corners[0] - seen, seen - corners[1]).max(axis=1)
-        if stands:
+        if base[2, 2] > 0.9 and base[2, 3] < there[2, 3]:  # upright, and lower than its place
             above = skeleton[2:-1, 2] - base[2, 3]
         return clearance(outside, above)
 

@@ -65,6 +65,7 @@ def check(
         system, left = compile_for_inspection(loaded, settings.get("arms"))
         progress(0, 0, "inspecting")
         inspection = inspect_system(system, left)
+        print_warnings(inspection.warnings[len(loaded.warnings) :])
         if inspection.start is not None:
             progress(0, 0, "timing the effects")
             inspection = replace(inspection, effects={**effects_of_evaluation(system)})

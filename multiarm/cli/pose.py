@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Annotated
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Annotated
 
 from multiarm.cli.files import check_targets, scene_to_inspect, write_text
 from multiarm.cli.options import Code, SceneFile, switch
 from multiarm.errors import SceneError
 from multiarm.terminal.console import output, print_written
+
+if TYPE_CHECKING:
+    from multiarm.scene import ArmSpec
 
 __all__ = ["pose"]
 
@@ -20,11 +23,12 @@ def pose(
     ] = False,
     code: Code = False,
 ) -> None:
-    """Find postures for the arms of a scene that have none, or `posture: solve`.
+    """Find the postures that a scene leaves to the program, and the places to stand.
 
-    Printed are joint positions from base to tip, in rad, of sliding joints in m, as a scene has
-    them. An arm that reaches its place on the object from nowhere is an error, which says how near
-    it comes and where to move its base.
+    Postures are found of arms that have none, or `posture: solve`; places of arms with `base:
+    {solve: [x, y, yaw]}`. Printed are joint positions from base to tip, in rad, of sliding joints
+    in m, and bases in m and rad, as a scene has them. An arm that reaches its place on the object
+    from nowhere is an error, which says how near it comes and where to move its base.
     """
     if write:
         check_targets({"SCENE": scene})
@@ -38,19 +42,35 @@ def pose(
 
     system, _ = compile_for_inspection(loaded)
     positions = system.initial_state().joint_positions
-    found = {name: _written(positions[name]) for name in open_ones}
+    bases = {name: _base(loaded.arms[name], system.scene.arms[name]) for name in open_ones}
+    postures = {name: _written(positions[name]) for name in open_ones}
     if not write:
-        for name, text in found.items():
-            output().print(f"{name}: {{posture: {text}}}", markup=False, soft_wrap=True)
+        for name, posture in postures.items():
+            base = ", ".join(f"{key}: {text}" for key, text in bases[name].items())
+            text = f"base: {{{base}}}, posture: {posture}" if base else f"posture: {posture}"
+            output().print(f"{name}: {{{text}}}", markup=False, soft_wrap=True)
         return
-    from multiarm.scene.text import with_values
+    from multiarm.scene.text import with_values, without_entry
 
-    given = scene.read_text(encoding="utf-8")
-    changed = with_values(given, {("arms", name, "posture"): text for name, text in found.items()})
+    values: dict[Sequence[str], str] = {
+        ("arms", name, "posture"): text for name, text in postures.items()
+    }
+    for name, entries in bases.items():
+        values |= {("arms", name, "base", key): text for key, text in entries.items()}
+    changed = with_values(scene.read_text(encoding="utf-8"), values)
+    for name in filter(bases.get, open_ones):
+        changed = without_entry(changed, ("arms", name, "base", "solve"))
     write_text(scene, changed, "SCENE")
     print_written("scene", scene)
 
 
-def _written(posture: Iterable[float]) -> str:
+def _base(written: ArmSpec, found: ArmSpec) -> dict[str, str]:
+    """The entries of a base that was found; empty where it was written."""
+    solved = set(written.open_base)
+    parts = {"xyz": solved & {"x", "y", "z"}, "rpy": solved & {"roll", "pitch", "yaw"}}
+    return {key: _written(getattr(found.base, key)) for key, names in parts.items() if names}
+
+
+def _written(numbers: Iterable[float]) -> str:
     """A list of numbers as YAML, to a hundredth of a microradian or nanometres."""
-    return f"[{', '.join(f'{q:.8f}'.rstrip('0').rstrip('.') for q in posture)}]"
+    return f"[{', '.join(f'{x:.8f}'.rstrip('0').rstrip('.') for x in numbers)}]"

@@ -41,7 +41,7 @@ from multiarm.terminal.console import (
 from multiarm.terminal.progress import RunProgress
 
 if TYPE_CHECKING:
-    from multiarm.dynamics.system import StartReport
+    from multiarm.dynamics.system import System
     from multiarm.results.trajectory import Trajectory
     from multiarm.scene import Scene
 
@@ -116,8 +116,8 @@ def run(
         source=scene,
     )
     TrajectoryReader.writable_target(target)
-    trajectory, start, compiled = _simulate(loaded, settings, certificate, target, quiet)
-    print_warnings(_remarks(trajectory, start))
+    trajectory, system, compiled = _simulate(loaded, settings, certificate, target, quiet)
+    print_warnings(_remarks(trajectory, system))
     figures = run_figures(loaded.name, trajectory, {"result": str(target)}, compiled)
     if not quiet:
         output().print(summary_table(figures))
@@ -133,9 +133,11 @@ def run(
         raise typer.Exit(1)
 
 
-def _remarks(trajectory: Trajectory, start: StartReport) -> list[str]:
+def _remarks(trajectory: Trajectory, system: System) -> list[str]:
     """Warnings about a run, also about a completed one."""
-    remarks = []
+    from multiarm.assembly.start_warnings import start_warnings
+
+    start, remarks = system.start_report, start_warnings(system)
     gap = max(start.gaps.values(), default=0.0)
     if gap > NOTABLE_GAP:
         arm = max(start.gaps, key=lambda name: start.gaps[name])
@@ -152,10 +154,10 @@ def _remarks(trajectory: Trajectory, start: StartReport) -> list[str]:
 
 def _simulate(
     scene: Scene, settings: dict[str, Any], certificate: bool, target: Path, quiet: bool
-) -> tuple[Trajectory, StartReport, bool]:
+) -> tuple[Trajectory, System, bool]:
     """Compile and simulate behind a progress bar; Ctrl-C ends the run, not the program.
 
-    Returns the trajectory, how the start was assembled, and whether kernels had to be compiled.
+    Returns the trajectory, the system, and whether kernels had to be compiled.
     """
     duration = settings.get("duration", scene.run.duration)
     integrator = settings.get("integrator", scene.run.integrator)
@@ -181,7 +183,7 @@ def _simulate(
             trajectory = simulate(system, **of_run, **options)
         except SceneError as error:
             raise SceneError([_about_options(fault) for fault in error.faults]) from None
-        return trajectory, system.start_report, progress.compiling
+        return trajectory, system, progress.compiling
 
 
 def _about_options(fault: str) -> str:

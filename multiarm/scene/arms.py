@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, model_validator
 from typing_extensions import Self
 
 from multiarm.errors import ModelError, SceneError
@@ -106,13 +107,35 @@ class ToolSpec(_FromUrdf):
         return super().usual_tips(outline) if self.fingers is None else ("corner",)
 
 
+class BaseSpec(Pose):
+    """Where an arm stands: as written, or found by the program."""
+
+    solve: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
+    """What the program finds, of x, y, z, roll, pitch, yaw: the place from which the arm holds its
+    joint's place on the object ('at') best. The rest is as written."""
+
+    @model_validator(mode="after")
+    def _can_be_found(self) -> Self:
+        if len(set(self.solve)) < len(self.solve):
+            raise fault(f"'solve' names a component twice: {listed(self.solve)}")
+        if self.quaternion_xyzw is not None and {"roll", "pitch", "yaw"}.intersection(self.solve):
+            raise fault("turns that are found need 'rpy' for the others, not 'quaternion_xyzw'")
+        return self
+
+
+def _as_base(value: Any) -> Any:
+    plain = isinstance(value, Pose) and not isinstance(value, BaseSpec)
+    return value.model_dump() if plain else value
+
+
 class ArmSpec(_FromUrdf):
     """One arm: a serial chain of 1 to 16 joints from its base to its tip."""
 
     mjcf: Path | None = None
     """A MuJoCo file, instead of a name."""
-    base: Pose = Pose()
-    """The root link in the world."""
+    base: SerializeAsAny[Annotated[BaseSpec, BeforeValidator(_as_base)]] = BaseSpec()
+    """The root link in the world. {solve: [x, y, yaw]}: the place is found, for the arm's joint on
+    the object, and so is the posture."""
     tip: str | None = None
     """The link whose frame is joined to the object: of the tool if there is one. Absent: the usual
     tip of robot or tool, see 'multiarm robots'."""
@@ -137,6 +160,11 @@ class ArmSpec(_FromUrdf):
     def file(self) -> Path | None:
         """The file, where one is given instead of a name."""
         return self.mjcf or self.urdf
+
+    @property
+    def open_base(self) -> tuple[str, ...]:
+        """Components of the base that are found, in the order that is written."""
+        return self.base.solve if isinstance(self.base, BaseSpec) else ()  # or a copy's Pose
 
 
 @dataclass(frozen=True)
@@ -188,11 +216,23 @@ class Examination(KnownArm):
     ----------
     arm : ResolvedArm or None
         None where there are faults.
+    urdf : Path or None
+        The robot's file.
+    robot_joints : set of str
+        All joints of the robot; its tool's are not among them.
+    way : tuple of str
+        Movable joints of the robot on the way to the tip, locked ones too.
+    resting : dict of str to float
+        Joints that are not on the way and that 'lock' does not name, with their positions.
     faults : list of (place within the arm, text)
     warnings : list of str
     """
 
     arm: ResolvedArm | None = None
+    urdf: Path | None = None
+    robot_joints: set[str] = field(default_factory=set)
+    way: tuple[str, ...] = ()
+    resting: dict[str, float] = field(default_factory=dict)
     faults: Faults = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
@@ -228,6 +268,8 @@ def examine_arm(spec: ArmSpec) -> Examination:
             found.fault("lock", name, text=unknown("joint", name, movable))
     if tip is None or chain is None:
         return found
+    found.urdf, found.robot_joints = robot.path, {joint.name for joint in robot.joints}
+    found.way = tuple(j.name for j in chain if j.movable and j.name in found.robot_joints)
     free = _free_joints(spec, tip, chain, found)
     found.joints = free
     names = {joint.name for joint in free}
@@ -237,6 +279,9 @@ def examine_arm(spec: ArmSpec) -> Examination:
         moved = spec.tool.mount in found.moving
         found.moving += tool.links if moved else tool.carried_by(names)
     locked = _locked(spec, joints, free, found)
+    if spec.open_base and spec.posture not in (None, SOLVE):
+        text = "a base that is found has its posture with it; write 'posture: solve', or none"
+        found.fault("base", "solve", text=text)
     posture, velocity = _start(spec, free, found)
     package_dirs = _package_dirs(spec, robot, found)
     tool_package_dirs = () if tool is None else _package_dirs(spec.tool, tool, found)
@@ -379,12 +424,7 @@ def _locked(
             source = locked[joint.mimic.joint]
             locked[joint.name] = joint.mimic.multiplier * source + joint.mimic.offset
     silently = [j.name for j in fixed if j.name not in spec.lock and _leader(j) not in spec.lock]
-    if silently:
-        positions = ", ".join(f"{name}: {locked[name]:g}" for name in silently)
-        found.warnings.append(
-            f"joints that are not on the way to the tip are locked at {{{positions}}}; "
-            "'lock' chooses other positions"
-        )
+    found.resting = {name: locked[name] for name in silently}
     return locked
 
 

@@ -2,7 +2,7 @@
 
 # ruff: noqa: F401
 
-from multiarm.scene.arms import ArmSpec, ResolvedArm, ToolSpec, resolve_arm
+from multiarm.scene.arms import ArmSpec, BaseSpec, ResolvedArm, ToolSpec, resolve_arm
 from multiarm.scene.changes import changed, changed_scenes, parse_path, value_at
 from multiarm.scene.control import CONTROLS, register_control
 from multiarm.scene.control.kind import Waypoint

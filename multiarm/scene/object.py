@@ -151,6 +151,26 @@ def hull_mass_properties(points: np.ndarray, mass: float) -> MassProperties:
     return moments(points, hull_triangles(points)).of_mass(mass)
 
 
+def nearest_in(vertices: np.ndarray, triangles: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """The point nearest to ``point`` (3,) of the solid inside triangles (T, 3), seen from outside.
+
+    Inside the solid angles of the triangles add up to a full one: with corners a, b, c about the
+    point, each is 2 atan2(a . (b x c), |a||b||c| + a.b |c| + b.c |a| + c.a |b|).
+    """
+    import trimesh
+
+    corners = vertices[triangles]
+    a, b, c = np.moveaxis(corners - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+    ab, bc, ca = (np.sum(u * v, axis=1) for u, v in ((a, b), (b, c), (c, a)))
+    volume = np.sum(a * np.cross(b, c), axis=1)
+    angle = 2.0 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb).sum()
+    if angle > 2.0 * np.pi:  # half of a full one
+        return point
+    near = trimesh.triangles.closest_point(corners, np.tile(point, (len(corners), 1)))
+    return near[np.argmin(np.sum((near - point) ** 2, axis=1))]
+
+
 # --- the object as it is written ------------------------------------------------------------------
 
 
@@ -295,6 +315,34 @@ class Shape(OneOf):
         radius, height = self.cylinder.radius, self.cylinder.height
         across = mass * (3.0 * radius**2 + height**2) / 12.0
         return np.diag([across, across, mass * radius**2 / 2.0])
+
+    def nearest(self, point: np.ndarray) -> np.ndarray | None:
+        """The point of the solid that is nearest to a point (3,) [m], object frame.
+
+        A point inside is the nearest to itself; None of a mesh that cannot be read.
+        """
+        if self.box is not None:
+            half = 0.5 * np.array(self.box)
+            return np.clip(point, -half, half)
+        if self.sphere is not None:
+            return point * min(1.0, self.sphere / max(float(np.linalg.norm(point)), 1e-300))
+        if self.cylinder is not None:
+            across = self.cylinder.radius / max(float(np.hypot(*point[:2])), 1e-300)
+            end = 0.5 * self.cylinder.height
+            return np.array([*(min(1.0, across) * point[:2]), np.clip(point[2], -end, end)])
+        if self.hull is not None:
+            points = np.array(self.hull)
+            return nearest_in(points, hull_triangles(points), point)
+        assert self.mesh is not None, "a shape is one of five"
+        import trimesh
+
+        try:
+            loaded: Any = trimesh.load_mesh(str(self.mesh.file), process=False)
+            points = np.array(loaded.vertices, float) * self.mesh.scale
+            triangles = np.array(loaded.faces, int)
+        except Exception:  # readers of the formats raise what they please; the replay says so
+            return None
+        return nearest_in(points, triangles, point) if len(triangles) else None
 
 
 NO_SHAPE = Shape.model_construct()

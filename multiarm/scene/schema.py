@@ -34,6 +34,7 @@ from multiarm.scene.joints import ContactsJoint, Joint, JointSpec, pushing_kinds
 from multiarm.scene.object import ObjectSpec
 from multiarm.scene.registry import called
 from multiarm.scene.run import RunSpec
+from multiarm.scene.trunks import Robot, robot_faults, robot_warnings, robots_of
 from multiarm.scene.values import ArmName, KnownArm, Spec, Vec3
 
 _Examined = dict[str, tuple[ArmSpec, Examination]]
@@ -84,6 +85,7 @@ class Scene(Spec):
     _from_file: bool = PrivateAttr(default=False)
     _may_load_code: bool = PrivateAttr(default=True)
     _warnings: tuple[str, ...] = PrivateAttr(default=())
+    _robots: tuple[Robot, ...] = PrivateAttr(default=())
     _examined: _Examined = PrivateAttr(default_factory=dict)
 
     def __init__(self, /, folder: Path | str | None = None, **data: Any) -> None:
@@ -157,6 +159,15 @@ class Scene(Spec):
         """Warnings: locked joints, missing meshes, exceeded limits."""
         return list(self._warnings)
 
+    @property
+    def robots(self) -> tuple[Robot, ...]:
+        """The robots; arms of one file on one base are one, such as the two on a trunk."""
+        return self._robots
+
+    def robot_of(self, arm: str) -> Robot:
+        """The robot that an arm belongs to."""
+        return next(robot for robot in self._robots if arm in robot.arms)
+
     def __eq__(self, other: Any) -> bool:
         return isinstance(other, Scene) and self.model_dump() == other.model_dump()
 
@@ -194,6 +205,7 @@ class Scene(Spec):
             raise SceneError([*faults, *found.faults])
         self._folder, self._from_file = folder, from_file
         self._warnings, self._examined = tuple(found.warnings), found.examined
+        self._robots = found.robots
 
 
 def function_faults(scene: Scene, folder: Path | None) -> list[str]:
@@ -293,11 +305,12 @@ def _rubs(joint: Any) -> bool:
 
 @dataclass
 class _Findings:
-    """Faults and warnings, each one complete line; the arms as they were examined."""
+    """Faults and warnings, each one complete line; the arms as they were examined, the robots."""
 
     faults: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     examined: _Examined = field(default_factory=dict)
+    robots: tuple[Robot, ...] = ()
 
     def fault(self, parts: Parts, text: str) -> None:
         self.faults.append(f"{place(parts)}: {text}")
@@ -314,8 +327,7 @@ def _check(parts: _Parts, examined: _Examined) -> _Findings:
     findings = _Findings()
     if parts.arm_names is not None:
         _check_connections(parts.arm_names, parts.joints, findings)
-    for name, spec in parts.arms.items():
-        _check_arm(name, spec, examined, findings)
+    _check_arms(parts.arms, examined, findings)
     mesh = None if parts.object is None else parts.object.shape.mesh
     if mesh is not None and not mesh.file.is_file():
         findings.warning(
@@ -354,15 +366,20 @@ def _check_connections(names: list[str], connected: list[Any] | None, findings: 
             )
 
 
-def _check_arm(name: str, spec: ArmSpec, examined: _Examined, findings: _Findings) -> None:
-    before, found = examined.get(name, (None, None))
-    if found is None or before != spec:
-        found = examine_arm(spec)
-    findings.examined[name] = spec, found
-    for where, text in found.faults:
-        findings.fault(("arms", name, *where), text)
-    for text in found.warnings:
-        findings.warning(("arms", name), text)
+def _check_arms(arms: Mapping[str, ArmSpec], examined: _Examined, findings: _Findings) -> None:
+    found = {}
+    for name, spec in arms.items():
+        before, known = examined.get(name, (None, None))
+        found[name] = known if known is not None and before == spec else examine_arm(spec)
+        findings.examined[name] = spec, found[name]
+        for where, text in found[name].faults:
+            findings.fault(("arms", name, *where), text)
+    findings.robots = robots_of(arms, found)
+    for robot in findings.robots:
+        for where, text in robot_faults(robot, arms, found):
+            findings.fault(where, text)
+        for where, text in robot_warnings(robot, arms, found):
+            findings.warning(where, text)
 
 
 def _check_control(

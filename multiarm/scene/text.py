@@ -49,7 +49,8 @@ def with_values(text: str, values: Mapping[Sequence[str], str]) -> str:
         Where two tables are one by an alias, or a value is taken over from another table.
     """
     root = yaml.compose(text, Loader=_Loader)
-    edits = []
+    edits: list[tuple[int, int, str]] = []
+    tables_at: dict[int, Sequence[str]] = {}
     for (*tables, key), written in values.items():
         node = root
         for name in tables:
@@ -57,22 +58,48 @@ def with_values(text: str, values: Mapping[Sequence[str], str]) -> str:
         entries = _entries(node)
         if key in entries:
             old = entries[key]
-            edits.append((old.start_mark.index, old.end_mark.index, written))
+            edits.append((old.start_mark.index, _end(old), written))
         elif node.flow_style:
             end = node.value[-1][1].end_mark.index
             edits.append((end, end, f", {key}: {written}"))
         else:
-            first, last = node.value[0][0].start_mark, node.value[-1][1].end_mark.index
-            # of a table or a list the end is where the next thing begins
-            last = len(text[:last].rstrip()) if text[:last].rstrip(" ").endswith("\n") else last
-            line = text.find("\n", last)
+            line = text.find("\n", _end(node))
             at = len(text) if line < 0 else line
-            edits.append((at, at, f"\n{' ' * first.column}{key}: {written}"))
-    if len({begin for begin, *_ in edits}) < len(edits):
-        raise SceneError("two tables are one by an alias '*'; write them out")
-    for begin, end, written in sorted(edits, reverse=True):
+            edits.append((at, at, f"\n{' ' * node.start_mark.column}{key}: {written}"))
+        if tables_at.setdefault(edits[-1][0], tables) != tables:
+            raise SceneError("two tables are one by an alias '*'; write them out")
+    edits.sort(key=lambda edit: edit[0])
+    for begin, end, written in reversed(edits):
         text = text[:begin] + written + text[end:]
     return text
+
+
+def without_entry(text: str, path: Sequence[str]) -> str:
+    """A YAML text without one entry of a table that has others, its comments as they are."""
+    *tables, name = path
+    node = yaml.compose(text, Loader=_Loader)
+    for table in tables:
+        node = _entries(node)[table]
+    number = next(k for k, (key, _) in enumerate(node.value) if key.value == name)
+    key, value = node.value[number]
+    begin, end = key.start_mark.index, _end(value)
+    if not node.flow_style:
+        end += len(text[end:]) - len(text[end:].lstrip(" "))  # to a comment, or to the line's end
+        if text[end : end + 1] in ("\n", ""):
+            begin, end = text.rfind("\n", 0, begin) + 1, end + 1
+    elif number > 0:  # with the comma before it
+        begin = _end(node.value[number - 1][1])
+    else:
+        end = node.value[1][0].start_mark.index
+    return text[:begin] + text[end:]
+
+
+def _end(node: yaml.Node) -> int:
+    """Where a value ends; the mark of a block is where the next thing begins."""
+    if isinstance(node, yaml.ScalarNode) or node.flow_style or not node.value:
+        return node.end_mark.index
+    last = node.value[-1]
+    return _end(last[1] if isinstance(last, tuple) else last)
 
 
 def _entries(node: yaml.Node) -> dict[str, yaml.Node]:

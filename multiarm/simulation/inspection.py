@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.assembly.start_warnings import start_warnings
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.arrays import OK
@@ -236,7 +237,7 @@ def inspect_system(system: System, left: Sequence[NamedCode] = ()) -> Inspection
         velocity_residual=None if evaluation is None else evaluation.velocity_residual,
         residuals=None if evaluation is None else evaluation.residuals,
         carrying=carrying,
-        warnings=scene.warnings,
+        warnings=scene.warnings + ([] if away else start_warnings(system)),
         not_looked_at=[_not_looked_at(code) for code in left],
     )
 
@@ -357,6 +358,8 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
     spec, arm = system.scene.arms[name], system.arms[name]
     position, quaternion = _placement(spec.base.matrix())
     pivot = None if evaluation is None else evaluation.conditioning.get(name)
+    others = [other for other in system.scene.robot_of(name).arms if other != name]
+    moved = {joint for other in others for joint in system.arms[other].joint_names}
     return ArmFacts(
         robot=_model_name(spec),
         urdf=str(arm.files.urdf),
@@ -366,7 +369,7 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
         base_quaternion_xyzw=quaternion,
         joints=dict(arm.joint_units),
         posture=system.initial_state().joint_positions[name].tolist(),
-        locked=dict(arm.files.locked),
+        locked={joint: q for joint, q in arm.files.locked.items() if joint not in moved},
         terms=system.arm_terms[name],
         not_compiled=system.not_compiled.get(name),
         conditioning=pivot,

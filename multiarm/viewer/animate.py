@@ -30,7 +30,7 @@ from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks, along,
 from multiarm.viewer.commands import rgb
 from multiarm.viewer.contact_tracks import contacts_of, event_places, object_size, surface_bodies
 from multiarm.viewer.mesh import Mesh, box, capsule, cylinder, merge
-from multiarm.viewer.shapes import PLAIN, geometry_mesh, object_mesh
+from multiarm.viewer.shapes import PLAIN, geometry_mesh, mesh_loader, object_mesh
 
 if TYPE_CHECKING:
     from multiarm.arms.arm import Arm
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 PALETTE = ("#4a80c9", "#f08a45", "#4fa36a", "#9b6bc2", "#d9596a", "#2fa3a8", "#d3a62f", "#7a8797")
 OBJECT_COLOR, OBJECT_OPACITY = np.array([0.94, 0.78, 0.60]), 0.5
+WHITE = np.ones(3)  # a tint that leaves colours as they are
 MOST_FRAMES = 6000
 
 
@@ -72,10 +73,15 @@ def animate(
     system, missing = _system(trajectory, code)
     colors = arm_colors(system)
     bodies = [_object(trajectory, rows)]
-    cache: dict[tuple, Mesh] = {}
-    for name in system.arm_names:
-        arm, angles = system.arms[name], trajectory.joint_positions[name][rows]
-        bodies += _links(arm, angles, colors[name], meshes, cache)
+    angles = {name: trajectory.joint_positions[name][rows] for name in system.arm_names}
+    shapes = _Shapes(meshes)
+    feet = {}  # of each robot: where it stands
+    for robot in system.scene.robots:
+        arms = [system.arms[name] for name in robot.arms]
+        links, trunk = _robot_bodies(arms, angles, colors, shapes)
+        bodies += links + trunk
+        feet[robot.arms[0]] = foot = arms[0].files.base.copy()
+        foot[2, 3] = min([foot[2, 3], *map(lowest, trunk)])
     grasp = None if missing else scene_grasp(system)  # regions depend on all contacts
     if grasp is not None:
         bodies += region_bodies(grasp, trajectory, rows, colors)
@@ -83,9 +89,8 @@ def animate(
     bodies += surface_bodies(system, trajectory, rows, colors, faces=not plain)
     ground = ground_bodies(trajectory, rows, object_size(system))
     bodies += ground
-    bases = {name: spec.base.matrix() for name, spec in trajectory.scene.arms.items()}
-    floor = min([base[2, 3] for base in bases.values()] + [lowest(body) for body in ground])
-    bodies += columns(bases, floor, len(rows))
+    floor = min([foot[2, 3] for foot in feet.values()] + [lowest(body) for body in ground])
+    bodies += columns(feet, floor, len(rows))
     contacts = contacts_of(system, trajectory, rows, colors)
     note = "" if trajectory.status == "completed" else trajectory.message
     notes = [f"{trajectory.status}: {note}"] if note else []
@@ -178,16 +183,37 @@ def _object(trajectory: Trajectory, rows: np.ndarray) -> Body:
     )
 
 
-def _links(
-    arm: Arm, angles: np.ndarray, color: np.ndarray, meshes: bool, cache: dict[tuple, Mesh]
+def _robot_bodies(
+    arms: list[Arm],
+    angles: dict[str, np.ndarray],
+    colors: dict[str, np.ndarray],
+    shapes: _Shapes,
+) -> tuple[list[Body], list[Body]]:
+    """Return the links of a robot in the colours of its arms, and its trunk.
+
+    The trunk, of several arms only, are the links that no arm moves, in the robot's own colours.
+    """
+    first = arms[0]
+    if len(arms) == 1:
+        parts = shapes.parts(first, shapes.visuals(first))
+        return _bodies(first, parts, angles[first.name], colors[first.name]), []
+    bodies, visuals = [], {arm.name: shapes.visuals(arm) for arm in arms}
+    carried = {item.name for own in visuals.values() for item in own if item.parentJoint > 0}
+    trunk = [item for item in visuals[first.name] if item.name not in carried]
+    for arm in arms:
+        parts = shapes.parts(arm, [item for item in visuals[arm.name] if item.parentJoint > 0])
+        if trunk:  # else the bars from the base to the arms stand for it
+            parts = [part for part in parts if part.joint > 0]
+        bodies += _bodies(arm, parts, angles[arm.name], colors[arm.name])
+    fixed = [shapes.part(item, subdued=False) for item in trunk]
+    both = "+".join(arm.name for arm in arms)
+    return bodies, _bodies(first, fixed, angles[first.name], WHITE, both)
+
+
+def _bodies(
+    arm: Arm, parts: list[_Part], angles: np.ndarray, color: np.ndarray, name: str = ""
 ) -> list[Body]:
-    """Return the links of an arm; bars replace links without a shape."""
-    visuals = [item for item in arm.visual_model().geometryObjects if meshes or not item.meshPath]
-    parts = [
-        _Part(item.name, item.parentJoint, item.placement, _shared_mesh(item, cache))
-        for item in visuals
-    ]
-    parts += _bars(arm, set(range(arm.model.njoints)) - {part.joint for part in parts})
+    """Return parts as bodies that move with an arm's joints, below ``arms/name``."""
     poses = np.empty((len(parts), len(angles), 7))
     data = arm.model.createData()
     for k, row in enumerate(angles):
@@ -196,8 +222,8 @@ def _links(
         poses[:, k] = np.reshape(placed, (-1, 7))
     names = _distinct([part.name.replace("/", "_") for part in parts])
     return [
-        Body(f"arms/{arm.name}/{name}", part.mesh, pose[:, :3], pose[:, 3:], color)
-        for name, part, pose in zip(names, parts, poses, strict=True)
+        Body(f"arms/{name or arm.name}/{own}", part.mesh, pose[:, :3], pose[:, 3:], color)
+        for own, part, pose in zip(names, parts, poses, strict=True)
     ]
 
 
@@ -211,14 +237,37 @@ class _Part:
     mesh: Mesh
 
 
-def _shared_mesh(item: pin.GeometryObject, cache: dict[tuple, Mesh]) -> Mesh:
-    """Return the visual's mesh; the same file for two arms is read once."""
-    if not item.meshPath:
-        return geometry_mesh(item)
-    key = (item.meshPath, *item.meshScale, item.overrideMaterial, *item.meshColor)
-    if key not in cache:
-        cache[key] = geometry_mesh(item)
-    return cache[key]
+class _Shapes:
+    """The visuals of arms; a mesh file is read once."""
+
+    def __init__(self, meshes: bool) -> None:
+        self._meshes = meshes  # False leaves mesh files out
+        self._loader = mesh_loader()
+        self._known: dict[tuple, Mesh] = {}
+
+    def visuals(self, arm: Arm) -> list[pin.GeometryObject]:
+        """Return all visuals of an arm's robot and tool."""
+        items = arm.visual_model(self._loader).geometryObjects
+        return [item for item in items if self._meshes or not item.meshPath]
+
+    def parts(self, arm: Arm, visuals: list[pin.GeometryObject]) -> list[_Part]:
+        """Return visuals of an arm as parts; bars replace links without a shape."""
+        parts = [self.part(item) for item in visuals]
+        return parts + _bars(arm, set(range(arm.model.njoints)) - {part.joint for part in parts})
+
+    def part(self, item: pin.GeometryObject, subdued: bool = True) -> _Part:
+        """Return a visual as a part."""
+        mesh = self._mesh(item, subdued)
+        return _Part(item.name, item.parentJoint, item.placement, mesh)
+
+    def _mesh(self, item: pin.GeometryObject, subdued: bool) -> Mesh:
+        if not item.meshPath:
+            return geometry_mesh(item, subdued)
+        color = (item.overrideMaterial, *item.meshColor)
+        key = (item.meshPath, *item.meshScale, *color, subdued)
+        if key not in self._known:
+            self._known[key] = geometry_mesh(item, subdued)
+        return self._known[key]
 
 
 def _bars(arm: Arm, joints: set[int]) -> list[_Part]:
@@ -366,25 +415,25 @@ def ground_bodies(trajectory: Trajectory, rows: np.ndarray, size: float) -> list
     return [Body("floor", box(sides), still[:, :3], still[:, 3:], COLOR)]
 
 
-def columns(bases: dict[str, np.ndarray], floor: float, frames: int) -> list[Body]:
-    """Return a column for each upright base above the floor.
+def columns(feet: dict[str, np.ndarray], floor: float, frames: int) -> list[Body]:
+    """Return a column for each upright robot that stands above the floor.
 
     Parameters
     ----------
-    bases : table 'arm: pose (4, 4)'
-        In the world.
+    feet : table 'arm: pose (4, 4)'
+        Of its base, or of the trunk where that is lower, in the world.
     floor : float
         Height of the floor [m].
     frames : int
         Of the animation.
     """
     bodies = []
-    for name, base in bases.items():
-        height = float(base[2, 3] - floor)
-        if height < LOWEST or base[2, 2] < 0.99:
+    for name, foot in feet.items():
+        height = float(foot[2, 3] - floor)
+        if height < LOWEST or foot[2, 2] < 0.99:
             continue
         mesh = cylinder(float(np.clip(SLENDER * height, THINNEST, THICKEST)), height)
-        middle = np.array([*base[:2, 3], floor + 0.5 * height])
+        middle = np.array([*foot[:2, 3], floor + 0.5 * height])
         still = np.tile(np.array([0.0, 0.0, 0.0, 1.0]), (frames, 1))
         bodies.append(Body(f"columns/{name}", mesh, np.tile(middle, (frames, 1)), still, COLOR))
     return bodies

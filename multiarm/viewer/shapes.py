@@ -49,18 +49,24 @@ def load_mesh(path: Path, scale: np.ndarray) -> Mesh:
     return _mesh_of_bvh(coal.MeshLoader().load(str(path), np.asarray(scale, float)))
 
 
-def geometry_mesh(item: pin.GeometryObject) -> Mesh:
+def mesh_loader() -> coal.MeshLoader:
+    """Return a loader that reads a mesh file once, for the visuals of any number of arms."""
+    return coal.CachedMeshLoader()
+
+
+def geometry_mesh(item: pin.GeometryObject, subdued: bool = True) -> Mesh:
     """Return the mesh of a visual of Pinocchio's, in the frame of the visual.
 
-    Its colours are subdued: they distinguish the parts of an arm, the arm's tint the arms.
+    Subdued colours distinguish the parts of an arm, whose tint distinguishes the arms.
     """
     mesh = _visual_file(item) or _mesh_of_geometry(item.geometry)
     if item.overrideMaterial:
         mesh = mesh.painted(item.meshColor[:3])
     colors = PLAIN + 0 * mesh.triangles if mesh.colors is None else mesh.colors
-    grey = colors @ np.array([[0.30], [0.59], [0.11]])  # perceived brightness
-    subdued = grey + SATURATION * (colors - grey)
-    return Mesh(mesh.vertices, mesh.triangles, DARKEST + (1 - DARKEST) * subdued)
+    if subdued:
+        grey = colors @ np.array([[0.30], [0.59], [0.11]])  # perceived brightness
+        colors = DARKEST + (1 - DARKEST) * (grey + SATURATION * (colors - grey))
+    return Mesh(mesh.vertices, mesh.triangles, colors)
 
 
 def object_mesh(spec: ObjectSpec) -> Mesh:

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.assembly.bases import Stand
 from multiarm.contacts.internal_forces import distribute, internal_forces
 from multiarm.control.object_control import packed_path, reference_motion
 from multiarm.errors import GraspError
@@ -33,7 +34,7 @@ from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face_contacts import FaceContacts
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.scenes.hands import contacts, fingers, pose_table, require_room
-from multiarm.grasp.scenes.standing import Progress, Stand, lifted, stand_arms
+from multiarm.grasp.scenes.standing import Progress, lifted, stand_arms
 from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robot, resolve_arm
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.terminal.progress import PartProgress, shown

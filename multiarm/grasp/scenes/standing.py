@@ -11,21 +11,17 @@ object and from the ground.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
+from multiarm.assembly.bases import POOREST, Stand, StandSearch, farthest
 from multiarm.assembly.compilation import arm_files
-from multiarm.assembly.inverse_kinematics import (
-    InverseKinematics,
-    Reach,
-    clearance,
-    points_on_links,
-)
+from multiarm.assembly.inverse_kinematics import InverseKinematics, clearance, points_on_links
 from multiarm.errors import GraspError
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
+from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.scenes.hands import hand_pose
 from multiarm.scene import ArmSpec, resolve_arm
 
@@ -40,35 +36,8 @@ LEVELS = (1.0, 0.4)
 TURNS = tuple(np.arange(6) * np.pi / 3.0)
 # Least gain for which a pedestal is used.
 PEDESTAL_COST = 0.8
-# The most promising places are looked at again, from more starts and at every pose.
-FINALISTS, FEW, MANY = 8, 2, 16
-# An arm below this quality is too near a singular posture to be used.
-POOREST = 1e-3
 
 Progress = Callable[[float, str], None]
-
-
-@dataclass(frozen=True)
-class Stand:
-    """One arm's place.
-
-    Attributes
-    ----------
-    base : ndarray, shape (4, 4)
-        In the world.
-    mount : ndarray, shape (4, 4)
-        The hand's mount in the object's frame.
-    reach : Reach
-    """
-
-    base: np.ndarray
-    mount: np.ndarray
-    reach: Reach
-
-    @property
-    def quality(self) -> float:
-        """That of the posture, less where the arm needs a pedestal."""
-        return self.reach.quality * (PEDESTAL_COST if self.base[2, 3] > 0.0 else 1.0)
 
 
 def stand_arms(
@@ -104,8 +73,9 @@ def stand_arms(
     GraspError
         When an arm reaches its corner from nowhere.
     """
+    clear = _clear_of(grasp.body)
     robots = [InverseKinematics(_robot(spec)) for spec in arms]
-    reaches = [_farthest(robot, rng) for robot in robots]
+    reaches = [farthest(robot.arm, rng) for robot in robots]
     lowest = -float(np.min(grasp.body.vertices[:, 2]))
     heights = [height] if height is not None else [lowest + h * max(reaches) for h in HEIGHTS]
     heights = [round(z, 4) for z in heights]  # as they will be written
@@ -119,7 +89,8 @@ def stand_arms(
         gripper = grasp.grippers[g]
         progress(k / len(parts), f"postures of '{gripper.name}', object at {z:.2f} m")
         poses = [lifted(z) @ pose for pose in course]
-        stand = _Search(grasp, gripper, robots[g], poses, tip_radius, rng).best(reaches[g])
+        search = StandSearch(robots[g], poses, clear, rng)
+        stand = search.best(_places(grasp, gripper, poses[0], reaches[g], tip_radius))
         if stand is None or stand.reach.quality < POOREST:
             missed = gripper.name
             continue
@@ -140,83 +111,48 @@ def _worst(stands: list[Stand]) -> float:
     return min(stand.quality for stand in stands)
 
 
-@dataclass(frozen=True)
-class _Search:
-    """The search for a place of one arm, with the object at one height."""
+def _places(
+    grasp: FaceContacts, gripper: Gripper, start: np.ndarray, reach: float, tip_radius: float
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """Bases, mounts of the hand in the object's frame, and what the bases are worth."""
+    corner = start[:3, :3] @ gripper.corner + start[:3, 3]
+    beyond = np.arctan2(corner[1] - start[1, 3], corner[0] - start[0, 3])
+    for distance, aside, pedestal, level, turn in product(
+        DISTANCES, SIDEWAYS, PEDESTALS, LEVELS, TURNS
+    ):
+        direction = beyond + aside
+        base = np.eye(4)
+        base[:2, 3] = corner[:2] + distance * reach * np.array(
+            [np.cos(direction), np.sin(direction)]
+        )
+        base[:3, 3] = *np.round(base[:2, 3], 3), round(pedestal * reach, 2)
+        facing = round(float(np.arctan2(*(corner[:2] - base[:2, 3])[::-1])), 4)
+        base[:2, :2] = [
+            [np.cos(facing), -np.sin(facing)],
+            [np.sin(facing), np.cos(facing)],
+        ]
+        worth = PEDESTAL_COST if base[2, 3] > 0.0 else 1.0
+        yield base, hand_pose(grasp, gripper, turn, tip_radius, level), worth
 
-    grasp: FaceContacts
-    gripper: Gripper
-    robot: InverseKinematics
-    poses: list[np.ndarray]
-    tip_radius: float
-    rng: np.random.Generator
 
-    def best(self, reach: float) -> Stand | None:
-        """First a quick look at many places at the start pose, then the best of them closely."""
-        candidates = []
-        for base, mount in self._places(reach):
-            found = self._reached(base, mount, self.poses[:1], FEW)
-            if found is not None:
-                candidates.append(Stand(base, mount, found))
-        candidates.sort(key=lambda stand: -stand.quality)
-        finals = []
-        for stand in candidates[:FINALISTS]:
-            found = self._reached(stand.base, stand.mount, self.poses, MANY)
-            if found is not None:
-                finals.append(replace(stand, reach=found))
-        return max(finals, key=lambda stand: stand.quality, default=None)
+def _clear_of(body: Polyhedron) -> Callable[[np.ndarray, np.ndarray, np.ndarray], float]:
+    """How well links keep apart from the body, see :class:`StandSearch`, and from the ground.
 
-    def _places(self, reach: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        corner = self.poses[0][:3, :3] @ self.gripper.corner + self.poses[0][:3, 3]
-        beyond = np.arctan2(corner[1] - self.poses[0][1, 3], corner[0] - self.poses[0][0, 3])
-        for distance, aside, pedestal, level, turn in product(
-            DISTANCES, SIDEWAYS, PEDESTALS, LEVELS, TURNS
-        ):
-            direction = beyond + aside
-            base = np.eye(4)
-            base[:2, 3] = corner[:2] + distance * reach * np.array(
-                [np.cos(direction), np.sin(direction)]
-            )
-            base[:3, 3] = *np.round(base[:2, 3], 3), round(pedestal * reach, 2)
-            facing = round(float(np.arctan2(*(corner[:2] - base[:2, 3])[::-1])), 4)
-            base[:2, :2] = [
-                [np.cos(facing), -np.sin(facing)],
-                [np.sin(facing), np.cos(facing)],
-            ]
-            yield base, hand_pose(self.grasp, self.gripper, turn, self.tip_radius, level)
+    A body that is not convex counts with the half-spaces of all its faces.
+    """
+    offsets = np.array([face.offset for face in body.faces])
 
-    def _reached(
-        self, base: np.ndarray, mount: np.ndarray, poses: list[np.ndarray], starts: int
-    ) -> Reach | None:
-        def clear(skeleton: np.ndarray, number: int) -> float:
-            points = skeleton @ base[:3, :3].T + base[:3, 3]
-            return self._clearance(points[:-1], poses[number])
-
-        home = np.linalg.inv(base)
-        places = [home @ pose @ mount for pose in poses]
-        return self.robot.search(places, self.rng, starts, clear)
-
-    def _clearance(self, points: np.ndarray, pose: np.ndarray) -> float:
-        """1 where the links between these points keep apart from object and ground.
-
-        A body that is not convex counts with the half-spaces of all its faces.
-        """
-        seen = (points_on_links(points) - pose[:3, 3]) @ pose[:3, :3]
-        offsets = np.array([face.offset for face in self.grasp.body.faces])
-        outside = np.max(seen @ self.grasp.body.normals.T - offsets, axis=1)
-        above = points[2:, 2]  # the shoulder belongs where it is
+    def clear(_base: np.ndarray, skeleton: np.ndarray, pose: np.ndarray) -> float:
+        seen = (points_on_links(skeleton[:-1]) - pose[:3, 3]) @ pose[:3, :3]
+        outside = np.max(seen @ body.normals.T - offsets, axis=1)
+        above = skeleton[2:-1, 2]  # the shoulder belongs where it is
         return clearance(outside, above)
+
+    return clear
 
 
 def _robot(spec: ArmSpec) -> Arm:
     return Arm(spec.robot or "arm", arm_files(spec, resolve_arm(spec)))
-
-
-def _farthest(robot: InverseKinematics, rng: np.random.Generator) -> float:
-    """How far the tip gets from the base, over the ground as well as up [m]."""
-    limits = np.clip(robot.arm.position_limits, -np.pi, np.pi)
-    tips = [robot.arm.tip_pose(rng.uniform(*limits.T))[:3, 3] for _ in range(400)]
-    return float(np.max(np.linalg.norm(tips, axis=1)))
 
 
 def lifted(height: float) -> np.ndarray:

@@ -1,0 +1,63 @@
+"""Warnings about a start that is possible but probably not meant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.dynamics.system import System
+from multiarm.scene import JointSpec
+from multiarm.scene.faults import place
+
+# A joint may be off the object's shape by a fingertip [m], beside the surface that it states.
+FINGERTIP = 0.02
+# Joints that assembly moves by less [rad, m] were written at their limits.
+MOVED = 1e-9
+
+
+def start_warnings(system: System) -> list[str]:
+    """Joints off the object's shape, and written postures that assembly pushed into a limit."""
+    return [*_joints_off_the_object(system), *_joints_at_limits(system)]
+
+
+def _joints_off_the_object(system: System) -> list[str]:
+    """Of joints whose kind states the contacts; listed contacts have surfaces of their own."""
+    found = []
+    for number, joint in enumerate(system.scene.joints):
+        point = system.frames[joint.arm].on_object[:3, 3]
+        nearest = None if joint.as_listed else system.scene.object.shape.nearest(point)
+        if nearest is None:
+            continue
+        distance = float(np.linalg.norm(point - nearest))
+        if distance <= FINGERTIP + _own_size(joint):
+            continue
+        where, remedy = place(("joints", number)), "'at'"
+        if joint.at is None:
+            remedy = "the posture or the base, since without 'at' the joint is where the tip is"
+        there = ", ".join(f"{x:.3g}" for x in nearest)
+        found.append(
+            f"{where}: the joint of arm {joint.arm!r} is {distance:.3g} m off the object's shape, "
+            f"whose nearest point is [{there}] in the object's frame; correct {remedy}, or "
+            "leave it if the object has a handle there"
+        )
+    return found
+
+
+def _own_size(joint: JointSpec) -> float:
+    """Radii of the fingertip and of the surface on the object, where the joint has them [m]."""
+    return sum(getattr(joint, name, None) or 0.0 for name in ("tip_radius", "radius"))
+
+
+def _joints_at_limits(system: System) -> list[str]:
+    start, found = system.initial_state().joint_positions, []
+    for path in system.start_report.at_limit:
+        arm, joint = path.split("/", 1)
+        k = system.arms[arm].joint_names.index(joint)
+        written, limit = system.model.robots[arm].posture[k], start[arm][k]
+        if abs(written - limit) > MOVED:
+            unit = system.arms[arm].joint_units[joint]
+            found.append(
+                f"{place(('arms', arm, 'posture'))}: {joint!r} is written at {written:.6g} {unit}; "
+                f"to close the joints, assembly pushed it into its limit {limit:.6g} {unit}; "
+                "correct the posture, the base or the joint's place"
+            )
+    return found

@@ -1,0 +1,125 @@
+"""Robots with several arms: which arms of a scene are one robot, and what they must agree on.
+
+Arms of one file on one base are one robot, since two robots cannot stand in one place.  Each moves
+the joints on the way to its tip; those of the trunk, which are on the way to several tips, must be
+locked.  A position at which one arm locks a joint that no arm moves, such as the neck, is the
+robot's.
+
+Arms whose way contains that of another are robots of their own: a mechanism may have two equal
+chains on one pivot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from multiarm.scene.arms import ArmSpec, Examination
+from multiarm.scene.faults import Parts, listed
+
+Arms = Mapping[str, ArmSpec]
+Found = Mapping[str, Examination]
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot of a scene.
+
+    Attributes
+    ----------
+    arms : tuple of str
+        In the order of the scene.
+    lock : dict of str to float
+        Of several arms, joints that one locks and none moves: their positions [rad] or [m].
+    """
+
+    arms: tuple[str, ...]
+    lock: dict[str, float]
+
+
+def robots_of(arms: Arms, found: Found) -> tuple[Robot, ...]:
+    """The robots that the arms are, of which ``found`` has the facts."""
+    groups: list[list[str]] = []
+    for name in arms:
+        own = [g for g in groups if all(_one_robot(name, other, arms, found) for other in g)]
+        if own:
+            own[0].append(name)
+        else:
+            groups.append([name])
+    return tuple(Robot(tuple(group), _lock(group, arms, found)) for group in groups)
+
+
+def _one_robot(name: str, other: str, arms: Arms, found: Found) -> bool:
+    ours, theirs = found[name], found[other]
+    ways = set(ours.way), set(theirs.way)
+    if ours.urdf != theirs.urdf or ways[0] <= ways[1] or ways[1] <= ways[0]:
+        return False
+    if arms[name].open_base or arms[other].open_base:  # each is found by itself
+        return False
+    return np.allclose(arms[name].base.matrix(), arms[other].base.matrix(), rtol=0.0, atol=1e-9)
+
+
+def _lock(group: list[str], arms: Arms, found: Found) -> dict[str, float]:
+    if len(group) == 1:
+        return {}
+    moved = {joint for name in group for joint in found[name].joint_names or ()}
+    fixed = found[group[0]].robot_joints - moved
+    return {j: q for name in group for j, q in arms[name].lock.items() if j in fixed}
+
+
+def robot_faults(robot: Robot, arms: Arms, found: Found) -> Iterator[tuple[Parts, str]]:
+    """Joints that several arms would move, or that they lock at different positions."""
+    for k, name in enumerate(robot.arms):
+        for other in robot.arms[:k]:
+            ours, theirs = arms[name].lock, arms[other].lock
+            who = f"arms {other!r} and {name!r} are one robot (of one file, on one base)"
+            trunk = [joint for joint in found[name].way if joint in found[other].way]
+            loose = [joint for joint in trunk if joint not in ours or joint not in theirs]
+            if loose:
+                held = ", ".join(f"{j}: {ours.get(j, theirs.get(j, 0.0)):g}" for j in loose)
+                yield (
+                    ("arms", name),
+                    f"{who}, and both tips hang on {listed(loose)}: hold such joints fixed in both "
+                    f"arms, lock: {{{held}}}; or give two robots different bases",
+                )
+            for joint in robot.lock:
+                q = ours.get(joint), theirs.get(joint)
+                if None not in q and q[0] != q[1]:
+                    yield (
+                        ("arms", name, "lock", joint),
+                        f"{who}, but {other!r} locks {joint!r} at {q[1]:g}, {name!r} at {q[0]:g}; "
+                        "write one position",
+                    )
+
+
+def robot_warnings(robot: Robot, arms: Arms, found: Found) -> Iterator[tuple[Parts, str]]:
+    """The warnings about its arms, those about the whole robot once."""
+    told: set[str] = set()
+    for name in robot.arms:
+        for text in _arm_warnings(name, robot, arms, found):
+            if text not in told:
+                yield ("arms", name), text
+            told.add(text)
+
+
+def _arm_warnings(name: str, robot: Robot, arms: Arms, found: Found) -> Iterator[str]:
+    own, first = found[name], name == robot.arms[0]
+    for other in robot.arms:
+        moved = [joint for joint in found[other].joint_names or () if joint in arms[name].lock]
+        if moved and other != name:
+            yield f"'lock' has no effect on {listed(moved)}, which arm {other!r} moves"
+    resting = {
+        joint: q
+        for joint, q in own.resting.items()
+        if joint not in own.robot_joints  # a tool's
+        or (first and all(joint in found[other].resting for other in robot.arms))
+    }
+    if resting:
+        positions = ", ".join(f"{joint}: {q:g}" for joint, q in resting.items())
+        yield (
+            f"joints that are not on the way to the tip are locked at {{{positions}}}; "
+            "'lock' chooses other positions"
+        )
+    yield from own.warnings
