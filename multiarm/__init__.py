@@ -17,11 +17,13 @@ if TYPE_CHECKING:
     from multiarm import grasp
     from multiarm.assembly.compilation import compile_system
     from multiarm.control.user_control import Control
+    from multiarm.dynamics.derivatives import Derivatives
     from multiarm.dynamics.evaluation import Evaluation
     from multiarm.dynamics.inverse import inverse_dynamics
     from multiarm.dynamics.state import State
     from multiarm.dynamics.system import System
     from multiarm.effects.effect import Effect, Loads
+    from multiarm.events.derivatives import derivatives
     from multiarm.events.evaluation import evaluate
     from multiarm.reports.report import report
     from multiarm.results.trajectory import Trajectory, load_trajectory
@@ -47,6 +49,7 @@ _PACKAGES = ("grasp",)
 # Public name -> module that has it.  Imported when first used, so that `import multiarm` is light.
 _HOMES = {
     "Control": "control.user_control",
+    "Derivatives": "dynamics.derivatives",
     "Effect": "effects.effect",
     "Evaluation": "dynamics.evaluation",
     "Joint": "scene",
@@ -59,6 +62,7 @@ _HOMES = {
     "System": "dynamics.system",
     "Trajectory": "results.trajectory",
     "compile_system": "assembly.compilation",
+    "derivatives": "events.derivatives",
     "evaluate": "events.evaluation",
     "inverse_dynamics": "dynamics.inverse",
     "load_scene": "scene",
@@ -77,6 +81,7 @@ _HOMES = {
 
 __all__ = [
     "Control",
+    "Derivatives",
     "Effect",
     "Evaluation",
     "Joint",
@@ -90,6 +95,7 @@ __all__ = [
     "System",
     "Trajectory",
     "compile_system",
+    "derivatives",
     "evaluate",
     "grasp",
     "inverse_dynamics",

@@ -53,6 +53,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "arms.arm",
         "arms.backends",
         "scene.mjcf",
+        "arms.derivatives",
         "viewer",
         "studies.pinocchio_peer",
     ),
@@ -94,6 +95,8 @@ HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydant
 # What scripts written for this package rely on.
 PUBLIC_ATTRIBUTES = {
     "Control": "picture example torques build faults",
+    "Derivatives": "evaluation matrix message object_acceleration joint_accelerations "
+    "contact_forces",
     "Effect": "name Spec forces build",
     "Evaluation": "object_acceleration joint_accelerations contact_forces contact_forces_unique "
     "contact_points contact_normals position_residual velocity_residual residuals",
@@ -114,6 +117,7 @@ PUBLIC_ATTRIBUTES = {
 }
 PUBLIC_PARAMETERS = {
     "compile_system": "scene control sample_time sample_delay like",
+    "derivatives": "system t state closed_loop",
     "evaluate": "system t state",
     "inverse_dynamics": "system state object_acceleration relative_acceleration internal_forces",
     "load_scene": "path",

@@ -1,0 +1,407 @@
+r"""Derivatives of accelerations and contact forces with respect to state and torques.
+
+The equations of motion are :math:`F(x, y) = 0` for the unknowns :math:`y = (\dot v_o, \ddot q_i,
+\lambda_i)` of an evaluation, with the state and the torques :math:`x`:
+
+.. math::
+    F_i &= M_i \ddot q_i - h_i - W_i \lambda_i, \qquad
+    F_o = M_o \dot v_o - h_o - \sum_i W_{oi} \lambda_i \\
+    F_{\varphi i} &= \ddot\varphi_i = W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i .
+
+By the implicit function theorem :math:`dy = -K^{-1}\, \partial F`, where K has the matrices of the
+evaluation itself.  Each arm is solved on its own, and then the object:
+
+.. math::
+    \begin{bmatrix} M_i & -W_i \\ W_i^T & 0 \end{bmatrix}
+    \begin{bmatrix} d\ddot q_i \\ d\lambda_i \end{bmatrix} =
+    -\begin{bmatrix} \partial F_i \\ \partial F_{\varphi i} \end{bmatrix}
+    - \begin{bmatrix} 0 \\ W_{oi}^T \end{bmatrix} d\dot v_o .
+
+The right-hand sides at fixed y come from
+
+* Pinocchio's derivatives of the inverse dynamics of each arm under the wrench of its contacts, and
+  of the motion of the link that carries the tip (:mod:`multiarm.arms.derivatives`);
+* the contact rows, as functions of the link's motion seen from the object
+  (:mod:`multiarm.dynamics.contact_derivatives`);
+* differences of order four of control and effects, in scenes that have any.
+
+Displacements of the object are a shift of its centre of mass and a rotation vector, world axes:
+``position + shift``, ``retract(quaternion, turn)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.arms.derivatives import ArmDerivatives
+from multiarm.contacts.table import KIND, SIDE, TANGENT
+from multiarm.dynamics.arrays import OK
+from multiarm.dynamics.contact_derivatives import (
+    BODY_SIZE,
+    OFFSETS,
+    SCRATCH_ROWS,
+    SLOPES_WIDTH,
+    STEP,
+    STILL,
+    difference_weight,
+    differentiate_joint,
+    update_forces,
+)
+from multiarm.dynamics.evaluation import Evaluation
+from multiarm.dynamics.model import Data
+from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE, null_space
+from multiarm.dynamics.state import Layout, State
+from multiarm.errors import SolverError
+from multiarm.spatial import retract, skew
+
+# The world as the link of an arm without joints, see `differentiate_joint`.
+GROUND = np.concatenate([np.eye(3).ravel(), np.zeros(BODY_SIZE - 9)])
+# Part of the right-hand sides that dependent constraints may contradict: roundings and differences.
+CONSISTENT = 1e-7
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Derivatives of one quantity, shape (m,), as blocks of one matrix.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (m, 12 + 3 n)
+        By the columns of :class:`Derivatives`.
+    layout : Layout
+    """
+
+    matrix: np.ndarray
+    layout: Layout
+
+    @property
+    def d_object_pose(self) -> np.ndarray:
+        """By a shift [m] and a turn [rad] of the object, world axes, shape (m, 6)."""
+        return self.matrix[:, :6]
+
+    @property
+    def d_object_twist(self) -> np.ndarray:
+        """By the object's twist, shape (m, 6)."""
+        return self.matrix[:, 6:12]
+
+    @property
+    def d_joint_positions(self) -> Mapping[str, np.ndarray]:
+        """By the joint positions [rad, m], arm -> (m, n_i)."""
+        return self._joints(0)
+
+    @property
+    def d_joint_velocities(self) -> Mapping[str, np.ndarray]:
+        """By the joint velocities, arm -> (m, n_i)."""
+        return self._joints(1)
+
+    @property
+    def d_torques(self) -> Mapping[str, np.ndarray]:
+        """By torques [N m] or forces [N] that are added to the joints, arm -> (m, n_i)."""
+        return self._joints(2)
+
+    def _joints(self, part: int) -> dict[str, np.ndarray]:
+        first = 12 + part * self.layout.joints
+        return self.layout.split_joints(self.matrix[:, first : first + self.layout.joints])
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """Derivatives of an evaluation by a displacement of the state, and by torques.
+
+    Attributes
+    ----------
+    evaluation : Evaluation
+        What is differentiated.
+    matrix : ndarray, shape (6 + n + N, 12 + 3 n)
+        Of the object's acceleration, the joint accelerations and the contact forces, arm after arm,
+        by the object's pose and twist, the joint positions, the joint velocities and the torques.
+        NaN for forces that the equations leave open.
+    layout : Layout
+    message : str
+        What does not exist in this form, and why; else empty.
+    """
+
+    evaluation: Evaluation
+    matrix: np.ndarray
+    layout: Layout
+    message: str
+
+    @property
+    def object_acceleration(self) -> Sensitivity:
+        """Of the object's acceleration, six rows."""
+        return Sensitivity(self.matrix[:6], self.layout)
+
+    @cached_property
+    def joint_accelerations(self) -> Mapping[str, Sensitivity]:
+        """Of the joint accelerations, by arm."""
+        return self._by_arm(6, self.layout.dofs)
+
+    @cached_property
+    def contact_forces(self) -> Mapping[str, Sensitivity]:
+        """Of the contact forces, by arm."""
+        return self._by_arm(6 + self.layout.joints, self.layout.rows)
+
+    def _by_arm(self, first: int, bounds: tuple[int, ...]) -> dict[str, Sensitivity]:
+        return {
+            name: Sensitivity(self.matrix[first + a : first + b], self.layout)
+            for name, a, b in zip(self.layout.names, bounds, bounds[1:], strict=False)
+        }
+
+    def __repr__(self) -> str:
+        rows, columns = self.matrix.shape
+        return f"Derivatives({rows} rows by {columns} columns{self.message and '; '}{self.message})"
+
+
+def differentiate(data: Data, found: Evaluation, closed_loop: bool) -> tuple[np.ndarray, str]:
+    """The matrix and the message of :class:`Derivatives`, right after an evaluation of the data.
+
+    Raises
+    ------
+    SolverError
+        When the accelerations are not differentiable at this state.
+    """
+    derivation, layout = _Derivation(data, closed_loop), data.model.layout
+    independent = found.rank == layout.contacts
+    on_ground = layout.rows[-1] > layout.rows[len(layout.names)]
+    if independent and not (found.coupled_arms or data.model.constants.dense or on_ground):
+        return derivation.solve(), ""
+    matrix = derivation.solve_whole(along_joints=not independent)
+    if independent:
+        return matrix, ""
+    unique = np.concatenate(list(found.contact_forces_unique.values()))
+    matrix[6 + layout.joints :][~unique] = np.nan
+    return matrix, (
+        f"{layout.contacts - found.rank} of {layout.contacts} constraints repeat others: "
+        "displacements are projected on those that keep the joints closed, and forces that are not "
+        "unique have no derivatives"
+    )
+
+
+class _ArmEquations(NamedTuple):
+    """The derivatives of one arm's equations, and their matrix."""
+
+    dof: int
+    columns: np.ndarray  # of the right-hand sides: pose and twist of the object, this arm; or all
+    matrix: np.ndarray  # (n_i + N_i, n_i + N_i): M_i, -W_i; W_i^T, 0
+    of_object: np.ndarray  # (n_i + N_i, 6): 0; W_oi^T
+    dF: np.ndarray  # (n_i + N_i, ...) of F_i and F_phi, by these columns
+    rates: np.ndarray  # (N_i, 12 + 2 n_i) of the gap rates, by pose, twist, q and v
+
+    @property
+    def W_o(self) -> np.ndarray:
+        """(6, N_i)"""
+        return self.of_object[self.dof :].T
+
+
+class _Derivation:
+    """The derivatives of F at the solution in the data, and the solution for ``dy``."""
+
+    def __init__(self, data: Data, closed_loop: bool) -> None:
+        b, model, layout = data.arrays, data.model, data.model.layout
+        self.data, self.layout, self.columns = data, layout, 12 + 3 * layout.joints
+        self.state, self.inertia, self.qdd = data.get_state(), b.inertia.copy(), b.qdd.copy()
+        self.gravity, self.force = model.constants.gravity, b.force.copy()
+        R, position, twist = b.body[:9], self.state.object_position, self.state.object_twist
+        self.body = np.concatenate([R, position, np.zeros(3), twist, b.q_o])
+        self._scratch = np.zeros((SCRATCH_ROWS, BODY_SIZE))
+        self._scratch[STILL, :9] = np.eye(3).ravel()
+        self._rows, self._parts = np.zeros_like(b.contacts), np.zeros_like(b.parts)
+        self._slopes, self._wrench = np.zeros((layout.contacts, SLOPES_WIDTH)), np.zeros((7, 6))
+        self._applied = None  # derivatives of h_o and h, where these are more than weight and bias
+        if len(model.constants.control) or model.effects.kernels:
+            self._applied = self._forces_by_differences(closed_loop)
+            self.gravity = np.zeros(3)  # is in h
+        self.dF_o = self._object_equation()
+        self.arms = [self._arm(i) for i in range(len(layout.dofs) - 1)]
+
+    def solve(self) -> np.ndarray:
+        """``dy``, shape (6 + n + N, columns)."""
+        inertia, right = self.inertia.copy(), -self.dF_o
+        parts = []
+        for own in self.arms:
+            solved = np.linalg.solve(own.matrix, np.hstack([own.dF, own.of_object]))
+            solved, by_object = solved[:, :-6], solved[:, -6:]
+            inertia += own.W_o @ by_object[own.dof :]
+            right[:, own.columns] -= own.W_o @ solved[own.dof :]
+            parts.append((solved, by_object))
+        da_o = np.linalg.solve(inertia, right)
+        joints, forces = [], []
+        for own, (solved, by_object) in zip(self.arms, parts, strict=True):
+            found = -by_object @ da_o
+            found[:, own.columns] -= solved
+            joints.append(found[: own.dof])
+            forces.append(found[own.dof :])
+        return np.vstack([da_o, *joints, *forces])
+
+    def solve_whole(self, along_joints: bool) -> np.ndarray:
+        """``dy`` with arms that cannot be solved on their own.
+
+        ``along_joints``: by displacements projected on those that keep the joints closed, as
+        dependent constraints are solvable for these only.
+
+        Raises
+        ------
+        SolverError
+            When the rank of the constraints changes with these displacements.
+        """
+        layout, size = self.layout, 6 + self.layout.joints
+        whole = size + layout.contacts
+        K, dF = np.zeros((whole, whole)), np.zeros((whole, self.columns))
+        K[:6, :6], dF[:6] = self.inertia, self.dF_o
+        for i, own in enumerate(self.arms):
+            joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
+            at = np.r_[6 + joints.start : 6 + joints.stop, size + rows.start : size + rows.stop]
+            K[np.ix_(at, at)], K[at, :6] = own.matrix, own.of_object
+            K[:6, size + rows.start : size + rows.stop] = -own.W_o
+            dF[np.ix_(at, own.columns)] = own.dF
+        states = 12 + 2 * layout.joints
+        if along_joints:
+            dF[:, :states] = dF[:, :states] @ self._admissible()
+        scale = np.concatenate([1.0 / np.sqrt(np.diag(K)[:size]), np.ones(layout.contacts)])
+        lengths = np.linalg.norm(scale[:size, None] * K[:size, size:], axis=0)
+        scale[size:] = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
+        u, singular, vt = np.linalg.svd(scale[:, None] * K * scale)
+        rank = int(np.sum(singular > SYSTEM_TOLERANCE * singular[0]))
+        right = u.T @ (scale[:, None] * dF)
+        if np.abs(right[rank:]).max(initial=0.0) > CONSISTENT * np.abs(right).max():
+            raise SolverError(
+                "derivatives: the rank of the constraints changes at this state, so that "
+                "accelerations are not differentiable there; take a state beside it"
+            )
+        return -scale[:, None] * (vt[:rank].T @ (right[:rank] / singular[:rank, None]))
+
+    def _admissible(self) -> np.ndarray:
+        """Projector on displacements of the state that keep gaps and gap rates, (12 + 2 n,) * 2."""
+        layout, states = self.layout, 12 + 2 * self.layout.joints
+        codes = self.data.model.constants.codes
+        rows = []
+        for i, own in enumerate(self.arms):
+            joints = _range(layout.dofs, i)
+            has_gap = codes[_range(layout.rows, i), KIND] != TANGENT
+            gaps, rates = np.zeros((2, len(own.rates), states))
+            gaps[:, :6], gaps[:, 12:][:, joints] = own.W_o.T, own.matrix[own.dof :, : own.dof]
+            at = np.arange(12 + 2 * own.dof)
+            at[12:] += np.repeat([0, layout.joints - own.dof], own.dof) + joints.start
+            rates[:, at] = own.rates
+            rows += [gaps[has_gap], rates]
+        constraint = np.vstack(rows)
+        lengths = np.linalg.norm(constraint, axis=1)
+        basis = null_space(constraint[lengths > 0.0] / lengths[lengths > 0.0, None]).basis
+        return basis @ basis.T
+
+    def _object_equation(self) -> np.ndarray:
+        """Derivatives of ``M_o a_o - h_o``; those of the contacts' wrenches come from the arms."""
+        found, I = np.zeros((6, self.columns)), self.inertia[3:, 3:]  # noqa: E741
+        omega, alpha = skew(self.state.object_twist[3:]), self.body[-3:]
+        found[3:, 3:6] = I @ skew(alpha) - skew(I @ alpha)  # the inertia turns with the object
+        if self._applied is None:  # h_o is the weight and -omega x I omega
+            gyroscopic = I @ omega - skew(I @ self.state.object_twist[3:])
+            found[3:, 3:6] += omega @ gyroscopic
+            found[3:, 9:12] = omega @ I - skew(I @ self.state.object_twist[3:])
+        else:
+            found[:, : self._applied.shape[1]] -= self._applied[:6]
+        return found
+
+    def _arm(self, i: int) -> _ArmEquations:
+        """Equations of one arm; its wrench is taken from the object's equation."""
+        layout, joints = self.layout, _range(self.layout.dofs, i)
+        n, m = joints.stop - joints.start, layout.rows[i + 1] - layout.rows[i]
+        at = self.state.position[7:][joints], self.state.velocity[6:][joints], self.qdd[joints]
+        arm = self._arm_derivatives(layout.names[i]) if i < len(layout.names) else None
+        link, tables = GROUND, np.zeros((0, 6))  # the surroundings are an arm without joints
+        if arm is not None:
+            link, tables = arm.link_motion(*at)
+        gaps, rates = np.zeros((2, m, 18 + 3 * n))
+        on_object, on_link = np.zeros((2, 19 + 3 * n, 6))
+        status = differentiate_joint(
+            self.data.struct, i, self.body, link, tables, self.force, self._scratch, self._rows,
+            self._parts, self._slopes, self._wrench, gaps, rates, on_object, on_link,
+        )  # fmt: skip
+        if status != OK:
+            self.data.reraise()
+        W = gaps[:, 18 + 2 * n :].T
+        self._add_joint_rows(i, W)
+        by_q, by_v, M = np.zeros((3, n, n))
+        if arm is not None:
+            angles, speeds, qdd = at
+            if self._applied is not None:  # the bias is among the forces
+                speeds = np.zeros(n)
+            by_q, by_v, M = arm.inverse_dynamics(angles, speeds, qdd, on_link[-1])
+        # by pose and twist of the object, q, v and torques of the arm
+        of_q, of_v, of_torque = (slice(12 + k * n, 12 + (k + 1) * n) for k in range(3))
+        dF, on_link = np.zeros((n + m, 12 + 3 * n)), on_link @ tables[3 * n :].T
+        dF[:n, :6] = -on_link[:6].T
+        dF[:n, of_q] = by_q - on_link[18 : 18 + n].T
+        dF[:n, of_torque] = -np.eye(n)
+        dF[n:, :12], dF[n:, 12 : of_v.stop] = gaps[:, :12], gaps[:, 18 : 18 + 2 * n]
+        columns = np.arange(12 + 3 * n)
+        columns[12:] += np.repeat(np.arange(3) * (layout.joints - n) + joints.start, n)
+        if self._applied is None:
+            dF[:n, of_v] = by_v
+        else:
+            whole = np.zeros((n + m, self.columns))
+            whole[:, columns] = dF
+            whole[:n, : self._applied.shape[1]] -= self._applied[6:][joints]
+            columns, dF = np.arange(self.columns), whole
+        self.dF_o[:, :6] -= on_object[:6].T
+        self.dF_o[:, 12 + joints.start : 12 + joints.stop] -= on_object[18 : 18 + n].T
+        K, of_object = np.zeros((n + m, n + m)), np.zeros((n + m, 6))
+        K[:n, :n], K[:n, n:], K[n:, :n], of_object[n:] = M, -W, W.T, gaps[:, 12:18]
+        by_state = np.hstack([rates[:, :12], rates[:, 18 : 18 + 2 * n]])
+        return _ArmEquations(n, columns, K, of_object, dF, by_state)
+
+    def _arm_derivatives(self, name: str) -> ArmDerivatives:
+        """Those of an arm, kept with the data; without gravity where that is among the forces."""
+        key = ("derivatives", name, tuple(self.gravity.tolist()))
+        if key not in self.data.cache:
+            arm = self.data.model.arms[name]
+            self.data.cache[key] = ArmDerivatives(arm, self.gravity)
+        return self.data.cache[key]
+
+    def _add_joint_rows(self, i: int, W: np.ndarray) -> None:
+        """Columns of ``W`` that belong to joints of the arm."""
+        layout, constants = self.layout, self.data.model.constants
+        for arm, row, joint in constants.joint_rows:
+            if arm == i:
+                W[joint - layout.dofs[i], row - layout.rows[i]] = constants.geometry[row, SIDE]
+
+    def _forces_by_differences(self, closed_loop: bool) -> np.ndarray:
+        """Derivatives of ``h_o`` and ``h`` by pose, twist, positions and velocities."""
+        n, b = self.layout.joints, self.data.arrays
+        found = np.zeros((6 + n, 12 + 2 * n))
+        for column in range(12 + 2 * n):
+            for offset in OFFSETS:
+                self.data.move_to(_displaced(self.state, column, offset * STEP))
+                if update_forces(self.data.struct) != OK:
+                    self.data.reraise()
+                weight = difference_weight(offset)
+                found[:6, column] += weight * b.h_o
+                found[6:, column] += weight * (b.h if closed_loop else b.h - b.torque)
+        self.data.move_to(self.state)
+        update_forces(self.data.struct)
+        return found
+
+
+def _range(bounds: tuple[int, ...], i: int) -> slice:
+    return slice(bounds[i], bounds[i + 1])
+
+
+def _displaced(state: State, column: int, amount: float) -> State:
+    """A state moved along one of the first columns."""
+    moved, n = state.copy(), state.layout.joints
+    if column < 3:
+        moved.position[column] += amount
+    elif column < 6:
+        moved.position[3:7] = retract(state.position[3:7], amount * np.eye(3)[column - 3])
+    elif column < 12:
+        moved.velocity[column - 6] += amount
+    elif column < 12 + n:
+        moved.position[7 + column - 12] += amount
+    else:
+        moved.velocity[6 + column - 12 - n] += amount
+    return moved

@@ -1,0 +1,63 @@
+"""Derivatives of an evaluation of any scene, with or without unilateral contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.dynamics import evaluation
+from multiarm.dynamics.derivatives import Derivatives, differentiate
+from multiarm.dynamics.state import State
+from multiarm.dynamics.system import System
+from multiarm.errors import SolverError
+from multiarm.events.evaluation import evaluate_data, mode_at
+
+
+def derivatives(
+    system: System, t: float = 0.0, state: State | None = None, *, closed_loop: bool = True
+) -> Derivatives:
+    """Differentiate accelerations and contact forces with respect to state and torques.
+
+    By implicit differentiation of the equations of motion (:mod:`multiarm.dynamics.derivatives`),
+    exact to about 1e-10 of the largest term.  With unilateral contacts, those that are closed at
+    the state stay closed, and the forces of open ones are zero.
+
+    >>> D = ma.derivatives(system)
+    >>> D.joint_accelerations["left"].d_torques["right"]
+
+    Parameters
+    ----------
+    system : System
+    t : float
+        Time, for control and loads [s].
+    state : State, optional
+        The start when left out.  It need not satisfy the joints.
+    closed_loop : bool
+        The control's torques depend on the state; False: they are held.
+
+    Raises
+    ------
+    SolverError
+        When the state cannot be evaluated, or accelerations are not differentiable there: the rank
+        of the constraints changes, or contacts slide with friction.
+    ControlError
+        When a Python controller returns something unusable.
+    """
+    state = system.initial_state() if state is None else state
+    with system.borrow() as data:
+        if data.model.unilateral is None:
+            found = evaluation.evaluate(data, t, state)
+            matrix, message = differentiate(data, found, closed_loop)
+            return Derivatives(found, matrix, data.model.layout, message)
+        mode = mode_at(data, t, state)
+        if len(mode.arrays.slides):
+            raise SolverError(
+                "derivatives: contacts slide with friction at this state, whose direction turns "
+                "with the slip; take a state where they stick, or leave friction out"
+            )
+        own = evaluation.evaluate(mode.data, t, state)
+        matrix, message = differentiate(mode.data, own, closed_loop)
+        layout, moving = data.model.layout, 6 + data.model.layout.joints
+        held = np.concatenate([np.arange(moving), moving + mode.arrays.held])
+        scattered = np.zeros((moving + layout.contacts, matrix.shape[1]))
+        scattered[held] = matrix
+        return Derivatives(evaluate_data(data, t, state), scattered, layout, message)

@@ -1,0 +1,314 @@
+"""Claims about derivatives of accelerations and contact forces.
+
+The independent answers are differences of evaluations, of order four, which share neither the
+implicit function theorem nor a derivative with the code under test; Pinocchio's own derivatives of
+constrained dynamics; and, where constraints are dependent, displacements that keep the joints
+closed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mechanics import (
+    SCENES,
+    UR5_POSTURE,
+    planar_pair,
+    random_state,
+    scene_of,
+    two_arm_block,
+    ur5_pair,
+)
+from scipy.linalg import null_space
+from scipy.spatial.transform import Rotation
+from test_dynamics import forest
+
+import multiarm as ma
+from multiarm.assembly.start import project_start
+from multiarm.errors import SolverError
+from multiarm.spatial import retract
+
+STEP = 1e-4
+
+
+def moved(state, column: int, amount: float):
+    """The state displaced along one column of the derivatives."""
+    other, n = state.copy(), state.layout.joints
+    if 3 <= column < 6:
+        turn = amount * np.eye(3)[column - 3]
+        other.position[3:7] = retract(state.position[3:7], turn)
+    elif column < 3:
+        other.position[column] += amount
+    elif column < 12:
+        other.velocity[column - 6] += amount
+    elif column < 12 + n:
+        other.position[column - 5] += amount
+    else:
+        other.velocity[column - 6 - n] += amount
+    return other
+
+
+def answers(system, state, t=0.3):
+    """Accelerations of object and joints, and contact forces."""
+    ev = ma.evaluate(system, t, state)
+    return np.concatenate(
+        [ev.object_acceleration, *ev.joint_accelerations.values(), *ev.contact_forces.values()]
+    )
+
+
+def difference(function):
+    """Derivative at 0 to order four."""
+    values = {k: function(k * STEP) for k in (-2, -1, 1, 2)}
+    return (8.0 * (values[1] - values[-1]) - values[2] + values[-2]) / (12.0 * STEP)
+
+
+def assert_equal(found, expected, tolerance=1e-8):
+    size = np.abs(expected).max(axis=1, keepdims=True) + 1.0
+    np.testing.assert_allclose(found / size, expected / size, atol=tolerance)
+
+
+CURVED = {
+    "kind": "contacts",
+    "contacts": [
+        {
+            "arm": {"sphere": {"radius": 0.05}},
+            "object": {"ellipsoid": {"semi_axes": [0.6, 0.3, 0.2]}},
+        },
+    ],
+}  # fmt: skip
+BALL = {"kind": "ball"}
+REGULAR = {
+    **{
+        kind: lambda kind=kind: ur5_pair({"kind": kind}, BALL)
+        for kind in (
+            "weld", "revolute", "prismatic", "cylindrical", "universal", "planar", "point_on_plane",
+        )
+    },
+    "point_on_cylinder": lambda: ur5_pair({"kind": "point_on_cylinder", "radius": 0.2}, BALL),
+    "point_on_sphere": lambda: ur5_pair({"kind": "point_on_sphere", "radius": 0.3}, BALL),
+    "fingertips": lambda: two_arm_block(),
+    "an ellipsoid": lambda: ur5_pair(CURVED, BALL),
+    "rolling": lambda: ma.load_scene(SCENES / "corner_grippers_block.yaml"),
+    "damping, drag, a load": lambda: ur5_pair(
+        {"kind": "weld"}, BALL, gravity=[0, 0, -9.81], effects={
+            "joint_damping": 0.5, "rotor_inertia": {"left": 0.3, "right": 0.1},
+            "drag": {"linear": [1, 2, 3], "quadratic": [4, 5, 6]},
+            "external_wrenches": [{"on": "left/wrist_3_link", "force": [9, 2, 1]}],
+        },
+    ),
+    "a path": lambda: ur5_pair(
+        {"kind": "weld"}, BALL, gravity=[0, 0, -9.81], control={
+            "kind": "joint_pd", "stiffness": 100, "damping": 10,
+            "path": [{"time": 1, "xyz": [0, 0, 0.55]}],
+        },
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REGULAR)
+def test_derivatives_are_those_of_differences(name, rng):
+    system = ma.compile_system(REGULAR[name]())
+    state = random_state(system, rng, turn=0.1, speed=0.5)
+    found = ma.derivatives(system, 0.3, state)
+    assert found.message == ""
+    columns = range(12 + 2 * state.layout.joints)
+    expected = [difference(lambda h, c=c: answers(system, moved(state, c, h))) for c in columns]
+    assert_equal(found.matrix[:, : len(columns)], np.array(expected).T)
+
+
+def test_torques_move_every_arm():
+    """By torques the equations are linear: one difference is the derivative."""
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, BALL))
+    state = system.initial_state()
+    found = ma.derivatives(system, 0.0, state)
+    for arm in system.arm_names:
+        for joint in range(6):
+            torque = {arm: np.eye(6)[joint]}
+            pushed = system.with_control(lambda t, s, torque=torque: torque)
+            change = answers(pushed, state) - answers(system, state)
+            n = system.model.layout.joints
+            column = 12 + 2 * n + 6 * system.arm_names.index(arm) + joint
+            np.testing.assert_allclose(found.matrix[:, column], change, atol=1e-9)
+    block = found.joint_accelerations["left"].d_torques["right"]
+    assert block.shape == (6, 6) and np.abs(block).max() > 1e-3
+    np.testing.assert_array_equal(found.object_acceleration.d_torques["left"].shape, (6, 6))
+    assert found.contact_forces["right"].d_object_pose.shape == (3, 6)
+
+
+def test_in_open_loop_the_torques_are_held(rng):
+    control = {"kind": "joint_pd", "stiffness": 100, "damping": 10}
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, BALL, control=control))
+    state = random_state(system, rng, turn=0.1)
+    torques = ma.evaluate(system, 0.0, state).joint_torques
+    held = ma.derivatives(system.with_control(lambda t, s: torques), 0.0, state).matrix
+    open_loop = ma.derivatives(system, 0.0, state, closed_loop=False)
+    np.testing.assert_allclose(open_loop.matrix, held, atol=1e-9 * np.abs(held).max())
+    closed = ma.derivatives(system, 0.0, state)
+    one, other = (
+        found.joint_accelerations["left"].d_joint_velocities["left"]
+        for found in (closed, open_loop)
+    )
+    by_torque = closed.joint_accelerations["left"].d_torques["left"]
+    np.testing.assert_allclose(one - other, -10.0 * by_torque, atol=1e-8 * np.abs(one).max())
+
+
+@pytest.mark.parametrize("kind", ["weld", "ball"])
+def test_derivatives_are_those_of_pinocchio(kind):
+    """Of its constrained dynamics, along displacements that keep the joints closed.
+
+    Pinocchio's own derivatives serve for rows of six; those of three between two bodies are not the
+    differences of its dynamics, which are taken instead.
+    """
+    system = ma.compile_system(ur5_pair({"kind": kind}, {"kind": kind}, gravity=[0, 0, -9.81]))
+    state = system.initial_state()
+    model, at = forest(system)
+    R = Rotation.from_quat(state.object_quaternion_xyzw).as_matrix()
+    X_WO = pin.SE3(R, state.object_position)
+    q = [arm.configuration(state.joint_positions[name]) for name, arm in system.arms.items()]
+    q = np.concatenate([*q, state.object_position, state.object_quaternion_xyzw])
+    models, datas, joint = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData(), 0
+    contact = pin.ContactType.CONTACT_6D if kind == "weld" else pin.ContactType.CONTACT_3D
+    for name, arm in system.arms.items():
+        X_OT = X_WO.inverse() * pin.SE3(arm.tip_pose(state.joint_positions[name]))
+        models.append(
+            pin.RigidConstraintModel(
+                contact, model, joint + arm.tip_joint,
+                pin.SE3(arm.tip_rotation, arm.tip_translation), at, X_OT, pin.ReferenceFrame.LOCAL,
+            )
+        )  # fmt: skip
+        datas.append(models[-1].createData())
+        joint += arm.dof
+    data, still = model.createData(), np.zeros(model.nv)
+    settings = pin.ProximalSettings(1e-15, 1e-9, 200)
+
+    def accelerations(at):
+        pin.initConstraintDynamics(model, data, models, datas)
+        return pin.constraintDynamics(model, data, at, still, still, models, datas, settings).copy()
+
+    accelerations(q)
+    pin.computeConstraintDynamicsDerivatives(model, data, models, datas, settings)
+    by_q, by_torque = data.ddq_dq.copy(), data.ddq_dtau.copy()
+    pin.computeJointJacobians(model, data, q)
+    closing = null_space(pin.getConstraintsJacobian(model, data, models, datas))
+    if kind == "ball":
+        axes = np.eye(model.nv)
+        along = [
+            difference(lambda h, e=e: accelerations(pin.integrate(model, q, h * e))) for e in axes
+        ]
+        by_q = np.array(along).T
+    n = state.layout.joints
+    joints = ma.derivatives(system, 0.0, state).matrix[6 : 6 + n]
+    assert_equal(joints[:, 12 + 2 * n :], by_torque[:n, :n], 1e-9)
+    of_object = np.kron(np.eye(2), R) @ closing[n:]  # in world axes
+    found = joints[:, :6] @ of_object + joints[:, 12 : 12 + n] @ closing[:n]
+    assert_equal(found, by_q[:n] @ closing, 1e-9)
+
+
+# --- dependent constraints ------------------------------------------------------------------------
+
+
+def displacement(base, other):
+    """The columns between two states."""
+    turn = Rotation.from_quat(other.position[3:7]) * Rotation.from_quat(base.position[3:7]).inv()
+    change, faster = other.position - base.position, other.velocity - base.velocity
+    return np.concatenate([change[:3], turn.as_rotvec(), faster[:6], change[7:], faster[6:]])
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("kind", ["weld", "ball"])
+def test_dependent_constraints_are_differentiated_along_the_joints(kind, moving, rng):
+    """Each of two arms in the plane keeps the disc there: some rows say the same twice."""
+    system = ma.compile_system(planar_pair("planar_3r", [0.4, 0.7, -0.5], {"kind": kind}))
+
+    def on_joints(state):
+        with system.borrow() as data:
+            return project_start(data, system.scene, state)[0]
+
+    state = system.initial_state()
+    if moving:
+        state = on_joints(random_state(system, rng, turn=0.0))
+    found = ma.derivatives(system, 0.3, state)
+    # of the arms' ball joints together no row says the same twice
+    assert ("repeat others" in found.message) == (kind == "weld")
+    unique = np.concatenate([np.ones(12, bool), *found.evaluation.contact_forces_unique.values()])
+    assert np.all(np.isfinite(found.matrix[unique])) and np.all(np.isnan(found.matrix[~unique]))
+    tangents, seen = [], 0.0
+    for _ in range(12):
+        direction = rng.standard_normal(12 + 2 * state.layout.joints)
+
+        def along(h, direction=direction):
+            other = state
+            for column, amount in enumerate(direction):
+                other = moved(other, column, 0.3 * h * amount)
+            return on_joints(other)
+
+        tangent = difference(lambda h: displacement(state, along(h)))
+        tangents.append(tangent / np.linalg.norm(tangent))
+        expected = difference(lambda h: answers(system, along(h)))[unique]
+        one = found.matrix[unique][:, : len(tangent)] @ tangent
+        np.testing.assert_allclose(one, expected, atol=1e-7 * (1.0 + np.abs(expected).max()))
+        seen = max(seen, np.abs(expected).max())
+    assert seen > 1e-3
+    if found.message:  # displacements that break the joints count by what is left of them on these
+        u, size, _ = np.linalg.svd(np.array(tangents).T, full_matrices=False)
+        basis = u[:, size > 1e-6 * size[0]]
+        assert basis.shape[1] == 2 * (12 - found.evaluation.rank)
+        by_state = found.matrix[unique][:, : len(basis)]
+        left = by_state - by_state @ basis @ basis.T
+        np.testing.assert_allclose(left, 0.0, atol=1e-6 * np.abs(by_state).max())
+
+
+# --- contacts that open ---------------------------------------------------------------------------
+
+
+ARM = {"robot": "ur5", "tip": "tool0", "posture": UR5_POSTURE, "base": {"xyz": [-1.1, 0, 0]}}
+
+
+def over_floor(gap, **friction):
+    """An arm holds a heavy box by a ball joint, whose bottom is a gap above the floor."""
+    body = {"shape": {"box": [0.6, 0.5, 0.4]}, "mass": 50.0, "pose": {"xyz": [0, 0, 0.5]}}
+    floor = {"at": {"xyz": [0, 0, 0.3 - gap]}, **friction}
+    joint = {"arm": "arm", "kind": "ball"}
+    return ma.compile_system(
+        scene_of(
+            {"arm": ARM}, [joint], object=body, gravity=[0, 0, -9.81], effects={"floor": floor},
+        )
+    )  # fmt: skip
+
+
+def test_open_contacts_have_no_part():
+    """Far above the floor the derivatives are those without it."""
+    system = over_floor(0.1)
+    found = ma.derivatives(system)
+    assert set(found.evaluation.contact_states["floor"]) == {"open"}
+    free = system.scene.replace(effects={})
+    expected = ma.derivatives(ma.compile_system(free)).matrix
+    np.testing.assert_allclose(found.matrix[: len(expected)], expected, atol=1e-9)
+    assert not found.matrix[len(expected) :].any() and len(found.matrix) == len(expected) + 8
+
+
+def test_closed_contacts_stay_closed():
+    """Four corners on the floor, where three are enough: torques change what is unique."""
+    system = over_floor(0.0)
+    found = ma.derivatives(system)
+    closed = np.array(found.evaluation.contact_states["floor"]) != "open"
+    assert closed.sum() == 4 and "1 of 7 constraints repeat others" in found.message
+    assert np.isnan(found.matrix[-8:][closed]).all() and not found.matrix[-8:][~closed].any()
+    assert np.isfinite(found.matrix[:-8]).all()
+
+    def pushed(torque):
+        system_with = system.with_control(lambda t, s: {"arm": torque})
+        return answers(system_with, system.initial_state())[:12]
+
+    for joint in range(6):
+        change = pushed(np.eye(6)[joint]) - pushed(np.zeros(6))
+        np.testing.assert_allclose(found.matrix[:12, 24 + joint], change, atol=1e-9)
+
+
+def test_sliding_is_refused_with_the_reason():
+    system = over_floor(0.0, mu=0.3)
+    state = system.initial_state()
+    state.velocity[0] = 0.2
+    with pytest.raises(SolverError, match="contacts slide with friction at this state"):
+        ma.derivatives(system, 0.0, state)
