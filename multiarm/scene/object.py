@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -29,6 +28,7 @@ from typing_extensions import Self
 from multiarm.scene.faults import fault, shown
 from multiarm.scene.values import (
     Color,
+    FilePath,
     OneOf,
     Pose,
     Positive,
@@ -245,7 +245,7 @@ class Cylinder(Spec):
 class Mesh(Spec):
     """A mesh, its origin at the centre of mass."""
 
-    file: Path
+    file: FilePath
     """An STL or OBJ file, for instance."""
     scale: Annotated[
         tuple[float, float, float],
@@ -306,6 +306,15 @@ class ObjectSpec(Spec):
     def _inertia_is_known(self) -> Self:
         if self.shape.mesh is not None and self.inertia is None:
             raise fault("a mesh needs 'inertia' (about the centre of mass, in kg m^2)")
+        if self.inertia is None and self.shape.hull is None:
+            try:
+                moments = np.diag(self.shape.uniform_inertia(self.mass))
+            except OverflowError:
+                moments = np.array([np.inf])
+            if not (np.isfinite(moments).all() and moments.min() > 0.0):
+                raise fault(
+                    "its size and mass are beyond the numbers of a computer; SI units are m, kg"
+                )
         return self
 
     @model_validator(mode="after")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
@@ -41,6 +42,7 @@ from multiarm.jit.structs import struct_of
 from multiarm.results.event_log import EventLog
 from multiarm.results.sinks import Sink
 from multiarm.scene import RunSpec
+from multiarm.scene.faults import shown
 from multiarm.scene.run import DEFAULT_ACCURACY, AccuracySpec
 from multiarm.scene.schema import FRICTION, method_fault
 from multiarm.simulation.solver_log import SolverLog
@@ -211,8 +213,8 @@ def positive(name: str, value: float) -> float:
     ------
     SolverError
     """
-    if not value > 0.0:
-        raise SolverError(f"{name}: must be greater than 0, got {value!r}")
+    if not isinstance(value, Real) or not value > 0.0:
+        raise SolverError(f"{name}: must be a number greater than 0, got {shown(value)}")
     return float(value)
 
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
 from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System, require_control
+from multiarm.dynamics.system import System, require_control, require_system
+from multiarm.errors import MultiarmError, TrajectoryError
+from multiarm.results.files import resolved
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
+from multiarm.scene.faults import shown
 from multiarm.simulation.certified import Attempts
 from multiarm.simulation.run import Progress, Task
 from multiarm.simulation.setup import run_spec
@@ -99,6 +101,8 @@ def simulate(
 
     Raises
     ------
+    ModelError
+        When ``system`` is no system, or ``state`` none of its states.
     SceneError
         When the settings contradict each other.
     SolverError, ControlError
@@ -107,6 +111,8 @@ def simulate(
     TrajectoryError
         When ``out`` cannot be written.
     """
+    system = require_system(system, "ma.simulate(system)")
+    state = None if state is None else system.checked(state)
     spec = run_spec(
         system.scene.run,
         {"duration": duration, "stabilization": stabilization, "output_step": output_step},
@@ -115,6 +121,8 @@ def simulate(
     )
     system = system.with_solver(spec.solver)
     require_control(control, sample_time, sample_delay)
+    if progress is not None and not callable(progress):
+        raise MultiarmError(f"progress: must be a function of the time, got {shown(progress)}")
     if control is not None:
         system = system.with_control(control, sample_time, sample_delay)
     if max_step is None:
@@ -123,7 +131,7 @@ def simulate(
         for callback in data.user_callbacks:
             callback.forget()
         task = Task(system, data, spec, state, max_step)
-        attempts = Attempts(task, None if out is None else Path(out), progress)
+        attempts = Attempts(task, None if out is None else resolved(out, TrajectoryError), progress)
         trajectory = attempts.first()
         if certificate and spec.accuracy is not None and trajectory.status == "completed":
             trajectory = attempts.certify()

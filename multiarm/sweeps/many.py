@@ -24,7 +24,7 @@ import numpy as np
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System, require_control
+from multiarm.dynamics.system import System, require_control, require_system
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
@@ -130,6 +130,7 @@ def simulate_many(
         "sample_delay": sample_delay,
         "certificate": certificate,
     }
+    system = require_system(system, "ma.simulate_many(system)")
     require_control(control, sample_time, sample_delay)
     threads = _threads(threads, system, control)
     cases = describe(system, states, parameters, out, options)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import SweepError
+from multiarm.results.files import resolved
 from multiarm.scene.faults import unknown
 from multiarm.sweeps.plan import Record
 from multiarm.sweeps.store import StoredSweep, differences
@@ -46,7 +47,7 @@ class Sweep:
     """
 
     def __init__(self, path: str | os.PathLike, code: bool = False):
-        self.path = Path(path).expanduser().absolute()
+        self.path = resolved(path, SweepError)
         self._code = code
         self._stored = StoredSweep.read(self.path)
 

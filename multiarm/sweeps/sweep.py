@@ -175,9 +175,17 @@ def _fill(
         batches.close()  # type: ignore[attr-defined]
 
 
+MOST_WORKERS = 1000
+
+
 def _check_executor(workers: Any, dask: Any) -> None:
     if workers is not None and dask:
         raise SweepError("workers and dask exclude each other: a cluster has its own workers")
     whole = isinstance(workers, Integral) and not isinstance(workers, bool)
     if workers is not None and not (whole and workers >= 1):
         raise SweepError(f"workers: must be a number from 1 on, got {workers!r}")
+    if workers is not None and workers > MOST_WORKERS:
+        raise SweepError(
+            f"workers: {workers:.3g} processes, at most {MOST_WORKERS:,} are possible on one "
+            "computer; leave it out for one a processor, or take a cluster"
+        )

@@ -182,11 +182,20 @@ def _links(
     arm: Arm, angles: np.ndarray, color: np.ndarray, meshes: bool, cache: dict[tuple, Mesh]
 ) -> list[Body]:
     """Return the links of an arm; bars replace links without a shape."""
-    visuals = [item for item in arm.visual_model().geometryObjects if meshes or not item.meshPath]
-    parts = [
-        _Part(item.name, item.parentJoint, item.placement, _shared_mesh(item, cache))
-        for item in visuals
-    ]
+    parts = []
+    for item in arm.visual_model().geometryObjects:
+        if item.meshPath and not meshes:
+            continue
+        try:
+            mesh = _shared_mesh(item, cache)
+        except ValueError:
+            what = item.meshPath or f"a shape of link {item.name}"
+            warnings.warn(
+                f"{what} of arm '{arm.name}' has no size that can be shown; it is left out",
+                stacklevel=2,
+            )
+            continue
+        parts.append(_Part(item.name, item.parentJoint, item.placement, mesh))
     parts += _bars(arm, set(range(arm.model.njoints)) - {part.joint for part in parts})
     poses = np.empty((len(parts), len(angles), 7))
     data = arm.model.createData()
