@@ -98,11 +98,13 @@ class StoredFile:
         """The error that names the file and what in it cannot be used."""
         return self.error(f"'{self.path}' cannot be used: {what}; {self.remedy}")
 
-    def attribute(self, name: str, sort: type | tuple[type, ...], of: str = "/") -> Any:
-        """An attribute of the file, or of a part of it; it is of this type."""
-        value = self.file[of].attrs.get(name)
+    def attribute(
+        self, name: str, sort: type | tuple[type, ...], of: h5py.Dataset | None = None
+    ) -> Any:
+        """An attribute of the file, or of a dataset; it is of this type."""
+        value = (self.file if of is None else of).attrs.get(name)
         if not isinstance(value, sort):
-            whose = "the file" if of == "/" else f"'{of}'"
+            whose = "the file" if of is None else f"'{of.name[1:]}'"
             raise self.broken(f"attribute '{name}' of {whose} is missing, or of another type")
         return value
 
@@ -113,19 +115,25 @@ class StoredFile:
 
         Links are not followed: they may lead to other files, or to themselves.
         """
-        owner: Any = self.file
-        for part in name.split("/"):
-            link = owner.get(part, getlink=True) if isinstance(owner, h5py.Group) else None
-            if link is None:
-                raise self.broken(f"'{name}' is missing")
-            if not isinstance(link, h5py.HardLink):
-                raise self.broken(f"'{name}' is a link, which is not followed")
-            owner = owner[part]
+        owner = self._part(name)
         shape = owner.shape if isinstance(owner, h5py.Dataset) else None
         fits = shape is not None and (len(shape) == dimensions or (dimensions is None and shape))
         if not fits or owner.dtype.kind not in kinds:
             raise self.broken(f"'{name}' does not hold what its name says")
         return owner
+
+    def _part(self, name: str) -> Any:
+        """A group or a dataset; groups are looked up once."""
+        way, _, last = name.rpartition("/")
+        if way and way not in self._groups:
+            self._groups[way] = self._part(way)
+        owner = self._groups[way] if way else self.file
+        link = owner.get(last, getlink=True) if isinstance(owner, h5py.Group) else None
+        if link is None:
+            raise self.broken(f"'{name}' is missing")
+        if not isinstance(link, h5py.HardLink):
+            raise self.broken(f"'{name}' is a link, which is not followed")
+        return owner[last]
 
     def text(self, name: str) -> str:
         """A dataset that is one text."""
@@ -243,6 +251,7 @@ class StoredFile:
                     f"'{self.path}' has format version {version}; this program reads up to "
                     f"{self.version}: update multiarm"
                 )
+            self._groups: dict[str, Any] = {}
             self._size = None if closed else self.path.stat().st_size
             self.load()
 

@@ -106,10 +106,10 @@ class TrajectoryReader(StoredFile):
         if min(len(stored), here if width else self.samples) < self.samples:
             raise self.broken(f"'{name}' has not all of its {self.samples:,} samples")
         self.require(name, self.samples)
-        words = {key: self.attribute(key, str, name) for key in ("unit", "frame", "description")}
+        words = {key: self.attribute(key, str, stored) for key in ("unit", "frame", "description")}
         labels: tuple[Any, ...] = ()
         if "columns" in stored.attrs:
-            labels = tuple(self.attribute("columns", np.ndarray, name).tolist())
+            labels = tuple(self.attribute("columns", np.ndarray, stored).tolist())
             if not all(isinstance(label, str) for label in labels) or len(labels) != width:
                 raise self.broken(f"'{name}' has columns without names, or names of others")
         return Channel(name, stored.shape[1:], **words, labels=labels)

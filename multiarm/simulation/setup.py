@@ -214,7 +214,7 @@ def positive(name: str, value: float) -> float:
     SolverError
     """
     if not isinstance(value, Real) or not value > 0.0:
-        raise SolverError(f"{name}: must be a number greater than 0, got {shown(value)}")
+        raise SolverError(f"{name}: must be greater than 0, got {shown(value)}")
     return float(value)
 
 
