@@ -22,13 +22,18 @@ __all__ = [
     "TrajectoryError",
 ]
 
+LONGEST_LINE, LONGEST_MESSAGE = 600, 3600
+"""Of a message, in characters: more does not fit on a screen, and hides what matters."""
 USER_FAULTS = (Exception, SystemExit)
 """Exceptions that count as faults of user-defined code: ``sys.exit`` there would end the program in
 the middle of a run, with success.  ``KeyboardInterrupt`` comes from the user and passes through."""
 
 
 class MultiarmError(Exception):
-    """Base class of all errors that multiarm raises on purpose."""
+    """Base class of all errors that multiarm raises on purpose; long messages are shortened."""
+
+    def __str__(self) -> str:
+        return shortened(super().__str__())
 
 
 class FaultsError(MultiarmError):
@@ -94,6 +99,30 @@ class ReplayError(MultiarmError):
 
 class GraspError(MultiarmError):
     """The contacts between the arms and the object do not hold the object as intended."""
+
+
+def shortened(text: str) -> str:
+    """The text with long lines cut in their middle, and without the lines that exceed a page.
+
+    Names and values in a message are those of an input, which may be of any length.
+    """
+    if len(text) <= LONGEST_LINE:
+        return text
+    lines = text.split("\n")
+    kept: list[str] = []
+    for line in lines:
+        kept.append(_cut(line))
+        if sum(map(len, kept)) > LONGEST_MESSAGE - LONGEST_LINE:
+            break
+    left_out = len(lines) - len(kept)
+    return "\n".join([*kept, f"  and {left_out:,} more lines"] if left_out else kept)
+
+
+def _cut(line: str) -> str:
+    if len(line) <= LONGEST_LINE:
+        return line
+    half = LONGEST_LINE // 2 - 20
+    return f"{line[:half]} [{len(line) - 2 * half:,} characters] {line[-half:]}"
 
 
 def _told(faults: list[str], source: str | None, noun: str) -> str:

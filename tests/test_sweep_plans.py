@@ -409,8 +409,8 @@ def test_values_that_are_right_only_together_are_right(scene):
 @pytest.mark.parametrize(
     ("content", "text"),
     [
-        (None, "no such file; files in that folder: 'other.yaml'"),
-        (b"\xff\xfe\x00", "this is not a text file"),
+        (None, "; sweeps in that folder: other.yaml"),
+        (b"\xff\xfe\x00", "is not a text file; a sweep is YAML"),
         (b"over: {a: [1, 2", "this is not YAML"),
         (b"over: {a: [1]}\nover: {b: [1]}", "key 'over' stands twice"),
         (b"- 1", "a sweep is a table with the keys over, combine"),

@@ -22,6 +22,8 @@ import pinocchio as pin
 from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms
 from multiarm.errors import ModelError
 from multiarm.scene.mjcf import mjcf_model
+from multiarm.scene.robots import mesh_fault, resolve_mesh
+from multiarm.scene.urdf import read_urdf
 
 
 @dataclass(frozen=True)
@@ -358,12 +360,23 @@ def _geometry(
         return pin.GeometryModel()
     build = pin.buildGeomFromUrdfString if isinstance(urdf, str) else pin.buildGeomFromUrdf
     folders = [str(p) for p in package_dirs]
+    for address in () if isinstance(urdf, str) else read_urdf(urdf).meshes:
+        mesh = resolve_mesh(address, Path(urdf), package_dirs)
+        fault = "" if mesh is None else mesh_fault(mesh)
+        if fault:
+            warnings.warn(f"the mesh {mesh}: {fault}; the replay shows bars instead", stacklevel=2)
+            return pin.GeometryModel()
     try:
         if mjcf:
             return pin.buildGeomFromMJCF(model, str(urdf), pin.GeometryType.VISUAL)
         return build(model, str(urdf), pin.GeometryType.VISUAL, None, folders, loader)
-    except (ValueError, RuntimeError) as error:
-        warnings.warn(f"no visual geometry from {urdf}: {error}", stacklevel=2)
+    except (ValueError, RuntimeError):
+        name = "a tool's URDF" if isinstance(urdf, str) else urdf
+        warnings.warn(
+            f"the shapes of {name} cannot be read, a mesh or a number in them: the replay shows "
+            "bars instead",
+            stacklevel=2,
+        )
         return pin.GeometryModel()
 
 

@@ -51,7 +51,7 @@ from multiarm.effects.building import (
     joint_numbers,
 )
 from multiarm.effects.unilateral import unilateral_kernels
-from multiarm.errors import ModelError
+from multiarm.errors import ModelError, SceneError
 from multiarm.integration.monitors import make_monitors
 from multiarm.integration.near_singular import evaluate_near_singular
 from multiarm.integration.step import evaluate_slope
@@ -70,6 +70,7 @@ from multiarm.scene import (
     with_code,
     without_code,
 )
+from multiarm.scene.faults import shown
 from multiarm.scene.joints import BUILT_IN
 from multiarm.scene.values import SOLVE
 from multiarm.spatial import matrix_to_quaternion
@@ -137,6 +138,11 @@ def compile_system(
         When ``sample_time`` cannot be used.
     """
     require_control(control, sample_time, sample_delay)
+    if not isinstance(scene, Scene):
+        raise SceneError(
+            f"a scene is needed, got {shown(scene)}; read its file with ma.load_scene(path), or "
+            "make a table a scene: ma.Scene(**table)"
+        )
     scene = with_code(_with_arms(scene, arms), code)
     scene = with_bases(scene) if assemble else scene  # where arms stand, if that is to be found
     compile_ahead(advance, evaluate_slope)  # a run needs them: the first time in the background

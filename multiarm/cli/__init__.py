@@ -29,7 +29,7 @@ from multiarm.cli.show import replay, report
 from multiarm.cli.stability import stability
 from multiarm.cli.sweep import sweep
 from multiarm.cli.warmup import warmup
-from multiarm.errors import MultiarmError
+from multiarm.errors import MultiarmError, shortened
 from multiarm.results.files import printable
 from multiarm.terminal.console import print_error, print_warnings
 
@@ -55,13 +55,19 @@ class _Commands(TyperGroup):
         """Run a command; other exceptions pass through."""
         try:
             with warnings.catch_warnings():
-                warnings.showwarning = lambda message, *_, **__: print_warnings([str(message)])
+                warnings.showwarning = _print_warning
                 return super().invoke(ctx)
         except MultiarmError as error:
             print_error(str(error))
             raise typer.Exit(2) from None
+        except OSError as error:
+            if isinstance(error, BrokenPipeError):
+                raise
+            where = "a file" if error.filename is None else f"'{error.filename}'"
+            print_error(shortened(f"cannot use {where}: {error.strerror or error}"))
+            raise typer.Exit(2) from None
         except _UsageError as error:
-            error.message = printable(error.message)
+            error.message = shortened(printable(error.message))
             raise
         except KeyboardInterrupt:
             print_error("interrupted")
@@ -71,6 +77,16 @@ class _Commands(TyperGroup):
                 raise typer.Exit(1) from None
             print_error(f"code that was loaded ended the program: SystemExit: {error}")
             raise typer.Exit(1) from None
+
+
+def _print_warning(message: Any, category: type[Warning], *_: Any, **__: Any) -> None:
+    """A warning of multiarm's own as it is; of numerical libraries, what it means here."""
+    if issubclass(category, RuntimeWarning):
+        message = (
+            "numbers leave the range of floating point, so that results may be wrong; check the "
+            f"units of masses, lengths and gains ({message})"
+        )
+    print_warnings([str(message)])
 
 
 app = typer.Typer(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, TrajectoryError
-from multiarm.results.files import atomic_output, create_empty, temporary_name
+from multiarm.results.files import atomic_output, create_empty, resolved, temporary_name
 from multiarm.terminal.console import print_loaded, print_warnings
 
 if TYPE_CHECKING:
@@ -46,11 +46,14 @@ def check_targets(targets: Mapping[str, Path | None], source: Path | None = None
     plot = targets.get("--plot")
     if plot is not None and plot.suffix.lower().lstrip(".") not in PLOTS:
         raise MultiarmError(f"--plot: '{plot}' ends in none of .{', .'.join(PLOTS)}")
-    taken = {} if source is None else {source.expanduser().resolve(): "the file that is read"}
+    taken = {} if source is None else {resolved(source): "the file that is read"}
     for option, path in targets.items():
         if path is None:
             continue
-        target = path.expanduser().resolve()
+        try:
+            target = resolved(path)
+        except MultiarmError as error:
+            raise MultiarmError(f"{option}: {error}") from None
         if target in taken:
             raise MultiarmError(f"{option}: '{path}' is {taken[target]}; name another file")
         taken[target] = f"already written by {option}"
@@ -139,14 +142,14 @@ def open_result(path: Path):
     TrajectoryError
         The file is no result; the message recognises a scene.
     """
-    if path.suffix.lower() in (".yaml", ".yml") and path.is_file():
+    if path.suffix.lower() in (".yaml", ".yml") and resolved(path).is_file():
         raise TrajectoryError(
             f"'{path}' is a scene, not the result of a run; first simulate it: "
             f"multiarm run {path} --out {path.stem}.h5"
         )
     from multiarm.results.trajectory import load_trajectory
 
-    return load_trajectory(path.expanduser())
+    return load_trajectory(path)
 
 
 def _fault(target: Path) -> str | None:

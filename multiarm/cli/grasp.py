@@ -370,6 +370,7 @@ FORMS: dict[str, tuple[str, int, int]] = {
 }
 MESHES = (".stl", ".obj")
 MOST_SIDES = 1000
+LONGEST = 1e6  # [m]
 
 
 def body_of_text(text: str, scale: float = 1.0) -> Polyhedron:
@@ -382,6 +383,8 @@ def body_of_text(text: str, scale: float = 1.0) -> Polyhedron:
     GraspError
         The numbers make no body; the mesh is not closed.
     """
+    if not 0.0 < scale < math.inf:
+        raise MultiarmError(f"--scale: must be metres per unit, greater than 0, got {scale}")
     if Path(text).suffix.lower() in MESHES:
         from multiarm.grasp.polyhedron import Polyhedron
 
@@ -394,7 +397,7 @@ def body_of_text(text: str, scale: float = 1.0) -> Polyhedron:
         values = [float(number) for number in numbers.split(",")]
     except ValueError:
         raise _unknown(text) from None
-    if not least <= len(values) <= most or not all(map(math.isfinite, values)):
+    if not least <= len(values) <= most or not all(abs(value) <= LONGEST for value in values):
         raise _unknown(text)
     return _built(kind, values)
 

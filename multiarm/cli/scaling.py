@@ -136,6 +136,9 @@ def _rendered(table: Table) -> Group:
     return Group(Text(table.title, "bold"), grid, *notes, *([Text()] if notes else []))
 
 
+MOST_ARMS = 10_000
+
+
 def _counts(text: str) -> tuple[int, ...]:
     """Increasing numbers of arms."""
     try:
@@ -146,6 +149,8 @@ def _counts(text: str) -> tuple[int, ...]:
         raise MultiarmError(
             f"--arms: '{text}' is not a list of whole numbers from 1 up; write for example 2,4,8"
         )
+    if counts[-1] > MOST_ARMS:
+        raise MultiarmError(f"--arms: {counts[-1]:.3g} arms; at most {MOST_ARMS:,} are possible")
     if counts[0] == 1:
         raise MultiarmError(f"--arms: '{text}': the ring of the benchmark has at least 2 arms")
     return counts

@@ -15,6 +15,7 @@ from rich.text import Text
 from multiarm.cli.files import check_targets, open_result
 from multiarm.cli.options import Code, file_option, option, switch
 from multiarm.errors import MultiarmError
+from multiarm.results.files import resolved
 from multiarm.terminal.console import messages, print_loaded, print_warnings, print_written
 
 if TYPE_CHECKING:
@@ -145,8 +146,7 @@ def _open_with_samples(result: Path, run: int | None, code: bool) -> Trajectory:
 def _is_sweep(result: Path) -> bool:
     from multiarm.sweeps.store import SweepReader
 
-    path = result.expanduser()
-    return path.is_file() and SweepReader.matches(path)
+    return SweepReader.matches(resolved(result))
 
 
 def _only_run(result: Path, run: int | None) -> Trajectory:
@@ -161,7 +161,7 @@ def _run_of_sweep(result: Path, run: int | None, code: bool) -> Trajectory:
     from multiarm.scene import named_code
     from multiarm.sweeps.result import load_sweep
 
-    sweep = load_sweep(result.expanduser(), code)
+    sweep = load_sweep(result, code)
     try:
         if run is None:
             raise MultiarmError(

@@ -38,7 +38,7 @@ from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector
-from multiarm.dynamics.system import System
+from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
 from multiarm.spatial import quaternion_to_matrix
 
@@ -109,6 +109,8 @@ def inverse_dynamics(
     ModelError
         For an unknown arm or a wrong shape.
     """
+    system = require_system(system, "ma.inverse_dynamics(system, state, acceleration)")
+    t, state = require_time(t), system.checked(state)
     desired = checked_vector("object_acceleration", object_acceleration, 6)
     relative = _relative_accelerations(system.model, relative_acceleration or {})
     posture = _posture_accelerations(system.model, posture_acceleration or {})

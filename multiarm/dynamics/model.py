@@ -58,8 +58,7 @@ from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.solver.node import NodeWork, make_work
 from multiarm.dynamics.solver.singular import CoupledWork, make_coupled
-from multiarm.dynamics.state import Layout, State
-from multiarm.errors import ModelError
+from multiarm.dynamics.state import Layout, State, require_same_joints
 from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.lazy import LazyFunction
@@ -454,11 +453,7 @@ class Data:
         ModelError
             For a state of a system with other arms.
         """
-        if not state.layout.same_joints(self.model.layout):
-            raise ModelError(
-                f"this state belongs to a system with arms {', '.join(state.layout.names)} "
-                f"({state.layout.joints} joints), not to this one; make it with `system.state(...)`"
-            )
+        require_same_joints(state, self.model.layout)
         b = self.arrays
         b.time.now, b.time.latest = t, np.inf
         self.move_to(state)

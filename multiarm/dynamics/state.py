@@ -11,6 +11,7 @@ import numpy as np
 
 from multiarm.errors import ModelError, MultiarmError
 from multiarm.public import public_names
+from multiarm.scene.faults import shown
 
 NAMED_ARMS = 4
 """More arms are counted where an object shows itself in a line."""
@@ -121,6 +122,20 @@ class State:
         return State(self.position.copy(), self.velocity.copy(), self.layout)
 
 
+def require_same_joints(state: State, layout: Layout) -> None:
+    """Refuse a state of a system with other arms.
+
+    Raises
+    ------
+    ModelError
+    """
+    if not state.layout.same_joints(layout):
+        raise ModelError(
+            f"this state belongs to a system with arms {', '.join(state.layout.names)} "
+            f"({state.layout.joints} joints), not to this one; make it with `system.state(...)`"
+        )
+
+
 def checked_vector(
     what: str, values: Any, size: int, error: type[MultiarmError] = ModelError
 ) -> np.ndarray:
@@ -128,11 +143,11 @@ def checked_vector(
     try:
         vector = np.array(values, dtype=float)
     except (TypeError, ValueError):
-        raise error(f"{what}: expected {size} numbers, got {values!r}") from None
+        raise error(f"{what}: expected {size} numbers, got {shown(values)}") from None
     if vector.shape != (size,):
         raise error(f"{what}: expected shape ({size},), got {vector.shape}")
     if not np.all(np.isfinite(vector)):
-        raise error(f"{what}: a number is not finite: {vector.tolist()}")
+        raise error(f"{what}: a number is not finite: {shown(vector.tolist())}")
     return vector
 
 

@@ -6,11 +6,14 @@ An evaluation borrows a :class:`multiarm.dynamics.model.Data` of the
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -19,12 +22,45 @@ from multiarm.contacts.joint import COMPONENTS, UNITS, JointFrame
 from multiarm.dynamics.callbacks import ControlFunction, PythonControl
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import Data, Model
-from multiarm.dynamics.state import State, checked_vector, fill_by_arm
+from multiarm.dynamics.state import State, checked_vector, fill_by_arm, require_same_joints
 from multiarm.errors import ControlError, ModelError
 from multiarm.geometry.records import Contact
 from multiarm.public import public_names
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.scene import Scene
+from multiarm.scene.faults import shown
+
+
+def require_system(system: Any, call: str) -> System:
+    """The system itself.
+
+    Raises
+    ------
+    ModelError
+        When it is something else: ``call`` shows what is right.
+    """
+    if isinstance(system, System):
+        return system
+    given = "the scene" if isinstance(system, Scene) else "ma.load_scene('scene.yaml')"
+    raise ModelError(
+        f"a system is needed, got {shown(system) if not isinstance(system, Scene) else 'a scene'}; "
+        f"compile the scene first: {call} with system = ma.compile_system({given})"
+    )
+
+
+def require_time(t: Any) -> float:
+    """A finite time [s].
+
+    Raises
+    ------
+    ModelError
+        When it is something else; a state in its place comes after the time.
+    """
+    if isinstance(t, State):
+        raise ModelError("t: a time [s] is needed, got a state; the order is system, t, state")
+    if not isinstance(t, Real) or not math.isfinite(t):
+        raise ModelError(f"t: a finite time [s] is needed, got {shown(t)}")
+    return float(t)
 
 
 def require_control(
@@ -36,6 +72,11 @@ def require_control(
     ------
     ControlError
     """
+    if control is not None and not callable(control):
+        raise ControlError(
+            f"control: must be a function f(t, state) -> (arm: torques), got {shown(control)}; "
+            "kinds of control by name belong into the scene"
+        )
     if control is None and (sample_time is not None or sample_delay):
         raise ControlError(
             "sample_time: belongs to a `control` that is given with it; in a scene write "
@@ -180,6 +221,24 @@ class System:
         """The scene's start, on the constraints, as a fresh copy."""
         return self._start.copy()
 
+    def checked(self, state: Any) -> State:
+        """A state of this system with finite numbers, a copy; the start where it is None.
+
+        Raises
+        ------
+        ModelError
+            When it is no state, one of other arms, or has a number that is not finite.
+        """
+        if state is None:
+            return self.initial_state()
+        if not isinstance(state, State):
+            raise ModelError(f"state: {shown(state)} is no state; make one with system.state(...)")
+        require_same_joints(state, self.model.layout)
+        for name, numbers in (("position", state.position), ("velocity", state.velocity)):
+            if not np.isfinite(numbers).all():
+                raise ModelError(f"state: a number of its {name} is not finite: {shown(numbers)}")
+        return state.copy()
+
     def state(
         self,
         object_position=None,
@@ -202,6 +261,8 @@ class System:
             state.position[:3] = checked_vector("object_position", object_position, 3)
         if object_quaternion_xyzw is not None:
             quaternion = checked_vector("object_quaternion_xyzw", object_quaternion_xyzw, 4)
+            if np.abs(quaternion).max() > 1e100:  # its square would overflow
+                quaternion /= np.abs(quaternion).max()
             norm = np.linalg.norm(quaternion)
             if not norm > 1e-12:
                 raise ModelError("object_quaternion_xyzw has length zero")

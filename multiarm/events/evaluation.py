@@ -22,7 +22,7 @@ from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System
+from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
 from multiarm.events.event_detection import touching_constraints
 from multiarm.events.kernels import HELD, TANGENT_OF_ALL, THRESHOLD, start_guards
@@ -51,12 +51,15 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
 
     Raises
     ------
+    ModelError
+        When an argument is something else.
     SolverError
         When an inertia is not positive definite, or no motion obeys the contact laws.
     ControlError
         When a Python controller returns something unusable.
     """
-    state = system.initial_state() if state is None else state.copy()
+    system = require_system(system, "ma.evaluate(system, t, state)")
+    t, state = require_time(t), system.checked(state)
     with system.borrow() as data:
         return evaluate_data(data, t, state)
 

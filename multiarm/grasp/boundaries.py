@@ -34,6 +34,7 @@ AXIS_NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
 # Corners are the same when they are closer than this part of the body's size: duals of half-spaces,
 # and corners that several triples of half-spaces give.
 SAME_CORNER = 1e-9
+MOST_BYTES = 1 << 30  # of a mesh file
 
 
 class Boundary(NamedTuple):
@@ -480,11 +481,13 @@ def _read(file: Path) -> tuple[np.ndarray, np.ndarray]:
 
     if not file.is_file():
         raise GraspError(f"{file}: no such file")
+    if file.stat().st_size > MOST_BYTES:
+        raise GraspError(f"{file}: larger than {MOST_BYTES:,} bytes; simplify the mesh")
     try:
         loaded: Any = trimesh.load_mesh(str(file), process=False)
         points, triangles = np.array(loaded.vertices, float), np.array(loaded.faces, int)
     except Exception as error:  # readers of the formats raise what they please
-        raise GraspError(f"{file}: cannot be read as a mesh ({error}); use STL or OBJ") from error
+        raise GraspError(f"{file}: cannot be read as a mesh; use STL or OBJ") from error
     if not len(triangles) or not np.all(np.isfinite(points)):
         raise GraspError(f"{file}: a mesh needs triangles with finite coordinates")
     return points, triangles

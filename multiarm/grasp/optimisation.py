@@ -40,7 +40,7 @@ from multiarm.grasp.face import frame_of
 from multiarm.grasp.grasp_objectives import Force, Margin, Objective, Stability
 from multiarm.grasp.grasp_search import Limits, Search
 from multiarm.grasp.placements import touch_regions
-from multiarm.terminal.progress import Progress, shown
+from multiarm.terminal.progress import Progress, displayed
 
 if TYPE_CHECKING:
     from multiarm.grasp.grasp import Grasp
@@ -171,7 +171,7 @@ def optimise_grasp(
         nodes=nodes,
         until=None if seconds is None else started + seconds,
     )
-    with shown(progress, Progress) as show:
+    with displayed(progress, Progress) as show:
         search = Search(goal, limits, middle, size, np.random.default_rng(rng), show)
         search.choose(regions, fingers)
         search.run()

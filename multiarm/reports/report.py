@@ -19,7 +19,7 @@ from multiarm.plots.style import inline_svg
 from multiarm.reports import pages
 from multiarm.reports.pages import heading, number, quantity
 from multiarm.results.event_log import Event, Group, counts, grouped, who
-from multiarm.results.files import atomic_file, printable
+from multiarm.results.files import atomic_file, printable, resolved
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
@@ -56,8 +56,10 @@ def report(trajectory: Trajectory, path: str | os.PathLike = "report.html") -> P
     TrajectoryError
         The file cannot be written.
     """
-    target = Path(path).expanduser()
-    page = render(trajectory)
+    from multiarm.results.trajectory import require_trajectory
+
+    target = resolved(path, TrajectoryError)
+    page = render(require_trajectory(trajectory, "ma.report(trajectory, path)"))
     try:
         with atomic_file(target) as partial:
             partial.write_text(printable(page), encoding="utf-8")

@@ -29,6 +29,27 @@ _CONTROL = re.compile(
 )
 
 
+def resolved(path: Any, error: type[MultiarmError] = MultiarmError) -> Path:
+    """The absolute path of a file that may be there or not, ``~`` being the home folder.
+
+    Raises
+    ------
+    MultiarmError
+        No file can have this path, a link in it leads to itself, or it is no path at all.
+    """
+    from multiarm.scene.faults import path_fault, shown
+
+    if not isinstance(path, (str, os.PathLike)):
+        raise error(f"the path of a file is needed, got {shown(path)}")
+    fault = path_fault(os.fspath(path))
+    if fault:
+        raise error(fault)
+    try:
+        return Path(path).expanduser().resolve()
+    except (OSError, RuntimeError):
+        raise error(f"'{path}' cannot be used: a link in it leads to itself") from None
+
+
 @contextmanager
 def atomic_file(target: Path, partial: Path | None = None) -> Iterator[Path]:
     """A temporary file to write to, which then replaces ``target``.

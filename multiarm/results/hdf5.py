@@ -21,6 +21,7 @@ The checksum is lookup3 (B. Jenkins, 2006) of the bytes before it.
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 import struct
@@ -34,9 +35,11 @@ import h5py
 import numpy as np
 
 from multiarm.errors import MultiarmError
-from multiarm.results.files import atomic_file
+from multiarm.results.files import atomic_file, resolved
 
-HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError)
+HDF5_ERRORS = (
+    OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError,
+)  # fmt: skip
 """Exceptions of h5py for a damaged file."""
 PIECE_BYTES = 120
 PIECE = f"S{PIECE_BYTES}"
@@ -88,8 +91,81 @@ class StoredFile:
                 time.sleep(0.1)
 
     def load(self) -> None:
-        """Read the contents of the open file, after :meth:`require` for each dataset."""
+        """Read the contents of the open file, through the methods that check them."""
         raise NotImplementedError
+
+    def broken(self, what: str) -> MultiarmError:
+        """The error that names the file and what in it cannot be used."""
+        return self.error(f"'{self.path}' cannot be used: {what}; {self.remedy}")
+
+    def attribute(
+        self, name: str, sort: type | tuple[type, ...], of: h5py.Dataset | None = None
+    ) -> Any:
+        """An attribute of the file, or of a dataset; it is of this type."""
+        value = (self.file if of is None else of).attrs.get(name)
+        if not isinstance(value, sort):
+            whose = "the file" if of is None else f"'{of.name[1:]}'"
+            raise self.broken(f"attribute '{name}' of {whose} is missing, or of another type")
+        return value
+
+    def dataset(self, name: str, kinds: str, dimensions: int | None = None) -> h5py.Dataset:
+        """A dataset with these kinds of numbers (as in NumPy) and dimensions, in this file itself.
+
+        Without ``dimensions`` it has rows, of any shape.
+
+        Links are not followed: they may lead to other files, or to themselves.
+        """
+        owner = self._part(name)
+        shape = owner.shape if isinstance(owner, h5py.Dataset) else None
+        fits = shape is not None and (len(shape) == dimensions or (dimensions is None and shape))
+        if not fits or owner.dtype.kind not in kinds:
+            raise self.broken(f"'{name}' does not hold what its name says")
+        return owner
+
+    def _part(self, name: str) -> Any:
+        """A group or a dataset; groups are looked up once."""
+        way, _, last = name.rpartition("/")
+        if way and way not in self._groups:
+            self._groups[way] = self._part(way)
+        owner = self._groups[way] if way else self.file
+        link = owner.get(last, getlink=True) if isinstance(owner, h5py.Group) else None
+        if link is None:
+            raise self.broken(f"'{name}' is missing")
+        if not isinstance(link, h5py.HardLink):
+            raise self.broken(f"'{name}' is a link, which is not followed")
+        return owner[last]
+
+    def text(self, name: str) -> str:
+        """A dataset that is one text."""
+        stored = self.dataset(name, "O", 0)
+        if h5py.check_string_dtype(stored.dtype) is None:
+            raise self.broken(f"'{name}' is not a text")
+        return stored.asstr()[()]
+
+    def table(self, text: str, what: str) -> dict[str, Any]:
+        """A table from JSON, whose numbers are finite."""
+        try:
+            found = json.loads(text, parse_constant=_refused)
+        except (ValueError, RecursionError):
+            found = None
+        if not isinstance(found, dict):
+            raise self.broken(f"{what} is no table in JSON")
+        return found
+
+    def counters(self, name: str) -> list[int]:
+        """Two numbers of rows."""
+        found = self.dataset(name, "iu", 1)[:].tolist()
+        if len(found) != 2 or min(found) < 0:
+            raise self.broken(f"'{name}' is not two numbers of rows")
+        return found
+
+    def pieces(self, name: str, begin: int, end: int) -> str:
+        """The text in some rows of a dataset, see :func:`in_pieces`."""
+        stored = self.dataset(name, "S", 1)
+        if not begin <= end <= len(stored):
+            raise self.broken(f"'{name}' has {len(stored)} pieces, none from {begin} to {end}")
+        self.require(name, end)
+        return joined(stored[begin:end])
 
     def require(self, name: str, rows: int = 0) -> None:
         """Refuse a file that was cut short within the first `rows` rows of a dataset.
@@ -117,8 +193,10 @@ class StoredFile:
     @classmethod
     def opened(cls, path: Path) -> tuple[h5py.File, bool]:
         """A file of any format, open for reading, and whether its writer closed it."""
+        path = resolved(path, cls.error)
         if not path.is_file():
             what = "it is a folder" if path.is_dir() else "there is no such file"
+            what = "it is no ordinary file" if path.exists() and not path.is_dir() else what
             raise cls.error(f"cannot read '{path}': {what}")
         with cls.reading(path):
             if not h5py.is_hdf5(path):
@@ -132,7 +210,7 @@ class StoredFile:
         """Whether a file has this format, in any version and state."""
         try:
             with cls.opened(path)[0] as file:
-                return file.attrs.get("format") == cls.format
+                return str(file.attrs.get("format")) == cls.format
         except (cls.error, *HDF5_ERRORS):
             return False
 
@@ -145,7 +223,7 @@ class StoredFile:
         MultiarmError
             The folder is missing, or the path is a folder, a device or another kind of file.
         """
-        target = Path(path).expanduser().resolve()
+        target = resolved(path, cls.error)
         if not target.parent.is_dir():
             raise cls.error(
                 f"cannot write '{path}': there is no folder '{target.parent}'; create it first"
@@ -162,14 +240,18 @@ class StoredFile:
     def _open(self) -> None:
         self.file, closed = self.opened(self.path)
         with self.reading(self.path):
-            if self.file.attrs.get("format") != self.format:
+            found = self.file.attrs.get("format")
+            if not isinstance(found, str) or found != self.format:
                 raise self.error(f"'{self.path}' is an HDF5 file, but not {self.noun} of multiarm")
-            version = int(self.file.attrs["format_version"])
+            version = int(self.attribute("format_version", (int, np.integer)))
+            if version < 1:
+                raise self.broken(f"its format version is {version}")
             if version > self.version:
                 raise self.error(
                     f"'{self.path}' has format version {version}; this program reads up to "
                     f"{self.version}: update multiarm"
                 )
+            self._groups: dict[str, Any] = {}
             self._size = None if closed else self.path.stat().st_size
             self.load()
 
@@ -279,6 +361,10 @@ class GrowingFile:
             f"cannot {action} '{self.path}': {reason(error)}; "
             "free some space on the disk or choose another folder"
         )
+
+
+def _refused(constant: str) -> None:
+    raise ValueError(f"{constant} is no number of JSON")
 
 
 def allocate(path: Path, size: int) -> None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from multiarm.errors import TrajectoryError
+from multiarm.errors import SceneError, TrajectoryError
 from multiarm.public import public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
 from multiarm.results.files import temporary_name
@@ -71,7 +71,7 @@ class Store(Protocol):
 class _UnknownArmError(TrajectoryError, KeyError):
     """A KeyError whose text is a sentence."""
 
-    __str__ = Exception.__str__
+    __str__ = TrajectoryError.__str__
 
 
 class ByArm(Mapping[str, np.ndarray]):
@@ -334,7 +334,12 @@ class Trajectory:
         if self._scene is None:
             from multiarm.scene import parse_scene
 
-            self._scene = parse_scene(self.scene_text, folder=None, stored=True)
+            try:
+                self._scene = parse_scene(self.scene_text, folder=None, stored=True)
+            except SceneError as error:
+                raise SceneError(
+                    error.faults, source="the scene that is stored with this run"
+                ) from None
         return self._scene
 
     @property
@@ -444,6 +449,24 @@ class Trajectory:
             return None
         start = self.energy_at_start
         return float(max(np.abs(k + p - start - w).max() for k, p, w in self.blocks(*ENERGIES)))
+
+
+def require_trajectory(trajectory: Any, call: str) -> Trajectory:
+    """The trajectory itself.
+
+    Raises
+    ------
+    TrajectoryError
+        When it is something else: ``call`` shows what is right.
+    """
+    if isinstance(trajectory, Trajectory):
+        return trajectory
+    from multiarm.scene.faults import shown
+
+    raise TrajectoryError(
+        f"a trajectory is needed, got {shown(trajectory)}; {call} with trajectory = "
+        "ma.load_trajectory('run.h5') or ma.simulate(system)"
+    )
 
 
 def load_trajectory(path: str | os.PathLike) -> Trajectory:

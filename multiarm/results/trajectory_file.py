@@ -29,8 +29,8 @@ import h5py
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel
-from multiarm.results.files import CLOSED
+from multiarm.results.channels import Channel, arm_names
+from multiarm.results.files import CLOSED, resolved
 from multiarm.results.hdf5 import (
     HDF5_ERRORS,
     PIECE,
@@ -38,7 +38,6 @@ from multiarm.results.hdf5 import (
     StoredFile,
     allocate,
     in_pieces,
-    joined,
     reason,
 )
 
@@ -74,28 +73,61 @@ class TrajectoryReader(StoredFile):
 
     def __init__(self, path: str | os.PathLike):
         self._identity: tuple[int, ...] | None = None
-        super().__init__(Path(path).absolute())
+        super().__init__(resolved(path, self.error))
 
     def load(self) -> None:
         """Read everything but the samples."""
-        file = self.file
-        self.samples, pieces = (int(n) for n in file["progress"][:])
-        self.channels = {name: _channel(name, file[name]) for name in file.attrs["channels"]}
-        self.metadata = json.loads(file.attrs["provenance"])
-        self.metadata["scene"] = file["scene"].asstr()[()]
+        self.samples, pieces = self.counters("progress")
+        names = self.attribute("channels", np.ndarray).tolist()
+        if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+            raise self.broken("its list of channels is not one of different names")
+        self.channels = {name: self._channel(name) for name in names}
+        self.metadata = self.table(self.attribute("provenance", str), "'provenance'")
+        self.metadata["scene"] = self.text("scene")
         self.require("progress")
-        for name in self.channels:
-            self.require(name, self.samples)
-        self.require("outcome", pieces)
+        self._check_channels()
         self.amendment = None
-        if "amended" in file:
-            begin, end = (int(n) for n in file["amended"][:])
-            self.require("amendment", end)
-            self.amendment = json.loads(joined(file["amendment"][begin:end]) or "{}")
+        if "amended" in self.file:
+            text = self.pieces("amendment", *self.counters("amended"))
+            self.amendment = self.table(text or "{}", "'amendment'")
         self.outcome = None
         if pieces:
-            outcome = json.loads(joined(file["outcome"][:pieces]))
+            outcome = self.table(self.pieces("outcome", 0, pieces), "'outcome'")
             self.outcome = outcome | (self.amendment or {})
+            fault = outcome_fault(self.outcome)
+            if fault:
+                raise self.broken(f"its outcome cannot be read: {fault}")
+
+    def _channel(self, name: str) -> Channel:
+        """The description of a channel, whose samples are there."""
+        stored = self.dataset(name, "f")
+        width = math.prod(stored.shape[1:])
+        here = stored.id.get_storage_size() // (stored.dtype.itemsize * max(width, 1))
+        if min(len(stored), here if width else self.samples) < self.samples:
+            raise self.broken(f"'{name}' has not all of its {self.samples:,} samples")
+        self.require(name, self.samples)
+        words = {key: self.attribute(key, str, stored) for key in ("unit", "frame", "description")}
+        labels: tuple[Any, ...] = ()
+        if "columns" in stored.attrs:
+            labels = tuple(self.attribute("columns", np.ndarray, stored).tolist())
+            if not all(isinstance(label, str) for label in labels) or len(labels) != width:
+                raise self.broken(f"'{name}' has columns without names, or names of others")
+        return Channel(name, stored.shape[1:], **words, labels=labels)
+
+    def _check_channels(self) -> None:
+        """Refuse channels of another shape, and times that do not go on."""
+        if "time" not in self.channels:
+            raise self.broken("channel 'time' is missing")
+        for name, shape in _SHAPES.items():
+            if name in self.channels and self.channels[name].shape != shape:
+                raise self.broken(f"channel '{name}' has another shape")
+        for arm in arm_names(self.channels):
+            own = [f"arms/{arm}/joint_{name}" for name in ("position", "velocity", "torque")]
+            if len({self.channels[name].shape for name in own if name in self.channels}) > 1:
+                raise self.broken(f"channels of arm '{arm}' have different numbers of joints")
+        times = self.file["time"][: self.samples]
+        if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
+            raise self.broken("its times are not finite, or do not increase")
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Samples start..stop of a channel."""
@@ -104,14 +136,19 @@ class TrajectoryReader(StoredFile):
             if not self.file:  # closed
                 raise TrajectoryError(CLOSED)
             with self.reading(self.path):
-                return self.file[name][start:stop]
+                return self._finite(name, self.file[name][start:stop])
         if _identity(self.path) != self._identity:
             raise TrajectoryError(
                 f"'{self.path}' is not the file any more that this result was read from; load it "
                 "again, or write other runs elsewhere"
             )
         with self.opened(self.path)[0] as file, self.reading(self.path):
-            return file[name][start:stop]
+            return self._finite(name, file[name][start:stop])
+
+    def _finite(self, name: str, values: np.ndarray) -> np.ndarray:
+        if not np.isfinite(values).all():
+            raise self.broken(f"channel '{name}' has numbers that are not finite")
+        return values
 
     def close_between_reads(self) -> None:
         """Open the file for each read only."""
@@ -250,10 +287,31 @@ def _create(file: h5py.File, channel: Channel) -> h5py.Dataset:
     return dataset
 
 
-def _channel(name: str, dataset: h5py.Dataset) -> Channel:
-    words = {key: str(dataset.attrs[key]) for key in ("unit", "frame", "description")}
-    labels = tuple(str(label) for label in dataset.attrs.get("columns", ()))
-    return Channel(name, dataset.shape[1:], **words, labels=labels)
+_XYZ: tuple[int, ...] = (3,)
+_SHAPES = {
+    "time": (), "object/position": _XYZ, "object/quaternion_xyzw": (4,), "object/twist": (6,),
+    **dict.fromkeys(("energy/kinetic", "energy/potential", "energy/work"), ()),
+    **dict.fromkeys(("drift/position", "drift/velocity"), ()),
+}  # fmt: skip
+"""Of a sample, of the channels that all runs have."""
+_STATUSES = ("completed", "interrupted", "failed")
+
+
+def outcome_fault(outcome: Mapping[str, Any]) -> str:
+    """Why a table is not the outcome of a run, see `Outcome`; empty where it is one."""
+    sorts = {"status": str, "message": str, "statistics": dict, "events": list}
+    allowed = {*sorts, "certificate"}
+    wrong = [name for name, sort in sorts.items() if not isinstance(outcome.get(name), sort)]
+    if wrong or not allowed.issuperset(outcome) or outcome["status"] not in _STATUSES:
+        return f"'{(wrong or ['status'])[0]}' is missing, or nothing that this program writes"
+    certificate = outcome.get("certificate")
+    if certificate is not None and not isinstance(certificate, dict):
+        return "'certificate' is none"
+    for event in outcome["events"]:
+        own = event if isinstance(event, dict) else {}
+        if not isinstance(own.get("time"), (int, float)) or not isinstance(own.get("kind"), str):
+            return "an event has no time or no kind"
+    return ""
 
 
 def _identity(path: Path) -> tuple[int, ...]:

@@ -39,6 +39,7 @@ from multiarm.scene.values import (
     SOLVE,
     Color,
     Faults,
+    FilePath,
     JointValues,
     KnownArm,
     Number,
@@ -55,9 +56,9 @@ class _FromUrdf(Spec):
 
     robot: str | None = None
     """The name of a known model; or"""
-    urdf: Path | None = None
+    urdf: FilePath | None = None
     """a URDF file, instead of a name."""
-    package_dirs: tuple[Path, ...] = ()
+    package_dirs: tuple[FilePath, ...] = ()
     """Where ``package://`` addresses are looked for first."""
 
     @model_validator(mode="after")

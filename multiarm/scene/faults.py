@@ -9,8 +9,11 @@ location becomes ``$.joints[1].size`` and the type a sentence.
 from __future__ import annotations
 
 import difflib
+import math
+import os
 import reprlib
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -24,9 +27,24 @@ Parts = tuple[str | int, ...]
 _MAX_LISTED = 12
 _SIMILAR = 0.6  # ratio of difflib above which two names count as one mistyped
 
-_repr = reprlib.Repr()
+_MAX_PATH, _MAX_NAME = 4095, 255  # bytes, of Linux
+_MAX_FAULTS = 100  # of one text that are looked at
+_MAX_KEY = 60  # characters of a key, or of a name that is listed
+
+
+class _Repr(reprlib.Repr):
+    """Short texts of values of any size."""
+
+    def repr_int(self, value: int, level: int) -> str:
+        """Python refuses to print very long integers."""
+        digits = int(value.bit_length() * math.log10(2.0)) + 1
+        return repr(value) if digits <= self.maxlong else f"an integer of {digits:,} digits"
+
+
+_repr = _Repr()
 _repr.maxstring = _repr.maxother = 60
 _repr.maxlist = _repr.maxtuple = 8
+_repr.maxlevel = 3
 
 
 def fault(message: str) -> PydanticCustomError:
@@ -36,6 +54,8 @@ def fault(message: str) -> PydanticCustomError:
 
 def shown(value: object) -> str:
     """A short text of ``value`` for use inside a message."""
+    if hasattr(value, "tolist"):  # an array, whose text may have many lines
+        value = value.tolist()
     return _repr.repr(list(value) if isinstance(value, tuple) else value)
 
 
@@ -46,7 +66,7 @@ def listed(names: Iterable[str], similar_to: str | None = None) -> str:
         return "(none)"
     if similar_to is not None:
         names.sort(key=lambda name: -_similarity(name, similar_to))
-    text = ", ".join(repr(name) for name in names[:_MAX_LISTED])
+    text = ", ".join(map(shown, names[:_MAX_LISTED]))
     left_out = len(names) - _MAX_LISTED
     return text if left_out <= 0 else f"{text} and {left_out} more"
 
@@ -81,34 +101,60 @@ def unknown(
     text = f"unknown {noun} {shown(value)}"
     if not known:
         return f"{text}; there are no {plural}"
-    close = difflib.get_close_matches(value, known, 1, _SIMILAR) if isinstance(value, str) else []
+    close = []
+    if isinstance(value, str):
+        value = value[:_MAX_KEY]
+        close = difflib.get_close_matches(value, known, 1, _SIMILAR)
     hint = f"did you mean {close[0]!r}? " if close else ""
     text += f"; {hint}{plural} are {listed(known, similar_to=str(value) if close else None)}"
     command = command or _COMMANDS.get(noun)
     return f"{text}; '{command}' shows them all" if command else text
 
 
+def path_fault(path: str | Path) -> str:
+    """Why no file can have this path, with ``~`` for a home; empty where one can."""
+    text = str(path)
+    try:
+        encoded = os.fsencode(Path(text).expanduser())
+    except UnicodeEncodeError:
+        return f"{shown(text)} cannot be the path of a file: it has characters that none has"
+    except RuntimeError:
+        return f"{shown(text)} cannot be the path of a file: there is no such home folder"
+    if not text or "\0" in text:
+        what = "it is empty" if not text else "it has a NUL"
+        return f"{shown(text)} cannot be the path of a file: {what}"
+    if len(encoded) > _MAX_PATH or any(len(part) > _MAX_NAME for part in encoded.split(b"/")):
+        return (
+            f"{shown(text)} cannot be the path of a file: names have at most {_MAX_NAME} bytes, "
+            f"paths {_MAX_PATH:,}"
+        )
+    return ""
+
+
 def place(parts: Iterable[str | int], root: str = "$") -> str:
     """A path such as ``$.joints[1].arm`` or ``$.arms['my arm'].tip``."""
     text = root
     for part in parts:
-        named = isinstance(part, str) and part.isidentifier()
-        text += f".{part}" if named else f"[{part!r}]"
+        named = isinstance(part, str) and part.isidentifier() and len(part) <= _MAX_KEY
+        text += f".{part}" if named else f"[{shown(part)}]"
     return text
 
 
 def explain(error: ValidationError, root: type[BaseModel], root_name: str = "$") -> list[str]:
     """Every fault of data for the model ``root`` as one complete line, each once, in its order."""
     lines = [f"{place(parts, root_name)}: {text}" for parts, text, _ in sentences(error, root)]
+    left_out = error.error_count() - _MAX_FAULTS
+    if left_out > 0:
+        lines.append(f"{root_name}: and {left_out:,} more faults")
     return list(dict.fromkeys(lines))
 
 
 def sentences(
     error: ValidationError, root: type[BaseModel]
 ) -> list[tuple[list[str | int], str, Any]]:
-    """Place below ``root``, sentence and offending value of every fault."""
+    """Place below ``root``, sentence and offending value of every fault, of the first hundred."""
     found = []
-    for details in error.errors(include_url=False):
+    for details in error.errors(include_url=False)[:_MAX_FAULTS]:
         parts, owner, models = _walk(details["loc"], root)
         text = _sentence(details, parts, owner, models)
         tail = ["kind"] if details["type"] == "union_tag_invalid" else []

@@ -7,6 +7,7 @@ system that is to run; :func:`without_code` gives what can be looked at without 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from pydantic import BaseModel
 from multiarm.errors import ModelError, SceneError
 from multiarm.scene.control import CONTROLS, ControlKind, UnloadedControl
 from multiarm.scene.effects import EFFECTS
-from multiarm.scene.faults import Parts, place
+from multiarm.scene.faults import Parts, place, shown
 from multiarm.scene.functions import (
     FunctionReference,
     LoadedFunction,
@@ -31,7 +32,7 @@ from multiarm.scene.joints import JOINTS, Joint, UnloadedJoint
 from multiarm.scene.joints.contacts import SURFACES, ContactsJoint, Geometry
 from multiarm.scene.registry import Registry
 from multiarm.scene.schema import Scene, function_faults
-from multiarm.scene.text import parse_yaml
+from multiarm.scene.text import parse_yaml, read_text
 from multiarm.scene.values import written
 
 REGISTRIES: tuple[Registry[Any], ...] = (CONTROLS, EFFECTS, JOINTS, SURFACES)
@@ -59,15 +60,13 @@ def load_scene(path: Path | str, code: bool = True) -> Scene:
     SceneError
         If the file cannot be read, or naming every fault in it.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise SceneError(
+            f"load_scene reads a file and needs its path, got {shown(path)}; a table is made a "
+            "scene by ma.Scene(**table)"
+        )
+    text = read_text(path, "scene")
     path = Path(path).expanduser()
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise SceneError(f"no scene file at {path}{_neighbours(path)}") from None
-    except UnicodeDecodeError:
-        raise SceneError(f"{path} is not a text file; a scene is YAML in UTF-8") from None
-    except OSError as error:
-        raise SceneError(f"cannot read {path}: {error.strerror}") from None
     try:
         data = parse_yaml(text)
         if isinstance(data, Mapping):
@@ -114,11 +113,6 @@ def dump_scene(scene: Scene) -> str:
     return yaml.safe_dump(
         data, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
     )
-
-
-def _neighbours(path: Path) -> str:
-    found = sorted(p.name for p in path.parent.glob("*.y*ml")) if path.parent.is_dir() else []
-    return f"; scenes in that folder: {', '.join(found[:8])}" if found else ""
 
 
 # --- code that a scene names ----------------------------------------------------------------------

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from typing_extensions import Self
 from multiarm.scene.faults import fault, shown
 from multiarm.scene.values import (
     Color,
+    FilePath,
     OneOf,
     Pose,
     Positive,
@@ -266,7 +266,7 @@ class Cylinder(Spec):
 class Mesh(Spec):
     """A mesh, its origin at the centre of mass."""
 
-    file: Path
+    file: FilePath
     """An STL or OBJ file, for instance."""
     scale: Annotated[
         tuple[float, float, float],
@@ -376,6 +376,15 @@ class ObjectSpec(Spec):
             raise fault("a mesh needs 'inertia' (about the centre of mass, in kg m^2)")
         if self.shape == NO_SHAPE:
             raise fault("needs its 'shape', or 'inertia' (about the centre of mass, in kg m^2)")
+        if self.shape.hull is None:
+            try:
+                moments = np.diag(self.shape.uniform_inertia(self.mass))
+            except OverflowError:
+                moments = np.array([np.inf])
+            if not (np.isfinite(moments).all() and moments.min() > 0.0):
+                raise fault(
+                    "its size and mass are beyond the numbers of a computer; SI units are m, kg"
+                )
         return self
 
     @model_validator(mode="after")

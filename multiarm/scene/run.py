@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 else:
     Stabilization = Literal[tuple(STABILIZATIONS)]
 
+LONGEST_RUN, MOST_SAMPLES, MOST_FIXED_STEPS = 1e9, 1e8, 1e11
+"""Simulated time [s], samples and fixed steps of a run: more of them would never end."""
+
 _positive = TypeAdapter(Positive).validate_python
 
 
@@ -168,6 +171,26 @@ class RunSpec(Spec):
         message = self._step_fault()
         if message:
             raise fault(message)
+        return self
+
+    @model_validator(mode="after")
+    def _comes_to_an_end(self) -> Self:
+        sizes = (
+            ("duration", self.duration, LONGEST_RUN, "s of simulated time", "shorten the run"),
+            (
+                "output_step", self.duration / self.output_step, MOST_SAMPLES, "samples",
+                "store fewer by a longer 'output_step', or shorten the run",
+            ),
+            (
+                "step", self.duration / (self.step or self.duration), MOST_FIXED_STEPS, "steps",
+                "take a longer 'step', or shorten the run",
+            ),
+        )  # fmt: skip
+        for name, size, most, noun, remedy in sizes:
+            if size > most:
+                raise fault(
+                    f"{name!r} makes {size:.3g} {noun}, at most {most:.0e} are possible; {remedy}"
+                )
         return self
 
     def _step_fault(self) -> str | None:

@@ -187,6 +187,11 @@ class Scene(Spec):
         like: Scene | None = None,
         from_file: bool = False,
     ) -> None:
+        if folder is not None and not isinstance(folder, (str, Path)):
+            raise SceneError(
+                f"folder: must be a path, got {shown(folder)}; parts of a scene are given by name: "
+                "Scene(object=..., arms=..., joints=...)"
+            )
         folder = Path(folder or ".").expanduser().resolve()
         faults: list[str] = []
         load = not (stored or from_file) and (like is None or like.may_load_code)

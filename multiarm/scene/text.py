@@ -1,18 +1,65 @@
-"""YAML text, without three habits of YAML 1.1 that bite.
+"""YAML text: read from files of any content within bounds, without habits of YAML 1.1 that bite.
 
-``1e-6`` is a number (not text), ``on`` is a word (not true), and a key that stands twice in one
-table is a fault (not a silent loss of the first).
+``1e-6`` is a number (not text), ``on`` and ``2024-01-31`` are words (not true, not a date), and a
+key that stands twice in one table is a fault (not a silent loss of the first).  Tags beyond those
+of YAML 1.2 (``!!set``, ``!!python/...``) are refused.
 """
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Hashable, Mapping, Sequence
+import stat
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import yaml
 
 from multiarm.errors import SceneError
+from multiarm.scene.faults import path_fault, shown
+
+MOST_BYTES = 4_000_000
+"""Of a text: some hundred times the longest scene that people write."""
+DEEPEST = 50
+"""Tables and lists within each other; scenes need ten."""
+MOST_VALUES = 1_000_000
+"""Of a text, those of an alias counted each time that it stands for them."""
+_LONGEST_INTEGER = 400  # characters; floats end at 1e308
+
+
+def read_text(path: str | os.PathLike, noun: str) -> str:
+    """The text of a file that people write, ``noun`` such as "scene".
+
+    Raises
+    ------
+    SceneError
+        When there is none, with the files beside it; when it is no ordinary file, cannot be read,
+        is larger than any such file, or is not text.
+    """
+    fault = path_fault(os.fspath(path))
+    if fault:
+        raise SceneError(fault)
+    file = Path(path).expanduser()
+    try:
+        found = file.stat()
+        if not stat.S_ISREG(found.st_mode):
+            what = "a folder" if stat.S_ISDIR(found.st_mode) else "no ordinary file"
+            raise SceneError(f"cannot read {path}: it is {what}; name the file of a {noun}")
+        if found.st_size > MOST_BYTES:
+            raise SceneError(
+                f"{path} has {found.st_size:,} bytes; a {noun} has at most {MOST_BYTES:,}: put "
+                "long lists of numbers into files of their own"
+            )
+        return file.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        near = sorted(p.name for p in file.parent.glob("*.y*ml")) if file.parent.is_dir() else []
+        also = f"; {noun}s in that folder: {', '.join(near[:8])}" if near else ""
+        raise SceneError(f"no {noun} file at {path}{also}") from None
+    except UnicodeDecodeError:
+        raise SceneError(f"{path} is not a text file; a {noun} is YAML in UTF-8") from None
+    except OSError as error:
+        raise SceneError(f"cannot read {path}: {error.strerror}") from None
 
 
 def parse_yaml(text: str) -> Any:
@@ -21,16 +68,24 @@ def parse_yaml(text: str) -> Any:
     Raises
     ------
     SceneError
-        When it is not YAML, or a key stands twice.
+        When it is not YAML, a key stands twice, or it exceeds the bounds of this module.
     """
+    if len(text) > MOST_BYTES:
+        raise SceneError(f"this text has {len(text):,} characters; at most {MOST_BYTES:,} are read")
     try:
         return yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise SceneError(f"{where}{error.problem or error.context}; this is not YAML") from None
-    except yaml.YAMLError as error:
-        raise SceneError(f"this is not YAML: {error}") from None
+        also = "" if isinstance(error, yaml.constructor.ConstructorError) else "; this is not YAML"
+        raise SceneError(f"{where}{error.problem or error.context}{also}") from None
+    except yaml.reader.ReaderError as error:
+        place = f"character {error.position + 1}"
+        raise SceneError(
+            f"{place}: U+{error.character:04X} cannot stand in a text; this is not YAML"
+        ) from None
+    except OverflowError:  # an escape such as \UFFFFFFFF
+        raise SceneError("an escape '\\U...' names no character; this is not YAML") from None
 
 
 def with_values(text: str, values: Mapping[Sequence[str], str]) -> str:
@@ -108,32 +163,105 @@ def _entries(node: yaml.Node) -> dict[str, yaml.Node]:
     return {key.value: value for key, value in node.value}
 
 
-_MERGE, _TRUTH = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:bool"
+_TAGS = "tag:yaml.org,2002:"
+_MERGE = f"{_TAGS}merge"
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML with ``1e-6`` as a number, ``on`` as a word, and without repeated keys."""
+    """YAML within bounds: of depth, of what aliases expand to, of numbers and tags."""
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth, self._values = 0, 0
+        self._sizes: dict[yaml.Node, int] = {}  # of nodes with an anchor that are complete
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Refuse what is too deep, too much, or contains itself, before it is made."""
+        event, before = self.peek_event(), self._values
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise _fault(f"tables and lists are more than {DEEPEST} deep here", event)
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        if not isinstance(event, yaml.AliasEvent):
+            self._values += 1
+            if event.anchor is not None:
+                self._sizes[node] = self._values - before
+        elif node in self._sizes:
+            self._values += self._sizes[node]
+        else:
+            raise _fault(f"'*{event.anchor}' stands within '&{event.anchor}' itself", event)
+        if self._values > MOST_VALUES:
+            raise _fault(f"there are more than {MOST_VALUES:,} values, those of '*' counted", event)
+        return node
+
+    def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict:
         """Refuse keys that stand twice."""
         seen: set[Hashable] = set()
-        for key_node, _ in node.value:
+        for key_node, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             key = self.construct_object(key_node, deep=True)
             if isinstance(key, Hashable) and key in seen and key_node.tag != _MERGE:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key!r} stands twice in one table", key_node.start_mark
-                )
-            seen.add(key if isinstance(key, Hashable) else str(key))
+                raise _fault(f"key {shown(key)} stands twice in one table", key_node)
+            seen.add(key if isinstance(key, Hashable) else shown(key))
         return super().construct_mapping(node, deep=deep)
 
+    def construct_merge(self, node: yaml.Node) -> None:
+        """Refuse '<<' where there is nothing to take over."""
+        raise _fault("'<<' stands for the entries of tables: write '<<: *name'", node)
 
-# of the truth values, only those of YAML 1.2
+    def construct_undefined(self, node: yaml.Node) -> None:
+        """Refuse a tag that has no meaning here."""
+        tag = node.tag.replace(_TAGS, "!!")
+        raise _fault(f"the tag {shown(tag)} has no meaning here; leave it out", node)
+
+
+def _fault(text: str, at: yaml.Node | yaml.Event) -> yaml.MarkedYAMLError:
+    return yaml.constructor.ConstructorError(None, None, text, at.start_mark)
+
+
+def _checked(sort: str, read: Callable[[Any, yaml.Node], Any]) -> Callable[[Any, yaml.Node], Any]:
+    """The reader of one sort of values, with a fault at its place where it fails."""
+
+    def construct(loader: _Loader, node: yaml.Node) -> Any:
+        if sort == "int" and isinstance(node, yaml.ScalarNode):
+            digits = len(node.value)
+            if digits > _LONGEST_INTEGER:
+                raise _fault(f"a number of {digits:,} digits is beyond all numbers here", node)
+        try:
+            return read(loader, node)
+        except (ValueError, LookupError):
+            raise _fault(f"{shown(node.value)} is nothing that '!!{sort}' means", node) from None
+
+    return construct
+
+
+def _table(loader: _Loader, node: yaml.Node) -> Any:
+    if not isinstance(node, yaml.MappingNode):
+        raise _fault(f"'!!map' stands for a table, not for {shown(node.value)}", node)
+    return loader.construct_yaml_map(node)
+
+
+_Loader.yaml_constructors = {
+    f"{_TAGS}map": _table,
+    f"{_TAGS}merge": _Loader.construct_merge,
+    None: _Loader.construct_undefined,
+} | {
+    f"{_TAGS}{sort}": _checked(sort, yaml.SafeLoader.yaml_constructors[f"{_TAGS}{sort}"])
+    if sort in ("int", "float", "bool")
+    else yaml.SafeLoader.yaml_constructors[f"{_TAGS}{sort}"]
+    for sort in ("null", "bool", "int", "float", "str", "seq")
+}
+# no dates, and of the truth values only those of YAML 1.2
 _Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in known if first in "tTfF" or tag != _TRUTH]
+    first: [
+        (tag, pattern)
+        for tag, pattern in known
+        if tag != f"{_TAGS}timestamp" and (first in "tTfF" or tag != f"{_TAGS}bool")
+    ]
     for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
+    f"{_TAGS}float",
     re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+$"),
     list("-+0123456789"),
 )

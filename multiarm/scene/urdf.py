@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from multiarm.errors import ModelError
-from multiarm.scene.faults import listed, unknown
+from multiarm.scene.faults import listed, shown, unknown
 
 CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
 """Joints by which arms move."""
 MOST_JOINTS = 16
 """Of one arm."""
+_MOST_BYTES, _MOST_PARTS = 20_000_000, 2000  # of a URDF; of its links, and of its joints
 _KNOWN_JOINTS = (*CHAIN_JOINTS, "fixed", "planar", "floating")
 
 
@@ -174,8 +176,18 @@ def outline_of_text(text: str, name: str) -> RobotOutline:
 @lru_cache(maxsize=128)
 def _read(path: Path, _stamp: int) -> RobotOutline:
     try:
-        robot = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
+        if not path.is_file():
+            raise ModelError(f"{path} is no ordinary file; name the file of a URDF")
+        size = path.stat().st_size
+        if size > _MOST_BYTES:
+            raise ModelError(f"{path} has {size:,} bytes; a URDF has at most {_MOST_BYTES:,}")
+        text = path.read_bytes()
+        if text[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            raise ModelError(f"{path} is text in UTF-16; save it as UTF-8")
+        if b"<!DOCTYPE" in text:  # entities in it may expand to any length, or read other files
+            raise ModelError(f"{path} has a document type '<!DOCTYPE'; a URDF has none: remove it")
+        robot = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise ModelError(f"{path} is not valid XML: {error}") from None
     except OSError as error:
         raise ModelError(f"cannot read {path}: {error.strerror}") from None
@@ -188,6 +200,12 @@ def _outline(robot: ElementTree.Element, path: Path) -> RobotOutline:
         raise ModelError(f"{path} is not a URDF file: its root element is <{robot.tag}>{remedy}")
     if any("xacro" in str(element.tag) for element in robot.iter()):
         raise ModelError(f"{path} is a xacro file; expand it first: xacro {path.name} > robot.urdf")
+    counts = {noun: len(robot.findall(noun)) for noun in ("link", "joint")}
+    for noun, count in counts.items():
+        if count > _MOST_PARTS:
+            raise ModelError(f"{path} has {count:,} {noun}s; at most {_MOST_PARTS:,} are possible")
+    for part in (*robot.findall("link"), *robot.findall("joint"), *robot.findall("material")):
+        _check_numbers(part, f"{path}, {part.tag} {shown(part.get('name'))}")
     links = tuple(_required(link, "name", path) for link in robot.findall("link"))
     joints = tuple(_joint(joint, path) for joint in robot.findall("joint"))
     meshes = dict.fromkeys(
@@ -205,7 +223,7 @@ def root_link(links: tuple[str, ...], joints: tuple[JointOutline, ...], path: Pa
         If these are not one tree, or two of them have one name.
     """
     for names, noun in ((links, "link"), ([j.name for j in joints], "joint")):
-        twice = sorted({name for name in names if list(names).count(name) > 1})
+        twice = sorted(name for name, count in Counter(names).items() if count > 1)
         if twice:
             raise ModelError(f"{path} has more than one {noun} named {listed(twice)}")
     for joint in joints:
@@ -219,6 +237,17 @@ def root_link(links: tuple[str, ...], joints: tuple[JointOutline, ...], path: Pa
     roots = [link for link in links if link not in children]
     if len(roots) != 1:
         raise ModelError(f"{path} must have exactly one root link, it has {listed(roots)}")
+    below: dict[str, list[str]] = {}
+    for joint in joints:
+        below.setdefault(joint.parent, []).append(joint.child)
+    reached = [roots[0]]
+    for link in reached:  # grows meanwhile; every link but the root hangs on one joint
+        reached += below.get(link, ())
+    apart = [link for link in links if link not in set(reached)]
+    if apart:
+        raise ModelError(
+            f"{path}: {listed(apart)} hang on each other in a circle; a URDF is a tree"
+        )
     return roots[0]
 
 
@@ -234,14 +263,22 @@ def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
     bounded = limit is not None and kind in ("revolute", "prismatic")
     axis, dynamics = element.find("axis"), element.find("dynamics")
     text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+    if kind in ("revolute", "prismatic"):
+        missing = [key for key in ("effort", "velocity") if limit is None or limit.get(key) is None]
+        if missing:
+            raise ModelError(f"{where}: needs <limit lower=.. upper=.. effort=.. velocity=../>")
+    lower = _number(limit, "lower", 0.0, where) if bounded else -math.inf
+    upper = _number(limit, "upper", 0.0, where) if bounded else math.inf
+    if lower > upper:
+        raise ModelError(f"{where}: its lower limit {lower:g} is above its upper limit {upper:g}")
     return JointOutline(
         name=name,
         kind=kind,
         parent=_required(parent, "link", path),
         child=_required(child, "link", path),
-        axis=_axis(text, where),
-        lower=_number(limit, "lower", 0.0, where) if bounded else -math.inf,
-        upper=_number(limit, "upper", 0.0, where) if bounded else math.inf,
+        axis=_axis(text, where, turns=kind != "fixed"),
+        lower=lower,
+        upper=upper,
         velocity_limit=_number(limit, "velocity", math.inf, where),
         effort_limit=_number(limit, "effort", math.inf, where),
         mimic=_mimic(element.find("mimic"), where, path),
@@ -272,14 +309,70 @@ def _number(element: ElementTree.Element | None, key: str, default: float, where
     if text is None:
         return default
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
-        raise ModelError(f"{where}: {key} must be a number, got {text!r}") from None
+        number = math.nan
+    if math.isnan(number) or "_" in text:
+        raise ModelError(f"{where}: {key} must be a number, got {shown(text)}")
+    return number
 
 
-def _axis(text: str, where: str) -> tuple[float, float, float]:
+def _three(text: str, what: str, where: str) -> tuple[float, float, float]:
     try:
         x, y, z = (float(part) for part in text.split())
     except ValueError:
-        raise ModelError(f"{where}: axis must be three numbers, got {text!r}") from None
+        raise ModelError(f"{where}: {what} must be three numbers, got {shown(text)}") from None
     return x, y, z
+
+
+def _axis(text: str, where: str, turns: bool) -> tuple[float, float, float]:
+    axis = _three(text, "axis", where)
+    if turns and not math.hypot(*axis) > 0.0:
+        raise ModelError(f"{where}: its axis has length zero; give it a direction, such as '0 0 1'")
+    return axis
+
+
+_INERTIAS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_COUNTS = {
+    "origin": {"xyz": 3, "rpy": 3}, "axis": {"xyz": 3}, "box": {"size": 3}, "sphere": {"radius": 1},
+    "cylinder": {"radius": 1, "length": 1}, "capsule": {"radius": 1, "length": 1},
+    "mesh": {"scale": 3}, "color": {"rgba": 4}, "mass": {"value": 1},
+    "inertia": dict.fromkeys(_INERTIAS, 1),
+    "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
+}  # fmt: skip
+"""Attributes of a URDF that are so many finite numbers; Pinocchio would leave out what has others.
+"""
+
+
+def _check_numbers(part: ElementTree.Element, where: str) -> None:
+    """Refuse numbers that are none, and masses that no body has."""
+    for element in part.iter():
+        for key, count in _COUNTS.get(element.tag, {}).items():
+            text = element.get(key)
+            if text is not None and not _finite(text, count):
+                several = f"{count} finite numbers" if count > 1 else "a finite number"
+                raise ModelError(
+                    f"{where}: {key} of <{element.tag}> must be {several}, got {shown(text)}"
+                )
+        if element.tag == "geometry" and not len(element):
+            raise ModelError(f"{where}: a <geometry> has no shape in it")
+    inertial = part.find("inertial")
+    if inertial is None:
+        return
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
+    if mass is None or mass.get("value") is None:
+        raise ModelError(f"{where}: its <inertial> has no <mass value=...>")
+    if not float(mass.get("value", "")) >= 0.0:
+        raise ModelError(f"{where}: its mass must not be negative, got {shown(mass.get('value'))}")
+    for key in _INERTIAS:
+        number = math.nan if inertia is None else _number(inertia, key, math.nan, where)
+        if math.isnan(number) or (key[1] == key[2] and number < 0.0):
+            raise ModelError(f"{where}: {key} of its inertia is missing, or negative")
+
+
+def _finite(text: str, count: int) -> bool:
+    try:
+        numbers = [float(part) for part in text.split()]
+    except ValueError:
+        return False
+    return len(numbers) == count and all(map(math.isfinite, numbers)) and "_" not in text

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from numbers import Real
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
@@ -33,7 +34,7 @@ from typing_extensions import Self
 
 from multiarm.errors import SceneError
 from multiarm.public import public_names
-from multiarm.scene.faults import Parts, explain, fault, listed, shown, unknown
+from multiarm.scene.faults import Parts, explain, fault, listed, path_fault, shown, unknown
 from multiarm.scene.urdf import JointOutline
 
 if TYPE_CHECKING:
@@ -118,6 +119,17 @@ class OneOf(Spec):
             known = listed(type(self).model_fields)
             raise fault(f"needs exactly one of {known}, got {given or 'none'}")
         return self
+
+
+def _file_path(value: Any) -> Any:
+    """Refuse the path of no file; whether there is a file is another question."""
+    wrong = path_fault(value) if isinstance(value, (str, Path)) else ""
+    if wrong:
+        raise fault(wrong)
+    return value
+
+
+FilePath = Annotated[Path, BeforeValidator(_file_path)]
 
 
 # --- numbers and vectors -------------------------------------------------------------------------
@@ -322,6 +334,9 @@ class Pose(Spec):
 def _rotation_of_quaternion(quaternion_xyzw: np.ndarray) -> np.ndarray:
     import numpy as np
 
+    largest = np.abs(quaternion_xyzw).max()
+    if largest > 1e100:  # its square would overflow
+        quaternion_xyzw = quaternion_xyzw / largest
     x, y, z, w = quaternion_xyzw / np.linalg.norm(quaternion_xyzw)
     return np.array(
         [

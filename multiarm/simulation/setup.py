@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
@@ -261,8 +262,8 @@ def positive(name: str, value: float) -> float:
     ------
     SolverError
     """
-    if not value > 0.0:
-        raise SolverError(f"{name}: must be greater than 0, got {value!r}")
+    if not isinstance(value, Real) or not value > 0.0:
+        raise SolverError(f"{name}: must be greater than 0, got {shown(value)}")
     return float(value)
 
 

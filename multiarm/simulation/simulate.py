@@ -5,20 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System, require_control
-from multiarm.errors import SceneError
+from multiarm.dynamics.system import System, require_control, require_system
+from multiarm.errors import SceneError, TrajectoryError
+from multiarm.results.files import resolved
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.simulation.certified import Attempts
 from multiarm.simulation.run import Progress
 from multiarm.simulation.setup import Task, increasing_times, run_spec
-from multiarm.terminal.progress import RunProgress, shown
+from multiarm.terminal.progress import RunProgress, displayed
 
 
 def simulate(
@@ -111,6 +111,8 @@ def simulate(
 
     Raises
     ------
+    ModelError
+        When ``system`` is no system, or ``state`` none of its states.
     SceneError
         When the settings contradict each other, or output times are not within the run.
     SolverError, ControlError
@@ -119,6 +121,8 @@ def simulate(
     TrajectoryError
         When ``out`` cannot be written.
     """
+    system = require_system(system, "ma.simulate(system)")
+    state = None if state is None else system.checked(state)
     times = None
     if output_times is not None:
         if output_step is not None:
@@ -140,11 +144,12 @@ def simulate(
     if max_step is None:
         max_step = spec.output_step if system.model.calls_user else np.inf
     own = partial(RunProgress, spec.duration, integrator=spec.integrator, begin=start_time)
-    with shown(progress, own) as show, system.borrow() as data:
+    with displayed(progress, own) as show, system.borrow() as data:
         for callback in data.user_callbacks:
             callback.forget()
         task = Task(system, data, spec, state, max_step, start_time, times)
-        attempts = Attempts(task, None if out is None else Path(out), show)
+        place = None if out is None else resolved(out, TrajectoryError)
+        attempts = Attempts(task, place, show)
         trajectory = attempts.first()
         if certificate and spec.accuracy is not None and trajectory.status == "completed":
             trajectory = attempts.certify()

@@ -10,13 +10,14 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.state import State, fill_by_arm
-from multiarm.dynamics.system import System
+from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ControlError, SolverError
 from multiarm.integration.samples import sample_columns
 from multiarm.integration.step_control import BLOCK_FULL, FINISHED
@@ -25,6 +26,7 @@ from multiarm.public import public_names
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
+from multiarm.scene.faults import shown
 from multiarm.simulation.driver import GOES_ON, Driver, failure_of, state_of, where_of
 from multiarm.simulation.run import BUDGET, Pace, begin, run_metadata, run_statistics
 from multiarm.simulation.setup import Run, Task, check_control_span, run_spec
@@ -77,6 +79,8 @@ class Stepper:
         record: bool = False,
         output_step: float | None = None,
     ) -> None:
+        system = require_system(system, "ma.Stepper(system)")
+        state = None if state is None else system.checked(state)
         spec = run_spec(
             system.scene.run,
             {"stabilization": stabilization, "output_step": output_step},
@@ -191,8 +195,10 @@ class Stepper:
             When the motion cannot go on, with the place and a remedy; the stepper stays at the end
             of the last good step.  It can be advanced with other torques from there, or be reset.
         """
-        if not 0.0 < duration < math.inf:
-            raise SolverError(f"advance: the duration must be greater than 0 s, got {duration!r}")
+        if not isinstance(duration, Real) or not 0.0 < duration < math.inf:
+            raise SolverError(
+                f"advance: the duration must be greater than 0 s, got {shown(duration)}"
+            )
         if self._broken:
             raise SolverError(f"{self._broken}; `reset` it")
         end = self._end_after(duration)

@@ -27,7 +27,7 @@ from multiarm.results.trajectory import ENERGIES, Trajectory, plain
 from multiarm.scene import dump_scene
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.peer_trials import Answer, Trial, all_answers
-from multiarm.terminal.progress import Progress, Report, shown
+from multiarm.terminal.progress import Progress, Report, displayed
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import System
@@ -208,7 +208,7 @@ def run_suite(
     chosen = choose_cases(names, cases)
     begin = time.perf_counter()
     results = []
-    with shown(progress, Progress) as show:
+    with displayed(progress, Progress) as show:
         for number, case in enumerate(chosen):
 
             def report(what: str, part: float, number: int = number, name: str = case.name) -> None:

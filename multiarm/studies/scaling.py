@@ -17,7 +17,7 @@ from typing import Any
 from multiarm.studies import contact_rows, solver_study, time_shares
 from multiarm.studies.evaluation_costs import evaluation_costs
 from multiarm.studies.hard_cases import machine
-from multiarm.terminal.progress import Progress, Report, shown
+from multiarm.terminal.progress import Progress, Report, displayed
 
 EVALUATIONS, THESIS, SHARES, ROWS = STUDIES = ("evaluations", "thesis", "shares", "rows")
 KINDS = ("weld", "ball")
@@ -86,7 +86,7 @@ def run_scaling(plan: Plan, progress: bool | Report | None = None) -> dict[str, 
         microseconds).
     """
     begin, busy = time.perf_counter(), time.process_time()
-    with shown(progress, Progress) as show:
+    with displayed(progress, Progress) as show:
         found = _measured(plan, show)
     wall = time.perf_counter() - begin
     found["wall_time_s"] = wall

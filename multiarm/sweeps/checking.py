@@ -33,6 +33,8 @@ _FUNCTION = re.compile(r"[^:\s][^\n]*:[A-Za-z_][\w.]*")
 
 TRIED = 24
 """Values of an axis that are tried, at most."""
+MOST_IN_HYPERCUBE = 1_000_000
+"""Runs of a point whose samples are drawn together."""
 TAILS = (0.5, 0.001, 0.999)
 """Quantiles of a drawn axis that are tried."""
 MOST_RUNS = 100_000_000
@@ -60,6 +62,11 @@ def axis_faults(spec: SweepSpec) -> list[str]:
         faults.append(
             f"$.sampling: {spec.sampling!r} spreads the runs of one point of the grid, and there "
             "is one; set their number with 'repeat'"
+        )
+    elif spec.sampling == "latin_hypercube" and spec.repeat > MOST_IN_HYPERCUBE:
+        faults.append(
+            f"$.repeat: {spec.repeat:,} runs of a point in one latin hypercube, which is drawn "
+            f"as a whole; at most {MOST_IN_HYPERCUBE:,}: take sampling 'sobol' or 'random'"
         )
     count = spec.repeat
     for axis in steps[:1] if spec.combine == "zip" else steps:

@@ -24,7 +24,7 @@ import numpy as np
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System, require_control
+from multiarm.dynamics.system import System, require_control, require_system
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
@@ -33,7 +33,7 @@ from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.simulation.run import leave_undone
 from multiarm.simulation.setup import positive, run_spec
 from multiarm.simulation.simulate import simulate
-from multiarm.terminal.progress import ManyRunsProgress, shown
+from multiarm.terminal.progress import ManyRunsProgress, displayed
 
 
 def simulate_many(
@@ -131,11 +131,12 @@ def simulate_many(
         "sample_delay": sample_delay,
         "certificate": certificate,
     }
+    system = require_system(system, "ma.simulate_many(system)")
     require_control(control, sample_time, sample_delay)
     threads = _threads(threads, system, control)
     cases = describe(system, states, parameters, out, options)
     ends = (case.scene.run.duration if duration is None else duration for case in cases)
-    with shown(progress, lambda: ManyRunsProgress(len(cases), sum(ends))) as show:
+    with displayed(progress, lambda: ManyRunsProgress(len(cases), sum(ends))) as show:
         return run_cases(cases, system, threads, show)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from multiarm.errors import SweepError
 from multiarm.public import public_names
+from multiarm.results.files import resolved
 from multiarm.scene.faults import unknown
 from multiarm.sweeps.plan import Record
 from multiarm.sweeps.store import StoredSweep, differences
@@ -47,7 +48,7 @@ class Sweep:
     """
 
     def __init__(self, path: str | os.PathLike, code: bool = False):
-        self.path = Path(path).expanduser().absolute()
+        self.path = resolved(path, SweepError)
         self._code = code
         self._stored = StoredSweep.read(self.path)
 

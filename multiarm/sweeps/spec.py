@@ -17,9 +17,9 @@ from typing_extensions import Self
 
 from multiarm.errors import SceneError, SweepError
 from multiarm.scene import STEPS_CHOSEN_BY, function_text
-from multiarm.scene.faults import explain, fault, listed, shown, unknown
+from multiarm.scene.faults import explain, fault, shown, unknown
 from multiarm.scene.functions import UserFunction, located
-from multiarm.scene.text import parse_yaml
+from multiarm.scene.text import parse_yaml, read_text
 from multiarm.scene.values import Spec
 from multiarm.sweeps.axes import Axis, AxisSpec, Count, NonNegativeCount, paths_of, plain_value
 from multiarm.sweeps.quantities import KNOWN, MEASURED, Quantity, digest
@@ -267,12 +267,16 @@ def read_sweep(
         if data and "over" not in data:
             data = {"over": data}
         return _with(data, changes), Path()
-    path = Path(source).expanduser()
     try:
-        data = parse_yaml(_read(path))
-    except (SceneError, SweepError) as error:
-        raise SweepError(error.faults, source=str(path)) from None
-    return _with(data, changes) if isinstance(data, Mapping) else data, path.parent
+        text = read_text(source, "sweep")
+    except SceneError as error:
+        raise SweepError(error.faults) from None
+    try:
+        data = parse_yaml(text)
+    except SceneError as error:
+        raise SweepError(error.faults, source=str(source)) from None
+    folder = Path(source).expanduser().parent
+    return _with(data, changes) if isinstance(data, Mapping) else data, folder
 
 
 def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[str]]:
@@ -327,16 +331,3 @@ def _with(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
         replaced = STEPS_CHOSEN_BY if set(STEPS_CHOSEN_BY).intersection(new) else ()
         merged["run"] = {**{k: v for k, v in old.items() if k not in replaced}, **new}
     return merged
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        near = sorted(p.name for p in path.parent.glob("*.y*ml")) if path.parent.is_dir() else []
-        also = f"; files in that folder: {listed(near)}" if near else ""
-        raise SweepError(f"there is no such file{also}") from None
-    except UnicodeDecodeError:
-        raise SweepError("this is not a text file; a sweep is YAML in UTF-8") from None
-    except OSError as error:
-        raise SweepError(f"cannot read it: {error.strerror}") from None

@@ -27,7 +27,7 @@ import platform
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -44,7 +44,7 @@ from multiarm.results.hdf5 import StoredFile, reason
 from multiarm.results.sinks import provenance
 from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.sweeps.plan import Record, SweepPlan, program_version
-from multiarm.sweeps.table import TYPES, Column, columns_of, schema_of, table_of
+from multiarm.sweeps.table import FIXED, MEASURED, TYPES, Column, columns_of, schema_of, table_of
 
 try:
     import fcntl
@@ -91,21 +91,22 @@ class StoredSweep:
         shards = list(_shards(path))  # first: rows only move from there to the file
         reader = SweepReader(path)
         reader.close()
-        header = json.loads(reader.texts["header"])
-        columns = tuple(Column(**own) for own in header["columns"])
-        schema, mark = schema_of(columns), header["fingerprint"].encode()
-        arrays = [
-            pa.array(reader.columns[field.name], field.type, from_pandas=True) for field in schema
-        ]
-        parts = [pa.table(arrays, schema=schema)]
+        mark = reader.header["fingerprint"].encode()
+        parts = [reader.table_of_rows]
         parts += [
             shard.replace_schema_metadata()
             for shard in shards
             if (shard.schema.metadata or {}).get(FINGERPRINT) == mark
         ]
-        table = pa.concat_tables(parts).combine_chunks()
-        _, first = np.unique(table["run"].to_numpy(), return_index=True)
-        return cls(reader.texts, header, columns, table.take(first))
+        try:
+            table = pa.concat_tables(parts).combine_chunks()
+            runs = table["run"].to_numpy()
+        except pa.ArrowException as error:
+            raise reader.broken("the files beside it have other columns") from error
+        if len(runs) and not 1 <= runs.min() <= runs.max() <= reader.header["count"]:
+            raise reader.broken(f"its runs are not among 1 to {reader.header['count']}")
+        _, first = np.unique(runs, return_index=True)
+        return cls(reader.texts, reader.header, reader.columns, table.take(first))
 
 
 class SweepReader(StoredFile):
@@ -113,9 +114,10 @@ class SweepReader(StoredFile):
 
     Attributes
     ----------
-    texts : dict
-    columns : dict
-        Name -> array of numbers, NaN where there is none, or of texts.
+    texts, header, columns
+        See :class:`StoredSweep`.
+    table_of_rows : pyarrow.Table
+        The rows in the file itself.
     """
 
     format, version = "multiarm sweep", 2
@@ -132,12 +134,57 @@ class SweepReader(StoredFile):
                 "not read: make the sweep again in another file, or overwrite this one (--fresh, "
                 "in Python resume=False)"
             )
-        self.texts = {name: self.file[name].asstr()[()] for name in ("scene", "sweep", "header")}
-        self.columns = {}
-        for own in json.loads(self.texts["header"])["columns"]:
-            stored = self.file[_dataset(own["name"])]
-            is_text = h5py.check_string_dtype(stored.dtype) is not None
-            self.columns[own["name"]] = (stored.asstr() if is_text else stored)[()]
+        self.texts = {name: self.text(name) for name in ("scene", "sweep", "header")}
+        self.header = self.table(self.texts["header"], "'header'")
+        for name, sort in _HEADER.items():
+            if type(self.header.get(name)) is not sort:
+                raise self.broken(
+                    f"'{name}' is missing in its header, or nothing that stands there"
+                )
+        if self.header["count"] < 1 or "version" not in self.header["provenance"]:
+            raise self.broken("its header has no runs, or no version")
+        self.columns = tuple(map(self._column, self.header["columns"]))
+        names = [column.name for column in self.columns]
+        fixed = {column.name for column in (*FIXED, *MEASURED)}
+        if len(set(names)) < len(names) or not fixed.issubset(names):
+            raise self.broken("its columns are not those of a sweep")
+        schema = schema_of(self.columns)
+        rows = [self._rows(column, kind) for column, kind in zip(self.columns, schema, strict=True)]
+        if len(set(map(len, rows))) > 1:
+            raise self.broken("its columns have different numbers of rows")
+        self.table_of_rows = pa.table(rows, schema=schema)
+
+    def _column(self, own: Any) -> Column:
+        """A column as the header describes it."""
+        known = isinstance(own, dict) and all(isinstance(value, str) for value in own.values())
+        if not known or set(own) != {one.name for one in fields(Column)}:
+            raise self.broken("a column in its header is not described as one")
+        groups = ("fixed", "values", "quantities", "measured")
+        if own["type"] not in TYPES or own["group"] not in groups:
+            raise self.broken(f"column '{own['name']}' has an unknown type or group")
+        return Column(**own)
+
+    def _rows(self, column: Column, kind: pa.Field) -> pa.Array:
+        """The rows of a column, of its type."""
+        is_text = pa.types.is_string(kind.type)
+        stored = self.dataset(_dataset(column.name), "O" if is_text else "biuf", 1)
+        if stored.id.get_storage_size() < len(stored) * stored.dtype.itemsize:
+            raise self.broken(f"column '{column.name}' has not all of its {len(stored):,} rows")
+        values = stored.asstr()[()] if is_text else stored[()]
+        try:
+            if column.type == "json":
+                for text in values:
+                    json.loads(text)
+            return pa.array(values, kind.type, from_pandas=True)
+        except (pa.ArrowException, ValueError, RecursionError):
+            raise self.broken(f"column '{column.name}' holds other values than it says") from None
+
+
+_HEADER = {
+    "count": int, "columns": list, "fingerprint": str, "folder": str, "files": dict,
+    "provenance": dict,
+}  # fmt: skip
+"""Entries of a sweep's header."""
 
 
 def _dataset(name: str) -> str:

@@ -16,7 +16,7 @@ from multiarm.sweeps.plan import Job, Record, SweepPlan, make_plan
 from multiarm.sweeps.result import Sweep, load_sweep
 from multiarm.sweeps.store import SweepFile
 from multiarm.terminal.progress import SweepProgress as SweepBar
-from multiarm.terminal.progress import shown
+from multiarm.terminal.progress import displayed
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -114,7 +114,7 @@ def sweep(
     }
     plan = make_plan(scene, over, **{key: v for key, v in keys.items() if v is not None})
     with (
-        shown(progress, SweepBar) as show,
+        displayed(progress, SweepBar) as show,
         # before the file: if the cluster does not answer, rows of an earlier sweep must not be lost
         connected(dask) if dask else nullcontext() as client,
         SweepFile(out, plan, fresh=not resume) as file,
@@ -168,9 +168,17 @@ def _fill(
         batches.close()  # type: ignore[attr-defined]
 
 
+MOST_WORKERS = 1000
+
+
 def _check_executor(workers: Any, dask: Any) -> None:
     if workers is not None and dask:
         raise SweepError("workers and dask exclude each other: a cluster has its own workers")
     whole = isinstance(workers, Integral) and not isinstance(workers, bool)
     if workers is not None and not (whole and workers >= 1):
         raise SweepError(f"workers: must be a number from 1 on, got {workers!r}")
+    if workers is not None and workers > MOST_WORKERS:
+        raise SweepError(
+            f"workers: {workers:.3g} processes, at most {MOST_WORKERS:,} are possible on one "
+            "computer; leave it out for one a processor, or take a cluster"
+        )

@@ -16,6 +16,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from multiarm.errors import shortened
 from multiarm.results.files import printable
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def print_warnings(texts: Iterable[str]) -> None:
     """Print each text in yellow on stderr."""
     console = messages()
     for text in texts:
-        line = Text.assemble(("warning: ", "bold yellow"), (printable(text), "yellow"))
+        line = Text.assemble(("warning: ", "bold yellow"), (shortened(printable(text)), "yellow"))
         console.print(line, soft_wrap=True)
 
 

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from typing_extensions import Self
 
+from multiarm.errors import MultiarmError
+from multiarm.scene.faults import shown
 from multiarm.tableaus import METHODS
 
 if TYPE_CHECKING:
@@ -28,8 +30,8 @@ __all__ = [
     "Report",
     "RunProgress",
     "SweepProgress",
+    "displayed",
     "kernels_are_cached",
-    "shown",
     "span",
 ]
 
@@ -57,10 +59,18 @@ def kernels_are_cached(integrator: str | None = None) -> bool:
     return all(kernel.is_cached() for kernel in kernels)
 
 
-def shown(progress: bool | Callable[..., None] | None, own: Callable[[], Shown]) -> Shown:
-    """What long work calls as it goes on: the caller's function, or for True a display of ours."""
+def displayed(progress: bool | Callable[..., None] | None, own: Callable[[], Shown]) -> Shown:
+    """What long work calls as it goes on: the caller's function, or for True a display of ours.
+
+    Raises
+    ------
+    MultiarmError
+        When it is neither.
+    """
     if progress is True:
         return own()
+    if progress and not callable(progress):
+        raise MultiarmError(f"progress: must be True or a function, got {shown(progress)}")
     return nullcontext(progress or _ignore)
 
 

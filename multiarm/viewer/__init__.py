@@ -82,6 +82,9 @@ def replay(
         The trajectory has no samples, the file cannot be written, nothing can listen at `host` and
         `port`, or `fps` or `speed` is not a number greater than 0.
     """
+    from multiarm.results.trajectory import require_trajectory
+
+    trajectory = require_trajectory(trajectory, "ma.replay(trajectory)")
     for name, value in (("fps", fps), ("speed", speed)):
         if not (math.isfinite(value) and value > 0):
             raise ReplayError(f"{name} must be a number greater than 0, got {value}")

@@ -205,7 +205,7 @@ def _robot_bodies(
         if trunk:  # else the bars from the base to the arms stand for it
             parts = [part for part in parts if part.joint > 0]
         bodies += _bodies(arm, parts, angles[arm.name], colors[arm.name])
-    fixed = [shapes.part(item, subdued=False) for item in trunk]
+    fixed = shapes.seen(first, trunk, subdued=False)
     both = "+".join(arm.name for arm in arms)
     return bodies, _bodies(first, fixed, angles[first.name], WHITE, both)
 
@@ -252,13 +252,26 @@ class _Shapes:
 
     def parts(self, arm: Arm, visuals: list[pin.GeometryObject]) -> list[_Part]:
         """Return visuals of an arm as parts; bars replace links without a shape."""
-        parts = [self.part(item) for item in visuals]
+        parts = self.seen(arm, visuals)
         return parts + _bars(arm, set(range(arm.model.njoints)) - {part.joint for part in parts})
 
-    def part(self, item: pin.GeometryObject, subdued: bool = True) -> _Part:
-        """Return a visual as a part."""
-        mesh = self._mesh(item, subdued)
-        return _Part(item.name, item.parentJoint, item.placement, mesh)
+    def seen(
+        self, arm: Arm, visuals: list[pin.GeometryObject], subdued: bool = True
+    ) -> list[_Part]:
+        """Return visuals as parts, without those that cannot be shown."""
+        parts = []
+        for item in visuals:
+            try:
+                mesh = self._mesh(item, subdued)
+            except ValueError:
+                what = item.meshPath or f"a shape of link {item.name}"
+                warnings.warn(
+                    f"{what} of arm '{arm.name}' has no size that can be shown; it is left out",
+                    stacklevel=2,
+                )
+                continue
+            parts.append(_Part(item.name, item.parentJoint, item.placement, mesh))
+        return parts
 
     def _mesh(self, item: pin.GeometryObject, subdued: bool) -> Mesh:
         if not item.meshPath:

@@ -23,6 +23,7 @@ import coal
 import numpy as np
 
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.scene.robots import mesh_fault
 from multiarm.viewer.mesh import Mesh, box, capsule, cone, cylinder, merge, sphere
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from multiarm.scene import ObjectSpec
 
 
+LONGEST = 1e9  # [m]: coordinates beyond are no lengths of robots
 SATURATION, DARKEST = 0.3, 0.36  # what an arm's own colours keep; black would swallow the tint
 PLAIN = np.array([0.88, 0.89, 0.91])  # of a part without a colour of its own
 
@@ -41,12 +43,30 @@ def load_mesh(path: Path, scale: np.ndarray) -> Mesh:
     Raises
     ------
     ValueError
-        The file is missing or of no known format.
+        The file is missing, larger than any mesh, cut short, of no known format, or has numbers
+        that are not finite.
     """
+    fault = mesh_fault(path)
+    if fault:
+        raise ValueError(fault)
     colored = read_collada(path) if path.suffix.lower() == ".dae" else None
     if colored is not None:
-        return colored.scaled(scale)
-    return _mesh_of_bvh(coal.MeshLoader().load(str(path), np.asarray(scale, float)))
+        return usable(colored.scaled(scale))
+    return usable(_mesh_of_bvh(coal.MeshLoader().load(str(path), np.asarray(scale, float))))
+
+
+def usable(mesh: Mesh) -> Mesh:
+    """The mesh, if it has triangles of finite size.
+
+    Raises
+    ------
+    ValueError
+        It has not.
+    """
+    corners = mesh.vertices[np.ravel(mesh.triangles)]
+    if not len(corners) or not np.abs(corners).max() < LONGEST or not np.ptp(corners, 0).any():
+        raise ValueError("a mesh without triangles of finite size")
+    return mesh
 
 
 def mesh_loader() -> coal.MeshLoader:
@@ -58,8 +78,13 @@ def geometry_mesh(item: pin.GeometryObject, subdued: bool = True) -> Mesh:
     """Return the mesh of a visual of Pinocchio's, in the frame of the visual.
 
     Subdued colours distinguish the parts of an arm, whose tint distinguishes the arms.
+
+    Raises
+    ------
+    ValueError
+        It has no triangles of finite size.
     """
-    mesh = _visual_file(item) or _mesh_of_geometry(item.geometry)
+    mesh = usable(_visual_file(item) or _mesh_of_geometry(item.geometry))
     if item.overrideMaterial:
         mesh = mesh.painted(item.meshColor[:3])
     colors = PLAIN + 0 * mesh.triangles if mesh.colors is None else mesh.colors
@@ -151,11 +176,16 @@ class _UnsupportedError(Exception):
 def read_collada(path: Path) -> Mesh | None:
     """Return the coloured triangles of a Collada file [m], or None if it cannot be read so."""
     try:
-        root = ElementTree.parse(path).getroot()
+        text = path.read_bytes()
+        if b"<!DOCTYPE" in text:  # its entities may expand to any length
+            return None
+        root = ElementTree.fromstring(text)
         for element in root.iter():
             element.tag = element.tag.rpartition("}")[2]  # drop the namespace
         return _Collada(root).mesh()
-    except (ElementTree.ParseError, OSError, ValueError, _UnsupportedError):
+    except (ElementTree.ParseError, OSError, ValueError, LookupError, RecursionError):
+        return None
+    except _UnsupportedError:
         return None
 
 

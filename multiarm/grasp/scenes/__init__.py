@@ -37,7 +37,7 @@ from multiarm.grasp.scenes.hands import contacts, fingers, pose_table, require_r
 from multiarm.grasp.scenes.standing import Progress, lifted, stand_arms
 from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robot, resolve_arm
 from multiarm.spatial import quaternion_to_matrix
-from multiarm.terminal.progress import PartProgress, shown
+from multiarm.terminal.progress import PartProgress, displayed
 
 __all__ = ["grasp_scene", "motion_wrenches", "needed_squeeze"]
 
@@ -123,7 +123,7 @@ def grasp_scene(
     way = path_of(path, duration)
     course = [waypoint.matrix() for waypoint in way]
     rng = np.random.default_rng(seed)
-    with shown(progress, PartProgress) as show:
+    with displayed(progress, PartProgress) as show:
         z, stands = stand_arms(grasp, specs, course, tip_radius, height, rng, show)
     properties = grasp.body.mass_properties(mass)
     if squeeze is None:

@@ -17,7 +17,7 @@ from multiarm.grasp.independent_contacts import independence
 from multiarm.grasp.object_frame import object_frame_on_body
 from multiarm.grasp.scenes.reading import SceneGrasp, read_grasp
 from multiarm.grasp.stability import configuration_stability
-from multiarm.terminal.progress import Progress, Report, shown
+from multiarm.terminal.progress import Progress, Report, displayed
 
 # Standard deviation of a measured contact point, for that of the pose [m].
 MEASURED = 1e-4
@@ -157,7 +157,7 @@ def judge_grasp(
     GraspError
         When no row of the scene's joints is a contact in a point.
     """
-    with shown(progress, Progress) as show:
+    with displayed(progress, Progress) as show:
         show(0, 4, "judging the grasp: closure and its margin")
         grasp = read_grasp(system) if grasp is None else grasp
         closure = grasp.closure

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -12,7 +11,7 @@ from typing_extensions import Self
 from multiarm.scene.control.kind import ControlKind, ObjectPath, SampledControl
 from multiarm.scene.faults import fault, shown, unknown
 from multiarm.scene.functions import UserFunction
-from multiarm.scene.values import Faults, Gain, KnownArm, PerArm, Positive
+from multiarm.scene.values import Faults, FilePath, Gain, KnownArm, PerArm, Positive
 
 
 class NoControl(ControlKind):
@@ -121,7 +120,7 @@ control:
     by_joint = ("stiffness", "damping")
 
     kind: Literal["recorded"] = "recorded"
-    file: Path
+    file: FilePath
     """A table in CSV, Parquet or HDF5: a column of times [s], which increase, and one column for
     each joint. Joints without a column get no torque, or are referred to the start."""
     time: str = "time"

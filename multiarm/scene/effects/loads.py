@@ -18,6 +18,7 @@ from multiarm.scene.functions import UserFunction
 from multiarm.scene.values import (
     BodyAxes,
     Faults,
+    FilePath,
     KnownArm,
     NonNegative,
     Number,
@@ -156,7 +157,7 @@ class WrenchTable(Spec):
     """[s], increasing."""
     values: Numbers | None = None
     """Factors on ``force`` and ``torque``, one for each time."""
-    file: Path | None = None
+    file: FilePath | None = None
     """Instead of these: a CSV file with the columns t, fx, fy, fz, mx, my, mz ([s], [N], [N m]),
     which is the wrench itself."""
 

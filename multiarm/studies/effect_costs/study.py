@@ -51,7 +51,7 @@ from multiarm.studies.effect_costs.variants import (
 )
 from multiarm.studies.hard_cases import machine
 from multiarm.studies.timing import clocked_run, one_thread
-from multiarm.terminal.progress import Progress, Report, shown
+from multiarm.terminal.progress import Progress, Report, displayed
 
 _QUANTITY_OF = {
     "object position": PATH,
@@ -172,7 +172,7 @@ def ledger(
     variants = [*left_out(scene), *simpler_settings(scene)]
     if candidates:
         variants += added(scene, defaults(scene))
-    with one_thread(), shown(progress, Progress) as report:
+    with one_thread(), displayed(progress, Progress) as report:
         own, benches = _run_all(scene, variants, report)
         able = {key: bench for key, bench in benches.items() if isinstance(bench, _Bench)}
         times = _times({_OWN: own, **able}, repeats, report)

@@ -29,7 +29,7 @@ from multiarm.studies.work_precision.points import TOO_SLOW, Measured, run_ours
 from multiarm.studies.work_precision.reference import Reference, difference, make_reference
 from multiarm.studies.work_precision.settings import BY_ACCURACY, OURS, Ladder, Setting, our_ladders
 from multiarm.studies.work_precision.store import Results
-from multiarm.terminal.progress import Progress, Report, shown
+from multiarm.terminal.progress import Progress, Report, displayed
 
 FIRST_RESULTS, LEAST_FIRST = 10.0, 2.0
 """First results are shown after so long [s], but so long after the first reference at least."""
@@ -95,7 +95,7 @@ def run_study(
     results = Results.of(scene, machine()) if results is None else results
     begin = clock()
     try:
-        with one_thread(), shown(progress, Progress) as report:
+        with one_thread(), displayed(progress, Progress) as report:
             study = _Study(scene, results, quick, thorough, report, watch)
             if results.reference is None:
                 study.first_results(begin + FIRST_RESULTS)
