@@ -196,7 +196,7 @@ def descriptions(tmp_path, monkeypatch):
 
 
 def test_described_robots_are_used_if_they_are_there_and_never_fetched(descriptions):
-    assert robot_descriptions.names() == ("crane_description", "lathe_description")
+    assert robot_descriptions.described_robots() == ("crane_description", "lathe_description")
     entry = available_robots()["lathe_description"]
     assert (entry.source, entry.tip) == ("robot_descriptions", "l2")
     assert resolve_arm(ArmSpec(robot="lathe_description")).joint_names == ("j0",)

@@ -360,11 +360,12 @@ def _geometry(
         return pin.GeometryModel()
     build = pin.buildGeomFromUrdfString if isinstance(urdf, str) else pin.buildGeomFromUrdf
     folders = [str(p) for p in package_dirs]
-    for address in () if isinstance(urdf, str) else read_urdf(urdf).meshes:
+    for address in () if mjcf or isinstance(urdf, str) else read_urdf(urdf).meshes:
         mesh = resolve_mesh(address, Path(urdf), package_dirs)
-        fault = "" if mesh is None else mesh_fault(mesh)
+        fault = "there is no such file" if mesh is None else mesh_fault(mesh)
         if fault:
-            warnings.warn(f"the mesh {mesh}: {fault}; the replay shows bars instead", stacklevel=2)
+            what = f"the mesh {mesh or address}: {fault}"
+            warnings.warn(f"{what}; the replay shows bars instead", stacklevel=2)
             return pin.GeometryModel()
     try:
         if mjcf:

@@ -40,7 +40,7 @@ def robots(
     The JSON has the key robots: a table by name, with what is shown here.
     """
     from multiarm.scene import RobotEntry, available_robots, find_robot
-    from multiarm.scene.robot_descriptions import PACKAGE, names
+    from multiarm.scene.robot_descriptions import PACKAGE, described_robots
 
     if name is None:
         known = available_robots()
@@ -48,7 +48,7 @@ def robots(
         known = {name: RobotEntry(Path(name).stem, Path(name), FILE)}
     else:
         known = {name: find_robot(name)}
-    left = [] if name else [described for described in names() if described not in known]
+    left = [] if name else [described for described in described_robots() if described not in known]
     section = Section(
         "Robots",
         "robot",

@@ -20,7 +20,7 @@ PACKAGE, SUFFIX = "robot_descriptions", "_description"
 _TRANSPORTS = "GIT_ALLOW_PROTOCOL"  # those that git may use
 
 
-def names() -> tuple[str, ...]:
+def described_robots() -> tuple[str, ...]:
     """The robots with a URDF, whether they are on this machine or not; none without the package."""
     return tuple(sorted(_sources()))
 

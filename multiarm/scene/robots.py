@@ -18,9 +18,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from multiarm.errors import ModelError, SceneError
-from multiarm.scene import robot_descriptions
 from multiarm.scene.faults import unknown
 from multiarm.scene.mjcf import read_mjcf
+from multiarm.scene.robot_descriptions import PACKAGE, SUFFIX, described_robots, local_urdf
 from multiarm.scene.urdf import RobotOutline, read_urdf
 
 _MOST_MESH_BYTES = 1 << 30
@@ -99,10 +99,10 @@ def available_robots() -> dict[str, RobotEntry]:
     found = _own_robots()
     for name, urdf in _example_files().items():
         found.setdefault(name, RobotEntry(name, urdf, _DISTRIBUTION))
-    for name in robot_descriptions.names():
-        local = robot_descriptions.local_urdf(name)
+    for name in described_robots():
+        local = local_urdf(name)
         if local is not None:
-            found.setdefault(name, RobotEntry(name, local, robot_descriptions.PACKAGE))
+            found.setdefault(name, RobotEntry(name, local, PACKAGE))
     return {name: entry for name, entry in found.items() if _is_usable(entry)}
 
 
@@ -119,19 +119,18 @@ def find_robot(name: str) -> RobotEntry:
         return own[name]
     if name in examples:
         return RobotEntry(name, examples[name], _DISTRIBUTION)
-    described = robot_descriptions.names()
+    described = described_robots()
     if name in described:
-        urdf = robot_descriptions.local_urdf(name)
+        urdf = local_urdf(name)
         if urdf is None:
-            fetch = f"python -m {robot_descriptions.PACKAGE} pull {name}"
+            fetch = f"python -m {PACKAGE} pull {name}"
             raise SceneError(f"robot {name!r} is not on this machine yet; fetch it: {fetch}")
-        return RobotEntry(name, urdf, robot_descriptions.PACKAGE)
+        return RobotEntry(name, urdf, PACKAGE)
     message = unknown("robot", name, [*own, *examples, *described])
     if name in {*_FILES, *_TIPS} and _share_folder() is None:
         message = f"robot {name!r} comes with {_DISTRIBUTION}; pip install {_DISTRIBUTION}"
-    elif name.endswith(robot_descriptions.SUFFIX) and not described:
-        package = robot_descriptions.PACKAGE
-        message = f"robot {name!r} may come with {package}; pip install {package}"
+    elif name.endswith(SUFFIX) and not described:
+        message = f"robot {name!r} may come with {PACKAGE}; pip install {PACKAGE}"
     raise SceneError(f"{message}; or give the path of a file with 'urdf:'")
 
 
@@ -201,18 +200,21 @@ def mesh_fault(path: Path) -> str:
         return f"it has {size:,} bytes, more than {_MOST_MESH_BYTES:,}"
     content = path.read_bytes()
     ending = path.suffix.lower()
-    if ending == ".stl" and not content.startswith(b"solid"):
-        declared = int.from_bytes(content[80:84], "little")
+    declared = int.from_bytes(content[80:84], "little")
+    binary = size == 84 + 50 * declared or not content.startswith(b"solid")  # some say so too
+    if ending == ".stl" and binary:
         if not declared or size < 84 + 50 * declared:
             return f"it declares {declared:,} triangles, and has {max(size - 84, 0) // 50:,}"
         import numpy as np
 
         triangles = np.frombuffer(content, np.dtype("<12f4,u2"), declared, 84)
-        return "" if np.isfinite(triangles["f0"]).all() else "a number is not finite"
+        corners = triangles["f0"][:, 3:]  # normals are not used
+        return "" if np.isfinite(corners).all() else "a number is not finite"
     if ending == ".ply":
         declared = sum(map(int, re.findall(rb"^element \w+ (\d{1,18})", content[:4096], re.M)))
         return "" if 0 < declared <= size else f"it declares {declared:,} vertices and faces"
-    if re.search(rb"(?i)(?<![\w#])[-+]?(nan|inf|infinity)(?!\w)", content):
+    text = b"\0" not in content
+    if text and re.search(rb"(?i)(?<![\w#])[-+]?(nan|inf|infinity)(?!\w)", content):
         return "a number is not finite"
     return ""
 
@@ -242,7 +244,7 @@ def _named_files(folder: Path) -> dict[str, Path]:
     counts = Counter(path.stem for path in files)
     for path in files:
         if path.stem not in names:
-            package = path.parents[1].name.removesuffix(robot_descriptions.SUFFIX)
+            package = path.parents[1].name.removesuffix(SUFFIX)
             found.setdefault(path.stem if counts[path.stem] == 1 else package, path)
     return dict(sorted(found.items()))
 

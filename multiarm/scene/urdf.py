@@ -22,6 +22,7 @@ CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
 MOST_JOINTS = 16
 """Of one arm."""
 _MOST_BYTES, _MOST_PARTS = 20_000_000, 2000  # of a URDF; of its links, and of its joints
+_ROUNDING = 1e-12  # below zero, of a moment of inertia [kg m^2]
 _KNOWN_JOINTS = (*CHAIN_JOINTS, "fixed", "planar", "floating")
 
 
@@ -366,7 +367,7 @@ def _check_numbers(part: ElementTree.Element, where: str) -> None:
         raise ModelError(f"{where}: its mass must not be negative, got {shown(mass.get('value'))}")
     for key in _INERTIAS:
         number = math.nan if inertia is None else _number(inertia, key, math.nan, where)
-        if math.isnan(number) or (key[1] == key[2] and number < 0.0):
+        if math.isnan(number) or (key[1] == key[2] and number < -_ROUNDING):
             raise ModelError(f"{where}: {key} of its inertia is missing, or negative")
 
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 from typing_extensions import Self
 
 from multiarm.errors import MultiarmError
-from multiarm.scene.faults import shown
 from multiarm.tableaus import METHODS
 
 if TYPE_CHECKING:
@@ -70,6 +69,8 @@ def displayed(progress: bool | Callable[..., None] | None, own: Callable[[], Sho
     if progress is True:
         return own()
     if progress and not callable(progress):
+        from multiarm.scene.faults import shown
+
         raise MultiarmError(f"progress: must be True or a function, got {shown(progress)}")
     return nullcontext(progress or _ignore)
 
