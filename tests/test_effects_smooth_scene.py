@@ -277,7 +277,7 @@ def test_a_urdf_that_says_nothing_is_a_warning():
 
 
 def test_negative_numbers_of_a_urdf_are_a_fault(tmp_path):
-    scene = chain_of(tmp_path, "<dynamics damping='-1' friction='nan'/>")
+    scene = chain_of(tmp_path, "<dynamics damping='-1' friction='-2'/>")
     with pytest.raises(SceneError, match=r"joint_damping.*'joint_1', 'joint_2', 'joint_3'.*>= 0"):
         scene(joint_damping="urdf")
     with pytest.raises(SceneError, match=r"joint_friction\.torque: .*<dynamics friction>"):

@@ -397,7 +397,8 @@ def body_of_text(text: str, scale: float = 1.0) -> Polyhedron:
         values = [float(number) for number in numbers.split(",")]
     except ValueError:
         raise _unknown(text) from None
-    if not least <= len(values) <= most or not all(abs(value) <= LONGEST for value in values):
+    lengths = values[1:] if kind in ("prism", "pyramid") else values  # without their sides
+    if not least <= len(values) <= most or not all(abs(length) <= LONGEST for length in lengths):
         raise _unknown(text)
     return _built(kind, values)
 
@@ -423,7 +424,7 @@ def _built(kind: str, values: list[float]) -> Polyhedron:
 
 def _regular(sides: float, radius: float) -> list[list[float]]:
     """Corners of a regular polygon."""
-    if sides != int(sides) or not 3 <= sides <= MOST_SIDES:
+    if not 3 <= sides <= MOST_SIDES or sides != int(sides):
         raise MultiarmError(f"a polygon has 3 to {MOST_SIDES} sides, not {sides:g}")
     if radius <= 0.0:
         raise MultiarmError(f"the radius of a polygon is greater than 0, not {radius:g}")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from multiarm.errors import ModelError
 from multiarm.scene.faults import listed
-from multiarm.scene.urdf import JointOutline, RobotOutline, root_link
+from multiarm.scene.urdf import JointOutline, RobotOutline, read_xml, root_link
 from multiarm.scene.values import Pose
 
 if TYPE_CHECKING:
@@ -131,10 +131,7 @@ def _joint(
 
 def _checked(path: Path) -> ElementTree.Element:
     """The first body of a file that Pinocchio understands."""
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise ModelError(f"{path} is not valid XML: {error}") from None
+    root = read_xml(path)
     if root.tag != "mujoco":
         raise ModelError(f"{path} is not an MJCF file: its root element is <{root.tag}>")
     bodies = root.findall("worldbody/body")

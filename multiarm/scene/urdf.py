@@ -176,23 +176,33 @@ def outline_of_text(text: str, name: str) -> RobotOutline:
 
 @lru_cache(maxsize=128)
 def _read(path: Path, _stamp: int) -> RobotOutline:
+    return _outline(read_xml(path), path)
+
+
+def read_xml(path: Path) -> ElementTree.Element:
+    """The root element of the XML file of a robot.
+
+    Raises
+    ------
+    ModelError
+        If it is no ordinary file, larger than any robot's, or not plain XML.
+    """
     try:
         if not path.is_file():
-            raise ModelError(f"{path} is no ordinary file; name the file of a URDF")
+            raise ModelError(f"{path} is no ordinary file; name the file of a robot")
         size = path.stat().st_size
         if size > _MOST_BYTES:
-            raise ModelError(f"{path} has {size:,} bytes; a URDF has at most {_MOST_BYTES:,}")
+            raise ModelError(f"{path} has {size:,} bytes; a robot has at most {_MOST_BYTES:,}")
         text = path.read_bytes()
         if text[:2] in (b"\xff\xfe", b"\xfe\xff"):
             raise ModelError(f"{path} is text in UTF-16; save it as UTF-8")
         if b"<!DOCTYPE" in text:  # entities in it may expand to any length, or read other files
-            raise ModelError(f"{path} has a document type '<!DOCTYPE'; a URDF has none: remove it")
-        robot = ElementTree.fromstring(text)
+            raise ModelError(f"{path} has a document type '<!DOCTYPE'; remove it, robots have none")
+        return ElementTree.fromstring(text)
     except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise ModelError(f"{path} is not valid XML: {error}") from None
     except OSError as error:
         raise ModelError(f"cannot read {path}: {error.strerror}") from None
-    return _outline(robot, path)
 
 
 def _outline(robot: ElementTree.Element, path: Path) -> RobotOutline:

@@ -141,7 +141,7 @@ class SweepReader(StoredFile):
                 raise self.broken(
                     f"'{name}' is missing in its header, or nothing that stands there"
                 )
-        if self.header["count"] < 1 or "version" not in self.header["provenance"]:
+        if self.header["count"] < 0 or "version" not in self.header["provenance"]:
             raise self.broken("its header has no runs, or no version")
         self.columns = tuple(map(self._column, self.header["columns"]))
         names = [column.name for column in self.columns]
