@@ -265,14 +265,16 @@ def test_dependent_constraints_are_differentiated_along_the_joints(kind, moving,
 ARM = {"robot": "ur5", "tip": "tool0", "posture": UR5_POSTURE, "base": {"xyz": [-1.1, 0, 0]}}
 
 
-def over_floor(gap, **friction):
+def over_floor(gap, ends=None, **friction):
     """An arm holds a heavy box by a ball joint, whose bottom is a gap above the floor."""
     body = {"shape": {"box": [0.6, 0.5, 0.4]}, "mass": 50.0, "pose": {"xyz": [0, 0, 0.5]}}
-    floor = {"at": {"xyz": [0, 0, 0.3 - gap]}, **friction}
+    effects = {"floor": {"at": {"xyz": [0, 0, 0.3 - gap]}, **friction}}
+    if ends is not None:  # damping, so that velocities count at rest
+        effects |= {"joint_limits": {"range": ends}, "joint_damping": 2.0}
     joint = {"arm": "arm", "kind": "ball"}
     return ma.compile_system(
         scene_of(
-            {"arm": ARM}, [joint], object=body, gravity=[0, 0, -9.81], effects={"floor": floor},
+            {"arm": ARM}, [joint], object=body, gravity=[0, 0, -9.81], effects=effects,
         )
     )  # fmt: skip
 
@@ -304,6 +306,17 @@ def test_closed_contacts_stay_closed():
     for joint in range(6):
         change = pushed(np.eye(6)[joint]) - pushed(np.zeros(6))
         np.testing.assert_allclose(found.matrix[:12, 24 + joint], change, atol=1e-9)
+
+
+def test_a_joint_at_its_stop_stays_there():
+    """The box rests on more corners than it needs, the arm on the end of a joint's range."""
+    ends = {"arm": {"shoulder_lift_joint": [-3.0, UR5_POSTURE[1]]}}
+    found = ma.derivatives(over_floor(0.0, ends))
+    assert "repeat others" in found.message
+    fixed = np.isfinite(found.matrix).all(axis=1)
+    row = found.joint_accelerations["arm"]
+    np.testing.assert_allclose(row.matrix[1], 0.0, atol=1e-9)  # whatever is displaced
+    np.testing.assert_allclose(found.matrix[fixed][:, [13, 19]], 0.0, atol=1e-9)
 
 
 def test_sliding_is_refused_with_the_reason():

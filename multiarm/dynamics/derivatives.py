@@ -325,7 +325,7 @@ class _Derivation:
         if status != OK:
             self.data.reraise()
         W = gaps[:, 18 + 2 * n :].T
-        self._add_joint_rows(i, W)
+        self._add_joint_rows(i, W, rates[:, 18 + n :])
         by_q, by_v, M = np.zeros((3, n, n))
         if arm is not None:
             angles, speeds, qdd = at
@@ -363,12 +363,13 @@ class _Derivation:
             self.data.cache[key] = ArmDerivatives(arm, self.gravity)
         return self.data.cache[key]
 
-    def _add_joint_rows(self, i: int, W: np.ndarray) -> None:
-        """Columns of ``W`` that belong to joints of the arm."""
+    def _add_joint_rows(self, i: int, W: np.ndarray, rates_by_v: np.ndarray) -> None:
+        """Columns of ``W`` that belong to joints of the arm, and the rates of their gaps."""
         layout, constants = self.layout, self.data.model.constants
         for arm, row, joint in constants.joint_rows:
             if arm == i:
-                W[joint - layout.dofs[i], row - layout.rows[i]] = constants.geometry[row, SIDE]
+                k, j = row - layout.rows[i], joint - layout.dofs[i]
+                W[j, k] = rates_by_v[k, j] = constants.geometry[row, SIDE]
 
     def _forces_by_differences(self, closed_loop: bool) -> np.ndarray:
         """Derivatives of ``h_o`` and ``h`` by pose, twist, positions and velocities."""
