@@ -26,7 +26,7 @@ from test_dynamics import forest
 
 import multiarm as ma
 from multiarm.assembly.start import project_start
-from multiarm.errors import SolverError
+from multiarm.errors import ModelError, SolverError
 from multiarm.spatial import retract
 
 STEP = 1e-4
@@ -325,3 +325,11 @@ def test_sliding_is_refused_with_the_reason():
     state.velocity[0] = 0.2
     with pytest.raises(SolverError, match="contacts slide with friction at this state"):
         ma.derivatives(system, 0.0, state)
+
+
+def test_what_is_no_system_or_state_is_said():
+    system = over_floor(0.1)
+    with pytest.raises(ModelError, match=r"ma\.derivatives\(system, t, state\)"):
+        ma.derivatives(system.scene)
+    with pytest.raises(ModelError, match="the order is system, t, state"):
+        ma.derivatives(system, system.initial_state())

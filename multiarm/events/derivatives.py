@@ -7,7 +7,7 @@ import numpy as np
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.derivatives import Derivatives, differentiate
 from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System
+from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate_data, mode_at
 
@@ -36,13 +36,16 @@ def derivatives(
 
     Raises
     ------
+    ModelError
+        When ``system`` is no system, ``t`` no time, or ``state`` none of its states.
     SolverError
         When the state cannot be evaluated, or accelerations are not differentiable there: the rank
         of the constraints changes, or contacts slide with friction.
     ControlError
         When a Python controller returns something unusable.
     """
-    state = system.initial_state() if state is None else state
+    system = require_system(system, "ma.derivatives(system, t, state)")
+    t, state = require_time(t), system.checked(state)
     with system.borrow() as data:
         if data.model.unilateral is None:
             found = evaluation.evaluate(data, t, state)
