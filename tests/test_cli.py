@@ -232,6 +232,21 @@ def test_json_of_a_run_is_what_the_help_promises(finished):
     assert set(data["files"]) == {"result", "replay", "report"}
 
 
+@pytest.mark.slow
+def test_an_object_without_a_shape_goes_through_all_commands(tmp_path):
+    """Mass and inertia are all that its motion needs."""
+    body = {"mass": 20.0, "inertia": [0.9, 2.7, 3.0], "pose": {"xyz": [0, 0, 0.5]}}
+    file = scene_file(tmp_path, object=body, run={"duration": 0.02})
+    out, page = tmp_path / "run.h5", tmp_path / "page.html"
+    for words in (
+        ("check", file), ("grasp", "check", file),
+        ("run", file, "--out", out, "--replay-html", page),
+        ("report", out, "--html", page), ("effects", file, "--candidates", "--rounds", 1),
+    ):  # fmt: skip
+        result = multiarm(*words)
+        assert result.exit_code == 0 and "Error" not in result.stderr, (words, result.stderr)
+
+
 def test_result_is_named_after_the_scene_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = multiarm("run", TWO_UR5, "--duration", 0.02, "--quiet")

@@ -319,7 +319,8 @@ class Shape(OneOf):
     def nearest(self, point: np.ndarray) -> np.ndarray | None:
         """The point of the solid that is nearest to a point (3,) [m], object frame.
 
-        A point inside is the nearest to itself; None of a mesh that cannot be read.
+        A point inside is the nearest to itself; None without a shape, or of a mesh that cannot be
+        read.
         """
         if self.box is not None:
             half = 0.5 * np.array(self.box)
@@ -333,7 +334,8 @@ class Shape(OneOf):
         if self.hull is not None:
             points = np.array(self.hull)
             return nearest_in(points, hull_triangles(points), point)
-        assert self.mesh is not None, "a shape is one of five"
+        if self.mesh is None:
+            return None
         import trimesh
 
         try:
