@@ -22,7 +22,7 @@ from mechanics import (
 )
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
-from test_dynamics import forest
+from test_dynamics import constrained_forest
 
 import multiarm as ma
 from multiarm.assembly.start import project_start
@@ -162,23 +162,8 @@ def test_derivatives_are_those_of_pinocchio(kind):
     """
     system = ma.compile_system(ur5_pair({"kind": kind}, {"kind": kind}, gravity=[0, 0, -9.81]))
     state = system.initial_state()
-    model, at = forest(system)
-    R = Rotation.from_quat(state.object_quaternion_xyzw).as_matrix()
-    X_WO = pin.SE3(R, state.object_position)
-    q = [arm.configuration(state.joint_positions[name]) for name, arm in system.arms.items()]
-    q = np.concatenate([*q, state.object_position, state.object_quaternion_xyzw])
-    models, datas, joint = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData(), 0
     contact = pin.ContactType.CONTACT_6D if kind == "weld" else pin.ContactType.CONTACT_3D
-    for name, arm in system.arms.items():
-        X_OT = X_WO.inverse() * pin.SE3(arm.tip_pose(state.joint_positions[name]))
-        models.append(
-            pin.RigidConstraintModel(
-                contact, model, joint + arm.tip_joint,
-                pin.SE3(arm.tip_rotation, arm.tip_translation), at, X_OT, pin.ReferenceFrame.LOCAL,
-            )
-        )  # fmt: skip
-        datas.append(models[-1].createData())
-        joint += arm.dof
+    model, q, R, models, datas = constrained_forest(system, state, contact)
     data, still = model.createData(), np.zeros(model.nv)
     settings = pin.ProximalSettings(1e-15, 1e-9, 200)
 

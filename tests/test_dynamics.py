@@ -252,15 +252,16 @@ def forest(system):
     return model, at
 
 
-def pinocchios_solution(system, state, contact_type):
-    """Accelerations in our order and axes, and the wrench (or force) on each arm's tip."""
+def constrained_forest(system, state, contact_type):
+    """The model of :func:`forest`, its configuration at a state, and the joints as constraints.
+
+    Rows of six or of three, at the tips, closed at the state.
+    """
     model, at = forest(system)
     R = Rotation.from_quat(state.object_quaternion_xyzw).as_matrix()
     X_WO = pin.SE3(R, state.object_position)
-    twist = state.object_twist
     q = [arm.configuration(state.joint_positions[name]) for name, arm in system.arms.items()]
     q = np.concatenate([*q, state.object_position, state.object_quaternion_xyzw])
-    v = np.concatenate([*state.joint_velocities.values(), R.T @ twist[:3], R.T @ twist[3:]])
     models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
     joint = 0
     for name, arm in system.arms.items():
@@ -273,6 +274,14 @@ def pinocchios_solution(system, state, contact_type):
         )  # fmt: skip
         datas.append(models[-1].createData())
         joint += arm.dof
+    return model, q, R, models, datas
+
+
+def pinocchios_solution(system, state, contact_type):
+    """Accelerations in our order and axes, and the wrench (or force) on each arm's tip."""
+    model, q, R, models, datas = constrained_forest(system, state, contact_type)
+    twist = state.object_twist
+    v = np.concatenate([*state.joint_velocities.values(), R.T @ twist[:3], R.T @ twist[3:]])
     data = model.createData()
     pin.initConstraintDynamics(model, data, models, datas)
     # a zero regularisation returns NaN; with this one the proximal iterations converge to rounding

@@ -21,8 +21,8 @@ import pinocchio as pin
 
 from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms
 from multiarm.errors import ModelError
+from multiarm.scene.meshes import mesh_fault, resolve_mesh
 from multiarm.scene.mjcf import mjcf_model
-from multiarm.scene.robots import mesh_fault, resolve_mesh
 from multiarm.scene.urdf import read_urdf
 
 

@@ -9,7 +9,7 @@ from multiarm.dynamics.derivatives import Derivatives, differentiate
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
-from multiarm.events.evaluation import evaluate_data, mode_at
+from multiarm.events.evaluation import evaluate_mode, mode_at
 
 
 def derivatives(
@@ -63,4 +63,5 @@ def derivatives(
         held = np.concatenate([np.arange(moving), moving + mode.arrays.held])
         scattered = np.zeros((moving + layout.contacts, matrix.shape[1]))
         scattered[held] = matrix
-        return Derivatives(evaluate_data(data, t, state), scattered, layout, message)
+        found = evaluate_mode(data, mode, t, state)
+        return Derivatives(found, scattered, layout, message)

@@ -68,8 +68,7 @@ def evaluate_data(data: Data, t: float, state: State) -> Evaluation:
     """:func:`evaluate` with a Data at hand."""
     if data.model.unilateral is None:
         return evaluation.evaluate(data, t, state)
-    mode = mode_at(data, t, state)
-    return _scattered(modes_of(data, SLOW), mode, t, state)
+    return evaluate_mode(data, mode_at(data, t, state), t, state)
 
 
 def mode_at(data: Data, t: float, state: State) -> Mode:
@@ -95,8 +94,9 @@ def modes_of(data: Data, slow: float) -> Modes:
     return data.cache["modes", slow]
 
 
-def _scattered(modes: Modes, mode: Mode, t: float, state: State) -> Evaluation:
-    """The evaluation of a mode, in the rows of the whole system."""
+def evaluate_mode(data: Data, mode: Mode, t: float, state: State) -> Evaluation:
+    """The evaluation of a mode of a state, in the rows of the whole system."""
+    modes = modes_of(data, SLOW)
     full, closed = modes.full, modes.full.with_contacts_closed()
     own = evaluation.evaluate(mode.data, t, state)
     forces, unique = _all_forces(full, mode)

@@ -19,11 +19,11 @@ from multiarm.errors import ModelError, SceneError
 from multiarm.scene.faults import fault, listed, place, unknown
 from multiarm.scene.fingers import FingersSpec, urdf_text
 from multiarm.scene.functions import located
+from multiarm.scene.meshes import resolve_mesh
 from multiarm.scene.mjcf import read_mjcf
 from multiarm.scene.robots import (
     arm_ends,
     find_robot,
-    resolve_mesh,
     resolve_package_dirs,
     usual_tips,
 )

@@ -41,12 +41,12 @@ from multiarm.scene.loading import (
     with_code,
     without_code,
 )
+from multiarm.scene.meshes import resolve_mesh
 from multiarm.scene.object import Mesh, ObjectSpec, Shape
 from multiarm.scene.robots import (
     RobotEntry,
     available_robots,
     find_robot,
-    resolve_mesh,
     resolve_package_dirs,
 )
 from multiarm.scene.run import (

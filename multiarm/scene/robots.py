@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
-import re
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,8 +21,6 @@ from multiarm.scene.faults import unknown
 from multiarm.scene.mjcf import read_mjcf
 from multiarm.scene.robot_descriptions import PACKAGE, SUFFIX, described_robots, local_urdf
 from multiarm.scene.urdf import RobotOutline, read_urdf
-
-_MOST_MESH_BYTES = 1 << 30
 
 PROJECT = "this project"
 _DISTRIBUTION = "example-robot-data"
@@ -170,53 +167,6 @@ def resolve_package_dirs(urdf: Path, explicit: tuple[Path, ...] = ()) -> tuple[P
     if share is not None:
         folders += [share, share / "example-robot-data" / "robots"]
     return tuple(dict.fromkeys(folders))
-
-
-def resolve_mesh(address: str, urdf: Path, package_dirs: tuple[Path, ...]) -> Path | None:
-    """The file of a mesh address of a URDF, or None if there is none.
-
-    ``package://`` and ``model://`` are looked up in ``package_dirs``, ``file://`` and absolute
-    paths taken as they are, other paths relative to the URDF's folder.
-    """
-    scheme, separator, rest = address.partition("://")
-    if not separator:
-        candidates = [urdf.parent / address]
-    elif scheme == "file":
-        candidates = [Path(rest)]
-    else:
-        candidates = [folder / rest.lstrip("/") for folder in package_dirs]
-    return next((path for path in candidates if path.is_file()), None)
-
-
-def mesh_fault(path: Path) -> str:
-    """Why no reader of meshes should open a file; empty where one may.
-
-    Readers trust the counts that a file declares, and compute with whatever numbers it has.
-    """
-    if not path.is_file():
-        return "there is no such file"
-    size = path.stat().st_size
-    if size > _MOST_MESH_BYTES:
-        return f"it has {size:,} bytes, more than {_MOST_MESH_BYTES:,}"
-    content = path.read_bytes()
-    ending = path.suffix.lower()
-    declared = int.from_bytes(content[80:84], "little")
-    binary = size == 84 + 50 * declared or not content.startswith(b"solid")  # some say so too
-    if ending == ".stl" and binary:
-        if not declared or size < 84 + 50 * declared:
-            return f"it declares {declared:,} triangles, and has {max(size - 84, 0) // 50:,}"
-        import numpy as np
-
-        triangles = np.frombuffer(content, np.dtype("<12f4,u2"), declared, 84)
-        corners = triangles["f0"][:, 3:]  # normals are not used
-        return "" if np.isfinite(corners).all() else "a number is not finite"
-    if ending == ".ply":
-        declared = sum(map(int, re.findall(rb"^element \w+ (\d{1,18})", content[:4096], re.M)))
-        return "" if 0 < declared <= size else f"it declares {declared:,} vertices and faces"
-    text = b"\0" not in content
-    if text and re.search(rb"(?i)(?<![\w#])[-+]?(nan|inf|infinity)(?!\w)", content):
-        return "a number is not finite"
-    return ""
 
 
 def _own_robots() -> dict[str, RobotEntry]:

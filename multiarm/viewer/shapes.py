@@ -23,7 +23,7 @@ import coal
 import numpy as np
 
 from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.scene.robots import mesh_fault
+from multiarm.scene.meshes import mesh_fault
 from multiarm.viewer.mesh import Mesh, box, capsule, cone, cylinder, merge, sphere
 
 if TYPE_CHECKING:
