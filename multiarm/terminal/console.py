@@ -139,7 +139,11 @@ def columns(title: str, names: Sequence[str], rows: Iterable[Sequence[Renderable
     for k, name in enumerate(names):
         cells = [_as_text(name), *(row[k] for row in shown if k < len(row))]
         width = max(map(_longest_word, cells))
-        table.add_column(cells[0], header_style="cyan", overflow="fold", min_width=width)
+        # Rich narrows the widest columns first: not those that have nothing to wrap
+        single = all(isinstance(cell, Text) and cell.cell_len <= width for cell in cells)
+        table.add_column(
+            cells[0], header_style="cyan", overflow="fold", min_width=width, no_wrap=single
+        )
     for row in shown:
         table.add_row(*row)
     return table
