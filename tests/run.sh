@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Set up everything on a fresh machine (Debian or Ubuntu) and run all checks:
-# a virtual environment, Chromium for the browser tests, lint, types, tests, examples.
+# a virtual environment, Chromium for the browser tests, lint, types, tests, examples, documentation.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -16,7 +16,7 @@ echo "== installing multiarm into $environment"
 [ -d "$environment" ] || python3 -m venv "$environment"
 # shellcheck disable=SC1091
 . "$environment/bin/activate"
-python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+python -m pip install --quiet --disable-pip-version-check -e ".[test,docs]"
 
 echo "== lint and types"
 ruff check .
@@ -28,3 +28,11 @@ python examples/01_two_ur5_box.py
 
 echo "== tests"
 python -m pytest -n 2 "$@"
+
+case " $* " in
+*" --quick "*) ;;
+*)
+    echo "== documentation"
+    bash docs/build.sh
+    ;;
+esac

@@ -64,7 +64,7 @@ class PatchSpec(Spec):
 
 
 class Surface(OwnSpec):
-    """Base class of surfaces; define ``name``, fields and :meth:`record`.
+    """Base class of surfaces; define ``name``, fields and :meth:`Surface.record`.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ TipRadius = Annotated[
 
 
 class Joint(OwnKind):
-    """Base class of joints; define ``kind``, fields and :meth:`records`.
+    """Base class of joints; define ``kind``, fields and :meth:`Joint.records`.
 
     The joint frame is given in the object frame (``at``) and in the tip's frame (``at_tip``); both
     coincide at the start.
