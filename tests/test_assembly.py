@@ -86,6 +86,25 @@ def test_a_far_start_is_refused_with_all_gaps_and_a_remedy():
         assert f"'{name}'" in fault and "gap of" in fault and "at" in fault
 
 
+@pytest.mark.parametrize(
+    "kind, axis", [("weld", 0), ("weld", 2), ("prismatic", 2), ("cylindrical", 1), ("planar", 0)]
+)
+@pytest.mark.parametrize("missing", [0.0, 0.05])
+def test_a_joint_that_would_close_upside_down_is_refused(kind, axis, missing):
+    """All gaps of a weld vanish at half a turn too, exactly or from near by."""
+    turn = (math.pi - missing) * np.eye(3)[axis]
+    flipped = displaced(at_tip("right"), np.zeros(3), turn)
+    with pytest.raises(SceneError, match=r"'right' the wrong way round: .* 180 degrees .*solve"):
+        ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": kind, "at": flipped}))
+
+
+@pytest.mark.parametrize("kind, axis", [("revolute", 2), ("cylindrical", 2), ("ball", 0)])
+def test_half_a_turn_about_a_free_axis_is_a_position_of_the_joint(kind, axis):
+    flipped = displaced(at_tip("right"), np.zeros(3), math.pi * np.eye(3)[axis])
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": kind, "at": flipped}))
+    assert system.start_report.joint_change < 1e-9
+
+
 def test_a_start_that_is_not_assembled_serves_evaluations_elsewhere():
     """Without assembly gaps and postures stay as written; runs need a state on the joints."""
     there = {"kind": "weld", "at": displaced(at_tip("left"), [0.5, 0.0, 0.0])}

@@ -21,6 +21,8 @@ Nothing is divided by a singular value: dependent rows and singular arms need no
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from multiarm.assembly.loop_closure import (
@@ -79,6 +81,7 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         raise SceneError(_too_far(data, scene, name, gaps, limit))
     limits, outside = _limits(data, written)
     held = _close(data, name, gaps, limits, size)
+    _check_way_round(data, scene, name)
     energy_lost = _close_rates(data, size)
     start = data.get_state()
     moved = np.abs(start.position[7:] - written.position[7:])
@@ -241,6 +244,34 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
         whole.place(arms_alone)
         return True
     raise SceneError(_cannot_close(data, name, gaps, whole, end))
+
+
+def _check_way_round(data: Data, scene: Scene, name: str) -> None:
+    """Raise where a joint is closed upside down.
+
+    Contacts are rows of distances, and those of a weld or a slide vanish too where the joint's
+    frames on arm and object differ by half a turn.
+    """
+    faults, R_O = [], data.arrays.body[:9].reshape(3, 3)
+    links = dict(zip(data.model.arm_names, data.arrays.arms[:, :9], strict=False))
+    for joint in scene.joints:
+        turns = None if joint.free is None else [k - 3 for k in joint.free if k >= 3]
+        if turns is None or len(turns) > 1:
+            continue
+        frame, arm = data.model.frames[joint.arm], data.model.arms[joint.arm]
+        R_T = links[joint.arm].reshape(3, 3) @ arm.tip_rotation
+        R = (R_O @ frame.on_object[:3, :3]).T @ R_T @ frame.on_tip[:3, :3]
+        # the cosine of the turn between both frames, or between the axes about which they may turn
+        cosine = R[turns[0], turns[0]] if turns else 0.5 * (np.trace(R) - 1.0)
+        if cosine < 0.0:
+            angle = math.degrees(math.acos(max(cosine, -1.0)))
+            faults.append(
+                f"{name} closes the joint of arm '{joint.arm}' the wrong way round: its frame on "
+                f"the arm is turned by {angle:.0f} degrees against that on the object; correct the "
+                "posture or `at`, or let `posture: solve` find it"
+            )
+    if faults:
+        raise SceneError(faults)
 
 
 def _limits(data: Data, written: State) -> tuple[np.ndarray, tuple[str, ...]]:
