@@ -16,7 +16,7 @@ and Q a basis of the forces that move nothing, :math:`v = v_p + Q q`, the bounds
 
 .. math:: q = K^T u, \qquad 0 \le u \perp K K^T u + k \ge 0 .
 
-|v| is meant in the rows as they are: newtons for forces, newton metres for couples.
+:math:`|v|` is meant in the rows as they are: newtons for forces, newton metres for couples.
 
 **Rows.** Without friction the minimum-norm forces *between their bounds* say which rows are active.
 Leave out the rows that end at a bound: the forces of the rest are then the smallest of all forces
