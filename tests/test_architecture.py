@@ -57,7 +57,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "viewer",
         "studies.pinocchio_peer",
     ),
-    "pyarrow": ("control.tables", "sweeps.store", "sweeps.summary", "sweeps.table"),
+    "pyarrow": ("control.tables", "sweeps.result", "sweeps.store", "sweeps.table"),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),
     "pydrake": ("studies.drake_peer",),

@@ -22,8 +22,7 @@ import multiarm as ma
 from multiarm.cli import app
 from multiarm.cli.sweep import spread_table, trouble_lines
 from multiarm.sweeps.quantities import measure
-from multiarm.sweeps.result import load_sweep
-from multiarm.sweeps.summary import Failure, SweepSummary
+from multiarm.sweeps.result import Failure, SweepSummary, load_sweep
 from multiarm.terminal.progress import SweepProgress
 
 SCENE = SCENES / "two_ur5_box.yaml"

@@ -38,8 +38,7 @@ from multiarm.terminal.progress import SweepProgress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
-    from multiarm.sweeps.result import Sweep
-    from multiarm.sweeps.summary import SweepSummary
+    from multiarm.sweeps.result import Sweep, SweepSummary
 
 __all__ = ["facts_table", "spread_table", "sweep", "trouble_lines"]
 

@@ -32,28 +32,15 @@ MEASURED = "wall_time"
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of every run.
-
-    Attributes
-    ----------
-    name : str
-    unit : str
-    words : str
-        Description.
-    function : callable or FunctionReference, optional
-        The user's function, or its place.
-    key : str, optional
-        Of the table that the function returns.
-    digest : str
-        Of the function's source text.
-    """
+    """One number of every run."""
 
     name: str
     unit: str
-    words: str
+    words: str  # description
+    # the user's function, or its place
     function: Callable[[Trajectory], Any] | FunctionReference | None = None
-    key: str | None = None
-    digest: str = ""
+    key: str | None = None  # of the table that the function returns
+    digest: str = ""  # of the function's source text
 
 
 def measure(
