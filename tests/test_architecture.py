@@ -79,6 +79,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "studies.solver_forms",
         "studies.peer_trials",
         "studies.pinocchio_peer",
+        "viewer.animation",
     ),
     "shapely": ("grasp", "viewer.animate"),
     "threadpoolctl": ("studies.timing", "sweeps.worker"),

@@ -14,7 +14,7 @@ from multiarm.viewer import replay
 from multiarm.viewer.animate import animate
 from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks
 from multiarm.viewer.drawing import draw
-from multiarm.viewer.hinges import Hinges
+from multiarm.viewer.glyphs import Hinges
 from multiarm.viewer.mesh import box
 
 SCENE = """

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from multiarm.results.channels import OPEN
 from multiarm.results.event_log import Event, Family
@@ -147,9 +148,7 @@ class Animation:
 
 def rotations(quaternion_xyzw: np.ndarray) -> np.ndarray:
     """Return the rotation matrices, shape (K, 3, 3), of unit quaternions, shape (K, 4)."""
-    v, w = quaternion_xyzw[:, :3], quaternion_xyzw[:, 3, None, None]
-    V = np.cross(np.eye(3)[None], v[:, None])  # V @ a = v x a
-    return np.eye(3) + 2 * w * V + 2 * V @ V
+    return Rotation.from_quat(quaternion_xyzw).as_matrix()
 
 
 def continuous(quaternion_xyzw: np.ndarray) -> np.ndarray:
@@ -170,11 +169,10 @@ def along(directions: np.ndarray) -> np.ndarray:
     """
     quaternions = np.empty((*directions.shape[:2], 4))
     last_direction = np.tile([0.0, 0.0, 1.0], (directions.shape[1], 1))
-    last = np.tile([0.0, 0.0, 0.0, 1.0], (directions.shape[1], 1))
+    last = Rotation.identity(directions.shape[1])
     for k, direction in enumerate(directions):
-        last = _product(_smallest_turns(last_direction, direction), last)
-        last /= np.linalg.norm(last, axis=1, keepdims=True)
-        quaternions[k], last_direction = last, direction
+        last = Rotation.from_quat(_smallest_turns(last_direction, direction)) * last
+        quaternions[k], last_direction = last.as_quat(), direction
     return quaternions
 
 
@@ -185,10 +183,3 @@ def _smallest_turns(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         turns[i, :3] = np.cross(a[i], np.eye(3)[np.argmin(np.abs(a[i]))])
         turns[i, 3] = 0.0
     return turns / np.linalg.norm(turns, axis=1, keepdims=True)
-
-
-def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the quaternion products p q, shape (N, 4), scalar last."""
-    p_xyz, p_w, q_xyz, q_w = p[:, :3], p[:, 3:], q[:, :3], q[:, 3:]
-    xyz = p_w * q_xyz + q_w * p_xyz + np.cross(p_xyz, q_xyz)
-    return np.column_stack([xyz, p_w * q_w - np.sum(p_xyz * q_xyz, axis=1, keepdims=True)])
