@@ -23,7 +23,7 @@ import numpy as np
 from multiarm.errors import SceneError, TrajectoryError
 from multiarm.public import public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
-from multiarm.results.files import temporary_name
+from multiarm.results.files import STATUSES, temporary_name
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -36,16 +36,15 @@ ENERGIES = ("energy/kinetic", "energy/potential", "energy/work")
 class Outcome:
     """How a run ended."""
 
-    status: str  # "completed", "interrupted" or "failed"
+    status: str  # one of `STATUSES`
     message: str  # how it ended and, after a failure, the remedy
     statistics: dict[str, Any] = field(default_factory=dict)  # steps, evaluations, wall_time_s, ...
     events: list[dict[str, Any]] = field(default_factory=list)
     certificate: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        statuses = ("completed", "interrupted", "failed")
-        if self.status not in statuses:
-            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {statuses}")
+        if self.status not in STATUSES:
+            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {STATUSES}")
 
 
 class Store(Protocol):

@@ -30,7 +30,7 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.channels import Channel, arm_names
-from multiarm.results.files import CLOSED, resolved
+from multiarm.results.files import CLOSED, STATUSES, resolved
 from multiarm.results.hdf5 import (
     HDF5_ERRORS,
     PIECE,
@@ -294,7 +294,6 @@ _SHAPES = {
     **dict.fromkeys(("drift/position", "drift/velocity"), ()),
 }  # fmt: skip
 """Of a sample, of the channels that all runs have."""
-_STATUSES = ("completed", "interrupted", "failed")
 
 
 def outcome_fault(outcome: Mapping[str, Any]) -> str:
@@ -302,7 +301,7 @@ def outcome_fault(outcome: Mapping[str, Any]) -> str:
     sorts = {"status": str, "message": str, "statistics": dict, "events": list}
     allowed = {*sorts, "certificate"}
     wrong = [name for name, sort in sorts.items() if not isinstance(outcome.get(name), sort)]
-    if wrong or not allowed.issuperset(outcome) or outcome["status"] not in _STATUSES:
+    if wrong or not allowed.issuperset(outcome) or outcome["status"] not in STATUSES:
         return f"'{(wrong or ['status'])[0]}' is missing, or nothing that this program writes"
     certificate = outcome.get("certificate")
     if certificate is not None and not isinstance(certificate, dict):

@@ -168,17 +168,7 @@ def describe(
     out: str | os.PathLike | None,
     options: Mapping[str, Any],
 ) -> list[Case]:
-    """The cases of a call of :func:`simulate_many`, all checked before the first one begins.
-
-    Raises
-    ------
-    SceneError
-        Naming all faults of all parameters, or contradicting settings.
-    ModelError
-        A state is invalid or belongs to another system; states and parameters differ in number.
-    TrajectoryError
-        A result cannot be written.
-    """
+    """The cases of a call of :func:`simulate_many`, all checked before the first one begins."""
     if states is None and parameters is None:
         raise ModelError("simulate_many needs `states`, `parameters`, or equally many of both")
     if isinstance(parameters, Mapping):
@@ -342,15 +332,7 @@ class _Progress:
 
 
 def run_files(out: str | os.PathLike | None, count: int) -> list[Path | None]:
-    """One file for each run.
-
-    Parameters
-    ----------
-    out : path-like, optional
-        A folder, created if missing, for ``run_0001.h5`` and so on; or a pattern of files such as
-        ``"runs/box_{:03d}.h5"``, filled with the number of the run, from 1 on.
-    count : int
-        Number of runs.
+    """One file for each run, from ``out`` of :func:`simulate_many`; folders are created.
 
     Raises
     ------

@@ -227,13 +227,7 @@ def make_plan(
 ) -> SweepPlan:
     """Plan a sweep and check it: its text, and its paths and values in the scene.
 
-    Parameters
-    ----------
-    scene : Scene or path
-    over : path or mapping, optional
-        A sweep file, its content as a table, or its ``over`` alone.
-    **changes
-        Keys of a sweep that replace those in ``over``.
+    ``over`` is that of :func:`multiarm.sweep`; ``changes`` are keys that replace those in it.
 
     Raises
     ------

@@ -46,19 +46,9 @@ class Quantity:
 def measure(
     quantities: Sequence[Quantity], trajectory: Trajectory
 ) -> tuple[dict[str, float | None], str]:
-    """The quantities of a completed run.
+    """The quantities of a completed run by name, and the errors of user-defined functions.
 
-    Parameters
-    ----------
-    quantities : sequence of Quantity
-    trajectory : Trajectory
-
-    Returns
-    -------
-    numbers : dict
-        Name -> number; None where the quantity is not defined for this run, or its function failed.
-    fault : str
-        Errors of user-defined functions; empty if there are none.
+    A number is None where it is not defined for this run, or its function failed.
     """
     numbers: dict[str, float | None] = {}
     faults = []
