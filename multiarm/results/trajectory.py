@@ -239,9 +239,8 @@ class Trajectory:
     @property
     def effect_works(self) -> dict[str, np.ndarray]:
         """Effect -> its work since the start, shape (K,) [J]; of effects that do work."""
-        names = (name.split("/") for name in self._store.channels)
-        effects = [parts[1] for parts in names if parts[0] == "effects" and parts[-1] == "work"]
-        return {effect: self.channel(f"effects/{effect}/work") for effect in effects}
+        names = work_channels(self._store.channels)
+        return {effect: self.channel(name) for effect, name in names.items()}
 
     @property
     def energy(self) -> np.ndarray:
@@ -448,6 +447,12 @@ class Trajectory:
             return None
         start = self.energy_at_start
         return float(max(np.abs(k + p - start - w).max() for k, p, w in self.blocks(*ENERGIES)))
+
+
+def work_channels(channels: Iterable[str]) -> dict[str, str]:
+    """Effect -> name of the channel of its work, of the channels of a run."""
+    names = (name for name in channels if name.startswith("effects/") and name.endswith("/work"))
+    return {name.removeprefix("effects/").removesuffix("/work"): name for name in names}
 
 
 def require_trajectory(trajectory: Any, call: str) -> Trajectory:

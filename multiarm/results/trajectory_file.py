@@ -36,7 +36,7 @@ import h5py
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel, arm_names
+from multiarm.results.channels import Channel, arm_names, trajectory_channels
 from multiarm.results.files import CLOSED, STATUSES, atomic_file, resolved
 from multiarm.results.hdf5 import HDF5_ERRORS, StoredFile, reason
 
@@ -138,9 +138,9 @@ class TrajectoryReader(StoredFile):
         """Refuse channels of another shape, and times that do not go on."""
         if "time" not in self.channels:
             raise self.broken("channel 'time' is missing")
-        for name, shape in _SHAPES.items():
-            if name in self.channels and self.channels[name].shape != shape:
-                raise self.broken(f"channel '{name}' has another shape")
+        for channel in trajectory_channels({}, {}):  # those that all runs have
+            if self.channels.get(channel.name, channel).shape != channel.shape:
+                raise self.broken(f"channel '{channel.name}' has another shape")
         for arm in arm_names(self.channels):
             own = [f"arms/{arm}/joint_{name}" for name in ("position", "velocity", "torque")]
             if len({self.channels[name].shape for name in own if name in self.channels}) > 1:
@@ -384,15 +384,6 @@ def _create(file: h5py.File, channel: Channel) -> h5py.Dataset:
     if channel.labels:
         dataset.attrs["columns"] = list(channel.labels)
     return dataset
-
-
-_XYZ: tuple[int, ...] = (3,)
-_SHAPES = {
-    "time": (), "object/position": _XYZ, "object/quaternion_xyzw": (4,), "object/twist": (6,),
-    **dict.fromkeys(("energy/kinetic", "energy/potential", "energy/work"), ()),
-    **dict.fromkeys(("drift/position", "drift/velocity"), ()),
-}  # fmt: skip
-"""Of a sample, of the channels that all runs have."""
 
 
 def outcome_fault(outcome: Mapping[str, Any]) -> str:

@@ -91,9 +91,8 @@ def exponents(value: Any) -> list[Any]:
     return value
 
 
-def ratios(value: Any) -> list[Any]:
-    """First value, last value and number of values, with equal ratios."""
-    value = spaced(value)
+def in_ratio(value: list[Any]) -> list[Any]:
+    """The list, whose first two numbers are bounds of values with equal ratios."""
     if not (value[0] > 0.0 and value[1] > 0.0):
         raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
     return value
@@ -126,14 +125,6 @@ def bounds(value: Any) -> list[float]:
     if not low < high:
         raise fault(f"the lowest must be below the highest, got {shown(value)}")
     return [low, high]
-
-
-def positive_bounds(value: Any) -> list[float]:
-    """The lowest and the highest value, both positive."""
-    value = bounds(value)
-    if not value[0] > 0.0:
-        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
-    return value
 
 
 def whole_bounds(value: Any) -> list[int]:
@@ -210,14 +201,14 @@ class Spaced(Sequence):
         return self.start + k * ((self.stop - self.start) / (self.size - 1))
 
 
+def with_ratio(start: float, stop: float, share: float) -> float:
+    low, high = math.log10(start), math.log10(stop)
+    return 10.0 ** (low + share * (high - low))
+
+
 def whole_numbers(given: Sequence[int]) -> range:
     """Whole numbers, as Python's range goes through them."""
     return range(*given)
-
-
-def in_ratio(start: float, stop: float, share: float) -> float:
-    low, high = math.log10(start), math.log10(stop)
-    return 10.0 ** (low + share * (high - low))
 
 
 def uniform_quantile(bounds: Sequence[float], u: float) -> float:
@@ -283,16 +274,20 @@ class AxisSpec(Spec):
     logspace: Annotated[
         list[Any] | None,
         BeforeValidator(exponents),
-        Enumerated(lambda own: Spaced(10.0 ** own[0], 10.0 ** own[1], own[2], in_ratio)),
+        Enumerated(lambda own: Spaced(10.0 ** own[0], 10.0 ** own[1], own[2], with_ratio)),
     ] = None
     geomspace: Annotated[
-        list[Any] | None, BeforeValidator(ratios), Enumerated(lambda own: Spaced(*own, in_ratio))
+        list[Any] | None,
+        BeforeValidator(lambda own: in_ratio(spaced(own))),
+        Enumerated(lambda own: Spaced(*own, with_ratio)),
     ] = None
     range: Annotated[list[int] | None, BeforeValidator(counted), Enumerated(whole_numbers)] = None
     rows: Annotated[list[Any] | None, BeforeValidator(items), Enumerated(list)] = None
     uniform: Annotated[list[float] | None, BeforeValidator(bounds), Drawn(uniform_quantile)] = None
     loguniform: Annotated[
-        list[float] | None, BeforeValidator(positive_bounds), Drawn(loguniform_quantile)
+        list[float] | None,
+        BeforeValidator(lambda own: in_ratio(bounds(own))),
+        Drawn(loguniform_quantile),
     ] = None
     normal: Annotated[NormalSpec | None, Drawn(normal_quantile)] = None
     lognormal: Annotated[LogNormalSpec | None, Drawn(lognormal_quantile)] = None
