@@ -480,6 +480,15 @@ def newer_file(path):
         file.attrs["format_version"] = 99
 
 
+def misshapen_file(path):
+    record(Hdf5Sink(path))
+    with h5py.File(path, "r+") as file:
+        del file["energy/work"]
+        file["energy/work"] = np.zeros((len(file["time"]), 2))
+        file["energy/work"].attrs.update(file["energy/kinetic"].attrs)
+        file["energy/work"].attrs["columns"] = ["x", "y"]
+
+
 @pytest.mark.parametrize(
     ("make", "told"),
     [
@@ -489,6 +498,7 @@ def newer_file(path):
         (lambda path: path.write_text("name: a scene\n"), r"run\.h5' is not an HDF5 file"),
         (lambda path: path.write_bytes(b"\x89HDF\r\n\x1a\n" + b"\x03" * 90), r"run.h5' is damaged"),
         (another_file, "an HDF5 file, but not a trajectory of multiarm"),
+        (misshapen_file, "channel 'energy/work' has another shape"),
         (newer_file, r"format version 99; .* update multiarm"),
     ],
 )
