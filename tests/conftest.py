@@ -1,4 +1,4 @@
-"""Shared fixtures: compiled systems (compiled once; tests never change them) and randomness.
+"""Shared fixtures: compiled systems (compiled once; tests never change them), browsers, randomness.
 
 ``--quick`` runs one case of each test that is not marked ``slow``: what takes most of a second or
 more, such as browsers, clusters and whole commands.
@@ -78,3 +78,25 @@ def welded_ur5_system():
     import multiarm as ma
 
     return ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "weld"}))
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium without a window."""
+    from page_reader import FLAGS, chromium
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def view(browser):
+    """A page without a network."""
+    from page_reader import View
+
+    page = browser.new_page(viewport={"width": 640, "height": 400}, offline=True)
+    yield View(page)
+    page.close()

@@ -1,7 +1,10 @@
 """HTML pages as tests read them: parsed, and shown by a browser that has no network."""
 
+import os
 import re
+import shutil
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from html.parser import HTMLParser
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -48,6 +51,36 @@ class Page(HTMLParser):
         """What it would load from elsewhere."""
         names = ("src", "href", "xlink:href")
         return [v for name, v in self.attributes if name in names and not v.startswith("#")]
+
+
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+FLAGS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+]  # fmt: skip
+
+
+def chromium():
+    wanted = os.environ.get("MULTIARM_CHROMIUM")
+    found = wanted or next(filter(None, map(shutil.which, CHROMIUM)), None)
+    assert found, f"no browser: install one of {CHROMIUM} or set MULTIARM_CHROMIUM to its path"
+    return found
+
+
+@dataclass
+class View:
+    """A page in the browser and what it complained about or asked the network for."""
+
+    page: object
+    complaints: list[str] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
+
+    def open(self, address):
+        self.page.on("console", lambda m: m.type == "error" and self.complaints.append(m.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(address)
 
 
 @contextmanager

@@ -1,13 +1,16 @@
 """A sweep without robots: what its rows hold follows from the run's number, at no cost.
 
-As a program it is a writer to be killed: it goes on with a file and says what is safe.
+As a program it is a writer that is killed: it goes on with a file, says what is safe, and ends by
+SIGKILL before one of the steps by which it changes the disk, however fast the machine is.
 """
 
 from __future__ import annotations
 
+import os
 import random
+import shutil
+import signal
 import sys
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,9 +25,8 @@ NAMES = ("gap", "force", "never")
 UNITS = {"gap": "m", "force": "N", "never": "J"}
 FAILING = 13
 """Every so many-th run fails."""
-
-PAUSE = 0.001
-"""[s] After a block: so that a fast machine is not done before it is killed."""
+STEPS = (os, "fsync"), (Path, "replace"), (shutil, "rmtree")
+"""All calls by which a writer changes the disk."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +83,27 @@ def write_on(path: Path, plan: StandInPlan, order: int) -> None:
             block, left = left[: (size := rng.randint(1, 7))], left[size:]
             file.append([row_of(run, f"process {order}") for run in block])
             print(file.made, flush=True)
-            time.sleep(PAUSE)
     print("end", flush=True)
 
 
+def die_after(steps: int) -> None:
+    """Kill this process before the next one of its steps, when so many are made."""
+    left = iter(range(steps))
+
+    def counted(call):
+        def step(*arguments, **options):
+            if next(left, None) is None:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return call(*arguments, **options)
+
+        return step
+
+    for owner, name in STEPS:
+        setattr(owner, name, counted(getattr(owner, name)))
+
+
 if __name__ == "__main__":
-    write_on(Path(sys.argv[1]), StandInPlan(int(sys.argv[2])), int(sys.argv[3]))
+    path, count, order, *steps = sys.argv[1:]
+    if steps:
+        die_after(int(steps[0]))
+    write_on(Path(path), StandInPlan(int(count)), int(order))

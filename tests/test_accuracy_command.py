@@ -14,7 +14,6 @@ import pytest
 from mechanics import SCENES
 from page_reader import brightness, shown, sticks_out
 from rich.console import Console
-from test_replay import browser  # noqa: F401 (fixture)
 from typer.testing import CliRunner
 
 from multiarm.cli import accuracy as command
@@ -344,7 +343,7 @@ def test_help_promises_the_keys_of_the_json(study_file, tmp_path):
 
 
 @pytest.fixture(params=["light", "dark"])
-def page(request, browser, results, tmp_path):  # noqa: F811
+def page(request, browser, results, tmp_path):
     """The page in a browser without a network."""
     target = tmp_path / "page.html"
     save_page(render(results), target)

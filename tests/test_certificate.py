@@ -591,9 +591,14 @@ class Killer:
 
 if sys.argv[2] == "amendment":
     class File(trajectory_file.h5py.File):
+        def __init__(self, name, mode, **options):
+            super().__init__(name, mode, **options)
+            self.is_amended = mode == "r+"  # the writer of a new run has "w"
+
         def flush(self):
             super().flush()
-            kill()
+            if self.is_amended:
+                kill()
     h5py = trajectory_file.h5py
     trajectory_file.h5py = types.SimpleNamespace(File=File, string_dtype=h5py.string_dtype)
 

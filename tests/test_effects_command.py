@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from mechanics import SCENES
 from page_reader import brightness, shown
-from test_replay import browser  # noqa: F401 (fixture)
 from typer.testing import CliRunner
 
 import multiarm as ma
@@ -522,7 +521,7 @@ def test_check_says_when_nothing_is_added(tmp_path):
 
 
 @pytest.fixture(params=["light", "dark"])
-def page(request, browser, tmp_path):  # noqa: F811
+def page(request, browser, tmp_path):
     """The page in a browser without a network."""
     target = tmp_path / "page.html"
     save_page(render(synthetic()), target)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mechanics import ur5_pair
 from sample_run import rows_of
-from test_replay import SCENE, SEEK, browser, shown, view  # noqa: F401 (fixtures)
+from test_replay import SCENE, SEEK, shown
 
 import multiarm as ma
 from multiarm.results.channels import (
@@ -284,7 +284,7 @@ def size_of(page, *path):
 
 
 @pytest.mark.slow
-def test_marks_and_surfaces_follow_the_states(view, exported):  # noqa: F811
+def test_marks_and_surfaces_follow_the_states(view, exported):
     page = shown(view, exported)
     mark = ("contacts", "left", "1")
     for time, now, other in ((0.1, "touching", "open"), (0.25, "open", "touching")):
@@ -306,7 +306,7 @@ def test_marks_and_surfaces_follow_the_states(view, exported):  # noqa: F811
 
 
 @pytest.mark.slow
-def test_force_of_an_open_contact_is_not_drawn(view, exported):  # noqa: F811
+def test_force_of_an_open_contact_is_not_drawn(view, exported):
     page = shown(view, exported)
     arrows = """() => Object.values(
       viewer.scene_tree.find(["world", "forces", "left", "1"]).children).map(
@@ -318,7 +318,7 @@ def test_force_of_an_open_contact_is_not_drawn(view, exported):  # noqa: F811
 
 
 @pytest.mark.slow
-def test_what_happens_flashes_where_it_happens(view, exported):  # noqa: F811
+def test_what_happens_flashes_where_it_happens(view, exported):
     page = shown(view, exported)
     page.click("#events summary")
     page.click("#events button >> nth=0")
@@ -336,7 +336,7 @@ def test_what_happens_flashes_where_it_happens(view, exported):  # noqa: F811
 
 
 @pytest.mark.slow
-def test_list_and_ticks_lead_to_the_events(view, exported):  # noqa: F811
+def test_list_and_ticks_lead_to_the_events(view, exported):
     page = shown(view, exported)
     assert page.inner_text("#events summary") == "events (3)"
     page.click("#events summary")
@@ -354,7 +354,7 @@ def test_list_and_ticks_lead_to_the_events(view, exported):  # noqa: F811
 
 
 @pytest.mark.slow
-def test_thousands_of_events_leave_the_page_light(view, plain, tmp_path):  # noqa: F811
+def test_thousands_of_events_leave_the_page_light(view, plain, tmp_path):
     events = [event(0.5 * i / 8000, "slides", contact=f"c{i % 2000}") for i in range(8000)]
     page = shown(view, replay(with_states(plain, events), tmp_path / "many.html", meshes=False))
     assert page.inner_text("#events summary") == "events (8000)"
@@ -366,7 +366,7 @@ def test_thousands_of_events_leave_the_page_light(view, plain, tmp_path):  # noq
 
 
 @pytest.mark.slow
-def test_run_without_events_has_no_list_and_no_ticks(view, plain, tmp_path):  # noqa: F811
+def test_run_without_events_has_no_list_and_no_ticks(view, plain, tmp_path):
     page = shown(view, replay(plain, tmp_path / "none.html", meshes=False))
     assert not page.is_visible("#events")
     assert not page.is_visible("#ticks")

@@ -10,7 +10,6 @@ from page_reader import Page, brightness, shown, sticks_out
 from sample_run import record
 from test_accuracy_command import results  # noqa: F401 (fixture)
 from test_effects_command import synthetic
-from test_replay import browser  # noqa: F401 (fixture)
 
 import multiarm
 from multiarm.reports import pages
@@ -64,7 +63,7 @@ def test_pages_are_whole_and_load_nothing(target):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_pages_are_readable_in_light_and_in_the_dark(browser, target, scheme):  # noqa: F811
+def test_pages_are_readable_in_light_and_in_the_dark(browser, target, scheme):
     with shown(browser, target, scheme) as page:
         ground = brightness(page, "body", "backgroundColor")
         assert (ground > 128) == (scheme == "light")
@@ -73,7 +72,7 @@ def test_pages_are_readable_in_light_and_in_the_dark(browser, target, scheme):  
 
 
 @pytest.mark.parametrize(("width", "media"), [(1300, "screen"), (400, "screen"), (794, "print")])
-def test_pages_fit_on_screens_telephones_and_paper(browser, target, width, media):  # noqa: F811
+def test_pages_fit_on_screens_telephones_and_paper(browser, target, width, media):
     with shown(browser, target, width=width) as page:
         page.emulate_media(media=media)
         assert sticks_out(page) <= 0

@@ -1,13 +1,9 @@
 """Replays of real runs, looked at with a real browser."""
 
-import os
 import re
-import shutil
-from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from playwright.sync_api import sync_playwright
 from sample_run import rows_of
 
 import multiarm as ma
@@ -18,12 +14,6 @@ from multiarm.viewer import replay
 from multiarm.viewer.animate import animate
 from multiarm.viewer.animation import rotations
 
-CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-FLAGS = [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-]  # fmt: skip
 SCENE = """
 name: two arms swing <a beam>
 gravity: [0, 0, -9.81]
@@ -67,43 +57,6 @@ POSE = """(path) => {
 }"""
 
 LINKS = """(arm) => Object.keys(viewer.scene_tree.find(["world", "arms", arm]).children)"""
-
-
-@dataclass
-class View:
-    """A page in the browser and what it complained about or asked the network for."""
-
-    page: object
-    complaints: list[str] = field(default_factory=list)
-    requests: list[str] = field(default_factory=list)
-
-    def open(self, address):
-        self.page.on("console", lambda m: m.type == "error" and self.complaints.append(m.text))
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(address)
-
-
-def chromium():
-    wanted = os.environ.get("MULTIARM_CHROMIUM")
-    found = wanted or next(filter(None, map(shutil.which, CHROMIUM)), None)
-    assert found, f"no browser: install one of {CHROMIUM} or set MULTIARM_CHROMIUM to its path"
-    return found
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
-        yield browser
-        browser.close()
-
-
-@pytest.fixture
-def view(browser):
-    page = browser.new_page(viewport={"width": 640, "height": 400}, offline=True)
-    yield View(page)
-    page.close()
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from test_replay import POSE, SEEK, browser, shown, view  # noqa: F401 (fixtures)
+from test_replay import POSE, SEEK, shown
 
 import multiarm as ma
 from multiarm.contacts.joint import axis_travel
@@ -14,7 +14,7 @@ from multiarm.viewer import replay
 from multiarm.viewer.animate import animate
 from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks
 from multiarm.viewer.drawing import draw
-from multiarm.viewer.hinges import Hinges
+from multiarm.viewer.glyphs import Hinges
 from multiarm.viewer.mesh import box
 
 SCENE = """
@@ -231,7 +231,7 @@ def exported(trajectory, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_page_shows_axes_limits_and_positions(view, exported, trajectory, animation):  # noqa: F811
+def test_page_shows_axes_limits_and_positions(view, exported, trajectory, animation):
     page = shown(view, exported)
     assert view.complaints == []
     assert {"axis", "sector", "hand"} <= set(page.evaluate(PARTS, ["world", "joints", "left"]))
@@ -251,7 +251,7 @@ def test_page_shows_axes_limits_and_positions(view, exported, trajectory, animat
 
 
 @pytest.mark.slow
-def test_legend_tells_where_a_joint_is_between_its_limits(view, exported, animation):  # noqa: F811
+def test_legend_tells_where_a_joint_is_between_its_limits(view, exported, animation):
     page = shown(view, exported)
     page.wait_for_function("document.querySelectorAll('.dial').length === 2")
     page.fill("#seek", "0.5")
@@ -264,7 +264,7 @@ def test_legend_tells_where_a_joint_is_between_its_limits(view, exported, animat
 
 
 @pytest.mark.slow
-def test_position_beyond_the_limits_is_marked_in_the_legend(view, animation, tmp_path):  # noqa: F811
+def test_position_beyond_the_limits_is_marked_in_the_legend(view, animation, tmp_path):
     (turned,) = [h.dials[0].value for h in animation.hinges if h.arm == "left"]
     narrow = HINGE.replace("[-0.1, 0.8]", f"[{0.5 * turned.min() - 1e-3}, {0.5 * turned.max()}]")
     page = shown(view, replay(run(narrow, SLIDE), tmp_path / "narrow.html", meshes=False))
@@ -274,14 +274,14 @@ def test_position_beyond_the_limits_is_marked_in_the_legend(view, animation, tmp
 
 
 @pytest.mark.slow
-def test_joint_axes_are_a_layer_that_can_be_hidden(view, exported):  # noqa: F811
+def test_joint_axes_are_a_layer_that_can_be_hidden(view, exported):
     page = shown(view, exported)
     page.get_by_label("joint axes").uncheck()
     assert page.evaluate("viewer.scene_tree.find(['world', 'joints']).object.visible") is False
 
 
 @pytest.mark.slow
-def test_page_without_limits_has_no_dials(view, tmp_path):  # noqa: F811
+def test_page_without_limits_has_no_dials(view, tmp_path):
     still_run = run("{arm: left, kind: ball}", "{arm: right, kind: revolute}")
     page = shown(view, replay(still_run, tmp_path / "plain.html", meshes=False))
     assert view.complaints == []

@@ -178,10 +178,13 @@ def test_object_mesh_is_read_and_scaled():
 
 def test_directions_that_reverse_are_followed_without_a_jump():
     angle = np.linspace(0, 2 * np.pi, 60)
-    directions = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
-    quaternions = along(np.stack([directions, -directions], axis=1))
-    np.testing.assert_allclose(rotations(quaternions[:, 0])[:, :, 2], directions, atol=1e-12)
-    np.testing.assert_allclose(rotations(quaternions[:, 1])[:, :, 2], -directions, atol=1e-12)
+    circle = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
+    cone = np.column_stack([0.6 * np.sin(angle), 0.6 * np.cos(angle), 0.8 + 0 * angle])
+    directions = np.stack([circle, -circle, cone], axis=1)
+    quaternions = along(directions)
+    for k in range(3):
+        turned = rotations(quaternions[:, k])[:, :, 2]
+        np.testing.assert_allclose(turned, directions[:, k], atol=1e-12)
     assert np.abs(np.diff(quaternions, axis=0)).max() < 0.06  # half the angle between frames
 
 

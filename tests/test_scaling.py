@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from mechanics import data_of
 from page_reader import Page, brightness, shown, sticks_out
-from test_replay import browser  # noqa: F401 (fixture)
 from typer.testing import CliRunner
 
 import multiarm as ma
@@ -677,7 +676,7 @@ def test_the_page_has_every_table_and_needs_no_other_file(result):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_page_shows_every_figure_in_light_and_in_the_dark(browser, result, tmp_path, scheme):  # noqa: F811
+def test_the_page_shows_every_figure_in_light_and_in_the_dark(browser, result, tmp_path, scheme):
     path = tmp_path / "page.html"
     save_page(render(result), path)
     with shown(browser, path, scheme, width=1100) as page:

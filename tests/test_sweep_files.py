@@ -7,9 +7,9 @@ import json
 import random
 import resource
 import shutil
+import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
-from sweep_stand_in import FAILING, NAMES, StandInPlan, row_of
+from sweep_stand_in import FAILING, NAMES, STEPS, StandInPlan, row_of
 
 from multiarm.errors import MultiarmError, SweepError, TrajectoryError
 from multiarm.results.trajectory_file import TrajectoryReader
@@ -41,23 +41,18 @@ def written(path: Path, count: int, runs=None, rows=row_of) -> Path:
     return path
 
 
-def started(path: Path, count: int, order: int) -> subprocess.Popen:
-    """A process that goes on with the file, and says what is safe."""
-    command = [sys.executable, str(PROGRAM), str(path), str(count), str(order)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+def started(path: Path, count: int, order: int, *steps: int) -> subprocess.Popen:
+    """A process that goes on with the file, and is killed after so many steps of writing."""
+    words = map(str, (sys.executable, PROGRAM, path, count, order, *steps))
+    return subprocess.Popen([*words], stdout=subprocess.PIPE, text=True)
 
 
-def killed(process: subprocess.Popen, lines: int, pause: float) -> int:
-    """Kill it some time after it has said so many lines; returns the runs it said to be safe."""
-    assert process.stdout is not None
-    said = [process.stdout.readline() for _ in range(lines)]
-    time.sleep(pause)
-    process.kill()
-    said += process.stdout.read().splitlines(keepends=True)
-    process.communicate()
-    return max(
-        (int(line) for line in said if line.strip().isdigit() and line[-1] == "\n"), default=0
-    )
+def killed(path: Path, count: int, order: int, steps: int) -> int:
+    """Let a process write so many steps, and die; returns the runs it said to be safe."""
+    process = started(path, count, order, steps)
+    said = process.communicate()[0].split()
+    assert process.returncode == -signal.SIGKILL
+    return max(map(int, filter(str.isdigit, said)), default=0)
 
 
 def same_but_measured(row, expected) -> bool:
@@ -151,11 +146,10 @@ def test_a_sweep_that_is_not_complete_says_which_runs_it_has(tmp_path):
 @pytest.mark.slow
 def test_a_sweep_killed_again_and_again_ends_with_the_same_table(tmp_path):
     path, count, rng = tmp_path / "s.h5", 1500, random.Random(11)
-    safe = 0  # far from all after so few pieces of at most some 30 blocks, see PAUSE
+    safe = 0  # a block has 7 runs and 3 steps: far from all after so few
     for order in range(10):
-        # before the first row, or among new rows
-        lines = rng.choice([1, 2, rng.randint(2, 20)])
-        said = killed(started(path, count, order), lines, rng.uniform(0.0, 0.03))
+        # while the file begins, or among new rows
+        said = killed(path, count, order, rng.choice([rng.randint(0, 3), rng.randint(4, 60)]))
         assert said == 0 or said >= safe, "what was safe is there after resuming"
         if path.exists():
             found = load_sweep(path)
@@ -182,8 +176,7 @@ class Killed(BaseException):
 def test_a_kill_before_any_step_of_writing_costs_at_most_what_was_appended(tmp_path, monkeypatch):
     """Before every call by which the writer changes the disk, also while it moves the rows."""
     monkeypatch.setattr(store, "SHARD_ROWS", 4)
-    places = [(store.os, "fsync"), (store.Path, "replace"), (store.shutil, "rmtree")]
-    originals = {place: getattr(*place) for place in places}
+    originals = {place: getattr(*place) for place in STEPS}
 
     def life(path: Path, calls: int | None) -> int:
         """Write until so many steps are made; returns the rows that were safe."""
@@ -199,7 +192,7 @@ def test_a_kill_before_any_step_of_writing_costs_at_most_what_was_appended(tmp_p
 
             return stepped
 
-        for place in places:
+        for place in STEPS:
             monkeypatch.setattr(*place, step(place))
         file, safe = None, 0
         try:
@@ -213,7 +206,7 @@ def test_a_kill_before_any_step_of_writing_costs_at_most_what_was_appended(tmp_p
         except Killed:
             if file is not None:
                 file._lock.release()
-        for place in places:
+        for place in STEPS:
             monkeypatch.setattr(*place, originals[place])
         return safe
 
@@ -244,7 +237,7 @@ def test_a_file_that_is_being_written_shows_what_is_safe(tmp_path):
 @pytest.mark.parametrize("which", ["s.h5", "s.h5.rows/000001.parquet"])
 def test_a_file_cut_anywhere_is_refused(tmp_path, which):
     path = tmp_path / "s.h5"
-    killed(started(path, 400, 1), 40, 0.0)
+    killed(path, 400, 1, 120)
     assert len(load_sweep(path)) > 50
     part = tmp_path / which
     data = part.read_bytes()
@@ -295,7 +288,7 @@ def test_rows_are_on_the_disk_before_they_count(tmp_path, monkeypatch):
 
 def test_the_shards_of_a_file_that_was_removed_are_not_taken_for_those_of_the_next(tmp_path):
     path = tmp_path / "s.h5"
-    killed(started(path, 400, 1), 20, 0.0)
+    killed(path, 400, 1, 60)
     kept = path.with_name("s.h5.rows")
     shutil.copytree(kept, tmp_path / "copy")
     path.unlink()

@@ -391,6 +391,11 @@ def test_an_invalid_axis_is_reported_with_the_remedy(scene, written, text):
         ({"over": {MASS: [1]}, "keep": [3]}, "$.keep[0]: unknown quantity 3"),
         ({"over": {MASS: [1]}, "run": {"step": 1e-3}}, "$.run: 'step' needs an integrator"),
         ({"over": {MASS: [1]}, "run": 3}, "$.run: must be a table of entries"),
+        ({"over": {MASS: {"uniform": [1, 2]}}, "sampling": "sobol"},
+         "$.sampling: 'sobol' spreads the runs of one point"),
+        # a robot without the tip that the scene names: the fault lies at the tip
+        ({"over": {"arms.left.robot": ["ur5", "planar_3r"]}},
+         "no scene is made by arms.left.robot = 'planar_3r'"),
     ],
 )  # fmt: skip
 def test_what_contradicts_itself_is_told(scene, changes, text):
@@ -423,17 +428,6 @@ def test_a_file_that_is_no_sweep_is_told(scene, content, text, tmp_path):
         (tmp_path / "sweep.yaml").write_bytes(content)
     with pytest.raises(SweepError, match=re.escape(text)):
         make_plan(scene, tmp_path / "sweep.yaml")
-
-
-def test_a_spread_of_one_draw_is_refused(scene):
-    with pytest.raises(SweepError, match=r"\$\.sampling: 'sobol' spreads the runs of one point"):
-        make_plan(scene, {MASS: {"uniform": [1, 2]}}, sampling="sobol")
-
-
-def test_values_that_fit_no_scene_beside_their_path_are_all_told(scene):
-    """A robot without the tip that the scene names: the fault lies at the tip."""
-    with pytest.raises(SweepError, match=r"no scene is made by arms\.left\.robot = 'planar_3r'"):
-        make_plan(scene, {"arms.left.robot": ["ur5", "planar_3r"]})
 
 
 def test_a_sweep_needs_a_scene(scene, tmp_path):

@@ -349,19 +349,17 @@ def test_an_arm_name_that_is_no_path_is_refused(arm):
 # Places that cannot be written
 
 
-def test_a_missing_folder_is_named_before_the_run_starts(tmp_path):
-    with pytest.raises(TrajectoryError, match=r"no folder '.*nowhere'; create it first"):
-        Hdf5Sink(tmp_path / "nowhere" / "run.h5").open(CHANNELS, {})
-
-
-def test_a_folder_is_not_a_file(tmp_path):
-    with pytest.raises(TrajectoryError, match="it is a folder; name a file in it"):
-        Hdf5Sink(tmp_path).open(CHANNELS, {})
-
-
-def test_a_device_is_not_a_place_for_a_run():
-    with pytest.raises(TrajectoryError, match="'/dev/null' exists and is not a trajectory"):
-        Hdf5Sink("/dev/null").open(CHANNELS, {})
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [
+        ("nowhere/run.h5", r"no folder '.*nowhere'; create it first"),
+        (".", "it is a folder; name a file in it"),
+        ("/dev/null", "'/dev/null' exists and is not a trajectory"),
+    ],
+)
+def test_a_place_that_holds_no_run_is_named_before_the_run_starts(tmp_path, place, told):
+    with pytest.raises(TrajectoryError, match=told):
+        Hdf5Sink(tmp_path / place).open(CHANNELS, {})
 
 
 @pytest.mark.parametrize("hdf5", [True, False])
@@ -471,33 +469,42 @@ def test_lookup3_agrees_with_its_author():
 # Files that cannot be read
 
 
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(TrajectoryError, match=r"no-such.h5': there is no such file"):
-        load_trajectory(tmp_path / "no-such.h5")
-    with pytest.raises(TrajectoryError, match="it is a folder"):
-        load_trajectory(tmp_path)
-
-
-@pytest.mark.parametrize("content", [b"", b"name: a scene\n", b"\x89HDF\r\n\x1a\n" + b"\x03" * 90])
-def test_a_file_that_is_not_hdf5_is_refused(tmp_path, content):
-    path = tmp_path / "run.h5"
-    path.write_bytes(content)
-    with pytest.raises(TrajectoryError, match=r"run\.h5' is (not an HDF5 file|damaged)"):
-        load_trajectory(path)
-
-
-def test_another_hdf5_file_is_refused(tmp_path):
-    with h5py.File(tmp_path / "other.h5", "w") as file:
+def another_file(path):
+    with h5py.File(path, "w") as file:
         file["time"] = np.arange(3)
-    with pytest.raises(TrajectoryError, match="an HDF5 file, but not a trajectory of multiarm"):
-        load_trajectory(tmp_path / "other.h5")
 
 
-def test_a_newer_format_asks_for_an_update(tmp_path):
-    record(file_sink(tmp_path))
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
+def newer_file(path):
+    record(Hdf5Sink(path))
+    with h5py.File(path, "r+") as file:
         file.attrs["format_version"] = 99
-    with pytest.raises(TrajectoryError, match=r"format version 99; .* update multiarm"):
+
+
+def misshapen_file(path):
+    record(Hdf5Sink(path))
+    with h5py.File(path, "r+") as file:
+        del file["energy/work"]
+        file["energy/work"] = np.zeros((len(file["time"]), 2))
+        file["energy/work"].attrs.update(file["energy/kinetic"].attrs)
+        file["energy/work"].attrs["columns"] = ["x", "y"]
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda path: None, r"run.h5': there is no such file"),
+        (lambda path: path.mkdir(), "it is a folder"),
+        (lambda path: path.write_bytes(b""), r"run\.h5' is not an HDF5 file"),
+        (lambda path: path.write_text("name: a scene\n"), r"run\.h5' is not an HDF5 file"),
+        (lambda path: path.write_bytes(b"\x89HDF\r\n\x1a\n" + b"\x03" * 90), r"run.h5' is damaged"),
+        (another_file, "an HDF5 file, but not a trajectory of multiarm"),
+        (misshapen_file, "channel 'energy/work' has another shape"),
+        (newer_file, r"format version 99; .* update multiarm"),
+    ],
+)
+def test_what_is_no_run_that_can_be_read_is_refused_with_the_reason(tmp_path, make, told):
+    make(tmp_path / "run.h5")
+    with pytest.raises(TrajectoryError, match=told):
         load_trajectory(tmp_path / "run.h5")
 
 

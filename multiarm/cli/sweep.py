@@ -38,8 +38,7 @@ from multiarm.terminal.progress import SweepProgress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
-    from multiarm.sweeps.result import Sweep
-    from multiarm.sweeps.summary import SweepSummary
+    from multiarm.sweeps.result import Sweep, SweepSummary
 
 __all__ = ["facts_table", "spread_table", "sweep", "trouble_lines"]
 
@@ -128,9 +127,8 @@ def sweep(
     written = {"--plot": plot, "--csv": csv, "--parquet": parquet, "--json": json}
     for source in (scene, over):
         check_targets({"--out": target, **written}, source=source)
-    changes: dict[str, Any] = {"repeat": repeat, "seed": seed}
-    changes |= settings
-    changes |= {"workers": workers, "dask": True if dask == "config" else dask}
+    changes = {"repeat": repeat, "seed": seed, **settings, "workers": workers}
+    changes |= {"dask": True if dask == "config" else dask}
     given = {key: value for key, value in changes.items() if value is not None}
     found = _make(scene_to_run(scene, no_code, over), over, target, fresh, quiet, given)
     summary = found.summary()
@@ -160,30 +158,28 @@ def _write(found: Sweep, targets: dict[str, Path | None], quiet: bool) -> dict[s
     """Write the requested files; returns their paths."""
     written = {}
     for what, path in targets.items():
-        if path is None:
+        if path is None or (what == "plot" and not _draw(found, path)):
             continue
-        try:
-            _write_one(found, what, path)
-        except SweepError as error:
-            if what != "plot":
-                raise
-            print_warnings([f"nothing was drawn: {error}"])  # there may be no number to draw
-            continue
+        if what == "csv":
+            found.to_csv(path)
+        if what == "parquet":
+            found.to_parquet(path)
         written[what] = str(path)
         if not quiet:
             print_written(what, path)
     return written
 
 
-def _write_one(found: Sweep, what: str, path: Path) -> None:
-    if what == "plot":
-        from multiarm.plots.sweep_figures import sweep_overview
+def _draw(found: Sweep, path: Path) -> bool:
+    """Whether there is something to draw, which is then in the file."""
+    from multiarm.plots.sweep_figures import sweep_overview
 
+    try:
         save_figure(sweep_overview(found), path)
-    elif what == "csv":
-        found.to_csv(path)
-    else:
-        found.to_parquet(path)
+    except SweepError as error:
+        print_warnings([f"nothing was drawn: {error}"])
+        return False
+    return True
 
 
 def _end(summary: SweepSummary, target: Path, quiet: bool) -> None:
@@ -209,16 +205,7 @@ SHOWN = {0.05: "5 %", 0.5: "median", 0.95: "95 %"}
 
 
 def facts_table(name: str, summary: SweepSummary, paths: tuple[str, ...]) -> Table:
-    """How the runs ended.
-
-    Parameters
-    ----------
-    name : str
-        Of the scene.
-    summary : SweepSummary
-    paths : tuple of str
-        What is varied.
-    """
+    """How the runs of a scene, by its `name`, ended; `paths` are what is varied."""
     ended = Text(", ").join(
         Text(f"{count:,} {status}", STATUS_STYLES.get(status, ""))
         for status, count in summary.statuses.items()

@@ -20,7 +20,6 @@ from multiarm.plots.run_figures import (
     joint_positions,
     joint_torques,
     object_pose,
-    work_channels,
 )
 
 if TYPE_CHECKING:
@@ -38,7 +37,6 @@ __all__ = [
     "joint_positions",
     "joint_torques",
     "object_pose",
-    "work_channels",
 ]
 
 

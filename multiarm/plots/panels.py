@@ -54,13 +54,7 @@ _KEY, _LETTER = 0.6, 0.068  # width of a legend's line with its gaps, and of a l
 
 
 class EventMarks:
-    """The events of a run, ready to be drawn into axes over time.
-
-    Parameters
-    ----------
-    events : iterable of dict
-        As in `Trajectory.events`.
-    """
+    """The events of a run (`Trajectory.events`), ready to be drawn into axes over time."""
 
     def __init__(self, events: Iterable[Event]):
         events = list(events)
@@ -171,16 +165,7 @@ class Panel:
 
 
 def draw(panels: list[Panel], zero_line: bool = False, events: Iterable[Event] = ()) -> Figure:
-    """The panels in one figure, with the run's events across all of them.
-
-    Parameters
-    ----------
-    panels : list of Panel
-    zero_line : bool
-        Draw a line at 0.
-    events : iterable of dict
-        As in `Trajectory.events`.
-    """
+    """The panels in one figure, with the run's events (`Trajectory.events`) across all of them."""
     columns = 1 if len(panels) <= 3 else 2 if len(panels) <= 12 else 4
     rows, marks = max(1, -(-len(panels) // columns)), EventMarks(events)
     longest = max((len(label) for panel in panels for label in panel.labels), default=0)
@@ -202,17 +187,10 @@ def draw(panels: list[Panel], zero_line: bool = False, events: Iterable[Event] =
 
 
 def sheet(rows: int, columns: int, height: float, longest: int, marks: EventMarks) -> Figure:
-    """An empty figure with room around its axes, and the legend of the events.
+    """An empty figure with room around rows and columns of axes, and the legend of the events.
 
-    Parameters
-    ----------
-    rows, columns : int
-        Of axes.
-    height : float
-        Of the axes [in].
-    longest : int
-        Letters of the longest label at the right end of a line.
-    marks : EventMarks
+    ``height`` is that of the axes [in], ``longest`` the number of letters of the longest label at
+    the right end of a line.
     """
     left, right, top = LEFT, 0.2 + (KEY if longest else 0.0) + 0.067 * longest, 0.4
     bottom = 0.5 + marks.legend_height(WIDTHS[columns])

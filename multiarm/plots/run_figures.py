@@ -29,7 +29,7 @@ from multiarm.plots.style import (
 )
 from multiarm.results.channels import CONTACT_STATES, Channel, channels_of
 from multiarm.results.event_log import STATE_COLOURS, Event
-from multiarm.results.trajectory import ENERGIES, Trajectory
+from multiarm.results.trajectory import ENERGIES, Trajectory, work_channels
 
 FIGURE_POINTS = 60_000
 """Points of all lines of a figure together: many arms get fewer points each."""
@@ -150,12 +150,6 @@ def accuracy_course(certificate: Mapping[str, Any], events: Iterable[Event] = ()
         for title, quantity, kinds in groups
     ]  # fmt: skip
     return draw(panels, events=events)
-
-
-def work_channels(channels: Iterable[str]) -> dict[str, str]:
-    """Effect -> name of the channel of its work, of the channels of a run."""
-    names = (name for name in channels if name.startswith("effects/") and name.endswith("/work"))
-    return {name.removeprefix("effects/").removesuffix("/work"): name for name in names}
 
 
 def _work_panels(trajectory: Trajectory) -> list[Panel]:

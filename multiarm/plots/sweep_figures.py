@@ -43,24 +43,12 @@ DECADES = 30.0
 
 @dataclass(frozen=True)
 class Variable:
-    """A varied value as the axis of a figure.
-
-    Attributes
-    ----------
-    name : str
-    at : ndarray, shape (K,)
-        Where each run lies on the axis.
-    levels : ndarray or None
-        Places of the levels, ascending; None where there are too many.
-    labels : tuple of str
-        Of the levels, where they are no numbers.
-    log : bool
-    """
+    """A varied value as the axis of a figure."""
 
     name: str
-    at: np.ndarray
-    levels: np.ndarray | None
-    labels: tuple[str, ...]
+    at: np.ndarray  # where each run lies on the axis, shape (K,)
+    levels: np.ndarray | None  # their places, ascending; None where there are too many
+    labels: tuple[str, ...]  # of the levels, where they are no numbers
     log: bool
 
     def groups(self) -> list[tuple[float, np.ndarray]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 
@@ -20,9 +20,7 @@ from multiarm.reports import pages
 from multiarm.reports.pages import heading, number, quantity
 from multiarm.results.event_log import Event, Group, counts, grouped, who
 from multiarm.results.files import atomic_file, printable, resolved
-
-if TYPE_CHECKING:
-    from multiarm.results.trajectory import Trajectory
+from multiarm.results.trajectory import Trajectory, require_trajectory, work_channels
 
 SHOWN_EVENTS = 200
 _STATISTICS = {
@@ -56,8 +54,6 @@ def report(trajectory: Trajectory, path: str | os.PathLike = "report.html") -> P
     TrajectoryError
         The file cannot be written.
     """
-    from multiarm.results.trajectory import require_trajectory
-
     target = resolved(path, TrajectoryError)
     page = render(require_trajectory(trajectory, "ma.report(trajectory, path)"))
     try:
@@ -123,7 +119,7 @@ def _course(certificate: Mapping[str, Any], events: Sequence[Event]) -> str:
 
 def _works(trajectory: Trajectory) -> list[tuple[str, str]]:
     """The work of each effect, and of the control; empty without effects."""
-    works = plots.work_channels(trajectory.channels)
+    works = work_channels(trajectory.channels)
     if not works or not len(trajectory):
         return []
     end = len(trajectory) - 1

@@ -1,17 +1,9 @@
-"""HDF5 files that can be read after a kill of their writer at any moment, or on a full disk.
+"""HDF5 files as they are read: complete, still being written, or left by a killed writer.
 
-A writer creates all datasets first and then enters HDF5's single-writer-multiple-reader mode. From
-then on datasets only grow, and HDF5 writes data before the index that points to them. The index
-never crosses a page of the file, so that the operating system cannot leave half of an entry. What
-counts is in a small dataset `progress`, which is written last.
-
-A file is created under a temporary name and moved to its place when it is ready to grow: an older
-file there survives until then, and programs that still read it keep their data.
-
-While a file is written, a flag is set in its first 48 bytes, the superblock. HDF5 then refuses
-the file, or waits forever for incomplete entries. After a kill the flag stays set. `_Unclosed`
-presents such a file with the flag cleared and its true length: what the tool `h5clear` writes into
-a file, without changing it.
+While a file is written (:mod:`multiarm.results.trajectory_file`), a flag is set in its first 48
+bytes, the superblock. HDF5 then refuses the file, or waits forever for incomplete entries. After a
+kill the flag stays set. `_Unclosed` presents such a file with the flag cleared and its true length:
+what the tool `h5clear` writes into a file, without changing it.
 
     superblock, version 3:   0 signature   8 version   11 flags   28 end of file   44 checksum
 
@@ -26,8 +18,8 @@ import os
 import re
 import struct
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -35,18 +27,12 @@ import h5py
 import numpy as np
 
 from multiarm.errors import MultiarmError
-from multiarm.results.files import atomic_file, resolved
+from multiarm.results.files import resolved
 
 HDF5_ERRORS = (
     OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError,
 )  # fmt: skip
 """Exceptions of h5py for a damaged file."""
-PIECE_BYTES = 120
-PIECE = f"S{PIECE_BYTES}"
-"""Type of a piece of text, a line in `h5dump`: HDF5 cannot append to one long text."""
-
-_UNCLOSABLE: list[GrowingFile] = []
-"""Files with a failed write, kept until the program ends: HDF5 crashes on closing one."""
 
 
 class StoredFile:
@@ -152,21 +138,6 @@ class StoredFile:
             raise self.broken(f"{what} is no table in JSON")
         return found
 
-    def counters(self, name: str) -> list[int]:
-        """Two numbers of rows."""
-        found = self.dataset(name, "iu", 1)[:].tolist()
-        if len(found) != 2 or min(found) < 0:
-            raise self.broken(f"'{name}' is not two numbers of rows")
-        return found
-
-    def pieces(self, name: str, begin: int, end: int) -> str:
-        """The text in some rows of a dataset, see :func:`in_pieces`."""
-        stored = self.dataset(name, "S", 1)
-        if not begin <= end <= len(stored):
-            raise self.broken(f"'{name}' has {len(stored)} pieces, none from {begin} to {end}")
-        self.require(name, end)
-        return joined(stored[begin:end])
-
     def require(self, name: str, rows: int = 0) -> None:
         """Refuse a file that was cut short within the first `rows` rows of a dataset.
 
@@ -256,133 +227,8 @@ class StoredFile:
             self.load()
 
 
-class GrowingFile:
-    """A new file that grows. Subclasses create its datasets in :meth:`create`.
-
-    Parameters
-    ----------
-    path : Path
-        See :meth:`StoredFile.writable_target`.
-    first_bytes, spare_bytes : int
-        Disk space to reserve at first, and always beyond the data: descriptions and index.
-
-    Raises
-    ------
-    MultiarmError
-        The folder cannot be written, or has no room.
-    """
-
-    reader: ClassVar[type[StoredFile]]
-
-    def __init__(self, path: Path, first_bytes: int, spare_bytes: int):
-        self.path, self._spare_bytes, self._fault = path, spare_bytes, ""
-        # there is one writer at a time; with the same name the next one removes what a kill left
-        partial = path.with_name(f".{path.name}.part")
-        try:
-            with atomic_file(path, partial):
-                allocate(partial, first_bytes + spare_bytes)
-                self.file = h5py.File(
-                    partial,
-                    "w",
-                    libver=("v110", "v110"),  # the oldest with this mode: widest readability
-                    locking="best-effort",
-                    fs_strategy="page",
-                    fs_page_size=4096,
-                    rdcc_nbytes=1 << 18,  # a few chunks of a dataset, independent of its length
-                )
-                self.reserve(first_bytes)
-                with self.writing("write"):
-                    self.file.attrs["format"] = self.reader.format
-                    self.file.attrs["format_version"] = self.reader.version
-                    self.create()
-                    self.file.swmr_mode = True
-                    self.file.flush()
-        except OSError as error:
-            raise self.reader.error(
-                f"cannot write to '{path.parent}': {reason(error)}; "
-                "choose a folder that you may write to and that has room"
-            ) from error
-
-    def create(self) -> None:
-        """Create all datasets."""
-        raise NotImplementedError
-
-    def create_growing(self, name: str, dtype: Any, chunk: int, description: str) -> h5py.Dataset:
-        """An empty dataset that grows by rows, stored in chunks of ``chunk`` rows."""
-        dataset = self.file.create_dataset(name, (0,), dtype, maxshape=(None,), chunks=(chunk,))
-        dataset.attrs["description"] = description
-        return dataset
-
-    def create_counters(self, name: str, count: int, description: str) -> h5py.Dataset:
-        """A dataset of whole numbers, which begin at zero."""
-        dataset = self.file.create_dataset(name, data=np.zeros(count, dtype=np.int64))
-        dataset.attrs["description"] = description
-        return dataset
-
-    def reserve(self, size: int) -> None:
-        """Reserve disk space for `size` more bytes of data and HDF5's description of them.
-
-        A full disk is then detected before anything is written: HDF5 does not recover from a failed
-        write. Unused space is returned when the file is closed.
-        """
-        if self._fault or not hasattr(os, "posix_fallocate"):
-            return
-        end = self.file.id.get_filesize() + size + self._spare_bytes
-        descriptor = self.file.id.get_vfd_handle()
-        try:
-            if end > os.fstat(descriptor).st_size:
-                os.posix_fallocate(descriptor, 0, end)
-        except OSError as error:
-            raise self._disk_error("write to", error) from error
-
-    @contextmanager
-    def writing(self, action: str) -> Iterator[None]:
-        """Turn an error of HDF5 while writing into a message; it ends all writing."""
-        if self._fault:
-            raise self.reader.error(self._fault)
-        try:
-            yield
-        except (OSError, RuntimeError) as error:
-            fault = self._disk_error(action, error)
-            self._fault = str(fault)
-            _UNCLOSABLE.append(self)
-            raise fault from error
-
-    def close(self) -> None:
-        """Close the file, and return unused disk space."""
-        if self._fault or not self.file:
-            return
-        with suppress(OSError, RuntimeError):
-            os.ftruncate(self.file.id.get_vfd_handle(), self.file.id.get_filesize())
-            self.file.close()
-
-    def _disk_error(self, action: str, error: Exception) -> MultiarmError:
-        return self.reader.error(
-            f"cannot {action} '{self.path}': {reason(error)}; "
-            "free some space on the disk or choose another folder"
-        )
-
-
 def _refused(constant: str) -> None:
     raise ValueError(f"{constant} is no number of JSON")
-
-
-def allocate(path: Path, size: int) -> None:
-    """Let a file grow by `size` bytes, to detect a full disk before HDF5 writes."""
-    if hasattr(os, "posix_fallocate"):
-        with open(path, "r+b") as file:
-            os.posix_fallocate(file.fileno(), os.path.getsize(path), size)
-
-
-def in_pieces(text: str) -> list[bytes]:
-    """ASCII text in pieces, at least one; HDF5 would cut off a NUL at the end of one."""
-    data = text.encode("ascii")
-    return [data[i : i + PIECE_BYTES] for i in range(0, len(data), PIECE_BYTES)] or [b""]
-
-
-def joined(pieces: Sequence[bytes]) -> str:
-    """The text of :func:`in_pieces`."""
-    return b"".join(pieces).decode("ascii")
 
 
 def reason(error: Exception) -> str:

@@ -23,7 +23,7 @@ import numpy as np
 from multiarm.errors import SceneError, TrajectoryError
 from multiarm.public import public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
-from multiarm.results.files import temporary_name
+from multiarm.results.files import STATUSES, temporary_name
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
@@ -36,16 +36,15 @@ ENERGIES = ("energy/kinetic", "energy/potential", "energy/work")
 class Outcome:
     """How a run ended."""
 
-    status: str  # "completed", "interrupted" or "failed"
+    status: str  # one of `STATUSES`
     message: str  # how it ended and, after a failure, the remedy
     statistics: dict[str, Any] = field(default_factory=dict)  # steps, evaluations, wall_time_s, ...
     events: list[dict[str, Any]] = field(default_factory=list)
     certificate: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        statuses = ("completed", "interrupted", "failed")
-        if self.status not in statuses:
-            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {statuses}")
+        if self.status not in STATUSES:
+            raise TrajectoryError(f"unknown status {self.status!r}; a run ends {STATUSES}")
 
 
 class Store(Protocol):
@@ -240,9 +239,8 @@ class Trajectory:
     @property
     def effect_works(self) -> dict[str, np.ndarray]:
         """Effect -> its work since the start, shape (K,) [J]; of effects that do work."""
-        names = (name.split("/") for name in self._store.channels)
-        effects = [parts[1] for parts in names if parts[0] == "effects" and parts[-1] == "work"]
-        return {effect: self.channel(f"effects/{effect}/work") for effect in effects}
+        names = work_channels(self._store.channels)
+        return {effect: self.channel(name) for effect, name in names.items()}
 
     @property
     def energy(self) -> np.ndarray:
@@ -449,6 +447,12 @@ class Trajectory:
             return None
         start = self.energy_at_start
         return float(max(np.abs(k + p - start - w).max() for k, p, w in self.blocks(*ENERGIES)))
+
+
+def work_channels(channels: Iterable[str]) -> dict[str, str]:
+    """Effect -> name of the channel of its work, of the channels of a run."""
+    names = (name for name in channels if name.startswith("effects/") and name.endswith("/work"))
+    return {name.removeprefix("effects/").removesuffix("/work"): name for name in names}
 
 
 def require_trajectory(trajectory: Any, call: str) -> Trajectory:

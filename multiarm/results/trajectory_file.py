@@ -11,6 +11,12 @@ Layout (format `multiarm trajectory`, version 1)::
     /outcome                 status, message, statistics, events, certificate: JSON in pieces
     /amended, /amendment     entries of the outcome that were changed after the run, likewise
 
+The writer creates all datasets first and then enters HDF5's single-writer-multiple-reader mode.
+From then on datasets only grow, and HDF5 writes data before the index that points to them. The
+index never crosses a page of the file, so that the operating system cannot leave half of an entry.
+The file is created under a temporary name and moved to its place when it is ready to grow: an older
+file there survives until then, and programs that still read it keep their data.
+
 A checkpoint flushes the channels first and `progress` after them. Samples beyond `progress` are not
 read, so that all channels of an interrupted run have the same length. An amendment is appended to
 earlier ones; `amended` names the valid pieces and is written last.
@@ -21,7 +27,8 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,21 +36,19 @@ import h5py
 import numpy as np
 
 from multiarm.errors import TrajectoryError
-from multiarm.results.channels import Channel, arm_names
-from multiarm.results.files import CLOSED, resolved
-from multiarm.results.hdf5 import (
-    HDF5_ERRORS,
-    PIECE,
-    GrowingFile,
-    StoredFile,
-    allocate,
-    in_pieces,
-    reason,
-)
+from multiarm.results.channels import Channel, arm_names, trajectory_channels
+from multiarm.results.files import CLOSED, STATUSES, atomic_file, resolved
+from multiarm.results.hdf5 import HDF5_ERRORS, StoredFile, reason
 
 CHUNK_SAMPLES = 512
 """A chunk of a scalar channel fills a page of the file."""
 CHUNK_PIECES = 64
+PIECE_BYTES = 120
+PIECE = f"S{PIECE_BYTES}"
+"""Type of a piece of text, a line in `h5dump`: HDF5 cannot append to one long text."""
+
+_UNCLOSABLE: list[TrajectoryWriter] = []
+"""Files with a failed write, kept until the program ends: HDF5 crashes on closing one."""
 
 
 class TrajectoryReader(StoredFile):
@@ -77,7 +82,7 @@ class TrajectoryReader(StoredFile):
 
     def load(self) -> None:
         """Read everything but the samples."""
-        self.samples, pieces = self.counters("progress")
+        self.samples, pieces = self._counters("progress")
         names = self.attribute("channels", np.ndarray).tolist()
         if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
             raise self.broken("its list of channels is not one of different names")
@@ -88,11 +93,11 @@ class TrajectoryReader(StoredFile):
         self._check_channels()
         self.amendment = None
         if "amended" in self.file:
-            text = self.pieces("amendment", *self.counters("amended"))
+            text = self._pieces("amendment", *self._counters("amended"))
             self.amendment = self.table(text or "{}", "'amendment'")
         self.outcome = None
         if pieces:
-            outcome = self.table(self.pieces("outcome", 0, pieces), "'outcome'")
+            outcome = self.table(self._pieces("outcome", 0, pieces), "'outcome'")
             self.outcome = outcome | (self.amendment or {})
             fault = outcome_fault(self.outcome)
             if fault:
@@ -114,13 +119,28 @@ class TrajectoryReader(StoredFile):
                 raise self.broken(f"'{name}' has columns without names, or names of others")
         return Channel(name, stored.shape[1:], **words, labels=labels)
 
+    def _counters(self, name: str) -> list[int]:
+        """Two numbers of rows."""
+        found = self.dataset(name, "iu", 1)[:].tolist()
+        if len(found) != 2 or min(found) < 0:
+            raise self.broken(f"'{name}' is not two numbers of rows")
+        return found
+
+    def _pieces(self, name: str, begin: int, end: int) -> str:
+        """The text in some rows of a dataset, see :func:`_in_pieces`."""
+        stored = self.dataset(name, "S", 1)
+        if not begin <= end <= len(stored):
+            raise self.broken(f"'{name}' has {len(stored)} pieces, none from {begin} to {end}")
+        self.require(name, end)
+        return b"".join(stored[begin:end]).decode("ascii")
+
     def _check_channels(self) -> None:
         """Refuse channels of another shape, and times that do not go on."""
         if "time" not in self.channels:
             raise self.broken("channel 'time' is missing")
-        for name, shape in _SHAPES.items():
-            if name in self.channels and self.channels[name].shape != shape:
-                raise self.broken(f"channel '{name}' has another shape")
+        for channel in trajectory_channels({}, {}):  # those that all runs have
+            if self.channels.get(channel.name, channel).shape != channel.shape:
+                raise self.broken(f"channel '{channel.name}' has another shape")
         for arm in arm_names(self.channels):
             own = [f"arms/{arm}/joint_{name}" for name in ("position", "velocity", "torque")]
             if len({self.channels[name].shape for name in own if name in self.channels}) > 1:
@@ -161,7 +181,7 @@ class TrajectoryReader(StoredFile):
         super().close()
 
 
-class TrajectoryWriter(GrowingFile):
+class TrajectoryWriter:
     """A new file that grows by blocks of samples.
 
     ``path`` is one of :meth:`StoredFile.writable_target`; the entry `scene` of the metadata is the
@@ -170,44 +190,67 @@ class TrajectoryWriter(GrowingFile):
     Raises
     ------
     TrajectoryError
-        The file cannot be written.
+        The folder cannot be written, or has no room.
     """
 
-    reader = TrajectoryReader
-
     def __init__(self, path: Path, channels: Sequence[Channel], metadata: dict[str, Any]):
+        self.path, self._fault = path, ""
         self.samples, self._checkpointed = 0, 0
-        self._channels, self._metadata = channels, metadata
         self._chunk_bytes = 8 * CHUNK_SAMPLES * sum(channel.width for channel in channels)
         # descriptions and index of a dataset take up to 16 KiB
-        super().__init__(path, self._chunk_bytes, 16384 * (4 + len(channels)))
+        self._spare_bytes = 16384 * (4 + len(channels))
+        # there is one writer at a time; with the same name the next one removes what a kill left
+        partial = path.with_name(f".{path.name}.part")
+        try:
+            with atomic_file(path, partial):
+                _allocate(partial, self._chunk_bytes + self._spare_bytes)
+                self.file = h5py.File(
+                    partial,
+                    "w",
+                    libver=("v110", "v110"),  # the oldest with this mode: widest readability
+                    locking="best-effort",
+                    fs_strategy="page",
+                    fs_page_size=4096,
+                    rdcc_nbytes=1 << 18,  # a few chunks of a dataset, independent of its length
+                )
+                self._reserve(self._chunk_bytes)
+                with self._writing("write"):
+                    self._create(channels, metadata)
+                    self.file.swmr_mode = True
+                    self.file.flush()
+        except OSError as error:
+            raise TrajectoryError(
+                f"cannot write to '{path.parent}': {reason(error)}; "
+                "choose a folder that you may write to and that has room"
+            ) from error
 
-    def create(self) -> None:
+    def _create(self, channels: Sequence[Channel], metadata: dict[str, Any]) -> None:
         """Create all datasets."""
-        file, channels = self.file, self._channels
-        provenance = {key: value for key, value in self._metadata.items() if key != "scene"}
+        file, reader = self.file, TrajectoryReader
+        file.attrs["format"], file.attrs["format_version"] = reader.format, reader.version
+        provenance = {key: value for key, value in metadata.items() if key != "scene"}
         file.attrs["provenance"] = json.dumps(provenance, allow_nan=False)
-        text = self._metadata.get("scene", "")
-        file.create_dataset("scene", data=text, dtype=h5py.string_dtype())
+        file.create_dataset("scene", data=metadata.get("scene", ""), dtype=h5py.string_dtype())
         self._datasets = {channel.name: _create(file, channel) for channel in channels}
         file.attrs["channels"] = [channel.name for channel in channels]
-        self._outcome = self.create_growing(
-            "outcome", PIECE, CHUNK_PIECES, "how the run ended: JSON, to be joined"
-        )
-        self.create_growing(
-            "amendment", PIECE, CHUNK_PIECES, "what was found out after the run: JSON, to be joined"
-        )
-        self.create_counters("amended", 2, "first and end of the pieces of amendment that hold")
-        self._progress = self.create_counters(
-            "progress", 2, "samples safely written; pieces of outcome"
-        )
+        growing = {"shape": (0,), "dtype": PIECE, "maxshape": (None,), "chunks": (CHUNK_PIECES,)}
+        words = {
+            "outcome": "how the run ended: JSON, to be joined",
+            "amendment": "what was found out after the run: JSON, to be joined",
+            "amended": "first and end of the pieces of amendment that hold",
+            "progress": "samples safely written; pieces of outcome",
+        }
+        for name, text in words.items():
+            form = growing if name in ("outcome", "amendment") else {"data": np.zeros(2, np.int64)}
+            file.create_dataset(name, **form).attrs["description"] = text
+        self._outcome, self._progress = file["outcome"], file["progress"]
 
     def append(self, block: Mapping[str, np.ndarray]) -> None:
         """Add finite samples of all channels; they count once `checkpoint` has returned."""
         end = self.samples + len(block["time"])
         chunks = end // CHUNK_SAMPLES - self._checkpointed // CHUNK_SAMPLES + 1
-        self.reserve(chunks * self._chunk_bytes)
-        with self.writing("append to"):
+        self._reserve(chunks * self._chunk_bytes)
+        with self._writing("append to"):
             for name, dataset in self._datasets.items():
                 dataset.resize(end, axis=0)
                 dataset[self.samples : end] = block[name]
@@ -215,25 +258,68 @@ class TrajectoryWriter(GrowingFile):
 
     def checkpoint(self) -> None:
         """Make everything appended so far safe against a kill."""
-        with self.writing("write to"):
+        with self._writing("write to"):
             self.file.flush()
             self._progress[0] = self._checkpointed = self.samples
             self._progress.flush()
 
     def finish(self, outcome: dict[str, Any]) -> None:
         """Store how the run ended and close the file."""
-        pieces = in_pieces(json.dumps(outcome, allow_nan=False))
+        pieces = _in_pieces(json.dumps(outcome, allow_nan=False))
         self.checkpoint()
         try:
-            self.reserve(sum(map(len, pieces)))
-            with self.writing("write to"):
+            self._reserve(sum(map(len, pieces)))
+            with self._writing("write to"):
                 self._outcome.resize(len(pieces), axis=0)
                 self._outcome[:] = pieces
                 self.file.flush()
                 self._progress[1] = len(pieces)
                 self._progress.flush()
         finally:
-            self.close()
+            self._close()
+
+    def _reserve(self, size: int) -> None:
+        """Reserve disk space for `size` more bytes of data and HDF5's description of them.
+
+        A full disk is then detected before anything is written: HDF5 does not recover from a failed
+        write. Unused space is returned when the file is closed.
+        """
+        if self._fault or not hasattr(os, "posix_fallocate"):
+            return
+        end = self.file.id.get_filesize() + size + self._spare_bytes
+        descriptor = self.file.id.get_vfd_handle()
+        try:
+            if end > os.fstat(descriptor).st_size:
+                os.posix_fallocate(descriptor, 0, end)
+        except OSError as error:
+            raise self._disk_error("write to", error) from error
+
+    @contextmanager
+    def _writing(self, action: str) -> Iterator[None]:
+        """Turn an error of HDF5 while writing into a message; it ends all writing."""
+        if self._fault:
+            raise TrajectoryError(self._fault)
+        try:
+            yield
+        except (OSError, RuntimeError) as error:
+            fault = self._disk_error(action, error)
+            self._fault = str(fault)
+            _UNCLOSABLE.append(self)
+            raise fault from error
+
+    def _close(self) -> None:
+        """Close the file, and return unused disk space."""
+        if self._fault or not self.file:
+            return
+        with suppress(OSError, RuntimeError):
+            os.ftruncate(self.file.id.get_vfd_handle(), self.file.id.get_filesize())
+            self.file.close()
+
+    def _disk_error(self, action: str, error: Exception) -> TrajectoryError:
+        return TrajectoryError(
+            f"cannot {action} '{self.path}': {reason(error)}; "
+            "free some space on the disk or choose another folder"
+        )
 
 
 def amend(path: Path, changes: dict[str, Any]) -> None:
@@ -250,9 +336,9 @@ def amend(path: Path, changes: dict[str, Any]) -> None:
     store.close()
     if store.outcome is None or store.amendment is None:
         raise TrajectoryError(f"'{path}' holds no complete run that could be amended; run it again")
-    pieces = in_pieces(json.dumps({**store.amendment, **changes}, allow_nan=False))
+    pieces = _in_pieces(json.dumps({**store.amendment, **changes}, allow_nan=False))
     try:
-        allocate(path, sum(map(len, pieces)) + 65536)
+        _allocate(path, sum(map(len, pieces)) + 65536)
         with h5py.File(path, "r+", libver=("v110", "v110"), locking="best-effort") as file:
             file.swmr_mode = True
             begin = int(file["amended"][1])
@@ -268,6 +354,19 @@ def amend(path: Path, changes: dict[str, Any]) -> None:
         raise TrajectoryError(
             f"cannot write to '{path}': {reason(error)}; free some space on the disk"
         ) from error
+
+
+def _allocate(path: Path, size: int) -> None:
+    """Let a file grow by `size` bytes, to detect a full disk before HDF5 writes."""
+    if hasattr(os, "posix_fallocate"):
+        with open(path, "r+b") as file:
+            os.posix_fallocate(file.fileno(), os.path.getsize(path), size)
+
+
+def _in_pieces(text: str) -> list[bytes]:
+    """ASCII text in pieces, at least one; HDF5 would cut off a NUL at the end of one."""
+    data = text.encode("ascii")
+    return [data[i : i + PIECE_BYTES] for i in range(0, len(data), PIECE_BYTES)] or [b""]
 
 
 def _create(file: h5py.File, channel: Channel) -> h5py.Dataset:
@@ -287,22 +386,12 @@ def _create(file: h5py.File, channel: Channel) -> h5py.Dataset:
     return dataset
 
 
-_XYZ: tuple[int, ...] = (3,)
-_SHAPES = {
-    "time": (), "object/position": _XYZ, "object/quaternion_xyzw": (4,), "object/twist": (6,),
-    **dict.fromkeys(("energy/kinetic", "energy/potential", "energy/work"), ()),
-    **dict.fromkeys(("drift/position", "drift/velocity"), ()),
-}  # fmt: skip
-"""Of a sample, of the channels that all runs have."""
-_STATUSES = ("completed", "interrupted", "failed")
-
-
 def outcome_fault(outcome: Mapping[str, Any]) -> str:
     """Why a table is not the outcome of a run, see `Outcome`; empty where it is one."""
     sorts = {"status": str, "message": str, "statistics": dict, "events": list}
     allowed = {*sorts, "certificate"}
     wrong = [name for name, sort in sorts.items() if not isinstance(outcome.get(name), sort)]
-    if wrong or not allowed.issuperset(outcome) or outcome["status"] not in _STATUSES:
+    if wrong or not allowed.issuperset(outcome) or outcome["status"] not in STATUSES:
         return f"'{(wrong or ['status'])[0]}' is missing, or nothing that this program writes"
     certificate = outcome.get("certificate")
     if certificate is not None and not isinstance(certificate, dict):

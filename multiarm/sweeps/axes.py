@@ -91,9 +91,8 @@ def exponents(value: Any) -> list[Any]:
     return value
 
 
-def ratios(value: Any) -> list[Any]:
-    """First value, last value and number of values, with equal ratios."""
-    value = spaced(value)
+def in_ratio(value: list[Any]) -> list[Any]:
+    """The list, whose first two numbers are bounds of values with equal ratios."""
     if not (value[0] > 0.0 and value[1] > 0.0):
         raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
     return value
@@ -126,14 +125,6 @@ def bounds(value: Any) -> list[float]:
     if not low < high:
         raise fault(f"the lowest must be below the highest, got {shown(value)}")
     return [low, high]
-
-
-def positive_bounds(value: Any) -> list[float]:
-    """The lowest and the highest value, both positive."""
-    value = bounds(value)
-    if not value[0] > 0.0:
-        raise fault(f"has equal ratios, so that both bounds must be positive, got {shown(value)}")
-    return value
 
 
 def whole_bounds(value: Any) -> list[int]:
@@ -210,14 +201,14 @@ class Spaced(Sequence):
         return self.start + k * ((self.stop - self.start) / (self.size - 1))
 
 
+def with_ratio(start: float, stop: float, share: float) -> float:
+    low, high = math.log10(start), math.log10(stop)
+    return 10.0 ** (low + share * (high - low))
+
+
 def whole_numbers(given: Sequence[int]) -> range:
     """Whole numbers, as Python's range goes through them."""
     return range(*given)
-
-
-def in_ratio(start: float, stop: float, share: float) -> float:
-    low, high = math.log10(start), math.log10(stop)
-    return 10.0 ** (low + share * (high - low))
 
 
 def uniform_quantile(bounds: Sequence[float], u: float) -> float:
@@ -283,16 +274,20 @@ class AxisSpec(Spec):
     logspace: Annotated[
         list[Any] | None,
         BeforeValidator(exponents),
-        Enumerated(lambda own: Spaced(10.0 ** own[0], 10.0 ** own[1], own[2], in_ratio)),
+        Enumerated(lambda own: Spaced(10.0 ** own[0], 10.0 ** own[1], own[2], with_ratio)),
     ] = None
     geomspace: Annotated[
-        list[Any] | None, BeforeValidator(ratios), Enumerated(lambda own: Spaced(*own, in_ratio))
+        list[Any] | None,
+        BeforeValidator(lambda own: in_ratio(spaced(own))),
+        Enumerated(lambda own: Spaced(*own, with_ratio)),
     ] = None
     range: Annotated[list[int] | None, BeforeValidator(counted), Enumerated(whole_numbers)] = None
     rows: Annotated[list[Any] | None, BeforeValidator(items), Enumerated(list)] = None
     uniform: Annotated[list[float] | None, BeforeValidator(bounds), Drawn(uniform_quantile)] = None
     loguniform: Annotated[
-        list[float] | None, BeforeValidator(positive_bounds), Drawn(loguniform_quantile)
+        list[float] | None,
+        BeforeValidator(lambda own: in_ratio(bounds(own))),
+        Drawn(loguniform_quantile),
     ] = None
     normal: Annotated[NormalSpec | None, Drawn(normal_quantile)] = None
     lognormal: Annotated[LogNormalSpec | None, Drawn(lognormal_quantile)] = None
@@ -311,7 +306,7 @@ class AxisSpec(Spec):
                 f"must be a list of values or a table with one of "
                 f"{', '.join(type(self).model_fields)}; got {given}"
             )
-        if getattr(self, self.name) is None:
+        if self.given is None:
             raise fault(f"'{self.name}' is empty; write its values after the colon")
         return self
 
@@ -319,6 +314,11 @@ class AxisSpec(Spec):
     def name(self) -> str:
         """The key that is given."""
         return next(iter(self.model_fields_set))
+
+    @property
+    def given(self) -> Any:
+        """What stands below the key."""
+        return getattr(self, self.name)
 
     @property
     def meaning(self) -> Enumerated | Drawn:
@@ -335,14 +335,14 @@ class AxisSpec(Spec):
     def steps(self) -> Sequence[Any]:
         """The enumerated values; empty if they are drawn."""
         meaning = self.meaning
-        given = getattr(self, self.name)
-        return meaning.sequence(given) if isinstance(meaning, Enumerated) else ()
+        return meaning.sequence(self.given) if isinstance(meaning, Enumerated) else ()
 
-    def quantile(self, u: float) -> Any:
-        """The value below which a share ``u`` of all drawn ones lies."""
+    def value(self, place: Any) -> Any:
+        """The enumerated value of a number from 0 on; a drawn one at the quantile u in (0, 1)."""
         meaning = self.meaning
-        assert isinstance(meaning, Drawn), "the axis is drawn"
-        return meaning.quantile(getattr(self, self.name), u)
+        return (
+            meaning.quantile(self.given, place) if isinstance(meaning, Drawn) else self.steps[place]
+        )
 
     def written(self) -> Any:
         """The axis as in a sweep file."""
@@ -351,18 +351,10 @@ class AxisSpec(Spec):
 
 @dataclass(frozen=True)
 class Axis:
-    """The values of one path of the scene, or of several that vary together.
-
-    Attributes
-    ----------
-    paths : tuple of str
-    written : str
-        The key in the sweep file.
-    spec : AxisSpec
-    """
+    """The values of one path of the scene, or of several that vary together."""
 
     paths: tuple[str, ...]
-    written: str
+    written: str  # the key in the sweep file
     spec: AxisSpec
 
     @property
@@ -375,13 +367,11 @@ class Axis:
         """Number of enumerated values; 1 if they are drawn."""
         return 1 if self.drawn else len(self.spec.steps)
 
-    def at(self, number: int) -> dict[str, Any]:
-        """Path -> value, of an enumerated value; the first has number 0."""
-        return self._changes(self.spec.steps[number])
-
-    def drawn_at(self, u: float) -> dict[str, Any]:
-        """Path -> value, of the quantile of ``u`` in (0, 1)."""
-        return self._changes(self.spec.quantile(u))
+    def at(self, place: Any) -> dict[str, Any]:
+        """Path -> value, see :meth:`AxisSpec.value`."""
+        value = self.spec.value(place)
+        values = value if self.spec.rows is not None else [value] * len(self.paths)
+        return dict(zip(self.paths, values, strict=True))
 
     def examples(self, path: str) -> list[Any]:
         """Values of all types that a path takes: listed ones, or one of a kind of numbers."""
@@ -391,11 +381,7 @@ class Axis:
         listed = spec.values if spec.values is not None else spec.choice
         if listed is not None:
             return listed
-        return list((self.drawn_at(0.5) if self.drawn else self.at(0)).values())
-
-    def _changes(self, value: Any) -> dict[str, Any]:
-        values = value if self.spec.rows is not None else [value] * len(self.paths)
-        return dict(zip(self.paths, values, strict=True))
+        return [spec.value(0.5 if spec.drawn else 0)]
 
 
 def paths_of(key: str) -> tuple[str, ...]:

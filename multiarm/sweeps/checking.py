@@ -148,7 +148,7 @@ def value_faults(scene: Scene, spec: SweepSpec) -> list[str]:
     for entries in _trials(axes, spec.combine == "zip"):
         values: dict[str, Any] = {}
         for axis, entry in zip(axes, entries, strict=True):
-            values |= _values(axis, entry)
+            values |= axis.at(entry)
         try:
             changed(scene, values)
         except SceneError as error:
@@ -195,10 +195,6 @@ def _some(count: int) -> list[int]:
     return sorted({round(k * (count - 1) / (TRIED - 1)) for k in range(TRIED)})
 
 
-def _values(axis: Axis, entry: Any) -> dict[str, Any]:
-    return axis.drawn_at(entry) if axis.drawn else axis.at(entry)
-
-
 def _at_its_axis(
     fault: str, axes: tuple[Axis, ...], entries: list[Any]
 ) -> tuple[tuple[str, ...], str]:
@@ -214,7 +210,7 @@ def _at_its_axis(
         tried = ", ".join(
             f"{path} = {shown(value)}"
             for axis, entry in zip(axes, entries, strict=True)
-            for path, value in _values(axis, entry).items()
+            for path, value in axis.at(entry).items()
         )
         return (fault,), f"$.over: no scene is made by {tried}: {fault}"
     at, axis, entry, path = max(found, key=lambda one: len(one[0]))
@@ -224,7 +220,7 @@ def _at_its_axis(
     text = f"its {below}: {text}" if below else text
     if axis.spec.name == "values":
         return (at, where, str(entry)), f"{_place(axis)}[{entry}]: {text}"
-    value = shown(_values(axis, entry)[path])
+    value = shown(axis.at(entry)[path])
     return (at, where), f"{_place(axis)}.{axis.spec.name}: the value {value}: {text}"
 
 

@@ -159,18 +159,12 @@ ROUNDS = 4
 
 
 class Batches:
-    """Jobs in batches, made on demand.
+    """Jobs in batches, made on demand; ``count`` is how many jobs there are, if it is known.
 
     Attributes
     ----------
     workers : int
         That share the batches.
-
-    Parameters
-    ----------
-    jobs : iterable of Job
-    count : int, optional
-        How many jobs there are.
     """
 
     def __init__(self, jobs: Iterable[Job], count: int | None = None) -> None:
@@ -284,12 +278,7 @@ SIZE_POLL = 2.0
 
 @contextmanager
 def connected(cluster: Any) -> Iterator[Client]:
-    """A client of a cluster, closed in the end unless it was given.
-
-    Parameters
-    ----------
-    cluster : str, True or distributed.Client
-        Address of a scheduler; True: the one in Dask's configuration (``DASK_SCHEDULER_ADDRESS``).
+    """A client of a cluster as :func:`multiarm.sweep` takes it; closed here unless it was given.
 
     Raises
     ------

@@ -153,26 +153,12 @@ def _threads(threads: int | None, system: System, control: ControlFunction | Non
 
 @dataclass(frozen=True)
 class Case:
-    """The description of one run, which any thread can carry out.
+    """The description of one run, which any thread can carry out."""
 
-    Attributes
-    ----------
-    number : int
-        From 1 on.
-    scene : Scene
-    state : State or None
-        Initial state; None: the scene's start.
-    out : Path or None
-        File of the samples; None: memory.
-    options : mapping
-        Further keywords of :func:`multiarm.simulate`.
-    """
-
-    number: int
     scene: Scene
-    state: State | None
-    out: Path | None
-    options: Mapping[str, Any]
+    state: State | None  # None: the scene's start
+    out: Path | None  # file of the samples; None: memory
+    options: Mapping[str, Any]  # further keywords of `multiarm.simulate`
 
 
 def describe(
@@ -182,17 +168,7 @@ def describe(
     out: str | os.PathLike | None,
     options: Mapping[str, Any],
 ) -> list[Case]:
-    """The cases of a call of :func:`simulate_many`, all checked before the first one begins.
-
-    Raises
-    ------
-    SceneError
-        Naming all faults of all parameters, or contradicting settings.
-    ModelError
-        A state is invalid or belongs to another system; states and parameters differ in number.
-    TrajectoryError
-        A result cannot be written.
-    """
+    """The cases of a call of :func:`simulate_many`, all checked before the first one begins."""
     if states is None and parameters is None:
         raise ModelError("simulate_many needs `states`, `parameters`, or equally many of both")
     if isinstance(parameters, Mapping):
@@ -210,26 +186,15 @@ def describe(
     _check_settings(scenes if tables is not None else [system.scene], options)
     files = run_files(out, count)
     return [
-        Case(k + 1, scenes[k], None if starts is None else starts[k], files[k], options)
+        Case(scenes[k], None if starts is None else starts[k], files[k], options)
         for k in range(count)
     ]
 
 
 def run_case(case: Case, system: System, progress: Callable[[float], None] | None) -> Trajectory:
-    """Carry out a case in this thread.
+    """Carry out a case in this thread; ``system`` is of its scene, or of a similar one.
 
-    Parameters
-    ----------
-    case : Case
-    system : System
-        Of the case's scene, or of a similar one.
-    progress : callable, optional
-        As :func:`multiarm.simulate` calls it.
-
-    Returns
-    -------
-    Trajectory
-        A case that cannot begin gives one with status "failed" and no samples.
+    A case that cannot begin gives a trajectory with status "failed" and no samples.
     """
     try:
         if case.scene is not system.scene:
@@ -304,27 +269,9 @@ ManyProgress = Callable[[float, int], None]
 def run_cases(
     cases: Sequence[Case], system: System, threads: int, progress: ManyProgress
 ) -> list[Trajectory]:
-    """Carry out all cases.
+    """Carry out all cases, of the system's scene or of changes of it; results are in their order.
 
-    Parameters
-    ----------
-    cases : sequence of Case
-        Of the system's scene, or of changes of it.
-    system : System
-    threads : int
-    progress : callable
-        Called in this thread with the simulated time of all runs together [s] and the number of
-        finished runs; may raise ``KeyboardInterrupt`` to end them all.
-
-    Returns
-    -------
-    list of Trajectory
-        In the order of the cases.
-
-    Raises
-    ------
-    Exception
-        An error of the program, not of a run; raised after the other runs have ended.
+    An error of the program, not of a run, is raised after the other runs have ended.
     """
     waiting, stopped = deque(enumerate(cases)), threading.Event()
     results: list[Trajectory | None] = [None] * len(cases)
@@ -385,15 +332,7 @@ class _Progress:
 
 
 def run_files(out: str | os.PathLike | None, count: int) -> list[Path | None]:
-    """One file for each run.
-
-    Parameters
-    ----------
-    out : path-like, optional
-        A folder, created if missing, for ``run_0001.h5`` and so on; or a pattern of files such as
-        ``"runs/box_{:03d}.h5"``, filled with the number of the run, from 1 on.
-    count : int
-        Number of runs.
+    """One file for each run, from ``out`` of :func:`simulate_many`; folders are created.
 
     Raises
     ------

@@ -85,20 +85,11 @@ class Record:
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """Many runs of one scene.
+    """Many runs of one scene."""
 
-    Attributes
-    ----------
-    scene : Scene
-        With the sweep's entries of ``run``.
-    spec : SweepSpec
-    quantities : tuple of Quantity
-        Outputs of every run, besides its wall time.
-    """
-
-    scene: Scene
+    scene: Scene  # with the sweep's entries of `run`
     spec: SweepSpec
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[Quantity, ...]  # outputs of every run, besides its wall time
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
@@ -216,10 +207,10 @@ class SweepPlan:
 
     def _values(self, run: int, sampler: Sampler) -> dict[str, Any]:
         entries = iter(self._entries((run - 1) // self.spec.repeat))
-        numbers = iter(sampler.at(run))
+        numbers = iter(sampler.at(run).tolist())
         found: dict[str, Any] = {}
         for axis in self.axes:
-            found |= axis.drawn_at(float(next(numbers))) if axis.drawn else axis.at(next(entries))
+            found |= axis.at(next(numbers if axis.drawn else entries))
         return found
 
     def _entries(self, point: int) -> list[int]:
@@ -236,13 +227,7 @@ def make_plan(
 ) -> SweepPlan:
     """Plan a sweep and check it: its text, and its paths and values in the scene.
 
-    Parameters
-    ----------
-    scene : Scene or path
-    over : path or mapping, optional
-        A sweep file, its content as a table, or its ``over`` alone.
-    **changes
-        Keys of a sweep that replace those in ``over``.
+    ``over`` is that of :func:`multiarm.sweep`; ``changes`` are keys that replace those in it.
 
     Raises
     ------
@@ -309,22 +294,12 @@ _SMALLEST = 2.0**-54
 
 @dataclass
 class Sampler:
-    """Numbers in (0, 1), one for each drawn axis, for any run.
+    """Numbers in (0, 1), one for each drawn axis, for any run."""
 
-    Parameters
-    ----------
-    sampling : {"random", "latin_hypercube", "sobol"}
-    seed : int
-    axes : int
-        How many numbers a run needs.
-    repeat : int
-        Runs of one grid point.
-    """
-
-    sampling: str
+    sampling: str  # "random", "latin_hypercube" or "sobol"
     seed: int
-    axes: int
-    repeat: int
+    axes: int  # how many numbers a run needs
+    repeat: int  # runs of one grid point
     # the sample of the last grid point: runs mostly come in order
     _point: int = field(default=-1, init=False)
     _sample: Any = field(default=None, init=False, repr=False)

@@ -32,46 +32,23 @@ MEASURED = "wall_time"
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of every run.
-
-    Attributes
-    ----------
-    name : str
-    unit : str
-    words : str
-        Description.
-    function : callable or FunctionReference, optional
-        The user's function, or its place.
-    key : str, optional
-        Of the table that the function returns.
-    digest : str
-        Of the function's source text.
-    """
+    """One number of every run."""
 
     name: str
     unit: str
-    words: str
+    words: str  # description
+    # the user's function, or its place
     function: Callable[[Trajectory], Any] | FunctionReference | None = None
-    key: str | None = None
-    digest: str = ""
+    key: str | None = None  # of the table that the function returns
+    digest: str = ""  # of the function's source text
 
 
 def measure(
     quantities: Sequence[Quantity], trajectory: Trajectory
 ) -> tuple[dict[str, float | None], str]:
-    """The quantities of a completed run.
+    """The quantities of a completed run by name, and the errors of user-defined functions.
 
-    Parameters
-    ----------
-    quantities : sequence of Quantity
-    trajectory : Trajectory
-
-    Returns
-    -------
-    numbers : dict
-        Name -> number; None where the quantity is not defined for this run, or its function failed.
-    fault : str
-        Errors of user-defined functions; empty if there are none.
+    A number is None where it is not defined for this run, or its function failed.
     """
     numbers: dict[str, float | None] = {}
     faults = []

@@ -199,20 +199,9 @@ class SweepSpec(Spec):
 
     def text(self) -> str:
         """Canonical YAML that :func:`parse_sweep` reads back."""
-        keep = [
-            entry.model_dump(mode="json", exclude_none=True)
-            if isinstance(entry, OwnQuantity)
-            else entry
-            for entry in self.keep
-        ]
         data = {
             "over": {key: axis.written() for key, axis in self.over.items()},
-            "combine": self.combine,
-            "repeat": self.repeat,
-            "sampling": self.sampling,
-            "seed": self.seed,
-            "keep": keep,
-            "certificate": self.certificate,
+            **self.model_dump(mode="json", exclude_none=True, exclude={"over", "run"}),
             "run": self.run,
         }
         return yaml.safe_dump(
@@ -221,13 +210,7 @@ class SweepSpec(Spec):
 
 
 def parse_sweep(source: str | Mapping[str, Any], folder: Path | str | None = None) -> SweepSpec:
-    """The sweep that a YAML text or a table describes.
-
-    Parameters
-    ----------
-    source : str or mapping
-    folder : path, optional
-        Where relative paths of functions' files start; the current folder by default.
+    """The sweep that a YAML text or a table describes; paths of functions start at ``folder``.
 
     Raises
     ------
@@ -282,17 +265,7 @@ def read_sweep(
 def examined(data: Any, folder: Path) -> tuple[SweepSpec | None, list[str]]:
     """The sweep that a table describes, without its faulty parts, and the faults.
 
-    Parameters
-    ----------
-    data : mapping
-    folder : path
-        Where relative paths of functions' files start.
-
-    Returns
-    -------
-    spec : SweepSpec or None
-        None if too little is valid.
-    faults : list of str
+    The sweep is None if too little is valid. Relative paths of functions start at ``folder``.
     """
     if not isinstance(data, Mapping):
         keys = ", ".join(SweepSpec.model_fields)

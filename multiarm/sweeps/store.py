@@ -61,23 +61,12 @@ FINGERPRINT = b"fingerprint"
 
 @dataclass(frozen=True)
 class StoredSweep:
-    """What is stored of a sweep.
+    """What is stored of a sweep."""
 
-    Attributes
-    ----------
-    texts : dict
-        "scene" and "sweep" as YAML, "header" as JSON.
-    header : dict
-        Metadata: fingerprint, count, columns, folder, files, provenance.
-    columns : tuple of Column
-    table : pyarrow.Table
-        One row a run, in the order of the runs.
-    """
-
-    texts: dict[str, str]
-    header: dict[str, Any]
+    texts: dict[str, str]  # "scene" and "sweep" as YAML, "header" as JSON
+    header: dict[str, Any]  # fingerprint, count, columns, folder, files, provenance
     columns: tuple[Column, ...]
-    table: pa.Table
+    table: pa.Table  # one row a run, in the order of the runs
 
     @classmethod
     def read(cls, path: Path) -> StoredSweep:

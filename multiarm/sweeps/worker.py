@@ -33,33 +33,17 @@ __all__ = ["JobContext", "run_job", "run_jobs", "simulate_run", "warm_up"]
 
 @dataclass(frozen=True)
 class JobContext:
-    """What all jobs of a sweep share; it is sent to the workers.
+    """What all jobs of a sweep share; it is sent to the workers."""
 
-    Attributes
-    ----------
-    scene : str
-        As YAML text.
-    quantities : tuple of Quantity
-    certificate : bool
-        Check runs of some accuracy.
-    classes : tuple of (str, type)
-        User classes that were registered in the process that began the sweep, with the name of
-        their registry's group.
-    version : str
-        Of multiarm: another one may give other numbers.
-    folder : str
-        Where relative paths of the scene, and of values in it, start.
-    session : str
-        Unique to each call of :func:`multiarm.sweep`: files that the scene names may have changed
-        since an earlier call, whose compiled scene a worker may still hold.
-    """
-
-    scene: str
+    scene: str  # as YAML text
     quantities: tuple[Quantity, ...]
-    certificate: bool
-    version: str
+    certificate: bool  # check runs of some accuracy
+    version: str  # of multiarm: another one may give other numbers
+    # user classes that were registered in the process that began the sweep, and where
     classes: tuple[tuple[str, type], ...] = ()
-    folder: str | None = None
+    folder: str | None = None  # where relative paths of the scene, and of values in it, start
+    # unique to each call of `multiarm.sweep`: files that the scene names may have changed since an
+    # earlier call, whose compiled scene a worker may still hold
     session: str = ""
 
     @classmethod

@@ -28,7 +28,13 @@ from multiarm.grasp.scenes.reading import SceneGrasp, read_grasp
 from multiarm.scene.control import NoControl
 from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks, along, rotations
 from multiarm.viewer.commands import rgb
-from multiarm.viewer.contact_tracks import contacts_of, event_places, object_size, surface_bodies
+from multiarm.viewer.contact_tracks import (
+    contacts_of,
+    event_places,
+    object_size,
+    placed,
+    surface_bodies,
+)
 from multiarm.viewer.mesh import Mesh, box, capsule, cylinder, merge
 from multiarm.viewer.shapes import PLAIN, geometry_mesh, mesh_loader, object_mesh
 
@@ -50,19 +56,9 @@ MOST_FRAMES = 6000
 def animate(
     trajectory: Trajectory, *, fps: float, speed: float, meshes: bool, code: bool = False
 ) -> Animation:
-    """Return the animation of a trajectory; a failed run is shown up to its last sample.
+    """Return the animation of a trajectory, see :func:`multiarm.replay` for what is given.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    fps : float
-        Frames per second of the viewer; at most one per sample.
-    speed : float
-        Seconds of the trajectory per second of the viewer.
-    meshes : bool
-        False shows simple bars in place of mesh files: a small page.
-    code : bool
-        Whether the code that a stored scene names may be loaded.
+    A failed run is shown up to its last sample.
 
     Raises
     ------
@@ -301,14 +297,8 @@ def _bars(arm: Arm, joints: set[int]) -> list[_Part]:
             if np.linalg.norm(end - start) > 1e-3 * reach
         ]
         if bars:
-            parts.append(
-                _Part(
-                    f"{model.names[joint]}_bar",
-                    joint,
-                    pin.SE3.Identity(),
-                    merge(bars).painted(PLAIN),
-                )
-            )
+            shape = merge(bars).painted(PLAIN)
+            parts.append(_Part(f"{model.names[joint]}_bar", joint, pin.SE3.Identity(), shape))
     return parts
 
 
@@ -367,7 +357,7 @@ def _hinges(
     if joint.drawn_as == "cross":  # about the object's x and the arm's y axis
         axles = (on_object @ CYCLE, on_tip @ CYCLE.T)
         return [
-            HingeTracks(joint.arm, f"{joint.arm}/{k}", "axle", color, *_placed(axle))
+            HingeTracks(joint.arm, f"{joint.arm}/{k}", "axle", color, *placed(axle))
             for k, axle in enumerate(axles, start=1)
         ]
     turn, slide = axis_travel(on_object, on_tip)
@@ -375,8 +365,8 @@ def _hinges(
         Dial(limit.turns, (limit.low, limit.high), turn if limit.turns else slide)
         for limit in limits_of(joint)
     )
-    placed = _placed(on_object @ _turned_outwards(frame.on_object))
-    return [HingeTracks(joint.arm, joint.arm, joint.drawn_as, color, *placed, dials)]
+    place = placed(on_object @ _turned_outwards(frame.on_object))
+    return [HingeTracks(joint.arm, joint.arm, joint.drawn_as, color, *place, dials)]
 
 
 def _turned_outwards(on_object: np.ndarray) -> np.ndarray:
@@ -388,12 +378,6 @@ def _turned_outwards(on_object: np.ndarray) -> np.ndarray:
     if away > CENTRED * np.linalg.norm(on_object[:3, 3]):
         turn[:2, :2] = np.array([[x, -y], [y, x]]) / away
     return turn
-
-
-def _placed(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions (K, 3) and quaternions (K, 4), scalar last, of poses (K, 4, 4)."""
-    packed = np.array([pin.SE3ToXYZQUAT(pin.SE3(pose)) for pose in poses])
-    return packed[:, :3], packed[:, 3:]
 
 
 COLOR = np.array([0.62, 0.65, 0.69])
@@ -423,22 +407,14 @@ def ground_bodies(trajectory: Trajectory, rows: np.ndarray, size: float) -> list
         sides[:2] = spec.size
     sides[2] = THICKNESS * sides[:2].min()
     middle[2] = -0.5 * sides[2]
-    place = pin.SE3ToXYZQUAT(pin.SE3(pose) * pin.SE3(np.eye(3), middle))
-    still = np.tile(place, (len(rows), 1))
-    return [Body("floor", box(sides), still[:, :3], still[:, 3:], COLOR)]
+    pose[:3, 3] += pose[:3, :3] @ middle
+    return [Body("floor", box(sides), *placed([pose] * len(rows)), COLOR)]
 
 
 def columns(feet: dict[str, np.ndarray], floor: float, frames: int) -> list[Body]:
-    """Return a column for each upright robot that stands above the floor.
+    """Return a column for each upright robot that stands above the floor's height [m].
 
-    Parameters
-    ----------
-    feet : table 'arm: pose (4, 4)'
-        Of its base, or of the trunk where that is lower, in the world.
-    floor : float
-        Height of the floor [m].
-    frames : int
-        Of the animation.
+    `feet` are poses (4, 4) of the bases, or of the trunks where these are lower, in the world.
     """
     bodies = []
     for name, foot in feet.items():
@@ -446,9 +422,9 @@ def columns(feet: dict[str, np.ndarray], floor: float, frames: int) -> list[Body
         if height < LOWEST or foot[2, 2] < 0.99:
             continue
         mesh = cylinder(float(np.clip(SLENDER * height, THINNEST, THICKEST)), height)
-        middle = np.array([*foot[:2, 3], floor + 0.5 * height])
-        still = np.tile(np.array([0.0, 0.0, 0.0, 1.0]), (frames, 1))
-        bodies.append(Body(f"columns/{name}", mesh, np.tile(middle, (frames, 1)), still, COLOR))
+        middle = np.eye(4)
+        middle[:3, 3] = *foot[:2, 3], floor + 0.5 * height
+        bodies.append(Body(f"columns/{name}", mesh, *placed([middle] * frames), COLOR))
     return bodies
 
 

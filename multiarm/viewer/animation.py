@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from multiarm.results.channels import OPEN
 from multiarm.results.event_log import Event, Family
@@ -20,168 +21,82 @@ SPIKE = 3.0  # times the usual force
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid shape in motion.
+    """A rigid shape in motion; its poses have shapes (K, 3) and (K, 4), a row for each frame."""
 
-    Parameters
-    ----------
-    name : str
-        Path in the scene tree, such as ``arms/left/forearm_link``.
-    mesh : Mesh
-        Shape in the body's frame [m].
-    position : array, shape (K, 3)
-        Origin of the body's frame at each frame of the animation, world axes [m].
-    quaternion_xyzw : array, shape (K, 4)
-        Its orientation.
-    color : array, shape (3,)
-        Tint, sRGB in 0..1; it multiplies the colours of the mesh.
-    opacity : float
-        1 hides what is inside.
-    touched : bool array, shape (K,), optional
-        False in frames in which nothing touches this surface: it is faint then.
-    """
-
-    name: str
-    mesh: Mesh
-    position: np.ndarray
+    name: str  # path in the scene tree, such as ``arms/left/forearm_link``
+    mesh: Mesh  # in the body's frame [m]
+    position: np.ndarray  # of the origin of the body's frame, world axes [m]
     quaternion_xyzw: np.ndarray
-    color: np.ndarray
-    opacity: float = 1.0
-    touched: np.ndarray | None = None
+    color: np.ndarray  # tint, sRGB in 0..1, shape (3,); it multiplies the colours of the mesh
+    opacity: float = 1.0  # 1 hides what is inside
+    touched: np.ndarray | None = None  # (K,): False while nothing touches it, and it is faint
 
 
 @dataclass(frozen=True)
 class ContactTracks:
-    """The N contacts of one arm, or of the object with the floor.
+    """The N contacts of one arm, or of the object with the floor."""
 
-    Parameters
-    ----------
-    arm : str
-        The arm, or "floor".
-    color : array, shape (3,)
-        sRGB in 0..1.
-    point : array, shape (K, N, 3)
-        World position [m].
-    normal : array, shape (K, N, 3)
-        Unit vector into the object, world axes.
-    force : array, shape (K, N)
-        Force along the normal [N]; positive pushes the object.
-    state : int array, shape (K, N), optional
-        Codes of `channels.CONTACT_STATES`; absent for permanent contacts.
-    names : tuple of str
-        Of the contacts, as in events.
-    friction : tuple of bool
-        True for a row of friction at another contact's point: an arrow without a mark.
-    """
-
-    arm: str
-    color: np.ndarray
-    point: np.ndarray
-    normal: np.ndarray
-    force: np.ndarray
+    arm: str  # or "floor"
+    color: np.ndarray  # sRGB in 0..1, shape (3,)
+    point: np.ndarray  # world position [m], shape (K, N, 3)
+    normal: np.ndarray  # unit vector into the object, world axes, shape (K, N, 3)
+    force: np.ndarray  # along the normal [N], shape (K, N); positive pushes the object
+    # codes of `channels.CONTACT_STATES`, shape (K, N); absent for permanent contacts
     state: np.ndarray | None = None
-    names: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()  # as in events
+    # True for a row of friction at another contact's point: an arrow without a mark
     friction: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True)
 class Dial:
-    """A coordinate of a joint that has limits.
+    """A coordinate of a joint that has limits."""
 
-    Parameters
-    ----------
-    turns : bool
-        An angle [rad]; otherwise a slide [m].
-    limits : (float, float)
-        From the start, which is 0.
-    value : array, shape (K,)
-    """
-
-    turns: bool
-    limits: tuple[float, float]
-    value: np.ndarray
+    turns: bool  # an angle [rad]; otherwise a slide [m]
+    limits: tuple[float, float]  # from the start, which is 0
+    value: np.ndarray  # shape (K,)
 
 
 @dataclass(frozen=True)
 class HingeTracks:
-    """The visible form of a joint: an axle, a rail, a sleeve or a ball.
+    """The visible form of a joint.
 
-    Parameters
-    ----------
-    arm : str
-    name : str
-        Its path below the joints' node, such as ``left`` or ``left/2``.
-    shape : "axle", "rail", "sleeve" or "ball"
-        The tip turns about the axis, slides along it, does both, or turns every way.
-    color : array, shape (3,)
-        sRGB in 0..1.
-    position : array, shape (K, 3)
-        A point of the axis, or the ball's centre, world [m].
-    quaternion_xyzw : array, shape (K, 4)
-        Frame on the body that carries the axis: z is the axis, and an angle is counted from x.
-    dials : tuple of Dial
-        The coordinates that have limits.
+    An "axle": the tip turns about the axis; a "rail": it slides along it; a "sleeve": both; a
+    "ball": it turns every way.
     """
 
     arm: str
-    name: str
-    shape: str
-    color: np.ndarray
-    position: np.ndarray
+    name: str  # its path below the joints' node, such as ``left`` or ``left/2``
+    shape: str  # "axle", "rail", "sleeve" or "ball"
+    color: np.ndarray  # sRGB in 0..1, shape (3,)
+    position: np.ndarray  # of a point of the axis, or of the ball's centre, world [m], shape (K, 3)
+    # of the body that carries the axis: z is the axis, an angle is counted from x; shape (K, 4)
     quaternion_xyzw: np.ndarray
     dials: tuple[Dial, ...] = ()
 
 
 @dataclass(frozen=True)
 class EventPlace:
-    """The place of an event.
+    """The place of an event."""
 
-    Parameters
-    ----------
-    time : float
-        [s], as that of the frames.
-    family : Family
-        Of the kind of event.
-    where : array, shape (3,)
-        World position [m].
-    """
-
-    time: float
+    time: float  # [s], as that of the frames
     family: Family
-    where: np.ndarray
+    where: np.ndarray  # world position [m], shape (3,)
 
 
 @dataclass(frozen=True)
 class Animation:
-    """A moving scene of K frames.
-
-    Parameters
-    ----------
-    title : str
-    time : array, shape (K,)
-        Time of each frame [s], increasing.
-    bodies : list of Body
-        The first is the common object.
-    contacts : list of ContactTracks
-    hinges : list of HingeTracks
-    floor : float
-        Height of the floor [m].
-    note : str
-        Shown in the viewer, such as why the run ended early; may be empty.
-    event_places : list of EventPlace
-        Events that are shown at a place.
-    events : list of dict
-        As in `Trajectory.events`.
-    """
+    """A moving scene of K frames."""
 
     title: str
-    time: np.ndarray
-    bodies: list[Body]
+    time: np.ndarray  # of each frame [s], increasing, shape (K,)
+    bodies: list[Body]  # the first is the common object
     contacts: list[ContactTracks] = field(default_factory=list)
     hinges: list[HingeTracks] = field(default_factory=list)
-    floor: float = 0.0
-    note: str = ""
+    floor: float = 0.0  # its height [m]
+    note: str = ""  # shown in the viewer, such as why the run ended early
     event_places: list[EventPlace] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)  # as in `Trajectory.events`
 
     @property
     def peak_force(self) -> float:
@@ -233,9 +148,7 @@ class Animation:
 
 def rotations(quaternion_xyzw: np.ndarray) -> np.ndarray:
     """Return the rotation matrices, shape (K, 3, 3), of unit quaternions, shape (K, 4)."""
-    v, w = quaternion_xyzw[:, :3], quaternion_xyzw[:, 3, None, None]
-    V = np.cross(np.eye(3)[None], v[:, None])  # V @ a = v x a
-    return np.eye(3) + 2 * w * V + 2 * V @ V
+    return Rotation.from_quat(quaternion_xyzw).as_matrix()
 
 
 def continuous(quaternion_xyzw: np.ndarray) -> np.ndarray:
@@ -256,11 +169,10 @@ def along(directions: np.ndarray) -> np.ndarray:
     """
     quaternions = np.empty((*directions.shape[:2], 4))
     last_direction = np.tile([0.0, 0.0, 1.0], (directions.shape[1], 1))
-    last = np.tile([0.0, 0.0, 0.0, 1.0], (directions.shape[1], 1))
+    last = Rotation.identity(directions.shape[1])
     for k, direction in enumerate(directions):
-        last = _product(_smallest_turns(last_direction, direction), last)
-        last /= np.linalg.norm(last, axis=1, keepdims=True)
-        quaternions[k], last_direction = last, direction
+        last = Rotation.from_quat(_smallest_turns(last_direction, direction)) * last
+        quaternions[k], last_direction = last.as_quat(), direction
     return quaternions
 
 
@@ -271,10 +183,3 @@ def _smallest_turns(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         turns[i, :3] = np.cross(a[i], np.eye(3)[np.argmin(np.abs(a[i]))])
         turns[i, 3] = 0.0
     return turns / np.linalg.norm(turns, axis=1, keepdims=True)
-
-
-def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the quaternion products p q, shape (N, 4), scalar last."""
-    p_xyz, p_w, q_xyz, q_w = p[:, :3], p[:, 3:], q[:, :3], q[:, 3:]
-    xyz = p_w * q_xyz + q_w * p_xyz + np.cross(p_xyz, q_xyz)
-    return np.column_stack([xyz, p_w * q_w - np.sum(p_xyz * q_xyz, axis=1, keepdims=True)])

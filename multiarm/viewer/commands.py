@@ -8,6 +8,7 @@ a page (`page`).  Animations are written as whole tracks, not key by key.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,7 @@ def mesh_object(mesh: ShadedMesh, *materials: dict[str, Any]) -> dict[str, Any]:
             "color": _attribute(np.round(255 * mesh.colors).astype(np.uint8)),
         }
     )
-    geometry["data"]["index"] = {"type": _array_type(index), "array": index}
+    geometry["data"]["index"] = {"type": array_type(index), "array": index}
     geometry["data"]["groups"] = [
         {"start": 0, "count": len(index), "materialIndex": i} for i in range(len(materials))
     ]
@@ -168,6 +169,17 @@ def rgb(text: str) -> np.ndarray:
     return np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)]) / 255
 
 
+def lowered(value: Any, array: Callable[[np.ndarray], Any]) -> Any:
+    """A command in types of JSON, with arrays as the encoder ``array`` makes them."""
+    if isinstance(value, dict):
+        return {key: lowered(item, array) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [lowered(item, array) for item in value]
+    if isinstance(value, np.ndarray):
+        return array(value)
+    return value.item() if isinstance(value, np.generic) else value
+
+
 def _drawable(kind: str, geometry: Command, materials: list[Command]) -> dict[str, Any]:
     names = [m["uuid"] for m in materials]
     body = {
@@ -186,13 +198,14 @@ def _buffer_geometry(attributes: dict[str, Any]) -> dict[str, Any]:
 def _attribute(values: np.ndarray) -> dict[str, Any]:
     return {
         "itemSize": values.shape[1],
-        "type": _array_type(values),
+        "type": array_type(values),
         "array": values.reshape(-1),
         "normalized": values.dtype.itemsize == 1,
     }
 
 
-def _array_type(values: np.ndarray) -> str:
+def array_type(values: np.ndarray) -> str:
+    """The name of JavaScript's typed array for some values."""
     return values.dtype.name.capitalize() + "Array"
 
 
@@ -207,6 +220,7 @@ def _uuid() -> str:
 
 ROOT = "/world"  # the node below which poses are those of the animation
 STILL = 1e-9  # a property that changes less than this does not move
+HAIR = 1e-4  # scale of an invisible shape: zero would make its matrix singular
 
 
 class Script:
@@ -230,6 +244,10 @@ class Script:
         self.add(set_property(node, name, values[0].tolist()))
         if np.ptp(values, axis=0).max() > STILL:
             self._tracks.setdefault(node, {})[name] = values
+
+    def show(self, path: str, seen: np.ndarray) -> None:
+        """Show a node in some frames only, (K,) of truth values."""
+        self.set(path, "scale", np.where(seen, 1.0, HAIR)[:, None] * np.ones(3))
 
     def move(self, path: str, position: np.ndarray, quaternion_xyzw: np.ndarray) -> None:
         """Move a node through positions (K, 3) [m] and orientations (K, 4)."""

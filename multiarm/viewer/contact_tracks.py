@@ -9,7 +9,7 @@ with a patch only there; a user-defined surface is shown if it is a parametrisat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -75,22 +75,13 @@ def contacts_of(
 def event_places(
     trajectory: Trajectory, time: np.ndarray, contacts: Sequence[ContactTracks]
 ) -> list[EventPlace]:
-    """Return the events of a run that name a point or a visible contact.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    time : array, shape (K,)
-        Of the frames [s].
-    contacts : sequence of ContactTracks
-    """
+    """Return the events that name a point or a visible contact; `time` is that of frames [s]."""
     tracks = {c.arm: c for c in contacts}
-    event_places = []
-    for event in timed(trajectory.events):
-        where = _place(event, time, tracks)
-        if where is not None:
-            event_places.append(EventPlace(float(event["time"]), family_of(event["kind"]), where))
-    return event_places
+    return [
+        EventPlace(float(event["time"]), family_of(event["kind"]), where)
+        for event in timed(trajectory.events)
+        if (where := _place(event, time, tracks)) is not None
+    ]
 
 
 def row_states(
@@ -185,8 +176,7 @@ def surface_bodies(
             continue
         name, arm = joint.arm, system.arms[joint.arm]
         angles = trajectory.joint_positions[name][rows]
-        tips = np.array([pin.SE3ToXYZQUAT(pin.SE3(arm.tip_pose(row))) for row in angles])
-        poses = {"arm": (tips[:, :3], tips[:, 3:]), "object": on_object}
+        poses = {"arm": placed([arm.tip_pose(row) for row in angles]), "object": on_object}
         records = [record for record in system.contacts[name] if isinstance(record, Contact)]
         touched = _touched(system, name)
         states = row_states(trajectory, name, records, rows)
@@ -203,6 +193,12 @@ def surface_bodies(
     return bodies
 
 
+def placed(poses: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions (K, 3) and quaternions (K, 4), scalar last, of poses (K, 4, 4)."""
+    packed = np.array([pin.SE3ToXYZQUAT(pin.SE3(pose)) for pose in poses])
+    return packed[:, :3], packed[:, 3:]
+
+
 def _surfaces(contacts: Sequence[Contact]) -> dict[tuple, list[int]]:
     """Return the contacts of each surface: one surface may be touched at many points."""
     found: dict[tuple, list[int]] = {}
@@ -217,13 +213,8 @@ def _surfaces(contacts: Sequence[Contact]) -> dict[tuple, list[int]]:
 def surface_mesh(surface: Surface, touched: np.ndarray, extent: float) -> Mesh | None:
     """Return a surface as triangles in its body's frame; None if there is nothing to draw.
 
-    Parameters
-    ----------
-    surface : Surface
-    touched : array, shape (3,)
-        The contact point at the start, in the body's frame [m].
-    extent : float
-        Size to which an unbounded surface is cut [m].
+    An unbounded one is cut to a size `extent` [m] around the contact point at the start, in the
+    body's frame.
     """
     around = surface.axes.T @ (touched - surface.origin)
     points = _grid(surface, around, 0.5 * extent)

@@ -23,8 +23,7 @@ import numpy as np
 from multiarm.viewer import commands
 from multiarm.viewer.animation import Animation, Body, continuous
 from multiarm.viewer.commands import ROOT, Command, Script
-from multiarm.viewer.glyphs import HAIR, Marks, arrow, draw_events
-from multiarm.viewer.hinges import Hinges
+from multiarm.viewer.glyphs import Hinges, Marks, arrow, draw_events
 from multiarm.viewer.mesh import Mesh, ShadedMesh, merge, shade, sharp_edges
 
 FAINT = 0.3  # of a surface's opacity, while nothing touches it
@@ -35,13 +34,8 @@ LAYERS = 32  # more would shift depths visibly
 def draw(animation: Animation, speed: float = 1.0) -> list[Command]:
     """Return the commands that show an animation.
 
-    Everything in the world hangs below the node ``/world``, where poses are those of the animation.
-
-    Parameters
-    ----------
-    animation : Animation
-    speed : float
-        Seconds of the animation per second of the viewer.
+    Everything in the world hangs below the node ``/world``, where poses are those of the animation,
+    `speed` seconds of it per second of the viewer.
     """
     script, points = Script(), animation.extent()
     marks, hinges = Marks(animation, animation.size()), Hinges(animation, animation.size())
@@ -73,7 +67,7 @@ def _draw_body(body: Body, shape: ShadedMesh, layer: int, script: Script) -> Non
         if seen.any():
             path = f"{body.name}/{name}"
             _put_shape(path, body, shape, layer, strength, script)
-            script.set(path, "scale", np.where(seen, 1.0, HAIR)[:, None] * np.ones(3))
+            script.show(path, seen)
 
 
 def _put_shape(
@@ -105,14 +99,7 @@ DEFAULTS = (
 def draw_stage(script: Script, view: Camera, points: np.ndarray, floor: float) -> None:
     """Draw background, lights, floor and world frame around `points`, and set the camera.
 
-    Parameters
-    ----------
-    script : Script
-    view : Camera
-    points : array, shape (P, 3)
-        World positions [m].
-    floor : float
-        Height of the floor [m].
+    Points, shape (P, 3), and the floor's height are in the world [m].
     """
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     script.add(*_look(view, size), *_light(points - view.target, size))
@@ -234,13 +221,7 @@ class Camera:
 
 
 def frame(points: np.ndarray) -> Camera:
-    """Return a three-quarter view, from the front right and above, that holds all `points`.
-
-    Parameters
-    ----------
-    points : array, shape (P, 3)
-        World positions [m].
-    """
+    """Return a view from the front right and above that holds all `points`, (P, 3), world [m]."""
     towards, right, up = view_axes(AZIMUTH, ELEVATION)
     tan_y = np.tan(np.deg2rad(FIELD_OF_VIEW) / 2) * MARGIN
     tan_x = tan_y * ASPECT

@@ -1,4 +1,4 @@
-"""Glyphs of contacts and events.
+"""Glyphs of contacts, joints and events.
 
 A contact force is an arrow outside the object, along the contact normal: pushing, its head
 touches the contact point; pulling, it starts there and points away, in a lighter colour.  Its
@@ -8,6 +8,12 @@ visible.  Hidden glyphs shine through faintly.
 Where contacts can open, slide or stick, the mark at the point shows their state: a dot with its
 normal for touching, with a ring for sliding, with a square plate for sticking; a ring without
 normal for resting; and a faint ring for open.
+
+A joint's axis is a slim rod on the body that carries it: with a head at both ends (it is turned
+about), with arrowheads (it is slid along), or with arrowheads and a sleeve (both).  A ball is one.
+An angle with limits is a sector at the upper end of the axis, clear of the arm, with a hand that
+turns with the tip; a slide with limits is a rail between two stops with a bead. Hand and bead are
+red where they are beyond the limits.
 
 An event is shown at its place for a short time, in the shape and colour of its family: a filled
 star where a contact is made or hit, a hollow cage where one is lost, a diamond for the rest.  A
@@ -26,39 +32,39 @@ import numpy as np
 from multiarm.results.channels import CONTACT_STATES, OPEN, RESTING, SLIDING, STICKING, TOUCHING
 from multiarm.results.event_log import FAMILIES, LOST, MADE, STATE_COLOURS, Family
 from multiarm.viewer import commands
-from multiarm.viewer.animation import Animation, ContactTracks, EventPlace, along
-from multiarm.viewer.commands import Script
-from multiarm.viewer.mesh import Mesh, ShadedMesh, box, merge, revolve, shade, sphere
+from multiarm.viewer.animation import (
+    Animation,
+    ContactTracks,
+    Dial,
+    EventPlace,
+    HingeTracks,
+    along,
+    continuous,
+    rotations,
+)
+from multiarm.viewer.commands import HAIR, Script
+from multiarm.viewer.mesh import Mesh, ShadedMesh, box, cylinder, merge, revolve, shade, sphere
 
 NORMAL_COLOR = np.array([0.25, 0.28, 0.33])
 FAINT = 0.25  # opacity of the mark of an open contact
-HAIR = 1e-4  # scale of an invisible shape: zero would make its matrix singular
 HEAD, WIDTH = 0.17, 0.02  # length of the head and radius of the shaft of an arrow of length 1
 
 
 class Marks:
-    """Shapes and sizes [m] of all marks of an animation, in proportion to its size.
-
-    Parameters
-    ----------
-    animation : Animation
-    size : float
-        The animation's size [m].
-    """
+    """Shapes and sizes [m] of all contacts of an animation, in proportion to its `size` [m]."""
 
     def __init__(self, animation: Animation, size: float) -> None:
         self.longest = 0.17 * size  # arrow of the animation's `force_scale`
         self._film = animation
-        body = float(np.linalg.norm(np.ptp(animation.bodies[0].mesh.bounds(), axis=0)))
-        self._dot = sphere(min(0.006 * size, 0.05 * body))
+        body = _object_size(animation)
+        dot = min(0.006 * size, 0.05 * body)  # its radius
         normal = min(0.04 * size, 0.3 * body)
         self._needle = arrow(normal, normal / 4, normal / 30).painted(NORMAL_COLOR)
         full = arrow(self.longest, HEAD * self.longest, WIDTH * self.longest)
         down = np.array([1.0, -1.0, -1.0])  # half a turn about x
-        to_tip = np.eye(4)
-        to_tip[2, 3] = -self.longest
-        self._states = _state_shapes(min(0.006 * size, 0.05 * body))
-        self._push, self._pull = shade(full.moved(to_tip)), shade(full.scaled(down))
+        self._dot, self._states = sphere(dot), _state_shapes(dot)
+        self._push = shade(full.moved(_lifted(-self.longest)))
+        self._pull = shade(full.scaled(down))
 
     def draw(self, contacts: ContactTracks, script: Script) -> None:
         """Draw the contacts of one arm."""
@@ -118,7 +124,7 @@ def _draw_mark(
     for code in np.unique(states):
         node = f"{path}/{CONTACT_STATES[code]}"
         script.put(node, marks[int(code)])
-        script.set(node, "scale", np.where(states == code, 1.0, HAIR)[:, None] * np.ones(3))
+        script.show(node, states == code)
 
 
 def arrow(length: float, head: float, radius: float) -> Mesh:
@@ -143,6 +149,147 @@ def _draw_force(
     script.set(path, "scale", np.maximum(np.column_stack([width, width, length]), HAIR))
 
 
+DARK = 0.55  # of the arm's colour: what is drawn on, not part of the arm
+BEYOND = np.array([0.84, 0.15, 0.13])
+HAND = np.array([0.16, 0.18, 0.22])
+SECTOR = 0.45  # radius of a sector, of the length of an axis
+HAND_LENGTH = 1.12  # of the radius of its sector
+STEP = np.deg2rad(3.0)  # [rad] between the corners of a sector
+FULL_TURN = 2 * np.pi
+
+
+class Hinges:
+    """Shapes and sizes [m] of all joints of an animation, in proportion to its `size` [m]."""
+
+    def __init__(self, animation: Animation, size: float) -> None:
+        self.length = min(0.15 * size, 0.5 * _object_size(animation))  # of an axis without limits
+
+    def points(self, hinge: HingeTracks) -> np.ndarray:
+        """Return world points whose hull holds a joint at every frame, shape (P, 3)."""
+        corners = self._axis(hinge).bounds()
+        if any(dial.turns for dial in hinge.dials):
+            wide = [[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)]
+            around = HAND_LENGTH * SECTOR * self.length * np.array(wide)
+            corners = np.concatenate([corners, around + [0, 0, self._upper_end(hinge)]])
+        R = rotations(hinge.quaternion_xyzw)  # (K, 3, 3)
+        world = np.einsum("kij,cj->kci", R, corners) + hinge.position[:, None]
+        return world.reshape(-1, 3)
+
+    def draw(self, hinge: HingeTracks, script: Script) -> None:
+        """Draw one joint."""
+        node = f"joints/{hinge.name}"
+        script.move(node, hinge.position, continuous(hinge.quaternion_xyzw))
+        script.put(f"{node}/axis", seen_through(shade(self._axis(hinge)), DARK * hinge.color))
+        for dial in hinge.dials:
+            if dial.turns:
+                script.set(f"{node}/turn", "position", np.array([[0, 0, self._upper_end(hinge)]]))
+                self._draw_sector(f"{node}/turn", dial, hinge.color, script)
+            else:
+                self._draw_rail(f"{node}/slide", dial, hinge.color, script)
+
+    def _ends(self, hinge: HingeTracks) -> tuple[float, float]:
+        """Return where the rod of an axis begins and ends along the axis [m]."""
+        low, high = -self.length / 2, self.length / 2
+        for dial in hinge.dials:
+            if not dial.turns:
+                over = self.length / 6  # room for stop and arrowhead
+                low, high = min(low, dial.limits[0] - over), max(high, dial.limits[1] + over)
+        return low, high
+
+    def _upper_end(self, hinge: HingeTracks) -> float:
+        """Return the end of an axis that is the higher one in the first frame [m]."""
+        low, high = self._ends(hinge)
+        upwards = rotations(hinge.quaternion_xyzw[:1])[0, 2, 2] > -1e-6
+        clear = self.length / 45  # of the head
+        return high + clear if upwards else low - clear
+
+    def _axis(self, hinge: HingeTracks) -> Mesh:
+        length, (low, high) = self.length, self._ends(hinge)
+        thin, wide = length / 90, length / 22
+        if hinge.shape == "ball":
+            return sphere(length / 14)
+        if hinge.shape == "axle":
+            heads = [_rod(wide, end - thin, end + thin) for end in (low, high)]
+            return merge([_rod(thin, low, high), *heads])
+        neck = 2.5 * wide
+        head = revolve([(0, -neck), (wide, -neck), (0, 0)])
+        parts = [_rod(thin, low + neck, high - neck), head.moved(_lifted(high))]
+        parts.append(head.scaled(-np.ones(3)).moved(_lifted(low)))
+        if hinge.shape == "sleeve":
+            parts.append(_rod(wide, -1.5 * wide, 1.5 * wide))
+        return merge(parts)
+
+    def _draw_sector(self, node: str, dial: Dial, color: np.ndarray, script: Script) -> None:
+        radius = SECTOR * self.length
+        rim = radius * _arc(*dial.limits)
+        script.put(f"{node}/sector", commands.mesh_object(shade(_fan(rim)), *_glass(color)))
+        outline = _outline(rim, closed=np.ptp(dial.limits) >= FULL_TURN)
+        rgba = np.tile(np.append(DARK * color, 0.9), (len(outline), 1))
+        script.put(f"{node}/sector/edge", commands.line_object(outline, rgba))
+        to_x = np.eye(4)[[2, 0, 1, 3]]  # z -> x
+        hand = arrow(HAND_LENGTH * radius, 0.25 * radius, 0.025 * radius).moved(to_x)
+        _draw_pointer(f"{node}/hand", hand, dial, script)
+        zero, half = 0 * dial.value, dial.value / 2
+        turns = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
+        script.set(f"{node}/hand", "quaternion", turns)
+
+    def _draw_rail(self, node: str, dial: Dial, color: np.ndarray, script: Script) -> None:
+        wide = self.length / 22
+        (low, high), stop = dial.limits, wide / 4
+        stops = [_rod(1.6 * wide, low - 2 * stop, low), _rod(1.6 * wide, high, high + 2 * stop)]
+        rail = merge([_rod(wide / 2, low, high), *stops])
+        script.put(f"{node}/rail", seen_through(shade(rail), color))
+        _draw_pointer(f"{node}/bead", _rod(1.2 * wide, -0.5 * wide, 0.5 * wide), dial, script)
+        zero = 0 * dial.value
+        script.set(f"{node}/bead", "position", np.column_stack([zero, zero, dial.value]))
+
+
+def _draw_pointer(path: str, shape: Mesh, dial: Dial, script: Script) -> None:
+    """Draw a pointer in its usual colour, and in another one that takes its place beyond limits."""
+    low, high = dial.limits
+    slack = 1e-6 * (high - low)  # a stop that is touched is not passed
+    within = (dial.value >= low - slack) & (dial.value <= high + slack)
+    for name, color, seen in (("within", HAND, within), ("beyond", BEYOND, ~within)):
+        if seen.any():
+            script.put(f"{path}/{name}", seen_through(shade(shape), color))
+            script.show(f"{path}/{name}", seen)
+
+
+def _glass(color: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
+    return commands.shiny(color, 0.45), commands.ghost(color, 0.18)
+
+
+def _rod(radius: float, low: float, high: float) -> Mesh:
+    return cylinder(radius, high - low).moved(_lifted((low + high) / 2))
+
+
+def _lifted(height: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[2, 3] = height
+    return pose
+
+
+def _arc(low: float, high: float) -> np.ndarray:
+    """Return points of the unit circle from one angle to the other, shape (P, 3)."""
+    high = min(high, low + FULL_TURN)
+    angle = np.linspace(low, high, max(2, int(np.ceil((high - low) / STEP)) + 1))
+    return np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+
+
+def _fan(rim: np.ndarray) -> Mesh:
+    """Return the flat sector between the origin and a rim (P, 3), seen from both sides."""
+    step = np.arange(1, len(rim))
+    front = np.column_stack([0 * step, step, step + 1])
+    vertices = np.concatenate([[np.zeros(3)], rim])
+    return Mesh(vertices, np.concatenate([front, front[:, ::-1]]))
+
+
+def _outline(rim: np.ndarray, closed: bool) -> np.ndarray:
+    """Return the segments (2 L, 3) around a sector; of a whole circle only the rim."""
+    corners = rim if closed else np.concatenate([[np.zeros(3)], rim, [np.zeros(3)]])
+    return np.stack([corners[:-1], corners[1:]], axis=1).reshape(-1, 3)
+
+
 DURATION = 0.4  # [s] of the viewer
 AT_ONCE = 4  # glyphs of one family
 RADIUS = 0.035  # of the animation's size
@@ -152,16 +299,9 @@ LEAST = 0.4  # of full size: a glyph that is seen in one frame only
 def draw_events(
     events: Sequence[EventPlace], time: np.ndarray, size: float, script: Script
 ) -> None:
-    """Draw the events of an animation.
+    """Draw the events of an animation of some size [m].
 
-    Parameters
-    ----------
-    events : sequence of EventPlace
-    time : array, shape (K,)
-        Of the frames, in seconds of the viewer, as those of the events.
-    size : float
-        The animation's size [m].
-    script : Script
+    Times of events and of the frames, shape (K,), are seconds of the viewer.
     """
     for k, family in enumerate(FAMILIES):
         own = [event for event in events if event.family is family]
@@ -202,23 +342,24 @@ def event_tracks(
 def _shape(family: Family, radius: float) -> Mesh:
     if family is MADE:
         spike = revolve([(0, -radius), (0.14 * radius, 0), (0, radius)])
-        return merge([spike.moved(turn) for turn in _turns(_STAR)])
+        return merge([spike.moved(turn) for turn in _turns_of_z(_STAR)])
     if family is LOST:
         hoop = ring(0.8 * radius, radius, 0.08 * radius)
-        return merge([hoop.moved(turn) for turn in _turns(np.eye(3))])
+        return merge([hoop.moved(turn) for turn in _turns_of_z(np.eye(3))])
     return revolve([(0, -0.7 * radius), (0.4 * radius, 0), (0, 0.7 * radius)])
 
 
 _STAR = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], *([i, j, 1] for i in (-1, 1) for j in (-1, 1))])
 
 
-def _turns(axes: np.ndarray) -> list[np.ndarray]:
-    """Return rotations (4, 4) that turn z onto each of some axes (A, 3)."""
-    turns = []
-    for axis in axes / np.linalg.norm(axes, axis=1, keepdims=True):
-        x = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
-        x /= np.linalg.norm(x)
-        turn = np.eye(4)
-        turn[:3, :3] = np.column_stack([x, np.cross(axis, x), axis])
-        turns.append(turn)
-    return turns
+def _turns_of_z(axes: np.ndarray) -> np.ndarray:
+    """Return poses (A, 4, 4) that turn z onto each of some axes (A, 3)."""
+    poses = np.tile(np.eye(4), (len(axes), 1, 1))
+    unit = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    poses[:, :3, :3] = rotations(along(unit[None])[0])
+    return poses
+
+
+def _object_size(animation: Animation) -> float:
+    """Return the diagonal of the object's bounding box [m]."""
+    return float(np.linalg.norm(np.ptp(animation.bodies[0].mesh.bounds(), axis=0)))

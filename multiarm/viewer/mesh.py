@@ -23,21 +23,11 @@ WELD_DIGITS = 7  # vertices closer than about 1e-7 of the mesh's size are one ve
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles in a body's frame.
+    """Triangles in a body's frame."""
 
-    Parameters
-    ----------
-    vertices : array, shape (V, 3)
-        Corner positions [m].
-    triangles : int array, shape (T, 3)
-        Indices into `vertices`, counter-clockwise seen from outside.
-    colors : array, shape (T, 3), optional
-        Colour of each triangle, sRGB in 0..1; absent: white.
-    """
-
-    vertices: np.ndarray
-    triangles: np.ndarray
-    colors: np.ndarray | None = None
+    vertices: np.ndarray  # corners [m], shape (V, 3)
+    triangles: np.ndarray  # indices of corners, counter-clockwise seen from outside, shape (T, 3)
+    colors: np.ndarray | None = None  # of each triangle, sRGB in 0..1, shape (T, 3); absent: white
 
     def bounds(self) -> np.ndarray:
         """Return the eight corners of the axis-aligned bounding box, shape (8, 3) [m]."""
@@ -151,19 +141,12 @@ def sharp_edges(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ShadedMesh:
-    """Vertices ready for drawing, each with one normal and one colour.
+    """Vertices ready for drawing, each with one normal and one colour."""
 
-    Parameters
-    ----------
-    vertices, normals, colors : arrays, shape (V, 3)
-        Position [m], unit normal, sRGB colour in 0..1.
-    triangles : int array, shape (T, 3)
-    """
-
-    vertices: np.ndarray
-    normals: np.ndarray
-    colors: np.ndarray
-    triangles: np.ndarray
+    vertices: np.ndarray  # [m], shape (V, 3)
+    normals: np.ndarray  # unit vectors, shape (V, 3)
+    colors: np.ndarray  # sRGB in 0..1, shape (V, 3)
+    triangles: np.ndarray  # shape (T, 3)
 
 
 def shade(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> ShadedMesh:

@@ -37,24 +37,17 @@ from multiarm.results.event_log import (
     who,
 )
 from multiarm.viewer.animation import Animation, Dial, HingeTracks
-from multiarm.viewer.commands import Command, hexadecimal
+from multiarm.viewer.commands import Command, array_type, hexadecimal, lowered
 from multiarm.viewer.drawing import ASPECT
 
 ALIGNMENT = 8  # [bytes] of the arrays in the block
 
 
 def render(commands: list[Command], facts: dict[str, Any]) -> str:
-    """Return the text of the page.
-
-    Parameters
-    ----------
-    commands : list of dict
-        In order.
-    facts : dict
-        Of :func:`page_facts`.
-    """
+    """Return the text of the page: the commands in order, and the facts of :func:`page_facts`."""
     block = _Block()
-    text = json.dumps(block.lower({"facts": facts, "commands": commands}), allow_nan=False)
+    shown = lowered({"facts": facts, "commands": commands}, block.place)
+    text = json.dumps(shown, allow_nan=False)
     header = text.encode()
     payload = len(header).to_bytes(ALIGNMENT, "little") + header
     payload += b" " * (-len(payload) % ALIGNMENT) + bytes(block.data)
@@ -112,19 +105,13 @@ class _Block:
         self.data = bytearray()
         self.places: dict[tuple[str, bytes], int] = {}
 
-    def lower(self, value: Any) -> Any:
-        """Return `value` with arrays replaced by places in the block."""
-        if isinstance(value, dict):
-            return {key: self.lower(item) for key, item in value.items()}
-        if isinstance(value, (list, tuple)):
-            return [self.lower(item) for item in value]
-        if isinstance(value, np.ndarray):
-            kind, content = f"{value.dtype.name.capitalize()}Array", value.tobytes()
-            place = self.places.setdefault((kind, content), len(self.data))
-            if place == len(self.data):
-                self.data += content + bytes(-len(content) % ALIGNMENT)
-            return {"typed": kind, "start": place, "length": value.size}
-        return value.item() if isinstance(value, np.generic) else value
+    def place(self, values: np.ndarray) -> dict[str, Any]:
+        """Store an array; returns what refers to it."""
+        kind, content = array_type(values), values.tobytes()
+        place = self.places.setdefault((kind, content), len(self.data))
+        if place == len(self.data):
+            self.data += content + bytes(-len(content) % ALIGNMENT)
+        return {"typed": kind, "start": place, "length": values.size}
 
 
 def _viewer_script() -> str:
@@ -145,16 +132,7 @@ def time_line(events: Sequence[Event], time: np.ndarray, speed: float) -> dict[s
     """Return a run's events for the page: ticks, rows of a list, and the legend of signs.
 
     Times are those of the viewer, in seconds after the first frame, of the first frame at or after
-    an event.
-
-    Parameters
-    ----------
-    events : sequence of dict
-        As in `Trajectory.events`.
-    time : array, shape (K,)
-        Of the frames [s].
-    speed : float
-        Seconds of the animation per second of the viewer.
+    an event. ``time`` is that of the frames [s], ``speed`` its seconds per second of the viewer.
     """
     events = timed(events)
     shown = _frames(time, [event["time"] for event in events])

@@ -20,7 +20,7 @@ from tornado.httpserver import HTTPServer
 from tornado.web import Application
 
 from multiarm.errors import ReplayError
-from multiarm.viewer.commands import Command
+from multiarm.viewer.commands import Command, lowered
 
 with warnings.catch_warnings():  # Meshcat imports a module that pyzmq calls deprecated
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -32,28 +32,14 @@ LOOPBACK = "127.0.0.1"
 WILDCARDS = ("0.0.0.0", "::")
 
 # MessagePack extension types by which the viewer knows typed arrays.
-EXTENSIONS = {
-    "int8": 0x11,
-    "uint8": 0x12,
-    "int16": 0x13,
-    "uint16": 0x14,
-    "int32": 0x15,
-    "uint32": 0x16,
-    "float32": 0x17,
-    "float64": 0x18,
-}
+KINDS = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
+EXTENSIONS = {kind: 0x11 + k for k, kind in enumerate(KINDS)}
 
 
 def serve(commands: list[Command], host: str = LOOPBACK, port: int = 0) -> meshcat.Visualizer:
     """Start a Meshcat server, send it the `commands` and return its visualizer.
 
-    Parameters
-    ----------
-    commands : list of dict
-    host : str
-        The address of this computer at which the server listens.
-    port : int
-        0 takes a free one.
+    It listens at the address `host` of this computer; port 0 takes a free one.
 
     Raises
     ------
@@ -69,12 +55,7 @@ def serve(commands: list[Command], host: str = LOOPBACK, port: int = 0) -> meshc
 class ReplayWindow(ViewerWindow):
     """Meshcat's window onto a server in a thread of this process.
 
-    Parameters
-    ----------
-    listener : socket
-        Where the web server listens.
-    host : str
-        The address that it was bound to, for the URL.
+    The web server listens at a socket that was bound to the address `host`, which the URL names.
     """
 
     context = zmqserver.ZMQWebSocketBridge.context  # "inproc" connects within one context only
@@ -189,14 +170,8 @@ class _Message:
         self.command = command
 
     def lower(self) -> Command:
-        return _lower(self.command)
+        return lowered(self.command, _typed)
 
 
-def _lower(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _lower(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_lower(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return umsgpack.Ext(EXTENSIONS[value.dtype.name], value.tobytes())
-    return value.item() if isinstance(value, np.generic) else value
+def _typed(values: np.ndarray) -> umsgpack.Ext:
+    return umsgpack.Ext(EXTENSIONS[values.dtype.name], values.tobytes())
