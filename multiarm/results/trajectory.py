@@ -260,12 +260,12 @@ class Trajectory:
 
     @property
     def position_drift(self) -> np.ndarray:
-        """Largest gap of a contact, max |phi|, shape (K,) [m]."""
+        """Largest gap of a contact, ``max |phi|``, shape (K,) [m]."""
         return self.channel("drift/position")
 
     @property
     def velocity_drift(self) -> np.ndarray:
-        """Largest rate of a gap, max |W^T v|, shape (K,) [m/s]."""
+        """Largest rate of a gap, ``max |W^T v|``, shape (K,) [m/s]."""
         return self.channel("drift/velocity")
 
     @property
