@@ -153,7 +153,8 @@ def test_every_parameter_has_a_meaning_and_every_length_a_unit(cards):
 
 
 def test_contacts_are_told_from_the_records(cards):
-    assert cards["revolute"].further["made_of"] == ("4 points on a cylinder, 1 point on a plane")
+    assert cards["weld"].further["made_of"] == "6 points on 3 planes"
+    assert cards["revolute"].further["made_of"] == "4 points on a cylinder, 1 point on a plane"
     assert "hollow sphere" in cards["point_on_sphere"].further["made_of"]
     assert "2 directions without slip" in cards["contacts"].further["made_of"]
 

@@ -66,6 +66,16 @@ def chain_text(kinds: list[str], extra: str = "") -> str:
     return links + joints + extra
 
 
+@pytest.mark.parametrize(
+    ("axis", "words"),
+    [("0 0 0", "its axis has length zero"), ("0 1", "3 finite numbers"), ("x y z", "3 finite")],
+)
+def test_an_axis_that_is_no_direction_is_refused(axis, words, tmp_path):
+    text = chain_text(["revolute"]).replace("0 0 1", axis)
+    with pytest.raises(ModelError, match=words):
+        read_urdf(write_urdf(tmp_path / "r.urdf", text))
+
+
 # --- by name -----------------------------------------------------------------------------------
 
 

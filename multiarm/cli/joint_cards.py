@@ -6,19 +6,41 @@ coincide, as they do at the start.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 
 from multiarm.cli.catalogue import Card, Section
 from multiarm.errors import MultiarmError
-from multiarm.geometry.records import CYLINDER, PLANE, SPHERE, Contact
+from multiarm.geometry.records import (
+    CONE,
+    CYLINDER,
+    ELLIPSOID,
+    PLANE,
+    SMOOTH,
+    SPHERE,
+    SURFACE_ON_OBJECT,
+    TORUS,
+    Contact,
+    basis,
+)
+from multiarm.geometry.records import Surface as Body
 from multiarm.geometry.screws import FreeMotions, free_motions, wrenches_in_frame
-from multiarm.geometry.words import made_of, wrench_row
 from multiarm.scene import JOINTS, SURFACES, ContactSpec, Joint, Surface
 from multiarm.scene.joints import BUILT_IN as KINDS
 from multiarm.scene.joints.contacts import BUILT_IN as SHAPES
 from multiarm.scene.parameters import example_of, parameters_of, picture_of
+
+_NOUNS = {
+    PLANE: "plane",
+    SPHERE: "sphere",
+    CYLINDER: "cylinder",
+    CONE: "cone",
+    TORUS: "torus",
+    ELLIPSOID: "ellipsoid",
+    SMOOTH: "surface",
+}
 
 
 def joint_section() -> Section:
@@ -83,7 +105,7 @@ def _joint_card(kind: str, model: type[Joint]) -> Card:
     contacts, motions = _sample(model)
     rows, rank = len(contacts) or None, None if motions is None else motions.rank
     free = None if motions is None else motions.words()
-    made, names = made_of(contacts), [contact.name for contact in contacts]
+    made, names = _made_of(contacts), [contact.name for contact in contacts]
     moves = "depend on the scene, see multiarm check" if free is None else ", ".join(free)
     here = "; those of the example" if model.as_listed else ""
     return Card(
@@ -124,5 +146,70 @@ def _sample(model: type[Joint]) -> tuple[list[Contact], FreeMotions | None]:
         return [], None
     if not all(contact.guide.kind in (PLANE, SPHERE, CYLINDER) for contact in contacts):
         return contacts, None
-    rows = np.column_stack([wrench_row(contact) for contact in contacts])  # (6, N)
+    rows = np.column_stack([_wrench_row(contact) for contact in contacts])  # (6, N)
     return contacts, free_motions(wrenches_in_frame(joint.frames(on_object)[1], rows))
+
+
+def _wrench_row(contact: Contact) -> np.ndarray:
+    """Wrench ``[e; p x e]`` while the tip's and the object's frame coincide, about their origin."""
+    if contact.is_combined:
+        minus = np.zeros(6) if contact.minus is None else _wrench(contact.minus)
+        return contact.weight * (_wrench(contact) - minus)
+    return _wrench(contact)
+
+
+def _wrench(contact: Contact) -> np.ndarray:
+    guide, at = contact.guide, contact.follower.origin
+    normal = _normal(guide, at)
+    if contact.tangent:
+        at = at - contact.follower.sizes[0] * normal  # where the two bodies touch
+        normal = basis(normal)[:, contact.tangent - 1]
+    return np.concatenate([normal, np.cross(at, normal)])
+
+
+def _normal(guide: Body, at: np.ndarray) -> np.ndarray:
+    """Normal of a plane, sphere or cylinder, towards the side from which it is touched."""
+    if guide.kind == PLANE:
+        return guide.axes[:, 2]
+    away = at - guide.origin
+    if guide.kind == CYLINDER:
+        away = away - guide.axes[:, 2] * (guide.axes[:, 2] @ away)
+    return (-1.0 if guide.inside else 1.0) * away / np.linalg.norm(away)
+
+
+def _made_of(contacts: list[Contact]) -> str:
+    """``4 points on a cylinder, 1 point on a plane``: what touches what, and how often."""
+    counts: Counter[tuple[str, str]] = Counter()
+    places: dict[tuple[str, str], set[tuple]] = {}
+    for contact in contacts:
+        phrase = _phrase(contact)
+        counts[phrase] += 1
+        places.setdefault(phrase, set()).add(_place(contact.guide))
+    parts = []
+    for (thing, noun), count in counts.items():
+        head, _, rest = thing.partition(" ")
+        words = [str(count), f"{head}{'s' * (count > 1)}", rest]
+        if noun:
+            several = len(places[thing, noun])
+            words += ["on", f"{several} {noun}s" if several > 1 else f"a {noun}"]
+        parts.append(" ".join(filter(None, words)))
+    return ", ".join(parts)
+
+
+def _phrase(contact: Contact) -> tuple[str, str]:
+    """What touches, and the kind of surface that it touches; a fingertip on the object is usual."""
+    if contact.tangent:
+        return "direction without slip", ""
+    if contact.minus is not None:
+        return "difference of two points on planes", ""
+    guide = contact.guide
+    noun = ("hollow " if guide.inside else "") + _NOUNS[guide.kind]
+    thing = "fingertip" if contact.follower.sizes[0] > 0.0 else "point"
+    return (thing if contact.surface_body == SURFACE_ON_OBJECT else f"{thing} of the object"), noun
+
+
+def _place(guide: Body) -> tuple:
+    """What distinguishes surfaces of one kind: of a plane its normal and height."""
+    axis = guide.axes[:, 2]
+    where = [axis @ guide.origin] if guide.kind == PLANE else guide.origin
+    return tuple(np.round([*axis, *where], 9) + 0.0)

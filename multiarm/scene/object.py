@@ -37,6 +37,7 @@ from multiarm.scene.values import (
     Vec3,
     Vec6,
     as_list,
+    items_of,
     list_of,
     number_list,
 )
@@ -210,16 +211,15 @@ def _matrix(value: Any) -> np.ndarray:
 
 Row = tuple[float, float, float]
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
-_THREE, _SIX = {"minItems": 3, "maxItems": 3}, {"minItems": 6, "maxItems": 6}
 Inertia = Annotated[
     tuple[Row, Row, Row],
     BeforeValidator(_inertia_matrix),
     WithJsonSchema(
         {
             "anyOf": [
-                {**_NUMBERS, **_THREE},
-                {**_NUMBERS, **_SIX},
-                {"type": "array", "items": {**_NUMBERS, **_THREE}, **_THREE},
+                {**_NUMBERS, **items_of(3)},
+                {**_NUMBERS, **items_of(6)},
+                {"type": "array", "items": {**_NUMBERS, **items_of(3)}, **items_of(3)},
             ]
         }
     ),
@@ -243,7 +243,7 @@ def _solid(points: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ..
 
 
 _LENGTH: dict[str, Any] = {"type": "number", "exclusiveMinimum": 0}
-_LENGTHS = {"type": "array", "items": _LENGTH, **_THREE}
+_LENGTHS = {"type": "array", "items": _LENGTH, **items_of(3)}
 Edges = Annotated[
     tuple[Positive, Positive, Positive], list_of("must be three lengths greater than 0", 3)
 ]

@@ -273,7 +273,9 @@ def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
     limit = element.find("limit")
     bounded = limit is not None and kind in ("revolute", "prismatic")
     axis, dynamics = element.find("axis"), element.find("dynamics")
-    text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+    x, y, z = map(float, ("1 0 0" if axis is None else axis.get("xyz", "1 0 0")).split())
+    if kind != "fixed" and not math.hypot(x, y, z) > 0.0:
+        raise ModelError(f"{where}: its axis has length zero; give it a direction, such as '0 0 1'")
     if kind in ("revolute", "prismatic"):
         missing = [key for key in ("effort", "velocity") if limit is None or limit.get(key) is None]
         if missing:
@@ -287,7 +289,7 @@ def _joint(element: ElementTree.Element, path: Path) -> JointOutline:
         kind=kind,
         parent=_required(parent, "link", path),
         child=_required(child, "link", path),
-        axis=_axis(text, where, turns=kind != "fixed"),
+        axis=(x, y, z),
         lower=lower,
         upper=upper,
         velocity_limit=_number(limit, "velocity", math.inf, where),
@@ -326,21 +328,6 @@ def _number(element: ElementTree.Element | None, key: str, default: float, where
     if math.isnan(number) or "_" in text:
         raise ModelError(f"{where}: {key} must be a number, got {shown(text)}")
     return number
-
-
-def _three(text: str, what: str, where: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(part) for part in text.split())
-    except ValueError:
-        raise ModelError(f"{where}: {what} must be three numbers, got {shown(text)}") from None
-    return x, y, z
-
-
-def _axis(text: str, where: str, turns: bool) -> tuple[float, float, float]:
-    axis = _three(text, "axis", where)
-    if turns and not math.hypot(*axis) > 0.0:
-        raise ModelError(f"{where}: its axis has length zero; give it a direction, such as '0 0 1'")
-    return axis
 
 
 _INERTIAS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")

@@ -201,7 +201,7 @@ Range = Annotated[
 ]
 
 
-def _items(*lengths: int) -> dict[str, int]:
+def items_of(*lengths: int) -> dict[str, int]:
     """That a list has one of these lengths, in JSON Schema."""
     return {"minItems": min(lengths), "maxItems": max(lengths)}
 
@@ -221,7 +221,7 @@ def _axis_numbers(axes: str, value: Any) -> tuple[float, ...]:
 
 _AXIS_NUMBER: dict[str, Any] = {"type": "number", "minimum": 0}
 _NUMBER_OR_3 = WithJsonSchema(
-    {"anyOf": [_AXIS_NUMBER, {"type": "array", "items": _AXIS_NUMBER, **_items(3)}]}
+    {"anyOf": [_AXIS_NUMBER, {"type": "array", "items": _AXIS_NUMBER, **items_of(3)}]}
 )
 
 BodyAxes = Annotated[
@@ -278,7 +278,7 @@ Color = Annotated[
         {
             "anyOf": [
                 {"type": "string", "pattern": f"^{_HEX_COLOR}$"},
-                {"type": "array", "items": _PART, **_items(3, 4)},
+                {"type": "array", "items": _PART, **items_of(3, 4)},
             ]
         }
     ),
