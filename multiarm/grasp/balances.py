@@ -26,21 +26,6 @@ inside is the ``distance``: closure survives every change of each wrench by less
   ``v`` has ``|W^T v| >= sigma_n``; if it approaches no contact faster than s, the others recede
   with a sum of rates of s / t at most, since the pushes do no work.  Only where that bound is in
   the band, the facets of the hull are enumerated (up to 30 wrenches).
-
-**The shortest vector that satisfies inequalities, or the proof that none does:**
-
-.. math::
-    \min \tfrac12 |y|^2 \quad\text{with}\quad G y \ge h
-
-is the least-distance problem of Lawson and Hanson (1974, chapter 23).  With
-:math:`E = [G^T; h^T]` and f the last unit vector, non-negative least squares, min ``|E u - f|``
-over ``u >= 0``, leave ``r = E u - f = [r_1; -s]`` over, and :math:`E^T r \ge 0` says
-
-- for ``s > 0``: ``y = r_1 / s`` is the solution, with the prices ``u / s`` of the inequalities
-  (``y = G^T prices``), and :math:`s = 1 / (1 + |y|^2)`;
-- for ``s = 0``: ``G^T u = 0`` and ``h . u = 1``, so no y satisfies all inequalities.
-
-An active-set method finds u in about as many steps as inequalities are tight, to the last digits.
 """
 
 from __future__ import annotations
@@ -51,14 +36,18 @@ from typing import Any
 import numpy as np
 
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.programs import (
+    EPS,
+    ROUNDINGS,
+    least_distance,
+    linear_program,
+    nonnegative_least_squares,
+)
 
 # Part of the unit wrench by which closure must be inside.  Normals and points that were computed
 # are off by some 1e-16 to 1e-12; a grasp that hangs on less than this is not to be relied on.
 # Singular values below this part of the largest count as zero: the package has one rank.
 BAND = 1e-10
-# Rounding of one wrench, in units of the machine precision: normalising, products, differences.
-ROUNDINGS = 64.0
-EPS = float(np.finfo(float).eps)
 # Motions whose nearness to an axis differs by less than this are equally near: the first is taken.
 EQUAL = 1e-6
 # Least smallest push, of pushes of sum 1, that counts: below it every balance nearly cancels.
@@ -202,20 +191,14 @@ def _highest(base: np.ndarray, ways: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
     Without prices where the linear program gives up: then it is the base itself.
     """
-    from scipy.optimize import linprog
-
     count, free = ways.shape
     if not free:
         return base, (np.arange(count) == np.argmin(base)).astype(float)
-    solved = linprog(
-        np.append(np.zeros(free), -1.0),
-        A_ub=np.column_stack([-ways, np.ones(count)]),
-        b_ub=base,
-        bounds=[(None, None)] * (free + 1),
-    )
-    if not solved.success:
+    rows = np.column_stack([-ways, np.ones(count)])
+    solved = linear_program(np.append(np.zeros(free), -1.0), at_most=(rows, base), signed=free + 1)
+    if solved.x is None:
         return base, None
-    return base + ways @ solved.x[:-1], -solved.ineqlin.marginals
+    return base + ways @ solved.x[:-1], solved.prices
 
 
 def balance_inverses(W: np.ndarray) -> np.ndarray:
@@ -307,104 +290,3 @@ def _separated(W: np.ndarray, tolerance: float) -> bool:
     """Whether some motion leaves all contacts: the origin is clearly outside the hull."""
     away = least_distance(W.T, np.ones(W.shape[1])).direction
     return bool(np.min(away @ W) > tolerance * np.linalg.norm(away))
-
-
-# --- The shortest vector that satisfies inequalities ----------------------------------------------
-
-# Solutions longer than 1e6 (in the caller's units) count as none: s would be lost in rounding.
-NONE = 1e-12
-# Gradients below this, relative to the data, are those of a minimum: between the rounding of an
-# active-set method (1e-13) and where such a method stops on a wrong set (1e-4).
-OPTIMAL = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class LeastDistance:
-    """Solution of a least-distance problem, or its refusal.
-
-    Attributes
-    ----------
-    direction : ndarray, shape (k,)
-        ``r_1``, along the solution.
-    s : float
-        Shrinks as the solution grows; 0 where rounding hides it.
-    weights : ndarray, shape (m,)
-        ``u >= 0``.
-    """
-
-    direction: np.ndarray
-    s: float
-    weights: np.ndarray
-
-    @property
-    def solved(self) -> bool:
-        """Whether there is a solution (shorter than 1e6)."""
-        return self.s > NONE
-
-    @property
-    def point(self) -> np.ndarray:
-        """The solution y, shape (k,)."""
-        return self.direction / self.s
-
-    @property
-    def prices(self) -> np.ndarray:
-        """How fast ``|y|^2 / 2`` grows with each ``h``, shape (m,); positive where it is tight."""
-        return self.weights / self.s
-
-
-def least_distance(G: np.ndarray, h: np.ndarray, room: float = 0.0) -> LeastDistance:
-    """Solve  min ``|y|``  with  ``G y >= h``.
-
-    Parameters
-    ----------
-    G : ndarray, shape (m, k)
-    h : ndarray, shape (m,)
-    room : float
-        What counts as rounding of ``h`` and of a product with G.  Inequalities that leave no room,
-        or hold whatever y is, would be decided by it; relaxed by ``room``, all that hold but for
-        rounding hold.  The solution is that of those then tight, as equations without the room.
-    """
-    E = np.vstack([G.T, h - room])
-    target = np.append(np.zeros(G.shape[1]), 1.0)
-    weights = nonnegative_least_squares(E, target)
-    left = E @ weights - target
-    terms = 1.0 + float(np.abs(E[-1]) @ weights)  # s is what is left of these
-    s = float(-left[-1]) if -left[-1] > ROUNDINGS * EPS * terms else 0.0
-    found = LeastDistance(left[:-1], s, weights)
-    return _sharpened(found, G, h, room) if room > 0.0 and found.solved else found
-
-
-def _sharpened(found: LeastDistance, G: np.ndarray, h: np.ndarray, room: float) -> LeastDistance:
-    """The solution for ``h`` itself; as found, if the other inequalities do not allow it."""
-    tight, prices = found.weights > 0.0, np.zeros(len(h))
-    y = np.linalg.lstsq(G[tight], h[tight], rcond=None)[0]
-    prices[tight] = np.maximum(np.linalg.lstsq(G[tight].T, y, rcond=None)[0], 0.0)
-    if np.any(G @ y < h - room):
-        return found
-    s = 1.0 / (1.0 + float(y @ y))
-    return LeastDistance(s * y, s, s * prices)
-
-
-def nonnegative_least_squares(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Minimise ``|A u - b|`` over ``u >= 0``, shape (m,); A has shape (n, m), b has shape (n,).
-
-    SciPy's ``nnls`` stops short of the minimum when columns depend on one another, as those of
-    symmetric contacts do, by roundings that change with the processor.  Its answer counts when the
-    gradient shows it; otherwise a second method runs, and the better answer is taken.
-    """
-    from scipy.optimize import lsq_linear, nnls
-
-    try:
-        first = nnls(A, b, maxiter=30 * max(A.shape))[0]
-        if _excess(A, b, first) <= OPTIMAL * np.linalg.norm(A) * np.linalg.norm(b):
-            return first
-    except RuntimeError:  # out of iterations
-        first = np.zeros(A.shape[1])
-    second = lsq_linear(A, b, bounds=(0.0, np.inf), method="bvls", tol=EPS).x
-    return min(first, second, key=lambda u: _excess(A, b, u))
-
-
-def _excess(A: np.ndarray, b: np.ndarray, u: np.ndarray) -> float:
-    """The gradient that a minimum over ``u >= 0`` does not have: negative, or where ``u > 0``."""
-    gradient = A.T @ (A @ u - b)
-    return float(np.max(np.where(u > 0.0, np.abs(gradient), -gradient), initial=0.0))

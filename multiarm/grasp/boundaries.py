@@ -26,8 +26,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arrays import array_of
+from multiarm.grasp.contacts import array_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face, area_vector
+from multiarm.grasp.programs import LinearSolution, linear_program
 from multiarm.scene.object import TOO_THIN, hull_triangles
 
 AXIS_NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
@@ -136,24 +137,24 @@ def _deepest_point(n: np.ndarray, h: np.ndarray) -> np.ndarray:
     """Centre of the largest ball inside the half-spaces, shape (3,)."""
     unit = float(np.abs(h).max()) or 1.0
     best = largest_ball(n, h / unit)
-    if best.status == 3:
+    if best.unbounded:
         raise GraspError("the half-spaces leave an unbounded body; add the faces that close it")
     if best.x is None or not best.x[3] > SAME_CORNER:
         raise GraspError("no point is inside all half-spaces: turn the normals outward")
     return best.x[:3] * unit
 
 
-def largest_ball(rows: np.ndarray, levels: np.ndarray, within: float | None = None) -> Any:
-    """Maximise r >= 0 with ``rows x + r <= levels``: SciPy's result, ``x`` of which is [x; r].
+def largest_ball(
+    rows: np.ndarray, levels: np.ndarray, within: float | None = None
+) -> LinearSolution:
+    """Maximise r >= 0 with ``rows x + r <= levels``; ``x`` of the solution is [x; r].
 
     For outward unit normals in the rows, x is the centre of the largest ball inside.  ``within``
     bounds each coordinate, either way.
     """
-    from scipy.optimize import linprog
-
     bounds = [(None if within is None else -within, within)] * 3 + [(0.0, None)]
     A = np.column_stack([rows, np.ones(len(rows))])
-    return linprog([0, 0, 0, -1], A_ub=A, b_ub=levels, bounds=bounds)
+    return linear_program(np.array([0.0, 0.0, 0.0, -1.0]), at_most=(A, levels), bounds=bounds)
 
 
 def _cut_corners(n: np.ndarray, levels: np.ndarray) -> np.ndarray:

@@ -41,7 +41,6 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arrays import array_of
 from multiarm.grasp.balances import (
     BAND,
     Balance,
@@ -55,6 +54,7 @@ from multiarm.grasp.contacts import (
     UNIT_TOLERANCE,
     Contacts,
     HeldByContacts,
+    array_of,
     as_contacts,
     nearest_to_lines,
     wrenches_of,
