@@ -51,7 +51,7 @@ def block_touches(number=0, reach=REACH):
     """One choice of faces on the block, with grippers at opposite corners."""
     regions = touch_regions(BLOCK, BLOCK.vertices, reach)
     choices = list(face_choices(regions, (4, 3)))
-    return seven_touches(choices[number].regions, np.asarray(BLOCK.centre), BLOCK.size)
+    return seven_touches(choices[number], np.asarray(BLOCK.centre), BLOCK.size)
 
 
 def contacts_of(touches, y):
@@ -147,9 +147,9 @@ def test_choices_on_a_block_are_those_of_opposite_corners():
     choices = list(face_choices(regions, (4, 3)))
     assert len(choices) == 24  # four pairs, two ways round, three faces to double
     for choice in choices:
-        a, b = (BLOCK.vertices[place] for place in choice.places)
+        a, b = (BLOCK.vertices[region.place] for region in (choice[0], choice[-1]))
         np.testing.assert_allclose(a, -b)
-        assert len({region.face for region in choice.regions}) == 6
+        assert len({region.face for region in choice}) == 6
 
 
 # --- scores and cuts -----------------------------------------------------------------------------
@@ -372,7 +372,7 @@ def test_a_grid_over_few_parameters_finds_nothing_better(objective):
     regions = touch_regions(BLOCK, CORNERS, 0.5, faces=faces)
     best = 0.0
     for choice in face_choices(regions, (4, 3)):
-        touches = seven_touches(choice.regions, np.zeros(3), BLOCK.size)
+        touches = seven_touches(choice, np.zeros(3), BLOCK.size)
         on_strip = [i for i, region in enumerate(touches.regions) if region.face == 2]
         if len(on_strip) != 2:
             continue

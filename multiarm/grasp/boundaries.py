@@ -70,7 +70,7 @@ def halfspaces(normals: Any, offsets: Any) -> tuple[np.ndarray, Loops]:
     reach = float(depths.min())
     try:
         cut = HalfspaceIntersection(np.column_stack([n, -depths / reach]), np.zeros(3))
-        bounded = np.all(cut.dual_equations[:, 3] < -INSIDE)
+        bounded = bool(np.all(cut.dual_equations[:, 3] < -INSIDE))
     except QhullError:
         bounded = False
     if not bounded:

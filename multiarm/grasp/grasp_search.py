@@ -24,7 +24,6 @@ from multiarm.errors import GraspError
 from multiarm.grasp.form_closure import scaled_wrenches_of
 from multiarm.grasp.grasp_objectives import Margin, Objective, felt_by
 from multiarm.grasp.placements import (
-    FaceChoice,
     SevenTouches,
     TouchRegion,
     face_choices,
@@ -84,7 +83,7 @@ class Search:
         self.objective, self.limits = objective, limits
         self.middle, self.size, self.rng = middle, size, rng
         self.progress = progress
-        self.choices: list[FaceChoice] = []
+        self.choices: list[tuple[TouchRegion, ...]] = []
         self.regions: list[TouchRegion] = []
         self.numbers = np.zeros((0, 7), dtype=int)
         self.touches: dict[int, SevenTouches] = {}
@@ -126,7 +125,7 @@ class Search:
                 "no two places from which seven contacts can close: the normals within reach do "
                 "not span space; take larger grippers, other places or more faces"
             )
-        self.numbers = np.array([[place[id(r)] for r in c.regions] for c in self.choices])
+        self.numbers = np.array([[place[id(r)] for r in c] for c in self.choices])
         self._tell("looking for good grasps")
         self._first_grasps()
         self.tops = np.full(len(self.choices), self.objective.limit)
@@ -188,8 +187,7 @@ class Search:
 
     def _touches(self, number: int) -> SevenTouches:
         if number not in self.touches:
-            regions = self.choices[number].regions
-            self.touches[number] = seven_touches(regions, self.middle, self.size)
+            self.touches[number] = seven_touches(self.choices[number], self.middle, self.size)
         return self.touches[number]
 
     def _first_grasps(self) -> None:

@@ -201,25 +201,10 @@ PARALLEL = 1e-9
 MOST_PARALLEL = 3
 
 
-@dataclass(frozen=True)
-class FaceChoice:
-    """Regions of seven fingertips, those of the first gripper in front.
-
-    Attributes
-    ----------
-    places : tuple of int
-        Where the two grippers sit.
-    regions : tuple of TouchRegion
-    """
-
-    places: tuple[int, int]
-    regions: tuple[TouchRegion, ...]
-
-
 def face_choices(
     regions: Sequence[Sequence[TouchRegion]], fingers: tuple[int, int]
-) -> Iterator[FaceChoice]:
-    """All choices that may close, in a fixed order."""
+) -> Iterator[tuple[TouchRegion, ...]]:
+    """Regions of seven fingertips that may close, the first gripper's in front; a fixed order."""
     spanning: dict[frozenset[int], bool] = {}
     for a, b in permutations(range(len(regions)), 2):
         everything = [*regions[a], *regions[b]]
@@ -230,7 +215,7 @@ def face_choices(
             for other in second:
                 chosen = (*first, *other)
                 if _spans(chosen, spanning) and _few_parallel(chosen):
-                    yield FaceChoice((a, b), chosen)
+                    yield chosen
 
 
 def positively_spanning(normals: np.ndarray) -> bool:
