@@ -285,6 +285,12 @@ def test_the_bound_of_a_force_is_met_by_the_placement_for_the_worst_load():
 # --- whole searches ------------------------------------------------------------------------------
 
 
+def search(**options):
+    """The best grasp of the block by grippers at two opposite corners, unless options say else."""
+    options = {"body": BLOCK, "gripper_size": REACH, "places": CORNERS, **options}
+    return optimise_grasp(options.pop("body"), **options)
+
+
 def checked(result, body, reach, tip=0.0):
     """What every result must keep to."""
     grasp = result.grasp
@@ -318,9 +324,7 @@ def checked(result, body, reach, tip=0.0):
 @pytest.mark.slow
 @pytest.mark.parametrize("objective", NAMES)
 def test_grasps_of_a_block_keep_to_the_limits_and_say_what_is_proven(objective):
-    result = optimise_grasp(
-        BLOCK, gripper_size=REACH, objective=objective, tip_radius=0.015, places=CORNERS, nodes=12
-    )
+    result = search(objective=objective, tip_radius=0.015, nodes=12)
     checked(result, BLOCK, REACH, tip=0.015)
     assert result.choices == 6 and result.nodes <= 12
     assert result.finished == (result.gap <= 0.05 + 1e-12)
@@ -331,9 +335,7 @@ def test_grasps_of_a_block_keep_to_the_limits_and_say_what_is_proven(objective):
 @pytest.mark.slow
 @pytest.mark.parametrize("objective", NAMES)
 def test_no_placement_drawn_from_all_choices_beats_the_bound(rng, objective):
-    result = optimise_grasp(
-        BLOCK, gripper_size=REACH, objective=objective, places=CORNERS, nodes=25
-    )
+    result = search(objective=objective, nodes=25)
     score = OBJECTIVES[NAMES.index(objective)]
     top = {"margin": 1.0, "force": 1.0, "stability": BLOCK.size}[objective]
     for number in range(24):  # the block is its own mirror image: all corners are alike
@@ -364,10 +366,7 @@ def test_a_grid_over_few_parameters_finds_nothing_better(objective):
         u, v = face.frame[:3, 0], face.frame[:3, 1]
         corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
         faces[number] = np.array([spot + patch / 2 * (a * u + b * v) for a, b in corners])
-    result = optimise_grasp(
-        BLOCK, gripper_size=0.5, objective=objective, places=CORNERS, faces=faces, nodes=80,
-        conditioning=0.0,
-    )  # fmt: skip
+    result = search(gripper_size=0.5, objective=objective, faces=faces, nodes=80, conditioning=0.0)
     score = OBJECTIVES[NAMES.index(objective)]
     regions = touch_regions(BLOCK, CORNERS, 0.5, faces=faces)
     best = 0.0
@@ -411,9 +410,7 @@ def test_a_body_with_twelve_faces_is_done_within_the_gap():
 @pytest.mark.slow
 def test_contacts_keep_their_distance_and_the_floor_of_the_conditioning():
     def best(**limits):
-        return optimise_grasp(
-            BLOCK, gripper_size=REACH, objective="force", places=CORNERS, nodes=1, **limits
-        )
+        return search(objective="force", nodes=1, **limits)
 
     def nearest(result):
         points = result.grasp.contacts.points
@@ -431,9 +428,8 @@ def test_contacts_keep_their_distance_and_the_floor_of_the_conditioning():
 def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter():
     def best(body, places):
         size = REACH * body.size / BLOCK.size
-        return optimise_grasp(
-            body, gripper_size=size, objective="force", places=places, nodes=8, rng=5
-        )
+        options = {"gripper_size": size, "places": places, "nodes": 8, "rng": 5}
+        return search(body=body, objective="force", **options)
 
     plain, again = best(BLOCK, CORNERS), best(BLOCK, CORNERS)
     np.testing.assert_array_equal(plain.grasp.contacts.points, again.grasp.contacts.points)
@@ -448,7 +444,7 @@ def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter():
     pose[:3, :3] = Rotation.from_rotvec([0.3, 0.5, -0.2]).as_matrix()
     places = CORNERS @ pose[:3, :3].T + pose[:3, 3]
     margins = [
-        optimise_grasp(body, gripper_size=REACH, places=where)
+        search(body=body, places=where)
         for body, where in ((BLOCK, CORNERS), (BLOCK.placed(pose), places))
     ]
     assert margins[1].bound == pytest.approx(margins[0].bound, rel=0.06)
@@ -456,42 +452,23 @@ def test_the_same_seed_gives_the_same_grasp_and_size_and_place_do_not_matter():
 
 @pytest.mark.slow
 def test_more_nodes_never_raise_the_bound_nor_lower_the_value():
-    few, more = (
-        optimise_grasp(BLOCK, gripper_size=REACH, objective="force", places=CORNERS, nodes=n)
-        for n in (10, 60)
-    )
+    few, more = (search(objective="force", nodes=n) for n in (1, 60))
     assert few.bound <= more.bound <= more.value <= few.value
 
 
 @pytest.mark.slow
 def test_loads_and_fingers_and_places_may_be_given():
     weight = np.array([[0.0, 0.0, -1.0, 0.0, 0.0, 0.0]])
-    light = optimise_grasp(
-        BLOCK,
-        gripper_size=REACH,
-        objective="force",
-        wrenches=weight,
-        fingers=(3, 4),
-        nodes=8,
-        places=CORNERS,
-    )
-    heavy = optimise_grasp(
-        BLOCK,
-        gripper_size=REACH,
-        objective="force",
-        wrenches=3 * weight,
-        fingers=(3, 4),
-        nodes=8,
-        places=CORNERS,
+    light, heavy = (
+        search(objective="force", wrenches=factor * weight, fingers=(3, 4), nodes=8)
+        for factor in (1, 3)
     )
     assert [len(g.contacts) for g in light.grasp.grippers] == [3, 4]
     assert heavy.bound == pytest.approx(3 * light.bound, rel=0.2)
     assert light.value >= 1.0 / 3.0  # three contacts at most push up
-    some = optimise_grasp(BLOCK, gripper_size=REACH, places=0.95 * CORNERS, nodes=10)
+    some = search(places=0.95 * CORNERS, nodes=10)
     assert all(np.allclose(np.abs(g.corner), 0.95 * CORNERS[0]) for g in some.grasp.grippers)
-    quick = optimise_grasp(
-        BLOCK, gripper_size=REACH, objective="force", places=CORNERS, seconds=0.0
-    )
+    quick = search(objective="force", seconds=0.0)
     assert quick.nodes == 0 and quick.bound < quick.value
 
 
