@@ -1,9 +1,9 @@
 r"""The search over choices of faces: good placements by trying, a proven bound of each choice.
 
 Placements are evolved for the most promising choices.  Then the choice with the highest bound is
-bounded by its programs (:mod:`multiarm.grasp.grasp_objectives`), what they propose is tried, and so
-on.  A choice that was never looked at has the quick bound of the twists learnt from others.  At any
-time the highest of all bounds, or the best score found, is a bound on everything.
+bounded by its programs (:mod:`multiarm.grasp.grasp_objectives`), what they propose is evolved, and
+so on.  A choice that was never looked at has the quick bound of the twists learnt from others.  At
+any time the highest of all bounds, or the best score found, is a bound on everything.
 
 **Good placements by trying**: differential evolution that stays in the regions.  A trial goes from
 a placement towards the best one and along the difference of two others, and stops where it would
@@ -106,8 +106,8 @@ class Search:
 
     @property
     def settled(self) -> bool:
-        """Whether the highest bound is of a choice that was looked at: it falls no more."""
-        return bool(self.looked_at[np.argmax(self.tops)])
+        """Whether no choice that was never looked at can be better than the best grasp."""
+        return not bool((self.tops[~self.looked_at] > self.value).any())
 
     def choose(self, regions: Sequence[Sequence[TouchRegion]], fingers: tuple[int, int]) -> None:
         """List the choices of faces and look for good placements."""
@@ -133,19 +133,18 @@ class Search:
         self._sharpen()
 
     def run(self) -> None:
-        """Bound choices until the gap or the budget is reached, or no bound can fall any more."""
+        """Bound choices until the gap or the budget is reached, or none is left to look at."""
         while self.done < self.limits.nodes and self.gap > self.limits.gap:
             if self.limits.until is not None and time.perf_counter() > self.limits.until:
                 break
             if self.settled:
                 break
-            self._look(int(np.argmax(self.tops)))
+            self._look(int(np.argmax(np.where(self.looked_at, -np.inf, self.tops))))
             if self.done % REPORTED == 0:
                 self._sharpen()
                 self._tell(f"value {self.value:.4g}, bound {self.bound:.4g}")
         if self.best is None:
-            unseen = bool((self.tops > 0.0).any() and not self.looked_at.all())
-            open_end = " within the budget; allow more nodes" if unseen else ""
+            open_end = "" if self.settled else " within the budget; allow more nodes"
             raise GraspError(
                 f"no grasp that closes and keeps the distances and the floor of the conditioning "
                 f"was found{open_end}; larger grippers, smaller tips or other places may help"
@@ -165,15 +164,19 @@ class Search:
         return np.where(kept, value, 0.0)
 
     def _look(self, number: int) -> None:
-        """Bound one choice, try what its programs propose, and learn from it."""
+        """Bound one choice, learn from it, and evolve what its programs propose."""
         self.done += 1
         touches = self._touches(number)
-        found = self.objective.bound(touches, touches.drawn(DRAWN // 4, self.rng))
+        _, population, part = ROUNDS[0]
+        drawn = touches.drawn(population, self.rng)
+        found = self.objective.bound(touches, drawn)
         self.tops[number] = min(self.tops[number], found.top)
         self.looked_at[number] = True
         self.learnt.append(found.twists[:LEARNT])
-        if len(found.placements):
-            self._try(touches, touches.within(found.placements))
+        if found.top > self.value:
+            starts = np.concatenate([touches.within(found.placements), drawn])[:population]
+            y, _ = self._evolved(touches, starts, round(part * self.objective.generations))
+            self._try(touches, y[:1])
 
     def _try(self, touches: SevenTouches, y: np.ndarray) -> None:
         """Take the best of some placements if it beats the best known, for certain."""

@@ -14,8 +14,8 @@ of its program. The choice with the highest bound comes next. So at any time
 
 .. math:: \text{value} \le \text{optimum} \le \text{bound}
 
-(for forces the other way round). The search ends when they are within ``gap``, when no bound can
-fall any more, or when its budget of choices is used up; then the gap is larger. For the margin the
+(for forces the other way round). The search ends when they are within ``gap``, when no other choice
+can be better, or when its budget of choices is used up; then the gap is larger. For the margin the
 program is without loss. For forces a gap of a fifth to a half is left, because each load may choose
 its own placement, and for stability the bound remains several times the value: it is true, not
 sharp.
