@@ -90,6 +90,7 @@ class Search:
         self.learnt: list[np.ndarray] = []
         self.tops = np.zeros(0)
         self.looked_at = np.zeros(0, dtype=bool)
+        self.promising: list[tuple[float, int, np.ndarray]] = []
         self.best: tuple[SevenTouches, np.ndarray] | None = None
         self.value = 0.0
         self.done = 0
@@ -143,6 +144,8 @@ class Search:
             if self.done % REPORTED == 0:
                 self._sharpen()
                 self._tell(f"value {self.value:.4g}, bound {self.bound:.4g}")
+        if self.gap > self.limits.gap:
+            self._grow_promising()
         if self.best is None:
             open_end = "" if self.settled else " within the budget; allow more nodes"
             raise GraspError(
@@ -175,8 +178,18 @@ class Search:
         self.learnt.append(found.twists[:LEARNT])
         if found.top > self.value:
             starts = np.concatenate([touches.within(found.placements), drawn])[:population]
-            y, _ = self._evolved(touches, starts, round(part * self.objective.generations))
+            y, scores = self._evolved(touches, starts, round(part * self.objective.generations))
             self._try(touches, y[:1])
+            self.promising.append((-float(scores[0]), number, y[0]))
+
+    def _grow_promising(self) -> None:
+        """Evolve the best of the choices that were looked at for longer."""
+        most, population, _ = ROUNDS[-1]
+        for _, number, y in sorted(self.promising, key=lambda one: one[:2])[:most]:
+            touches = self._touches(number)
+            starts = np.concatenate([y[None], touches.drawn(population - 1, self.rng)])
+            grown, _ = self._evolved(touches, starts, self.objective.generations)
+            self._try(touches, grown[:1])
 
     def _try(self, touches: SevenTouches, y: np.ndarray) -> None:
         """Take the best of some placements if it beats the best known, for certain."""
