@@ -13,11 +13,11 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import least_distance, nonnegative_least_squares
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.force_distribution import distribute_forces
 from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.load_maps import liftable, load_capacity, worst_force
+from multiarm.grasp.programs import least_distance, nonnegative_least_squares
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKED = json.loads((ROOT / "tests" / "data" / "worked_examples.json").read_text())["examples"]

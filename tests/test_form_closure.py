@@ -342,7 +342,7 @@ def test_programs_that_give_up_cost_sharpness_and_not_the_verdict(monkeypatch, r
     expected = [(bool(one), one.margin) for one in sure]
 
     def gives_up(*_, **__):
-        return OptimizeResult(success=False, x=None, message="HiGHS Status 15")
+        return OptimizeResult(success=False, x=None, status=4, message="HiGHS Status 15")
 
     monkeypatch.setattr("scipy.optimize.linprog", gives_up)
     for one, (closed, margin) in zip(contacts, expected, strict=True):

@@ -14,8 +14,7 @@ import multiarm as ma
 from multiarm.cli import app
 from multiarm.errors import GraspError
 from multiarm.grasp import Polyhedron
-from multiarm.grasp.scenes.judging import judge_grasp
-from multiarm.grasp.scenes.reading import read_grasp
+from multiarm.grasp.scenes.judging import judge_grasp, read_grasp
 from multiarm.scene import parse_scene
 from multiarm.viewer.animate import animate, scene_grasp, sheet
 

@@ -14,7 +14,7 @@ from multiarm.errors import GraspError
 from multiarm.grasp import Contacts, Grasp, Gripper, Polyhedron
 from multiarm.grasp.scenes import grasp_scene, motion_wrenches, needed_squeeze
 from multiarm.grasp.scenes.hands import approach
-from multiarm.grasp.scenes.reading import read_grasp
+from multiarm.grasp.scenes.judging import read_grasp
 from multiarm.scene import Waypoint, dump_scene, parse_scene
 
 SIZE = np.array([1.2, 0.8, 0.6])

@@ -190,8 +190,7 @@ def check(
     check_targets({"--json": json, "--plot": plot}, source=scene)
     loaded = scene_to_inspect(scene, code)
     from multiarm.assembly.compilation import compile_for_inspection
-    from multiarm.grasp.scenes.judging import judge_grasp
-    from multiarm.grasp.scenes.reading import read_grasp
+    from multiarm.grasp.scenes.judging import judge_grasp, read_grasp
 
     with Progress() as progress:
         system, left = compile_for_inspection(loaded)

@@ -30,13 +30,17 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.balances import balance_inverses
+from multiarm.grasp.body_class import BodyClass
 from multiarm.grasp.contacts import Contacts, wrenches_of
-from multiarm.grasp.face import PLANE_TOLERANCE, Face, frame_of
+from multiarm.grasp.face import PLANE_TOLERANCE, frame_of
 from multiarm.grasp.face_contacts import Gripper
 from multiarm.grasp.form_closure import is_form_closure
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 from multiarm.grasp.seventh_contact import ContactRegion
+
+Three = tuple[int, int, int]
+"""Numbers of three faces."""
 
 # Rounds in which a pattern is scaled to the wanted size, which is nearly proportional to its depth,
 # beginning with a pattern that is small against its usual depth.
@@ -69,11 +73,12 @@ def assembled(
     """
     places = body.on_faces(faces, points)
     for j, (point, number) in enumerate(zip(places, faces, strict=True)):
-        reason = off_face(body.faces[number], point)
-        if reason:
+        face = body.faces[number]
+        room = float(face.room(point))
+        if not room > 0.0:
             raise GraspError(
-                f"the grippers are too large for the object: contact {j + 1} {reason}; choose "
-                f"smaller offsets"
+                f"the grippers are too large for the object: contact {j + 1} would be "
+                f"{-room:.4g} m outside {face.name}; choose smaller offsets"
             )
     contacts = Contacts.along(places, -body.normals[list(faces)])
     grippers = tuple(
@@ -83,10 +88,21 @@ def assembled(
     return Grasp(body, contacts, tuple(faces), grippers, tuple(notes))
 
 
-def off_face(face: Face, point: np.ndarray) -> str:
-    """Why a contact cannot be at a point of the face's plane; nothing when it can."""
-    room = float(face.room(point))
-    return "" if room > 0.0 else f"would be {-room:.4g} m outside {face.name}"
+def at_two_corners(
+    body: Polyhedron,
+    first: Three,
+    second: Three,
+    points: np.ndarray,
+    top: int,
+    notes: Sequence[str],
+) -> Grasp:
+    """A grasp of grippers at the corners of faces of contacts 1, 2, 3 and of 4, 5, 6.
+
+    Contact 7 is on the face ``top``, the third of one of them, and carried by that gripper.
+    """
+    split = [(0, 1, 2, 6), (3, 4, 5)] if top == first[2] else [(0, 1, 2), (3, 4, 5, 6)]
+    frames = [gripper_frame(body, first, points[:3]), gripper_frame(body, second, points[3:6])]
+    return assembled(body, points, (*first, *second, top), split, frames, notes)
 
 
 def proven(grasp: Grasp, crosses_bound: bool, remedy: str = OTHER_LENGTHS) -> Grasp:
@@ -220,6 +236,21 @@ def convex_corner(body: Polyhedron, vertex: int) -> bool:
     return True
 
 
+def opposite_corner(found: BodyClass, body: Polyhedron, faces: Sequence[int]) -> Three:
+    """The faces opposite to three that meet at a corner, of a body with parallel faces.
+
+    Raises
+    ------
+    GraspError
+        The faces do not meet at a corner.
+    """
+    if len(faces) != 3 or shared_corner(body, faces) is None:
+        raise GraspError(f"faces {faces} do not meet at a corner; each of the pairs gives one")
+    other = dict(found.pairs) | {j: i for i, j in found.pairs}
+    i, j, k = faces
+    return other[i], other[j], other[k]
+
+
 def shared_corner(body: Polyhedron, faces: Sequence[int]) -> int | None:
     """The convex corner where three faces meet, or None."""
     for vertex, meeting in enumerate(body.corners):
@@ -248,7 +279,7 @@ def corner_frame(body: Polyhedron, vertex: int, seat: int) -> np.ndarray:
     return frame_of(-body.faces[seat].normal, before, body.vertices[vertex])
 
 
-def gripper_frame(body: Polyhedron, faces: tuple[int, int, int], points: np.ndarray) -> np.ndarray:
+def gripper_frame(body: Polyhedron, faces: Three, points: np.ndarray) -> np.ndarray:
     """Frame of a gripper at the corner that three faces share, or else near its contacts."""
     corner = shared_corner(body, faces)
     if corner is None:
@@ -256,7 +287,7 @@ def gripper_frame(body: Polyhedron, faces: tuple[int, int, int], points: np.ndar
     return corner_frame(body, corner, faces[2])
 
 
-def feet(body: Polyhedron, faces: tuple[int, int, int], point: np.ndarray) -> np.ndarray:
+def feet(body: Polyhedron, faces: Three, point: np.ndarray) -> np.ndarray:
     """Feet of a point on the planes of faces, shape (3, 3): contacts whose lines meet in it."""
     n = body.normals[list(faces)]
     heights = np.array([body.faces[k].offset for k in faces]) - n @ point

@@ -27,38 +27,45 @@ inside is the ``distance``: closure survives every change of each wrench by less
   with a sum of rates of s / t at most, since the pushes do no work.  Only where that bound is in
   the band, the facets of the hull are enumerated (up to 30 wrenches).
 
-**The shortest vector that satisfies inequalities, or the proof that none does:**
+**In rational arithmetic**, without rounding or tolerance (`exact_balance`).  Points and directions
+are fractions (every float is one), so are the wrenches ``[d_j; (p_j - c) x d_j]`` of the directions
+as given, about the middle c of the points.  Two steps
+decide:
 
-.. math::
-    \min \tfrac12 |y|^2 \quad\text{with}\quad G y \ge h
+1. elimination finds the rank, and when it is too small, a ``v != 0`` with ``W^T v = 0``;
+2. the simplex method minimises the sum of ``s >= 0`` in ``W mu + s = -W 1`` with ``mu >= 0``.  The
+   minimum 0 proves closure with the pushes ``lam = 1 + mu``.  Otherwise the dual variables y of
+   the optimum have ``W^T y <= 0`` and ``-1^T W^T y > 0``, and ``v = -y`` is a motion that no
+   contact resists.
 
-is the least-distance problem of Lawson and Hanson (1974, chapter 23).  With
-:math:`E = [G^T; h^T]` and f the last unit vector, non-negative least squares, min ``|E u - f|``
-over ``u >= 0``, leave ``r = E u - f = [r_1; -s]`` over, and :math:`E^T r \ge 0` says
-
-- for ``s > 0``: ``y = r_1 / s`` is the solution, with the prices ``u / s`` of the inequalities
-  (``y = G^T prices``), and :math:`s = 1 / (1 + |y|^2)`;
-- for ``s = 0``: ``G^T u = 0`` and ``h . u = 1``, so no y satisfies all inequalities.
-
-An active-set method finds u in about as many steps as inequalities are tight, to the last digits.
+Bland's rule (1977) ends the simplex method however degenerate the contacts are.  Both steps use
+integers: dividing by the pivot before is exact (Bareiss 1968; Edmonds 1967), and entries remain
+determinants of the data instead of growing with every step.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
+from math import lcm
 from typing import Any
 
 import numpy as np
 
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.programs import (
+    EPS,
+    ROUNDINGS,
+    least_distance,
+    linear_program,
+    nonnegative_least_squares,
+)
 
 # Part of the unit wrench by which closure must be inside.  Normals and points that were computed
 # are off by some 1e-16 to 1e-12; a grasp that hangs on less than this is not to be relied on.
 # Singular values below this part of the largest count as zero: the package has one rank.
 BAND = 1e-10
-# Rounding of one wrench, in units of the machine precision: normalising, products, differences.
-ROUNDINGS = 64.0
-EPS = float(np.finfo(float).eps)
 # Motions whose nearness to an axis differs by less than this are equally near: the first is taken.
 EQUAL = 1e-6
 # Least smallest push, of pushes of sum 1, that counts: below it every balance nearly cancels.
@@ -202,20 +209,14 @@ def _highest(base: np.ndarray, ways: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
     Without prices where the linear program gives up: then it is the base itself.
     """
-    from scipy.optimize import linprog
-
     count, free = ways.shape
     if not free:
         return base, (np.arange(count) == np.argmin(base)).astype(float)
-    solved = linprog(
-        np.append(np.zeros(free), -1.0),
-        A_ub=np.column_stack([-ways, np.ones(count)]),
-        b_ub=base,
-        bounds=[(None, None)] * (free + 1),
-    )
-    if not solved.success:
+    rows = np.column_stack([-ways, np.ones(count)])
+    solved = linear_program(np.append(np.zeros(free), -1.0), at_most=(rows, base), signed=free + 1)
+    if solved.x is None:
         return base, None
-    return base + ways @ solved.x[:-1], -solved.ineqlin.marginals
+    return base + ways @ solved.x[:-1], solved.prices
 
 
 def balance_inverses(W: np.ndarray) -> np.ndarray:
@@ -237,23 +238,30 @@ def balance_inverses(W: np.ndarray) -> np.ndarray:
     return G
 
 
+def simplices(W: np.ndarray, tolerances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Closed form for M sets of ``n + 1`` wrenches, shape (M, n, n + 1).
+
+    Returns the inverses ``G``, distances (M, n + 1) of the origin from the facets, inside positive,
+    and which sets (M,) are too nearly dependent to say.
+    """
+    count = W.shape[2]
+    G = balance_inverses(np.swapaxes(W, 1, 2))
+    lengths = np.linalg.norm(G[..., :-1], axis=2)
+    widest = lengths.max(axis=1)
+    doubtful = (widest == 0.0) | (widest * tolerances * count >= 1.0)
+    return G, G[..., -1] / np.maximum(lengths, 1e-300), doubtful
+
+
 def _simplex(W: np.ndarray, tolerance: float) -> Balance | None:
-    """Closed form for ``n + 1`` wrenches; None when they are too nearly dependent for it."""
+    """The closed form for one set; None when it does not say."""
     n = len(W)
-    square = np.ones((n + 1, n + 1))
-    square[:n] = W
-    try:
-        G = np.linalg.inv(square)
-    except np.linalg.LinAlgError:
+    G, distances, doubtful = (one[0] for one in simplices(W[None], np.array([tolerance])))
+    if doubtful:
         return None
-    lengths = np.sqrt(np.einsum("ij,ij->i", G[:, :n], G[:, :n]))
-    if not lengths.max() * tolerance * (n + 1) < 1.0:
-        return None
-    inside = G[:, n] / lengths
-    j = int(np.argmin(inside))
-    if inside[j] > tolerance:
-        return Balance(True, G[:, n], None, n, float(inside[j]), False)
-    return Balance(False, None, G[j, :n], n, 0.0, bool(inside[j] >= -tolerance))
+    j = int(np.argmin(distances))
+    if distances[j] > tolerance:
+        return Balance(True, G[:, n], None, n, float(distances[j]), False)
+    return Balance(False, None, G[j, :n], n, 0.0, bool(distances[j] >= -tolerance))
 
 
 def _inside(pushes: np.ndarray, sigma: float) -> float:
@@ -309,102 +317,135 @@ def _separated(W: np.ndarray, tolerance: float) -> bool:
     return bool(np.min(away @ W) > tolerance * np.linalg.norm(away))
 
 
-# --- The shortest vector that satisfies inequalities ----------------------------------------------
+# --- The same decision in rational arithmetic -----------------------------------------------------
 
-# Solutions longer than 1e6 (in the caller's units) count as none: s would be lost in rounding.
-NONE = 1e-12
-# Gradients below this, relative to the data, are those of a minimum: between the rounding of an
-# active-set method (1e-13) and where such a method stops on a wrong set (1e-4).
-OPTIMAL = 1e-9
+Table = list[list[int]]
 
 
-@dataclass(frozen=True, eq=False)
-class LeastDistance:
-    """Solution of a least-distance problem, or its refusal.
+@dataclass(frozen=True)
+class ExactBalance:
+    """Outcome of the exact decision.
 
     Attributes
     ----------
-    direction : ndarray, shape (k,)
-        ``r_1``, along the solution.
-    s : float
-        Shrinks as the solution grows; 0 where rounding hides it.
-    weights : ndarray, shape (m,)
-        ``u >= 0``.
+    rank : int
+    pushes : tuple of Fraction, length N, or None
+        Of sum 1, all positive, along the directions as given; when closed.
+    motion : tuple of Fraction, length n, or None
+        Twist about ``about`` that no contact resists; when open.
+    about : tuple of Fraction, length d
+        Mean of the points.
     """
 
-    direction: np.ndarray
-    s: float
-    weights: np.ndarray
+    rank: int
+    pushes: tuple[Fraction, ...] | None
+    motion: tuple[Fraction, ...] | None
+    about: tuple[Fraction, ...]
 
     @property
-    def solved(self) -> bool:
-        """Whether there is a solution (shorter than 1e6)."""
-        return self.s > NONE
-
-    @property
-    def point(self) -> np.ndarray:
-        """The solution y, shape (k,)."""
-        return self.direction / self.s
-
-    @property
-    def prices(self) -> np.ndarray:
-        """How fast ``|y|^2 / 2`` grows with each ``h``, shape (m,); positive where it is tight."""
-        return self.weights / self.s
+    def motion_about_origin(self) -> tuple[Fraction, ...] | None:
+        """The motion, as a twist about the origin of the frame."""
+        if self.motion is None:
+            return None
+        d = len(self.about)
+        linear, angular = self.motion[:d], self.motion[d:]
+        turned = _cross(angular, self.about)
+        return (*(v - t for v, t in zip(linear, turned, strict=True)), *angular)
 
 
-def least_distance(G: np.ndarray, h: np.ndarray, room: float = 0.0) -> LeastDistance:
-    """Solve  min ``|y|``  with  ``G y >= h``.
+def exact_balance(contacts: Contacts) -> ExactBalance:
+    """Decide form closure of contacts as given, without rounding."""
+    about = tuple(sum(x) / contacts.count for x in zip(*contacts.exact_points, strict=True))
+    pairs = zip(contacts.exact_points, contacts.exact_directions, strict=True)
+    columns = [_wrench([x - c for x, c in zip(p, about, strict=True)], e) for p, e in pairs]
+    scales = [lcm(*(x.denominator for x in column)) for column in columns]
+    whole = [[int(x * s) for x in column] for column, s in zip(columns, scales, strict=True)]
+    rows = [list(row) for row in zip(*whole, strict=True)]
+    rank, resting = eliminate(rows)
+    if resting is not None:
+        return ExactBalance(rank, None, tuple(map(Fraction, resting)), about)
+    pushes, motion = positive_balance(rows)
+    if pushes is None:
+        return ExactBalance(rank, None, motion, about)
+    given = [push * s for push, s in zip(pushes, scales, strict=True)]
+    total = sum(given)
+    return ExactBalance(rank, tuple(push / total for push in given), None, about)
 
-    Parameters
-    ----------
-    G : ndarray, shape (m, k)
-    h : ndarray, shape (m,)
-    room : float
-        What counts as rounding of ``h`` and of a product with G.  Inequalities that leave no room,
-        or hold whatever y is, would be decided by it; relaxed by ``room``, all that hold but for
-        rounding hold.  The solution is that of those then tight, as equations without the room.
+
+def eliminate(rows: Table) -> tuple[int, list[int] | None]:
+    """Rank of an integer matrix W, and ``v != 0`` with ``v^T W = 0`` if rows are dependent."""
+    n, width = len(rows), len(rows[0])
+    table = [[*row, *(int(i == k) for k in range(n))] for i, row in enumerate(rows)]
+    rank, last = 0, 1
+    for column in range(width):
+        found = next((i for i in range(rank, n) if table[i][column]), None)
+        if found is None:
+            continue
+        table[rank], table[found] = table[found], table[rank]
+        _clear(table, range(rank + 1, n), rank, column, last)
+        last, rank = table[rank][column], rank + 1
+        if rank == n:
+            return rank, None
+    return rank, table[rank][width:]
+
+
+def positive_balance(
+    rows: Table,
+) -> tuple[tuple[Fraction, ...] | None, tuple[Fraction, ...] | None]:
+    """Pushes ``lam >= 1`` with ``W lam = 0``, or a motion with ``W^T v >= 0`` and a positive sum.
+
+    One of the two is None.  ``W``, of integers, has full row rank or any other.
     """
-    E = np.vstack([G.T, h - room])
-    target = np.append(np.zeros(G.shape[1]), 1.0)
-    weights = nonnegative_least_squares(E, target)
-    left = E @ weights - target
-    terms = 1.0 + float(np.abs(E[-1]) @ weights)  # s is what is left of these
-    s = float(-left[-1]) if -left[-1] > ROUNDINGS * EPS * terms else 0.0
-    found = LeastDistance(left[:-1], s, weights)
-    return _sharpened(found, G, h, room) if room > 0.0 and found.solved else found
+    n, count = len(rows), len(rows[0])
+    signs = [1 if sum(row) <= 0 else -1 for row in rows]
+    table = [
+        [*(s * x for x in row), *(int(i == k) for k in range(n)), -s * sum(row)]
+        for i, (s, row) in enumerate(zip(signs, rows, strict=True))
+    ]
+    sums = [-sum(column) for column in zip(*table, strict=True)]
+    table.append([*sums[:count], *([0] * n), sums[-1]])
+    basis = list(range(count, count + n))
+    last = 1
+    while table[n][-1]:
+        entering = next((j for j in range(count) if table[n][j] < 0), None)
+        if entering is None:
+            prices = [1 - Fraction(x, last) for x in table[n][count:-1]]
+            return None, tuple(-s * y for s, y in zip(signs, prices, strict=True))
+        leaving = _shortest(table, basis, entering)
+        _clear(table, [i for i in range(n + 1) if i != leaving], leaving, entering, last)
+        last, basis[leaving] = table[leaving][entering], entering
+    pushes = [Fraction(1)] * count
+    for i, j in enumerate(basis):
+        if j < count:
+            pushes[j] += Fraction(table[i][-1], last)
+    return tuple(pushes), None
 
 
-def _sharpened(found: LeastDistance, G: np.ndarray, h: np.ndarray, room: float) -> LeastDistance:
-    """The solution for ``h`` itself; as found, if the other inequalities do not allow it."""
-    tight, prices = found.weights > 0.0, np.zeros(len(h))
-    y = np.linalg.lstsq(G[tight], h[tight], rcond=None)[0]
-    prices[tight] = np.maximum(np.linalg.lstsq(G[tight].T, y, rcond=None)[0], 0.0)
-    if np.any(G @ y < h - room):
-        return found
-    s = 1.0 / (1.0 + float(y @ y))
-    return LeastDistance(s * y, s, s * prices)
+def _shortest(table: Table, basis: list[int], entering: int) -> int:
+    """Row that bounds the entering variable first; among equals, of the lowest variable (Bland).
 
-
-def nonnegative_least_squares(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Minimise ``|A u - b|`` over ``u >= 0``, shape (m,); A has shape (n, m), b has shape (n,).
-
-    SciPy's ``nnls`` stops short of the minimum when columns depend on one another, as those of
-    symmetric contacts do, by roundings that change with the processor.  Its answer counts when the
-    gradient shows it; otherwise a second method runs, and the better answer is taken.
+    There is one: the objective, a sum of non-negative numbers, is bounded.
     """
-    from scipy.optimize import lsq_linear, nnls
-
-    try:
-        first = nnls(A, b, maxiter=30 * max(A.shape))[0]
-        if _excess(A, b, first) <= OPTIMAL * np.linalg.norm(A) * np.linalg.norm(b):
-            return first
-    except RuntimeError:  # out of iterations
-        first = np.zeros(A.shape[1])
-    second = lsq_linear(A, b, bounds=(0.0, np.inf), method="bvls", tol=EPS).x
-    return min(first, second, key=lambda u: _excess(A, b, u))
+    rows = [i for i in range(len(basis)) if table[i][entering] > 0]
+    return min(rows, key=lambda i: (Fraction(table[i][-1], table[i][entering]), basis[i]))
 
 
-def _excess(A: np.ndarray, b: np.ndarray, u: np.ndarray) -> float:
-    """The gradient that a minimum over ``u >= 0`` does not have: negative, or where ``u > 0``."""
-    gradient = A.T @ (A @ u - b)
-    return float(np.max(np.where(u > 0.0, np.abs(gradient), -gradient), initial=0.0))
+def _clear(table: Table, others: Sequence[int], row: int, column: int, last: int) -> None:
+    """Make a column zero in the other rows; division by the last pivot leaves no remainder."""
+    pivot, source = table[row][column], table[row]
+    for i in others:
+        factor = table[i][column]
+        table[i] = [(x * pivot - factor * y) // last for x, y in zip(table[i], source, strict=True)]
+
+
+def _wrench(p: Sequence[Fraction], e: Sequence[Fraction]) -> list[Fraction]:
+    if len(p) == 2:
+        return [*e, p[0] * e[1] - p[1] * e[0]]
+    return [*e, *_cross(p, e)]
+
+
+def _cross(a: Sequence[Fraction], b: Sequence[Fraction]) -> list[Fraction]:
+    """``a x b``; in the plane ``a`` is one number, along the third axis."""
+    if len(a) == 1:
+        return [-a[0] * b[1], a[0] * b[0]]
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

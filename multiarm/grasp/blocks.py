@@ -27,12 +27,12 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.assembling import (
-    assembled,
+    Three,
+    at_two_corners,
     crosses,
-    gripper_frame,
     length_of,
+    opposite_corner,
     proven,
-    shared_corner,
 )
 from multiarm.grasp.body_class import classify
 from multiarm.grasp.grasp import Grasp
@@ -142,10 +142,7 @@ class BlockDesign:
         self._check(2.0 * half)
         middle = 0.5 * (ends[0] - ends[1]) @ n
         points = self._places(half) @ n + middle
-        on = (*chosen, *opposite, chosen[2])
-        sides = ((chosen, points[:3]), (opposite, points[3:6]))
-        frames = [gripper_frame(block, three, at) for three, at in sides]
-        made = assembled(block, points, on, [(0, 1, 2, 6), (3, 4, 5)], frames, self._notes())
+        made = at_two_corners(block, chosen, opposite, points, chosen[2], self._notes())
         inward = np.sign(self.offset - self.seventh_offset)
         bound = self.minimum_distance
         return proven(made, crosses(made, lambda s: points[2] - inward * s * n[0], bound))
@@ -238,9 +235,6 @@ def block_design(
     return BlockDesign(A, E, length_of(distance, "the distance"))
 
 
-Three = tuple[int, int, int]
-
-
 def _faces(block: Polyhedron, faces: Three | None) -> tuple[Three, Three]:
     """Faces for contacts 1, 2, 3, and the opposite ones."""
     found = classify(block)
@@ -249,9 +243,6 @@ def _faces(block: Polyhedron, faces: Three | None) -> tuple[Three, Three]:
             f"the construction for blocks needs one; this body is {found.words}.  design_grasp "
             f"takes the construction that fits"
         )
-    other = dict(found.pairs) | {j: i for i, j in found.pairs}
     chosen = faces if faces is not None else tuple(i for i, _ in found.pairs)
-    if len(chosen) != 3 or shared_corner(block, chosen) is None:
-        raise GraspError(f"faces {chosen} do not meet at a corner; each of the pairs gives one")
-    i, j, k = chosen
-    return (i, j, k), (other[i], other[j], other[k])
+    opposite = opposite_corner(found, block, chosen)
+    return (chosen[0], chosen[1], chosen[2]), opposite

@@ -1,6 +1,4 @@
-r"""Boundaries of solids: from a few numbers, from triangles, from files; and the check of one.
-
-A polygon may be given either way round; faces always come out with their normals outward.
+r"""Boundaries of solids: hulls, half-spaces, triangles, files; and the check of one.
 
 **One solid.**  Loops bound a solid when each edge is run along once in each direction: once by the
 face on its left and once by the face on its right.  A missing partner is an open edge; a second run
@@ -21,82 +19,28 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arrays import array_of
+from multiarm.grasp.contacts import array_of
 from multiarm.grasp.face import PLANE_TOLERANCE, Face, area_vector
+from multiarm.grasp.programs import LinearSolution, linear_program
 from multiarm.scene.object import TOO_THIN, hull_triangles
 
-AXIS_NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
-# Corners are the same when they are closer than this part of the body's size: duals of half-spaces,
-# and corners that several triples of half-spaces give.
-SAME_CORNER = 1e-9
+# A body of half-spaces is bounded when the origin is inside the hull of their duals by more than
+# this; it has a ball inside that is larger.
+INSIDE = 1e-9
 MOST_BYTES = 1 << 30  # of a mesh file
 
 
-class Boundary(NamedTuple):
-    """The arguments of a `Polyhedron`: corners, loops of their numbers for each face, names."""
-
-    vertices: Any
-    loops: Sequence[Sequence[Sequence[int]]]
-    names: Sequence[str] | None = None
+Loops = list[list[list[int]]]
+"""For each face, loops of the numbers of its corners."""
 
 
-def box(lengths: Any) -> Boundary:
-    """A block with full edge lengths, centred; faces +x, +y, +z, -x, -y, -z."""
-    half = 0.5 * _positive(lengths, 3, "the edge lengths of a block")
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    loops = [(4, 6, 7, 5), (2, 3, 7, 6), (1, 5, 7, 3), (0, 1, 3, 2), (0, 4, 5, 1), (0, 2, 6, 4)]
-    return Boundary(signs * half, [[loop] for loop in loops], AXIS_NAMES)
-
-
-def prism(polygon: Any, height: float) -> Boundary:
-    """A polygon from z = -height / 2 to height / 2."""
-    outline = _outline(polygon)
-    z = 0.5 * float(_positive([height], 1, "the height of a prism")[0])
-    n = len(outline)
-    vertices = [[*xy, -z] for xy in outline] + [[*xy, z] for xy in outline]
-    sides = [[k, (k + 1) % n, n + (k + 1) % n, n + k] for k in range(n)]
-    loops = [*sides, [n + k for k in range(n)], list(reversed(range(n)))]
-    names = [*(f"side {k + 1}" for k in range(n)), "top", "bottom"]
-    return Boundary(vertices, [[loop] for loop in loops], names)
-
-
-def wedge(lengths: Any, top: float) -> Boundary:
-    """A block whose top is cut down to the length ``top`` along x by a slope toward +x."""
-    lx, ly, lz = _positive(lengths, 3, "the edge lengths of a wedge")
-    if not 0.0 <= top < lx:
-        raise GraspError(f"the top of a wedge is at least 0 and shorter than {lx:g} m, not {top!r}")
-    section = [(-lx / 2, -lz / 2), (lx / 2, -lz / 2), (top - lx / 2, lz / 2)]
-    section += [(-lx / 2, lz / 2)] if top else []
-    n = len(section)
-    vertices = [[x, -ly / 2, z] for x, z in section] + [[x, ly / 2, z] for x, z in section]
-    around = [[(k + 1) % n, k, n + k, n + (k + 1) % n] for k in range(n)]
-    loops = [*around, [n + k for k in reversed(range(n))], list(range(n))]
-    names = ["-z", "slope", *(["+z"] if top else []), "-x", "+y", "-y"]
-    return Boundary(vertices, [[loop] for loop in loops], names)
-
-
-def pyramid(base: Any, apex: Any) -> Boundary:
-    """A pyramid on a polygon in the plane z = 0."""
-    outline = _outline(base)
-    top = np.array(apex, dtype=float)
-    if top.shape != (3,) or not np.all(np.isfinite(top)) or top[2] == 0.0:
-        raise GraspError(f"the apex of a pyramid is a point (x, y, z) with z not 0, not {apex!r}")
-    if top[2] < 0.0:
-        outline = outline[::-1]
-    n = len(outline)
-    vertices = [[x, y, 0.0] for x, y in outline] + [top.tolist()]
-    loops = [*([k, (k + 1) % n, n] for k in range(n)), list(reversed(range(n)))]
-    names = [*(f"side {k + 1}" for k in range(n)), "base"]
-    return Boundary(vertices, [[loop] for loop in loops], names)
-
-
-def hull(points: Any) -> Boundary:
-    """The convex hull of points."""
+def hull(points: Any) -> tuple[np.ndarray, Loops]:
+    """Corners and faces of the convex hull of points."""
     cloud = _finite(points, "the points of a hull")
     try:
         triangles = hull_triangles(cloud)
@@ -106,11 +50,13 @@ def hull(points: Any) -> Boundary:
     scaled = (cloud - middle) / np.ptp(cloud, axis=0).max()
     kept, numbers = np.unique(triangles, return_inverse=True)
     faces = faces_of_triangles(scaled[kept], numbers.reshape(triangles.shape), PLANE_TOLERANCE)
-    return compacted(cloud[kept], faces)
+    return _compacted(cloud[kept], faces)
 
 
-def halfspaces(normals: Any, offsets: Any) -> Boundary:
+def halfspaces(normals: Any, offsets: Any) -> tuple[np.ndarray, Loops]:
     """All x with normals[k] . x <= offsets[k]; those that cut nothing, or no more, make no face."""
+    from scipy.spatial import HalfspaceIntersection, QhullError
+
     directions = _finite(normals, "the normals of half-spaces")
     levels = np.array(offsets, dtype=float)
     lengths = np.linalg.norm(directions, axis=1)
@@ -120,82 +66,54 @@ def halfspaces(normals: Any, offsets: Any) -> Boundary:
         )
     n, h = directions / lengths[:, None], levels / lengths
     inside = _deepest_point(n, h)
-    corners = _cut_corners(n, h - n @ inside)
-    size = float(np.ptp(corners, axis=0).max())
-    faces: list[list[int]] = []
-    for normal, level in zip(n, h - n @ inside, strict=True):
-        on = np.flatnonzero(np.abs(corners @ normal - level) <= 1e2 * SAME_CORNER * size)
-        # Two faces of a convex body have two corners in common at most.
-        known = any(np.isin(on, face).sum() > 2 for face in faces)
-        if len(on) > 2 and not known:
-            faces.append(_around(corners, on, normal))
-    return Boundary(corners + inside, [[face] for face in faces])
+    depths = h - n @ inside
+    reach = float(depths.min())
+    try:
+        cut = HalfspaceIntersection(np.column_stack([n, -depths / reach]), np.zeros(3))
+        bounded = bool(np.all(cut.dual_equations[:, 3] < -INSIDE))
+    except QhullError:
+        bounded = False
+    if not bounded:
+        raise GraspError("the half-spaces leave an unbounded body; add the faces that close it")
+    corners = [np.linalg.lstsq(n[k], depths[k], rcond=None)[0] for k in cut.dual_facets]
+    vertices, faces = hull(corners)
+    areas = np.array([area_vector(vertices[face[0]]) for face in faces])
+    seen = areas @ n.T / np.linalg.norm(areas, axis=1)[:, None]
+    return vertices + inside, [faces[k] for k in np.argsort(seen.argmax(axis=1), kind="stable")]
 
 
 def _deepest_point(n: np.ndarray, h: np.ndarray) -> np.ndarray:
     """Centre of the largest ball inside the half-spaces, shape (3,)."""
     unit = float(np.abs(h).max()) or 1.0
     best = largest_ball(n, h / unit)
-    if best.status == 3:
+    if best.unbounded:
         raise GraspError("the half-spaces leave an unbounded body; add the faces that close it")
-    if best.x is None or not best.x[3] > SAME_CORNER:
+    if best.x is None or not best.x[3] > INSIDE:
         raise GraspError("no point is inside all half-spaces: turn the normals outward")
     return best.x[:3] * unit
 
 
-def largest_ball(rows: np.ndarray, levels: np.ndarray, within: float | None = None) -> Any:
-    """Maximise r >= 0 with ``rows x + r <= levels``: SciPy's result, ``x`` of which is [x; r].
+def largest_ball(
+    rows: np.ndarray, levels: np.ndarray, within: float | None = None
+) -> LinearSolution:
+    """Maximise r >= 0 with ``rows x + r <= levels``; ``x`` of the solution is [x; r].
 
     For outward unit normals in the rows, x is the centre of the largest ball inside.  ``within``
     bounds each coordinate, either way.
     """
-    from scipy.optimize import linprog
-
     bounds = [(None if within is None else -within, within)] * 3 + [(0.0, None)]
     A = np.column_stack([rows, np.ones(len(rows))])
-    return linprog([0, 0, 0, -1], A_ub=A, b_ub=levels, bounds=bounds)
+    return linear_program(np.array([0.0, 0.0, 0.0, -1.0]), at_most=(A, levels), bounds=bounds)
 
 
-def _cut_corners(n: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Corners of the body {x: n x <= levels} around the origin, each once, shape (V, 3)."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    reach = float(levels.min())
-    try:
-        dual = ConvexHull(n / (levels[:, None] / reach))
-    except QhullError as error:
-        raise GraspError(
-            "the half-spaces leave an unbounded body; add the missing faces"
-        ) from error
-    if np.any(dual.equations[:, 3] > -SAME_CORNER):
-        raise GraspError("the half-spaces leave an unbounded body; add the faces that close it")
-    triples = dual.simplices
-    found = np.linalg.solve(n[triples], levels[triples][..., None])[..., 0]
-    size = float(np.ptp(found, axis=0).max())
-    kept: list[np.ndarray] = []
-    for corner in found:
-        if all(np.abs(corner - other).max() > 10.0 * SAME_CORNER * size for other in kept):
-            kept.append(corner)
-    return np.array(kept)
-
-
-def _around(corners: np.ndarray, on: np.ndarray, normal: np.ndarray) -> list[int]:
-    """Corners of a convex face in their order, counter-clockwise about its normal."""
-    about = corners[on] - corners[on].mean(axis=0)
-    x = about[0]
-    angles = np.arctan2(about @ np.cross(normal, x), about @ x)
-    return on[np.argsort(angles)].tolist()
-
-
-def compacted(vertices: np.ndarray, faces: list[list[list[int]]]) -> Boundary:
-    """The boundary of these faces, without unused corners."""
+def _compacted(vertices: np.ndarray, faces: Loops) -> tuple[np.ndarray, Loops]:
+    """The corners that these faces use, and the faces in their numbers."""
     used = sorted({v for face in faces for loop in face for v in loop})
     number = {v: k for k, v in enumerate(used)}
-    loops = [[[number[v] for v in loop] for loop in face] for face in faces]
-    return Boundary(vertices[used], loops)
+    return vertices[used], [[[number[v] for v in loop] for loop in face] for face in faces]
 
 
-def _outline(corners: Any) -> np.ndarray:
+def outline_of(corners: Any) -> np.ndarray:
     """A simple polygon (K, 2), counter-clockwise."""
     from shapely.geometry import Polygon
 
@@ -210,7 +128,8 @@ def _outline(corners: Any) -> np.ndarray:
     return outline if shape.exterior.is_ccw else outline[::-1]
 
 
-def _positive(values: Any, count: int, what: str) -> np.ndarray:
+def positive(values: Any, count: int, what: str) -> np.ndarray:
+    """So many positive numbers; a GraspError if they are not."""
     refusal = f"{what}: {count} positive numbers in metres, not {values!r}"
     numbers = array_of(values, refusal)
     if numbers.shape != (count,) or not np.all(np.isfinite(numbers) & (numbers > 0.0)):
@@ -273,9 +192,7 @@ def edges_of(loop: Sequence[int]) -> Iterable[Edge]:
     return zip(loop, [*loop[1:], loop[0]], strict=True)
 
 
-def faces_of_triangles(
-    vertices: np.ndarray, triangles: np.ndarray, tolerance: float
-) -> list[list[list[int]]]:
+def faces_of_triangles(vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> Loops:
     """Loops of the plane faces that triangles (T, 3) make up; the tolerance is a distance [m].
 
     Corners in the middle of an edge, where two faces meet and no third, are left out.
@@ -406,8 +323,8 @@ SINGLE = 2.0 * float(np.finfo(np.float32).eps)
 REPAIR = "; repair the mesh (in Blender: 3D-Print Toolbox, Make Manifold) or rebuild the body"
 
 
-def read_mesh(file: str | Path, scale: float) -> Boundary:
-    """The boundary of the body in a mesh file; see `Polyhedron.mesh`."""
+def read_mesh(file: str | Path, scale: float) -> tuple[np.ndarray, Loops]:
+    """Corners and faces of the body in a mesh file; see `Polyhedron.mesh`."""
     if not (np.isfinite(scale) and scale > 0.0):
         raise GraspError(f"{file}: a mesh is scaled by a positive factor, not {scale!r}")
     points, triangles = _read(Path(file))
@@ -430,7 +347,7 @@ def read_mesh(file: str | Path, scale: float) -> Boundary:
             f"them round (in Blender: Mesh, Normals, Recalculate Outside)"
         )
     faces = faces_of_triangles(vertices, triangles, tolerance)
-    return compacted(vertices * scale, faces)
+    return _compacted(vertices * scale, faces)
 
 
 def write_mesh(vertices: np.ndarray, triangles: np.ndarray, path: str | Path) -> None:

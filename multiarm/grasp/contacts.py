@@ -23,7 +23,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arrays import array_of
 
 # A normal is a unit vector when its length is off by no more than this; it is then made exact.
 UNIT_TOLERANCE = 1e-6
@@ -244,6 +243,14 @@ def nearest_to_lines(points: np.ndarray, directions: np.ndarray) -> tuple[np.nda
     sides = np.einsum("jab,jb->a", projectors, points)
     found = np.linalg.lstsq(projectors.sum(axis=0), sides, rcond=None)[0]
     return found, np.einsum("jab,jb->ja", projectors, points - found)
+
+
+def array_of(values: Any, refusal: str) -> np.ndarray:
+    """The values as an array of floats, own memory; a GraspError that says ``refusal`` if not."""
+    try:
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraspError(refusal) from error
 
 
 def _table(values: Any, what: str) -> np.ndarray:

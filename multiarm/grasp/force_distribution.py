@@ -32,10 +32,10 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arrays import array_of
-from multiarm.grasp.balances import BAND, LeastDistance, floor_of, least_distance, rank_of
-from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
+from multiarm.grasp.balances import BAND, floor_of, rank_of
+from multiarm.grasp.contacts import Contacts, HeldByContacts, array_of, as_contacts
 from multiarm.grasp.form_closure import about_origin, motion_in_words, twist_of
+from multiarm.grasp.programs import LeastDistance, LinearSolution, least_distance, linear_program
 
 OBJECTIVES = ("largest", "norm")
 # Part of the wrench, the forces, the prices at hand that counts as nothing: rounding.
@@ -196,7 +196,7 @@ def _least_norm(problem: _Problem) -> ForceDistribution:
     scale, solved = 1.0, _shortest(problem)
     if solved.s < COARSE:
         program = _program(problem)
-        if not program.success:
+        if program.x is None:
             return _infeasible(problem, solved.weights)
         lam = problem.some + problem.null @ program.x[:-1]
         scale = float(lam.max())
@@ -214,9 +214,9 @@ def _least_norm(problem: _Problem) -> ForceDistribution:
 def _largest(problem: _Problem) -> ForceDistribution:
     """The linear program for the largest force, then the least norm with that as the limit."""
     program = _program(problem)
-    if not program.success:
+    if program.x is None:
         return _infeasible(problem, _shortest(problem).weights)
-    bounded, paid, count = np.isfinite(problem.limit), -program.ineqlin.marginals, len(problem.some)
+    bounded, paid, count = np.isfinite(problem.limit), program.prices, len(problem.some)
     shares, prices = paid[count : 2 * count], paid[:count].copy()
     prices[bounded] -= paid[2 * count :]
     # the shares in the largest force are W^T slope + prices
@@ -247,18 +247,14 @@ def _calmed(problem: _Problem, lam: np.ndarray, held: np.ndarray) -> np.ndarray:
     return found if np.all((found >= least - room) & (found <= most + room)) else lam
 
 
-def _program(problem: _Problem) -> Any:
+def _program(problem: _Problem) -> LinearSolution:
     """Minimise the largest force t over ``[y; t]``: rows for minima, for t, and for limits."""
-    from scipy.optimize import linprog
-
     null, some, bounded = problem.null, problem.some, np.isfinite(problem.limit)
     rows = [(-null, 0.0), (null, -1.0), (null[bounded], 0.0)]
-    return linprog(
-        np.append(np.zeros(null.shape[1]), 1.0),
-        A_ub=np.vstack([np.column_stack([a, np.full(len(a), b)]) for a, b in rows]),
-        b_ub=np.concatenate([some - problem.least, -some, (problem.limit - some)[bounded]]),
-        bounds=(None, None),
-    )
+    A = np.vstack([np.column_stack([a, np.full(len(a), b)]) for a, b in rows])
+    b = np.concatenate([some - problem.least, -some, (problem.limit - some)[bounded]])
+    cost = np.append(np.zeros(null.shape[1]), 1.0)
+    return linear_program(cost, at_most=(A, b), signed=len(cost))
 
 
 def _shortest(problem: _Problem, within: np.ndarray | None = None) -> LeastDistance:

@@ -41,20 +41,21 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arrays import array_of
 from multiarm.grasp.balances import (
     BAND,
     Balance,
     balance,
-    balance_inverses,
     evenest,
+    exact_balance,
     floor_of,
     rounding,
+    simplices,
 )
 from multiarm.grasp.contacts import (
     UNIT_TOLERANCE,
     Contacts,
     HeldByContacts,
+    array_of,
     as_contacts,
     nearest_to_lines,
     wrenches_of,
@@ -199,8 +200,6 @@ def is_form_closure(contacts: Contacts | HeldByContacts, *, exact: bool = False)
 
 def _exactly(rounded: FormClosure) -> FormClosure:
     """The same decision without rounding; floats in the result are those nearest to the proof."""
-    from multiarm.grasp.exact import exact_balance
-
     contacts, found = rounded.contacts, exact_balance(rounded.contacts)
     coefficients = motion = None
     if found.pushes is not None:
@@ -421,7 +420,8 @@ def closed_many(points: Any, normals: Any) -> ManyClosures:
         part = slice(first, first + CHUNK)
         W, floors = scaled_wrenches_of(p[part], e[part])
         if count == n + 1:
-            inside, doubtful = _simplices(W, BAND + floors)
+            _, distances_in, unclear = simplices(W, BAND + floors)
+            inside, doubtful = distances_in.min(axis=1), np.flatnonzero(unclear)
             closed[part] = inside > BAND + floors
             borderline[part] = np.abs(inside) <= BAND + floors
             distances[part] = np.where(closed[part], inside, 0.0)
@@ -461,13 +461,3 @@ def scaled_wrenches_of(p: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.nda
     W = np.moveaxis(wrenches_of(arms / length[:, None, None], e), 0, 1)
     reach = np.abs(p).max(axis=(1, 2))
     return W, rounding(reach, length)
-
-
-def _simplices(W: np.ndarray, tolerances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed distances of the origin inside M simplices, and which of them are too flat to say."""
-    count = W.shape[2]
-    G = balance_inverses(np.swapaxes(W, 1, 2))
-    lengths = np.linalg.norm(G[..., :-1], axis=2)
-    inside = np.min(G[..., -1] / np.maximum(lengths, 1e-300), axis=1)
-    widest = lengths.max(axis=1)
-    return inside, np.flatnonzero((widest == 0.0) | (widest * tolerances * count >= 1.0))

@@ -10,8 +10,15 @@ least that makes it nonnegative. The score is the inverse of the largest force o
 
 *stability*: the closure radius (:mod:`multiarm.grasp.closure_radii`).
 
-**Twist cuts.** Any twist :math:`\xi = (v, \omega)` of the body bounds the score. By virtual work
-:math:`F \cdot \xi = \sum_i \lambda_i (-w_i \cdot \xi)`, so
+**The bound of one choice of faces.** A contact in a region with corners :math:`c_v` and the force
+:math:`\lambda_i` is a combination of forces at the corners,
+:math:`\lambda_i = \sum_v \mu_{iv}` and :math:`\lambda_i w_i(p_i) = \sum_v \mu_{iv} w_i(c_v)`,
+since the wrench is affine on a face. The best margin over all placements is a linear program in
+:math:`\mu`, without any loss; so is the least worst force under one load, and the worst of the
+loads bounds what one placement can do for all of them.
+
+**Quick bounds from twists.** Any twist :math:`\xi = (v, \omega)` of the body bounds the score. By
+virtual work :math:`F \cdot \xi = \sum_i \lambda_i (-w_i \cdot \xi)`, so
 
 .. math:: \frac{1}{\lambda_{\max}} \le \sum_i [-w_i \cdot \xi]_+ \,/\, \max_k F_k \cdot \xi .
 
@@ -20,16 +27,8 @@ the grasp is lost when all of them are brought to zero or below, so
 
 .. math:: r \le \max_i \; w_i \cdot \xi \,/\, |e_i \times \omega| .
 
-For the best twist both are equalities. As :math:`w_i` is affine in the place of contact i, over
-cells :math:`[z]_+` has a chord above it, and with it each cut is affine in the whole placement: the
-best that all cuts allow is a linear program (:mod:`multiarm.grasp.placement_bounds`).
-
-**Chords.**  Over cells (a product of polygons) an affine :math:`z(y)` ranges over an interval [l,
-h]. Its positive part is convex, so the chord from l to h is above it,
-
-.. math:: [z]_+ \le \frac{h}{h - l} (z - l) \quad (l < 0 < h),
-
-and it is z itself, or 0, when the interval lies on one side of 0. A sum of chords is affine in y.
+Each contact is at its best corner. The duals of the linear programs are the sharpest twists for
+margin and force; stability, which is no linear program, is bounded by twists alone.
 """
 
 from __future__ import annotations
@@ -43,6 +42,7 @@ from multiarm.grasp.balances import balance_inverses
 from multiarm.grasp.closure_radii import closure_radius
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.placements import SevenTouches
+from multiarm.grasp.programs import LinearSolution, linear_program
 
 # Steps of Newton's method towards the displacements that lose the grasp.
 STEPS = 3
@@ -50,8 +50,27 @@ STEPS = 3
 UNFELT = 1e-9
 # A twist along which no load does this much work says nothing about forces.
 LOADED = 1e-9
-# Stands for a cut that says nothing.
+# Stands for no bound.
 VOID = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """A bound on the scores of one choice of faces.
+
+    Attributes
+    ----------
+    top : float
+        No placement has a higher score.
+    placements : ndarray, shape (K, 7, 2)
+        In the outer regions; they may be good.
+    twists : ndarray, shape (C, 6)
+        That bound other choices, too; the sharpest first.
+    """
+
+    top: float
+    placements: np.ndarray
+    twists: np.ndarray
 
 
 class Objective(ABC):
@@ -77,31 +96,22 @@ class Objective(ABC):
         return float(self.scores(touches, y[None])[0])
 
     @abstractmethod
-    def twists(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
-        """Twists (C, 6) of unit length whose cuts are sharp at a placement (7, 2)."""
+    def bound(self, touches: SevenTouches, y: np.ndarray) -> Bound:
+        """The bound over all placements; some (M, 7, 2) may help to find it."""
 
     @abstractmethod
-    def cuts(
-        self, touches: SevenTouches, cells: list[np.ndarray], twists: np.ndarray, floor: float
-    ) -> Cuts:
-        """Cuts over cells, seven polygons (V, 2); of use for scores above ``floor`` only."""
-
-    @abstractmethod
-    def reaches(
-        self, low: np.ndarray, high: np.ndarray, normals: np.ndarray, twists: np.ndarray
+    def quick_bounds(
+        self, low: np.ndarray, high: np.ndarray, felt: np.ndarray, twists: np.ndarray
     ) -> np.ndarray:
-        """Contributions of R single regions to quick bounds from twists (C, 6), shape (R, C).
+        """Bounds (B,) of B choices of faces from twists (C, 6), without a program.
 
-        ``low`` and ``high`` (R, C) are the extremes of w . xi over each; ``normals`` (R, 3).
+        ``low`` and ``high`` (B, 7, C) are the extremes of w . xi over each region, ``felt`` of the
+        same shape is |e x omega|.
         """
-
-    @abstractmethod
-    def quick_bounds(self, reaches: np.ndarray, twists: np.ndarray) -> np.ndarray:
-        """Bounds (B,) for B choices of seven regions, from their reaches (B, 7, C)."""
 
 
 class Margin(Objective):
-    """The smallest coefficient of the balance with sum 1; bounded by another program."""
+    """The smallest coefficient of the balance with sum 1."""
 
     limit = 1.0 / 7.0
 
@@ -109,28 +119,31 @@ class Margin(Objective):
         """``t*`` of each placement."""
         return balance_inverses(touches.wrenches(y))[..., 6].min(axis=1).clip(0.0)
 
-    def twists(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
-        """None are needed."""
-        return np.zeros((0, 6))
-
-    def cuts(
-        self, touches: SevenTouches, cells: list[np.ndarray], twists: np.ndarray, floor: float
-    ) -> Cuts:
-        """None are needed."""
-        none = np.zeros((0, 7))
-        return Cuts(
-            twists[:0], np.zeros((0, 7, 2)), none[:, 0], none, none, np.zeros((0, 7, 2)), none
+    def bound(self, touches: SevenTouches, y: np.ndarray) -> Bound:
+        """Without loss over the outer regions."""
+        corners = _Corners(touches)
+        count = len(corners.places)
+        solved = linear_program(
+            np.r_[np.zeros(count), -1.0],
+            at_most=(np.hstack([-corners.sums, np.ones((7, 1))]), np.zeros(7)),
+            equal=(
+                np.vstack([np.c_[corners.wrenches.T, np.zeros(6)], np.r_[np.ones(count), 0.0]]),
+                np.r_[np.zeros(6), 1.0],
+            ),
+            signed=1,
         )
+        if solved.x is None or not -solved.value > 0.0:
+            none = solved.infeasible or solved.x is not None  # else nothing is concluded
+            return Bound(0.0 if none else self.limit, np.zeros((0, 7, 2)), np.zeros((0, 6)))
+        twist = solved.duals[:6]
+        placement = corners.placement(solved.x[:count])
+        return Bound(-solved.value, placement[None], np.array([twist, -twist]))
 
-    def reaches(
-        self, low: np.ndarray, high: np.ndarray, normals: np.ndarray, twists: np.ndarray
+    def quick_bounds(
+        self, low: np.ndarray, high: np.ndarray, felt: np.ndarray, twists: np.ndarray
     ) -> np.ndarray:
-        """The highest w . xi."""
-        return high
-
-    def quick_bounds(self, reaches: np.ndarray, twists: np.ndarray) -> np.ndarray:
         """From ``sum n_i a_i = 0``, a = w . xi: ``t sum a_i + (1 - 7 t) max a_i >= 0``."""
-        most, total = reaches.max(axis=1), reaches.sum(axis=1)
+        most, total = high.max(axis=1), high.sum(axis=1)
         room = 7.0 * most - total  # 0 only when all are equal: then any t will do, if positive
         tops = np.where(room > 0.0, most / np.where(room > 0.0, room, 1.0), VOID)
         tops = np.where(most > 0.0, tops, 0.0)
@@ -147,8 +160,7 @@ class Force(Objective):
         """Inverse worst force of each placement."""
         G = balance_inverses(touches.wrenches(y))
         closed = G[..., 6].min(axis=1) > 0.0
-        forces = self._forces(np.where(closed[:, None, None], G, 1.0))
-        worst = forces.max(axis=(1, 2))
+        worst = self._forces(np.where(closed[:, None, None], G, 1.0)).max(axis=(1, 2))
         return np.where(closed, 1.0 / np.where(closed, worst, 1.0), 0.0)
 
     def _forces(self, G: np.ndarray) -> np.ndarray:
@@ -157,50 +169,35 @@ class Force(Objective):
         plain = -np.einsum("mif,kf->mki", G[..., :6], self.loads)
         return plain + (-plain / n).max(axis=2, keepdims=True) * n
 
-    def twists(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
-        """Under each load the twist that five of the contacts do not feel.
+    def bound(self, touches: SevenTouches, y: np.ndarray) -> Bound:
+        """The worst of the loads, each with the placement that suits it best."""
+        corners = _Corners(touches)
+        solved = [self._least(corners, load) for load in self.loads]
+        if any(one.infeasible for one in solved):
+            return Bound(0.0, np.zeros((0, 7, 2)), np.zeros((0, 6)))
+        known = sorted((one for one in solved if one.x is not None), key=lambda one: -one.value)
+        placements = [corners.placement(one.x[:-1]) for one in known if one.x is not None]
+        return Bound(
+            top=1.0 / known[0].value if known else self.limit,
+            placements=np.array(placements).reshape(-1, 7, 2),
+            twists=_unit(np.array([-one.duals for one in known]).reshape(-1, 6)),
+        )
 
-        The other two are the one with the largest force and one with none; for what is no grasp,
-        any two of opposite signs in the balance.
-        """
-        G = balance_inverses(touches.wrenches(y)[None])
-        n, g = G[0, :, 6], G[0, :, :6]
-        if not n.any():
-            return weakest(touches.wrenches(y))
-        if n.min() > 0.0:
-            forces = self._forces(G)[0]
-            pairs = set(
-                zip(forces.argmax(axis=1).tolist(), forces.argmin(axis=1).tolist(), strict=True)
-            )
-        else:
-            pairs = {(j, i) for i in np.flatnonzero(n > 0.0) for j in np.flatnonzero(n < 0.0)}
-            pairs |= {(i, j) for j, i in pairs}
-        rows = [g[b] / n[b] - g[m] / n[m] for m, b in sorted(pairs) if m != b]
-        return _unit(np.array(rows).reshape(-1, 6))
+    def _least(self, corners: _Corners, load: np.ndarray) -> LinearSolution:
+        """The least worst force under one load, contacts anywhere in their regions."""
+        return linear_program(
+            np.r_[np.zeros(len(corners.places)), 1.0],
+            at_most=(np.hstack([corners.sums, -np.ones((7, 1))]), np.zeros(7)),
+            equal=(np.c_[corners.wrenches.T, np.zeros(6)], -load),
+        )
 
-    def cuts(
-        self, touches: SevenTouches, cells: list[np.ndarray], twists: np.ndarray, floor: float
-    ) -> Cuts:
-        """``sum_i [-w_i . xi]_+ / max_k F_k . xi`` with chords."""
-        load = (twists @ self.loads.T).max(axis=1)
-        kept = load > LOADED
-        twists, load = twists[kept], load[kept, None]
-        value = -(twists @ touches.base.T) / load
-        slope = -np.einsum("cf,iaf->cia", twists, touches.rates) / load[..., None]
-        terms = np.eye(7)[..., None] * slope[:, None]
-        return with_chords(twists, value, terms, cells, np.zeros(len(value)))
-
-    def reaches(
-        self, low: np.ndarray, high: np.ndarray, normals: np.ndarray, twists: np.ndarray
+    def quick_bounds(
+        self, low: np.ndarray, high: np.ndarray, felt: np.ndarray, twists: np.ndarray
     ) -> np.ndarray:
-        """Each contact at its best corner."""
-        return (-low).clip(0.0)
-
-    def quick_bounds(self, reaches: np.ndarray, twists: np.ndarray) -> np.ndarray:
-        """The cuts, every contact at its best."""
-        load = (twists @ self.loads.T).max(axis=1)
-        useful = load > LOADED
-        tops = reaches[:, :, useful].sum(axis=1) / load[useful]
+        """Every contact where it does most work against the twist."""
+        work = (twists @ self.loads.T).max(axis=1)
+        useful = work > LOADED
+        tops = (-low[:, :, useful]).clip(0.0).sum(axis=1) / work[useful]
         return tops.min(axis=1, initial=self.limit)
 
 
@@ -215,7 +212,7 @@ class Stability(Objective):
         closed = np.flatnonzero(balance_inverses(touches.wrenches(y))[..., 6].min(axis=1) > 0.0)
         xi = self._losing(touches, y[closed])  # (M, 7, 6)
         W = touches.wrenches(y[closed])
-        reached = np.einsum("mif,mcf->mci", W, xi) / _felt(touches, xi)
+        reached = np.einsum("mif,mcf->mci", W, xi) / felt_by(touches.normals, xi)
         reached[~np.any(xi, axis=2)] = np.inf  # no twist was found: nothing is known
         least = reached.max(axis=2).min(axis=1, initial=VOID)
         radii[closed] = np.where(least < VOID, least, 0.0).clip(0.0)
@@ -225,16 +222,27 @@ class Stability(Objective):
         """The guaranteed closure radius."""
         return closure_radius(Contacts(touches.points(y), touches.normals)).lower
 
-    def twists(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
+    def bound(self, touches: SevenTouches, y: np.ndarray) -> Bound:
+        """From the twists to which placements are lost; those of the firmest first."""
+        closed = y[np.argsort(-self.scores(touches, y), kind="stable")]
+        twists = _unit(np.concatenate([self._twists(touches, z) for z in closed]))
+        corners = _Corners(touches)
+        work = corners.wrenches @ twists.T
+        low, high = (
+            np.array([how(work[corners.owner == i], axis=0) for i in range(7)])[None]
+            for how in (np.min, np.max)
+        )
+        tops = self.quick_bounds(low, high, felt_by(touches.normals, twists).T[None], twists)
+        return Bound(float(tops[0]), closed[:1], twists)
+
+    def _twists(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """The twist to which the grasp is lost when contact i opens first, for each i."""
         G = balance_inverses(touches.wrenches(y)[None])[0]
         n, g = G[:, 6], G[:, :6]
-        if not n.any():
-            return weakest(touches.wrenches(y))
         if n.min() > 0.0:
-            return _unit(self._losing(touches, y[None])[0])
+            return self._losing(touches, y[None])[0]
         pairs = [(i, j) for i in np.flatnonzero(n > 0.0) for j in np.flatnonzero(n < 0.0)]
-        return _unit(np.array([g[j] / n[j] - g[i] / n[i] for i, j in pairs]).reshape(-1, 6))
+        return np.array([g[j] / n[j] - g[i] / n[i] for i, j in pairs]).reshape(-1, 6)
 
     def _losing(self, touches: SevenTouches, y: np.ndarray) -> np.ndarray:
         """Twists (M, 7, 6), by Newton's method on the displacements that bring n_i to zero."""
@@ -254,40 +262,45 @@ class Stability(Objective):
             moved = W + size[..., None, None] * np.einsum("mija,jaf->mijf", along, touches.rates)
         return -g
 
-    def cuts(
-        self, touches: SevenTouches, cells: list[np.ndarray], twists: np.ndarray, floor: float
-    ) -> Cuts:
-        """``max_b M_b . omega / sum_i b_i |e_i x omega|``, as a level and what exceeds it."""
-        B = touches.generators
-        felt = (_felt(touches, twists) @ B.T).clip(UNFELT)  # (C, T)
-        value = np.einsum("cf,if,ti->ct", twists[:, 3:], touches.base[:, 3:], B) / felt
-        slope = np.einsum("cf,iaf,ti->ctia", twists[:, 3:], touches.rates[:, :, 3:], B)
-        slope /= felt[..., None, None]
-        low, _ = ranges(value, slope, cells)
-        level = low.max(axis=1).clip(floor, VOID)
-        return with_chords(twists, value - level[:, None], slope, cells, level)
-
-    def reaches(
-        self, low: np.ndarray, high: np.ndarray, normals: np.ndarray, twists: np.ndarray
+    def quick_bounds(
+        self, low: np.ndarray, high: np.ndarray, felt: np.ndarray, twists: np.ndarray
     ) -> np.ndarray:
-        """Each contact at its best corner."""
-        turned = np.linalg.norm(np.cross(normals[:, None], twists[:, 3:]), axis=-1)
-        return high / turned.clip(UNFELT)
-
-    def quick_bounds(self, reaches: np.ndarray, twists: np.ndarray) -> np.ndarray:
-        """The cuts, every contact at its best."""
-        return reaches.max(axis=1).clip(0.0).min(axis=1, initial=self.limit)
+        """Every contact at its best corner."""
+        return (high / felt).max(axis=1).clip(0.0).min(axis=1, initial=self.limit)
 
 
-def weakest(W: np.ndarray) -> np.ndarray:
-    """The twist, either way, that wrenches in rows (7, 6) feel least, shape (2, 6)."""
-    least = np.linalg.svd(W)[2][-1]
-    return np.array([least, -least])
+class _Corners:
+    """Forces at the corners of seven regions in place of one force in each.
+
+    Attributes
+    ----------
+    owner : ndarray, shape (V,)
+        The contact of each corner.
+    places, wrenches : ndarray, shape (V, 2) and (V, 6)
+    sums : ndarray, shape (7, V)
+        Adds up the forces of each contact.
+    """
+
+    def __init__(self, touches: SevenTouches) -> None:
+        self.owner = np.repeat(np.arange(7), [len(cell) for cell in touches.outer])
+        self.places = np.concatenate(touches.outer)
+        rates = touches.rates[self.owner]
+        self.wrenches = touches.base[self.owner] + np.einsum("ca,caf->cf", self.places, rates)
+        self.sums = (self.owner[None] == np.arange(7)[:, None]).astype(float)
+
+    def placement(self, forces: np.ndarray) -> np.ndarray:
+        """Where single forces do what forces (V,) at the corners do, shape (7, 2).
+
+        A contact without force is in the middle of its corners.
+        """
+        each = self.sums @ forces
+        weights = np.where(each[:, None] > 0.0, self.sums * forces, self.sums)
+        return weights @ self.places / weights.sum(axis=1, keepdims=True)
 
 
-def _felt(touches: SevenTouches, twists: np.ndarray) -> np.ndarray:
-    """``|e_i x omega|`` for twists (..., 6), shape (..., 7); never 0."""
-    turned = np.cross(touches.normals, twists[..., None, 3:])
+def felt_by(normals: np.ndarray, twists: np.ndarray) -> np.ndarray:
+    """``|e_i x omega|`` for normals (N, 3) and twists (..., 6), shape (..., N); never 0."""
+    turned = np.cross(normals, twists[..., None, 3:])
     return np.linalg.norm(turned, axis=-1).clip(UNFELT)
 
 
@@ -295,63 +308,3 @@ def _unit(twists: np.ndarray) -> np.ndarray:
     lengths = np.linalg.norm(twists, axis=1)
     good = np.isfinite(lengths) & (lengths > 0.0)
     return twists[good] / lengths[good, None]
-
-
-# --- Chords over cells ----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Cuts:
-    """Affine upper bounds ``constant + sum_i slope_i . y_i`` on the score, one for each twist.
-
-    Attributes
-    ----------
-    twists : ndarray, shape (C, 6)
-        Those that say something.
-    slopes : ndarray, shape (C, 7, 2)
-    constants : ndarray, shape (C,)
-    term_slopes, term_values : ndarray, shape (C, T, 7, 2) and (C, T)
-        The cut is a sum over terms z, affine in y; each stands as [z]_+ in the true bound.
-    rises, bends : ndarray, shape (C, T)
-        The chord of each term is ``rise * z + bend``.
-    """
-
-    twists: np.ndarray
-    slopes: np.ndarray
-    constants: np.ndarray
-    term_slopes: np.ndarray
-    term_values: np.ndarray
-    rises: np.ndarray
-    bends: np.ndarray
-
-
-def with_chords(
-    twists: np.ndarray,
-    value: np.ndarray,
-    slope: np.ndarray,
-    cells: list[np.ndarray],
-    level: np.ndarray,
-) -> Cuts:
-    """``level + sum_t [z_t]_+`` with z = value + slope . y over cells, each [.]_+ by its chord."""
-    low, high = ranges(value, slope, cells)
-    bent = (low < 0.0) & (high > 0.0)
-    rise = np.where(bent, high / np.where(bent, high - low, 1.0), (low >= 0.0).astype(float))
-    bend = np.where(bent, -rise * low, 0.0)
-    return Cuts(
-        twists=twists,
-        slopes=np.einsum("ct,ctia->cia", rise, slope),
-        constants=level + np.sum(rise * value + bend, axis=1),
-        term_slopes=slope,
-        term_values=value,
-        rises=rise,
-        bends=bend,
-    )
-
-
-def ranges(
-    value: np.ndarray, slope: np.ndarray, cells: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest ``value + slope . y`` over cells."""
-    spans = [slope[:, :, i] @ cell.T for i, cell in enumerate(cells)]
-    low = value + np.sum([span.min(axis=2) for span in spans], axis=0)
-    return low, value + np.sum([span.max(axis=2) for span in spans], axis=0)

@@ -1,8 +1,9 @@
-r"""Branch and bound over choices of faces and cells of placements.
+r"""The search over choices of faces: good placements by trying, a proven bound of each choice.
 
-The queue holds nodes by their bounds, highest first. A node of a choice that was never looked at
-has the quick bound of its regions; when its turn comes it becomes a tree of cells. Any time the
-highest bound in the queue, or the best score found, is a bound on everything.
+Placements are evolved for the most promising choices.  Then the choice with the highest bound is
+bounded by its programs (:mod:`multiarm.grasp.grasp_objectives`), what they propose is evolved, and
+so on.  A choice that was never looked at has the quick bound of the twists learnt from others.  At
+any time the highest of all bounds, or the best score found, is a bound on everything.
 
 **Good placements by trying**: differential evolution that stays in the regions.  A trial goes from
 a placement towards the best one and along the difference of two others, and stops where it would
@@ -13,7 +14,6 @@ Reference: Storn, Price, "Differential evolution", Journal of Global Optimizatio
 
 from __future__ import annotations
 
-import heapq
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,10 +22,8 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.form_closure import scaled_wrenches_of
-from multiarm.grasp.grasp_objectives import Margin, Objective
-from multiarm.grasp.placement_bounds import Node, bounded
+from multiarm.grasp.grasp_objectives import Margin, Objective, felt_by
 from multiarm.grasp.placements import (
-    FaceChoice,
     SevenTouches,
     TouchRegion,
     face_choices,
@@ -39,12 +37,10 @@ SAMPLED, DRAWN = 300, 40
 ROUNDS = ((40, 24, 0.1), (5, 40, 1.0))
 # Choices of faces that one search can list.
 MOST_CHOICES = 200_000
-# Every so many nodes quick bounds are renewed and ``progress`` is called.
+# Every so many choices quick bounds are renewed and ``progress`` is called.
 REPORTED = 20
-# So many twists are known to a choice that is looked at first, and so many are learnt from it.
-KNOWN, LEARNT = 200, 6
-# Stands for the choice in the queue when a node need not be looked at again.
-CLOSED = -1
+# So many twists are learnt from a choice.
+LEARNT = 6
 # Choices that are bounded together: memory stays small.
 CHUNK = 2000
 
@@ -87,22 +83,22 @@ class Search:
         self.objective, self.limits = objective, limits
         self.middle, self.size, self.rng = middle, size, rng
         self.progress = progress
-        self.choices: list[FaceChoice] = []
+        self.choices: list[tuple[TouchRegion, ...]] = []
         self.regions: list[TouchRegion] = []
         self.numbers = np.zeros((0, 7), dtype=int)
         self.touches: dict[int, SevenTouches] = {}
-        self.twists = self.known = np.zeros((0, 6))
+        self.learnt: list[np.ndarray] = []
         self.tops = np.zeros(0)
-        self.queue: list[tuple[float, int, int, Node | None]] = []
+        self.looked_at = np.zeros(0, dtype=bool)
+        self.promising: list[tuple[float, int, np.ndarray]] = []
         self.best: tuple[SevenTouches, np.ndarray] | None = None
         self.value = 0.0
-        self.done = self.counted = 0
+        self.done = 0
 
     @property
     def bound(self) -> float:
         """No placement at all has a higher score."""
-        top = -self.queue[0][0] if self.queue else 0.0
-        return max(top, self.value)
+        return max(float(self.tops.max(initial=0.0)), self.value)
 
     @property
     def gap(self) -> float:
@@ -110,9 +106,9 @@ class Search:
         return 1.0 - self.value / self.bound if self.bound > 0.0 else 0.0
 
     @property
-    def enough(self) -> float:
-        """A node with this bound need not be parted: the gap is reached there."""
-        return self.value / (1.0 - self.limits.gap)
+    def settled(self) -> bool:
+        """Whether no choice that was never looked at can be better than the best grasp."""
+        return not bool((self.tops[~self.looked_at] > self.value).any())
 
     def choose(self, regions: Sequence[Sequence[TouchRegion]], fingers: tuple[int, int]) -> None:
         """List the choices of faces and look for good placements."""
@@ -130,26 +126,28 @@ class Search:
                 "no two places from which seven contacts can close: the normals within reach do "
                 "not span space; take larger grippers, other places or more faces"
             )
-        self.numbers = np.array([[place[id(r)] for r in c.regions] for c in self.choices])
+        self.numbers = np.array([[place[id(r)] for r in c] for c in self.choices])
         self._tell("looking for good grasps")
         self._first_grasps()
         self.tops = np.full(len(self.choices), self.objective.limit)
+        self.looked_at = np.zeros(len(self.choices), dtype=bool)
         self._sharpen()
-        for number, top in enumerate(self.tops):
-            self._push(float(top), number, None)
 
     def run(self) -> None:
-        """Bound and part until the gap or the budget is reached."""
-        while self.queue and self.done < self.limits.nodes and self.bound > self.enough:
+        """Bound choices until the gap or the budget is reached, or none is left to look at."""
+        while self.done < self.limits.nodes and self.gap > self.limits.gap:
             if self.limits.until is not None and time.perf_counter() > self.limits.until:
                 break
-            _, _, number, node = heapq.heappop(self.queue)
-            self._look(number, node)
+            if self.settled:
+                break
+            self._look(int(np.argmax(np.where(self.looked_at, -np.inf, self.tops))))
             if self.done % REPORTED == 0:
-                self._renew()
+                self._sharpen()
                 self._tell(f"value {self.value:.4g}, bound {self.bound:.4g}")
+        if self.gap > self.limits.gap:
+            self._grow_promising()
         if self.best is None:
-            open_end = " within the budget; allow more nodes" if self.bound > 0.0 else ""
+            open_end = "" if self.settled else " within the budget; allow more nodes"
             raise GraspError(
                 f"no grasp that closes and keeps the distances and the floor of the conditioning "
                 f"was found{open_end}; larger grippers, smaller tips or other places may help"
@@ -168,32 +166,30 @@ class Search:
             kept[kept] = conditioning(touches, y[kept]) >= self.limits.conditioning
         return np.where(kept, value, 0.0)
 
-    def _look(self, number: int, node: Node | None) -> None:
-        """Bound one node; put its parts into the queue."""
+    def _look(self, number: int) -> None:
+        """Bound one choice, learn from it, and evolve what its programs propose."""
         self.done += 1
         touches = self._touches(number)
-        fresh = node is None
-        if node is None:
-            drawn = touches.drawn(DRAWN // 4, self.rng)
-            own = [self.objective.twists(touches, y) for y in drawn]
-            twists = np.concatenate([self.known, *own])
-            node = Node(list(touches.cells), twists, float(self.tops[number]))
-        found = bounded(self.objective, touches, node, self.enough)
-        if fresh:
-            self._learn(found.twists[:LEARNT])
-        if len(found.placements):
-            self._try(touches, touches.within(found.placements))
-        for part in found.parts:
-            if part.bound > self.value:
-                self._push(part.bound, number, part)
-        if not found.parts and found.bound > self.enough:
-            self._push(found.bound, number, node)  # nothing was concluded this time
-        elif not found.parts and found.bound > self.value:
-            self._push(found.bound, CLOSED, None)  # within the gap: but its bound still counts
+        _, population, part = ROUNDS[0]
+        drawn = touches.drawn(population, self.rng)
+        found = self.objective.bound(touches, drawn)
+        self.tops[number] = min(self.tops[number], found.top)
+        self.looked_at[number] = True
+        self.learnt.append(found.twists[:LEARNT])
+        if found.top > self.value:
+            starts = np.concatenate([touches.within(found.placements), drawn])[:population]
+            y, scores = self._evolved(touches, starts, round(part * self.objective.generations))
+            self._try(touches, y[:1])
+            self.promising.append((-float(scores[0]), number, y[0]))
 
-    def _push(self, bound: float, number: int, node: Node | None) -> None:
-        self.counted += 1
-        heapq.heappush(self.queue, (-bound, self.counted, number, node))
+    def _grow_promising(self) -> None:
+        """Evolve the best of the choices that were looked at for longer."""
+        most, population, _ = ROUNDS[-1]
+        for _, number, y in sorted(self.promising, key=lambda one: one[:2])[:most]:
+            touches = self._touches(number)
+            starts = np.concatenate([y[None], touches.drawn(population - 1, self.rng)])
+            grown, _ = self._evolved(touches, starts, self.objective.generations)
+            self._try(touches, grown[:1])
 
     def _try(self, touches: SevenTouches, y: np.ndarray) -> None:
         """Take the best of some placements if it beats the best known, for certain."""
@@ -207,8 +203,7 @@ class Search:
 
     def _touches(self, number: int) -> SevenTouches:
         if number not in self.touches:
-            regions = self.choices[number].regions
-            self.touches[number] = seven_touches(regions, self.middle, self.size)
+            self.touches[number] = seven_touches(self.choices[number], self.middle, self.size)
         return self.touches[number]
 
     def _first_grasps(self) -> None:
@@ -226,33 +221,29 @@ class Search:
             chosen = [number for _, number in sorted(order)[:most]]
             order = []
             for number in chosen:
-                y, scores = self._grown(number, known[number], population, generations)
+                touches = self._touches(number)
+                drawn = touches.drawn(population - 1, self.rng)
+                y, scores = self._evolved(
+                    touches, np.concatenate([known[number][None], drawn]), generations
+                )
                 known[number] = y[0]
                 order.append((-float(scores[0]), number))
         for number in chosen:
-            touches = self._touches(number)
-            self._try(touches, known[number][None])
-            self._learn(self.objective.twists(touches, known[number]))
+            touches, y = self._touches(number), known[number][None]
+            self._try(touches, y)
+            self.learnt.append(self.objective.bound(touches, y).twists[:LEARNT])
 
-    def _grown(
-        self, number: int, start: np.ndarray, population: int, generations: int
+    def _evolved(
+        self, touches: SevenTouches, starts: np.ndarray, generations: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Placements of one choice evolved from drawn ones and a known one."""
-        touches = self._touches(number)
-        starts = np.concatenate([start[None], touches.drawn(population - 1, self.rng)])
-
         def scores(y: np.ndarray) -> np.ndarray:
             return self.scores(touches, y)
 
         return evolved(scores, touches, starts, self.rng, generations)
 
     def _sharpen(self) -> None:
-        """Bounds for all choices from the twists learnt since the last time.
-
-        No program is solved: every contact is at its best for one twist.
-        """
-        twists, self.twists = self.twists, self.twists[:0]
-        self.known = np.concatenate([self.known, twists])[-KNOWN:]
+        """Quick bounds of all choices from the twists learnt since the last time."""
+        twists, self.learnt = np.concatenate([np.zeros((0, 6)), *self.learnt]), []
         low, high = [], []
         for region in self.regions:
             corners = (region.outer - self.middle) / self.size
@@ -260,33 +251,18 @@ class Search:
             work = twists @ np.concatenate([e, np.cross(corners, e)], axis=1).T
             low.append(work.min(axis=1))
             high.append(work.max(axis=1))
-        normals = np.array([region.normal for region in self.regions])
-        reaches = self.objective.reaches(np.array(low), np.array(high), normals, twists)
+        felt = felt_by(np.array([region.normal for region in self.regions]), twists).T
+        least, most = np.array(low), np.array(high)
         for part in np.array_split(np.arange(len(self.numbers)), 1 + len(self.numbers) // CHUNK):
-            tops = self.objective.quick_bounds(reaches[self.numbers[part]], twists)
+            own = self.numbers[part]
+            tops = self.objective.quick_bounds(least[own], most[own], felt[own], twists)
             self.tops[part] = np.minimum(self.tops[part], tops)
-
-    def _renew(self) -> None:
-        """Queue the choices that were not examined, by their current bounds."""
-        self._sharpen()
-        renewed = []
-        for key, count, number, node in self.queue:
-            fresh = node is None and number != CLOSED
-            sharper = max(key, -float(self.tops[number])) if fresh else key
-            renewed.append((sharper, count, number, node))
-        self.queue = renewed
-        heapq.heapify(self.queue)
-
-    def _learn(self, twists: np.ndarray) -> None:
-        """Keep twists that were of use, for all choices."""
-        self.twists = np.concatenate([self.twists, twists])
 
     def _condition(self) -> None:
         """Among placements of the best choice whose margin is good enough, the best conditioned."""
         assert self.best is not None
         touches, y = self.best
-        least = max(self.bound * (1.0 - self.limits.gap), 0.0)
-        least = min(least, self.value)
+        least = min(max(self.bound * (1.0 - self.limits.gap), 0.0), self.value)
 
         def scores(z: np.ndarray) -> np.ndarray:
             margin = self.scores(touches, z)

@@ -29,12 +29,12 @@ worst are added one by one.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from multiarm.grasp.balances import tolerance_of
 from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.programs import LinearSolution, linear_program
 
 # Parts of the largest push, of the unit form: below this, what a linear program returns is noise.
 NOTHING = 1e-7
@@ -117,13 +117,12 @@ def _spaces(A: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
 def _carrying(rows: np.ndarray) -> np.ndarray:
     """Largest sum of ``min(lam_j, 1)`` over balanced pushes: 0 where one never takes part."""
     count = rows.shape[1]
-    solved = _program(
+    solved = linear_program(
         np.append(-np.ones(count), np.zeros(count)),
-        np.hstack([rows, rows]),
-        np.zeros(len(rows)),
+        equal=(np.hstack([rows, rows]), np.zeros(len(rows))),
         bounds=[(0.0, 1.0)] * count + [(0.0, None)] * count,
     )
-    return solved[:count]
+    return _answer(solved)[:count]
 
 
 def _blocking(rows: np.ndarray, forms: np.ndarray) -> tuple[np.ndarray | None, list[np.ndarray]]:
@@ -133,14 +132,13 @@ def _blocking(rows: np.ndarray, forms: np.ndarray) -> tuple[np.ndarray | None, l
     tried = list(np.eye(forms.shape[1]))
     for _ in range(ROUNDS):
         values = np.array([_along(x, forms)[:, 0, 0] for x in tried])
-        solved = _program(
+        program = linear_program(
             np.append(np.zeros(count), 1.0),
-            balance,
-            np.append(np.zeros(len(rows)), 1.0),
-            A_ub=np.column_stack([values, -np.ones(len(tried))]),
-            b_ub=np.zeros(len(tried)),
-            bounds=[(0.0, None)] * count + [(None, None)],
+            at_most=(np.column_stack([values, -np.ones(len(tried))]), np.zeros(len(tried))),
+            equal=(balance, np.append(np.zeros(len(rows)), 1.0)),
+            signed=1,
         )
+        solved = _answer(program)
         if solved[-1] >= -NOTHING:
             break
         pushes = solved[:-1] + 0.0  # no -0
@@ -156,12 +154,7 @@ def _along(x: np.ndarray, forms: np.ndarray) -> np.ndarray:
     return np.einsum("k,jkl,l->j", x, forms, x)[:, None, None]
 
 
-def _program(
-    cost: np.ndarray, equations: np.ndarray, sides: np.ndarray, **others: Any
-) -> np.ndarray:
-    from scipy.optimize import linprog
-
-    solved = linprog(cost, A_eq=equations, b_eq=sides, **others)
-    if not solved.success:
+def _answer(solved: LinearSolution) -> np.ndarray:
+    if solved.x is None:
         raise _GaveUp
     return solved.x

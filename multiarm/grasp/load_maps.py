@@ -21,14 +21,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arrays import array_of
-from multiarm.grasp.contacts import Contacts, HeldByContacts, as_contacts
+from multiarm.grasp.contacts import Contacts, HeldByContacts, array_of, as_contacts
 from multiarm.grasp.force_distribution import (
     ForceDistribution,
     bounds_of,
     distribute_forces,
     wrench_of,
 )
+from multiarm.grasp.programs import linear_program
 
 if TYPE_CHECKING:
     from shapely.geometry import LineString, Point, Polygon
@@ -198,23 +198,20 @@ class _Exerted:
             raise GraspError("with a limit of 0 N no contact pushes; give a positive limit [N]")
         self.equations = np.hstack([contacts.scaled_wrenches, -rows.T])
         self.start = start / self.unit
-        pushes = [(a / self.unit, b / self.unit) for a, b in zip(least, most, strict=True)]
-        self.bounds = pushes + [(None, None)] * len(rows)
+        self.bounds = np.column_stack([least, most]) / self.unit
 
     def farthest(self, direction: np.ndarray) -> np.ndarray | None:
         """The point x farthest in a direction; None when no load can be exerted."""
-        from scipy.optimize import linprog
-
         size = len(direction)
-        solved = linprog(
+        solved = linear_program(
             np.concatenate([np.zeros(self.equations.shape[1] - size), -direction]),
-            A_eq=self.equations,
-            b_eq=self.start,
+            equal=(self.equations, self.start),
             bounds=self.bounds,
+            signed=size,
         )
-        if solved.status == 2:
+        if solved.infeasible:
             return None
-        if not solved.success:
+        if solved.x is None:
             raise GraspError(f"the linear program for the load ended with {solved.message!r}")
         return solved.x[-size:]
 

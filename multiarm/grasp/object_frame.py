@@ -32,7 +32,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
 from multiarm.grasp.rotations_from_planes import (
@@ -340,6 +339,8 @@ class ObjectFrame:
 
 def solved(data: ContactData, previous: Any, tolerance: float | None) -> ObjectFrame:
     """Every pose that fits, then the choice."""
+    from scipy.spatial.transform import Rotation
+
     if tolerance is not None and not tolerance > 0.0:
         raise GraspError(f"tolerance is a length greater than 0 [m], not {tolerance!r}")
     before = _previous_pose(previous)

@@ -7,18 +7,18 @@ a corner of the body. Three objectives (thesis, 5.1):
 ``force``      the worst contact force over given loads, least possible (in units of the loads);
 ``stability``  the closure radius: how far all contacts may slide at once.
 
-**How.** Branch and bound over the choices of faces (:mod:`multiarm.grasp.placements`), and in
-each over cells of placements. A cell's bound is a linear program
-(:mod:`multiarm.grasp.placement_bounds`) that no placement in it can beat. The open cell with the
-highest bound is bounded, parted where its program is loosest, and so on. Good placements are found
-by evolution at the start and then among what the programs propose. So at any time
+**How.** All choices of faces are listed (:mod:`multiarm.grasp.placements`). Good placements are
+found by evolution at the start, then among what linear programs propose, one choice of faces after
+the other (:mod:`multiarm.grasp.grasp_objectives`); no placement on those faces can beat the bound
+of its program. The choice with the highest bound comes next. So at any time
 
 .. math:: \text{value} \le \text{optimum} \le \text{bound}
 
-(for forces the other way round). The search ends when they are within ``gap``, or when its budget
-of nodes is used up; then the gap is larger. The margin needs a node for each choice of faces or
-fewer. For forces a gap of a third to a half is left after some hundred nodes, and for stability the
-bound remains several times the value: it is true, not sharp.
+(for forces the other way round). The search ends when they are within ``gap``, when no other choice
+can be better, or when its budget of choices is used up; then the gap is larger. For the margin the
+program is without loss. For forces a gap of a fifth to a half is left, because each load may choose
+its own placement, and for stability the bound remains several times the value: it is true, not
+sharp.
 
 The margin alone says nothing about leverage: contacts can share the load evenly and yet hardly
 resist a rotation. So a floor on the conditioning of the scaled wrenches goes with every objective,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from multiarm.grasp.polyhedron import Polyhedron
 
 OBJECTIVES = ("margin", "force", "stability")
-# Cells that are bounded before the search gives up, by default.
+# Choices of faces that are bounded before the search gives up, by default.
 NODES = 300
 # Smallest over largest singular value of the scaled wrenches, at least, by default.
 CONDITIONING = 1e-3
@@ -77,7 +77,7 @@ class OptimisedGrasp:
     choices : int
         Choices of faces that can close.
     nodes : int
-        Cells bounded.
+        Choices of faces that were bounded.
     seconds : float
     message : str
     """
@@ -140,7 +140,7 @@ def optimise_grasp(
     gap : float
         The search ends when this is reached.
     nodes : int
-        It also ends after so many cells.
+        It also ends after so many choices of faces.
     seconds : float, optional
         And after this time; results then depend on the machine.
     progress : bool or callable, optional
@@ -274,6 +274,8 @@ def _message(objective: str, value: float, bound: float, search: Search, gap: fl
         f"{100 * search.gap:.1f} per cent, after {search.done} nodes over {len(search.choices)} "
         f"choices of faces"
     )
-    if search.gap > gap + ROUNDING:
+    if search.gap > gap + ROUNDING and search.settled:
+        text += "; no sharper bound is known"
+    elif search.gap > gap + ROUNDING:
         text += "; the budget ended before the gap was reached, more nodes narrow it"
     return text

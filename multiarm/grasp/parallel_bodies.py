@@ -65,12 +65,12 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.assembling import (
-    assembled,
+    Three,
+    at_two_corners,
     crosses,
-    gripper_frame,
     length_of,
+    opposite_corner,
     proven,
-    shared_corner,
     size_of_gripper,
     sized,
 )
@@ -79,7 +79,6 @@ from multiarm.grasp.face import frame_of
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.polyhedron import Polyhedron
 
-Three = tuple[int, int, int]
 Offsets = tuple[float, float, float, float]
 
 # Where nothing is said: depth of the pattern below its faces as a part of the smallest distance of
@@ -139,8 +138,7 @@ class ParallelDesign:
             not beyond its bound.
         """
         p, body = self.pattern, self.body
-        if p.faulty:
-            raise GraspError(f"{OPEN} closes the grasp: {p.faulty}")
+        p.require_reach()
         if not self.distance > self.minimum_distance:
             raise GraspError(
                 f"contact 7 is {self.distance:.6g} m from contact 3, but the grasp is closed only "
@@ -149,10 +147,8 @@ class ParallelDesign:
             )
         centre = p.frame[:3, 3]
         points = np.vstack([p.points, 2.0 * centre - p.points, p.last_point(self.distance)])
-        sides = ((self.faces, points[:3]), (self.opposite, points[3:6]))
-        frames = [gripper_frame(body, three, at) for three, at in sides]
-        on = (*self.faces, *self.opposite, self.faces[2])
-        made = assembled(body, points, on, [(0, 1, 2, 6), (3, 4, 5)], frames, self._notes())
+        top = self.faces[2]
+        made = at_two_corners(body, self.faces, self.opposite, points, top, self._notes())
         return proven(made, crosses(made, p.last_point, self.minimum_distance))
 
     def _notes(self) -> tuple[str, ...]:
@@ -206,7 +202,8 @@ def design_parallel_grasp(
     if found.kind not in ("block", "three pairs of parallel faces"):
         raise GraspError(f"three pairs of parallel faces are needed; this body is {found.words}")
     best, faults = None, []
-    for three, opposite in _arrangements(body, found.pairs, faces):
+    for three in [faces] if faces is not None else _corners(body, found.pairs):
+        opposite = opposite_corner(found, body, three)
         for step in USUAL_STEPS[: 1 if offsets is not None else None]:
             try:
                 made = _fitted(body, three, opposite, offsets, step, distance, gripper_size)
@@ -289,26 +286,12 @@ def _pattern(body: Polyhedron, faces: Three, opposite: Three, offsets: Offsets) 
     return corner_pattern(n, ends[0], centre, offsets)
 
 
-def _arrangements(
-    body: Polyhedron, pairs: tuple[tuple[int, int], ...], faces: Three | None
-) -> Iterator[tuple[Three, Three]]:
-    """Faces of contacts 1, 2, 3 and of 4, 5, 6: given ones, or all, opposite corners once."""
-    other = dict(pairs) | {j: i for i, j in pairs}
-    if faces is not None:
-        if shared_corner(body, faces) is None:
-            raise GraspError(f"faces {faces} do not meet at a corner; each of the pairs gives one")
-        yield faces, _turned(other, faces)
-        return
+def _corners(body: Polyhedron, pairs: tuple[tuple[int, int], ...]) -> Iterator[Three]:
+    """Faces of contacts 1, 2, 3 at each corner, in each order; of opposite corners one."""
     for second, third in product((0, 1), repeat=2):
         corner = (pairs[0][0], pairs[1][second], pairs[2][third])
         for k in range(3):
-            three = right_handed(body, (corner[k - 2], corner[k - 1], corner[k]))
-            yield three, _turned(other, three)
-
-
-def _turned(other: dict[int, int], faces: Three) -> Three:
-    i, j, k = faces
-    return other[i], other[j], other[k]
+            yield right_handed(body, (corner[k - 2], corner[k - 1], corner[k]))
 
 
 # --- Three fingertips at a corner -----------------------------------------------------------------
@@ -393,6 +376,11 @@ class CornerPattern:
         if not self.f * self.direction[1] < 0.0:
             return f"p_y = {self.direction[1]:.4g} and f = {self.f:.4g} do not have opposite signs"
         return ""
+
+    def require_reach(self) -> None:
+        """Raise `GraspError` when no contact on the line y = f of the top closes the grasp."""
+        if self.faulty:
+            raise GraspError(f"{OPEN} closes the grasp: {self.faulty}")
 
     @cached_property
     def points(self) -> np.ndarray:

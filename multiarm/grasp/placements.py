@@ -19,15 +19,13 @@ body's size from the middle of each region. On a face the wrench is affine in th
 .. math:: w_i(y) = w_i^0 + \sum_a y_a w_i^a, \qquad w_i^a = \begin{bmatrix} 0 \\ t_a \times e_i
           \end{bmatrix},
 
-moments about the middle of the body over its size. A cell is a convex polygon (V, 2) in a region; a
-tree of cells covers all placements.
+moments about the middle of the body over its size.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import combinations, combinations_with_replacement, permutations
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +33,6 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.contacts import wrenches_of
-from multiarm.grasp.face import clipped
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
@@ -204,25 +201,10 @@ PARALLEL = 1e-9
 MOST_PARALLEL = 3
 
 
-@dataclass(frozen=True)
-class FaceChoice:
-    """Regions of seven fingertips, those of the first gripper in front.
-
-    Attributes
-    ----------
-    places : tuple of int
-        Where the two grippers sit.
-    regions : tuple of TouchRegion
-    """
-
-    places: tuple[int, int]
-    regions: tuple[TouchRegion, ...]
-
-
 def face_choices(
     regions: Sequence[Sequence[TouchRegion]], fingers: tuple[int, int]
-) -> Iterator[FaceChoice]:
-    """All choices that may close, in a fixed order."""
+) -> Iterator[tuple[TouchRegion, ...]]:
+    """Regions of seven fingertips that may close, the first gripper's in front; a fixed order."""
     spanning: dict[frozenset[int], bool] = {}
     for a, b in permutations(range(len(regions)), 2):
         everything = [*regions[a], *regions[b]]
@@ -233,7 +215,7 @@ def face_choices(
             for other in second:
                 chosen = (*first, *other)
                 if _spans(chosen, spanning) and _few_parallel(chosen):
-                    yield FaceChoice((a, b), chosen)
+                    yield chosen
 
 
 def positively_spanning(normals: np.ndarray) -> bool:
@@ -269,8 +251,6 @@ def _few_parallel(chosen: Sequence[TouchRegion]) -> bool:
 
 # Points this part of the body's size outside a region still are in it.
 ROUNDING = 1e-12
-# Forces balance within this.
-BALANCED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,8 +267,8 @@ class SevenTouches:
     tangents : ndarray, shape (7, 2, 3)
     base, rates : ndarray, shape (7, 6) and (7, 2, 6)
         ``w_i^0`` and ``w_i^a``.
-    cells : tuple of ndarray, shape (V, 2)
-        The outer regions, which contain all that can be touched.
+    outer : tuple of ndarray, shape (V, 2)
+        Corners of the outer regions, which contain all that can be touched.
     inner : tuple of ndarray, shape (V, 2)
         The inner regions, in which placements lie.
     sides, limits : ndarray, shape (7, H, 2) and (7, H)
@@ -301,26 +281,10 @@ class SevenTouches:
     tangents: np.ndarray
     base: np.ndarray
     rates: np.ndarray
-    cells: tuple[np.ndarray, ...]
+    outer: tuple[np.ndarray, ...]
     inner: tuple[np.ndarray, ...]
     sides: np.ndarray
     limits: np.ndarray
-
-    @cached_property
-    def generators(self) -> np.ndarray:
-        """Vertices of ``b >= 0, sum b_i e_i = 0, sum b_i = 1``: balances of forces, (B, 7)."""
-        found: dict[tuple[float, ...], np.ndarray] = {}
-        for size in (2, 3, 4):
-            for chosen in combinations(range(7), size):
-                rows = np.vstack([self.normals[list(chosen)].T, np.ones(size)])
-                s = np.linalg.svd(rows, compute_uv=False)
-                b, *_ = np.linalg.lstsq(rows, np.r_[np.zeros(3), 1.0], rcond=None)
-                fits = np.abs(rows @ b - np.r_[np.zeros(3), 1.0]).max() < BALANCED
-                if fits and s[-1] > BALANCED and b.min() > BALANCED:
-                    full = np.zeros(7)
-                    full[list(chosen)] = b
-                    found[tuple(np.round(full, 9))] = full
-        return np.array(list(found.values())).reshape(-1, 7)
 
     def points(self, y: np.ndarray) -> np.ndarray:
         """Scaled points (..., 7, 3) of placements (..., 7, 2)."""
@@ -369,20 +333,14 @@ def seven_touches(regions: Sequence[TouchRegion], middle: np.ndarray, size: floa
         tangents=tangents,
         base=wrenches_of(middles, normals).T,
         rates=np.concatenate([np.zeros_like(moments), moments], axis=2),
-        cells=flat[0],
+        outer=flat[0],
         inner=flat[1],
         sides=sides,
         limits=limits,
     )
 
 
-def halves(cell: np.ndarray, direction: np.ndarray, level: float) -> list[np.ndarray]:
-    """The two parts of a convex polygon (V, 2) on either side of ``direction . y = level``."""
-    row = np.append(direction, level)
-    return [part for part in (clipped(cell, row), clipped(cell, -row)) if len(part) >= 3]
-
-
-def sides_of(cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sides_of(cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Outward unit normals (H, 2) and levels (H,) of the sides of a counter-clockwise polygon."""
     along = np.roll(cell, -1, axis=0) - cell
     length = np.linalg.norm(along, axis=1)
@@ -392,7 +350,7 @@ def sides_of(cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _half_planes(polygons: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    rows = [sides_of(polygon) for polygon in polygons]
+    rows = [_sides_of(polygon) for polygon in polygons]
     most = max(len(levels) for _, levels in rows)
     sides, limits = np.zeros((7, most, 2)), np.ones((7, most))
     for i, (out, levels) in enumerate(rows):

@@ -97,7 +97,10 @@ class Polyhedron:
 
         Its faces are +x, +y, +z, -x, -y, -z, in this order.
         """
-        return cls(*boundaries.box(lengths))
+        half = 0.5 * boundaries.positive(lengths, 3, "the edge lengths of a block")
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        loops = [(4, 6, 7, 5), (2, 3, 7, 6), (1, 5, 7, 3), (0, 1, 3, 2), (0, 4, 5, 1), (0, 2, 6, 4)]
+        return cls(signs * half, [[loop] for loop in loops], ("+x", "+y", "+z", "-x", "-y", "-z"))
 
     @classmethod
     def prism(cls, polygon: Any, height: float) -> Polyhedron:
@@ -105,7 +108,14 @@ class Polyhedron:
 
         Face k contains the polygon's edge from corner k; then come the top and the bottom.
         """
-        return cls(*boundaries.prism(polygon, height))
+        outline = boundaries.outline_of(polygon)
+        z = 0.5 * float(boundaries.positive([height], 1, "the height of a prism")[0])
+        n = len(outline)
+        vertices = [[*xy, -z] for xy in outline] + [[*xy, z] for xy in outline]
+        sides = [[k, (k + 1) % n, n + (k + 1) % n, n + k] for k in range(n)]
+        loops = [*sides, [n + k for k in range(n)], list(reversed(range(n)))]
+        names = [*(f"side {k + 1}" for k in range(n)), "top", "bottom"]
+        return cls(vertices, [[loop] for loop in loops], names)
 
     @classmethod
     def wedge(cls, lengths: Any, top: float = 0.0) -> Polyhedron:
@@ -114,12 +124,36 @@ class Polyhedron:
         The slope falls toward +x; ``top = 0`` leaves a sharp ridge.  The origin is the centre of
         the block.
         """
-        return cls(*boundaries.wedge(lengths, top))
+        lx, ly, lz = boundaries.positive(lengths, 3, "the edge lengths of a wedge")
+        if not 0.0 <= top < lx:
+            raise GraspError(
+                f"the top of a wedge is at least 0 and shorter than {lx:g} m, not {top!r}"
+            )
+        section = [(-lx / 2, -lz / 2), (lx / 2, -lz / 2), (top - lx / 2, lz / 2)]
+        section += [(-lx / 2, lz / 2)] if top else []
+        n = len(section)
+        vertices = [[x, -ly / 2, z] for x, z in section] + [[x, ly / 2, z] for x, z in section]
+        around = [[(k + 1) % n, k, n + k, n + (k + 1) % n] for k in range(n)]
+        loops = [*around, [n + k for k in reversed(range(n))], list(range(n))]
+        names = ["-z", "slope", *(["+z"] if top else []), "-x", "+y", "-y"]
+        return cls(vertices, [[loop] for loop in loops], names)
 
     @classmethod
     def pyramid(cls, base: Any, apex: Any) -> Polyhedron:
         """A pyramid on a polygon (K, 2) in the plane z = 0, with its apex (3,) above or below."""
-        return cls(*boundaries.pyramid(base, apex))
+        outline = boundaries.outline_of(base)
+        top = np.array(apex, dtype=float)
+        if top.shape != (3,) or not np.all(np.isfinite(top)) or top[2] == 0.0:
+            raise GraspError(
+                f"the apex of a pyramid is a point (x, y, z) with z not 0, not {apex!r}"
+            )
+        if top[2] < 0.0:
+            outline = outline[::-1]
+        n = len(outline)
+        vertices = [[x, y, 0.0] for x, y in outline] + [top.tolist()]
+        loops = [*([k, (k + 1) % n, n] for k in range(n)), list(reversed(range(n)))]
+        names = [*(f"side {k + 1}" for k in range(n)), "base"]
+        return cls(vertices, [[loop] for loop in loops], names)
 
     @classmethod
     def halfspaces(cls, normals: Any, offsets: Any) -> Polyhedron:
@@ -176,7 +210,12 @@ class Polyhedron:
     @cached_property
     def edges(self) -> dict[tuple[int, int], tuple[int, int]]:
         """For each edge (u, v), u < v, its faces: on the left of u to v, and on the right."""
-        left = {edge: number for number, loops in enumerate(self.loops) for edge in _runs(loops)}
+        left = {
+            edge: number
+            for number, loops in enumerate(self.loops)
+            for loop in loops
+            for edge in boundaries.edges_of(loop)
+        }
         return {(u, v): (left[u, v], left[v, u]) for u, v in left if u < v}
 
     @cached_property
@@ -270,8 +309,3 @@ class Polyhedron:
 
 def _is_rotation(R: np.ndarray) -> bool:
     return bool(np.abs(R.T @ R - np.eye(3)).max() <= ORTHOGONAL and np.linalg.det(R) > 0.0)
-
-
-def _runs(loops: tuple[Loop, ...]) -> list[tuple[int, int]]:
-    """Directed edges of the loops."""
-    return [edge for loop in loops for edge in zip(loop, (*loop[1:], loop[0]), strict=True)]

@@ -40,11 +40,9 @@ from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arrays import array_of
-from multiarm.grasp.contacts import UNIT_TOLERANCE
+from multiarm.grasp.contacts import UNIT_TOLERANCE, array_of
 
 # Normals span space when the third singular value is above this part of the first.
 SPANNING = 1e-9
@@ -333,6 +331,8 @@ def rotations_of(equations: RotationEquations, known: np.ndarray | None = None) 
     Exact solutions of exact data are all among them, whatever their number (at most eight if
     finite).  For data with noise the least squares from a grid of rotations are there too.
     """
+    from scipy.spatial.transform import Rotation
+
     starts = intersections(equations.quadrics())
     found = refined(equations, Rotation.from_quat(starts).as_matrix())
     exact = len(found) and np.abs(equations.residuals(found[:1])).max() < EXACT * _size(equations)
@@ -368,6 +368,8 @@ def intersections(quadrics: np.ndarray) -> np.ndarray:
 
 def refined(equations: RotationEquations, starts: np.ndarray) -> np.ndarray:
     """Levenberg-Marquardt's method from every start at once; different ends only, best first."""
+    from scipy.spatial.transform import Rotation
+
     R = starts.copy()
     damping = np.full(len(R), 1e-4)
     cost = np.sum(equations.residuals(R) ** 2, axis=1)
@@ -401,6 +403,8 @@ def angle_between(R: np.ndarray, S: np.ndarray) -> np.ndarray:
 
 def cube_rotations() -> np.ndarray:
     """The 24 rotations of a cube, shape (24, 3, 3), turned off the axes by a fixed amount."""
+    from scipy.spatial.transform import Rotation
+
     return (Rotation.from_rotvec([0.1, 0.2, -0.3]) * Rotation.create_group("O")).as_matrix()
 
 

@@ -35,13 +35,16 @@ import numpy as np
 
 from multiarm.errors import GraspError
 from multiarm.grasp.assembling import (
+    Three,
     assembled,
+    at_two_corners,
     convex_corner,
     crosses,
     crosses_border,
     feet,
     gripper_frame,
     nearest_corner_frame,
+    proven,
     shared_corner,
     size_of_gripper,
     sized,
@@ -52,9 +55,7 @@ from multiarm.grasp.boundaries import largest_ball
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.parallel_bodies import (
-    OPEN,
     CornerPattern,
-    Three,
     corner_pattern,
     even_offsets,
     right_handed,
@@ -108,8 +109,7 @@ class WideDesign:
             not beyond its bound.
         """
         p, body = self.pattern, self.body
-        if p.faulty:
-            raise GraspError(f"{OPEN} closes the grasp: {p.faulty}")
+        p.require_reach()
         if not self.distance > self.minimum_distance:
             raise GraspError(
                 f"contact 7 is {self.distance:.6g} m from contact 6, but the grasp is closed only "
@@ -117,21 +117,12 @@ class WideDesign:
             )
         first = feet(body, self.triple, p.frame[:3, 3])
         points = np.vstack([first, p.points, p.last_point(self.distance)])
-        frames = [
-            gripper_frame(body, self.triple, points[:3]),
-            gripper_frame(body, self.faces, points[3:]),
-        ]
-        on = (*self.triple, *self.faces, self.faces[2])
-        made = assembled(body, points, on, [(0, 1, 2), (3, 4, 5, 6)], frames, self._notes())
-        if not (made.closure and crosses(made, p.last_point, self.minimum_distance)):
-            raise GraspError("these faces and offsets give no form closure")
-        return made
-
-    def _notes(self) -> tuple[str, ...]:
-        return (
+        note = (
             f"contact 7 is {self.distance:.6g} m from contact 6; the grasp is closed beyond "
-            f"|Q| = {self.minimum_distance:.6g} m",
+            f"|Q| = {self.minimum_distance:.6g} m"
         )
+        made = at_two_corners(body, self.triple, self.faces, points, self.faces[2], (note,))
+        return proven(made, crosses(made, p.last_point, self.minimum_distance))
 
 
 def design_wide_grasp(body: Polyhedron, *, gripper_size: float | None = None) -> Grasp:

@@ -27,13 +27,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.balances import (
-    BAND,
-    least_distance,
-    nonnegative_least_squares,
-    rank_of,
-    rounding,
-)
+from multiarm.grasp.balances import BAND, rank_of, rounding
 from multiarm.grasp.contacts import (
     UNIT_TOLERANCE,
     Contacts,
@@ -42,6 +36,7 @@ from multiarm.grasp.contacts import (
     wrenches_of,
 )
 from multiarm.grasp.face import distinct
+from multiarm.grasp.programs import least_distance, nonnegative_least_squares
 
 ILL = (
     "contacts that nearly coincide, or faces that are nearly parallel, make it ill-conditioned; "

@@ -24,7 +24,7 @@ import pinocchio as pin
 from multiarm.assembly.compilation import compile_for_inspection, compile_system
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.errors import GraspError, ReplayError
-from multiarm.grasp.scenes.reading import SceneGrasp, read_grasp
+from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
 from multiarm.scene.control import NoControl
 from multiarm.viewer.animation import Animation, Body, Dial, HingeTracks, along, rotations
 from multiarm.viewer.commands import rgb

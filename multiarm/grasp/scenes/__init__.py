@@ -1,7 +1,7 @@
 r"""From a grasp to a scene that runs: hands on real arms, postures, a path, control that squeezes.
 
-:mod:`.hands` makes a hand of each gripper, :mod:`.standing` looks for places and postures of the
-arms, and the squeeze says how hard the fingertips must press.
+:mod:`.hands` makes a hand of each gripper and looks for places and postures of the arms, and the
+squeeze says how hard the fingertips must press.
 
 **The squeeze** keeps all fingertips in contact along a path.  The control lets the contacts share a
 wrench ``w`` with the forces (:mod:`multiarm.control.force_distribution`)
@@ -33,8 +33,15 @@ from multiarm.errors import GraspError
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face_contacts import FaceContacts
 from multiarm.grasp.polyhedron import Polyhedron
-from multiarm.grasp.scenes.hands import contacts, fingers, pose_table, require_room
-from multiarm.grasp.scenes.standing import Progress, lifted, stand_arms
+from multiarm.grasp.scenes.hands import (
+    Progress,
+    contacts,
+    fingers,
+    lifted,
+    pose_table,
+    require_room,
+    stand_arms,
+)
 from multiarm.scene import ArmSpec, Scene, Waypoint, available_robots, find_robot, resolve_arm
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.terminal.progress import PartProgress, displayed
