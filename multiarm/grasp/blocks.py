@@ -194,7 +194,7 @@ def design_block_grasp(
     seventh : float, optional
         E: distance of contact 3 from the front edge [m]; A / 2 otherwise.
     distance : float, optional
-        Of contact 7 from contact 3 [m]; twice the bound 2 |A - E| otherwise.
+        Of contact 7 from contact 3 [m]; twice the bound ``2 |A - E|`` otherwise.
     faces : (int, int, int), optional
         Faces at one corner, for contacts 1, 2 and 3.
 
