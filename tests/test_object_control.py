@@ -183,6 +183,29 @@ def test_nearest_joint_accelerations_are_the_constrained_minimum(rng):
         np.testing.assert_allclose(torque - 1.0, M @ qdd, atol=1e-8)
 
 
+@pytest.mark.parametrize("n, rank", [(6, 5), (6, 4), (5, 1)])
+def test_semidefinite_solution_below_full_rank_is_that_of_the_pseudoinverse(n, rank, rng):
+    """Also for a right-hand side that the matrix cannot meet, and whatever its pivots are."""
+    root = rng.standard_normal((n, rank))
+    A, b, x = root @ root.T, rng.standard_normal(n), np.full(n, np.nan)
+    assert solve_semidefinite(A.copy(), b, x) == rank
+    np.testing.assert_allclose(x, np.linalg.pinv(A, rcond=1e-10) @ b, atol=1e-9 * np.abs(x).max())
+
+
+def test_weight_that_a_joint_cannot_carry_is_shared_without_jumps():
+    """One ball beside the centre of mass: where pivots decided, steps fell to 1e-9 s."""
+    scene = ma.Scene(
+        gravity=[0, 0, -9.81],
+        object={"shape": {"sphere": 0.1}, "mass": 2.0, "pose": {"xyz": [0.6, 0, 0.5]}},
+        arms={"arm": {"robot": "ur5", "posture": "solve"}},
+        joints=[{"arm": "arm", "kind": "ball", "at": {"xyz": [-0.1, 0, 0]}}],
+        control={"kind": "gravity_compensation"},
+    )
+    run = ma.simulate(ma.compile_system(scene), duration=0.3, accuracy=1e-6)
+    assert run.status == "completed" and run.certificate["met"]
+    assert run.statistics["steps"] < 200
+
+
 def test_semidefinite_solution_finds_the_rank(rng):
     for n, rank in ((6, 6), (6, 4), (5, 1), (3, 0)):
         root = rng.standard_normal((n, rank))

@@ -24,7 +24,8 @@ def static_forces(Wo, weight, force):
     r"""Write the contact forces of least norm with :math:`W_o \lambda = w` into ``force`` (N,).
 
     ``Wo`` (N, 6) has one row a contact, ``weight`` is a wrench (6,).  The solution is exact when
-    the contacts can carry the wrench; directions without contact forces are left out.
+    the contacts can carry the wrench, else that of least squares, with moments over the longest
+    lever arm.
     """
     # moments are divided by the longest lever arm, so that all rows are forces; below 1e-6 m lever
     # arms are rounding errors, which must not be scaled up to a direction of their own

@@ -65,10 +65,12 @@ def forward_columns(L, Y, n, m):
 def solve_semidefinite(A, b, x):
     """Solve ``A x = b`` for a symmetric, positive semidefinite matrix (n, n); returns its rank.
 
-    Cholesky's method with diagonal pivoting.  It stops at pivots below 1e-12 of the largest
-    diagonal entry; the unknowns of the remaining pivots are zero (a basic solution, exact whenever
-    there is one).  Rows should be scaled so that the diagonal entries can be compared.  ``A`` is
-    destroyed, ``x`` (n,) is written.
+    Cholesky's method with diagonal pivoting, ``A = L L^T``.  It stops at pivots below 1e-12 of the
+    largest diagonal entry, so that ``L`` has as many columns as the rank.  Below full rank ``x`` is
+    the least-squares solution of least norm, which varies continuously with ``A`` and ``b`` as long
+    as the rank stays: with the columns ``t`` of ``L`` rotated until they are orthogonal, the sum of
+    ``t (t . b) / |t|^4``.  Rows should be scaled so that the diagonal entries can be compared.
+    ``A`` is destroyed, ``x`` (n,) is written.
     """
     n = b.size
     L, y, order = np.zeros((n, n)), np.zeros(n), np.arange(n)
@@ -93,6 +95,17 @@ def solve_semidefinite(A, b, x):
             for j in range(k + 1, n):
                 A[order[i], order[j]] -= L[order[i], k] * L[order[j], k]
     x[:] = 0.0
+    if rank < n:
+        columns = L.T.copy()
+        orthogonalize(columns, rank, n, columns, 0)
+        for k in range(rank):
+            square = along = 0.0
+            for i in range(n):
+                square += columns[k, i] * columns[k, i]
+                along += columns[k, i] * b[i]
+            for i in range(n):
+                x[i] += columns[k, i] * along / (square * square)
+        return rank
     for k in range(rank):
         p = order[k]
         y[k] = b[p]
