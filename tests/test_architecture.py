@@ -57,6 +57,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "viewer",
         "studies.pinocchio_peer",
     ),
+    "pandas": ("results.trajectory",),
     "pyarrow": ("control.tables", "sweeps.result", "sweeps.store", "sweeps.table"),
     "pydantic": ("scene", "sweeps"),
     "pydantic_core": ("scene",),

@@ -112,10 +112,11 @@ def report(
 def serve_until_interrupt(trajectory: Trajectory, *, quiet: bool = False, **options: Any) -> None:
     """Serve a live replay and wait for Ctrl-C; `options` as of ``multiarm.replay``."""
     import multiarm
+    from multiarm.viewer import InlineReplay
 
     with _warnings_printed():
         viewer = multiarm.replay(trajectory, **options)
-    assert not isinstance(viewer, Path), "without a path the replay is live"
+    assert not isinstance(viewer, (Path, InlineReplay)), "without a path the replay is live"
     try:
         if not quiet:
             line = Text.assemble("replay at ", (viewer.url(), "bold"), "; Ctrl-C ends it")

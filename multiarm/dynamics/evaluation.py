@@ -46,7 +46,7 @@ from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import Layout, State
 from multiarm.errors import SolverError
 from multiarm.geometry.records import Contact
-from multiarm.public import public_names
+from multiarm.public import facts_html, public_names
 
 Rows = TypeVar("Rows", np.ndarray, tuple)
 Arrays = TypeVar("Arrays", Variables, NodeWork, CoupledWork)
@@ -192,6 +192,19 @@ class Evaluation:
             f"{max(forces, default=0.0):.3g} N,\n  residuals: arm {left.arm:.2g}, "
             f"object {left.object:.2g}, constraint {left.constraint:.2g})"
         )
+
+    def _repr_html_(self) -> str:
+        def numbers(values: np.ndarray) -> str:
+            return np.array2string(values, precision=4, suppress_small=True, max_line_width=100)
+
+        facts = {
+            "object's acceleration [m/s², rad/s²]": numbers(self.object_acceleration),
+            **{f"contact forces of {a} [N]": numbers(f) for a, f in self.contact_forces.items()},
+            "rank": self.rank,
+            "residuals": ", ".join(f"{k} {v:.1g}" for k, v in vars(self.residuals).items()),
+            "message": self.message,
+        }
+        return facts_html(f"Evaluation at {self.time:g} s", facts)
 
     @cached_property
     def contact_forces_unique(self) -> Mapping[str, np.ndarray]:

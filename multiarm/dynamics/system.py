@@ -25,7 +25,7 @@ from multiarm.dynamics.model import Data, Model
 from multiarm.dynamics.state import State, checked_vector, fill_by_arm, require_same_joints
 from multiarm.errors import ControlError, ModelError
 from multiarm.geometry.records import Contact
-from multiarm.public import public_names
+from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, trajectory_channels
 from multiarm.scene import Scene
 from multiarm.scene.faults import shown
@@ -151,6 +151,19 @@ class System:
 
     def __repr__(self) -> str:
         return f"System({self.scene.name!r}: {self.model.layout})"
+
+    def _repr_html_(self) -> str:
+        facts = {"object": f"{self.model.constants.object_mass:g} kg"}
+        for joint in self.scene.joints:
+            arm, rows = self.arms[joint.arm], len(self.contacts[joint.arm])
+            facts[f"arm {joint.arm}"] = (
+                f"{arm.dof} joints, joined by {joint.kind}: {rows} contacts, free: "
+                f"{', '.join(self.frames[joint.arm].labels) or 'nothing'}"
+            )
+        facts["control"] = self.scene.control.kind
+        facts["effects"] = ", ".join(self.scene.effects.named)
+        facts["start"] = "; ".join(self.start_report.lines())
+        return facts_html(f"System: {self.scene.name}", facts)
 
     @contextmanager
     def borrow(self) -> Iterator[Data]:

@@ -18,6 +18,7 @@ from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face import Face
 from multiarm.grasp.form_closure import FormClosure, is_form_closure
 from multiarm.grasp.polyhedron import Polyhedron
+from multiarm.public import facts_html
 
 # A contact lies on its face when it is off by no more than this part of the body's size.
 ON_FACE = 1e-9
@@ -93,6 +94,15 @@ class FaceContacts:
                 f"each of the {len(self.contacts)} contacts is carried by one gripper; the "
                 f"grippers carry {[gripper.contacts for gripper in self.grippers]}"
             )
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "body": repr(self.body).strip("<>"),
+            "contacts": f"{len(self.contacts)} by {len(self.grippers)} grippers",
+            "faces": ", ".join(dict.fromkeys(self.body.faces[k].name for k in self.faces)),
+            "notes": "; ".join(self.notes),
+        }
+        return facts_html("Grasp", facts)
 
     def _check_contact(self, j: int, face: Face) -> None:
         name, size = self.contacts.names[j], self.body.size

@@ -61,6 +61,7 @@ from multiarm.grasp.contacts import (
     wrenches_of,
 )
 from multiarm.grasp.immobility import Immobility, immobility
+from multiarm.public import facts_html
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +109,15 @@ class FormClosure:
 
     def __bool__(self) -> bool:
         return self.closed
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "contacts": len(self.contacts),
+            "rank": self.rank,
+            "margin": f"{self.margin:.3g}" if self.closed else "",
+            "message": self.message,
+        }
+        return facts_html("Form closure" if self.closed else "No form closure", facts)
 
     def __str__(self) -> str:
         return self.message

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from multiarm.errors import SceneError, TrajectoryError
-from multiarm.public import public_names
+from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, arm_names, channels_of
 from multiarm.results.files import STATUSES, temporary_name
 
@@ -115,6 +115,53 @@ class Trajectory:
     def __repr__(self) -> str:
         span = f", t = {self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self) else ""
         return f"Trajectory({len(self)} samples{span}, {self.status})"
+
+    def _repr_html_(self) -> str:
+        span = f"{self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self) else "none"
+        facts = {
+            "status": self.status,
+            "message": self.message,
+            "samples": f"{len(self)}, {span}" if len(self) else span,
+            "accuracy": (self.certificate or {}).get("text", "not checked"),
+            "events": len(self.events) or "",
+        }
+        if len(self):
+            facts["largest gap"] = f"{np.max(self.position_drift):.1g} m"
+            facts["energy balance"] = f"{np.max(np.abs(self.energy_balance)):.1g} J"
+        return facts_html("Trajectory", facts)
+
+    def to_pandas(self) -> Any:
+        """All channels as one table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row a sample, with the time [s] as index; a column for each number, named
+            ``channel/label``, such as ``arms/left/joint_position/elbow_joint``. ``attrs["units"]``
+            maps columns to units.
+
+        Raises
+        ------
+        TrajectoryError
+            The package pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise TrajectoryError(
+                "to_pandas: the package pandas is not installed: pip install pandas"
+            ) from None
+        columns: dict[str, np.ndarray] = {}
+        units: dict[str, str] = {}
+        for channel in self._store.channels.values():
+            names = [f"{channel.name}/{label}" for label in channel.labels] or [channel.name]
+            table = self.channel(channel.name).reshape(len(self), channel.width)
+            columns.update(zip(names, table.T, strict=True))
+            units.update(zip(names, channel.column_units, strict=True))
+        time = pandas.Index(columns.pop("time"), name="time")
+        frame = pandas.DataFrame(columns, index=time)
+        frame.attrs["units"] = {name: unit for name, unit in units.items() if name != "time"}
+        return frame
 
     @property
     def channels(self) -> Mapping[str, Channel]:

@@ -10,10 +10,13 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from multiarm.errors import ReplayError
+from multiarm.public import in_notebook
 from multiarm.results.files import atomic_file, printable_texts
 
 if TYPE_CHECKING:
@@ -35,7 +38,7 @@ def replay(
     host: str = "127.0.0.1",
     port: int = 0,
     code: bool = False,
-) -> Path | Visualizer:
+) -> Path | Visualizer | InlineReplay:
     """Show a trajectory in the browser.
 
     The replay shows the arms, each in its colour, the translucent object, the contacts with their
@@ -52,7 +55,7 @@ def replay(
     trajectory : Trajectory
     path : path-like, optional
         Write one HTML file, which needs no network. By default a live Meshcat server, which ends
-        with the program.
+        with the program; in a Jupyter notebook the page itself, below the cell.
     open_browser : bool
         Open the live scene in the browser; a file is only written.
     fps : float
@@ -73,8 +76,8 @@ def replay(
 
     Returns
     -------
-    Path or meshcat.Visualizer
-        The file written, or the live visualizer; ``url()`` is its address.
+    Path, meshcat.Visualizer or InlineReplay
+        The file written; the live visualizer, whose address is ``url()``; in a notebook the page.
 
     Raises
     ------
@@ -94,7 +97,7 @@ def replay(
     target = None if path is None else _target(path)
     animation = animate(trajectory, fps=fps, speed=speed, meshes=meshes, code=code)
     commands = printable_texts(draw(animation, speed))
-    if target is None:
+    if target is None and not in_notebook():
         from multiarm.viewer.server import serve
 
         visualizer = serve(commands, host, port)
@@ -103,8 +106,25 @@ def replay(
         return visualizer
     from multiarm.viewer.page import page_facts, render
 
-    _write(target, render(commands, printable_texts(page_facts(animation, speed))))
+    page = render(commands, printable_texts(page_facts(animation, speed)))
+    if target is None:
+        return InlineReplay(page)
+    _write(target, page)
     return target
+
+
+@dataclass(frozen=True, repr=False)
+class InlineReplay:
+    """A replay as a notebook shows it: the whole page in a frame below the cell."""
+
+    page: str
+
+    def __repr__(self) -> str:
+        return f"InlineReplay({len(self.page) / 1e6:.1f} MB)"
+
+    def _repr_html_(self) -> str:
+        frame = "width:100%;height:480px;border:1px solid #ccc"
+        return f'<iframe srcdoc="{escape(self.page)}" style="{frame}"></iframe>'
 
 
 def _target(path: str | os.PathLike) -> Path:
