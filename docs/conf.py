@@ -69,7 +69,7 @@ def _workplace() -> Path:
 WORKPLACE = _workplace()
 os.environ["IPYTHONDIR"] = str(WORKPLACE / ".ipython")
 os.environ["MULTIARM_DOCS_WORKPLACE"] = str(WORKPLACE)
-os.environ["COLUMNS"] = "100"  # of the commands' tables
+os.environ["COLUMNS"] = "92"  # of the commands' tables
 os.environ["NO_COLOR"] = "1"
 
 # --- reference ------------------------------------------------------------------------------------

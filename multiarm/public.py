@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from html import escape
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 
 def public_names(self: object) -> list[str]:
@@ -14,13 +14,14 @@ def public_names(self: object) -> list[str]:
 
 def facts_html(title: str, facts: Mapping[str, object]) -> str:
     """A table of names and facts for a notebook; empty facts are left out."""
-    rows = "".join(
-        f"<tr><th style='text-align:left'>{escape(name)}</th>"
-        f"<td style='text-align:left'>{escape(str(fact))}</td></tr>"
-        for name, fact in facts.items()
-        if fact != ""
-    )
-    return f"<table><caption><b>{escape(title)}</b></caption>{rows}</table>"
+    table = Element("table")
+    SubElement(table, "caption").text = title
+    for name, fact in facts.items():
+        if fact != "":
+            row = SubElement(table, "tr")
+            for tag, text in (("th", name), ("td", fact)):
+                SubElement(row, tag, style="text-align: left").text = str(text)
+    return tostring(table, encoding="unicode", method="html")
 
 
 def in_notebook() -> bool:

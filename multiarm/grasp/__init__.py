@@ -135,3 +135,7 @@ __all__ = [
     "worst_force",
     "wrench_cone",
 ]
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

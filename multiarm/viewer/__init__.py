@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element, tostring
 
 from multiarm.errors import ReplayError
 from multiarm.public import in_notebook
@@ -123,8 +123,9 @@ class InlineReplay:
         return f"InlineReplay({len(self.page) / 1e6:.1f} MB)"
 
     def _repr_html_(self) -> str:
-        frame = "width:100%;height:480px;border:1px solid #ccc"
-        return f'<iframe srcdoc="{escape(self.page)}" style="{frame}"></iframe>'
+        style = "width: 100%; height: 480px; border: 1px solid #ccc"
+        frame = Element("iframe", srcdoc=self.page, style=style)
+        return tostring(frame, encoding="unicode", method="html")
 
 
 def _target(path: str | os.PathLike) -> Path:
