@@ -14,7 +14,12 @@ class Replay(Directive):
     """Simulate a scene, write its replay beside the page, and show it when it comes into sight."""
 
     required_arguments = 1  # the scene, from the root of the checkout
-    option_spec: ClassVar = {"speed": float, "duration": float, "height": directives.unchanged}
+    option_spec: ClassVar = {
+        "speed": float,
+        "duration": float,
+        "height": directives.unchanged,
+        "folded": directives.flag,  # loaded when it is opened: a page can have many
+    }
 
     def run(self):
         """The frame."""
@@ -38,6 +43,8 @@ class Replay(Directive):
             f'<iframe class="replay" src="{up}_replays/{name}" loading="lazy" '
             f'style="height:{height}" title="Replay of {scene.stem}"></iframe>'
         )
+        if "folded" in self.options:
+            frame = f'<details class="replay"><summary>Show the replay</summary>{frame}</details>'
         return [nodes.raw("", frame, format="html")]
 
 
