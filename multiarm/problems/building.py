@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from multiarm.scene import find_robot
+from multiarm.scene import Scene, find_robot
 
 GRAVITY = 9.81  # [m/s^2]
 DOWN = [0.0, 0.0, -GRAVITY]
 # Linkages stand upright in the x-y plane.
 DOWN_IN_PLANE = [0.0, -GRAVITY, 0.0]
+# From the tips to the centre of what is held between two UR5 arms.
+HALF_BAR = 0.3  # [m]
 # Two UR5 arms, 2.2 m apart and face to face, hold the ends of a box 1.2 m long at this posture.
 UR5_AT_BOX = (-0.264381, -1.509346, 1.788302, 2.862637, -1.306415, 0.0)
 
@@ -48,10 +50,7 @@ def pose(xyz: Sequence[float] | np.ndarray, R: np.ndarray) -> dict:
     """A place [m] and a rotation matrix as a scene has them."""
     from multiarm.spatial import matrix_to_quaternion
 
-    return {
-        "xyz": np.asarray(xyz).tolist(),
-        "quaternion_xyzw": matrix_to_quaternion(R).tolist(),
-    }
+    return {"xyz": np.asarray(xyz).tolist(), "quaternion_xyzw": matrix_to_quaternion(R).tolist()}
 
 
 def rod_inertia(mass: float, length: float, width: float = 0.0) -> list[float]:
@@ -89,6 +88,27 @@ def two_ur5_and_box(**changes) -> dict:
         "joints": [{"arm": "left", "kind": "weld"}, {"arm": "right", "kind": "weld"}],
     }
     return {**data, **changes}
+
+
+def held_between(
+    name: str, posture: Sequence[float], object_: dict, joints: list[dict], **changes
+) -> Scene:
+    """Two UR5 arms in one posture with an object between their tips, in damped free fall.
+
+    Half a turn about the z axis takes one arm to the other; the object's centre is on that axis,
+    and the tips are ``HALF_BAR`` from it along the x axis.
+    """
+    x, y, z = tip_pose("ur5", "tool0", posture)[:3, 3].tolist()
+    data = {
+        "name": name,
+        "gravity": DOWN,
+        "object": {"pose": {"xyz": [0.0, 0.0, z]}, **object_},
+        "arms": facing_ur5(-HALF_BAR - x, -y, posture),
+        "joints": joints,
+        "effects": {"joint_damping": 5.0},
+        **changes,
+    }
+    return Scene(**data)
 
 
 def joint_pd(stiffness: list[float], damping: list[float], **more) -> dict:

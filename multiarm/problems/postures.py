@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multiarm.problems.building import (
-    DOWN,
     GRAVITY,
+    HALF_BAR,
     UR5_AT_BOX,
-    facing_ur5,
     grips_on_box,
+    held_between,
     joint_pd,
-    tip_pose,
     two_ur5_and_box,
 )
 from multiarm.problems.case import (
@@ -41,37 +40,24 @@ if TYPE_CHECKING:
 ACCURACY = 1e-6
 # Elbow angle 0: upper arm, forearm and wrist in one line, leaning forward; the wrist is bent.
 STRETCHED = (0.0, -0.9, 0.0, -0.6, 1.2, 0.0)
-_STRAIGHT = "two UR5 arms with straight elbows", STRETCHED
 NEARLY_STRETCHED = (0.0, -0.9, 0.25, -0.85, 1.2, 0.0)
+_STRAIGHT = "two UR5 arms with straight elbows", STRETCHED
 _ELBOW = 2
-_HALF_BAR = 0.3  # [m]
 # Written start of `inconsistent_start`: joints off by so much [rad] and rates [rad/s].
 _OFF = (0.004, -0.006, 0.005, 0.003, -0.004, 0.002)
 _RATES = (0.2, -0.1, 0.15, 0.1, 0.05, -0.1)
 
 
 def leaning_arms(name: str, posture: tuple[float, ...], **changes) -> Scene:
-    """Two UR5 arms that lean towards each other and hold a bar between them.
-
-    Half a turn about the z axis takes one arm to the other, so that the bar's centre stays on that
-    axis and the bar only turns about it.
-    """
-    x, y, z = tip_pose("ur5", "tool0", posture)[:3, 3]
-    data = {
-        "name": name,
-        "gravity": DOWN,
-        "object": {
-            "shape": {"box": [2.0 * _HALF_BAR, 0.1, 0.1]},
-            "mass": 5.0,
-            "pose": {"xyz": [0.0, 0.0, float(z)]},
-        },
-        "arms": facing_ur5(-_HALF_BAR - float(x), -float(y), posture),
-        "joints": [{"arm": "left", "kind": "weld"}, {"arm": "right", "kind": "weld"}],
-        "effects": {"joint_damping": 5.0},
-        "run": {"duration": 1.0, "accuracy": ACCURACY},
+    """Two UR5 arms that lean towards each other and hold a bar, which only turns about z."""
+    return held_between(
+        name,
+        posture,
+        {"shape": {"box": [2.0 * HALF_BAR, 0.1, 0.1]}, "mass": 5.0},
+        [{"arm": "left", "kind": "weld"}, {"arm": "right", "kind": "weld"}],
+        run={"duration": 1.0, "accuracy": ACCURACY},
         **changes,
-    }
-    return Scene(**data)
+    )
 
 
 def stretched_and_released_scene() -> Scene:

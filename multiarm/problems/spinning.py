@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multiarm.problems.building import DOWN, GRAVITY, facing_ur5, tip_pose
+from multiarm.problems.building import DOWN, GRAVITY, HALF_BAR, held_between, tip_pose
 from multiarm.problems.case import (
     Criterion,
     HardCase,
@@ -23,32 +23,13 @@ if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
 
 ACCURACY = 1e-6
-_BALL = 0.3  # [m], from the object's centre
+_RUN = {"duration": 0.5, "accuracy": ACCURACY}
 _AXIAL = 1e-9  # [kg m^2]
 _SPIN = 12.0  # [rad/s]
 # Unsymmetric body, thrown about its middle axis.
 TUMBLING_INERTIA = (0.02, 0.05, 0.06)
 TUMBLING_RATE = (3.0, 40.0, 2.0)  # [rad/s]
 ROTOR_RATE = 300.0  # [rad/s]
-
-
-def held_by_two(name: str, object_: dict, **changes) -> Scene:
-    """Two UR5 arms hold an object by balls at two points of its x axis, in damped free fall."""
-    x, y, z = tip_pose("ur5", "tool0", RING_POSTURE)[:3, 3]
-    data = {
-        "name": name,
-        "gravity": DOWN,
-        "object": {"pose": {"xyz": [0.0, 0.0, float(z)]}, **object_},
-        "arms": facing_ur5(-_BALL - float(x), -float(y), RING_POSTURE),
-        "joints": [
-            {"arm": arm, "kind": "ball", "at": {"xyz": [end, 0.0, 0.0]}}
-            for arm, end in (("left", -_BALL), ("right", _BALL))
-        ],
-        "effects": {"joint_damping": 5.0},
-        "run": {"duration": 0.5, "accuracy": ACCURACY},
-        **changes,
-    }
-    return Scene(**data)
 
 
 def tiny_inertia_scene() -> Scene:
@@ -60,7 +41,11 @@ def tiny_inertia_scene() -> Scene:
         "inertia": [_AXIAL, across, across],
         "twist": [0.0, 0.0, 0.0, _SPIN, 0.0, 0.0],
     }
-    return held_by_two("thin rod between two balls", rod)
+    joints = [
+        {"arm": arm, "kind": "ball", "at": {"xyz": [end, 0.0, 0.0]}}
+        for arm, end in (("left", -HALF_BAR), ("right", HALF_BAR))
+    ]
+    return held_between("thin rod between two balls", RING_POSTURE, rod, joints, run=_RUN)
 
 
 def free_spin_scene() -> Scene:
@@ -96,10 +81,10 @@ def fast_spin_scene() -> Scene:
     for arm, sign in (("left", 1.0), ("right", -1.0)):
         axis = (np.diag([sign, sign, 1.0]) @ tip).T @ np.array([1.0, 0.0, 0.0])
         # z of the joint's frame along x of the rotor
-        at = {"xyz": [-_BALL * sign, 0.0, 0.0], "rpy": [0.0, 0.5 * np.pi, 0.0]}
+        at = {"xyz": [-HALF_BAR * sign, 0.0, 0.0], "rpy": [0.0, 0.5 * np.pi, 0.0]}
         at_tip = {"quaternion_xyzw": _towards(axis)}
         joints.append({"arm": arm, "kind": "revolute", "at": at, "at_tip": at_tip})
-    return held_by_two("rotor between two hinges", rotor, joints=joints)
+    return held_between("rotor between two hinges", RING_POSTURE, rotor, joints, run=_RUN)
 
 
 def _towards(axis: np.ndarray) -> list[float]:

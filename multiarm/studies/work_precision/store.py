@@ -192,7 +192,7 @@ def read_results(path: Path) -> Results:
         raise MultiarmError(
             f"'{path}' has the format '{written}' of another version, which lacks what this one "
             f"needs, '{FORMAT}'; name another file, or measure anew: multiarm accuracy SCENE "
-            f"--out FILE --fresh"
+            f"--out {path} --fresh"
         )
     try:
         return _read(data, path)
