@@ -16,7 +16,7 @@ import multiarm as ma
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.integration.near_singular import OFFSET, ZONE, evaluate_on_branch
-from multiarm.problems import loops
+from multiarm.problems import HARD_CASES, loops
 from multiarm.problems.postures import stretched_and_released_scene
 
 DURATION = 1.5
@@ -26,7 +26,7 @@ STEP = 1e-40
 LINKAGES = {
     "four_bar": (loops.four_bar_scene, loops.four_bar_motion, 1, (5.0, 12.0)),
     "parallelogram": (
-        loops.parallelogram_scene, lambda: loops.parallelogram_motion(2), 2, (3.0, 12.0),
+        HARD_CASES["parallelogram"].scene, lambda: loops.parallelogram_motion(2), 2, (3.0, 12.0),
     ),
 }  # fmt: skip
 # Settings of a run, and how far it may be from the closed form [m] and in energy (relative).

@@ -26,7 +26,7 @@ from multiarm.problems import (
 )
 from multiarm.problems.building import own_urdf
 from multiarm.problems.case import apart, completed, energy_error, largest, turned_apart
-from multiarm.problems.one_freedom import Body, OneFreedom, planar
+from multiarm.problems.linkages import Body, OneFreedom, planar
 
 ROOT = Path(__file__).parents[1]
 # Starts are written to closed form: what is left are the roundings of some coordinates of metres;
@@ -351,11 +351,11 @@ def test_rods_are_of_a_metre_and_a_kilogram(name, joints):
 
 
 def test_light_and_heavy_objects_are_a_million_apart_from_the_arms():
-    scene = extremes.light_object_scene()
+    scene = HARD_CASES["light_object"].scene()
     urdf = ma.compile_system(scene).arms["left"].files.urdf
     arms = 2 * sum(i.mass for i in pin.buildModelFromUrdf(str(urdf)).inertias)
     assert scene.object.mass / arms == pytest.approx(1e-6, rel=0.1)
-    assert extremes.heavy_object_scene().object.mass / arms == pytest.approx(1e6, rel=0.1)
+    assert HARD_CASES["heavy_object"].scene().object.mass / arms == pytest.approx(1e6, rel=0.1)
 
 
 @pytest.mark.parametrize("name", ["parallelogram", "bricard"])

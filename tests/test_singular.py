@@ -46,6 +46,7 @@ from multiarm.dynamics.solver.singular import (
     make_coupled,
     solve_coupled,
 )
+from multiarm.problems import HARD_CASES
 from multiarm.problems.postures import STRETCHED
 
 DIGITS = 60
@@ -381,9 +382,7 @@ def test_both_paths_give_one_solution_as_far_as_the_linear_one_goes(share):
 @pytest.fixture(scope="module")
 def leaning():
     """Two UR5s that hold a bar with straight elbows."""
-    from multiarm.problems.postures import straight_elbow_scene
-
-    return ma.compile_system(straight_elbow_scene())
+    return ma.compile_system(HARD_CASES["straight_elbow"].scene())
 
 
 def bent(system, bend):

@@ -31,8 +31,8 @@ from multiarm.dynamics.solver_monitor import (
     constraint_residual,
 )
 from multiarm.jit.kernels import kernel
-from multiarm.problems import loops
-from multiarm.problems.postures import straight_elbow_scene, stretched_and_released_scene
+from multiarm.problems import HARD_CASES, loops
+from multiarm.problems.postures import stretched_and_released_scene
 
 POSTURE = [0.3, -0.6, 1.1, 0.4, 0.7, -0.2]
 
@@ -40,7 +40,7 @@ POSTURE = [0.3, -0.6, 1.1, 0.4, 0.7, -0.2]
 @cache
 def straight():
     """Two arms that leave the straight posture."""
-    system = ma.compile_system(straight_elbow_scene())
+    system = ma.compile_system(HARD_CASES["straight_elbow"].scene())
     return system, ma.simulate(system, 0.1, output_step=1e-3)
 
 

@@ -26,7 +26,7 @@ from test_rolling import BALL, CARRIER, RADIUS, rolling_scene
 import multiarm as ma
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.problems import HARD_CASES
-from multiarm.problems.contacts import NORMALS, POINTS, held_box
+from multiarm.problems.contacts import held_box
 from multiarm.problems.spinning import TUMBLING_INERTIA, free_spin_scene
 from multiarm.simulation.setup import make_stepping
 
@@ -207,7 +207,7 @@ CLOSED = {
     "weld and ball": lambda: ur5_pair({"kind": "weld"}, {"kind": "ball"}),
     "fingertips": lambda: two_arm_block(torques=False),
     "bricard": lambda: HARD_CASES["bricard"].scene(),
-    "redundant rows": lambda: held_box("contacts twice", POINTS, NORMALS, times=2),
+    "redundant rows": lambda: held_box("contacts twice", times=2),
 }
 
 
@@ -293,7 +293,7 @@ DRIVEN = {
         {"kind": "weld"}, {"kind": "ball"}, control=HARMONIC, effects={"joint_damping": 20.0}
     ),
     "joint springs": lambda: ur5_pair({"kind": "weld"}, {"kind": "ball"}, control=FOLLOW),
-    "redundant rows": lambda: held_box("contacts twice", POINTS, NORMALS, times=2),
+    "redundant rows": lambda: held_box("contacts twice", times=2),
     "bricard": lambda: HARD_CASES["bricard"].scene(),
 }
 

@@ -556,18 +556,13 @@ def test_an_interruption_in_the_reference_keeps_first_results(study_in, system, 
     assert not read_results(path).reference["first"]
 
 
-def test_files_of_earlier_studies_are_read(study_in, system, tmp_path):
+def test_files_of_other_formats_are_refused_with_the_remedy(study_in, system, tmp_path):
     path = tmp_path / "study.json"
     study_in(World(2), Results.of(system.scene, MACHINE, path))
     data = json.loads(path.read_text(encoding="utf-8"))
-    for key in ("exact", "motions", "planned", "left_out"):
-        del data[key]
-    del data["reference"]["first"]
     path.write_text(json.dumps({**data, "format": "multiarm accuracy, 1"}), encoding="utf-8")
-    world = World(2)
-    study_in(world, read_results(path))
-    assert world.runs == [], "the reference is computed again, and no point"
-    assert world.calls == 1
+    with pytest.raises(MultiarmError, match=r"'multiarm accuracy, 1'.* measure anew: .*--fresh"):
+        read_results(path)
 
 
 def test_results_are_of_a_scene_and_a_machine():
@@ -596,7 +591,7 @@ def test_a_changed_robot_is_another_scene(tmp_path):
     assert scene_digest(scene) != before
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "multiarm accuracy, 1"}'])
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "multiarm accuracy, 2"}'])
 def test_other_files_are_refused(tmp_path, text):
     path = tmp_path / "other.json"
     path.write_text(text, encoding="utf-8")

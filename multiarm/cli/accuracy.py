@@ -166,7 +166,7 @@ def _measure(
 ) -> Results:
     """Study a scene behind a progress bar; what was measured stays in the file."""
     from multiarm.simulation.setup import run_spec
-    from multiarm.studies.hard_cases import machine
+    from multiarm.studies.records import machine
     from multiarm.studies.work_precision.store import Results
     from multiarm.studies.work_precision.study import run_study
 

@@ -8,8 +8,8 @@ independent solution.  The bounds that recur, with where they come from:
   metre that the scene is large; a factor of ten for scenes of some metres.
 * ``CLOSED_RATE``: the rates are what one linear solve leaves of velocities of some m/s; its
   rounding is eps times the condition of the arms, which 1e-10 leaves room for up to about 1e5.
-* ``balance(accuracy)``: positions and velocities that are off by the accuracy, relative to what
-  moves, shift the energy by twice as much for each of the few coordinates that carry it.
+* ten times the accuracy, of energy: positions and velocities that are off by the accuracy, relative
+  to what moves, shift it by twice as much for each of the few coordinates that carry it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 CLOSED = 1e-12  # [m]
 CLOSED_RATE = 1e-10  # [m/s]
-_ENERGY_FACTOR = 10.0
 
 Measure = Callable[["Trajectory", "System"], float]
 
@@ -113,11 +112,6 @@ def energy_error(scale: float | None, bound: float, named: str = "") -> Criterio
     return Criterion(f"energy error / {named}", bound, "1", measure)
 
 
-def balance(accuracy: float) -> float:
-    """Bound of a relative energy error for a run of this accuracy."""
-    return _ENERGY_FACTOR * accuracy
-
-
 def sound(
     accuracy: float,
     *,
@@ -131,7 +125,7 @@ def sound(
         completed(),
         position_drift(closed),
         velocity_drift(closed_rate),
-        energy_error(scale, balance(accuracy), named),
+        energy_error(scale, 10.0 * accuracy, named),
     )
 
 

@@ -27,15 +27,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multiarm.problems.building import GRAVITY, own_urdf, tip_pose
-from multiarm.problems.case import (
-    CLOSED,
-    Criterion,
-    HardCase,
-    apart,
-    largest,
-    sound,
-)
+from multiarm.problems.building import GRAVITY, own_urdf, pose, tip_pose
+from multiarm.problems.case import CLOSED, Criterion, HardCase, apart, largest, sound
 from multiarm.problems.references import reference_run
 from multiarm.scene import Scene
 
@@ -121,7 +114,7 @@ def closure_scene(count: int, tilt: float = ALIGNED, free: bool = False) -> Scen
     return Scene(
         name=f"{count} sliding fingers{tilted}{' and two free arms' if free else ''}",
         gravity=(GRAVITY * turn @ _PULL).tolist(),
-        object={"shape": {"box": list(SIZE)}, "mass": MASS, "pose": _pose(np.zeros(3), turn)},
+        object={"shape": {"box": list(SIZE)}, "mass": MASS, "pose": pose(np.zeros(3), turn)},
         arms=arms,
         joints=joints,
         run={"duration": 0.3, "accuracy": ACCURACY},
@@ -139,8 +132,8 @@ def _finger(place: np.ndarray, axis: int, tilt: float, turn: np.ndarray) -> tupl
     frame = np.column_stack([slide, second, np.cross(slide, second)])
     point = 0.5 * place * SIZE
     tip = {"plane": {"point": [0, 0, 0], "normal": (frame.T @ normal).tolist()}}
-    arm = {"urdf": own_urdf("slide"), "tip": "tip", "base": _pose(turn @ point, turn @ frame)}
-    return arm, _contact(tip, {"point": [0, 0, 0]}, _pose(point, frame))
+    arm = {"urdf": own_urdf("slide"), "tip": "tip", "base": pose(turn @ point, turn @ frame)}
+    return arm, _contact(tip, {"point": [0, 0, 0]}, pose(point, frame))
 
 
 def _planar_arm(place: np.ndarray, axis: int, turn: np.ndarray) -> tuple[dict, dict]:
@@ -155,13 +148,13 @@ def _planar_arm(place: np.ndarray, axis: int, turn: np.ndarray) -> tuple[dict, d
     arm = {
         "robot": "planar_2r",
         "tip": "tip",
-        "base": _pose(base, turn @ frame),
+        "base": pose(base, turn @ frame),
         "posture": list(_POSTURE),
         # the tip's velocity along the normal, -y of base and elbow times their rates, is zero
         "velocity": [_RATE, -_RATE * tip[1, 3] / y],
     }
     face = {"plane": {"point": [0, 0, 0], "normal": [-1, 0, 0]}}
-    return arm, _contact({"point": [0, 0, 0]}, face, _pose(point, frame))
+    return arm, _contact({"point": [0, 0, 0]}, face, pose(point, frame))
 
 
 def _contact(arm: dict, block: dict, at: dict) -> dict:
@@ -183,13 +176,6 @@ def _inwards(place: np.ndarray, axis: int) -> np.ndarray:
 def _along(normal: np.ndarray) -> np.ndarray:
     """Direction of the slides on a side: none of its edges."""
     return np.cos(_ACROSS) * np.roll(normal, 1) + np.sin(_ACROSS) * np.roll(normal, 2)
-
-
-def _pose(place: np.ndarray, turn: np.ndarray) -> dict:
-    from multiarm.spatial import matrix_to_quaternion
-
-    quaternion = matrix_to_quaternion(turn)
-    return {"xyz": place.tolist(), "quaternion_xyzw": quaternion.tolist()}
 
 
 # --- criteria ------------------------------------------------------------------------------------
@@ -282,8 +268,7 @@ CASES = (
         "closure_and_free_arms",
         "Two arms slide along a block that six fingers hold",
         "Arms that move along their contacts together with arms that cannot: the block's node "
-        "matrix is "
-        "not to be filled with roundings of the latter.",
+        "matrix is not to be filled with roundings of the latter.",
         partial(closure_scene, 6, ALIGNED, True),
         (
             *sound(ACCURACY),

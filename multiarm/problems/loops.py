@@ -8,20 +8,21 @@ over, and some linkages pass positions in which two motions cross.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multiarm.problems.building import DOWN_IN_PLANE, GRAVITY, own_urdf, rod_inertia
+from multiarm.problems.building import DOWN_IN_PLANE, GRAVITY, own_urdf, pose, rod_inertia
 from multiarm.problems.case import Criterion, HardCase, apart, largest, sound
 from multiarm.problems.linkages import (
     BRICARD_BASES,
+    Body,
     FourBar,
+    OneFreedom,
     bricard_poses,
     parallel_crank_poses,
 )
-from multiarm.problems.one_freedom import Body, OneFreedom
 from multiarm.scene import Scene
 
 if TYPE_CHECKING:
@@ -42,12 +43,9 @@ WELDED_START = -1.0  # [rad]
 _PARALLELOGRAM_START = 1.0, -2.0
 # As in problem A02 of the IFToMM library of multibody benchmarks: upright, tips at 1 m/s.
 _DOUBLE_START = 0.5 * np.pi, -1.0
+_GRAVITY = np.array(DOWN_IN_PLANE)
 _ROD = Body(1.0, np.diag(rod_inertia(1.0, 1.0)))
 _SQUARE = Body(1.0, np.diag(rod_inertia(1.0, 1.0, 0.1)))
-
-
-def _down() -> np.ndarray:
-    return np.array(DOWN_IN_PLANE)
 
 
 @cache
@@ -56,7 +54,7 @@ def four_bar_motion() -> OneFreedom:
     return OneFreedom(
         (_ROD, _ROD, _ROD),
         lambda s: CHANGE_POINT.poses(s, 0.5, 0.5, 0.5),
-        _down(),
+        _GRAVITY,
         (0.0, 4.0 * np.pi),
         periodic=True,
     )
@@ -70,7 +68,7 @@ def parallelogram_motion(cranks: int) -> OneFreedom:
     return OneFreedom(
         (_ROD,) * cranks + (coupler,),
         lambda s: parallel_crank_poses(s, cranks, 1.0, 1.0),
-        _down(),
+        _GRAVITY,
         (0.0, 2.0 * np.pi),
         periodic=True,
         degree=60,
@@ -81,7 +79,7 @@ def parallelogram_motion(cranks: int) -> OneFreedom:
 def bricard_motion() -> OneFreedom:
     """Bricard's loop; the coordinate is that of its closed curve."""
     span = (0.0, 2.0 * np.pi)
-    return OneFreedom((_SQUARE,) * 5, bricard_poses, _down(), span, periodic=True)
+    return OneFreedom((_SQUARE,) * 5, bricard_poses, _GRAVITY, span, periodic=True)
 
 
 @cache
@@ -91,7 +89,7 @@ def welded_arms_motion() -> OneFreedom:
     return OneFreedom(
         (link, _welded_coupler(), link),
         lambda s: WELDED_ARMS.poses(s, 0.25, 0.6, 0.25),
-        _down(),
+        _GRAVITY,
         (-2.0, -0.8),
         degree=80,
     )
@@ -152,7 +150,8 @@ def four_bar_scene() -> Scene:
     )
 
 
-def _parallel_scene(name: str, cranks: int, start: tuple[float, float], duration: float) -> Scene:
+def parallel_cranks(name: str, cranks: int, start: tuple[float, float], duration: float) -> Scene:
+    """Parallel cranks of 1 m, 1 m apart, and one coupler over all of them."""
     angle, rate = start
     length = float(cranks - 1)
     speed = [-rate * np.sin(angle), rate * np.cos(angle), 0.0]
@@ -167,16 +166,6 @@ def _parallel_scene(name: str, cranks: int, start: tuple[float, float], duration
     )
 
 
-def parallelogram_scene() -> Scene:
-    """Two parallel cranks of 1 m and a coupler of 1 m."""
-    return _parallel_scene("parallelogram through its flat position", 2, _PARALLELOGRAM_START, 5.0)
-
-
-def double_four_bar_scene() -> Scene:
-    """Three parallel cranks and one coupler over all of them."""
-    return _parallel_scene("double four-bar mechanism", 3, _DOUBLE_START, 10.0)
-
-
 def bricard_scene() -> Scene:
     """Two arms of two rods and a rod between them, five rods of 1 m and 1 kg, at rest."""
     arms = {}
@@ -188,7 +177,7 @@ def bricard_scene() -> Scene:
         arms[name] = {
             "urdf": own_urdf("crossed_2r"),
             "tip": "tip",
-            "base": {"xyz": place, "quaternion_xyzw": _quaternion(base)},
+            "base": pose(place, base),
             "posture": [0.0, turn],
         }
     last = {"xyz": [-0.5, 0.0, 0.0], "rpy": [-0.5 * np.pi, 0.0, 0.0]}
@@ -206,17 +195,11 @@ def bricard_scene() -> Scene:
     )
 
 
-def _quaternion(R: np.ndarray) -> list[float]:
-    from multiarm.spatial import matrix_to_quaternion
-
-    return matrix_to_quaternion(R).tolist()
-
-
 def two_joint_arms_scene(**changes) -> Scene:
     """Two planar_2r arms welded to a bar of 0.4 m and 2 kg."""
     angle = WELDED_START
     phi, psi = WELDED_ARMS.angles(angle)
-    pose = WELDED_ARMS.poses(complex(angle), 0.25, 0.6, 0.25)[1]
+    centre, _ = WELDED_ARMS.poses(complex(angle), 0.25, 0.6, 0.25)[1]
     arms = {
         "left": {"robot": "planar_2r", "tip": "tip", "posture": [angle, phi - angle]},
         "right": {
@@ -229,7 +212,7 @@ def two_joint_arms_scene(**changes) -> Scene:
     data = {
         "name": "two arms of two joints, welded",
         "gravity": DOWN_IN_PLANE,
-        "object": rod(2.0, 0.4, np.real(pose[0][:2]).tolist(), phi),
+        "object": rod(2.0, 0.4, np.real(centre[:2]).tolist(), phi),
         "arms": arms,
         "joints": [
             {"arm": "left", "kind": "weld", "at": {"xyz": [-0.2, 0.0, 0.0]}},
@@ -282,12 +265,14 @@ CASES = (
         "Parallelogram through its flat position",
         "Flat, the parallel motion crosses that of the anti-parallelogram, and the constraints "
         "alone do not say which to follow: the velocity does.",
-        parallelogram_scene,
+        partial(
+            parallel_cranks, "parallelogram through its flat position", 2, _PARALLELOGRAM_START, 5.0
+        ),
         (
             *sound(ACCURACY),
             Criterion("angle between the cranks", ACCURACY, "rad", _not_parallel),
             follows(
-                lambda: parallelogram_motion(2), *_PARALLELOGRAM_START, 2, _FOLLOWED * ACCURACY
+                partial(parallelogram_motion, 2), *_PARALLELOGRAM_START, 2, _FOLLOWED * ACCURACY
             ),
         ),
         hardest=0.3039,
@@ -299,11 +284,11 @@ CASES = (
         "Three cranks on one coupler hold it once too often everywhere and once more where they "
         "lie flat, which the mechanism passes again and again for 10 s. The coupler is one piece "
         "here; on the motion that is followed the benchmark's two halves move alike.",
-        double_four_bar_scene,
+        partial(parallel_cranks, "double four-bar mechanism", 3, _DOUBLE_START, 10.0),
         (
             *sound(ACCURACY),
             Criterion("angle between the cranks", ACCURACY, "rad", _not_parallel),
-            follows(lambda: parallelogram_motion(3), *_DOUBLE_START, 3, _FOLLOWED * ACCURACY),
+            follows(partial(parallelogram_motion, 3), *_DOUBLE_START, 3, _FOLLOWED * ACCURACY),
         ),
         hardest=0.7144,
         events=True,

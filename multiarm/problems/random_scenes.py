@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.scene import Scene, find_robot
+from multiarm.problems.building import DOWN, pose, tip_pose
+from multiarm.scene import Scene
 
 KINDS = (
     ("weld", "ball", "revolute", "prismatic", "cylindrical", "universal", "planar")
@@ -76,7 +77,7 @@ def random_scene(rng: np.random.Generator) -> Scene:
         torques[name] = (robot.torque * rng.uniform(-1.0, 1.0, posture.size)).tolist()
     return Scene(
         name=f"{count} arms at random",
-        gravity=[0.0, 0.0, -9.81] if rng.random() < 0.8 else None,
+        gravity=DOWN if rng.random() < 0.8 else None,
         object=body,
         arms=arms,
         joints=joints,
@@ -112,7 +113,7 @@ def _object(rng: np.random.Generator, X_WO: np.ndarray) -> tuple[dict[str, Any],
     return {
         "shape": shapes[rng.integers(3)],
         "mass": float(10.0 ** rng.uniform(-0.3, 1.6)),
-        "pose": _pose(X_WO),
+        "pose": pose(X_WO[:3, 3], X_WO[:3, :3]),
         "twist": rng.uniform(-0.2, 0.2, 6).tolist() if rng.random() < 0.4 else [0.0] * 6,
     }, size
 
@@ -121,11 +122,7 @@ def _stand(
     robot: _Robot, posture: np.ndarray, grip: np.ndarray, azimuth: float
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Pose of the tip in the world, at ``grip``, and the upright base that puts it there."""
-    from multiarm.arms.arm import Arm, ArmFiles
-
-    X_BT = Arm(
-        "arm", ArmFiles(find_robot(robot.name).urdf, (), np.eye(4), robot.tip, robot.lock)
-    ).tip_pose(posture)
+    X_BT = tip_pose(robot.name, robot.tip, posture, robot.lock)
     yaw = azimuth + math.pi - math.atan2(X_BT[1, 3], X_BT[0, 3])
     X_WB = np.eye(4)
     X_WB[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
@@ -139,9 +136,7 @@ def _joint(rng: np.random.Generator, X_OT: np.ndarray) -> dict[str, Any]:
     joint: dict[str, Any] = {"kind": kind}
     if kind in ("point_on_cylinder", "point_on_sphere"):
         joint["radius"] = float(rng.uniform(0.1, 0.4))
-        centre = X_OT.copy()
-        centre[:3, 3] -= joint["radius"] * X_OT[:3, 0]
-        joint["at"] = _pose(centre)
+        joint["at"] = pose(X_OT[:3, 3] - joint["radius"] * X_OT[:3, 0], X_OT[:3, :3])
     if kind in ("revolute", "prismatic", "cylindrical", "point_on_plane"):
         joint["normal" if kind == "point_on_plane" else "axis"] = rng.standard_normal(3).tolist()
     return joint
@@ -170,10 +165,3 @@ def _accuracy(rng: np.random.Generator) -> float | dict[str, float]:
     if rng.random() < 0.75:
         return number
     return {"position": number, "rotation": 3 * number, "force": 1e3 * number}
-
-
-def _pose(X: np.ndarray) -> dict[str, Any]:
-    from multiarm.spatial import matrix_to_quaternion
-
-    turn = matrix_to_quaternion(X[:3, :3])
-    return {"xyz": X[:3, 3].tolist(), "quaternion_xyzw": turn.tolist()}

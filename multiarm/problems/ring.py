@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from multiarm.errors import ModelError
-from multiarm.problems.building import tip_pose
+from multiarm.problems.building import DOWN, tip_pose
 from multiarm.problems.case import HardCase, sound
 from multiarm.scene import Scene
 
@@ -45,10 +46,10 @@ def ring_of_arms(
     radius = max(0.8, 0.25 / math.sin(math.pi / arms))
     names = [f"arm{i}" for i in range(arms)]
     heading = {name: 2.0 * math.pi * i / arms for i, name in enumerate(names)}
-    height = _grip_height()
+    height = float(tip_pose("ur5", "tool0", RING_POSTURE)[2, 3])
     return Scene(
         name=f"{arms} UR5 arms around a disc, {kind} joints",
-        gravity=[0.0, 0.0, -9.81],
+        gravity=DOWN,
         object={
             "shape": {"cylinder": {"radius": radius - _REACH, "height": 0.05}},
             "mass": 2.5 * arms,
@@ -77,11 +78,6 @@ def ring_of_arms(
     )
 
 
-def _grip_height() -> float:
-    """Height of tool0 above the base in ``RING_POSTURE`` [m]."""
-    return float(tip_pose("ur5", "tool0", RING_POSTURE)[2, 3])
-
-
 _ACCURACY = 1e-6
 
 CASES = (
@@ -90,7 +86,7 @@ CASES = (
         "Eight arms welded to one disc",
         "Eight welds hold six freedoms: 42 of 48 contact forces only squeeze the disc, and the "
         "equilibrium is unstable. A solver of the whole system is slow here and badly scaled.",
-        lambda: ring_of_arms(8, duration=1.0, accuracy=_ACCURACY),
+        partial(ring_of_arms, 8, accuracy=_ACCURACY),
         sound(_ACCURACY),
     ),
     HardCase(
@@ -98,7 +94,7 @@ CASES = (
         "Sixty-four arms welded to one disc",
         "384 joints and 384 contacts on one body: what grows with the cube of the arms takes "
         "minutes, and roundings of 64 arms meet in the object.",
-        lambda: ring_of_arms(64, duration=1.0, accuracy=_ACCURACY),
+        partial(ring_of_arms, 64, accuracy=_ACCURACY),
         sound(_ACCURACY),
     ),
 )

@@ -8,12 +8,9 @@ its bound.  A case that cannot be run is a result too.
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
-import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -22,11 +19,11 @@ import numpy as np
 from multiarm.assembly.compilation import compile_system
 from multiarm.errors import MultiarmError
 from multiarm.plots.decimation import decimate
-from multiarm.results.sinks import provenance
 from multiarm.results.trajectory import ENERGIES, Trajectory, plain
 from multiarm.scene import dump_scene
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.peer_trials import Answer, Trial, all_answers
+from multiarm.studies.records import error_text, machine
 from multiarm.terminal.progress import Progress, Report, displayed
 
 if TYPE_CHECKING:
@@ -262,7 +259,7 @@ def run_case(
             certificate=False,
         )
     except Exception as error:
-        return CaseResult(*about, False, NOT_RUN, _error_text(error), scene=text)
+        return CaseResult(*about, False, NOT_RUN, error_text(error), scene=text)
     if trajectory.status == "interrupted":
         raise KeyboardInterrupt
     criteria = tuple(_measured(item, trajectory, system) for item in case.criteria)
@@ -311,21 +308,12 @@ def path_text(case: CaseResult) -> str:
     return "coupled" if coupled >= steps else f"coupled in {coupled:,} of {steps:,} steps"
 
 
-def machine() -> dict[str, Any]:
-    """Processor, platform and versions, as far as they are known."""
-    about = {key: value for key, value in provenance("").items() if key != "scene"}
-    for name in ("scipy", "mujoco", "drake"):
-        with suppress(importlib.metadata.PackageNotFoundError):
-            about["dependencies"][name] = importlib.metadata.version(name)
-    return {"processor": _processor(), **about}
-
-
 def _measured(criterion: Criterion, trajectory: Trajectory, system: System) -> CriterionResult:
     about = (criterion.quantity, float(criterion.bound), criterion.unit)
     try:
         value = float(criterion.measure(trajectory, system))
     except Exception as error:  # a run that broke off may lack what is measured
-        return CriterionResult(*about, None, False, _error_text(error))
+        return CriterionResult(*about, None, False, error_text(error))
     if not math.isfinite(value):
         return CriterionResult(*about, None, False, f"measured {value}")
     return CriterionResult(*about, value, value <= criterion.bound)
@@ -353,18 +341,3 @@ def _history(trajectory: Trajectory) -> dict[str, list[float | None]]:
     )
     series = zip(("energy_balance", *recorded), values.T, strict=True)
     return {"time": plain(time_), **{key: plain(column) for key, column in series}}
-
-
-def _processor() -> str:
-    """The processor's name if the system gives it."""
-    with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as lines:
-        for line in lines:
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
-
-
-def _error_text(error: Exception) -> str:
-    """What was raised: our own errors are sentences, others need their names."""
-    text = str(error).strip()
-    return text if isinstance(error, MultiarmError) else f"{type(error).__name__}: {text}"

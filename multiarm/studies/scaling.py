@@ -16,7 +16,7 @@ from typing import Any
 
 from multiarm.studies import contact_rows, solver_study, time_shares
 from multiarm.studies.evaluation_costs import evaluation_costs
-from multiarm.studies.hard_cases import machine
+from multiarm.studies.records import machine
 from multiarm.terminal.progress import Progress, Report, displayed
 
 EVALUATIONS, THESIS, SHARES, ROWS = STUDIES = ("evaluations", "thesis", "shares", "rows")

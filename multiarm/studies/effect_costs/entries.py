@@ -64,7 +64,6 @@ QUANTITIES = {
     FORCE: ("contact forces", "N"),
 }
 """Quantity -> what it is, and its unit; a change is the largest one at an output time."""
-OF_MOTION = (PATH, TURN, JOINTS, SLIDES)
 
 
 @dataclass(frozen=True)

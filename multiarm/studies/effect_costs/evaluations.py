@@ -17,8 +17,9 @@ from multiarm.events.evaluation import evaluate_data, mode_at
 from multiarm.events.modes import Mode
 from multiarm.simulation.inspection import EffectFacts
 from multiarm.studies.effect_costs.entries import paired_difference
-from multiarm.studies.effect_costs.variants import error_text, left_out
+from multiarm.studies.effect_costs.variants import left_out
 from multiarm.studies.evaluation_costs import slope_burst
+from multiarm.studies.records import error_text
 from multiarm.studies.timing import Burst, measure, one_thread
 
 TURNS = 40

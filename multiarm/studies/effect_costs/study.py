@@ -45,11 +45,10 @@ from multiarm.studies.effect_costs.variants import (
     SETTING,
     Variant,
     added,
-    error_text,
     left_out,
     simpler_settings,
 )
-from multiarm.studies.hard_cases import machine
+from multiarm.studies.records import error_text, machine
 from multiarm.studies.timing import clocked_run, one_thread
 from multiarm.terminal.progress import Progress, Report, displayed
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from multiarm.errors import MultiarmError
 from multiarm.scene import Scene
 from multiarm.simulation.inspection import active_effects
 
@@ -89,11 +88,6 @@ def simpler_settings(scene: Scene) -> list[Variant]:
             Variant(RECORDING, SETTING, about, partial(_with_run, scene, output_step=run.duration))
         )
     return found
-
-
-def error_text(error: Exception) -> str:
-    """Why a variant does not run; unexpected errors are named with their class."""
-    return str(error) if isinstance(error, MultiarmError) else f"{type(error).__name__}: {error}"
 
 
 def _with_run(scene: Scene, **changes: Any) -> Scene:

@@ -26,9 +26,8 @@ from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.studies.work_precision.points import Measured, Point
 from multiarm.studies.work_precision.reference import Motion, Reference
 
-FORMAT = "multiarm accuracy, 2"
-OLD_FORMAT = "multiarm accuracy, 1"
-"""Of studies without motions, first references and plans."""
+FORMAT_FAMILY = "multiarm accuracy, "
+FORMAT = f"{FORMAT_FAMILY}2"
 WRITE_INTERVAL = 1.0
 """The file is written at most so often [s]."""
 DEFAULT_FORCE_ACCURACY = 1e-3
@@ -177,7 +176,7 @@ def read_results(path: Path) -> Results:
     Raises
     ------
     MultiarmError
-        There is none, or it is something else.
+        There is none, it is something else, or another version of the program wrote it.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -186,8 +185,15 @@ def read_results(path: Path) -> Results:
     except ValueError:
         data = None
     strange = f"'{path}' is not the file of an accuracy study; name another one"
-    if not isinstance(data, dict) or data.get("format") not in (FORMAT, OLD_FORMAT):
+    written = data.get("format") if isinstance(data, dict) else None
+    if not isinstance(written, str) or not written.startswith(FORMAT_FAMILY):
         raise MultiarmError(strange)
+    if written != FORMAT:
+        raise MultiarmError(
+            f"'{path}' has the format '{written}' of another version, which lacks what this one "
+            f"needs, '{FORMAT}'; name another file, or measure anew: multiarm accuracy SCENE "
+            f"--out {path} --fresh"
+        )
     try:
         return _read(data, path)
     except (KeyError, TypeError, ValueError):
@@ -201,10 +207,6 @@ def _read(data: dict[str, Any], path: Path) -> Results:
     results.wall_time_s = data["wall_time_s"]
     found = [Point.from_dict(item) for item in data["points"]]
     results.points = {point.setting.key: point for point in found}
-    if data["format"] == OLD_FORMAT:
-        if results.reference is not None:
-            results.reference["first"] = False
-        return results
     results.planned, results.left_out = data["planned"], data["left_out"]
     results._exact = None if data["exact"] is None else _decoded(data["exact"])
     results._motions = {key: _decoded(motion) for key, motion in data["motions"].items()}

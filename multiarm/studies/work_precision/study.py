@@ -21,7 +21,7 @@ from functools import partial
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.scene import Scene
-from multiarm.studies.hard_cases import machine
+from multiarm.studies.records import machine
 from multiarm.studies.timing import one_thread
 from multiarm.studies.work_precision.peers import Peers
 from multiarm.studies.work_precision.plan import Plan
