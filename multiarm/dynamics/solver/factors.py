@@ -96,7 +96,10 @@ def solve_semidefinite(A, b, x):
                 A[order[i], order[j]] -= L[order[i], k] * L[order[j], k]
     x[:] = 0.0
     if rank < n:
-        columns = L.T.copy()
+        columns = np.empty((rank, n))
+        for k in range(rank):
+            for i in range(n):
+                columns[k, i] = L[i, k]
         orthogonalize(columns, rank, n, columns, 0)
         for k in range(rank):
             square = along = 0.0
