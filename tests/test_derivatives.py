@@ -26,7 +26,9 @@ from test_dynamics import constrained_forest
 
 import multiarm as ma
 from multiarm.assembly.start import project_start
+from multiarm.dynamics.contact_derivatives import differentiate_joint
 from multiarm.errors import ModelError, SolverError
+from multiarm.jit.ahead import argument_types
 from multiarm.spatial import retract
 
 STEP = 1e-4
@@ -302,6 +304,11 @@ def test_a_joint_at_its_stop_stays_there():
     row = found.joint_accelerations["arm"]
     np.testing.assert_allclose(row.matrix[1], 0.0, atol=1e-9)  # whatever is displaced
     np.testing.assert_allclose(found.matrix[fixed][:, [13, 19]], 0.0, atol=1e-9)
+
+
+def test_the_floor_is_differentiated_by_the_code_that_is_compiled_for_arms():
+    ma.derivatives(over_floor(0.0))
+    assert differentiate_joint.whole.signatures == [argument_types(differentiate_joint)]
 
 
 def test_sliding_is_refused_with_the_reason():

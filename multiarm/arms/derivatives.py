@@ -41,7 +41,9 @@ class ArmDerivatives:
         pin.computeForwardKinematicsDerivatives(model, data, q, rates, accelerations)
         axes = pin.ReferenceFrame.LOCAL
         parts = pin.getJointAccelerationDerivatives(model, data, joint, axes)
-        tables = np.vstack([np.reshape(part, (6, model.nv), "F").T for part in parts])
+        tables = np.empty((4 * model.nv, 6))
+        for k, part in enumerate(parts):
+            tables[k * model.nv : (k + 1) * model.nv] = np.reshape(part, (6, model.nv), "F").T
         pose, twist, spatial = data.oMi[joint], data.v[joint].vector, data.a[joint].vector
         link = [pose.rotation.ravel(), pose.translation, np.zeros(3), twist, spatial]
         return np.concatenate(link), tables
