@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from multiarm.effects.effect import Effect, Loads
     from multiarm.events.derivatives import derivatives
     from multiarm.events.evaluation import evaluate
+    from multiarm.linear.equilibrium import Equilibrium, find_equilibrium
+    from multiarm.linear.linearisation import LinearSystem, linearise
     from multiarm.reports.report import report
     from multiarm.results.trajectory import Trajectory, load_trajectory
     from multiarm.scene import (
@@ -51,8 +53,10 @@ _HOMES = {
     "Control": "control.user_control",
     "Derivatives": "dynamics.derivatives",
     "Effect": "effects.effect",
+    "Equilibrium": "linear.equilibrium",
     "Evaluation": "dynamics.evaluation",
     "Joint": "scene",
+    "LinearSystem": "linear.linearisation",
     "Loads": "effects.effect",
     "Scene": "scene",
     "State": "dynamics.state",
@@ -64,7 +68,9 @@ _HOMES = {
     "compile_system": "assembly.compilation",
     "derivatives": "events.derivatives",
     "evaluate": "events.evaluation",
+    "find_equilibrium": "linear.equilibrium",
     "inverse_dynamics": "dynamics.inverse",
+    "linearise": "linear.linearisation",
     "load_scene": "scene",
     "load_sweep": "sweeps.result",
     "load_trajectory": "results.trajectory",
@@ -83,8 +89,10 @@ __all__ = [
     "Control",
     "Derivatives",
     "Effect",
+    "Equilibrium",
     "Evaluation",
     "Joint",
+    "LinearSystem",
     "Loads",
     "MultiarmError",
     "Scene",
@@ -97,8 +105,10 @@ __all__ = [
     "compile_system",
     "derivatives",
     "evaluate",
+    "find_equilibrium",
     "grasp",
     "inverse_dynamics",
+    "linearise",
     "load_scene",
     "load_sweep",
     "load_trajectory",

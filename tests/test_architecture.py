@@ -26,13 +26,14 @@ PACKAGE = ROOT / "multiarm"
 ROOMS = (
     "errors", "public", "geometry", "jit", "spatial", "tableaus", "scene", "results", "contacts",
     "arms", "dynamics", "control", "effects", "integration", "terminal", "assembly", "events",
-    "simulation", "grasp", "sweeps",
+    "simulation", "linear", "grasp", "sweeps",
     "plots", "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
     "coal": ("contacts.unilateral", "viewer.shapes"),
+    "control": ("linear.linearisation",),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
     "h5py": ("control.tables", "results.hdf5", "results.trajectory_file", "sweeps.store"),
@@ -72,6 +73,8 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "assembly.loop_closure",
         "contacts.internal_forces",
         "effects.external_wrenches",
+        "linear.coordinates",
+        "linear.linearisation",
         "problems",
         "scene.object",
         "sweeps.axes",
@@ -98,11 +101,14 @@ HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydant
 PUBLIC_ATTRIBUTES = {
     "Control": "picture example torques build faults",
     "Derivatives": "evaluation matrix message object_acceleration joint_accelerations "
-    "contact_forces",
+    "contact_forces effect_state_rates motions",
     "Effect": "name Spec forces build",
+    "Equilibrium": "state torques linear stability steps acceleration",
     "Evaluation": "object_acceleration joint_accelerations contact_forces contact_forces_unique "
     "contact_points contact_normals position_residual velocity_residual residuals",
     "Joint": "kind arm name at at_tip records",
+    "LinearSystem": "A B C D rate state state_names input_names output_names modes controllable "
+    "stability coordinates_of state_at to_scipy to_control",
     "Loads": "object_wrench joint_torques",
     "Scene": "name gravity object arms joints control effects run",
     "State": "position velocity object_position object_quaternion_xyzw object_twist "
@@ -121,7 +127,9 @@ PUBLIC_PARAMETERS = {
     "compile_system": "scene control sample_time sample_delay like",
     "derivatives": "system t state closed_loop",
     "evaluate": "system t state",
+    "find_equilibrium": "system state torques t",
     "inverse_dynamics": "system state object_acceleration relative_acceleration internal_forces",
+    "linearise": "system t state closed_loop",
     "load_scene": "path",
     "load_sweep": "path",
     "load_trajectory": "path",

@@ -240,6 +240,15 @@ def test_a_digital_controller_holds_a_box_that_is_pushed(printed, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_regulator_brings_a_box_back(printed):
+    text = printed("13_regulator.py")
+    assert "held by its torques: unstable, 12 states" in text
+    assert figures("with the regulator: stable, slowest motion dies out in# s", text)[0][0] < 0.2
+    held, regulated = figures("pushed by up to# mm,# mm away at the end", text)
+    assert held[1] > 100.0 and 1.0 < regulated[0] < 50.0 and regulated[1] < 0.1
+
+
+@pytest.mark.slow
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"

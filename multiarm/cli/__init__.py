@@ -19,6 +19,7 @@ from multiarm.cli.check import check
 from multiarm.cli.effects import effects
 from multiarm.cli.grasp import grasp_app
 from multiarm.cli.joints import controls, joints, methods, shapes
+from multiarm.cli.modes import modes
 from multiarm.cli.new import new
 from multiarm.cli.pose import pose
 from multiarm.cli.robots import robots
@@ -132,7 +133,7 @@ def _program(
 
 _COMMANDS = (
     new, run, check, pose, robots, shapes, joints, controls, methods, schema, replay, report,
-    accuracy, effects, scaling, stability, sweep, warmup,
+    accuracy, effects, scaling, stability, modes, sweep, warmup,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command()(_command)

@@ -26,7 +26,8 @@ The right-hand sides at fixed y come from
 * differences of order four of control and effects, in scenes that have any.
 
 Displacements of the object are a shift of its centre of mass and a rotation vector, world axes:
-``position + shift``, ``retract(quaternion, turn)``.
+``position + shift``, ``retract(quaternion, turn)``.  States of effects, such as the torques of
+lagging drives, follow the positions, velocities and torques, and their rates the contact forces.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ class Sensitivity:
 
     Attributes
     ----------
-    matrix : ndarray, shape (m, 12 + 3 n)
+    matrix : ndarray, shape (m, 12 + 3 n + e)
         By the columns of :class:`Derivatives`.
     layout : Layout
     """
@@ -104,9 +105,51 @@ class Sensitivity:
         """By torques [N m] or forces [N] that are added to the joints, arm -> (m, n_i)."""
         return self._joints(2)
 
+    @property
+    def d_effect_states(self) -> np.ndarray:
+        """By the states of effects, shape (m, e)."""
+        return self.matrix[:, 12 + 3 * self.layout.joints :]
+
     def _joints(self, part: int) -> dict[str, np.ndarray]:
         first = 12 + part * self.layout.joints
         return self.layout.split_joints(self.matrix[:, first : first + self.layout.joints])
+
+
+class Motions(NamedTuple):
+    """The inertia of the system, and the derivatives of its gaps.
+
+    Displacements and velocities have ``6 + n`` numbers: of the object (world axes), of the joints.
+
+    Attributes
+    ----------
+    inertia : ndarray, shape (6 + n, 6 + n)
+        Kinetic energy is half its square form of the velocities.
+    gaps : ndarray, shape (K, 6 + n)
+        Of the K gaps that joints keep closed, by a displacement; rolling rows have no gap.
+    rates : ndarray, shape (N, 6 + n)
+        Of the rates of all N rows, by the velocities.
+    rates_by_position : ndarray, shape (N, 6 + n)
+        Of these rates, by a displacement.
+    """
+
+    inertia: np.ndarray
+    gaps: np.ndarray
+    rates: np.ndarray
+    rates_by_position: np.ndarray
+
+    def admissible(self) -> np.ndarray:
+        """Projector on displacements and velocities that keep gaps and gap rates, (12 + 2 n,) * 2.
+
+        In the order of the columns of :class:`Derivatives`.
+        """
+        of_gaps = np.hstack([self.gaps, np.zeros_like(self.gaps)])
+        constraint = np.vstack([of_gaps, np.hstack([self.rates_by_position, self.rates])])
+        n = self.inertia.shape[0] - 6
+        order = np.r_[0:6, 6 + n : 12 + n, 6 : 6 + n, 12 + n : 12 + 2 * n]
+        constraint = constraint[:, order]
+        lengths = np.linalg.norm(constraint, axis=1)
+        basis = null_space(constraint[lengths > 0.0] / lengths[lengths > 0.0, None]).basis
+        return basis @ basis.T
 
 
 @dataclass(frozen=True)
@@ -117,19 +160,23 @@ class Derivatives:
     ----------
     evaluation : Evaluation
         What is differentiated.
-    matrix : ndarray, shape (6 + n + N, 12 + 3 n)
-        Of the object's acceleration, the joint accelerations and the contact forces, arm after arm,
-        by the object's pose and twist, the joint positions, the joint velocities and the torques.
-        NaN for forces that the equations leave open.
+    matrix : ndarray, shape (6 + n + N + e, 12 + 3 n + e)
+        Of the object's acceleration, the joint accelerations, the contact forces, arm after arm,
+        and the rates of e states of effects, by the object's pose and twist, the joint positions,
+        the joint velocities, the torques and the states of effects.  NaN for forces that the
+        equations leave open.
     layout : Layout
     message : str
         What does not exist in this form, and why; else empty.
+    motions : Motions
+        Inertia, and which displacements keep the joints closed.
     """
 
     evaluation: Evaluation
     matrix: np.ndarray
     layout: Layout
     message: str
+    motions: Motions
 
     @property
     def object_acceleration(self) -> Sensitivity:
@@ -146,6 +193,12 @@ class Derivatives:
         """Of the contact forces, by arm."""
         return self._by_arm(6 + self.layout.joints, self.layout.rows)
 
+    @property
+    def effect_state_rates(self) -> Sensitivity:
+        """Of the rates of the states of effects, such as the torques of lagging drives."""
+        rows = 6 + self.layout.joints + self.layout.contacts
+        return Sensitivity(self.matrix[rows:], self.layout)
+
     def _by_arm(self, first: int, bounds: tuple[int, ...]) -> dict[str, Sensitivity]:
         return {
             name: Sensitivity(self.matrix[first + a : first + b], self.layout)
@@ -157,8 +210,8 @@ class Derivatives:
         return f"Derivatives({rows} rows by {columns} columns{self.message and '; '}{self.message})"
 
 
-def differentiate(data: Data, found: Evaluation, closed_loop: bool) -> tuple[np.ndarray, str]:
-    """The matrix and the message of :class:`Derivatives`, right after an evaluation of the data.
+def differentiate(data: Data, found: Evaluation, closed_loop: bool) -> Derivatives:
+    """The derivatives of an evaluation of the data, right after it.
 
     Raises
     ------
@@ -169,17 +222,19 @@ def differentiate(data: Data, found: Evaluation, closed_loop: bool) -> tuple[np.
     independent = found.rank == layout.contacts
     on_ground = layout.rows[-1] > layout.rows[len(layout.names)]
     if independent and not (found.coupled_arms or data.model.constants.dense or on_ground):
-        return derivation.solve(), ""
-    matrix = derivation.solve_whole(along_joints=not independent)
-    if independent:
-        return matrix, ""
-    unique = np.concatenate(list(found.contact_forces_unique.values()))
-    matrix[6 + layout.joints :][~unique] = np.nan
-    return matrix, (
-        f"{layout.contacts - found.rank} of {layout.contacts} constraints repeat others: "
-        "displacements are projected on those that keep the joints closed, and forces that are not "
-        "unique have no derivatives"
-    )
+        matrix, message = derivation.solve(), ""
+    else:
+        matrix, message = derivation.solve_whole(along_joints=not independent), ""
+    if not independent:
+        unique = np.concatenate(list(found.contact_forces_unique.values()))
+        matrix[6 + layout.joints :][~unique] = np.nan
+        message = (
+            f"{layout.contacts - found.rank} of {layout.contacts} constraints repeat others: "
+            "displacements are projected on those that keep the joints closed, and forces that are "
+            "not unique have no derivatives"
+        )
+    matrix = np.vstack([matrix, derivation.effect_state_rates()])
+    return Derivatives(found, matrix, layout, message, derivation.motions)
 
 
 class _ArmEquations(NamedTuple):
@@ -203,7 +258,8 @@ class _Derivation:
 
     def __init__(self, data: Data, closed_loop: bool) -> None:
         b, model, layout = data.arrays, data.model, data.model.layout
-        self.data, self.layout, self.columns = data, layout, 12 + 3 * layout.joints
+        self.data, self.layout = data, layout
+        self.columns = 12 + 3 * layout.joints + b.inner.size
         self.state, self.inertia, self.qdd = data.get_state(), b.inertia.copy(), b.qdd.copy()
         self.gravity, self.force = model.constants.gravity, b.force.copy()
         R, position, twist = b.body[:9], self.state.object_position, self.state.object_twist
@@ -261,7 +317,7 @@ class _Derivation:
             dF[np.ix_(at, own.columns)] = own.dF
         states = 12 + 2 * layout.joints
         if along_joints:
-            dF[:, :states] = dF[:, :states] @ self._admissible()
+            dF[:, :states] = dF[:, :states] @ self.motions.admissible()
         scale = np.concatenate([1.0 / np.sqrt(np.diag(K)[:size]), np.ones(layout.contacts)])
         lengths = np.linalg.norm(scale[:size, None] * K[:size, size:], axis=0)
         scale[size:] = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
@@ -275,24 +331,31 @@ class _Derivation:
             )
         return -scale[:, None] * (vt[:rank].T @ (right[:rank] / singular[:rank, None]))
 
-    def _admissible(self) -> np.ndarray:
-        """Projector on displacements of the state that keep gaps and gap rates, (12 + 2 n,) * 2."""
-        layout, states = self.layout, 12 + 2 * self.layout.joints
+    def effect_state_rates(self) -> np.ndarray:
+        """Derivatives of the rates of the states of effects, shape (e, columns)."""
+        found = np.zeros((self.data.arrays.inner.size, self.columns))
+        if self._applied is not None:
+            found[:, self._applied_columns] = self._applied[6 + self.layout.joints :]
+        return found
+
+    @cached_property
+    def motions(self) -> Motions:
+        """Inertia, and the derivatives of the gaps."""
+        layout, size = self.layout, 6 + self.layout.joints
         codes = self.data.model.constants.codes
-        rows = []
+        inertia, closed = np.zeros((size, size)), codes[:, KIND] != TANGENT
+        rates, by_position = np.zeros((2, layout.contacts, size))
+        inertia[:6, :6] = self.inertia
         for i, own in enumerate(self.arms):
-            joints = _range(layout.dofs, i)
-            has_gap = codes[_range(layout.rows, i), KIND] != TANGENT
-            gaps, rates = np.zeros((2, len(own.rates), states))
-            gaps[:, :6], gaps[:, 12:][:, joints] = own.W_o.T, own.matrix[own.dof :, : own.dof]
-            at = np.arange(12 + 2 * own.dof)
-            at[12:] += np.repeat([0, layout.joints - own.dof], own.dof) + joints.start
-            rates[:, at] = own.rates
-            rows += [gaps[has_gap], rates]
-        constraint = np.vstack(rows)
-        lengths = np.linalg.norm(constraint, axis=1)
-        basis = null_space(constraint[lengths > 0.0] / lengths[lengths > 0.0, None]).basis
-        return basis @ basis.T
+            joints, rows, n = _range(layout.dofs, i), _range(layout.rows, i), own.dof
+            at = slice(6 + joints.start, 6 + joints.stop)
+            inertia[at, at] = own.matrix[:n, :n]
+            rates[rows, :6], rates[rows, at] = own.W_o.T, own.matrix[n:, :n]
+            by_position[rows, :6], by_position[rows, at] = (
+                own.rates[:, :6],
+                own.rates[:, 12 : 12 + n],
+            )
+        return Motions(inertia, rates[closed], rates, by_position)
 
     def _object_equation(self) -> np.ndarray:
         """Derivatives of ``M_o a_o - h_o``; those of the contacts' wrenches come from the arms."""
@@ -304,7 +367,7 @@ class _Derivation:
             found[3:, 3:6] += omega @ gyroscopic
             found[3:, 9:12] = omega @ I - skew(I @ self.state.object_twist[3:])
         else:
-            found[:, : self._applied.shape[1]] -= self._applied[:6]
+            found[:, self._applied_columns] -= self._applied[:6]
         return found
 
     def _arm(self, i: int) -> _ArmEquations:
@@ -346,7 +409,7 @@ class _Derivation:
         else:
             whole = np.zeros((n + m, self.columns))
             whole[:, columns] = dF
-            whole[:n, : self._applied.shape[1]] -= self._applied[6:][joints]
+            whole[:n, self._applied_columns] -= self._applied[6:][joints]
             columns, dF = np.arange(self.columns), whole
         self.dF_o[:, :6] -= on_object[:6].T
         self.dF_o[:, 12 + joints.start : 12 + joints.stop] -= on_object[18 : 18 + n].T
@@ -371,19 +434,30 @@ class _Derivation:
                 k, j = row - layout.rows[i], joint - layout.dofs[i]
                 W[j, k] = rates_by_v[k, j] = constants.geometry[row, SIDE]
 
+    @property
+    def _applied_columns(self) -> np.ndarray:
+        """Columns of the differences: positions, velocities and states of effects."""
+        states, n = 12 + 2 * self.layout.joints, self.layout.joints
+        return np.r_[:states, states + n : self.columns]
+
     def _forces_by_differences(self, closed_loop: bool) -> np.ndarray:
-        """Derivatives of ``h_o`` and ``h`` by pose, twist, positions and velocities."""
+        """Derivatives of ``h_o``, ``h`` and the rates of effects' states, by all but torques."""
         n, b = self.layout.joints, self.data.arrays
-        found = np.zeros((6 + n, 12 + 2 * n))
-        for column in range(12 + 2 * n):
+        states = 12 + 2 * n
+        found, inner = np.zeros((6 + n + b.inner.size, states + b.inner.size)), b.inner.copy()
+        for column in range(found.shape[1]):
             for offset in OFFSETS:
-                self.data.move_to(_displaced(self.state, column, offset * STEP))
+                if column < states:
+                    self.data.move_to(_displaced(self.state, column, offset * STEP))
+                else:
+                    b.inner[column - states] = inner[column - states] + offset * STEP
                 if update_forces(self.data.struct) != OK:
                     self.data.reraise()
+                h = b.h if closed_loop else b.h - b.torque
                 weight = difference_weight(offset)
-                found[:6, column] += weight * b.h_o
-                found[6:, column] += weight * (b.h if closed_loop else b.h - b.torque)
-        self.data.move_to(self.state)
+                found[:, column] += weight * np.concatenate([b.h_o, h, b.inner_rate])
+            self.data.move_to(self.state)
+            b.inner[:] = inner
         update_forces(self.data.struct)
         return found
 

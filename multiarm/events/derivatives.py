@@ -48,20 +48,19 @@ def derivatives(
     t, state = require_time(t), system.checked(state)
     with system.borrow() as data:
         if data.model.unilateral is None:
-            found = evaluation.evaluate(data, t, state)
-            matrix, message = differentiate(data, found, closed_loop)
-            return Derivatives(found, matrix, data.model.layout, message)
+            return differentiate(data, evaluation.evaluate(data, t, state), closed_loop)
         mode = mode_at(data, t, state)
         if len(mode.arrays.slides):
             raise SolverError(
                 "derivatives: contacts slide with friction at this state, whose direction turns "
                 "with the slip; take a state where they stick, or leave friction out"
             )
-        own = evaluation.evaluate(mode.data, t, state)
-        matrix, message = differentiate(mode.data, own, closed_loop)
+        own = differentiate(mode.data, evaluation.evaluate(mode.data, t, state), closed_loop)
         layout, moving = data.model.layout, 6 + data.model.layout.joints
+        rows = moving + layout.contacts
         held = np.concatenate([np.arange(moving), moving + mode.arrays.held])
-        scattered = np.zeros((moving + layout.contacts, matrix.shape[1]))
-        scattered[held] = matrix
+        states = np.arange(rows, rows + len(own.effect_state_rates.matrix))
+        scattered = np.zeros((rows + len(states), own.matrix.shape[1]))
+        scattered[np.concatenate([held, states])] = own.matrix
         found = evaluate_mode(data, mode, t, state)
-        return Derivatives(found, scattered, layout, message)
+        return Derivatives(found, scattered, layout, own.message, own.motions)

@@ -31,7 +31,7 @@ from multiarm.integration.step_control import (
     STIFF,
     STOPPED,
 )
-from multiarm.integration.time_loop import advance
+from multiarm.integration.time_loop import advance, observe
 from multiarm.integration.variational import NOT_CONVERGED
 from multiarm.jit.structs import rewrite, struct_of
 from multiarm.simulation.event_handling import EventHandler
@@ -98,6 +98,13 @@ class Driver:
         elif reason == SOLVER_CHANGED:
             run.solver_log.collect(run.data, run.clock.t, state_of(run, run.data.model.layout))
         return reason, fault
+
+    def observe(self, row: np.ndarray) -> int:
+        """Evaluate where the run is, and write it as a row of samples; returns a status."""
+        run = self.run
+        return observe(
+            run.data.struct, run.stepping.struct, run.clock.struct, self.settings_struct, row
+        )
 
 
 class Switch:

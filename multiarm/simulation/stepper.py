@@ -21,7 +21,6 @@ from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ControlError, SolverError
 from multiarm.integration.samples import sample_columns
 from multiarm.integration.step_control import BLOCK_FULL, FINISHED
-from multiarm.integration.time_loop import observe
 from multiarm.public import public_names
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
@@ -320,11 +319,7 @@ class Stepper:
 
     def _observe(self) -> np.ndarray:
         """The present as a row of samples."""
-        run = self._run
-        status = observe(
-            run.data.struct, run.stepping.struct, run.clock.struct, self._driver.settings_struct,
-            self._row,
-        )  # fmt: skip
+        status = self._driver.observe(self._row)
         if status != OK:
             self._fail(status)
         return self._row

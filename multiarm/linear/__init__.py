@@ -1,0 +1,1 @@
+"""Linearised systems: minimal coordinates, modes, equilibria."""

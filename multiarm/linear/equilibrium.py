@@ -1,0 +1,222 @@
+r"""Equilibria: states at rest that the control, or given torques, hold.
+
+At rest, the accelerations :math:`\dot\zeta` of the minimal coordinates and the rates of states of
+effects are functions of the position alone, with the exact derivatives
+
+.. math::
+    \begin{bmatrix} d\dot\zeta \\ d\dot z \end{bmatrix} =
+    \begin{bmatrix} A_{\zeta\eta} & A_{\zeta z} \\ A_{z\eta} & A_{zz} \end{bmatrix}
+    \begin{bmatrix} d\eta \\ dz \end{bmatrix}, \qquad
+    J = A_{\zeta\eta} - A_{\zeta z} A_{zz}^{-1} A_{z\eta} ,
+
+as states of effects, such as the torques of lagging drives, are always those at rest.  The method
+is Levenberg and Marquardt's in the metric of the inertia,
+
+.. math:: \min_{\Delta\eta}\; |\dot\zeta + J \Delta\eta|_M^2 + \mu\, |E_p \Delta\eta|_M^2 ,
+
+where :math:`\mu` falls with every step that lessens the accelerations, so that the last steps are
+Newton's, and grows with every one that does not.  After each the joints are closed again.  Along
+motions that nothing drives back the system stays where it is.  Unstable equilibria are found as
+well as stable ones; the linear system there says which it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from multiarm.assembly.start import project_start
+from multiarm.dynamics.state import State, fill_by_arm
+from multiarm.dynamics.system import System, require_system
+from multiarm.errors import ModelError, SolverError
+from multiarm.linear.linearisation import LinearSystem, displaced, linearise
+from multiarm.public import facts_html, public_names
+
+__all__ = ["Equilibrium", "find_equilibrium"]
+
+# Largest accelerations that count as none, as part of those that gravity or 1 m/s^2 would make.
+AT_REST = 1e-11
+# The best that roundings allow, as part of the same.
+ROUNDINGS = 1e-8
+MOST_STEPS = 200
+# Largest motion of a step [m, rad].
+LONGEST = 0.3
+# The parameter mu, relative to the largest squared singular value of the matrix: first, last that
+# is tried, below which a step is Newton's; factors after good and bad steps.
+MU_FIRST, MU_LAST, MU_NEWTON, MU_FALLS, MU_GROWS = 1e-4, 1e4, 1e-14, 0.05, 8.0
+# Smallest singular value, relative to the largest, of a motion that something drives back.
+DRIVEN_BACK = 1e-9
+
+
+@dataclass(frozen=True, repr=False)
+class Equilibrium:
+    """A state at rest in which nothing accelerates.
+
+    Attributes
+    ----------
+    state : State
+    torques : mapping arm -> ndarray, shape (n_i,)
+        That act on the joints [N m, N].
+    linear : LinearSystem
+        The system near it.
+    steps : int
+        Of Newton's method.
+    acceleration : float
+        The largest that is left [m/s^2, rad/s^2].
+    """
+
+    state: State
+    torques: Mapping[str, np.ndarray]
+    linear: LinearSystem
+    steps: int
+    acceleration: float
+
+    __dir__ = public_names
+
+    def __repr__(self) -> str:
+        return f"Equilibrium({self.stability}, after {self.steps} steps; {self.state})"
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "stability": self.stability,
+            "steps": self.steps,
+            "acceleration left": f"{self.acceleration:.2g} m/s\N{SUPERSCRIPT TWO}",
+        }
+        return facts_html("Equilibrium", facts)
+
+    @property
+    def stability(self) -> str:
+        """``"stable"``, ``"unstable"``, or ``"undecided"``: linear terms do not tell."""
+        return self.linear.stability
+
+
+def find_equilibrium(
+    system: System,
+    state: State | None = None,
+    torques: Mapping[str, ArrayLike] | None = None,
+    *,
+    t: float = 0.0,
+) -> Equilibrium:
+    """Find a posture near a state in which the system stays at rest.
+
+    The torques that hold a given posture are those of :func:`multiarm.inverse_dynamics` for an
+    object acceleration of zero.
+
+    >>> equilibrium = ma.find_equilibrium(system)
+    >>> equilibrium.stability, equilibrium.linear.modes
+
+    Parameters
+    ----------
+    system : System
+    state : State, optional
+        Where the search begins; its velocities are left out.  The scene's start by default.
+    torques : mapping arm -> array-like (n_i,), optional
+        Joint torques [N m] or forces [N] that are held; arms that are not named get none.  The
+        scene's control by default.
+    t : float
+        Time, for control and loads [s].
+
+    Raises
+    ------
+    ModelError
+        When an argument does not fit.
+    SolverError
+        When no equilibrium is found, with what is left; when the state cannot be linearised.
+    """
+    system = require_system(system, "ma.find_equilibrium(system, state, torques)")
+    if torques is not None:
+        held = np.zeros(system.model.layout.joints)
+        fill_by_arm("torques", system.model.layout.split_joints(held), torques, ModelError)
+        by_arm = system.model.layout.split_joints(held)
+        system = system.with_control(lambda t, state: by_arm)
+    start = _at_rest(system, system.checked(state))
+    search = _Search(linearise(system, t, start), t)
+    size = max(float(np.linalg.norm(system.model.constants.gravity)), 1.0)
+    while search.here.largest_acceleration > AT_REST * size and search.steps < MOST_STEPS:
+        if not search.step():
+            break
+    here = search.here
+    if here.largest_acceleration > ROUNDINGS * size:
+        raise SolverError(_not_found(here, start, search.steps))
+    torques = here.derivatives.evaluation.joint_torques
+    return Equilibrium(here.state, torques, here, search.steps, here.largest_acceleration)
+
+
+class _Reduced(NamedTuple):
+    """Accelerations, and their derivatives by displacements, as the inertia measures both."""
+
+    r: np.ndarray  # (m,)
+    J: np.ndarray  # (m, p)
+    scale: np.ndarray  # (p, p): displacements of the coordinates by those that J is for
+
+
+class _Search:
+    """Steps of the method of Levenberg and Marquardt."""
+
+    def __init__(self, here: LinearSystem, t: float) -> None:
+        self.here, self.steps = here, 0
+        self._t, self._mu = t, MU_FIRST
+
+    def step(self) -> bool:
+        """Take a step that lessens the accelerations; returns whether there is one."""
+        at = _reduced(self.here)
+        u, s, vt = np.linalg.svd(at.J, full_matrices=False)
+        if not s.size or not s[0] > 0.0:
+            return False
+        along, driven = u.T @ at.r, s > DRIVEN_BACK * s[0]
+        while self._mu <= MU_LAST:
+            mu = self._mu * s[0] ** 2 if self._mu > MU_NEWTON else 0.0
+            part = np.zeros_like(s)
+            part[driven] = s[driven] * along[driven] / (s[driven] ** 2 + mu)
+            move = -self.here.coordinates.displacement @ (at.scale @ (vt.T @ part))
+            largest = float(np.abs(move).max(initial=0.0))
+            other = self._there(move) if 0.0 < largest <= LONGEST else None
+            if other is not None and np.linalg.norm(_reduced(other).r) < np.linalg.norm(at.r):
+                self.here, self.steps = other, self.steps + 1
+                self._mu = max(self._mu * MU_FALLS, MU_NEWTON)
+                return True
+            self._mu *= MU_GROWS
+        return False
+
+    def _there(self, move: np.ndarray) -> LinearSystem | None:
+        """The system after a displacement; None where joints cannot be closed or it is singular."""
+        system = self.here.system
+        try:
+            return linearise(system, self._t, _at_rest(system, displaced(self.here.state, move)))
+        except (ModelError, SolverError):
+            return None
+
+
+def _reduced(here: LinearSystem) -> _Reduced:
+    at, M = here.coordinates, here.derivatives.motions.inertia
+    p, m = len(at.positions), len(at.velocities)
+    moving, inner = slice(p, p + m), slice(p + m, len(here.A))
+    J = here.A[moving, :p]
+    if len(here.A) > p + m:
+        by_inner = np.linalg.solve(here.A[inner, inner], here.A[inner, :p])
+        J = J - here.A[moving, inner] @ by_inner
+    metric = np.linalg.cholesky(at.velocity.T @ M @ at.velocity).T
+    scale = np.linalg.inv(np.linalg.cholesky(at.displacement.T @ M @ at.displacement).T)
+    return _Reduced(metric @ here.rate[moving], metric @ J @ scale, scale)
+
+
+def _at_rest(system: System, state: State) -> State:
+    """The state on the joints, with zero velocities."""
+    state.velocity[:] = 0.0
+    with system.borrow() as data:
+        return project_start(data, system.scene, state)[0]
+
+
+def _not_found(here: LinearSystem, start: State, steps: int) -> str:
+    moved = float(np.abs(here.state.position - start.position).max())
+    left = here.largest_acceleration
+    return (
+        f"find_equilibrium: none found near this state: after {steps} steps, which moved it by up "
+        f"to {moved:.2g} m or rad, accelerations of {left:.2g} m/s^2 or rad/s^2 are left and no "
+        "motion lessens them; begin elsewhere (`state`), or give the torques that hold the "
+        "posture: ma.inverse_dynamics(system, state, [0, 0, 0, 0, 0, 0]).torques"
+    )

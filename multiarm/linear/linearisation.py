@@ -1,0 +1,325 @@
+r"""The linear system near one state, in minimal coordinates.
+
+With the coordinates :math:`\eta, \zeta` of :mod:`multiarm.linear.coordinates` and the states z of
+effects, such as the torques of lagging drives,
+
+.. math:: y = (\eta, \zeta, z), \qquad
+    \dot y = \dot y_0 + A y + B \tau, \qquad  o = C y + D \tau,
+
+where :math:`\tau` are torques that are added to the joints.  The accelerations' derivatives
+:math:`\dot{\delta\nu} = A_p u + A_v \delta\nu + A_z z + A_\tau \tau` are those of
+:mod:`multiarm.dynamics.derivatives`; with :math:`u = E_p\eta` and :math:`\delta\nu = E_v \zeta + K
+\eta`, and as a rotation vector changes by :math:`\dot\theta = \omega + \tfrac12\,\omega\times\theta
++ \ldots`,
+
+.. math::
+    \dot\eta &= S_p\,\big((\Omega E_p + K)\,\eta + E_v\, \zeta\big), \qquad
+        \Omega = \mathrm{blkdiag}(0, \tfrac12 [\omega\times], 0) \\
+    \dot\zeta &= S_v\,\big((A_p E_p + A_v K)\,\eta + A_v E_v\, \zeta + A_z z + A_\tau \tau\big) .
+
+Control and loads are those of one time.  Control that is sampled counts as if it were not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from multiarm.assembly.start import project_start
+from multiarm.dynamics.derivatives import Derivatives
+from multiarm.dynamics.state import State, checked_vector
+from multiarm.dynamics.system import System, require_system
+from multiarm.errors import MultiarmError, SolverError
+from multiarm.events.derivatives import derivatives
+from multiarm.linear.coordinates import Coordinates, component_names, minimal_coordinates
+from multiarm.linear.modes import Mode, controllability, modes_of, stability_of
+from multiarm.public import facts_html, public_names
+from multiarm.scene.faults import unknown
+from multiarm.spatial import difference, retract
+
+__all__ = ["LinearSystem", "linearise"]
+
+
+@dataclass(frozen=True, repr=False)
+class LinearSystem:
+    """``y' = rate + A y + B torques``, ``outputs = C y + D torques`` near a state.
+
+    Attributes
+    ----------
+    system : System
+    derivatives : Derivatives
+        Of the evaluation at the state.
+    coordinates : Coordinates
+    A, B, C, D : ndarray, shapes (s, s), (s, n), (o, s), (o, n)
+        States are displacements, velocities and states of effects; inputs are torques [N m] or
+        forces [N] that are added to those of the control; outputs are changes of all displacements
+        (object: shift [m] and rotation vector [rad] in world axes; joints [rad, m]), of all
+        velocities, and of the contact forces [N] that are unique.
+    rate : ndarray, shape (s,)
+        ``y'`` at the state itself; zero at an equilibrium.
+    state_names, input_names, output_names : tuple of str
+        Such as ``object/turn_z``, ``object/turn_z'`` for its rate, ``left/elbow_joint``.
+    """
+
+    system: System
+    derivatives: Derivatives
+    coordinates: Coordinates
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    rate: np.ndarray
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+
+    __dir__ = public_names
+
+    def __repr__(self) -> str:
+        return (
+            f"LinearSystem({len(self.state_names)} states, {len(self.input_names)} inputs, "
+            f"{len(self.output_names)} outputs; {self.stability})"
+        )
+
+    def _repr_html_(self) -> str:
+        facts: dict[str, object] = {
+            "states": ", ".join(self.state_names),
+            "inputs": len(self.input_names),
+            "outputs": len(self.output_names),
+            "stability": self.stability,
+        }
+        return facts_html("LinearSystem", facts)
+
+    @property
+    def state(self) -> State:
+        """The state at which the system was linearised."""
+        return self.derivatives.evaluation.state
+
+    @property
+    def largest_acceleration(self) -> float:
+        """Of the object [m/s^2, rad/s^2] or a joint [rad/s^2, m/s^2] at the state itself."""
+        ev = self.derivatives.evaluation
+        every = [ev.object_acceleration, *ev.joint_accelerations.values()]
+        return max(float(np.abs(own).max(initial=0.0)) for own in every)
+
+    @cached_property
+    def modes(self) -> tuple[Mode, ...]:
+        """The natural motions, slowest first; a pair of conjugate eigenvalues is one."""
+        names = component_names(self.system.model)
+        return modes_of(self.A, self.B, self.C[: len(names)], names)
+
+    @cached_property
+    def controllable(self) -> bool:
+        """Whether torques reach every state."""
+        return all(controllability(self.A, self.B, mode.eigenvalue) for mode in self.modes)
+
+    @property
+    def stability(self) -> str:
+        """``"stable"``, ``"unstable"``, or ``"undecided"`` where the linear terms do not tell.
+
+        Of the motion near an equilibrium; elsewhere of the linear terms alone.
+        """
+        return stability_of(self.modes)
+
+    def coordinates_of(self, state: State) -> np.ndarray:
+        """The coordinates y of a state near this one, shape (s,); states of effects are zero.
+
+        Raises
+        ------
+        ModelError
+            For a state of other arms.
+        """
+        own, other = self.state, self.system.checked(state)
+        turn = difference(own.position[3:7], other.position[3:7])
+        shift = other.position - own.position
+        moved = np.concatenate([shift[:3], turn, shift[7:]])
+        faster = other.velocity - own.velocity
+        positions, velocities = self.coordinates.positions, self.coordinates.velocities
+        y = np.zeros(len(self.A))
+        y[: len(positions)] = moved[list(positions)]
+        y[len(positions) : len(positions) + len(velocities)] = faster[list(velocities)]
+        return y
+
+    def state_at(self, y: np.ndarray) -> State:
+        """The state with coordinates y, to first order, put on the joints.
+
+        States of effects are not in it.
+
+        Raises
+        ------
+        ModelError
+            When y does not fit, or is too far for the joints to be closed.
+        """
+        y, at = checked_vector("y", y, len(self.A)), self.coordinates
+        p, m = len(at.positions), len(at.velocities)
+        moved, faster = at.displacement @ y[:p], at.turning @ y[:p] + at.velocity @ y[p : p + m]
+        state = displaced(self.state, moved)
+        state.velocity[:] += faster
+        with self.system.borrow() as data:
+            return project_start(data, self.system.scene, state)[0]
+
+    def to_scipy(
+        self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
+    ) -> Any:
+        """The system for ``scipy.signal``, with the inputs and outputs that are named, or all.
+
+        Returns
+        -------
+        scipy.signal.StateSpace
+
+        Raises
+        ------
+        SolverError
+            For an unknown name.
+        """
+        from scipy.signal import StateSpace
+
+        return StateSpace(*self._matrices(inputs, outputs))
+
+    def to_control(
+        self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
+    ) -> Any:
+        """The system for the package ``control``, as of :meth:`to_scipy`, with the names.
+
+        Returns
+        -------
+        control.StateSpace
+
+        Raises
+        ------
+        SolverError
+            For an unknown name.
+        MultiarmError
+            When the package is not installed.
+        """
+        try:
+            import control
+        except ImportError:
+            raise MultiarmError(
+                "to_control: the package 'control' is not installed; pip install control, or use "
+                "to_scipy()"
+            ) from None
+        return control.ss(
+            *self._matrices(inputs, outputs),
+            states=list(self.state_names),
+            inputs=list(inputs or self.input_names),
+            outputs=list(outputs or self.output_names),
+        )
+
+    def _matrices(
+        self, inputs: Sequence[str] | None, outputs: Sequence[str] | None
+    ) -> tuple[np.ndarray, ...]:
+        columns = _places("input", inputs, self.input_names)
+        rows = _places("output", outputs, self.output_names)
+        return self.A, self.B[:, columns], self.C[rows], self.D[np.ix_(rows, columns)]
+
+
+def linearise(
+    system: System, t: float = 0.0, state: State | None = None, *, closed_loop: bool = True
+) -> LinearSystem:
+    """Linearise a system near a state, in minimal coordinates.
+
+    The coordinates are components of the object's displacement, or joints, as many as the joints
+    leave free, and their rates (:mod:`multiarm.linear.linearisation`).
+
+    >>> linear = ma.linearise(system)
+    >>> linear.modes[0].frequency
+
+    Parameters
+    ----------
+    system : System
+    t : float
+        Time, for control and loads [s].
+    state : State, optional
+        The start when left out.  Near a state that is no equilibrium the system has a ``rate``.
+    closed_loop : bool
+        The control's torques depend on the state; False: they are held.
+
+    Raises
+    ------
+    ModelError
+        When ``system`` is no system, ``t`` no time, or ``state`` none of its states.
+    SolverError
+        As of :func:`multiarm.derivatives`.
+    ControlError
+        When a Python controller returns something unusable.
+    """
+    system = require_system(system, "ma.linearise(system, t, state)")
+    D = derivatives(system, t, state, closed_loop=closed_loop)
+    at = minimal_coordinates(D.motions)
+    n, size = D.layout.joints, 6 + D.layout.joints
+    p, m, e = len(at.positions), len(at.velocities), len(D.effect_state_rates.matrix)
+    order = np.r_[0:6, 12 : 12 + n], np.r_[6:12, 12 + n : 12 + 2 * n]
+    by_position, by_velocity = (D.matrix[:, columns] for columns in order)
+    # of everything in the matrix, by y and by torques
+    found = np.hstack(
+        [
+            by_position @ at.displacement + by_velocity @ at.turning,
+            by_velocity @ at.velocity,
+            D.matrix[:, 12 + 3 * n :],
+        ]
+    )
+    by_torque = D.matrix[:, 12 + 2 * n : 12 + 3 * n]
+    ev = D.evaluation
+    v0 = ev.state.velocity
+    turning = np.zeros((size, p))
+    turning[3:6] = 0.5 * np.cross(v0[3:6], at.displacement[3:6], axisb=0, axisc=0)
+    velocities = np.hstack([at.turning, at.velocity, np.zeros((size, e))])
+    chart = velocities + np.hstack([turning, np.zeros((size, m + e))])
+    positions, rates = list(at.positions), list(at.velocities)
+    A = np.vstack([chart[positions], found[:size][rates], found[len(found) - e :]])
+    B = np.vstack([np.zeros((p, n)), by_torque[:size][rates], np.zeros((e, n))])
+    qdd = np.concatenate([ev.object_acceleration, *ev.joint_accelerations.values()])
+    rate = np.concatenate([v0[positions], qdd[rates], np.zeros(e)])
+    moved = np.hstack([at.displacement, np.zeros((size, m + e))])
+    forces = slice(size, size + D.layout.contacts)
+    unique = np.isfinite(D.matrix[forces]).all(axis=1)
+    names, of_forces = component_names(system.model), np.flatnonzero(unique)
+    return LinearSystem(
+        system=system,
+        derivatives=D,
+        coordinates=at,
+        A=A,
+        B=B,
+        C=np.vstack([moved, velocities, found[forces][of_forces]]),
+        D=np.vstack([np.zeros((2 * size, n)), by_torque[forces][of_forces]]),
+        rate=rate,
+        state_names=(
+            *(names[k] for k in positions),
+            *(f"{names[k]}'" for k in rates),
+            *(f"effect state {k + 1}" for k in range(e)),
+        ),
+        input_names=tuple(f"{name}/torque" for name in names[6:]),
+        output_names=(
+            *names,
+            *(f"{name}'" for name in names),
+            *(_force_name(system, int(row)) for row in of_forces),
+        ),
+    )
+
+
+def displaced(state: State, displacement: np.ndarray) -> State:
+    """A copy of a state moved by a displacement (6 + n,)."""
+    moved = state.copy()
+    moved.position[:3] += displacement[:3]
+    moved.position[3:7] = retract(state.position[3:7], displacement[3:6])
+    moved.position[7:] += displacement[6:]
+    return moved
+
+
+def _force_name(system: System, row: int) -> str:
+    owner, record = system.model.owner(row)
+    return f"{owner}/{record.name}/force"
+
+
+def _places(what: str, wanted: Sequence[str] | None, names: tuple[str, ...]) -> list[int]:
+    if wanted is None:
+        return list(range(len(names)))
+    for name in wanted:
+        if name not in names:
+            raise SolverError(unknown(what, name, names))
+    return [names.index(name) for name in wanted]
