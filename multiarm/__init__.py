@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from multiarm import grasp
     from multiarm.assembly.compilation import compile_system
     from multiarm.control.user_control import Control
-    from multiarm.dynamics.derivatives import Derivatives
     from multiarm.dynamics.evaluation import Evaluation
     from multiarm.dynamics.inverse import inverse_dynamics
+    from multiarm.dynamics.sensitivity import Derivatives
     from multiarm.dynamics.state import State
     from multiarm.dynamics.system import System
     from multiarm.effects.effect import Effect, Loads
@@ -51,7 +51,7 @@ _PACKAGES = ("grasp",)
 # Public name -> module that has it.  Imported when first used, so that `import multiarm` is light.
 _HOMES = {
     "Control": "control.user_control",
-    "Derivatives": "dynamics.derivatives",
+    "Derivatives": "dynamics.sensitivity",
     "Effect": "effects.effect",
     "Equilibrium": "linear.equilibrium",
     "Evaluation": "dynamics.evaluation",

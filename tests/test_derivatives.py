@@ -8,6 +8,8 @@ closed.
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -136,6 +138,74 @@ def test_torques_move_every_arm():
     assert block.shape == (6, 6) and np.abs(block).max() > 1e-3
     np.testing.assert_array_equal(found.object_acceleration.d_torques["left"].shape, (6, 6))
     assert found.contact_forces["right"].d_object_pose.shape == (3, 6)
+
+
+TOUCHING = {
+    "kind": "contacts",
+    "contacts": [
+        {"arm": {"sphere": {"center": [0.1, 0.2, 0.3], "radius": 0.05}},
+         "object": {"plane": {"point": [-0.6, 0, 0], "normal": [-1, 0.2, 0.1]}}},
+        {"arm": {"sphere": {"center": [0.1, -0.2, 0.1], "radius": 0.02}},
+         "object": {"ellipsoid": {"semi_axes": [0.6, 0.3, 0.2]}}},
+    ],
+}  # fmt: skip
+
+
+def test_parameters_of_the_object_and_places_of_contacts(rng):
+    """Against scenes that are compiled with other numbers, at a moving state."""
+
+    def system(mass=20.0, inertia=(1.2, 0.1, -0.2, 2.4, 0.15, 2.9), force=None, moved=None):
+        joint = json.loads(json.dumps(TOUCHING))
+        for contact in joint["contacts"]:
+            centre = np.array(contact["arm"]["sphere"]["center"])
+            if moved is not None:
+                centre = Rotation.from_rotvec(moved[3:]).apply(centre) + moved[:3]
+            contact["arm"]["sphere"]["center"] = centre.tolist()
+        body = {
+            "shape": {"box": [1.2, 0.6, 0.4]}, "pose": {"xyz": [0, 0, 0.5]}, "mass": mass,
+            "inertia": list(inertia),
+        }  # fmt: skip
+        load = {"on": "object", "force": [5, 0, 0], "torque": [0, 1, 0]}
+        if force is not None:
+            load = {"on": "object", "force": force[:3].tolist(), "torque": force[3:].tolist()}
+        effects = {"external_wrenches": [load], "joint_damping": 0.5}
+        scene = ur5_pair(joint, BALL, object=body, gravity=[0, 1, -9.81], effects=effects)
+        return ma.compile_system(scene, assemble=False)
+
+    state = random_state(system(), rng, turn=0.1, speed=0.7)
+    found = ma.derivatives(system(), 0.3, state, parameters=True)
+    rows = np.r_[: found.rows["contact_forces"].stop]
+    base = np.array([1.2, 0.1, -0.2, 2.4, 0.15, 2.9])
+    turned = system().arms["left"].tip_rotation  # of the tip against the link that carries it
+
+    def along(change):
+        return difference(lambda h: answers(system(**change(h)), state))
+
+    expected = [along(lambda h: {"mass": 20.0 + h})]
+    expected += [along(lambda h, e=e: {"inertia": base + h * e}) for e in np.eye(6)]
+    wrench = np.array([5.0, 0, 0, 0, 1.0, 0])
+    expected += [along(lambda h, e=e: {"force": wrench + h * e}) for e in np.eye(6)]
+    names = ("object_mass", "object_inertia", "object_wrench")
+    columns = np.hstack([found.matrix[rows][:, found.columns[name]] for name in names])
+    assert_equal(columns, np.array(expected).T, 1e-8)
+    # a displacement of the contacts about the tip, in its axes, is one of the link in its own
+    tip = system().arms["left"].tip_translation
+    block = {"joint": found.joint_accelerations["right"], "force": found.contact_forces["left"]}
+    for k, axis in enumerate(np.eye(6)):
+        own = np.r_[turned @ axis[:3], turned @ axis[3:]]
+        own[:3] += np.cross(tip, own[3:])
+        expected = along(lambda h, axis=axis: {"moved": h * axis})
+        found_one = (
+            found.matrix[rows]
+            @ np.eye(found.matrix.shape[1])[found.columns["placements"]][:6].T
+            @ own
+        )
+        assert_equal(found_one[:, None], expected[:, None], 1e-8)
+        assert k < 3 or np.abs(expected).max() > 1e-3
+    for one in block.values():
+        assert one.d_placements["left"].shape[1] == 6 and one.d_object_mass.ndim == 1
+    with pytest.raises(ModelError, match="parameters=True"):
+        _ = ma.derivatives(system(), 0.3, state).object_acceleration.d_object_wrench
 
 
 def test_in_open_loop_the_torques_are_held(rng):

@@ -38,7 +38,7 @@ from multiarm.contacts.kernel import (
 )
 from multiarm.contacts.table import COMBINED, KIND
 from multiarm.dynamics.arrays import CALLBACK_FAILED, OK, open_data, open_system
-from multiarm.jit.kernels import INT, INTS, NUMBERS, TABLE, clear, kernel, plain
+from multiarm.jit.kernels import INT, INTS, NUMBERS, TABLE, TRUTH, clear, kernel, plain
 from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.vectors import (
     ZERO,
@@ -55,6 +55,7 @@ from multiarm.jit.vectors import (
     sub,
     vec,
 )
+from multiarm.spatial import retract_into
 
 # Displacement of a difference [m, rad]: a hundredth of the smallest radius that a finger has.
 STEP = 1e-4
@@ -77,7 +78,63 @@ def difference_weight(offset):
 
 
 @kernel
-def update_forces(struct: INTS):
+def differentiate_forces(struct: INTS, closed_loop: TRUTH, found: TABLE):
+    """Write derivatives of the right-hand sides, as functions of the state in the data.
+
+    Those of ``h_o``, ``h`` and the rates of effects' states, (6 + n + e) columns, by displacements
+    of the object's pose, its twist, joint positions, joint velocities and effects' states, a row
+    each.  Without ``closed_loop`` the control's torques are left out of h.  At the end the data are
+    as they were.  Returns a status.
+    """
+    data = open_data(struct)
+    n = data.angles.size
+    x, y, z, w = data.position[3], data.position[4], data.position[5], data.position[6]
+    for column in range(found.shape[0]):
+        row = found[column]
+        clear(row)
+        values, place = state_entry(data, column)
+        before = values[place]
+        for offset in OFFSETS:
+            if 3 <= column < 6:
+                h = offset * STEP
+                about_x, about_y = h if column == 3 else 0.0, h if column == 4 else 0.0
+                turn = (about_x, about_y, h - about_x - about_y)
+                retract_into((x, y, z, w), turn, data.position[3:7])
+            else:
+                values[place] = before + offset * STEP
+            status = update_forces(struct)
+            if status != OK:
+                return status
+            weight = difference_weight(offset)
+            for k in range(6):
+                row[k] += weight * data.h_o[k]
+            for k in range(n):
+                torque = 0.0 if closed_loop else data.torque[k]
+                row[6 + k] += weight * (data.h[k] - torque)
+            for k in range(data.inner_rate.size):
+                row[6 + n + k] += weight * data.inner_rate[k]
+        values[place] = before
+        data.position[3], data.position[4], data.position[5], data.position[6] = x, y, z, w
+    return update_forces(struct)
+
+
+@kernel
+def state_entry(data, column):
+    """The array and the place in it of a coordinate of the state; of a turn, any place."""
+    n = data.angles.size
+    if column < 6:
+        return data.position, min(column, 2)
+    if column < 12:
+        return data.twist, column - 6
+    if column < 12 + n:
+        return data.angles, column - 12
+    if column < 12 + 2 * n:
+        return data.v, column - 12 - n
+    return data.inner, column - 12 - 2 * n
+
+
+@kernel
+def update_forces(struct):
     """Kinematics and right-hand sides at the state in the data, not solved; returns a status."""
     functions = open_data(struct).functions
     status = call_cfunc(functions.kinematics, struct, 0.0, 0.0)
@@ -105,7 +162,8 @@ def differentiate_joint(
     """Write what the equations of an arm take from its joint; returns a status.
 
     The C coordinates are pose, twist and acceleration of the object (6 each, world axes), then
-    positions, velocities and accelerations of the arm's n joints.
+    positions, velocities and accelerations of the arm's n joints, and last, if the tables have
+    room for them, six of a displacement of the contacts against the link, in its axes.
 
     Parameters
     ----------
@@ -136,13 +194,16 @@ def differentiate_joint(
     write_seen_motion(body, link, scratch[WORLD], scratch[SEEN])
     differentiate_rows(model, data, first, last, force, scratch, rows, parts, slopes, wrench)
     n, by = tables.shape[0] // 4, scratch[OF_SEEN]
-    for c in range(18 + 3 * n):
+    coordinates = gaps.shape[1]
+    for c in range(coordinates):
         clear(scratch[OF_BODY])
         clear(scratch[OF_LINK])
         if c < 18:
             scratch[OF_BODY, c] = 1.0
-        else:
+        elif c < 18 + 3 * n:
             displace_link(link, scratch[WORLD], tables, n, c - 18, scratch[OF_LINK])
+        else:
+            displace_contacts(link, scratch[WORLD], c - 18 - 3 * n, scratch[OF_LINK])
         write_seen_displacement(body, scratch[WORLD], scratch[OF_BODY], scratch[OF_LINK], by)
         for k in range(first, last):
             total = rate = 0.0
@@ -153,8 +214,9 @@ def differentiate_joint(
                 rate += slopes[k, LINEAR_RATE + j] * by[LINEAR + j]
             gaps[k - first, c], rates[k - first, c] = total, rate
         turn = vec(scratch[OF_BODY], TURN)
-        displace_wrenches(body, scratch[SEEN], wrench, turn, by, on_object[c], on_link[c])
-    write_wrenches(body, scratch[SEEN], wrench[6], on_object[18 + 3 * n], on_link[18 + 3 * n])
+        moves = 1.0 if c < 18 + 3 * n else 0.0
+        displace_wrenches(body, scratch[SEEN], wrench, turn, by, moves, on_object[c], on_link[c])
+    write_wrenches(body, scratch[SEEN], wrench[6], on_object[coordinates], on_link[coordinates])
     return CALLBACK_FAILED if data.status.failed else OK
 
 
@@ -275,6 +337,23 @@ def displace_link(link, world, tables, n, c, out):
 
 
 @kernel
+def displace_contacts(link, world, c, out):
+    """Write the displacement of contacts that are moved against the link, world axes.
+
+    Along or about one of the link's axes; it stays the same in these.
+    """
+    axis = rotation(link, 0)[c % 3]
+    if c >= 3:
+        put(out, TURN, axis)
+        return
+    w, w_rate = vec(world, ANGULAR), vec(world, ANGULAR_RATE)
+    rate = cross(w, axis)
+    put(out, PLACE, axis)
+    put(out, LINEAR, rate)
+    put(out, LINEAR_RATE, add_cross(cross(w_rate, axis), w, rate))
+
+
+@kernel
 def seen_rates(body, world):
     """``d, V, Omega, A, Omega'`` of the link as the object sees it, in world axes."""
     motion = body[MOTION:]
@@ -340,10 +419,11 @@ def write_wrenches(body, seen, wrench, on_object, on_link):
 
 
 @kernel
-def displace_wrenches(body, seen, wrench, turn_o, by, on_object, on_link):
+def displace_wrenches(body, seen, wrench, turn_o, by, moves, on_object, on_link):
     """Write the derivatives of the two wrenches by a displacement of the seen motion.
 
-    The object turns by ``turn_o``, world axes; ``wrench`` (7, 6) is that of the rows.
+    The object turns by ``turn_o``, world axes; ``wrench`` (7, 6) is that of the rows; ``moves`` is
+    1 where the link moves with its contacts, and 0 where these alone are displaced.
     """
     R_o, R, r = rotation(body, 0), rotation(seen, 0), vec(seen, ORIGIN_AT)
     force, moment = vec(wrench[6], 0), vec(wrench[6], 3)
@@ -353,8 +433,8 @@ def displace_wrenches(body, seen, wrench, turn_o, by, on_object, on_link):
         dm = add_scaled(dm, by[axis], vec(wrench[axis], 3))
     put(on_object, 0, add_cross(rotate(R_o, df), turn_o, rotate(R_o, force)))
     put(on_object, 3, add_cross(rotate(R_o, dm), turn_o, rotate(R_o, moment)))
-    turn = vec(by, TURN)
+    turn, shift = scale(moves, vec(by, TURN)), scale(moves, vec(by, PLACE))
     put(on_link, 0, scale(-1.0, rotate_back(R, add_cross(df, force, turn))))
     moment = sub(moment, cross(r, force))
-    dm = sub(sub(dm, cross(vec(by, PLACE), force)), cross(r, df))
+    dm = sub(sub(dm, cross(shift, force)), cross(r, df))
     put(on_link, 3, scale(-1.0, rotate_back(R, add_cross(dm, moment, turn))))

@@ -25,15 +25,13 @@ The right-hand sides at fixed y come from
   (:mod:`multiarm.dynamics.contact_derivatives`);
 * differences of order four of control and effects, in scenes that have any.
 
-Displacements of the object are a shift of its centre of mass and a rotation vector, world axes:
-``position + shift``, ``retract(quaternion, turn)``.  States of effects, such as the torques of
-lagging drives, follow the positions, velocities and torques, and their rates the contact forces.
+*Parameters.*  A wrench on the object, its mass and its inertia enter :math:`F_o` alone.  Contacts
+that are displaced against the arm's link move like that link for the rows, while their wrench still
+acts on the link where it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -44,21 +42,18 @@ from multiarm.contacts.table import KIND, SIDE, TANGENT
 from multiarm.dynamics.arrays import OK
 from multiarm.dynamics.contact_derivatives import (
     BODY_SIZE,
-    OFFSETS,
     SCRATCH_ROWS,
     SLOPES_WIDTH,
-    STEP,
     STILL,
-    difference_weight,
+    differentiate_forces,
     differentiate_joint,
-    update_forces,
 )
 from multiarm.dynamics.evaluation import Evaluation
 from multiarm.dynamics.model import Data
-from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE, null_space
-from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows_of
+from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
 from multiarm.errors import SolverError
-from multiarm.spatial import retract, skew
+from multiarm.spatial import skew
 
 # The world as the link of an arm without joints, see `differentiate_joint`.
 GROUND = np.concatenate([np.eye(3).ravel(), np.zeros(BODY_SIZE - 9)])
@@ -66,151 +61,9 @@ GROUND = np.concatenate([np.eye(3).ravel(), np.zeros(BODY_SIZE - 9)])
 CONSISTENT = 1e-7
 
 
-@dataclass(frozen=True)
-class Sensitivity:
-    """Derivatives of one quantity, shape (m,), as blocks of one matrix.
-
-    Attributes
-    ----------
-    matrix : ndarray, shape (m, 12 + 3 n + e)
-        By the columns of :class:`Derivatives`.
-    layout : Layout
-    """
-
-    matrix: np.ndarray
-    layout: Layout
-
-    @property
-    def d_object_pose(self) -> np.ndarray:
-        """By a shift [m] and a turn [rad] of the object, world axes, shape (m, 6)."""
-        return self.matrix[:, :6]
-
-    @property
-    def d_object_twist(self) -> np.ndarray:
-        """By the object's twist, shape (m, 6)."""
-        return self.matrix[:, 6:12]
-
-    @property
-    def d_joint_positions(self) -> Mapping[str, np.ndarray]:
-        """By the joint positions [rad, m], arm -> (m, n_i)."""
-        return self._joints(0)
-
-    @property
-    def d_joint_velocities(self) -> Mapping[str, np.ndarray]:
-        """By the joint velocities, arm -> (m, n_i)."""
-        return self._joints(1)
-
-    @property
-    def d_torques(self) -> Mapping[str, np.ndarray]:
-        """By torques [N m] or forces [N] that are added to the joints, arm -> (m, n_i)."""
-        return self._joints(2)
-
-    @property
-    def d_effect_states(self) -> np.ndarray:
-        """By the states of effects, shape (m, e)."""
-        return self.matrix[:, 12 + 3 * self.layout.joints :]
-
-    def _joints(self, part: int) -> dict[str, np.ndarray]:
-        first = 12 + part * self.layout.joints
-        return self.layout.split_joints(self.matrix[:, first : first + self.layout.joints])
-
-
-class Motions(NamedTuple):
-    """The inertia of the system, and the derivatives of its gaps.
-
-    Displacements and velocities have ``6 + n`` numbers: of the object (world axes), of the joints.
-
-    Attributes
-    ----------
-    inertia : ndarray, shape (6 + n, 6 + n)
-        Kinetic energy is half its square form of the velocities.
-    gaps : ndarray, shape (K, 6 + n)
-        Of the K gaps that joints keep closed, by a displacement; rolling rows have no gap.
-    rates : ndarray, shape (N, 6 + n)
-        Of the rates of all N rows, by the velocities.
-    rates_by_position : ndarray, shape (N, 6 + n)
-        Of these rates, by a displacement.
-    """
-
-    inertia: np.ndarray
-    gaps: np.ndarray
-    rates: np.ndarray
-    rates_by_position: np.ndarray
-
-    def admissible(self) -> np.ndarray:
-        """Projector on displacements and velocities that keep gaps and gap rates, (12 + 2 n,) * 2.
-
-        In the order of the columns of :class:`Derivatives`.
-        """
-        of_gaps = np.hstack([self.gaps, np.zeros_like(self.gaps)])
-        constraint = np.vstack([of_gaps, np.hstack([self.rates_by_position, self.rates])])
-        n = self.inertia.shape[0] - 6
-        order = np.r_[0:6, 6 + n : 12 + n, 6 : 6 + n, 12 + n : 12 + 2 * n]
-        constraint = constraint[:, order]
-        lengths = np.linalg.norm(constraint, axis=1)
-        basis = null_space(constraint[lengths > 0.0] / lengths[lengths > 0.0, None]).basis
-        return basis @ basis.T
-
-
-@dataclass(frozen=True)
-class Derivatives:
-    """Derivatives of an evaluation by a displacement of the state, and by torques.
-
-    Attributes
-    ----------
-    evaluation : Evaluation
-        What is differentiated.
-    matrix : ndarray, shape (6 + n + N + e, 12 + 3 n + e)
-        Of the object's acceleration, the joint accelerations, the contact forces, arm after arm,
-        and the rates of e states of effects, by the object's pose and twist, the joint positions,
-        the joint velocities, the torques and the states of effects.  NaN for forces that the
-        equations leave open.
-    layout : Layout
-    message : str
-        What does not exist in this form, and why; else empty.
-    motions : Motions
-        Inertia, and which displacements keep the joints closed.
-    """
-
-    evaluation: Evaluation
-    matrix: np.ndarray
-    layout: Layout
-    message: str
-    motions: Motions
-
-    @property
-    def object_acceleration(self) -> Sensitivity:
-        """Of the object's acceleration, six rows."""
-        return Sensitivity(self.matrix[:6], self.layout)
-
-    @cached_property
-    def joint_accelerations(self) -> Mapping[str, Sensitivity]:
-        """Of the joint accelerations, by arm."""
-        return self._by_arm(6, self.layout.dofs)
-
-    @cached_property
-    def contact_forces(self) -> Mapping[str, Sensitivity]:
-        """Of the contact forces, by arm."""
-        return self._by_arm(6 + self.layout.joints, self.layout.rows)
-
-    @property
-    def effect_state_rates(self) -> Sensitivity:
-        """Of the rates of the states of effects, such as the torques of lagging drives."""
-        rows = 6 + self.layout.joints + self.layout.contacts
-        return Sensitivity(self.matrix[rows:], self.layout)
-
-    def _by_arm(self, first: int, bounds: tuple[int, ...]) -> dict[str, Sensitivity]:
-        return {
-            name: Sensitivity(self.matrix[first + a : first + b], self.layout)
-            for name, a, b in zip(self.layout.names, bounds, bounds[1:], strict=False)
-        }
-
-    def __repr__(self) -> str:
-        rows, columns = self.matrix.shape
-        return f"Derivatives({rows} rows by {columns} columns{self.message and '; '}{self.message})"
-
-
-def differentiate(data: Data, found: Evaluation, closed_loop: bool) -> Derivatives:
+def differentiate(
+    data: Data, found: Evaluation, closed_loop: bool, parameters: bool
+) -> Derivatives:
     """The derivatives of an evaluation of the data, right after it.
 
     Raises
@@ -218,13 +71,13 @@ def differentiate(data: Data, found: Evaluation, closed_loop: bool) -> Derivativ
     SolverError
         When the accelerations are not differentiable at this state.
     """
-    derivation, layout = _Derivation(data, closed_loop), data.model.layout
-    independent = found.rank == layout.contacts
+    derivation, layout = _Derivation(data, closed_loop, parameters), data.model.layout
+    independent, message = found.rank == layout.contacts, ""
     on_ground = layout.rows[-1] > layout.rows[len(layout.names)]
     if independent and not (found.coupled_arms or data.model.constants.dense or on_ground):
-        matrix, message = derivation.solve(), ""
+        matrix = derivation.solve()
     else:
-        matrix, message = derivation.solve_whole(along_joints=not independent), ""
+        matrix = derivation.solve_whole(along_joints=not independent)
     if not independent:
         unique = np.concatenate(list(found.contact_forces_unique.values()))
         matrix[6 + layout.joints :][~unique] = np.nan
@@ -233,15 +86,18 @@ def differentiate(data: Data, found: Evaluation, closed_loop: bool) -> Derivativ
             "displacements are projected on those that keep the joints closed, and forces that are "
             "not unique have no derivatives"
         )
+        if parameters:
+            message += "; placements that would contradict the others have none either"
     matrix = np.vstack([matrix, derivation.effect_state_rates()])
-    return Derivatives(found, matrix, layout, message, derivation.motions)
+    rows = rows_of(layout, data.arrays.inner.size)
+    return Derivatives(found, matrix, rows, derivation.columns, layout, message, derivation.motions)
 
 
 class _ArmEquations(NamedTuple):
     """The derivatives of one arm's equations, and their matrix."""
 
     dof: int
-    columns: np.ndarray  # of the right-hand sides: pose and twist of the object, this arm; or all
+    columns: np.ndarray  # of the right-hand sides, among all
     matrix: np.ndarray  # (n_i + N_i, n_i + N_i): M_i, -W_i; W_i^T, 0
     of_object: np.ndarray  # (n_i + N_i, 6): 0; W_oi^T
     dF: np.ndarray  # (n_i + N_i, ...) of F_i and F_phi, by these columns
@@ -256,10 +112,11 @@ class _ArmEquations(NamedTuple):
 class _Derivation:
     """The derivatives of F at the solution in the data, and the solution for ``dy``."""
 
-    def __init__(self, data: Data, closed_loop: bool) -> None:
+    def __init__(self, data: Data, closed_loop: bool, parameters: bool) -> None:
         b, model, layout = data.arrays, data.model, data.model.layout
         self.data, self.layout = data, layout
-        self.columns = 12 + 3 * layout.joints + b.inner.size
+        self.columns = columns_of(layout, b.inner.size, parameters)
+        self.width = max(columns.stop for columns in self.columns.values())
         self.state, self.inertia, self.qdd = data.get_state(), b.inertia.copy(), b.qdd.copy()
         self.gravity, self.force = model.constants.gravity, b.force.copy()
         R, position, twist = b.body[:9], self.state.object_position, self.state.object_twist
@@ -307,7 +164,7 @@ class _Derivation:
         """
         layout, size = self.layout, 6 + self.layout.joints
         whole = size + layout.contacts
-        K, dF = np.zeros((whole, whole)), np.zeros((whole, self.columns))
+        K, dF = np.zeros((whole, whole)), np.zeros((whole, self.width))
         K[:6, :6], dF[:6] = self.inertia, self.dF_o
         for i, own in enumerate(self.arms):
             joints, rows = _range(layout.dofs, i), _range(layout.rows, i)
@@ -324,7 +181,14 @@ class _Derivation:
         u, singular, vt = np.linalg.svd(scale[:, None] * K * scale)
         rank = int(np.sum(singular > SYSTEM_TOLERANCE * singular[0]))
         right = u.T @ (scale[:, None] * dF)
-        if np.abs(right[rank:]).max(initial=0.0) > CONSISTENT * np.abs(right).max():
+        left = np.abs(right[rank:]).max(axis=0, initial=0.0)
+        contradictory = left > CONSISTENT * np.abs(right).max()
+        if "placements" in self.columns:
+            placements = np.zeros(self.width, dtype=bool)
+            placements[self.columns["placements"]] = True
+            right[:, contradictory & placements] = np.nan
+            contradictory &= ~placements
+        if contradictory.any():
             raise SolverError(
                 "derivatives: the rank of the constraints changes at this state, so that "
                 "accelerations are not differentiable there; take a state beside it"
@@ -333,7 +197,7 @@ class _Derivation:
 
     def effect_state_rates(self) -> np.ndarray:
         """Derivatives of the rates of the states of effects, shape (e, columns)."""
-        found = np.zeros((self.data.arrays.inner.size, self.columns))
+        found = np.zeros((self.data.arrays.inner.size, self.width))
         if self._applied is not None:
             found[:, self._applied_columns] = self._applied[6 + self.layout.joints :]
         return found
@@ -359,7 +223,7 @@ class _Derivation:
 
     def _object_equation(self) -> np.ndarray:
         """Derivatives of ``M_o a_o - h_o``; those of the contacts' wrenches come from the arms."""
-        found, I = np.zeros((6, self.columns)), self.inertia[3:, 3:]  # noqa: E741
+        found, I = np.zeros((6, self.width)), self.inertia[3:, 3:]  # noqa: E741
         omega, alpha = skew(self.state.object_twist[3:]), self.body[-3:]
         found[3:, 3:6] = I @ skew(alpha) - skew(I @ alpha)  # the inertia turns with the object
         if self._applied is None:  # h_o is the weight and -omega x I omega
@@ -368,6 +232,17 @@ class _Derivation:
             found[3:, 9:12] = omega @ I - skew(I @ self.state.object_twist[3:])
         else:
             found[:, self._applied_columns] -= self._applied[:6]
+        if "object_wrench" in self.columns:
+            found[:, self.columns["object_wrench"]] = -np.eye(6)
+            falling = self.body[-6:-3] - self.data.model.constants.gravity
+            found[:3, self.columns["object_mass"].start] = falling
+            R, first = self.body[:9].reshape(3, 3), self.columns["object_inertia"].start
+            for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
+                unit = np.zeros((3, 3))
+                unit[i, j] = unit[j, i] = 1.0
+                unit = R @ unit @ R.T
+                spin = self.state.object_twist[3:]
+                found[3:, first + k] = unit @ self.body[-3:] + np.cross(spin, unit @ spin)
         return found
 
     def _arm(self, i: int) -> _ArmEquations:
@@ -379,38 +254,46 @@ class _Derivation:
         link, tables = GROUND, np.zeros((0, 6))  # the surroundings are an arm without joints
         if arm is not None:
             link, tables = arm.link_motion(*at)
-        gaps, rates = np.zeros((2, m, 18 + 3 * n))
-        on_object, on_link = np.zeros((2, 19 + 3 * n, 6))
+        placed = arm is not None and "placements" in self.columns
+        width = 18 + 3 * n + 6 * placed
+        gaps, rates = np.zeros((2, m, width))
+        on_object, on_link = np.zeros((2, width + 1, 6))
         status = differentiate_joint(
             self.data.struct, i, self.body, link, tables, self.force, self._scratch, self._rows,
             self._parts, self._slopes, self._wrench, gaps, rates, on_object, on_link,
         )  # fmt: skip
         if status != OK:
             self.data.reraise()
-        W = gaps[:, 18 + 2 * n :].T
-        self._add_joint_rows(i, W, rates[:, 18 + n :])
+        W = gaps[:, 18 + 2 * n : 18 + 3 * n].T
+        self._add_joint_rows(i, W, rates[:, 18 + n : 18 + 2 * n])
         by_q, by_v, M = np.zeros((3, n, n))
         if arm is not None:
             angles, speeds, qdd = at
             if self._applied is not None:  # the bias is among the forces
                 speeds = np.zeros(n)
             by_q, by_v, M = arm.inverse_dynamics(angles, speeds, qdd, on_link[-1])
-        # by pose and twist of the object, q, v and torques of the arm
+        # by pose and twist of the object, q, v and torques of the arm, placement of its contacts
         of_q, of_v, of_torque = (slice(12 + k * n, 12 + (k + 1) * n) for k in range(3))
-        dF, on_link = np.zeros((n + m, 12 + 3 * n)), on_link @ tables[3 * n :].T
+        dF, on_link = np.zeros((n + m, 12 + 3 * n + 6 * placed)), on_link @ tables[3 * n :].T
         dF[:n, :6] = -on_link[:6].T
         dF[:n, of_q] = by_q - on_link[18 : 18 + n].T
         dF[:n, of_torque] = -np.eye(n)
         dF[n:, :12], dF[n:, 12 : of_v.stop] = gaps[:, :12], gaps[:, 18 : 18 + 2 * n]
         columns = np.arange(12 + 3 * n)
         columns[12:] += np.repeat(np.arange(3) * (layout.joints - n) + joints.start, n)
+        if placed:
+            first = self.columns["placements"].start + 6 * i
+            columns = np.r_[columns, first : first + 6]
+            dF[:n, of_torque.stop :] = -on_link[18 + 3 * n : -1].T
+            dF[n:, of_torque.stop :] = gaps[:, 18 + 3 * n :]
+            self.dF_o[:, first : first + 6] -= on_object[18 + 3 * n : -1].T
         if self._applied is None:
             dF[:n, of_v] = by_v
         else:
-            whole = np.zeros((n + m, self.columns))
+            whole = np.zeros((n + m, self.width))
             whole[:, columns] = dF
             whole[:n, self._applied_columns] -= self._applied[6:][joints]
-            columns, dF = np.arange(self.columns), whole
+            columns, dF = np.arange(self.width), whole
         self.dF_o[:, :6] -= on_object[:6].T
         self.dF_o[:, 12 + joints.start : 12 + joints.stop] -= on_object[18 : 18 + n].T
         K, of_object = np.zeros((n + m, n + m)), np.zeros((n + m, 6))
@@ -437,46 +320,17 @@ class _Derivation:
     @property
     def _applied_columns(self) -> np.ndarray:
         """Columns of the differences: positions, velocities and states of effects."""
-        states, n = 12 + 2 * self.layout.joints, self.layout.joints
-        return np.r_[:states, states + n : self.columns]
+        states = self.columns["effect_states"]
+        return np.r_[: self.columns["torques"].start, states]
 
     def _forces_by_differences(self, closed_loop: bool) -> np.ndarray:
         """Derivatives of ``h_o``, ``h`` and the rates of effects' states, by all but torques."""
-        n, b = self.layout.joints, self.data.arrays
-        states = 12 + 2 * n
-        found, inner = np.zeros((6 + n + b.inner.size, states + b.inner.size)), b.inner.copy()
-        for column in range(found.shape[1]):
-            for offset in OFFSETS:
-                if column < states:
-                    self.data.move_to(_displaced(self.state, column, offset * STEP))
-                else:
-                    b.inner[column - states] = inner[column - states] + offset * STEP
-                if update_forces(self.data.struct) != OK:
-                    self.data.reraise()
-                h = b.h if closed_loop else b.h - b.torque
-                weight = difference_weight(offset)
-                found[:, column] += weight * np.concatenate([b.h_o, h, b.inner_rate])
-            self.data.move_to(self.state)
-            b.inner[:] = inner
-        update_forces(self.data.struct)
-        return found
+        n, e = self.layout.joints, self.data.arrays.inner.size
+        found = np.zeros((12 + 2 * n + e, 6 + n + e))
+        if differentiate_forces(self.data.struct, closed_loop, found) != OK:
+            self.data.reraise()
+        return found.T
 
 
 def _range(bounds: tuple[int, ...], i: int) -> slice:
     return slice(bounds[i], bounds[i + 1])
-
-
-def _displaced(state: State, column: int, amount: float) -> State:
-    """A state moved along one of the first columns."""
-    moved, n = state.copy(), state.layout.joints
-    if column < 3:
-        moved.position[column] += amount
-    elif column < 6:
-        moved.position[3:7] = retract(state.position[3:7], amount * np.eye(3)[column - 3])
-    elif column < 12:
-        moved.velocity[column - 6] += amount
-    elif column < 12 + n:
-        moved.position[7 + column - 12] += amount
-    else:
-        moved.velocity[6 + column - 12 - n] += amount
-    return moved

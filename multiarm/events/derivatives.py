@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from multiarm.dynamics import evaluation
-from multiarm.dynamics.derivatives import Derivatives, differentiate
+from multiarm.dynamics.derivatives import differentiate
+from multiarm.dynamics.sensitivity import Derivatives, rows_of
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
@@ -13,7 +16,12 @@ from multiarm.events.evaluation import evaluate_mode, mode_at
 
 
 def derivatives(
-    system: System, t: float = 0.0, state: State | None = None, *, closed_loop: bool = True
+    system: System,
+    t: float = 0.0,
+    state: State | None = None,
+    *,
+    closed_loop: bool = True,
+    parameters: bool = False,
 ) -> Derivatives:
     """Differentiate accelerations and contact forces with respect to state and torques.
 
@@ -33,6 +41,9 @@ def derivatives(
         The start when left out.  It need not satisfy the joints.
     closed_loop : bool
         The control's torques depend on the state; False: they are held.
+    parameters : bool
+        Also with respect to a wrench on the object, its mass and inertia, and placements of the
+        contacts on the arms' links.  The control does not know of them.
 
     Raises
     ------
@@ -48,19 +59,26 @@ def derivatives(
     t, state = require_time(t), system.checked(state)
     with system.borrow() as data:
         if data.model.unilateral is None:
-            return differentiate(data, evaluation.evaluate(data, t, state), closed_loop)
+            found = evaluation.evaluate(data, t, state)
+            return differentiate(data, found, closed_loop, parameters)
         mode = mode_at(data, t, state)
         if len(mode.arrays.slides):
             raise SolverError(
                 "derivatives: contacts slide with friction at this state, whose direction turns "
                 "with the slip; take a state where they stick, or leave friction out"
             )
-        own = differentiate(mode.data, evaluation.evaluate(mode.data, t, state), closed_loop)
-        layout, moving = data.model.layout, 6 + data.model.layout.joints
-        rows = moving + layout.contacts
-        held = np.concatenate([np.arange(moving), moving + mode.arrays.held])
-        states = np.arange(rows, rows + len(own.effect_state_rates.matrix))
-        scattered = np.zeros((rows + len(states), own.matrix.shape[1]))
-        scattered[np.concatenate([held, states])] = own.matrix
-        found = evaluate_mode(data, mode, t, state)
-        return Derivatives(found, scattered, layout, own.message, own.motions)
+        found = evaluation.evaluate(mode.data, t, state)
+        own = differentiate(mode.data, found, closed_loop, parameters)
+        layout, states = data.model.layout, len(own.effect_state_rates.matrix)
+        rows = rows_of(layout, states)
+        scattered = np.zeros((rows["effect_state_rates"].stop, own.matrix.shape[1]))
+        forces = rows["contact_forces"].start
+        held = np.r_[:forces, forces + mode.arrays.held, rows["effect_state_rates"]]
+        scattered[held] = own.matrix
+        return replace(
+            own,
+            evaluation=evaluate_mode(data, mode, t, state),
+            matrix=scattered,
+            rows=rows,
+            layout=layout,
+        )

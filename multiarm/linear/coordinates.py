@@ -28,8 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import qr
 
-from multiarm.dynamics.derivatives import Motions
 from multiarm.dynamics.model import Model
+from multiarm.dynamics.sensitivity import Motions
 from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE, null_space
 
 AXES = ("x", "y", "z")

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.start import project_start
-from multiarm.dynamics.derivatives import Derivatives
+from multiarm.dynamics.sensitivity import Derivatives
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system
 from multiarm.errors import MultiarmError, SolverError
@@ -253,17 +253,21 @@ def linearise(
     at = minimal_coordinates(D.motions)
     n, size = D.layout.joints, 6 + D.layout.joints
     p, m, e = len(at.positions), len(at.velocities), len(D.effect_state_rates.matrix)
-    order = np.r_[0:6, 12 : 12 + n], np.r_[6:12, 12 + n : 12 + 2 * n]
-    by_position, by_velocity = (D.matrix[:, columns] for columns in order)
-    # of everything in the matrix, by y and by torques
+    by_position, by_velocity, by_torque, by_inner = (
+        np.hstack([D.matrix[:, D.columns[name]] for name in names])
+        for names in (
+            ("object_pose", "joint_positions"), ("object_twist", "joint_velocities"), ("torques",),
+            ("effect_states",),
+        )
+    )  # fmt: skip
+    # of everything in the matrix, by y
     found = np.hstack(
         [
             by_position @ at.displacement + by_velocity @ at.turning,
             by_velocity @ at.velocity,
-            D.matrix[:, 12 + 3 * n :],
+            by_inner,
         ]
     )
-    by_torque = D.matrix[:, 12 + 2 * n : 12 + 3 * n]
     ev = D.evaluation
     v0 = ev.state.velocity
     turning = np.zeros((size, p))
@@ -271,12 +275,12 @@ def linearise(
     velocities = np.hstack([at.turning, at.velocity, np.zeros((size, e))])
     chart = velocities + np.hstack([turning, np.zeros((size, m + e))])
     positions, rates = list(at.positions), list(at.velocities)
-    A = np.vstack([chart[positions], found[:size][rates], found[len(found) - e :]])
+    A = np.vstack([chart[positions], found[:size][rates], found[D.rows["effect_state_rates"]]])
     B = np.vstack([np.zeros((p, n)), by_torque[:size][rates], np.zeros((e, n))])
     qdd = np.concatenate([ev.object_acceleration, *ev.joint_accelerations.values()])
     rate = np.concatenate([v0[positions], qdd[rates], np.zeros(e)])
     moved = np.hstack([at.displacement, np.zeros((size, m + e))])
-    forces = slice(size, size + D.layout.contacts)
+    forces = D.rows["contact_forces"]
     unique = np.isfinite(D.matrix[forces]).all(axis=1)
     names, of_forces = component_names(system.model), np.flatnonzero(unique)
     return LinearSystem(

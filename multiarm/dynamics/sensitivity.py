@@ -1,0 +1,237 @@
+"""Derivatives of an evaluation as a user reads them: blocks with names, of one matrix.
+
+Displacements of the object are a shift of its centre of mass and a rotation vector, world axes:
+``position + shift``, ``retract(quaternion, turn)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.dynamics.evaluation import Evaluation
+from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.state import Layout
+from multiarm.errors import ModelError
+
+STATE = ("object_pose", "object_twist", "joint_positions", "joint_velocities")
+PARAMETERS = ("object_wrench", "object_mass", "object_inertia", "placements")
+
+
+def columns_of(layout: Layout, states: int, parameters: bool) -> dict[str, slice]:
+    """Where the quantities are by which an evaluation is differentiated.
+
+    ``states``: number of states of effects.
+    """
+    n, arms = layout.joints, len(layout.names)
+    sizes = dict(zip(STATE, (6, 6, n, n), strict=True)) | {"torques": n, "effect_states": states}
+    if parameters:
+        sizes |= dict(zip(PARAMETERS, (6, 1, 6, 6 * arms), strict=True))
+    return _in_sequence(sizes)
+
+
+def rows_of(layout: Layout, states: int) -> dict[str, slice]:
+    """Where the quantities are that are differentiated."""
+    return _in_sequence(
+        {
+            "object_acceleration": 6,
+            "joint_accelerations": layout.joints,
+            "contact_forces": layout.contacts,
+            "effect_state_rates": states,
+        }
+    )
+
+
+def _in_sequence(sizes: Mapping[str, int]) -> dict[str, slice]:
+    found, end = {}, 0
+    for name, size in sizes.items():
+        found[name] = slice(end, end + size)
+        end += size
+    return found
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Derivatives of one quantity, shape (m,), as blocks of one matrix.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (m, C)
+        By all columns.
+    layout : Layout
+    columns : mapping str -> slice
+    """
+
+    matrix: np.ndarray
+    layout: Layout
+    columns: Mapping[str, slice]
+
+    @property
+    def d_object_pose(self) -> np.ndarray:
+        """By a shift [m] and a turn [rad] of the object, world axes, shape (m, 6)."""
+        return self._block("object_pose")
+
+    @property
+    def d_object_twist(self) -> np.ndarray:
+        """By the object's twist, shape (m, 6)."""
+        return self._block("object_twist")
+
+    @property
+    def d_joint_positions(self) -> Mapping[str, np.ndarray]:
+        """By the joint positions [rad, m], arm -> (m, n_i)."""
+        return self.layout.split_joints(self._block("joint_positions"))
+
+    @property
+    def d_joint_velocities(self) -> Mapping[str, np.ndarray]:
+        """By the joint velocities, arm -> (m, n_i)."""
+        return self.layout.split_joints(self._block("joint_velocities"))
+
+    @property
+    def d_torques(self) -> Mapping[str, np.ndarray]:
+        """By torques [N m] or forces [N] that are added to the joints, arm -> (m, n_i)."""
+        return self.layout.split_joints(self._block("torques"))
+
+    @property
+    def d_effect_states(self) -> np.ndarray:
+        """By the states of effects, shape (m, e)."""
+        return self._block("effect_states")
+
+    @property
+    def d_object_wrench(self) -> np.ndarray:
+        """By a force [N] and a moment about the centre of mass [N m], world axes, shape (m, 6)."""
+        return self._block("object_wrench")
+
+    @property
+    def d_object_mass(self) -> np.ndarray:
+        """By the object's mass [kg], shape (m,); its inertia and centre of mass stay."""
+        return self._block("object_mass")[:, 0]
+
+    @property
+    def d_object_inertia(self) -> np.ndarray:
+        """By ``xx, xy, xz, yy, yz, zz`` of the inertia [kg m^2], object axes, shape (m, 6)."""
+        return self._block("object_inertia")
+
+    @property
+    def d_placements(self) -> Mapping[str, np.ndarray]:
+        """By a shift [m] and a turn [rad] of an arm's contacts against its link, arm -> (m, 6).
+
+        In the axes, and about the origin, of the link that carries the tip.
+        """
+        block = self._block("placements")
+        return {name: block[:, 6 * i : 6 * i + 6] for i, name in enumerate(self.layout.names)}
+
+    def _block(self, name: str) -> np.ndarray:
+        if name not in self.columns:
+            raise ModelError(
+                f"these derivatives have none by {name}: ask for them, "
+                "ma.derivatives(system, t, state, parameters=True)"
+            )
+        return self.matrix[:, self.columns[name]]
+
+
+class Motions(NamedTuple):
+    """The inertia of the system, and the derivatives of its gaps.
+
+    Displacements and velocities have ``6 + n`` numbers: of the object (world axes), of the joints.
+
+    Attributes
+    ----------
+    inertia : ndarray, shape (6 + n, 6 + n)
+        Kinetic energy is half its square form of the velocities.
+    gaps : ndarray, shape (K, 6 + n)
+        Of the K gaps that joints keep closed, by a displacement; rolling rows have no gap.
+    rates : ndarray, shape (N, 6 + n)
+        Of the rates of all N rows, by the velocities.
+    rates_by_position : ndarray, shape (N, 6 + n)
+        Of these rates, by a displacement.
+    """
+
+    inertia: np.ndarray
+    gaps: np.ndarray
+    rates: np.ndarray
+    rates_by_position: np.ndarray
+
+    def admissible(self) -> np.ndarray:
+        """Projector on displacements and velocities that keep gaps and gap rates, (12 + 2 n,) * 2.
+
+        In the order of the columns of :class:`Derivatives`.
+        """
+        of_gaps = np.hstack([self.gaps, np.zeros_like(self.gaps)])
+        constraint = np.vstack([of_gaps, np.hstack([self.rates_by_position, self.rates])])
+        n = self.inertia.shape[0] - 6
+        order = np.r_[0:6, 6 + n : 12 + n, 6 : 6 + n, 12 + n : 12 + 2 * n]
+        constraint = constraint[:, order]
+        lengths = np.linalg.norm(constraint, axis=1)
+        basis = null_space(constraint[lengths > 0.0] / lengths[lengths > 0.0, None]).basis
+        return basis @ basis.T
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """Derivatives of an evaluation by a displacement of the state, by torques and by parameters.
+
+    Attributes
+    ----------
+    evaluation : Evaluation
+        What is differentiated.
+    matrix : ndarray, shape (R, C)
+        All of them.  NaN for forces that the equations leave open.
+    rows : mapping str -> slice
+        Of the matrix: ``object_acceleration``, ``joint_accelerations``, ``contact_forces`` (arm
+        after arm), and the rates of states of effects, ``effect_state_rates``.
+    columns : mapping str -> slice
+        ``object_pose``, ``object_twist``, ``joint_positions``, ``joint_velocities``, ``torques``,
+        ``effect_states``, and if asked for ``object_wrench``, ``object_mass``, ``object_inertia``,
+        ``placements``.
+    layout : Layout
+    message : str
+        What does not exist in this form, and why; else empty.
+    motions : Motions
+        Inertia, and which displacements keep the joints closed.
+    """
+
+    evaluation: Evaluation
+    matrix: np.ndarray
+    rows: Mapping[str, slice]
+    columns: Mapping[str, slice]
+    layout: Layout
+    message: str
+    motions: Motions
+
+    @property
+    def object_acceleration(self) -> Sensitivity:
+        """Of the object's acceleration, six rows."""
+        return self._sensitivity(self.rows["object_acceleration"])
+
+    @cached_property
+    def joint_accelerations(self) -> Mapping[str, Sensitivity]:
+        """Of the joint accelerations, by arm."""
+        return self._by_arm("joint_accelerations", self.layout.dofs)
+
+    @cached_property
+    def contact_forces(self) -> Mapping[str, Sensitivity]:
+        """Of the contact forces, by arm."""
+        return self._by_arm("contact_forces", self.layout.rows)
+
+    @property
+    def effect_state_rates(self) -> Sensitivity:
+        """Of the rates of the states of effects, such as the torques of lagging drives."""
+        return self._sensitivity(self.rows["effect_state_rates"])
+
+    def _sensitivity(self, rows: slice) -> Sensitivity:
+        return Sensitivity(self.matrix[rows], self.layout, self.columns)
+
+    def _by_arm(self, quantity: str, bounds: tuple[int, ...]) -> dict[str, Sensitivity]:
+        first = self.rows[quantity].start
+        return {
+            name: self._sensitivity(slice(first + a, first + b))
+            for name, a, b in zip(self.layout.names, bounds, bounds[1:], strict=False)
+        }
+
+    def __repr__(self) -> str:
+        rows, columns = self.matrix.shape
+        return f"Derivatives({rows} rows by {columns} columns{self.message and '; '}{self.message})"
