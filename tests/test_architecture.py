@@ -100,7 +100,7 @@ HEAVY = {"numba", "pinocchio", "matplotlib", "h5py", "meshcat", "scipy", "pydant
 # What scripts written for this package rely on.
 PUBLIC_ATTRIBUTES = {
     "Control": "picture example torques build faults",
-    "Derivatives": "evaluation matrix message object_acceleration joint_accelerations "
+    "Derivatives": "evaluation matrix rows columns message object_acceleration joint_accelerations "
     "contact_forces effect_state_rates motions",
     "Effect": "name Spec forces build",
     "Equilibrium": "state torques linear stability steps acceleration",
@@ -125,7 +125,7 @@ PUBLIC_ATTRIBUTES = {
 }
 PUBLIC_PARAMETERS = {
     "compile_system": "scene control sample_time sample_delay like",
-    "derivatives": "system t state closed_loop",
+    "derivatives": "system t state closed_loop parameters",
     "evaluate": "system t state",
     "find_equilibrium": "system state torques t",
     "inverse_dynamics": "system state object_acceleration relative_acceleration internal_forces",
