@@ -249,6 +249,17 @@ def test_a_regulator_brings_a_box_back(printed):
 
 
 @pytest.mark.slow
+def test_a_load_is_weighed_by_how_it_moves(printed):
+    text = printed("14_weigh_a_load.py")
+    ((misfit, rounding),) = figures("misfit# steps, by rounding alone#", text)
+    assert misfit == pytest.approx(rounding, rel=0.1)
+    ((mass, error, true),) = figures(r"mass# kg \+-#, true#", text)
+    assert abs(mass - true) < 5.0 * error < 0.01
+    found = figures(r"centre of mass [xyz]# mm \+-#, true#", text)
+    assert len(found) == 3 and all(abs(x - true) < 5.0 * error < 10.0 for x, error, true in found)
+
+
+@pytest.mark.slow
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"
