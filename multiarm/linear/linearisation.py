@@ -36,7 +36,7 @@ from multiarm.dynamics.system import System, require_system
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.linear.coordinates import Coordinates, component_names, minimal_coordinates
-from multiarm.linear.modes import Mode, controllability, modes_of, stability_of
+from multiarm.linear.modes import Mode, modes_of, stability_of
 from multiarm.public import facts_html, public_names
 from multiarm.scene.faults import unknown
 from multiarm.spatial import difference, retract
@@ -115,7 +115,7 @@ class LinearSystem:
     @cached_property
     def controllable(self) -> bool:
         """Whether torques reach every state."""
-        return all(controllability(self.A, self.B, mode.eigenvalue) for mode in self.modes)
+        return all(mode.controllable for mode in self.modes)
 
     @property
     def stability(self) -> str:

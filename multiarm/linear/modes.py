@@ -115,20 +115,11 @@ def modes_of(
                 eigenvalue=value,
                 shape=shape,
                 moving=tuple(names[i] for i in order[:NAMED]),
-                controllable=controllability(A, B, value),
+                controllable=_is_reached(A, B, value),
                 kind="drifts" if drifts else _kind(value, noise),
             )
         )
     return tuple(found)
-
-
-def controllability(A: np.ndarray, B: np.ndarray, eigenvalue: complex) -> bool:
-    """Whether inputs reach the motion of an eigenvalue."""
-    size = max(np.abs(A).max(), 1.0)
-    scale = np.abs(B).max(initial=0.0) or 1.0
-    matrix = np.hstack([(A - eigenvalue * np.eye(len(A))) / size, B / scale])
-    singular = np.linalg.svd(matrix, compute_uv=False)
-    return bool(singular[-1] > RANK_TOLERANCE * singular[0])
 
 
 def stability_of(modes: Sequence[Mode]) -> str:
@@ -137,6 +128,15 @@ def stability_of(modes: Sequence[Mode]) -> str:
     if kinds & {"grows", "oscillates and grows"}:
         return "unstable"
     return "undecided" if kinds & {"drifts", "oscillates for ever"} else "stable"
+
+
+def _is_reached(A: np.ndarray, B: np.ndarray, eigenvalue: complex) -> bool:
+    """Whether inputs reach the motion of an eigenvalue."""
+    size = max(np.abs(A).max(), 1.0)
+    scale = np.abs(B).max(initial=0.0) or 1.0
+    matrix = np.hstack([(A - eigenvalue * np.eye(len(A))) / size, B / scale])
+    singular = np.linalg.svd(matrix, compute_uv=False)
+    return bool(singular[-1] > RANK_TOLERANCE * singular[0])
 
 
 def _kind(value: complex, noise: float) -> str:
