@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from mechanics import SCENES, UR5_POSTURE, planar_pair, random_state, scene_of, ur5_pair
 from scipy.linalg import expm, solve_continuous_are
+from scipy.optimize import brentq
 from test_effects_smooth import sledge_urdf
 from typer.testing import CliRunner
 
@@ -21,6 +22,8 @@ from multiarm.assembly.start import project_start
 from multiarm.cli import app
 from multiarm.errors import ModelError, SolverError
 from multiarm.linear.motion import modes_trajectory
+from multiarm.problems import HARD_CASES
+from multiarm.problems.loops import bricard_motion
 from multiarm.spatial import retract
 
 G = 9.81
@@ -128,6 +131,25 @@ def test_poles_are_those_that_the_control_asks_for():
     )
     assert {mode.kind for mode in linear.modes} == {"decays"} and linear.stability == "stable"
     assert all(mode.time_constant == pytest.approx(0.1, rel=1e-3) for mode in linear.modes)
+
+
+def test_bricards_loop_swings_as_its_closed_form():
+    """``omega^2 = V'' / A`` where V is least: one freedom of six hinges, with dependent rows."""
+    loop = bricard_motion()
+    system = ma.compile_system(HARD_CASES["bricard"].scene())
+    found = ma.find_equilibrium(system)
+    low, high = loop.span
+    places = np.linspace(low, high, 4001)[:-1]
+    least = min(places, key=lambda s: loop.inertia_and_potential(s)[1])
+    bottom = brentq(lambda s: loop.series(s)[2], least - 0.01, least + 0.01, xtol=1e-14)
+    h = 1e-4
+    curvature = (loop.series(bottom + h)[2] - loop.series(bottom - h)[2]) / (2.0 * h)
+    (swing,) = found.linear.modes
+    assert swing.kind == "oscillates for ever"
+    omega = math.sqrt(curvature / loop.inertia_and_potential(bottom)[0])
+    assert swing.natural_frequency == pytest.approx(omega, rel=1e-7)
+    middle = loop.centres(2, np.array([bottom]))[0]
+    np.testing.assert_allclose(found.state.object_position, middle, atol=1e-9)
 
 
 # --- differences on the joints --------------------------------------------------------------------
