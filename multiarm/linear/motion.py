@@ -58,7 +58,7 @@ def modes_trajectory(
     rest.velocity[:] = 0.0
     for place, number in enumerate(chosen):
         mode, first = linear.modes[number - 1], place * (SWING + PAUSE)
-        events.append({"time": first, "kind": f"mode {number}", "text": mode_text(number, mode)})
+        events.append({"time": first, "kind": "mode", "text": mode_text(number, mode)})
         phases = np.linspace(0.0, 2.0 * math.pi, SAMPLES + 1)
         states += _swing(linear, rest, mode.shape, phases, amplitude)
         times += [first + SWING * phase / (2.0 * math.pi) for phase in phases]
