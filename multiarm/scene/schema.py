@@ -63,8 +63,12 @@ class Scene(Spec):
         By name.
     joints : list of joints
         One for each arm.
-    control, effects, run
-        Control of the arms, optional physics, settings of the run.
+    control : one of the kinds of control
+        The joint torques; none by default.
+    effects : table of effects
+        Physics that a scene asks for, by name; what it does not name costs nothing.
+    run : RunSpec
+        How long, how exactly and by which method it is simulated.
 
     Raises
     ------
