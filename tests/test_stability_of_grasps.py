@@ -375,6 +375,22 @@ def test_drawn_share_is_all_within_the_radius_and_falls_beyond(rng):
     assert 1.0 > shares[0] > shares[1] > shares[2] > 0.0
 
 
+def test_drawn_share_of_one_contact_is_the_part_of_its_disc_that_closes():
+    """Counted on a grid, by null vectors."""
+    contacts, partly = block_grasp(0.1, 0.3), 0
+    steps = np.linspace(-1.0, 1.0, 41)
+    grid = np.array([(u, v) for u, v in product(steps, steps) if u * u + v * v < 1.0])
+    for j, t in enumerate(tangents_of(contacts)):
+        radius = np.zeros(contacts.count)
+        radius[j] = 0.3
+        one = radius[:, None]
+        share = np.mean([closes(contacts, one * (place @ t)) for place in grid])
+        found = monte_carlo_stability(contacts, radius, 20_000, j, confidence=0.9999)
+        assert found.low - 0.01 < share < found.high + 0.01
+        partly += 0.1 < share < 0.9
+    assert partly > 2
+
+
 def test_intervals_are_wilsons_and_draws_are_repeatable():
     contacts = block_grasp(0.4, 0.4)
     found = monte_carlo_stability(contacts, 0.02, 1000, np.random.default_rng(8), confidence=0.9)
