@@ -20,11 +20,11 @@ from multiarm.cli import accuracy as command
 from multiarm.cli import app
 from multiarm.plots.style import PALETTE
 from multiarm.problems import ring_of_arms
+from multiarm.reports.pages import quantity
 from multiarm.results.files import save_page
 from multiarm.studies.work_precision import study as studies
 from multiarm.studies.work_precision.choice import all_series, decades
 from multiarm.studies.work_precision.page import render
-from multiarm.studies.work_precision.peers import SOLVERS
 from multiarm.studies.work_precision.points import COMPLETED, FAILED, Point
 from multiarm.studies.work_precision.reference import QUANTITIES, Motion, Reference
 from multiarm.studies.work_precision.settings import (
@@ -301,14 +301,15 @@ def test_all_points_are_printed_on_demand(study_file, results):
 def test_the_table_is_that_of_the_decades(study_file, results):
     stdout = accuracy("--from", study_file).stdout
     for decade in decades(results):
-        row = (short(decade.level), described(decade.ours), f"{1e3 * decade.ours.wall_time_s:.3g}")
+        wall = quantity(decade.ours.wall_time_s, "s")
+        row = (short(decade.level), described(decade.ours), wall)
         assert re.search(r"\s+".join(re.escape(cell) for cell in row), stdout), row
 
 
 def test_another_quantity_is_ranked_on_demand(study_file, results):
     stdout = accuracy("--from", study_file, "--error", "force").stdout
     assert "contact forces [N]" in stdout
-    assert "peer / ours" not in stdout, "no peer tells its forces"
+    assert "peer/ours" not in stdout, "no peer tells its forces"
 
 
 @pytest.mark.parametrize(
@@ -413,7 +414,7 @@ def test_another_quantity_redraws_diagram_tables_and_advice(page, results):
     assert page.locator("p.said:visible").count() == 1
     assert page.locator("p.said:visible").inner_text() != advice
     rows = page.locator("div[data-quantity=force]:visible tbody tr").count()
-    assert rows == len(decades(results, "force"))
+    assert rows == len(decades(results, "force")) + len(all_series(results))
 
 
 def test_nothing_on_the_page_overlaps_or_sticks_out(page):
@@ -449,7 +450,7 @@ def test_the_page_begins_with_the_ranked_quantity_and_says_what_the_terminal_say
 
 def test_every_method_and_every_peer_has_a_colour_of_its_own():
     ours = [ladder.settings[0].method for ladder in our_ladders(0.01, 1.0, 0.005)]
-    assert len({*ours, *SOLVERS}) <= len(set(PALETTE)) == len(PALETTE)
+    assert len({*ours, *studies.SOLVERS}) <= len(set(PALETTE)) == len(PALETTE)
 
 
 def test_ink_stands_out_from_the_page(page):

@@ -33,10 +33,17 @@ from multiarm.studies.effect_costs.entries import (
     paired_difference,
 )
 from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
-from multiarm.studies.effect_costs.page import ledger_figure, render
+from multiarm.studies.effect_costs.page import figure, render
 from multiarm.studies.effect_costs.study import changes, ledger
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING, without
-from multiarm.studies.effect_costs.words import NOISE, change_text, percent, sentence, summary
+from multiarm.studies.effect_costs.words import (
+    NOISE,
+    change_text,
+    percent,
+    sentence,
+    summary,
+    table,
+)
 
 RING = ma.load_scene(SCENES / "ring_weld.yaml").replace(effects={"joint_damping": 0.5})
 SHORT = RING.replace(run={"duration": 0.3, "output_step": 0.01, "accuracy": 1e-6})
@@ -463,11 +470,11 @@ def test_ctrl_c_ends_the_study(scene_file, monkeypatch):
 def test_the_table_fits_a_narrow_terminal(found):
     from rich.console import Console
 
-    from multiarm.cli.effects import _table
+    from multiarm.cli.studies import rendered
 
     narrow = Console(width=80)
     with narrow.capture() as capture:
-        narrow.print(_table(found))
+        narrow.print(next(rendered(table(found, found.entries, "Effects"))))
     assert "…" not in capture.get()
     rows = capture.get().splitlines()
     head, line = (row for row in rows if re.match(r" *(ms/s|joint_damping)", row))
@@ -556,7 +563,7 @@ def test_the_page_is_whole_and_loads_nothing():
 
 def test_the_figure_draws_costs_and_changes_where_they_are():
     shown = [entry for entry in synthetic().entries if entry.share and entry.changes]
-    left, right = ledger_figure(synthetic()).axes
+    left, right = figure(synthetic()).axes
     widths = [bar.get_width() for bar in left.patches]
     assert widths == pytest.approx([100.0 * entry.share.value for entry in shown])
     places = {(line.get_ydata()[0], line.get_marker()): line.get_xdata()[0] for line in right.lines}

@@ -31,8 +31,8 @@ from multiarm.integration.step import begin_chart, evaluate_slope, make_step
 from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_python
 from multiarm.problems import ring_of_arms
-from multiarm.studies.peer_trials import BYTES_PER_CUBE
-from multiarm.studies.pinocchio_peer import PinocchioForest, PinocchioMotion
+from multiarm.studies.peers import memory_needed
+from multiarm.studies.pinocchio_peer import ConstraintDynamics, Lcaba, PinocchioTree
 from multiarm.studies.timing import (
     Burst,
     fastest,
@@ -132,11 +132,11 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
     remark = too_large_for_pinocchio(system.model.layout.joints)
     peers: dict[str, Callable[[], np.ndarray]] = {}
     if not remark:
-        forest = PinocchioForest(system)
-        peers["constraintDynamics"] = forest.constraint_dynamics_call(state, torque)
-        peers["lcaba"] = forest.lcaba_call(state, torque)
-        tree = PinocchioMotion(system, np.zeros(torque.size))
-        peers["tree"] = tree.acceleration_call(state, torque)
+        peers = {
+            "constraintDynamics": ConstraintDynamics(system).evaluation(state, torque),
+            "tree": PinocchioTree(system).evaluation(state, torque),
+            "lcaba": Lcaba(system).evaluation(state, torque),
+        }
         found.update({name: call()[: torque.size].copy() for name, call in peers.items()})
     ours, copies, dense = (each.model.data() for each in (system, compiled, dense_system))
     for data in (ours, copies, dense):
@@ -176,7 +176,7 @@ def too_large_for_pinocchio(joints: int, free: float | None = None) -> str:
     ``free`` is the free memory [bytes], by default this machine's.
     """
     free = free_memory() if free is None else free
-    need = BYTES_PER_CUBE * (6 + joints) ** 3  # both algorithms' Data together
+    need = memory_needed(joints)  # both algorithms' Data together
     if need <= SHARE_OF_MEMORY * free:
         return ""
     return f"not run: Pinocchio's Data would take {need / 1e9:.1f} of {free / 1e9:.1f} GB free"

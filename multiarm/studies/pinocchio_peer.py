@@ -4,12 +4,12 @@ Each joint of a scene is one or two rigid constraints between a tip and the obje
 rows, a ball 3, and a hinge, for which Pinocchio has none, is written as two balls on its axis (6
 rows, one of them redundant).
 
-:class:`PinocchioForest` has the object as a free-flyer beside all arms.  Its algorithms need care:
-with a regularisation of zero, which is what ``constraintDynamics`` has as shipped, they return NaN
-or unconverged numbers without an exception when rows are redundant, and ``lcaba`` keeps state in
-its ``Data`` between calls.
+:class:`ConstraintDynamics` and :class:`Lcaba` have the object as a free-flyer beside all arms.
+These algorithms need care: with a regularisation of zero, which is what ``constraintDynamics`` has
+as shipped, they return NaN or unconverged numbers without an exception when rows are redundant, and
+``lcaba`` keeps state in its ``Data`` between calls.
 
-:class:`PinocchioMotion` integrates ``constraintDynamics`` in Python, as Pinocchio has no
+:class:`PinocchioTree` integrates ``constraintDynamics`` in Python, as Pinocchio has no
 integrator.  For its best performance it gets as few coordinates as possible: the object is attached
 to the last arm by one of Pinocchio's joints (a weld makes it part of that arm's last link, a hinge
 and a ball add their own coordinates), and only the other arms' joints are rigid constraints.  On
@@ -19,44 +19,52 @@ two welded UR5s this takes two thirds of the time of a free object with two weld
 from __future__ import annotations
 
 import math
-import time
+from abc import abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pinocchio as pin
+from scipy.integrate import DOP853
 
 from multiarm.arms.arm import named_with_prefix
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.studies.observables import Sinusoid
-from multiarm.studies.peers import Drive, joint_ends, tip_frame
-from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
+from multiarm.studies.peers import Drive, Peer, Solver, joint_ends, tip_frame
+from multiarm.studies.time_series import TimeSeries
 
-_ALGORITHMS = {
-    "constraintDynamics": (1e-14, 1e-14, 1e-10, 50),
-    "constraintDynamics as shipped": (),
-    "lcaba": (1e-12, 1e-12, 1e-3, 100),
-}
-# Accuracies, regularisation, iterations.  All but the shipped ones were chosen, among four, as the
-# most precise on two welded UR5s, folded and straight; other systems may want others.
 _FAST = (1e-10, 1e-10, 1e-10, 10)
-"""The same where an algorithm is timed or integrated."""
-
+"""Accuracies, regularisation, iterations of ``constraintDynamics`` where it is timed."""
 Slope = Callable[[float, np.ndarray], np.ndarray]
 
 
-class _Loops:
+def torque_function(drive: Drive) -> Callable[[float, Any], np.ndarray]:
+    """Torques as a function of time and of the state, at which sinusoids do not look."""
+    if not isinstance(drive, Sinusoid):
+        return drive
+    rate, constant, sine, cosine = drive.rate, drive.constant, drive.sine, drive.cosine
+    if drive.is_constant:
+        return lambda t, _: constant
+    return lambda t, _: constant + math.sin(rate * t) * sine + math.cos(rate * t) * cosine
+
+
+class _Loops(Peer):
     """Arms as one Pinocchio model, and the rigid constraints that close them at the object."""
 
     def __init__(self, system: System):
-        self.system, self.model = system, pin.Model()
+        super().__init__(system)
+        self.model = pin.Model()
         for arm in system.arms.values():
             self.model = pin.appendModel(self.model, named_with_prefix(arm), 0, pin.SE3.Identity())
         self.model.gravity.linear = system.model.constants.gravity
         self._joints = {joint.arm: joint for joint in system.scene.joints}
         self._parts = {name: _rigid_parts(joint) for name, joint in self._joints.items()}
+
+    @abstractmethod
+    def evaluation(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
+        """A function without arguments, to be timed, that computes all accelerations once."""
 
     def _place(self, name: str) -> tuple[int, pin.SE3, pin.SE3]:
         """An arm's last joint, and the frame of its joint to the object there and on the object."""
@@ -101,19 +109,16 @@ class _Loops:
         )  # fmt: skip
 
 
-class PinocchioForest(_Loops):
-    """The system as one Pinocchio model whose loops are closed by rigid constraints.
+class ConstraintDynamics(_Loops, Solver):
+    """``constraintDynamics`` on the forest of all arms and the object, a free-flyer.
 
-    Parameters
-    ----------
-    system : System
-        Welds, balls and hinges only.
-
-    Raises
-    ------
-    ModelError
-        For a joint that Pinocchio has no rigid constraint for.
+    Its settings, like those of :class:`Lcaba`, were chosen among four as the most precise on two
+    welded UR5s, folded and straight; other systems may want others.
     """
+
+    methods: ClassVar = {"SciPy DOP853": "tolerance"}
+    best: ClassVar = ("SciPy DOP853", 1e-9)
+    precise: ClassVar[tuple[float, ...]] = (1e-14, 1e-14, 1e-10, 50)
 
     def __init__(self, system: System):
         super().__init__(system)
@@ -121,86 +126,101 @@ class PinocchioForest(_Loops):
         self._add_object(body, pin.SE3.Identity())
         self._close(body, pin.SE3.Identity())
 
-    def coordinates(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """Pinocchio's configuration and velocity of a state."""
-        q = [arm.configuration(state.joint_positions[n]) for n, arm in self.system.arms.items()]
-        rotation = _se3(state.position).rotation
-        twist = state.object_twist
-        local = np.concatenate([rotation.T @ twist[:3], rotation.T @ twist[3:]])
-        return (
-            np.concatenate([*q, state.position[:7]]),
-            np.concatenate([*state.joint_velocities.values(), local]),
-        )
-
-    def torques(self, torque: np.ndarray) -> np.ndarray:
-        """Generalised forces of joint torques."""
-        return np.concatenate([torque, np.zeros(6)])
-
-    def accelerations(
-        self, state: State, torque: np.ndarray, algorithm: str = "constraintDynamics"
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Object's classical acceleration in world axes (6,) and the joints' (n,).
-
-        ``algorithm`` is ``constraintDynamics``, ``constraintDynamics as shipped`` or ``lcaba``.
-        What it returns is passed on as it is, NaN too.
-        """
-        q, v = self.coordinates(state)
-        settings = pin.ProximalSettings(*_ALGORITHMS[algorithm])
-        if algorithm == "lcaba":
-            data, constraint_data = self.model.createData(), self._constraint_data()
-            pin.computeJointMinimalOrdering(self.model, data, self.constraints)
-            run = pin.lcaba
-        else:
-            data, constraint_data = self.data, self.constraint_data
-            run = pin.constraintDynamics
-        a = run(
-            self.model, data, q, v, self.torques(torque), self.constraints, constraint_data,
-            settings,
-        )  # fmt: skip
+    def accelerations(self, state: State, torque: np.ndarray) -> np.ndarray:
+        """The object's classical acceleration and the joints', as Pinocchio returns them."""
+        q, v, tau = self._given(state, torque)
+        a = self._solve(q, v, tau, pin.ProximalSettings(*self.precise))
         rotation, local = _se3(state.position).rotation, v[-6:]
         linear = rotation @ (a[-6:-3] + np.cross(local[3:], local[:3]))
-        return np.concatenate([linear, rotation @ a[-3:]]), a[:-6].copy()
+        return np.concatenate([linear, rotation @ a[-3:], a[:-6]])
 
-    def constraint_dynamics_call(self, state: State, torque: np.ndarray):
-        """A function without arguments that runs ``constraintDynamics`` once."""
-        return self._call(*self.coordinates(state), self.torques(torque))
+    def evaluation(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
+        """A function without arguments, to be timed, that runs the algorithm once."""
+        return self._call(*self._given(state, torque))
 
-    def lcaba_call(self, state: State, torque: np.ndarray, mu: float = 1e-6):
-        """A function without arguments that runs ``lcaba`` once."""
+    def follow(
+        self, series: TimeSeries, start: State, method: str, value: float, drive: Drive
+    ) -> None:
+        """Integrate to every output and record the motion (:meth:`.peers.Peer.follow`)."""
+        split, torques = start.position.size, torque_function(drive)
+
+        def unpacked(y: np.ndarray) -> State:
+            position = y[:split].copy()
+            position[3:7] /= np.linalg.norm(position[3:7])
+            return State(position, y[split:].copy(), start.layout)
+
+        def slope(t: float, y: np.ndarray) -> np.ndarray:
+            series.evaluations += 1
+            series.check()
+            state = unpacked(y)
+            found = self.accelerations(state, torques(t, state))
+            if not np.all(np.isfinite(found)):
+                raise FloatingPointError("NaN")
+            omega, q = state.object_twist[3:], y[3:7]
+            turning = 0.5 * np.append(q[3] * omega + np.cross(omega, q[:3]), -omega @ q[:3])
+            return np.concatenate([state.object_twist[:3], turning, state.velocity[6:], found])
+
+        y = np.concatenate([start.position, start.velocity])
+        _adaptive(series, slope, y, value, unpacked)
+
+    def _solve(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Any) -> np.ndarray:
+        return pin.constraintDynamics(
+            self.model, self.data, q, v, tau, self.constraints, self.constraint_data, settings
+        )
+
+    def _given(self, state: State, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pinocchio's configuration, velocity and generalised forces."""
+        q = [arm.configuration(state.joint_positions[n]) for n, arm in self.system.arms.items()]
+        rotation, twist = _se3(state.position).rotation, state.object_twist
+        rates = state.velocity[6:]
+        return (
+            np.concatenate([*q, state.position[:7]]),
+            np.concatenate([rates, rotation.T @ twist[:3], rotation.T @ twist[3:]]),
+            np.concatenate([torque - self.damping * rates, np.zeros(6)]),
+        )
+
+
+class AsShipped(ConstraintDynamics):
+    """``constraintDynamics`` with its own settings, which regularise nothing."""
+
+    precise: ClassVar = ()
+
+
+class Lcaba(ConstraintDynamics):
+    """``lcaba`` on the same forest."""
+
+    precise: ClassVar = (1e-12, 1e-12, 1e-3, 100)
+    fast: ClassVar = (1e-10, 1e-10, 1e-6, 10)
+
+    def evaluation(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
+        """A function without arguments, to be timed, that runs the algorithm once."""
+        return self._prepared(*self._given(state, torque), pin.ProximalSettings(*self.fast))
+
+    def _solve(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Any) -> np.ndarray:
+        return self._prepared(q, v, tau, settings)()
+
+    def _prepared(
+        self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Any
+    ) -> Callable[[], np.ndarray]:
+        """The algorithm with a Data of its own, since it keeps state there."""
         data, constraint_data = self.model.createData(), self._constraint_data()
         pin.computeJointMinimalOrdering(self.model, data, self.constraints)
         return partial(
-            pin.lcaba, self.model, data, *self.coordinates(state), self.torques(torque),
-            self.constraints, constraint_data, pin.ProximalSettings(1e-10, 1e-10, mu, 10),
-        )  # fmt: skip
+            pin.lcaba, self.model, data, q, v, tau, self.constraints, constraint_data, settings
+        )
 
 
-class PinocchioMotion(_Loops):
+class PinocchioTree(_Loops):
     """A system as one Pinocchio model in which the object hangs on the last arm.
 
     The state is ``y``: one number a joint, the object's own coordinates, all velocities.  It is not
     projected onto the constraints.
-
-    Parameters
-    ----------
-    system : System
-        Welds, balls and hinges only.
-    damping : ndarray, shape (n,)
-        Of the joints [N m s/rad, N s/m].
-
-    Raises
-    ------
-    ModelError
-        For a joint that Pinocchio has no rigid constraint for.
     """
 
     methods: ClassVar = {"RK4": "step", "SciPy DOP853": "tolerance"}
 
-    def __init__(self, system: System, damping: np.ndarray):
-        from scipy.integrate import solve_ivp  # it takes its time, which is not that of a run
-
+    def __init__(self, system: System):
         super().__init__(system)
-        self._solve_ivp, self.damping = solve_ivp, damping
         last = system.arm_names[-1]
         self._kind = self._joints[last].kind
         self._last, self._tip, on_object = self._place(last)
@@ -218,51 +238,30 @@ class PinocchioMotion(_Loops):
         self._split = system.model.layout.joints + {"ball": 4, "revolute": 1}.get(self._kind, 0)
 
     def follow(
-        self,
-        series: TimeSeries,
-        grid: Grid,
-        start: State,
-        method: str,
-        value: float,
-        drive: Drive,
+        self, series: TimeSeries, start: State, method: str, value: float, drive: Drive
     ) -> None:
-        """Integrate to every output and record the motion.
-
-        ``method`` is one of ``methods``, ``value`` its step [s] or its tolerance, ``drive`` the
-        torques, of time alone or of time and state.
-        """
+        """Integrate to every output and record the motion (:meth:`.peers.Peer.follow`)."""
         slope, y = self.slope(series, drive), self.coordinates(start)
-        found = (self._fixed if method == "RK4" else self._adaptive)(series, grid, slope, y, value)
-        for y in found:
-            if not np.all(np.isfinite(y)):
-                return
-            series.positions.append(self.state(y).position)
+        if method == "RK4":
+            self._fixed(series, slope, y, value)
+        else:
+            _adaptive(series, slope, y, value, self.state)
 
-    def _fixed(self, series: TimeSeries, grid: Grid, f: Slope, y: np.ndarray, h: float):
-        count, found = grid.steps(h), [y]
-        for k in range(grid.intervals):
+    def _fixed(self, series: TimeSeries, f: Slope, y: np.ndarray, h: float) -> None:
+        count, interval = series.grid.steps(h), series.grid.interval
+        series.record(self.state(y))
+        for k in range(series.grid.intervals):
             series.start()
             for i in range(count):
-                t = k * grid.interval + i * h
+                t = k * interval + i * h
                 a = f(t, y)
                 b = f(t + 0.5 * h, y + (0.5 * h) * a)
                 c = f(t + 0.5 * h, y + (0.5 * h) * b)
                 d = f(t + h, y + h * c)
                 y = y + (h / 6.0) * (a + 2.0 * (b + c) + d)
-            series.steps += count
-            series.stop()
-            found.append(y)
-        return found
-
-    def _adaptive(self, series: TimeSeries, grid: Grid, f: Slope, y: np.ndarray, tolerance: float):
-        times = grid.times
-        series.start()
-        run = self._solve_ivp(
-            f, (0.0, times[-1]), y, "DOP853", t_eval=times, rtol=tolerance, atol=tolerance
-        )
-        series.stop()
-        series.steps = (series.evaluations - 2) // 12  # rejected ones too; more for its output
-        return run.y.T
+            series.stop(count)
+            if not series.record(self.state(y)):
+                return
 
     def slope(self, series: TimeSeries, drive: Drive) -> Slope:
         """``dy/dt`` as a function of time and ``y``; it counts its calls and watches the clock."""
@@ -274,12 +273,10 @@ class PinocchioMotion(_Loops):
         torque, damping = np.zeros(model.nv), self.damping
         torques = self._torques(drive)
         damped, ball, hinge = bool(np.any(damping)), self._kind == "ball", self._kind == "revolute"
-        deadline = time.perf_counter() + series.limit_s
 
         def f(t: float, y: np.ndarray) -> np.ndarray:
             series.evaluations += 1
-            if time.perf_counter() > deadline:
-                raise OutOfTime
+            series.check()
             v = y[split:]
             tau = torques(t, y)
             torque[:n] = tau - damping * v[:n] if damped else tau
@@ -297,8 +294,8 @@ class PinocchioMotion(_Loops):
 
         return f
 
-    def acceleration_call(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
-        """A function without arguments that runs ``constraintDynamics`` once."""
+    def evaluation(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
+        """A function without arguments, to be timed, that runs ``constraintDynamics`` once."""
         y = self.coordinates(state)
         q = self._configuration(y) if self._circular.any() else y[: self._split].copy()
         v = y[self._split :].copy()
@@ -307,16 +304,10 @@ class PinocchioMotion(_Loops):
 
     def _torques(self, drive: Drive) -> Slope:
         """Torques as a function of time and ``y``."""
-        if not isinstance(drive, Sinusoid):
-            return lambda t, y: drive(t, self.state(y))
-        rate, constant, sine, cosine = drive.rate, drive.constant, drive.sine, drive.cosine
-        if drive.is_constant:
-            return lambda t, y: constant
-
-        def swinging(t: float, _y: np.ndarray) -> np.ndarray:
-            return constant + math.sin(rate * t) * sine + math.cos(rate * t) * cosine
-
-        return swinging
+        torques = torque_function(drive)
+        if isinstance(drive, Sinusoid):
+            return torques
+        return lambda t, y: torques(t, self.state(y))
 
     def _configuration(self, y: np.ndarray) -> np.ndarray:
         """Pinocchio's configuration vector: two numbers for a joint that turns without end."""
@@ -360,6 +351,32 @@ class PinocchioMotion(_Loops):
             np.concatenate([pose.rotation @ twist.linear, pose.rotation @ twist.angular, v[:n]]),
             self.system.model.layout,
         )
+
+
+def _adaptive(
+    series: TimeSeries,
+    slope: Slope,
+    y: np.ndarray,
+    tolerance: float,
+    state: Callable[[np.ndarray], State],
+) -> None:
+    """Integrate by DOP853 and record the states at the outputs, from its dense output."""
+    times = series.grid.times
+    series.record(state(y))
+    series.start()
+    solver = DOP853(slope, 0.0, y, times[-1], rtol=tolerance, atol=tolerance)
+    while solver.status == "running":
+        fault = solver.step()
+        if solver.status == "failed":
+            raise ArithmeticError(fault)
+        due = times[len(series.states) :]
+        due = due[due <= solver.t]
+        found = solver.dense_output()(due).T if due.size else ()
+        series.stop(steps=1)
+        if not all(series.record(state(row)) for row in found):
+            return
+        series.start()
+    series.stop()
 
 
 def _quaternion_rate(q: list[float], w: list[float]) -> tuple[float, float, float, float]:

@@ -10,6 +10,7 @@ all runs are made.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from multiarm.studies.effect_costs.entries import (
@@ -24,6 +25,7 @@ from multiarm.studies.effect_costs.entries import (
     Ledger,
 )
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, RECORDING, SETTING
+from multiarm.studies.tables import REMARK, TEXT, Cell, Column, Table
 
 SHOWN = {
     PATH: (1e3, "mm"),
@@ -33,6 +35,7 @@ SHOWN = {
     FORCE: (1.0, "N"),
 }
 """Quantity -> factor and unit in which people read it."""
+HEADS = {PATH: "path", TURN: "turn", JOINTS: "joints", SLIDES: "slides", FORCE: "force"}
 NO_EFFECTS = "No effects: nothing is added, and nothing can be left out."
 
 
@@ -90,22 +93,18 @@ def sentence(found: Ledger, entry: Entry) -> str:
     return f"{text}: leave it out" if found.can_go(entry) else text
 
 
-def verdict(found: Ledger, entry: Entry) -> str:
-    """What to do about an entry, in a few words."""
+def tone(found: Ledger, entry: Entry) -> str:
+    """Of an entry's name: bad where it failed, good where it can go."""
+    return "bad" if entry.trouble else "good" if found.can_go(entry) else ""
+
+
+def remark(entry: Entry) -> str:
+    """What is to be said of an entry beside its numbers."""
     if entry.trouble:
         return trouble(entry)
-    if found.can_go(entry):
-        return "leave it out"
-    if entry.kind == SETTING:
-        return entry.about
-    quantity = found.moves(entry)
-    if quantity is None:
-        return ""
-    doubt = "" if entry.certified else "; not certified"
-    return f"changes the {QUANTITIES[quantity][0].removeprefix(_OBJECT)}{doubt}"
-
-
-_OBJECT = "object's "
+    doubt = "" if entry.certified else "its run does not meet the requested accuracy"
+    about = "" if entry.kind == PRESENT else entry.about
+    return ", ".join(filter(None, (about, doubt)))
 
 
 def trouble(entry: Entry) -> str:
@@ -118,10 +117,8 @@ def trouble(entry: Entry) -> str:
 
 
 def change_text(found: Ledger, entry: Entry, quantity: str, with_unit: bool = True) -> str:
-    """A change in the unit in which people read it; "noise" below the accuracy, a dash for none."""
-    value = entry.value(quantity)
-    if value is None:
-        return "-"
+    """A change in the unit in which people read it; "noise" below the accuracy."""
+    value = entry.changes[quantity].value
     if 0.0 < value <= found.asked[quantity]:
         return NOISE
     factor, unit = SHOWN[quantity]
@@ -150,6 +147,51 @@ def percent(share: Estimate) -> str:
     if share.within_noise:
         return NOISE
     return text if not spread else f"{text} \N{PLUS-MINUS SIGN} {spread:.{digits}f}"
+
+
+def table(found: Ledger, entries: Sequence[Entry], title: str) -> Table:
+    """One line an entry: what it costs, and what it changes; noise is pale."""
+    shown = [
+        quantity
+        for quantity in QUANTITIES
+        if quantity not in (JOINTS, SLIDES) or any(quantity in e.changes for e in entries)
+    ]
+    columns = (
+        Column("", TEXT),
+        Column("ms/s"),
+        Column("% time"),
+        Column("evals", write="{:,}".format),
+        *(Column(f"{HEADS[quantity]} {SHOWN[quantity][1]}") for quantity in shown),
+        Column("at s", write="{:.3g}".format),
+        Column("", REMARK),
+    )
+    return Table(title, columns, tuple(_row(found, entry, shown) for entry in entries))
+
+
+def _row(found: Ledger, entry: Entry, shown: Sequence[str]) -> tuple[Any, ...]:
+    costs: tuple[Any, ...] = (None, None, None)
+    if entry.share is not None:
+        noise = "pale" if entry.share.within_noise else ""
+        cost = (Cell(milliseconds(entry), noise), Cell(percent(entry.share), noise))
+        costs = (*cost, entry.evaluations)
+    most = found.moves(entry)
+    return (
+        Cell(f"+ {entry.name}" if entry.kind == CANDIDATE else entry.name, tone(found, entry)),
+        *costs,
+        *(_changed(found, entry, quantity) for quantity in shown),
+        None if most is None else entry.changes[most].time,
+        Cell(remark(entry), "bad" if entry.trouble else ""),
+    )
+
+
+def _changed(found: Ledger, entry: Entry, quantity: str) -> Cell:
+    change = entry.changes.get(quantity)
+    if change is None:
+        return Cell(None, "pale")
+    whose = f"{change.arm}, " if change.arm else ""
+    pale = "pale" if change.value <= found.asked[quantity] else ""
+    text = change_text(found, entry, quantity, with_unit=False)
+    return Cell(text, pale, f"{whose}at {change.time:.3g} s")
 
 
 def accuracy_text(found: Ledger) -> str:
