@@ -8,7 +8,7 @@ Each solver gets two tasks, at states of our own run.
 2. The same motion for ``WINDOW`` seconds around that instant by the peer's best method: largest gap
    of the loops and error of the energy, whose work is the power's integral by Simpson's rule.
    Pinocchio's algorithms, which have no integrator, are integrated by SciPy's DOP853 at a tolerance
-   of 1e-9; MuJoCo has its own steps.
+   of 1e-11; MuJoCo has its own steps.
 
 A run ends after ``PATIENCE``.  A peer's exception or NaN is an answer.
 """
@@ -46,7 +46,7 @@ PATIENCE = 1.0
 OURS = "multiarm"
 PINOCCHIO = ("constraintDynamics as shipped", "constraintDynamics", "lcaba")
 SOLVERS = (*PINOCCHIO, "MuJoCo as shipped", "MuJoCo")
-OUTPUTS = 5e-4
+OUTPUTS = 2.5e-4
 """Time between two looks at gaps and energy where a method chooses its steps itself [s]."""
 MOST_MEMORY = 1e9
 """Of Pinocchio's Data [bytes]."""

@@ -117,7 +117,7 @@ class ConstraintDynamics(_Loops, Solver):
     """
 
     methods: ClassVar = {"SciPy DOP853": "tolerance"}
-    best: ClassVar = ("SciPy DOP853", 1e-9)
+    best: ClassVar = ("SciPy DOP853", 1e-11)
     precise: ClassVar[tuple[float, ...]] = (1e-14, 1e-14, 1e-10, 50)
 
     def __init__(self, system: System):
