@@ -29,7 +29,7 @@ from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate
 from multiarm.integration.step import begin_chart, evaluate_slope, make_step
 from multiarm.jit.kernels import kernel
-from multiarm.jit.pointers import call_python
+from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.problems import ring_of_arms
 from multiarm.studies.peers import memory_needed
 from multiarm.studies.pinocchio_peer import ConstraintDynamics, Lcaba, PinocchioTree
@@ -101,13 +101,24 @@ def slope_burst(data: Data) -> Burst:
     step = make_step(RK4, joints, effects.states, 1 + len(effects.works))
     begin_chart(struct, step.base, step.z)
     step.z[12 + 2 * joints :][: effects.states] = data.effect_states()
+    return loop_burst(data, _evaluate_often, step.z, step.base, step.slope)
+
+
+def loop_burst(data: Data, loop: Callable[..., int], *arguments: Any) -> Burst:
+    """A compiled loop, ``loop(struct, *arguments, count) -> status``, over a part of evaluations."""
 
     def burst(count: int) -> None:
-        if _evaluate_often(struct, step.z, step.base, step.slope, count) != OK:
+        if loop(data.struct, *arguments, count) != OK:
             data.reraise()
-            raise SolverError("an evaluation of the benchmark failed")
+            raise SolverError("a part of an evaluation failed in the benchmark")
 
     return burst
+
+
+def call_burst(data: Data, *parts: int) -> Burst:
+    """Compiled parts of an evaluation, by their addresses, in turn."""
+    bursts = [loop_burst(data, _call_often, address) for address in parts]
+    return lambda count: [burst(count) for burst in bursts]
 
 
 def terms_burst(data: Data) -> Burst:
@@ -205,6 +216,16 @@ def _evaluate_often(struct, z, base, slope, count):
     status = OK
     for i in range(count):
         status = evaluate_slope(struct, 1e-4 * i, z, base, 0.0, 0.0, slope)
+        if status != OK:
+            return status
+    return status
+
+
+@kernel
+def _call_often(struct, address, count):
+    status = OK
+    for _ in range(count):
+        status = call_cfunc(address, struct, 0.0, 0.0)
         if status != OK:
             return status
     return status

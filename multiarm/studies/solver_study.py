@@ -38,16 +38,13 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.dynamics.arrays import OK, open_data
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.node import ELIMINATED, make_work
 from multiarm.errors import SolverError
 from multiarm.jit.kernels import kernel
-from multiarm.jit.pointers import call_cfunc
 from multiarm.problems import ring_of_arms
 from multiarm.scene import Scene
-from multiarm.studies.evaluation_costs import moving_state
+from multiarm.studies.evaluation_costs import call_burst, moving_state
 from multiarm.studies.solver_forms import (
     Coefficients,
     Solution,
@@ -225,8 +222,10 @@ def _measure(count: int, rounds: int) -> dict[str, Any]:
     matrix, right = assemble(s)
     data = system.model.data()
     data.set_state(0.0, state)
+    parts = data.arrays.functions
     bursts: dict[str, Burst] = {
-        "compiled build": build_burst(data),
+        # the coefficients of (4.9) at the state in the data, with ``W`` and all forces
+        "compiled build": call_burst(data, parts.kinematics, parts.forces),
         "compiled node": CompiledNode(s).burst,
         "compiled assembly": assembly_burst(s),
         "compiled lu": python_burst(lambda: solve_lu(matrix, right)),
@@ -239,8 +238,8 @@ def _measure(count: int, rounds: int) -> dict[str, Any]:
     cost = median(measure(bursts, rounds * BURSTS_PER_ROUND))
     cost["interpreted lu"] = cost["compiled lu"]  # LAPACK's, in both pictures
     times = {
-        picture: {part: cost[f"{picture} {part}"] for part in parts}
-        for picture, parts in PICTURES.items()
+        picture: {name: cost[f"{picture} {name}"] for name in names}
+        for picture, names in PICTURES.items()
     }
     node, direct = node_operations(count), direct_operations(count)
     return {
@@ -338,37 +337,11 @@ class CompiledNode:
         return Solution(q_o, q.reshape(n, d), force.reshape(n, N))
 
 
-def build_burst(data: Data) -> Burst:
-    """The coefficients of (4.9) at the state in the data, with ``W`` and all forces."""
-    struct = data.struct
-
-    def burst(count: int) -> None:
-        if _build_often(struct, count) != OK:
-            data.reraise()
-            raise SolverError("the coefficients of the study cannot be built")
-
-    return burst
-
-
 def assembly_burst(s: Coefficients) -> Burst:
     """Filling the whole matrix and its right-hand side."""
     matrix, right = map(np.ascontiguousarray, assemble(s))  # the matrix is symmetric
     given = (s.M_o, s.h_o, s.M, s.h, s.W_o, s.W, s.c, matrix, right)
     return lambda count: _assemble_often(*given, count)
-
-
-@kernel
-def _build_often(struct, count):
-    """Coefficients of the system in the struct: Pinocchio, contacts, forces."""
-    functions = open_data(struct).functions
-    status = OK
-    for _ in range(count):
-        status = call_cfunc(functions.kinematics, struct, 0.0, 0.0)
-        if status == OK:
-            status = call_cfunc(functions.forces, struct, 0.0, 0.0)
-        if status != OK:
-            return status
-    return status
 
 
 @kernel

@@ -17,6 +17,7 @@ from multiarm.studies.effect_costs.entries import (
     FORCE,
     JOINTS,
     PATH,
+    QUANTITIES,
     SLIDES,
     TURN,
     Entry,
@@ -24,7 +25,6 @@ from multiarm.studies.effect_costs.entries import (
 )
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING
 from multiarm.studies.effect_costs.words import (
-    HEADS,
     NO_EFFECTS,
     accuracy_text,
     sentence,
@@ -100,7 +100,7 @@ def _draw_changes(axes: Axes, shown: list[Entry], found: Ledger) -> None:
 def _legend() -> list[Line2D]:
     return [
         Line2D(
-            [], [], marker=mark, color=INK, linestyle="none", label=HEADS[quantity],
+            [], [], marker=mark, color=INK, linestyle="none", label=QUANTITIES[quantity].head,
             markerfacecolor="none" if quantity == FORCE else INK,
         )
         for quantity, mark in MARKS.items()

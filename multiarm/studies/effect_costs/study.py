@@ -22,8 +22,7 @@ from multiarm.dynamics.system import System
 from multiarm.effects.defaults import defaults
 from multiarm.errors import SolverError
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene import RunSpec, Scene, dump_scene
-from multiarm.scene.run import DEFAULT_ACCURACY
+from multiarm.scene import RunSpec, Scene
 from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.effect_costs.entries import (
@@ -48,7 +47,7 @@ from multiarm.studies.effect_costs.variants import (
     left_out,
     simpler_settings,
 )
-from multiarm.studies.records import error_text, machine
+from multiarm.studies.records import about_scene, accuracies, error_text, machine
 from multiarm.studies.timing import clocked_run, one_thread
 from multiarm.terminal.progress import Progress, Report, displayed
 
@@ -181,12 +180,7 @@ def ledger(
     ]
     cost = _certificate(own.run, times[_OWN])
     return Ledger(
-        scene={
-            "name": scene.name,
-            "duration_s": scene.run.duration,
-            "output_step_s": scene.run.output_step,
-            "text": dump_scene(scene),
-        },
+        scene=about_scene(scene),
         asked=_accuracies(scene.run, own.run),
         asked_by_scene=scene.run.accuracy is not None,
         run=_about(own.run, times[_OWN]),
@@ -309,13 +303,12 @@ def _is_certified(run: Trajectory) -> bool:
 
 def _accuracies(spec: RunSpec, run: Trajectory) -> dict[str, float]:
     """The requested or default accuracy, by quantity."""
-    accuracy = spec.accuracy
-    smallest = DEFAULT_ACCURACY if accuracy is None else accuracy.smallest
-    position = (accuracy and accuracy.position) or smallest
-    rotation = (accuracy and accuracy.rotation) or smallest
     largest = max(run.summary()["contact_force_max_N"].values(), default=0.0)
-    force = (accuracy and accuracy.force) or max(FORCE_ACCURACY * largest, FORCE_ACCURACY)
-    return {PATH: position, TURN: rotation, JOINTS: rotation, SLIDES: position, FORCE: force}
+    asked = accuracies(spec, max(FORCE_ACCURACY * largest, FORCE_ACCURACY))
+    position, rotation = asked["position"], asked["rotation"]
+    return {
+        PATH: position, TURN: rotation, JOINTS: rotation, SLIDES: position, FORCE: asked["force"],
+    }  # fmt: skip
 
 
 def _about(run: Trajectory, times: np.ndarray) -> dict[str, Any]:

@@ -9,7 +9,6 @@ all runs are made.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,15 +26,6 @@ from multiarm.studies.effect_costs.entries import (
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, RECORDING, SETTING
 from multiarm.studies.tables import REMARK, TEXT, Cell, Column, Table
 
-SHOWN = {
-    PATH: (1e3, "mm"),
-    TURN: (math.degrees(1.0), "deg"),
-    JOINTS: (math.degrees(1.0), "deg"),
-    SLIDES: (1e3, "mm"),
-    FORCE: (1.0, "N"),
-}
-"""Quantity -> factor and unit in which people read it."""
-HEADS = {PATH: "path", TURN: "turn", JOINTS: "joints", SLIDES: "slides", FORCE: "force"}
 NO_EFFECTS = "No effects: nothing is added, and nothing can be left out."
 
 
@@ -121,9 +111,9 @@ def change_text(found: Ledger, entry: Entry, quantity: str, with_unit: bool = Tr
     value = entry.changes[quantity].value
     if 0.0 < value <= found.asked[quantity]:
         return NOISE
-    factor, unit = SHOWN[quantity]
-    text = _short(factor * value)
-    return f"{text} {unit}" if with_unit else text
+    read = QUANTITIES[quantity]
+    text = _short(read.factor * value)
+    return f"{text} {read.shown}" if with_unit else text
 
 
 def _short(value: float) -> str:
@@ -161,7 +151,7 @@ def table(found: Ledger, entries: Sequence[Entry], title: str) -> Table:
         Column("ms/s"),
         Column("% time"),
         Column("evals", write="{:,}".format),
-        *(Column(f"{HEADS[quantity]} {SHOWN[quantity][1]}") for quantity in shown),
+        *(Column(f"{QUANTITIES[name].head} {QUANTITIES[name].shown}") for name in shown),
         Column("at s", write="{:.3g}".format),
         Column("", REMARK),
     )
@@ -197,7 +187,7 @@ def _changed(found: Ledger, entry: Entry, quantity: str) -> Cell:
 def accuracy_text(found: Ledger) -> str:
     """What changes are measured against, and how the scene itself ran."""
     accuracies = ", ".join(
-        f"{QUANTITIES[name][0]} {value:.2g} {QUANTITIES[name][1]}"
+        f"{QUANTITIES[name].what} {value:.2g} {QUANTITIES[name].unit}"
         for name, value in found.asked.items()
         if name in (PATH, TURN, FORCE)
     )
@@ -231,6 +221,6 @@ def _change(found: Ledger, entry: Entry, quantity: str) -> str:
     """``the object's path by 41 mm``."""
     arm = entry.changes[quantity].arm
     whose = f"{arm}'s " if arm else "the "
-    text = f"{whose}{QUANTITIES[quantity][0]} by {change_text(found, entry, quantity)}"
+    text = f"{whose}{QUANTITIES[quantity].what} by {change_text(found, entry, quantity)}"
     end = " at the end" if entry.name == RECORDING and entry.kind == SETTING else ""
     return text + end

@@ -14,6 +14,7 @@ from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import plain
 from multiarm.studies.observables import control_torque, largest_gap, sinusoid
 from multiarm.studies.peers import Peer
+from multiarm.studies.records import error_text
 from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
 from multiarm.studies.work_precision.reference import Motion, limited, motion_error
 from multiarm.studies.work_precision.settings import Setting
@@ -144,8 +145,7 @@ def run_peer(system: System, peer: Peer, setting: Setting, limit_s: float) -> Me
     except OutOfTime:
         return too_slow(setting, limit_s)
     except Exception as error:
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        return Measured(Point(setting, FAILED, reason))
+        return Measured(Point(setting, FAILED, error_text(error).splitlines()[0]))
     if len(series.states) <= series.grid.intervals:
         reason = f"the state is no longer finite after {series.reached:.3g} s"
         return Measured(Point(setting, FAILED, reason))
