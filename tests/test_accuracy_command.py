@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import study_commands
 from mechanics import SCENES
 from page_reader import brightness, shown, sticks_out
 from rich.console import Console
-from typer.testing import CliRunner
+from study_commands import MACHINE, finite_json, promised_keys
 
 from multiarm.cli import accuracy as command
-from multiarm.cli import app
 from multiarm.plots.style import PALETTE
 from multiarm.problems import ring_of_arms
 from multiarm.reports.pages import quantity
@@ -39,11 +39,8 @@ from multiarm.studies.work_precision.store import Results, read_results
 from multiarm.studies.work_precision.words import comparison, described, recommendation
 from multiarm.terminal.progress import Progress
 
+accuracy = study_commands.command("accuracy")
 command_module = sys.modules["multiarm.cli.accuracy"]
-MACHINE = {
-    "processor": "a <fast> one", "platform": "here", "version": "1", "python": "3",
-    "dependencies": {"numpy": "2"}, "created_utc": "2000-01-01",
-}  # fmt: skip
 SCENE = SCENES / "ring_weld.yaml"
 
 
@@ -95,18 +92,6 @@ def study_file(results, tmp_path):
     data = {**results.as_dict(), "exact": None, "motions": {}}
     path.write_text(json.dumps(data), encoding="utf-8")
     return path
-
-
-def accuracy(*words: object):
-    """Call the command in this process, on a wide terminal."""
-    return CliRunner(env={"COLUMNS": "200"}).invoke(app, ["accuracy", *(str(w) for w in words)])
-
-
-def finite_json(text: str):
-    def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} in the JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -335,8 +320,7 @@ def test_help_promises_the_keys_of_the_json(study_file, tmp_path):
     target = tmp_path / "figures.json"
     assert accuracy("--from", study_file, "--json", target).exit_code == 0
     found = finite_json(target.read_text(encoding="utf-8"))
-    promise = re.search(r"The JSON has the keys (.*?)\. Numbers", command.__doc__, re.S)
-    assert {key.strip() for key in promise[1].split(",")} == set(found)
+    assert promised_keys(command) == set(found)
     assert found["cheapest"][0]["level"] == 0.1
 
 

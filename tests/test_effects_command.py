@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import study_commands
 from mechanics import SCENES
 from page_reader import brightness, shown
-from typer.testing import CliRunner
+from study_commands import MACHINE, finite_json, promised_keys
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.cli import check as check_command
 from multiarm.cli import effects as command
 from multiarm.effects.defaults import defaults
@@ -45,24 +44,9 @@ from multiarm.studies.effect_costs.words import (
     table,
 )
 
+effects, check = (study_commands.command(name, 160) for name in ("effects", "check"))
 RING = ma.load_scene(SCENES / "ring_weld.yaml").replace(effects={"joint_damping": 0.5})
 SHORT = RING.replace(run={"duration": 0.3, "output_step": 0.01, "accuracy": 1e-6})
-MACHINE = {
-    "processor": "a <fast> one", "platform": "here", "version": "1", "python": "3",
-    "dependencies": {"numpy": "2"}, "created_utc": "2000-01-01",
-}  # fmt: skip
-
-
-def effects(*words: object):
-    """Call the command in this process, on a wide terminal."""
-    return CliRunner(env={"COLUMNS": "160"}).invoke(app, ["effects", *(str(w) for w in words)])
-
-
-def finite_json(text: str):
-    def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} in the JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 @pytest.fixture
@@ -423,8 +407,7 @@ def test_the_command_prints_writes_and_draws(scene_file, tmp_path, monkeypatch):
         assert re.search(rf"^ *{word} ", result.stdout, re.M), word
     assert "Accuracy (requested): object's path 1e-06 m" in " ".join(result.stdout.split())
     found = finite_json((tmp_path / "figures.json").read_text(encoding="utf-8"))
-    promise = re.search(r"The JSON has the keys (.*?);", command.__doc__, re.S)
-    assert {key.strip() for key in promise[1].split(",")} == set(found)
+    assert promised_keys(command) == set(found)
     assert found["scene"]["duration_s"] == 0.1
     assert found["entries"][1]["name"] == "joint_damping"
     assert found["entries"][1]["changes"]["path"]["value"] > 1e-6
@@ -483,10 +466,6 @@ def test_the_table_fits_a_narrow_terminal(found):
 
 
 # --- check ----------------------------------------------------------------------------------------
-
-
-def check(path, *words: object):
-    return CliRunner(env={"COLUMNS": "160"}).invoke(app, ["check", str(path), *map(str, words)])
 
 
 def test_check_tells_what_each_effect_adds_to_an_evaluation(scene_file, tmp_path):

@@ -7,12 +7,11 @@ import math
 
 import numpy as np
 import pytest
+import study_commands
 from mechanics import data_of
 from page_reader import Page, brightness, shown, sticks_out
-from typer.testing import CliRunner
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.dynamics.solver import batched
 from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.node import ELIMINATED, FIRST_ARM, START, make_work
@@ -40,6 +39,7 @@ from multiarm.studies.solver_study import (
 from multiarm.studies.timing import fastest, fitted_slope, measure, median, upper_half
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
+command = study_commands.command("scaling", 80)
 TINY = Plan(kinds=("weld",), arms=(2, 3), thesis_arms=(2, 3, 5), share_arms=(2,), rounds=1)
 
 
@@ -53,11 +53,6 @@ def told():
 def result(told):
     """All studies, tiny."""
     return run_scaling(TINY, lambda *news: told.append(news))
-
-
-def command(*words: object):
-    """Call the command in this process."""
-    return CliRunner().invoke(app, ["scaling", *(str(word) for word in words)])
 
 
 def all_tables(result):

@@ -13,21 +13,22 @@ import numpy as np
 import pytest
 from mechanics import planar_pair, ur5_pair
 from page_reader import Page
-from typer.testing import CliRunner
+from study_commands import command, finite_json, promised_keys
 
 import multiarm as ma
 from multiarm import problems
-from multiarm.cli import app
 from multiarm.cli import stability as stability_command
 from multiarm.problems import Criterion, HardCase
 from multiarm.reports.pages import scientific
 from multiarm.studies import peer_trials
 from multiarm.studies.hard_case_page import render
 from multiarm.studies.hard_cases import CaseResult, run_case, run_suite
+from multiarm.studies.observables import largest_gap, total_energy
 from multiarm.studies.peer_trials import OURS, SOLVERS, Trial
 from multiarm.studies.peers import NOT_INSTALLED, Solver, make_peers
 from multiarm.studies.time_series import Grid, TimeSeries
 
+stability = command("stability", 80)
 RUN = {"duration": 0.2, "accuracy": 1e-8}
 MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
 
@@ -128,22 +129,8 @@ def trial_of(case: HardCase) -> Trial:
     return Trial(system, ma.simulate(system), case.hardest)
 
 
-def stability(*words: object):
-    """Call the command in this process."""
-    return CliRunner().invoke(app, ["stability", *(str(word) for word in words)])
-
-
 def case_of(suite, name: str) -> CaseResult:
     return next(case for case in suite.cases if case.name == name)
-
-
-def finite_json(text: str):
-    """JSON in which every number is finite."""
-
-    def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} in the JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 # --- the verdict ----------------------------------------------------------------------------------
@@ -280,8 +267,7 @@ def test_files_are_written_although_a_case_failed(own_cases, tmp_path):
 def test_help_promises_the_keys_of_the_json(suite):
     result = stability("--help")
     assert result.exit_code == 0
-    promise = re.search(r"The JSON has the keys (.*?);", stability_command.__doc__, re.S)
-    assert {key.strip() for key in promise[1].split(",")} == set(suite.as_dict())
+    assert promised_keys(stability_command) == set(suite.as_dict())
 
 
 # --- JSON and page --------------------------------------------------------------------------------
@@ -438,7 +424,9 @@ def test_what_a_peer_returns_or_raises_is_told_and_never_ends_the_suite(healthy_
     answer = answer_of(healthy_trial, broken, going_out)
     assert answer.accelerations == "the tree is broken"
     assert answer.ended == "NaN after 0.0005 s"
-    assert answer.drift == healthy_trial.gap(healthy_trial.state(healthy_trial.first))
+    assert answer.drift == largest_gap(
+        healthy_trial.system, healthy_trial.state(healthy_trial.first)
+    )
 
 
 def test_a_peer_that_invents_energy_is_found_out(healthy_trial):
@@ -454,7 +442,8 @@ def test_a_peer_that_invents_energy_is_found_out(healthy_trial):
     answer = answer_of(healthy_trial, lambda state, torque: reference * (1.0 + 1e-3), faster)
     still = start.copy()
     still.velocity[:] = 0.0
-    kinetic = healthy_trial.energy(start) - healthy_trial.energy(still)
+    system = healthy_trial.system
+    kinetic = total_energy(system, start) - total_energy(system, still)
     assert answer.ended == ""
     assert answer.energy_error == pytest.approx(2.001e-3 * kinetic, rel=1e-6, abs=1e-12)
     assert answer.joint_error == pytest.approx(1e-3, rel=1e-9)

@@ -105,7 +105,10 @@ def slope_burst(data: Data) -> Burst:
 
 
 def loop_burst(data: Data, loop: Callable[..., int], *arguments: Any) -> Burst:
-    """A compiled loop, ``loop(struct, *arguments, count) -> status``, over a part of evaluations."""
+    """A compiled loop over a part of an evaluation.
+
+    ``loop(struct, *arguments, count)`` returns the status of the last one.
+    """
 
     def burst(count: int) -> None:
         if loop(data.struct, *arguments, count) != OK:

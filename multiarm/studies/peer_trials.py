@@ -158,19 +158,11 @@ class Trial:
         """The same at a time of the short run."""
         return self.control(self.begin + t, state)
 
-    def gap(self, state: State) -> float:
-        """Largest gap of a contact [m]."""
-        return largest_gap(self.system, state)
-
-    def energy(self, state: State) -> float:
-        """Kinetic and potential energy [J]."""
-        return total_energy(self.system, state)
-
     def energy_errors(self, series: TimeSeries) -> np.ndarray:
         """Energy of each state of a short run that no work explains [J]."""
         energy, power = np.zeros((2, len(series.states)))
         for k, (t, state) in enumerate(zip(series.grid.times, series.states, strict=False)):
-            energy[k], v = self.energy(state), state.velocity[6:]
+            energy[k], v = total_energy(self.system, state), state.velocity[6:]
             power[k] = (self._torques(t, state) - self.damping * v) @ v
         work = cumulative_simpson(power, dx=series.grid.interval, initial=0.0)
         return np.abs(energy - energy[0] - work)
@@ -251,7 +243,7 @@ def _short_run(trial: Trial, peer: Solver) -> _ShortRun:
         ended, late = f"only {series.reached:.3g} s in {PATIENCE:g} s of wall time", True
     except Exception as error:
         ended = _error_text(error)
-    gaps = np.array([trial.gap(state) for state in series.states])
+    gaps = np.array([largest_gap(trial.system, state) for state in series.states])
     apart = np.flatnonzero(~(gaps <= APART))
     if apart.size:
         ended, late = f"the loops are more than {APART:g} m apart", False
@@ -260,10 +252,9 @@ def _short_run(trial: Trial, peer: Solver) -> _ShortRun:
         ended += f" after {series.reached:.3g} s"
     if not series.reached:  # then nothing was found but the start itself
         return _ShortRun(0.0, None, None, ended, late)
+    drift = float(np.max(gaps[: len(series.states)]))
     off = trial.energy_errors(series)
-    return _ShortRun(
-        series.reached, float(np.max(gaps[: len(series.states)])), float(np.max(off)), ended, late
-    )
+    return _ShortRun(series.reached, drift, float(np.max(off[np.isfinite(off)])), ended, late)
 
 
 def _our_answer(trial: Trial) -> Answer:

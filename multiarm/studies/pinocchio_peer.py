@@ -35,8 +35,8 @@ from multiarm.studies.observables import Sinusoid
 from multiarm.studies.peers import Drive, Peer, Solver, joint_ends, tip_frame
 from multiarm.studies.time_series import TimeSeries
 
-_FAST = (1e-10, 1e-10, 1e-10, 10)
-"""Accuracies, regularisation, iterations of ``constraintDynamics`` where it is timed."""
+Settings = tuple[float, ...]
+"""Absolute and relative accuracy, regularisation, iterations; empty: as shipped."""
 Slope = Callable[[float, np.ndarray], np.ndarray]
 
 
@@ -52,6 +52,8 @@ def torque_function(drive: Drive) -> Callable[[float, Any], np.ndarray]:
 
 class _Loops(Peer):
     """Arms as one Pinocchio model, and the rigid constraints that close them at the object."""
+
+    fast: ClassVar[Settings] = (1e-10, 1e-10, 1e-10, 10)
 
     def __init__(self, system: System):
         super().__init__(system)
@@ -101,11 +103,13 @@ class _Loops(Peer):
             data.append(constraint.createData())
         return data
 
-    def _call(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> Callable[[], np.ndarray]:
-        """A function without arguments that runs ``constraintDynamics`` once."""
+    def _call(
+        self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Settings
+    ) -> Callable[[], np.ndarray]:
+        """A function without arguments that runs the algorithm once."""
         return partial(
             pin.constraintDynamics, self.model, self.data, q, v, tau, self.constraints,
-            self.constraint_data, pin.ProximalSettings(*_FAST),
+            self.constraint_data, pin.ProximalSettings(*settings),
         )  # fmt: skip
 
 
@@ -118,7 +122,7 @@ class ConstraintDynamics(_Loops, Solver):
 
     methods: ClassVar = {"SciPy DOP853": "tolerance"}
     best: ClassVar = ("SciPy DOP853", 1e-11)
-    precise: ClassVar[tuple[float, ...]] = (1e-14, 1e-14, 1e-10, 50)
+    precise: ClassVar[Settings] = (1e-14, 1e-14, 1e-10, 50)
 
     def __init__(self, system: System):
         super().__init__(system)
@@ -129,14 +133,14 @@ class ConstraintDynamics(_Loops, Solver):
     def accelerations(self, state: State, torque: np.ndarray) -> np.ndarray:
         """The object's classical acceleration and the joints', as Pinocchio returns them."""
         q, v, tau = self._given(state, torque)
-        a = self._solve(q, v, tau, pin.ProximalSettings(*self.precise))
+        a = self._call(q, v, tau, self.precise)()
         rotation, local = _se3(state.position).rotation, v[-6:]
         linear = rotation @ (a[-6:-3] + np.cross(local[3:], local[:3]))
         return np.concatenate([linear, rotation @ a[-3:], a[:-6]])
 
     def evaluation(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
         """A function without arguments, to be timed, that runs the algorithm once."""
-        return self._call(*self._given(state, torque))
+        return self._call(*self._given(state, torque), self.fast)
 
     def follow(
         self, series: TimeSeries, start: State, method: str, value: float, drive: Drive
@@ -163,11 +167,6 @@ class ConstraintDynamics(_Loops, Solver):
         y = np.concatenate([start.position, start.velocity])
         _adaptive(series, slope, y, value, unpacked)
 
-    def _solve(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Any) -> np.ndarray:
-        return pin.constraintDynamics(
-            self.model, self.data, q, v, tau, self.constraints, self.constraint_data, settings
-        )
-
     def _given(self, state: State, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pinocchio's configuration, velocity and generalised forces."""
         q = [arm.configuration(state.joint_positions[n]) for n, arm in self.system.arms.items()]
@@ -192,22 +191,16 @@ class Lcaba(ConstraintDynamics):
     precise: ClassVar = (1e-12, 1e-12, 1e-3, 100)
     fast: ClassVar = (1e-10, 1e-10, 1e-6, 10)
 
-    def evaluation(self, state: State, torque: np.ndarray) -> Callable[[], np.ndarray]:
-        """A function without arguments, to be timed, that runs the algorithm once."""
-        return self._prepared(*self._given(state, torque), pin.ProximalSettings(*self.fast))
-
-    def _solve(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Any) -> np.ndarray:
-        return self._prepared(q, v, tau, settings)()
-
-    def _prepared(
-        self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Any
+    def _call(
+        self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, settings: Settings
     ) -> Callable[[], np.ndarray]:
         """The algorithm with a Data of its own, since it keeps state there."""
         data, constraint_data = self.model.createData(), self._constraint_data()
         pin.computeJointMinimalOrdering(self.model, data, self.constraints)
         return partial(
-            pin.lcaba, self.model, data, q, v, tau, self.constraints, constraint_data, settings
-        )
+            pin.lcaba, self.model, data, q, v, tau, self.constraints, constraint_data,
+            pin.ProximalSettings(*settings),
+        )  # fmt: skip
 
 
 class PinocchioTree(_Loops):
@@ -267,7 +260,7 @@ class PinocchioTree(_Loops):
         """``dy/dt`` as a function of time and ``y``; it counts its calls and watches the clock."""
         model, data = self.model, self.data
         constraints, constraint_data = self.constraints, self.constraint_data
-        settings, dynamics = pin.ProximalSettings(*_FAST), pin.constraintDynamics
+        settings, dynamics = pin.ProximalSettings(*self.fast), pin.constraintDynamics
         n, split, width = self.system.model.layout.joints, self._split, self._split + model.nv
         plain, configuration = not self._circular.any(), self._configuration
         torque, damping = np.zeros(model.nv), self.damping
@@ -300,7 +293,7 @@ class PinocchioTree(_Loops):
         q = self._configuration(y) if self._circular.any() else y[: self._split].copy()
         v = y[self._split :].copy()
         forces = np.concatenate([torque, np.zeros(v.size - torque.size)])
-        return self._call(q, v, forces)
+        return self._call(q, v, forces, self.fast)
 
     def _torques(self, drive: Drive) -> Slope:
         """Torques as a function of time and ``y``."""
