@@ -75,55 +75,27 @@ def texts_of(result):
 # --- counted operations ---------------------------------------------------------------------------
 
 
-class Counting:
+class Counting(float):
     """A number that counts what is done with it."""
 
     count = 0
 
-    def __init__(self, value):
-        self.value = float(value)
-
-    def _of(self, value):
-        Counting.count += 1
-        return Counting(value)
-
-    def __add__(self, other):
-        return self._of(self.value + float(other))
-
-    def __sub__(self, other):
-        return self._of(self.value - float(other))
-
-    def __mul__(self, other):
-        return self._of(self.value * float(other))
-
-    def __truediv__(self, other):
-        return self._of(self.value / float(other))
-
-    def __radd__(self, other):
-        return self._of(float(other) + self.value)
-
-    def __rmul__(self, other):
-        return self._of(float(other) * self.value)
-
-    def __rtruediv__(self, other):
-        return self._of(float(other) / self.value)
-
     def __neg__(self):
-        return Counting(-self.value)
+        return Counting(-float(self))
 
-    def __float__(self):
-        return self.value
 
-    def __gt__(self, other):
-        return self.value > float(other)
+def counting(operator):
+    """The operator of numbers that counts itself."""
 
-    def __lt__(self, other):
-        return self.value < float(other)
+    def operate(self, other):
+        Counting.count += 1
+        return Counting(operator(self, float(other)))
 
-    def __eq__(self, other):
-        return self.value == float(other)
+    return operate
 
-    __hash__ = None
+
+for sign in ("add", "sub", "mul", "truediv", "radd", "rsub", "rmul", "rtruediv"):
+    setattr(Counting, f"__{sign}__", counting(getattr(float, f"__{sign}__")))
 
 
 def counted(array):

@@ -24,6 +24,7 @@ from scipy.linalg import block_diag, lapack
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
+from multiarm.spatial import quaternion_to_matrix
 
 
 class Coefficients(NamedTuple):
@@ -71,7 +72,7 @@ def build(system: System, state: State) -> Coefficients:
     """
     x, twist = state.object_position, state.object_twist
     v, omega = twist[:3], twist[3:]
-    R = _rotation(state.object_quaternion_xyzw)
+    R = quaternion_to_matrix(state.object_quaternion_xyzw)
     rows = []
     for name, arm in system.arms.items():
         terms = arm.terms(state.joint_positions[name], state.joint_velocities[name])
@@ -209,10 +210,3 @@ def _accepted(x: np.ndarray, info: int) -> np.ndarray:
     if info != 0:
         raise SolverError("the matrix of the study is singular: an arm is in a singular posture")
     return x
-
-
-def _rotation(quaternion_xyzw: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a unit quaternion."""
-    x, y, z, w = quaternion_xyzw
-    u = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + 2.0 * w * u + 2.0 * u @ u

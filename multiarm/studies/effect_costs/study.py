@@ -72,12 +72,9 @@ def changes(system: System, run: Trajectory, other: Trajectory) -> dict[str, Cha
     found: dict[str, Change] = {}
     if not len(run) or not len(other):
         return found
-    first, second = _Shared(run, other), _Shared(other, run)
     with system.borrow() as data:
-        # of the floor too, which is not compared
-        open_forces = undetermined_forces(data, run)
-    lost = {arm: first.own(arm, open_forces[arm]) for arm in run.arm_names if arm in open_forces}
-    for name, difference in compare(_seen(first), _seen(second), lost).outputs.items():
+        lost = undetermined_forces(data, run)
+    for name, difference in compare(run, other, lost).outputs.items():
         arm, _, noun = name.rpartition(": ")
         quantity = _QUANTITY_OF[noun]
         worse = quantity not in found or difference.worst > found[quantity].value
@@ -92,43 +89,6 @@ def last_changes(_system: System, run: Trajectory, other: Trajectory) -> dict[st
     off = np.linalg.norm(run.object_position[-1] - other.object_position[-1])
     turned = rotation_apart(run.object_quaternion_xyzw[-1:], other.object_quaternion_xyzw[-1:])
     return {PATH: Change(float(off), time), TURN: Change(float(turned[0]), time)}
-
-
-class _Shared:
-    """A run, of whose contact forces only those are seen that another run has too."""
-
-    def __init__(self, run: Trajectory, other: Trajectory) -> None:
-        self._run, self._columns = run, {}  # type: ignore[var-annotated]
-        self.arm_names, self.channels = run.arm_names, dict(run.channels)
-        for arm in run.arm_names:
-            name = _forces(arm)
-            labels, others = (r.channels[name].labels for r in (run, other))
-            kept = [k for k, label in enumerate(labels) if label in others]
-            self._columns[name] = np.array(kept, dtype=int)
-            self.channels[name] = replace(
-                self.channels[name], shape=(len(kept),), labels=tuple(labels[k] for k in kept)
-            )
-
-    def __len__(self) -> int:
-        return len(self._run)
-
-    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Samples start..stop of a channel."""
-        values = self._run.read(name, start, stop)
-        return values[:, self._columns[name]] if name in self._columns else values
-
-    def own(self, arm: str, values: np.ndarray) -> np.ndarray:
-        """Of one value for each contact of an arm, those of the contacts that are seen."""
-        return values[self._columns[_forces(arm)]]
-
-
-def _forces(arm: str) -> str:
-    return f"arms/{arm}/contact_force"
-
-
-def _seen(run: _Shared) -> Any:
-    """As what it stands for: a trajectory, as far as :func:`compare` reads one."""
-    return run
 
 
 REPEATS = 9
