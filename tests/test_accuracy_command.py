@@ -42,6 +42,8 @@ from multiarm.terminal.progress import Progress
 accuracy = study_commands.command("accuracy")
 command_module = sys.modules["multiarm.cli.accuracy"]
 SCENE = SCENES / "ring_weld.yaml"
+# thorough, since what is dominated depends on times
+SHORT = (SCENE, "--duration", "0.05", "--no-peers", "--thorough")
 
 
 def law(solver: str, method: str, kind: str, order: int, cost: float) -> list[Point]:
@@ -112,10 +114,7 @@ def two_ladders(monkeypatch):
 @pytest.mark.slow
 def test_a_scene_is_studied_kept_and_drawn(two_ladders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = accuracy(
-        SCENE, "--duration", "0.05", "--no-peers", "--html", "page.html", "--plot", "plot.svg",
-        "--json", "figures.json",
-    )  # fmt: skip
+    result = accuracy(*SHORT, "--html", "page.html", "--plot", "plot.svg", "--json", "figures.json")
     assert result.exit_code == 0, result.output
     assert "For errors below" in result.stdout
     assert "Reference: dop853 at 1e-14; checked by the dense solver" in result.stdout
@@ -145,9 +144,8 @@ def test_compiled_arms_have_a_study_of_their_own(two_ladders, tmp_path, monkeypa
         return used[-1]
 
     monkeypatch.setattr(studies, "compile_system", compiling)
-    words = (SCENE, "--duration", "0.05", "--no-peers")
     for more in ((), ("--arms", "compiled")):
-        assert accuracy(*words, *more).exit_code == 0
+        assert accuracy(*SHORT, *more).exit_code == 0
     assert [set(system.arm_terms.values()) for system in used] == [{"pinocchio"}, {"compiled"}]
     one, other = (
         read_results(tmp_path / f"ring_weld{kind}.accuracy.json") for kind in ("", ".compiled")
@@ -165,17 +163,16 @@ def test_compiled_arms_have_a_study_of_their_own(two_ladders, tmp_path, monkeypa
 @pytest.mark.slow
 def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = (SCENE, "--duration", "0.05", "--no-peers")
-    assert accuracy(*words).exit_code == 0
+    assert accuracy(*SHORT).exit_code == 0
     first = read_results(tmp_path / "ring_weld.accuracy.json")
     monkeypatch.setattr(studies, "run_ours", None)
     monkeypatch.setattr(studies, "make_reference", None)
-    assert accuracy(*words).exit_code == 0
+    assert accuracy(*SHORT).exit_code == 0
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(studies, "our_ladders", lambda *_: two_ladders)
     monkeypatch.setattr(studies, "REPEATS", 1)
-    assert accuracy(*words, "--fresh").exit_code == 0
+    assert accuracy(*SHORT, "--fresh").exit_code == 0
     again = read_results(tmp_path / "ring_weld.accuracy.json")
     assert {*again.points} >= {s.key for ladder in two_ladders for s in ladder.settings}
     assert [p.wall_time_s for p in again.points.values()] != [
@@ -184,7 +181,7 @@ def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_
 
 
 def test_a_study_of_another_scene_is_kept_unless_it_may_be_replaced(two_ladders, study_file):
-    other = (SCENE, "--duration", "0.05", "--no-peers", "--out", study_file)
+    other = (*SHORT, "--out", study_file)
     before = study_file.read_bytes()
     result = accuracy(*other)
     assert result.exit_code == 2
@@ -215,14 +212,13 @@ def test_ctrl_c_keeps_what_was_measured(two_ladders, tmp_path, monkeypatch):
         return run(system, setting, limit_s)
 
     monkeypatch.setattr(studies, "run_ours", interrupted)
-    words = (SCENE, "--duration", "0.05", "--no-peers")
-    result = accuracy(*words)
+    result = accuracy(*SHORT)
     assert result.exit_code == 1
     kept = read_results(tmp_path / "ring_weld.accuracy.json").points
     assert f"interrupted; {len(kept)} points are in 'ring_weld.accuracy.json'" in result.stderr
     assert two_ladders[0].settings[0].key in kept
     monkeypatch.setattr(studies, "run_ours", run)
-    assert accuracy(*words).exit_code == 0
+    assert accuracy(*SHORT).exit_code == 0
     again = read_results(tmp_path / "ring_weld.accuracy.json")
     assert list(again.points)[: len(kept)] == list(kept)
     assert len(again.points) == len(kept) + 3
@@ -256,7 +252,7 @@ def test_files_are_there_early_and_are_written_again(two_ladders, tmp_path, monk
 
     monkeypatch.setattr(studies, "make_reference", late)
     names = ("--html", "page.html", "--plot", "plot.svg")
-    assert accuracy(SCENE, "--duration", "0.05", "--no-peers", *names).exit_code == 0
+    assert accuracy(*SHORT, *names).exit_code == 0
     (early,) = pages
     pages.append((tmp_path / "page.html").read_text(encoding="utf-8"))
     assert "First reference: " in early
@@ -310,7 +306,7 @@ def test_another_quantity_is_ranked_on_demand(study_file, results):
 )
 def test_bad_input_is_named_before_the_work(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = accuracy(*words)
+    result = accuracy(*SHORT)
     assert result.exit_code == 2, result.output
     assert message in " ".join(result.stderr.split())
     assert list(tmp_path.iterdir()) == []

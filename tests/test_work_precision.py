@@ -798,6 +798,13 @@ def test_a_scene_that_peers_cannot_express_names_them_with_the_reason():
         assert reason.startswith("cannot express it: ") == here
 
 
+def test_effects_that_no_peer_has_are_named():
+    dragged = ring().replace(effects={"drag": {"quadratic": 0.5}, "joint_damping": 1.0})
+    able, refusals = make_peers(ma.compile_system(dragged), SOLVERS)
+    assert able == {}
+    assert refusals == dict.fromkeys(SOLVERS, "cannot express drag")
+
+
 def test_peers_that_are_not_installed_are_told_so(system, monkeypatch):
     for name in ("mujoco_peer", "drake_peer"):
         monkeypatch.delitem(sys.modules, f"multiarm.studies.{name}", raising=False)
