@@ -6,9 +6,9 @@ Each solver gets two tasks, at states of our own run.
    (:mod:`multiarm.dynamics.solver.dense`).  An error is relative to the largest of them, or to 1
    m/s^2 and 1 rad/s^2 where all are smaller.
 2. The same motion for ``WINDOW`` seconds around that instant by the peer's best method: largest gap
-   of the loops and error of the energy, whose work is the power's integral by Simpson's rule.
-   Pinocchio's algorithms, which have no integrator, are integrated by SciPy's DOP853 at a tolerance
-   of 1e-11; MuJoCo has its own steps.
+   of the loops and error of the energy after its steps.  Pinocchio's algorithms, which have no
+   integrator, are integrated together with the work by SciPy's DOP853 at a tolerance of 1e-10;
+   MuJoCo has its own steps, over which the power is integrated by Simpson's rule.
 
 A run ends after ``PATIENCE``.  A peer's exception or NaN is an answer.
 """
@@ -46,8 +46,6 @@ PATIENCE = 1.0
 OURS = "multiarm"
 PINOCCHIO = ("constraintDynamics as shipped", "constraintDynamics", "lcaba")
 SOLVERS = (*PINOCCHIO, "MuJoCo as shipped", "MuJoCo")
-OUTPUTS = 2.5e-4
-"""Time between two looks at gaps and energy where a method chooses its steps itself [s]."""
 MOST_MEMORY = 1e9
 """Of Pinocchio's Data [bytes]."""
 APART = 10.0
@@ -160,12 +158,15 @@ class Trial:
 
     def energy_errors(self, series: TimeSeries) -> np.ndarray:
         """Energy of each state of a short run that no work explains [J]."""
-        energy, power = np.zeros((2, len(series.states)))
-        for k, (t, state) in enumerate(zip(series.grid.times, series.states, strict=False)):
-            energy[k], v = total_energy(self.system, state), state.velocity[6:]
+        energy = np.array([total_energy(self.system, state) for state in series.states])
+        if series.works:
+            return np.abs(energy - energy[0] - series.works[: len(energy)])
+        power = np.zeros(len(energy))
+        for k, (t, state) in enumerate(zip(series.times, series.states, strict=True)):
+            v = state.velocity[6:]
             power[k] = (self._torques(t, state) - self.damping * v) @ v
-        work = cumulative_simpson(power, dx=series.grid.interval, initial=0.0)
-        return np.abs(energy - energy[0] - work)
+        work = cumulative_simpson(power, x=series.times, initial=0.0)
+        return np.abs(energy - energy[0] - work)[::2]  # two steps are one of Simpson's
 
     def errors(self, accelerations: np.ndarray) -> tuple[float | None, float | None]:
         """Relative errors of the object's and the joints' accelerations (6 + n,)."""
@@ -229,11 +230,11 @@ class _ShortRun(NamedTuple):
 def _short_run(trial: Trial, peer: Solver) -> _ShortRun:
     """Follow the motion of the window to its end, or to what ends it, and judge it."""
     method, value = peer.best
-    by_step = peer.methods[method] == "step"
-    count = math.ceil(trial.window / (value if by_step else OUTPUTS) - 1e-9)
-    series = TimeSeries(Grid(trial.window / count, count), PATIENCE)
-    if by_step:
-        value = series.grid.interval
+    count = 1
+    if peer.methods[method] == "step":
+        count = math.ceil(trial.window / value - 1e-9)
+        value = trial.window / count
+    series = TimeSeries(Grid(trial.window / count, count), PATIENCE, every_step=True)
     ended, late = "", False
     try:
         peer.follow(series, trial.state(trial.first), method, value, trial.drive)
@@ -247,7 +248,7 @@ def _short_run(trial: Trial, peer: Solver) -> _ShortRun:
     apart = np.flatnonzero(~(gaps <= APART))
     if apart.size:
         ended, late = f"the loops are more than {APART:g} m apart", False
-        del series.states[apart[0] + 1 :]
+        del series.states[apart[0] + 1 :], series.times[apart[0] + 1 :]
     if ended and not late:
         ended += f" after {series.reached:.3g} s"
     if not series.reached:  # then nothing was found but the start itself

@@ -62,8 +62,8 @@ def torque_function(drive: Drive) -> Callable[[float, Any], np.ndarray]:
 class _Loops(Peer):
     """A system as one Pinocchio model, whose loops are closed by rigid constraints.
 
-    The state is ``y``: one number a joint, the object's own coordinates, all velocities.  It is not
-    projected onto the constraints.
+    The state is ``y``: one number a joint, the object's own coordinates, all velocities, and the
+    work of torques and damping where the object is free.  It is not projected onto the constraints.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class _Loops(Peer):
     def _given(self, state: State, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pinocchio's configuration, velocity and generalised forces."""
         y, n = self.coordinates(state), torque.size
-        v, tau = y[self._split :].copy(), np.zeros(self.model.nv)
+        v, tau = y[self._split :][: self.model.nv].copy(), np.zeros(self.model.nv)
         tau[:n] = torque - self.damping * v[:n]
         return self._configuration(y), v, tau
 
@@ -176,8 +176,13 @@ class _Loops(Peer):
     ) -> None:
         """Integrate to every output and record the motion (:meth:`.peers.Peer.follow`)."""
         slope, y = self.slope(series, drive), self.coordinates(start)
-        series.record(self.state(y))
+        self._record(series, y)
         (self._fixed if method == "RK4" else self._adaptive)(series, slope, y, value)
+
+    def _record(self, series: TimeSeries, y: np.ndarray, t: float | None = None) -> bool:
+        if self._kind == FREE:
+            series.works.append(float(y[-1]))
+        return series.record(self.state(y), t)
 
     def _fixed(self, series: TimeSeries, f: Slope, y: np.ndarray, h: float) -> None:
         count, interval = series.grid.steps(h), series.grid.interval
@@ -191,11 +196,11 @@ class _Loops(Peer):
                 d = f(t + h, y + h * c)
                 y = y + (h / 6.0) * (a + 2.0 * (b + c) + d)
             series.stop(count)
-            if not series.record(self.state(y)):
+            if not self._record(series, y):
                 return
 
     def _adaptive(self, series: TimeSeries, f: Slope, y: np.ndarray, tolerance: float) -> None:
-        """DOP853, whose dense output gives the states at the outputs."""
+        """DOP853; its dense output, which is less accurate than its steps, meets the outputs."""
         times = series.grid.times
         series.start()
         solver = DOP853(f, 0.0, y, times[-1], rtol=tolerance, atol=tolerance)
@@ -205,10 +210,12 @@ class _Loops(Peer):
                 raise ArithmeticError(fault)
             due = times[len(series.states) :]
             due = due[due <= solver.t]
-            found = solver.dense_output()(due).T if due.size else ()
+            found = [solver.y] if series.every_step else []
+            if due.size and not series.every_step:
+                found = list(solver.dense_output()(due).T)
             series.stop(steps=1)
             for row in found:
-                series.record(self.state(row))
+                self._record(series, row, solver.t if series.every_step else None)
             series.start()
         series.stop()
 
@@ -226,10 +233,10 @@ class _Loops(Peer):
             series.evaluations += 1
             if time.perf_counter() > deadline:
                 raise OutOfTime
-            v = y[split:]
+            v = y[split:width]
             tau = torques(t, y)
             torque[:n] = tau - damping * v[:n] if damped else tau
-            out = np.empty(width)
+            out = np.empty(y.size)
             out[:n] = v[:n]
             if turning:
                 rates = _quaternion_rate(y[split - 4 : split].tolist(), v[-3:].tolist())
@@ -238,7 +245,8 @@ class _Loops(Peer):
                 out[n] = v[n]
             if free:
                 out[n : n + 3] = _se3(y[n:split]).rotation @ v[n : n + 3]
-            out[split:] = solve(y[:split] if plain else configuration(y), v, torque)
+                out[width] = torque[:n] @ v[:n]
+            out[split:width] = solve(y[:split] if plain else configuration(y), v, torque)
             return out
 
         return f
@@ -258,14 +266,14 @@ class _Loops(Peer):
         return np.concatenate([parts[keep], y[angles.size : self._split]])
 
     def coordinates(self, state: State) -> np.ndarray:
-        """``y`` of a state, shape (m + nv,)."""
+        """``y`` of a state, shape (m + nv,), or (m + nv + 1,) of a free object."""
         n, split = self.damping.size, self._split
-        y = np.zeros(split + self.model.nv)
+        y = np.zeros(split + self.model.nv + (self._kind == FREE))
         y[:n], y[split : split + n] = state.position[7:], state.velocity[6:]
         data, own, rate = self.data, y[n:split], y[split + n :]
         R_O, twist = _se3(state.position).rotation, state.object_twist
         if self._kind == FREE:
-            own[:], rate[:3], rate[3:] = state.position[:7], R_O.T @ twist[:3], R_O.T @ twist[3:]
+            own[:], rate[:3], rate[3:6] = state.position[:7], R_O.T @ twist[:3], R_O.T @ twist[3:]
         if self._kind not in ("ball", "revolute"):
             return y
         own[-1] = 1.0 if self._kind == "ball" else 0.0
@@ -285,7 +293,7 @@ class _Loops(Peer):
         y = y.copy()
         if self._kind in (FREE, "ball"):
             y[split - 4 : split] /= np.linalg.norm(y[split - 4 : split])
-        v = y[split:]
+        v = y[split:][: self.model.nv]
         pin.forwardKinematics(self.model, data, self._configuration(y), v)
         pose = data.oMi[self._body] * self._object
         twist = self._object.actInv(data.v[self._body])
@@ -319,7 +327,7 @@ class ConstraintDynamics(_Loops, Solver):
     welded UR5s, folded and straight; other systems may want others.
     """
 
-    best: ClassVar = ("SciPy DOP853", 1e-11)
+    best: ClassVar = ("SciPy DOP853", 1e-10)
     precise: ClassVar[Settings] = (1e-14, 1e-14, 1e-10, 50)
 
     def __init__(self, system: System):

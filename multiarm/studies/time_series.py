@@ -59,8 +59,14 @@ class TimeSeries:
     grid : Grid
     limit_s : float
         The run ends with :class:`OutOfTime` when it has taken longer, on the clock or off it.
+    every_step : bool
+        A method that chooses its steps records after each of them, not at the times of the grid.
+    times : list of float
+        [s]
     states : list of State
-        At the times of the grid, as far as the motion goes and is finite.
+        At these times, as far as the motion goes and is finite.
+    works : list of float
+        What torques and damping have done since the start [J]; empty if the peer does not tell.
     wall_time_s : float
         Of the steps alone: models are built, and torques that are known beforehand are tabulated,
         off the clock.
@@ -69,7 +75,10 @@ class TimeSeries:
 
     grid: Grid
     limit_s: float = math.inf
+    every_step: bool = False
+    times: list[float] = field(default_factory=list)
     states: list[State] = field(default_factory=list)
+    works: list[float] = field(default_factory=list)
     wall_time_s: float = 0.0
     steps: int = 0
     evaluations: int = 0
@@ -79,12 +88,13 @@ class TimeSeries:
     @property
     def reached(self) -> float:
         """How far the motion goes [s]."""
-        return self.grid.interval * max(0, len(self.states) - 1)
+        return self.times[-1] if self.times else 0.0
 
-    def record(self, state: State) -> bool:
-        """Keep the state at the next time if it is finite; tells whether it is."""
+    def record(self, state: State, time: float | None = None) -> bool:
+        """Keep a state, by default at the next time of the grid; tells whether it is finite."""
         finite = bool(np.all(np.isfinite(state.position)) and np.all(np.isfinite(state.velocity)))
         if finite:
+            self.times.append(self.grid.interval * len(self.states) if time is None else time)
             self.states.append(state)
         return finite
 
