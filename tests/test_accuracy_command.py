@@ -306,7 +306,7 @@ def test_another_quantity_is_ranked_on_demand(study_file, results):
 )
 def test_bad_input_is_named_before_the_work(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = accuracy(*SHORT)
+    result = accuracy(*words)
     assert result.exit_code == 2, result.output
     assert message in " ".join(result.stderr.split())
     assert list(tmp_path.iterdir()) == []

@@ -37,13 +37,15 @@ def rendered(table: Table) -> Iterator[RenderableType]:
             for cell in cells
             if cell.kind == "e" and cell.text
         ]
-    grid = columns(table.title, [column.head for column in heads], rows)
+    grid = columns("", [column.head for column in heads], rows)
+    grid.title = None  # it may be longer than the table is wide
     # many columns stand close together
     grid.padding = (0, int(len(heads) <= CLOSE), 0, 0)
-    grid.pad_edge, grid.min_width = False, len(table.title)
+    grid.pad_edge = False
     for shown_column, column in zip(grid.columns, heads, strict=True):
         if column.kind == "n":
             shown_column.justify, shown_column.no_wrap = "right", True
+    yield Text(table.title, "bold")
     yield grid
     yield from remarks
     yield from (Text(note, "dim") for note in table.notes)
