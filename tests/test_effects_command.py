@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import study_commands
 from mechanics import SCENES
-from page_reader import brightness, shown
-from typer.testing import CliRunner
+from page_reader import shown
+from study_commands import MACHINE, finite_json, promised_keys
 
 import multiarm as ma
-from multiarm.cli import app
 from multiarm.cli import check as check_command
 from multiarm.cli import effects as command
 from multiarm.effects.defaults import defaults
@@ -33,29 +32,21 @@ from multiarm.studies.effect_costs.entries import (
     paired_difference,
 )
 from multiarm.studies.effect_costs.evaluations import effects_of_evaluation
-from multiarm.studies.effect_costs.page import ledger_figure, render
+from multiarm.studies.effect_costs.page import figure, render
 from multiarm.studies.effect_costs.study import changes, ledger
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING, without
-from multiarm.studies.effect_costs.words import NOISE, change_text, percent, sentence, summary
+from multiarm.studies.effect_costs.words import (
+    NOISE,
+    change_text,
+    percent,
+    sentence,
+    summary,
+    table,
+)
 
+effects, check = (study_commands.command(name, 160) for name in ("effects", "check"))
 RING = ma.load_scene(SCENES / "ring_weld.yaml").replace(effects={"joint_damping": 0.5})
 SHORT = RING.replace(run={"duration": 0.3, "output_step": 0.01, "accuracy": 1e-6})
-MACHINE = {
-    "processor": "a <fast> one", "platform": "here", "version": "1", "python": "3",
-    "dependencies": {"numpy": "2"}, "created_utc": "2000-01-01",
-}  # fmt: skip
-
-
-def effects(*words: object):
-    """Call the command in this process, on a wide terminal."""
-    return CliRunner(env={"COLUMNS": "160"}).invoke(app, ["effects", *(str(w) for w in words)])
-
-
-def finite_json(text: str):
-    def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} in the JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 @pytest.fixture
@@ -416,8 +407,7 @@ def test_the_command_prints_writes_and_draws(scene_file, tmp_path, monkeypatch):
         assert re.search(rf"^ *{word} ", result.stdout, re.M), word
     assert "Accuracy (requested): object's path 1e-06 m" in " ".join(result.stdout.split())
     found = finite_json((tmp_path / "figures.json").read_text(encoding="utf-8"))
-    promise = re.search(r"The JSON has the keys (.*?);", command.__doc__, re.S)
-    assert {key.strip() for key in promise[1].split(",")} == set(found)
+    assert promised_keys(command) == set(found)
     assert found["scene"]["duration_s"] == 0.1
     assert found["entries"][1]["name"] == "joint_damping"
     assert found["entries"][1]["changes"]["path"]["value"] > 1e-6
@@ -463,11 +453,12 @@ def test_ctrl_c_ends_the_study(scene_file, monkeypatch):
 def test_the_table_fits_a_narrow_terminal(found):
     from rich.console import Console
 
-    from multiarm.cli.effects import _table
+    from multiarm.cli.studies import rendered
 
     narrow = Console(width=80)
     with narrow.capture() as capture:
-        narrow.print(_table(found))
+        for part in rendered(table(found, found.entries, "Effects")):
+            narrow.print(part)
     assert "…" not in capture.get()
     rows = capture.get().splitlines()
     head, line = (row for row in rows if re.match(r" *(ms/s|joint_damping)", row))
@@ -476,10 +467,6 @@ def test_the_table_fits_a_narrow_terminal(found):
 
 
 # --- check ----------------------------------------------------------------------------------------
-
-
-def check(path, *words: object):
-    return CliRunner(env={"COLUMNS": "160"}).invoke(app, ["check", str(path), *map(str, words)])
 
 
 def test_check_tells_what_each_effect_adds_to_an_evaluation(scene_file, tmp_path):
@@ -520,16 +507,16 @@ def test_check_says_when_nothing_is_added(tmp_path):
 # --- the page -------------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=["light", "dark"])
-def page(request, browser, tmp_path):
+@pytest.fixture
+def page(browser, tmp_path):
     """The page in a browser without a network."""
     target = tmp_path / "page.html"
     save_page(render(synthetic()), target)
-    with shown(browser, target, request.param) as page:
+    with shown(browser, target) as page:
         yield page
 
 
-def test_the_page_says_everything_in_both_themes(page):
+def test_the_page_says_everything_and_its_figure_has_no_ground_of_its_own(page):
     said = page.locator("ul.said li").all_inner_texts()
     assert len(said) == 8, "effects; settings stand in their table"
     assert said[1].endswith("changes nothing beyond the noise: leave it out")
@@ -537,18 +524,13 @@ def test_the_page_says_everything_in_both_themes(page):
     assert page.locator("ul.said li.bad").count() == 1
     assert page.locator("tbody tr").count() == len(synthetic().entries)
     assert page.locator("figure svg").count() == 1
-
-    paper = brightness(page, "section", "backgroundColor")
-    for selector, name in (("td.n", "color"), ("figure svg text", "fill")):
-        assert abs(paper - brightness(page, selector, name)) > 90, selector
     background = page.locator("figure svg [id$=patch_1] path").first.get_attribute("style")
     assert re.search(r"fill: none|opacity: 0\b", background), "the page's own shows through"
 
 
-def test_the_page_is_whole_and_loads_nothing():
+def test_names_on_the_page_are_no_markup():
     text = render(synthetic())
     assert "<title>arms &amp; &lt;disc&gt; · multiarm effects</title>" in text
-    assert not re.search(r"(src|href)\s*=\s*['\"](?!#)", text)
     assert "the object &lt;falls&gt;" in text
     assert "left &amp; &lt;right&gt;, at 0.1 s" in text
     assert "a: &lt;b&gt;" in text
@@ -556,7 +538,7 @@ def test_the_page_is_whole_and_loads_nothing():
 
 def test_the_figure_draws_costs_and_changes_where_they_are():
     shown = [entry for entry in synthetic().entries if entry.share and entry.changes]
-    left, right = ledger_figure(synthetic()).axes
+    left, right = figure(synthetic()).axes
     widths = [bar.get_width() for bar in left.patches]
     assert widths == pytest.approx([100.0 * entry.share.value for entry in shown])
     places = {(line.get_ydata()[0], line.get_marker()): line.get_xdata()[0] for line in right.lines}

@@ -13,19 +13,22 @@ import numpy as np
 import pytest
 from mechanics import planar_pair, ur5_pair
 from page_reader import Page
-from typer.testing import CliRunner
+from study_commands import command, finite_json, promised_keys
 
 import multiarm as ma
 from multiarm import problems
-from multiarm.cli import app
 from multiarm.cli import stability as stability_command
 from multiarm.problems import Criterion, HardCase
 from multiarm.reports.pages import scientific
 from multiarm.studies import peer_trials
 from multiarm.studies.hard_case_page import render
 from multiarm.studies.hard_cases import CaseResult, run_case, run_suite
-from multiarm.studies.peer_trials import OURS, Trial
+from multiarm.studies.observables import largest_gap, total_energy
+from multiarm.studies.peer_trials import OURS, SOLVERS, Trial
+from multiarm.studies.peers import NOT_INSTALLED, Solver, make_peers
+from multiarm.studies.time_series import Grid, TimeSeries
 
+stability = command("stability", 80)
 RUN = {"duration": 0.2, "accuracy": 1e-8}
 MUJOCO_IS_HERE = importlib.util.find_spec("mujoco") is not None
 
@@ -126,22 +129,8 @@ def trial_of(case: HardCase) -> Trial:
     return Trial(system, ma.simulate(system), case.hardest)
 
 
-def stability(*words: object):
-    """Call the command in this process."""
-    return CliRunner().invoke(app, ["stability", *(str(word) for word in words)])
-
-
 def case_of(suite, name: str) -> CaseResult:
     return next(case for case in suite.cases if case.name == name)
-
-
-def finite_json(text: str):
-    """JSON in which every number is finite."""
-
-    def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} in the JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 # --- the verdict ----------------------------------------------------------------------------------
@@ -278,8 +267,7 @@ def test_files_are_written_although_a_case_failed(own_cases, tmp_path):
 def test_help_promises_the_keys_of_the_json(suite):
     result = stability("--help")
     assert result.exit_code == 0
-    promise = re.search(r"The JSON has the keys (.*?);", stability_command.__doc__, re.S)
-    assert {key.strip() for key in promise[1].split(",")} == set(suite.as_dict())
+    assert promised_keys(stability_command) == set(suite.as_dict())
 
 
 # --- JSON and page --------------------------------------------------------------------------------
@@ -342,26 +330,25 @@ def test_solvers_agree_where_nothing_is_hard(suite, name):
     for solver, tolerance in allowed.items():
         answer = found[solver]
         assert max(answer.object_error, answer.joint_error) < tolerance, solver
-        # gap and energy over 0.2 s at a tolerance of 1e-9, in a system of some hundred joules
+        # gap and energy over 0.2 s at a tolerance of 1e-10, in a system of some hundred joules
         assert answer.ended == ""
         assert answer.drift < 1e-8
         assert answer.energy_error < 1e-4
-    assert found["MuJoCo"].refusal == ("" if MUJOCO_IS_HERE else peer_trials.NOT_INSTALLED)
+    assert found["MuJoCo"].refusal == ("" if MUJOCO_IS_HERE else NOT_INSTALLED)
 
 
 def test_peers_make_the_same_motion_under_control_and_damping(monkeypatch):
     monkeypatch.setattr(peer_trials, "WINDOW", 0.1)
     trial = trial_of(CASES["hinged"])
     assert trial.begin == 0.05, "the control's time is not that of the short run"
-    peers = {peer_trials.pinocchio_peer(trial, "constraintDynamics"): 1e-8}
-    if MUJOCO_IS_HERE:
-        peers[peer_trials.mujoco_peer(trial, as_shipped=False)] = 1e-6
+    peers, _ = make_peers(trial.system, SOLVERS)
+    allowed = {"constraintDynamics": 1e-8, **({"MuJoCo": 1e-6} if MUJOCO_IS_HERE else {})}
     ours = trial.state(trial.last)
-    for make, tolerance in peers.items():
-        _, motion = make()
-        end = trial.window * (1.0 - 1e-9)
-        t, state = next((t, s) for t, s, _ in motion(trial.state(trial.first)) if t >= end)
-        assert t == pytest.approx(trial.window)
+    for name, tolerance in allowed.items():
+        series = TimeSeries(Grid(trial.window / 200, 200))
+        peers[name].follow(series, trial.state(trial.first), *peers[name].best, trial.drive)
+        assert series.reached == pytest.approx(trial.window)
+        state = series.states[-1]
         assert np.max(np.abs(state.position - ours.position)) < tolerance
         assert np.max(np.abs(state.velocity - ours.velocity)) < 100 * tolerance
 
@@ -373,14 +360,14 @@ def test_mujoco_as_shipped_is_soft(suite):
         assert answer.joint_error > 1e-3
         assert answer.drift > 1e-6
     else:
-        assert answer.refusal == peer_trials.NOT_INSTALLED
+        assert answer.refusal == NOT_INSTALLED
 
 
 def test_a_joint_that_peers_have_not_is_refused_in_words(suite):
     ours, *others = case_of(suite, "face").answers
     assert ours.joint_error < 1e-11
     for answer in others:
-        if answer.refusal != peer_trials.NOT_INSTALLED:
+        if answer.refusal != NOT_INSTALLED:
             assert answer.refusal.startswith("cannot express it: ")
             assert "point_on_plane" in answer.refusal
         assert answer.drift is None
@@ -406,40 +393,57 @@ def test_pinocchio_as_shipped_gives_nan_on_redundant_rows_and_tuned_does_not():
     assert found["constraintDynamics"].joint_error < 1e-8
 
 
+def answer_of(trial, accelerations, follow):
+    """The answer of a peer made of two functions, which steps by half a millisecond."""
+
+    class Peer(Solver):
+        methods, best = {"any": "step"}, ("any", 5e-4)
+
+        def accelerations(self, state, torque):
+            return accelerations(state, torque)
+
+        def follow(self, series, start, *_):
+            follow(series, start)
+
+    return peer_trials.answer_of(trial, "peer", Peer(trial.system))
+
+
 def test_what_a_peer_returns_or_raises_is_told_and_never_ends_the_suite(healthy_trial):
     size = 6 + healthy_trial.system.model.layout.joints
-
-    def answer_of(accelerations, motion):
-        return peer_trials.answer_of(healthy_trial, "peer", lambda: (accelerations, motion))
 
     def broken(*_):
         raise RuntimeError("the tree is broken\nsecond line")
 
-    answer = answer_of(lambda state, torque: np.full(size, np.nan), broken)
+    def going_out(series, start):
+        series.record(start), series.record(start)
+
+    answer = answer_of(healthy_trial, lambda state, torque: np.full(size, np.nan), broken)
     assert (answer.accelerations, answer.object_error) == ("NaN", None)
     assert answer.ended == "the tree is broken after 0 s"
     assert not answer.out_of_time
-    answer = answer_of(broken, lambda start: iter([(0.01, start, 0.0)]))
+    answer = answer_of(healthy_trial, broken, going_out)
     assert answer.accelerations == "the tree is broken"
-    assert answer.ended == "NaN after 0.01 s"
-    assert answer.drift == healthy_trial.gap(healthy_trial.state(healthy_trial.first))
+    assert answer.ended == "NaN after 0.0005 s"
+    assert answer.drift == largest_gap(
+        healthy_trial.system, healthy_trial.state(healthy_trial.first)
+    )
 
 
 def test_a_peer_that_invents_energy_is_found_out(healthy_trial):
     start = healthy_trial.state(healthy_trial.first)
 
-    def faster(state):
-        twice = state.copy()
+    def faster(series, start):
+        twice = start.copy()
         twice.velocity[:] *= 1.0 + 1e-3
-        yield healthy_trial.window, twice, 0.0
+        for state in (start, *[twice] * series.grid.intervals):
+            series.record(state)
 
     reference = healthy_trial.reference
-    answer = peer_trials.answer_of(
-        healthy_trial, "peer", lambda: (lambda state, torque: reference * (1.0 + 1e-3), faster)
-    )
+    answer = answer_of(healthy_trial, lambda state, torque: reference * (1.0 + 1e-3), faster)
     still = start.copy()
     still.velocity[:] = 0.0
-    kinetic = healthy_trial.energy(start) - healthy_trial.energy(still)
+    system = healthy_trial.system
+    kinetic = total_energy(system, start) - total_energy(system, still)
     assert answer.ended == ""
     assert answer.energy_error == pytest.approx(2.001e-3 * kinetic, rel=1e-6, abs=1e-12)
     assert answer.joint_error == pytest.approx(1e-3, rel=1e-9)
@@ -448,16 +452,14 @@ def test_a_peer_that_invents_energy_is_found_out(healthy_trial):
 def test_a_slow_peer_is_not_waited_for(healthy_trial, monkeypatch):
     monkeypatch.setattr(peer_trials, "PATIENCE", 0.0)
 
-    def creeping(start):
-        t = 0.0
-        while True:
-            t += 1e-6
-            yield t, start, 0.0
+    def creeping(series, start):
+        series.record(start)
+        while series.record(start):
+            series.start()
+            series.stop()
 
-    answer = peer_trials.answer_of(
-        healthy_trial, "peer", lambda: (lambda state, torque: healthy_trial.reference, creeping)
-    )
-    assert answer.ended == "only 1e-06 s in 0 s of wall time"
+    answer = answer_of(healthy_trial, lambda state, torque: healthy_trial.reference, creeping)
+    assert answer.ended == "only 0.0005 s in 0 s of wall time"
     assert answer.out_of_time
 
 

@@ -19,8 +19,8 @@ from multiarm.errors import MultiarmError
 from multiarm.problems import ring_of_arms
 from multiarm.scene import find_robot
 from multiarm.studies.mujoco_peer import TorqueTape
-from multiarm.studies.observables import control_torque, joint_damping, sinusoid
-from multiarm.studies.peers import NOT_INSTALLED
+from multiarm.studies.observables import control_torque, sinusoid
+from multiarm.studies.peers import NOT_INSTALLED, make_peers
 from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
 from multiarm.studies.work_precision import reference as references
 from multiarm.studies.work_precision import study as studies
@@ -29,7 +29,6 @@ from multiarm.studies.work_precision.choice import (
     all_series,
     decades,
 )
-from multiarm.studies.work_precision.peers import SOLVERS, Peers
 from multiarm.studies.work_precision.plan import STALE
 from multiarm.studies.work_precision.points import (
     COMPLETED,
@@ -38,6 +37,7 @@ from multiarm.studies.work_precision.points import (
     Measured,
     Point,
     run_ours,
+    run_peer,
     too_slow,
 )
 from multiarm.studies.work_precision.reference import Motion, Reference, limited, make_reference
@@ -51,7 +51,7 @@ from multiarm.studies.work_precision.settings import (
     short,
 )
 from multiarm.studies.work_precision.store import Results, read_results, scene_digest
-from multiarm.studies.work_precision.study import run_study
+from multiarm.studies.work_precision.study import SOLVERS, run_study
 from multiarm.studies.work_precision.words import comparison, described, recommendation
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
@@ -699,16 +699,18 @@ def test_series_put_ours_first_and_go_from_coarse_to_fine():
 # --- peers ----------------------------------------------------------------------------------------
 
 
-def course_of(peers: Peers, solver: str, method: str, value: float, reference, system) -> Point:
-    about = Setting(solver, method, "", peers.able[solver].methods[method], value)
-    return peers.run(about, 60.0).against(reference.motion)
+def course_of(
+    peers, solver: str, method: str, value: float, reference, system, limit_s: float = 60.0
+) -> Point:
+    about = Setting(solver, method, "", peers[solver].methods[method], value)
+    return run_peer(system, peers[solver], about, limit_s).against(reference.motion)
 
 
 @pytest.fixture(scope="module", params=["weld", "ball", "revolute"])
 def trial(request):
     """A system, its reference and its peers, for each joint that peers have."""
     own = ma.compile_system(ring(request.param))
-    return own, make_reference(own), Peers(own)
+    return own, make_reference(own), make_peers(own, SOLVERS)[0]
 
 
 def test_pinocchio_converges_to_the_reference(trial):
@@ -727,7 +729,7 @@ def test_pinocchio_converges_to_the_reference(trial):
 def test_mujoco_at_its_best_converges_to_the_reference_and_as_shipped_does_not(trial):
     own, reference, peers = trial
     if not MUJOCO_IS_HERE:
-        assert peers.refusals["MuJoCo"] == NOT_INSTALLED
+        assert make_peers(own, ["MuJoCo"]) == ({}, {"MuJoCo": NOT_INSTALLED})
         return
     coarse = [course_of(peers, "MuJoCo", "RK4", h, reference, own) for h in (5e-3, 2.5e-3)]
     order = math.log2(coarse[0].error("motion") / coarse[1].error("motion"))
@@ -743,7 +745,7 @@ def test_mujoco_at_its_best_converges_to_the_reference_and_as_shipped_does_not(t
 def test_drake_is_of_order_one_or_is_told_to_be_missing(trial):
     own, reference, peers = trial
     if not DRAKE_IS_HERE:
-        assert peers.refusals["Drake"] == NOT_INSTALLED
+        assert make_peers(own, ["Drake"]) == ({}, {"Drake": NOT_INSTALLED})
         return
     found = [course_of(peers, "Drake", "discrete", h, reference, own) for h in (2e-3, 1e-3)]
     errors = [item.error("motion") for item in found]
@@ -761,7 +763,7 @@ def test_peers_follow_a_feedback_controller_and_damping():
     )  # fmt: skip
     own = ma.compile_system(scene)
     assert sinusoid(own) is None
-    reference, peers = make_reference(own), Peers(own)
+    reference, (peers, _) = make_reference(own), make_peers(own, SOLVERS)
     allowed = {("Pinocchio", "SciPy DOP853", 1e-10): 1e-8}
     if MUJOCO_IS_HERE:
         allowed["MuJoCo", "RK4", 2.5e-3] = 1e-5
@@ -779,19 +781,28 @@ def test_pinocchio_follows_joints_that_turn_without_end():
         run={"duration": 0.1},
     )  # fmt: skip
     own = ma.compile_system(scene)
-    found = course_of(Peers(own), "Pinocchio", "SciPy DOP853", 1e-12, make_reference(own), own)
+    peers, _ = make_peers(own, ["Pinocchio"])
+    found = course_of(peers, "Pinocchio", "SciPy DOP853", 1e-12, make_reference(own), own)
     assert found.error("motion") < 1e-10, found.message
 
 
 def test_a_scene_that_peers_cannot_express_names_them_with_the_reason():
-    peers = Peers(ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "point_on_plane"})))
-    assert peers.able == {}
-    assert set(peers.refusals) == set(SOLVERS)
+    system = ma.compile_system(ur5_pair({"kind": "weld"}, {"kind": "point_on_plane"}))
+    able, refusals = make_peers(system, SOLVERS)
+    assert able == {}
+    assert set(refusals) == set(SOLVERS)
     missing = {"Drake": DRAKE_IS_HERE, "MuJoCo": MUJOCO_IS_HERE}
-    for solver, reason in peers.refusals.items():
+    for solver, reason in refusals.items():
         here = missing.get(solver.split()[0], True)
         assert ("point_on_plane" in reason) == here
         assert reason.startswith("cannot express it: ") == here
+
+
+def test_effects_that_no_peer_has_are_named():
+    dragged = ring().replace(effects={"drag": {"quadratic": 0.5}, "joint_damping": 1.0})
+    able, refusals = make_peers(ma.compile_system(dragged), SOLVERS)
+    assert able == {}
+    assert refusals == dict.fromkeys(SOLVERS, "cannot express drag")
 
 
 def test_peers_that_are_not_installed_are_told_so(system, monkeypatch):
@@ -799,33 +810,35 @@ def test_peers_that_are_not_installed_are_told_so(system, monkeypatch):
         monkeypatch.delitem(sys.modules, f"multiarm.studies.{name}", raising=False)
     for name in ("mujoco", "pydrake", "pydrake.multibody.plant"):
         monkeypatch.setitem(sys.modules, name, None)
-    peers = Peers(system)
-    assert set(peers.able) == {"Pinocchio"}
-    assert set(peers.refusals.values()) == {"not installed: pip install multiarm[peers]"}
+    able, refusals = make_peers(system, SOLVERS)
+    assert set(able) == {"Pinocchio"}
+    assert set(refusals.values()) == {"not installed: pip install multiarm[peers]"}
 
 
 def test_what_a_peer_raises_is_a_failed_point(system, reference):
-    peers = Peers(system)
+    peers, _ = make_peers(system, ["Pinocchio"])
 
     def broken(*_):
         raise RuntimeError("the tree is broken\nsecond line")
 
-    peers.able["Pinocchio"].follow = broken
+    peers["Pinocchio"].follow = broken
     found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
     assert (found.status, found.message) == (FAILED, "RuntimeError: the tree is broken")
 
 
 def test_a_peer_that_diverges_or_takes_too_long_is_a_point_too(system, reference):
-    peers = Peers(system)
+    peers, _ = make_peers(system, ["Pinocchio"])
+    late = course_of(peers, "Pinocchio", "RK4", 1e-5, reference, system, limit_s=0.02)
+    assert late.status == TOO_SLOW
 
-    def diverging(series, grid, start, *_):
-        series.positions += [start.position, start.position]
+    def diverging(series, start, *_):
+        lost = start.copy()
+        lost.velocity[:] = np.inf
+        assert [series.record(state) for state in (start, start, lost)] == [True, True, False]
 
-    peers.able["Pinocchio"].follow = diverging
+    peers["Pinocchio"].follow = diverging
     found = course_of(peers, "Pinocchio", "RK4", 0.01, reference, system)
     assert found.message == "the state is no longer finite after 0.01 s"
-    late = Peers(system).run(Setting("Pinocchio", "RK4", "", "step", 1e-5), limit_s=0.02)
-    assert late.point.status == TOO_SLOW
 
 
 def test_sinusoidal_torques_are_the_scenes(system):
@@ -848,29 +861,29 @@ def test_a_tape_plays_row_by_row_and_stays_at_its_end():
 
 def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     if not MUJOCO_IS_HERE:
-        assert NOT_INSTALLED in Peers(system).refusals.values()
+        assert NOT_INSTALLED in make_peers(system, SOLVERS)[1].values()
         return
-    from multiarm.studies.mujoco_peer import MujocoModel
-
     drive, grid = sinusoid(system), Grid.of(system.scene.run)
-    for method in MujocoModel.methods:
-        model, ends = MujocoModel(system, joint_damping(system)), []
+    peer = make_peers(system, ["MuJoCo"])[0]["MuJoCo"]
+    for method in peer.methods:
+        ends = []
         for torques in (drive, lambda t, state: drive.at(np.array([t]))[0]):
-            series = TimeSeries()
-            model.follow(series, grid, system.initial_state(), method, 0.005, torques)
-            ends.append(series.positions[-1])
+            series = TimeSeries(grid)
+            peer.follow(series, system.initial_state(), method, 0.005, torques)
+            ends.append(series.states[-1].position)
         # roundings of torques end Newton's method an iteration earlier or later
         assert ends[0] == pytest.approx(ends[1], abs=1e-8), method
 
 
 def test_the_clock_does_not_count_what_is_off_it():
-    series = TimeSeries(limit_s=math.inf)
+    grid = Grid(0.1, 1)
+    series = TimeSeries(grid)
     series.start()
     series.off_the_clock(lambda: [None] * 200_000)()
     with_it = series.wall_time_s
     series.stop()
     assert with_it < 0.0 <= series.wall_time_s
-    late = TimeSeries(limit_s=0.0)
+    late = TimeSeries(grid, limit_s=0.0)
     late.start()
     with pytest.raises(OutOfTime):
         late.stop()

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import RenderableType
-from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, scene_to_run, write_json
+from multiarm.cli.files import check_targets, scene_to_run
 from multiarm.cli.options import (
     FILES,
     JsonFile,
@@ -23,18 +22,19 @@ from multiarm.cli.options import (
     option,
     with_settings,
 )
+from multiarm.cli.studies import draw_files, rendered, write_files
 from multiarm.errors import MultiarmError
-from multiarm.results.files import save_figure, save_page
-from multiarm.terminal.console import columns, number, output, print_error, print_written
+from multiarm.terminal.console import output, print_error, print_written
 from multiarm.terminal.progress import Progress, span
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
-    from multiarm.studies.work_precision.points import Point
+    from multiarm.studies.tables import Table
     from multiarm.studies.work_precision.store import Results
 
-__all__ = ["accuracy", "decade_table", "method_table", "point_table"]
+__all__ = ["accuracy"]
 
+PAGE = "multiarm.studies.work_precision.page"
 REWRITE, SHARE = 5.0, 0.1
 """Files of an unfinished study are written at most so often [s], and take such a share of the time
 at most."""
@@ -152,7 +152,12 @@ def accuracy(
                              peers=peers, quick=quick, thorough=thorough)  # fmt: skip
         print_written("study", target)
     _print(found, error.value, every)
-    _write(found, error.value, plot, html, json)
+    from multiarm.studies.work_precision.words import figures
+
+    write_files(
+        PAGE, found, error.value, figures=lambda: figures(found, error.value),
+        plot=plot, html=html, json=json,
+    )  # fmt: skip
 
 
 def _own_file(scene: Path, settings: dict[str, Any]) -> Path:
@@ -220,7 +225,7 @@ class _Shown:
             )
         begin = time.monotonic()
         if begin >= self._due:
-            _draw(results, self._quantity, self._plot, self._html)
+            draw_files(PAGE, results, self._quantity, plot=self._plot, html=self._html)
             now = time.monotonic()
             self._due = now + max(REWRITE, (now - begin) / SHARE)
 
@@ -241,8 +246,9 @@ def _kept(target: Path, empty: Results, fresh: bool) -> Results:
     return old
 
 
-def _texts(results: Results, quantity: str, *tables: RenderableType) -> Iterator[RenderableType]:
+def _texts(results: Results, quantity: str, *tables: Table) -> Iterator[RenderableType]:
     """A study as it is printed: reference, decades, further tables, and what follows from them."""
+    from multiarm.studies.work_precision.tables import decade_table
     from multiarm.studies.work_precision.words import (
         comparison,
         recommendation,
@@ -251,8 +257,8 @@ def _texts(results: Results, quantity: str, *tables: RenderableType) -> Iterator
     )
 
     yield Text(reference_text(results), "dim")
-    yield decade_table(results, quantity)
-    yield from tables
+    for table in (decade_table(results, quantity), *tables):
+        yield from rendered(table)
     for solver, reason in results.refusals.items():
         yield Text(f"{solver}: {reason}", "dim")
     if state_text(results):
@@ -263,135 +269,10 @@ def _texts(results: Results, quantity: str, *tables: RenderableType) -> Iterator
 
 
 def _print(results: Results, quantity: str, every: bool) -> None:
+    from multiarm.studies.work_precision.tables import method_table, point_table
+
     console = output()
     console.print(Text(results.about["scene"]["name"], "bold"))
     tables = [method_table(results, quantity), *([point_table(results)] if every else [])]
     for text in _texts(results, quantity, *tables):
         console.print(text, soft_wrap=getattr(text, "style", "") == "bold green")
-
-
-def _draw(results: Results, quantity: str, plot: Path | None, html: Path | None) -> None:
-    """Write the diagram and the page."""
-    from multiarm.studies.work_precision.page import diagram, render
-
-    if plot is not None:
-        save_figure(diagram(results, quantity), plot)
-    if html is not None:
-        save_page(render(results, quantity), html)
-
-
-def _write(
-    results: Results, quantity: str, plot: Path | None, html: Path | None, json: Path | None
-) -> None:
-    from multiarm.studies.work_precision.words import figures
-
-    _draw(results, quantity, plot, html)
-    if json is not None:
-        write_json(json, figures(results, quantity))
-    for what, path in (("plot", plot), ("page", html), ("figures", json)):
-        if path is not None:
-            print_written(what, path)
-
-
-def decade_table(results: Results, quantity: str) -> Table:
-    """The cheapest setting for each power of ten, and the best peer's."""
-    from multiarm.studies.work_precision.choice import decades
-    from multiarm.studies.work_precision.reference import QUANTITIES
-    from multiarm.studies.work_precision.settings import short
-    from multiarm.studies.work_precision.words import described
-
-    what, unit = QUANTITIES[quantity]
-    found = decades(results, quantity)
-    with_peers = any(decade.peer for decade in found)
-    heads = ["below", "cheapest setting", "ms"]
-    heads += ["best peer", "ms", "peer/ours"] if with_peers else []
-    rows: list[list[str]] = []
-    for decade in found:
-        row = [short(decade.level)]
-        for point in (decade.ours, decade.peer)[: 2 if with_peers else 1]:
-            row += ["-", "-"] if point is None else [described(point), _time(point)]
-        if with_peers:
-            row.append("-" if decade.ratio is None else f"{decade.ratio:.1f}")
-        rows.append(row)
-    table = columns(f"Cheapest for an error below, {what} [{unit}]", heads, rows)
-    return _right(table, 2, 4, 5)
-
-
-def method_table(results: Results, quantity: str) -> Table:
-    """One line a method."""
-    from multiarm.studies.work_precision.choice import (
-        CLAIMED,
-        all_series,
-        cheapest,
-        digits_of,
-    )
-    from multiarm.studies.work_precision.settings import short
-
-    digits = digits_of(results, quantity)
-    levels = (1e-3, *CLAIMED)
-    heads = ["method", *(short(level) for level in levels), "least", "gap m", "energy J", "failed"]
-
-    def rows() -> Iterator[list[RenderableType]]:
-        for item in all_series(results):
-            found = [cheapest(item.points, level, quantity, digits) for level in levels]
-            best = item.best(quantity)
-            least = None if best is None else max(best.error(quantity) or 0.0, digits)
-            yield [
-                Text(item.name, "" if item.ours else "dim"),
-                *("-" if point is None else _time(point) for point in found),
-                _small(least),
-                _small(None if best is None else best.gap_m),
-                _small(None if best is None else best.energy_J),
-                f"{len(item.failures)}/{len(item.points)}" if item.failures else "",
-            ]
-
-    title = "Methods: ms of wall time to an error, and what they are at their most precise"
-    return _right(columns(title, heads, rows()), *range(1, 8))
-
-
-def point_table(results: Results) -> Table:
-    """Every point, in the order of the methods."""
-    from multiarm.studies.work_precision.choice import all_series
-
-    heads = ("setting", "ms", "evals", "pos.", "rot.", "joints", "force", "gap", "energy")
-
-    def rows() -> Iterator[list[RenderableType]]:
-        for item in all_series(results):
-            for point in item.points:
-                if not point.completed:
-                    reason = (f"\n{point.status}: {point.message}", "red")
-                    yield [Text.assemble(point.setting.text, reason)]
-                    continue
-                errors = (point.errors.get(k) for k in ("position", "rotation", "joints", "force"))
-                yield [
-                    point.setting.text,
-                    _time(point),
-                    number(point.evaluations),
-                    *(_small(value) for value in (*errors, point.gap_m, point.energy_J)),
-                ]
-
-    return _right(
-        columns("All points: errors [m, rad, rad, N], gap [m], energy [J]", heads, rows()),
-        *range(1, len(heads)),
-    )
-
-
-def _right(table: Table, *numbers: int) -> Table:
-    """The table with narrow padding, its columns of numbers right-aligned and not wrapped."""
-    table.padding, table.pad_edge = (0, 1, 0, 0), False
-    table.min_width = len(str(table.title))
-    for k in numbers:
-        if k < len(table.columns):
-            table.columns[k].justify = "right"
-            table.columns[k].no_wrap = True
-    return table
-
-
-def _time(point: Point) -> str:
-    """Milliseconds."""
-    value = 1e3 * (point.wall_time_s or 0.0)
-    return f"{value:,.0f}" if value >= 1e3 else f"{value:.3g}"
-
-
-def _small(value: float | None) -> str:
-    return "-" if value is None else f"{value:.0e}"

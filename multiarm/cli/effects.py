@@ -6,21 +6,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.catalogue import show
-from multiarm.cli.files import check_targets, scene_to_run, write_json
+from multiarm.cli.files import check_targets, scene_to_run
 from multiarm.cli.joints import effect_section
 from multiarm.cli.options import JsonFile, NoCode, file_option, option, with_settings
+from multiarm.cli.studies import rendered, write_files
 from multiarm.errors import MultiarmError
-from multiarm.results.files import save_figure, save_page
-from multiarm.terminal.console import columns, output, print_written
+from multiarm.terminal.console import output
 from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.scene import Scene
-    from multiarm.studies.effect_costs.entries import Entry, Ledger
+    from multiarm.studies.effect_costs.entries import Ledger
 
 __all__ = ["effects"]
 
@@ -85,7 +84,10 @@ def effects(
     check_targets({"--plot": plot, "--html": html, "--json": json}, source=scene)
     found = _measure(scene_to_run(scene, no_code), settings, candidates, rounds)
     _print(found)
-    _write(found, plot, html, json)
+    from multiarm.studies.effect_costs.words import figures
+
+    page = "multiarm.studies.effect_costs.page"
+    write_files(page, found, figures=lambda: figures(found), plot=plot, html=html, json=json)
 
 
 def _measure(scene: Scene, changes: dict, candidates: bool, rounds: int) -> Ledger:
@@ -99,85 +101,13 @@ def _measure(scene: Scene, changes: dict, candidates: bool, rounds: int) -> Ledg
 
 
 def _print(found: Ledger) -> None:
-    from multiarm.studies.effect_costs.words import accuracy_text, summary
+    from multiarm.studies.effect_costs.words import accuracy_text, summary, table
 
     console = output()
     console.print(Text(found.scene["name"], "bold"))
     console.print(Text(accuracy_text(found), "dim"))
-    console.print(_table(found))
-    for entry in found.entries:
-        text, style = _remark(entry)
-        if text:
-            console.print(Text(f"{entry.name}: {text}", style), soft_wrap=True)
+    for part in rendered(table(found, found.entries, "What each costs, and what it changes")):
+        console.print(part, soft_wrap=isinstance(part, Text))
     if found.run["certificate"].startswith("not met"):
         console.print(Text(f"The scene's own run: {found.run['certificate']}", "yellow"))
     console.print(Text(summary(found), "bold green"), soft_wrap=True)
-
-
-def _table(found: Ledger) -> Table:
-    """One line an entry: what it costs, and what it changes."""
-    heads = ("", "ms/s", "% time", "evals", "path mm", "turn deg", "joints deg", "force N",
-             "at s")  # fmt: skip
-    rows = [_row(found, entry) for entry in found.entries]
-    table = columns("What each costs, and what it changes", heads, rows)
-    table.padding, table.pad_edge = 0, False
-    for k in range(1, len(heads)):
-        table.columns[k].justify = "right"
-        table.columns[k].min_width = max(len(str(row[k])) for row in rows)
-    return table
-
-
-def _row(found: Ledger, entry: Entry) -> list[Text]:
-    from multiarm.studies.effect_costs.entries import FORCE, JOINTS, PATH, SLIDES, TURN
-    from multiarm.studies.effect_costs.variants import CANDIDATE
-    from multiarm.studies.effect_costs.words import change_text, milliseconds, percent
-
-    name = f"+ {entry.name}" if entry.kind == CANDIDATE else entry.name
-    costs = [Text("-")] * 3
-    if entry.milliseconds is not None and entry.share is not None:
-        shown = (milliseconds(entry), percent(entry.share), f"{entry.evaluations:,}")
-        costs = [*map(Text, shown)]
-    slides = entry.value(JOINTS) is None and entry.value(SLIDES) is not None
-    changed = [
-        Text(change_text(found, entry, quantity, slides and quantity == SLIDES),
-             "" if _above(found, entry, quantity) else "dim")
-        for quantity in (PATH, TURN, SLIDES if slides else JOINTS, FORCE)
-    ]  # fmt: skip
-    most = found.moves(entry)
-    at = Text("-" if most is None else f"{entry.changes[most].time:.3g}")
-    return [Text(name, "green" if found.can_go(entry) else ""), *costs, *changed, at]
-
-
-def _above(found: Ledger, entry: Entry, quantity: str) -> bool:
-    value = entry.value(quantity)
-    return value is not None and value > found.asked[quantity]
-
-
-def _remark(entry: Entry) -> tuple[str, str]:
-    """A remark on an entry's numbers, and its style."""
-    from multiarm.studies.effect_costs.variants import PRESENT
-    from multiarm.studies.effect_costs.words import trouble
-
-    if entry.trouble:
-        return trouble(entry), "yellow"
-    doubt = "" if entry.certified else "its run does not meet the requested accuracy"
-    about = "" if entry.kind == PRESENT else entry.about
-    return ", ".join(filter(None, (about, doubt))), "dim"
-
-
-def _write(found: Ledger, plot: Path | None, html: Path | None, json: Path | None) -> None:
-    from multiarm.studies.effect_costs.words import figures
-
-    if plot is not None:
-        from multiarm.studies.effect_costs.page import ledger_figure
-
-        save_figure(ledger_figure(found), plot)
-        print_written("plot", plot)
-    if html is not None:
-        from multiarm.studies.effect_costs.page import render
-
-        save_page(render(found), html)
-        print_written("page", html)
-    if json is not None:
-        write_json(json, figures(found))
-        print_written("figures", json)

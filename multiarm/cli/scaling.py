@@ -5,23 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 import typer
-from rich import box
-from rich.console import Group
-from rich.table import Table as Grid
-from rich.text import Text
 
-from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.files import check_targets
 from multiarm.cli.options import JsonFile, file_option, option
+from multiarm.cli.studies import rendered, write_files
 from multiarm.errors import MultiarmError
-from multiarm.results.files import save_page
-from multiarm.terminal.console import output, print_warnings, print_written
+from multiarm.terminal.console import output, print_warnings
 from multiarm.terminal.progress import Progress
-
-if TYPE_CHECKING:
-    from multiarm.studies.scaling_tables import Table
 
 __all__ = ["scaling"]
 
@@ -103,37 +96,13 @@ def scaling(
     from multiarm.studies.scaling_tables import disturbance, tables
 
     console = output()
-    for table in tables(result):
-        console.print(_rendered(table))
+    for own in tables(result).values():
+        for table in own:
+            for part in rendered(table):
+                console.print(part)
     print_warnings(filter(None, [disturbance(result)]))
-    if json is not None:
-        write_json(json, result)
-        print_written("figures", json)
-    if plot is not None:
-        from multiarm.studies.scaling_page import plot_scaling
-
-        plot_scaling(result, plot)
-        print_written("plot", plot)
-    if html is not None:
-        from multiarm.studies.scaling_page import render
-
-        save_page(render(result), html)
-        print_written("page", html)
-
-
-_TONES = {"": "", "strong": "bold", "good": "green", "bad": "red"}
-
-
-def _rendered(table: Table) -> Group:
-    """Title, table of numbers, notes."""
-    grid = Grid(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for k, head in enumerate(table.heads):
-        side: Literal["left", "right"] = "right" if k else "left"
-        grid.add_column(Text(head), header_style="cyan", justify=side, no_wrap=not k)
-    for row in table.rows:
-        grid.add_row(*(Text(cell.text, _TONES[cell.tone]) for cell in row))
-    notes = [Text(note, "dim") for note in table.notes]
-    return Group(Text(table.title, "bold"), grid, *notes, *([Text()] if notes else []))
+    page = "multiarm.studies.scaling_page"
+    write_files(page, result, figures=lambda: result, plot=plot, html=html, json=json)
 
 
 MOST_ARMS = 10_000

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,20 +11,17 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from multiarm.cli.files import check_targets, write_json
+from multiarm.cli.files import check_targets
 from multiarm.cli.options import JsonFile, file_option
-from multiarm.results.files import save_page
-from multiarm.terminal.console import columns, number, output, print_error, print_written
+from multiarm.cli.studies import rendered, write_files
+from multiarm.terminal.console import columns, number, output, print_error
 from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
     from multiarm.problems import HardCase
     from multiarm.studies.hard_cases import CaseResult, CriterionResult, SuiteResult
-    from multiarm.studies.peer_trials import Answer
 
 __all__ = ["stability"]
-
-RIGHT = 1e-6  # relative error of accelerations
 
 
 def stability(
@@ -73,16 +70,10 @@ def stability(
     with Progress() as progress:
         suite = run_suite(names or (), peers=peers, progress=progress)
     console = output()
-    for part in _parts(suite, peers):
+    for part in _parts(suite):
         console.print(part)
-    if json is not None:
-        write_json(json, suite.as_dict())
-        print_written("figures", json)
-    if html is not None:
-        from multiarm.studies.hard_case_page import render
-
-        save_page(render(suite), html)
-        print_written("page", html)
+    page = "multiarm.studies.hard_case_page"
+    write_files(page, suite, figures=suite.as_dict, html=html, json=json)
     for case in suite.cases:
         if not case.passed:
             print_error(f"{case.name}: {'; '.join(case.failures)}")
@@ -90,27 +81,20 @@ def stability(
         raise typer.Exit(1)
 
 
-def _parts(suite: SuiteResult, peers: bool) -> list[RenderableType]:
+def _parts(suite: SuiteResult) -> list[RenderableType]:
+    from multiarm.studies.hard_case_tables import solver_table
+
     heads = ("case", "criteria: measured / bound", "run", "verdict")
     rows = [_row(case) for case in suite.cases]
     parts: list[RenderableType] = [_table("Hard cases", heads, rows, suite.cases)]
-    if peers and any(case.answers for case in suite.cases):
-        titles = ("solver", "cases", "accelerations", "short runs", "gap", "broke in")
-        parts.append(columns("Other solvers", titles, _peer_rows(suite.cases)))
-        parts.append(Text(_PEERS_NOTE, "dim"))
+    if any(case.answers for case in suite.cases):
+        parts += rendered(solver_table(suite.cases))
+        parts.append(Text("All answers are in the page and in the JSON.", "dim"))
     passed, total = suite.passed, len(suite.cases)
     style = "bold green" if passed == total else "bold red"
     took = f" in {number(suite.wall_time_s, 's')}"
     parts.append(Text.assemble((f"{passed} of {total} within their criteria", style), took))
     return parts
-
-
-_PEERS_NOTE = (
-    "cases: those that it can express. accelerations: number of cases right to 1e-6 at the hardest "
-    "instant, compared with a dense solution. short runs: around that instant; too slow: more than "
-    "one second on this machine. gap: the largest [m] in finished runs. All answers are in the "
-    "page and in the JSON."
-)
 
 
 def _table(
@@ -146,33 +130,3 @@ def _criterion(item: CriterionResult) -> Text:
     return Text.assemble(
         (f"{item.quantity} ", "cyan"), (f"{found} / {item.bound:.2g}{unit}", style)
     )
-
-
-def _peer_rows(cases: Sequence[CaseResult]) -> Iterator[tuple[str, ...]]:
-    """One row a solver, over all cases that were given to it."""
-    solvers = next(case.answers for case in cases if case.answers)
-    for number_, solver in enumerate(answer.solver for answer in solvers):
-        found = [(case.name, case.answers[number_]) for case in cases if case.answers]
-        tried = [(name, answer) for name, answer in found if not answer.refusal]
-        if not tried:
-            yield solver, "0", "-", "-", "-", found[0][1].refusal
-            continue
-        right = sum(_is_right(answer) for _, answer in tried)
-        finished = [answer for _, answer in tried if not answer.ended]
-        gaps = [answer.drift for answer in finished if answer.drift is not None]
-        late = sum(answer.out_of_time for _, answer in tried)
-        slow = f", {late} too slow" if late else ""
-        broken = [
-            name
-            for name, answer in tried
-            if answer.accelerations or (answer.ended and not answer.out_of_time)
-        ]
-        yield (
-            solver, str(len(tried)), f"{right} right", f"{len(finished)} finished{slow}",
-            f"{max(gaps):.0e}" if gaps else "-", ", ".join(broken) or "-",
-        )  # fmt: skip
-
-
-def _is_right(answer: Answer) -> bool:
-    errors = (answer.object_error, answer.joint_error)
-    return all(error is not None and error <= RIGHT for error in errors)

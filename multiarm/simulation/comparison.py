@@ -1,8 +1,9 @@
-"""Comparison of two runs of one scene at their output times, and the growth of their difference.
+"""Comparison of two runs at their output times, and the growth of their difference.
 
 Both are read in blocks, so that memory does not grow with the length of the run.  Compared are
 position of the object [m], its rotation (the angle of the relative quaternion) [rad], the joints of
-every arm (sliding ones in m, turning ones in rad) and the contact forces of every arm [N].
+every arm (sliding ones in m, turning ones in rad) and the contact forces of every arm [N], of those
+contacts that both runs have.
 
 *Undetermined forces.*  Where the constraints are dependent, the equations leave some forces open,
 and the reported ones depend on roundings.  At samples whose rank is below the number of contacts
@@ -45,6 +46,7 @@ class Output:
     kind: str  # one of ``KINDS``
     channel: str
     columns: np.ndarray
+    others: np.ndarray  # the columns of the other run
     arm: str = ""  # empty for the object
 
 
@@ -81,11 +83,12 @@ class Comparison:
         return max((d.size for d in self.outputs.values() if d.kind == kind), default=0.0)
 
 
-def outputs_of(run: Trajectory) -> list[Output]:
+def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
     """Outputs that are compared: the object's position and rotation, joints and forces by arm."""
+    place, turn = np.arange(3), np.arange(4)
     found = [
-        Output("object position", POSITION, "object/position", np.arange(3)),
-        Output("object rotation", ROTATION, "object/quaternion_xyzw", np.arange(4)),
+        Output("object position", POSITION, "object/position", place, place),
+        Output("object rotation", ROTATION, "object/quaternion_xyzw", turn, turn),
     ]
     for arm in run.arm_names:
         joints = run.channels[f"arms/{arm}/joint_position"]
@@ -93,11 +96,13 @@ def outputs_of(run: Trajectory) -> list[Output]:
         for kind, noun in ((ROTATION, "joints"), (POSITION, "sliding joints")):
             columns = np.flatnonzero(units == UNITS[kind])
             if columns.size:
-                found.append(Output(f"{arm}: {noun}", kind, joints.name, columns, arm))
-        forces = run.channels[f"arms/{arm}/contact_force"]
-        columns = np.arange(forces.shape[0])
+                found.append(Output(f"{arm}: {noun}", kind, joints.name, columns, columns, arm))
+        name = f"arms/{arm}/contact_force"
+        labels, others = (r.channels[name].labels for r in (run, other))
+        columns = np.flatnonzero([label in others for label in labels])
         if columns.size:
-            found.append(Output(f"{arm}: contact forces", FORCE, forces.name, columns, arm))
+            same = np.flatnonzero([label in labels for label in others])
+            found.append(Output(f"{arm}: contact forces", FORCE, name, columns, same, arm))
     return found
 
 
@@ -106,7 +111,7 @@ def compare(
     other: Trajectory,
     undetermined: Mapping[str, np.ndarray] | None = None,
 ) -> Comparison:
-    """Compare two runs of one scene with the same output times.
+    """Compare two runs of one scene, or of one with other effects, at the same output times.
 
     Parameters
     ----------
@@ -114,7 +119,7 @@ def compare(
     undetermined : mapping of str to ndarray of bool, optional
         By arm: forces that are left out where the constraints are dependent.
     """
-    outputs, samples = outputs_of(run), min(len(run), len(other))
+    outputs, samples = outputs_of(run, other), min(len(run), len(other))
     velocities = [name for name in run.channels if name.endswith(("twist", "joint_velocity"))]
     contacts = sum(output.columns.size for output in outputs if output.kind == FORCE)
     result = {output.name: Difference(output.kind) for output in outputs}
@@ -135,8 +140,8 @@ def compare(
             found = _apart(output, first, second)
             size = _sizes(output, first)
             lost = (undetermined or {}).get(output.arm) if output.kind == FORCE else None
-            if lost is not None and lost.any():
-                open_here = dependent[:, None] & lost
+            if lost is not None and lost[output.columns].any():
+                open_here = dependent[:, None] & lost[output.columns]
                 found, size = np.where(open_here, 0.0, found), np.where(open_here, 0.0, size)
                 result[output.name].left_out += int(dependent.sum())
                 _note(result[output.name], time, found, size, not bool(open_here.all()))
@@ -251,7 +256,7 @@ def _apart(output: Output, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Differences of an output, shape (k, columns); a rotation and a position have one."""
     if output.channel == "object/quaternion_xyzw":
         return rotation_apart(first, second)[:, None]
-    gap = first[:, output.columns] - second[:, output.columns]
+    gap = first[:, output.columns] - second[:, output.others]
     if output.channel == "object/position":
         return np.linalg.norm(gap, axis=1)[:, None]
     return np.abs(gap)

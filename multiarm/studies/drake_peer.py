@@ -20,19 +20,12 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.studies.observables import Sinusoid
-from multiarm.studies.peers import Drive, joint_ends, links, moments, tip_frame
+from multiarm.studies.peers import Drive, Peer, joint_ends, links, moments, tip_frame
 from multiarm.studies.time_series import Grid, TimeSeries
 
 
-class DrakePeer:
-    """A system in Drake, a plant for each step.
-
-    Parameters
-    ----------
-    system : System
-        Welds, balls and hinges only; links with mass.
-    damping : ndarray, shape (n,)
-        Of the joints [N m s/rad, N s/m]; Drake integrates it implicitly.
+class DrakePeer(Peer):
+    """A system in Drake, a plant for each step; Drake integrates damping implicitly.
 
     Raises
     ------
@@ -44,63 +37,36 @@ class DrakePeer:
 
     methods: ClassVar = {"discrete": "step"}
 
-    def __init__(self, system: System, damping: np.ndarray):
-        self.system, self.damping = system, damping
+    def __init__(self, system: System):
+        super().__init__(system)
         # refuses now, or never
-        interval = Grid.of(system.scene.run).interval
-        DrakeModel(system, damping, interval, Sinusoid.none(damping.size))
+        self._build(Grid.of(system.scene.run).interval, Sinusoid.none(self.damping.size))
 
     def follow(
-        self,
-        series: TimeSeries,
-        grid: Grid,
-        start: State,
-        method: str,
-        value: float,
-        drive: Drive,
+        self, series: TimeSeries, start: State, method: str, value: float, drive: Drive
     ) -> None:
-        """Record the motion (:meth:`.peers.Peer.follow`)."""
-        DrakeModel(self.system, self.damping, value, drive).follow(series, grid, start)
+        """Step from output to output and record the motion (:meth:`.peers.Peer.follow`)."""
+        from pydrake.systems.analysis import Simulator
 
+        self._build(value, drive)
+        count = series.grid.steps(value)
+        self.place(start)
+        series.record(start)
+        simulator = Simulator(self._diagram, self._context)
+        simulator.Initialize()
+        for time in series.grid.times[1:]:
+            series.start()
+            simulator.AdvanceTo(time)
+            series.stop(count, count)
+            if not series.record(self.state()):
+                return
 
-class DrakeModel:
-    """A system as a Drake plant of one time step.
-
-    Parameters
-    ----------
-    system : System
-        Welds, balls and hinges only; links with mass.
-    damping : ndarray, shape (n,)
-        Of the joints [N m s/rad, N s/m]; Drake integrates it implicitly.
-    step : float
-        [s]
-    drive : Sinusoid or callable
-        Torques, of time alone or of time and state.
-
-    Attributes
-    ----------
-    velocity_places : ndarray of int, shape (n,)
-        Where Drake has the joints' velocities, and the torques.
-
-    Raises
-    ------
-    ModelError
-        For a joint without a constraint, and what Drake refuses.
-    ImportError
-        Where Drake is not installed.
-    """
-
-    def __init__(
-        self,
-        system: System,
-        damping: np.ndarray,
-        step: float,
-        drive: Drive,
-    ):
+    def _build(self, step: float, drive: Drive) -> None:
+        """The plant of a time step [s] and the torques that drive it."""
         from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
         from pydrake.systems.framework import DiagramBuilder
 
-        self.system = system
+        system = self.system
         self._joints: list[Any] = []
         builder = DiagramBuilder()
         plant: Any = builder.AddSystem(MultibodyPlant(step))
@@ -118,7 +84,7 @@ class DrakeModel:
             for joint in system.scene.joints:
                 name = joint.arm
                 first = system.model.layout.dofs[system.model.layout.names.index(name)]
-                tip = self._add_arm(plant, name, damping[first:])
+                tip = self._add_arm(plant, name, self.damping[first:])
                 _constrain(plant, self._object, system.frames[name].on_object, *tip, joint)
             plant.Finalize()
         except (RuntimeError, ValueError) as error:
@@ -127,6 +93,7 @@ class DrakeModel:
         # a free body: quaternion wxyz and place, angular and linear velocity
         body = self._object
         self._free = body.floating_positions_start(), body.floating_velocities_start_in_v()
+        # where Drake has the joints' velocities, and the torques
         self.velocity_places = np.array([joint.velocity_start() for joint in self._joints])
         self._drive(builder, drive)
         self._diagram = builder.Build()
@@ -211,31 +178,8 @@ class DrakeModel:
             self.system.model.layout,
         )
 
-    def follow(self, series: TimeSeries, grid: Grid, start: State) -> None:
-        """Step from output to output and record the motion, with the steps alone on the clock.
 
-        It ends early when the state is no longer finite.
-        """
-        from pydrake.systems.analysis import Simulator
-
-        count = grid.steps(self.plant.time_step())
-        self.place(start)
-        series.positions.append(start.position.copy())
-        simulator = Simulator(self._diagram, self._context)
-        simulator.Initialize()
-        for time in grid.times[1:]:
-            series.start()
-            simulator.AdvanceTo(time)
-            series.stop()
-            series.steps += count
-            series.evaluations += count
-            position = self.state().position
-            if not np.all(np.isfinite(position)):
-                return
-            series.positions.append(position)
-
-
-def _controller(model: DrakeModel, torque: Callable[[float, State], np.ndarray]) -> Any:
+def _controller(model: DrakePeer, torque: Callable[[float, State], np.ndarray]) -> Any:
     """A Drake system whose output are torques of time and state, by a Python function."""
     from pydrake.systems.framework import LeafSystem
 

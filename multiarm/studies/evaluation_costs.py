@@ -29,10 +29,10 @@ from multiarm.errors import SolverError
 from multiarm.events.evaluation import evaluate
 from multiarm.integration.step import begin_chart, evaluate_slope, make_step
 from multiarm.jit.kernels import kernel
-from multiarm.jit.pointers import call_python
+from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.problems import ring_of_arms
-from multiarm.studies.peer_trials import BYTES_PER_CUBE
-from multiarm.studies.pinocchio_peer import PinocchioForest, PinocchioMotion
+from multiarm.studies.peers import memory_needed
+from multiarm.studies.pinocchio_peer import ConstraintDynamics, Lcaba, PinocchioTree
 from multiarm.studies.timing import (
     Burst,
     fastest,
@@ -101,13 +101,27 @@ def slope_burst(data: Data) -> Burst:
     step = make_step(RK4, joints, effects.states, 1 + len(effects.works))
     begin_chart(struct, step.base, step.z)
     step.z[12 + 2 * joints :][: effects.states] = data.effect_states()
+    return loop_burst(data, _evaluate_often, step.z, step.base, step.slope)
+
+
+def loop_burst(data: Data, loop: Callable[..., int], *arguments: Any) -> Burst:
+    """A compiled loop over a part of an evaluation.
+
+    ``loop(struct, *arguments, count)`` returns the status of the last one.
+    """
 
     def burst(count: int) -> None:
-        if _evaluate_often(struct, step.z, step.base, step.slope, count) != OK:
+        if loop(data.struct, *arguments, count) != OK:
             data.reraise()
-            raise SolverError("an evaluation of the benchmark failed")
+            raise SolverError("a part of an evaluation failed in the benchmark")
 
     return burst
+
+
+def call_burst(data: Data, *parts: int) -> Burst:
+    """Compiled parts of an evaluation, by their addresses, in turn."""
+    bursts = [loop_burst(data, _call_often, address) for address in parts]
+    return lambda count: [burst(count) for burst in bursts]
 
 
 def terms_burst(data: Data) -> Burst:
@@ -132,11 +146,11 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
     remark = too_large_for_pinocchio(system.model.layout.joints)
     peers: dict[str, Callable[[], np.ndarray]] = {}
     if not remark:
-        forest = PinocchioForest(system)
-        peers["constraintDynamics"] = forest.constraint_dynamics_call(state, torque)
-        peers["lcaba"] = forest.lcaba_call(state, torque)
-        tree = PinocchioMotion(system, np.zeros(torque.size))
-        peers["tree"] = tree.acceleration_call(state, torque)
+        peers = {
+            "constraintDynamics": ConstraintDynamics(system).evaluation(state, torque),
+            "tree": PinocchioTree(system).evaluation(state, torque),
+            "lcaba": Lcaba(system).evaluation(state, torque),
+        }
         found.update({name: call()[: torque.size].copy() for name, call in peers.items()})
     ours, copies, dense = (each.model.data() for each in (system, compiled, dense_system))
     for data in (ours, copies, dense):
@@ -176,7 +190,7 @@ def too_large_for_pinocchio(joints: int, free: float | None = None) -> str:
     ``free`` is the free memory [bytes], by default this machine's.
     """
     free = free_memory() if free is None else free
-    need = BYTES_PER_CUBE * (6 + joints) ** 3  # both algorithms' Data together
+    need = memory_needed(joints)  # both algorithms' Data together
     if need <= SHARE_OF_MEMORY * free:
         return ""
     return f"not run: Pinocchio's Data would take {need / 1e9:.1f} of {free / 1e9:.1f} GB free"
@@ -205,6 +219,16 @@ def _evaluate_often(struct, z, base, slope, count):
     status = OK
     for i in range(count):
         status = evaluate_slope(struct, 1e-4 * i, z, base, 0.0, 0.0, slope)
+        if status != OK:
+            return status
+    return status
+
+
+@kernel
+def _call_often(struct, address, count):
+    status = OK
+    for _ in range(count):
+        status = call_cfunc(address, struct, 0.0, 0.0)
         if status != OK:
             return status
     return status

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from multiarm.plots.panels import DECADES, Panel, draw
 from multiarm.plots.style import BLUE, GREEN, ORANGE, PINK, inline_svg
 from multiarm.reports import pages
+from multiarm.studies.hard_case_tables import answer_table, solver_table
 from multiarm.studies.hard_cases import (
     CaseResult,
     CriterionResult,
@@ -24,7 +25,6 @@ from multiarm.studies.hard_cases import (
     path_text,
     rank_text,
 )
-from multiarm.studies.peer_trials import OURS, Answer
 
 SMALLEST = 1e-18
 """The least that is drawn on a logarithmic axis."""
@@ -72,8 +72,6 @@ def _panel(
 
 
 SHOWN_EVENTS = 12
-DOUBTFUL, WRONG = 1e-6, 1e-2
-"""Relative errors of accelerations above these are shown in yellow and in red."""
 _METER_DECADES = 6
 
 
@@ -83,6 +81,7 @@ def render(suite: SuiteResult) -> str:
         "stability.html",
         suite=suite,
         cases=[_case(case, f"c{number}-") for number, case in enumerate(suite.cases)],
+        solvers=solver_table(suite.cases) if any(case.answers for case in suite.cases) else None,
         simulated_s=sum(case.wall_time_s for case in suite.cases),
         shown_events=SHOWN_EVENTS,
     )
@@ -101,7 +100,7 @@ def _case(case: CaseResult, prefix: str) -> dict[str, Any]:
         "path": path_text(case),
         "run": _run(case),
         "figure": "" if figure is None else inline_svg(figure, prefix),
-        "answers": [_answer(answer) for answer in case.answers],
+        "answers": answer_table(case) if case.answers else None,
     }
 
 
@@ -150,23 +149,3 @@ def _run(case: CaseResult) -> list[str]:
         f"rank {rank_text(case)}",
         f"path {path_text(case)}",
     ]
-
-
-def _answer(answer: Answer) -> dict[str, Any]:
-    """A solver's answer with its errors as they are shown, and a remark."""
-    errors = [
-        ("none" if answer.accelerations else pages.scientific(error), _tone(error, answer))
-        for error in (answer.object_error, answer.joint_error)
-    ]
-    return vars(answer) | {
-        "ours": answer.solver == OURS,
-        "errors": errors,
-        "remark": "; ".join(filter(None, (answer.accelerations, answer.ended))),
-        "broken": bool(answer.accelerations or (answer.ended and not answer.out_of_time)),
-    }
-
-
-def _tone(error: float | None, answer: Answer) -> str:
-    if answer.accelerations or (error is not None and error > WRONG):
-        return "bad"
-    return "warn" if error is not None and error > DOUBTFUL else ""

@@ -33,8 +33,8 @@ from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.jit.structs import floats_at, struct_at
 from multiarm.studies.observables import Sinusoid
-from multiarm.studies.peers import Drive, joint_ends, links, moments, tip_frame
-from multiarm.studies.time_series import Grid, TimeSeries
+from multiarm.studies.peers import Drive, Solver, joint_ends, links, moments, tip_frame
+from multiarm.studies.time_series import TimeSeries
 
 HARDNESS = 1e-6
 _HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]
@@ -46,17 +46,8 @@ _INTEGRATORS = {
 # and the stages of a step at which MuJoCo calls for torques
 
 
-class MujocoModel:
-    """A system as a MuJoCo model.
-
-    Parameters
-    ----------
-    system : System
-        Welds, balls and hinges only; links with mass.
-    damping : ndarray, shape (n,)
-        Of the joints [N m s/rad, N s/m]; MuJoCo integrates it implicitly where it can.
-    as_shipped : bool
-        With MuJoCo's own settings; else at its best.
+class MujocoPeer(Solver):
+    """A system as a MuJoCo model, with the best settings; MuJoCo integrates damping implicitly.
 
     Raises
     ------
@@ -65,30 +56,30 @@ class MujocoModel:
     """
 
     methods: ClassVar = dict.fromkeys(_INTEGRATORS, "step")
+    best: ClassVar = ("RK4", 5e-4)
+    hardened: ClassVar = True
 
-    def __init__(self, system: System, damping: np.ndarray, as_shipped: bool = False):
-        self.system = system
+    def __init__(self, system: System):
+        super().__init__(system)
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
         spec.option.gravity = system.model.constants.gravity
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        if not as_shipped:
-            spec.option.integrator, spec.option.timestep = mujoco.mjtIntegrator.mjINT_RK4, 5e-4
+        if self.hardened:
             spec.option.iterations, spec.option.tolerance = 100, 1e-15
-        self.step = float(spec.option.timestep)
         for name in system.arm_names:
             _add_arm(spec, system, name)
         _add_object(spec, system)
         for joint in system.scene.joints:
-            _add_joint(spec, joint, {} if as_shipped else {"solimp": _HARD})
+            _add_joint(spec, joint, {"solimp": _HARD} if self.hardened else {})
         try:
             self.model = spec.compile()
         except ValueError as error:
             reason = str(error).splitlines()[0]
             raise ModelError(f"MuJoCo refuses the model: {reason}") from error
-        if not as_shipped:
+        if self.hardened:
             self.model.body_invweight0[:] *= HARDNESS
-        self.model.dof_damping[: system.model.layout.joints] = damping
+        self.model.dof_damping[: system.model.layout.joints] = self.damping
         self.data = mujoco.MjData(self.model)
 
     def place(self, state: State) -> None:
@@ -109,8 +100,8 @@ class MujocoModel:
         velocity = [d.qvel[n : n + 3], self._rotation() @ d.qvel[n + 3 :], d.qvel[:n]]
         return State(np.concatenate(position), np.concatenate(velocity), self.system.model.layout)
 
-    def accelerations(self, state: State, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Object's classical acceleration in world axes (6,) and the joints' (n,)."""
+    def accelerations(self, state: State, torque: np.ndarray) -> np.ndarray:
+        """The object's classical acceleration in world axes and the joints', shape (6 + n,)."""
         d, n = self.data, self.system.model.layout.joints
         self.place(state)
         d.qfrc_applied[:n] = torque
@@ -118,40 +109,18 @@ class MujocoModel:
             mujoco.mj_forward(self.model, d)
         # the free joint's: linear in world axes, angular in the object's own
         angular = self._rotation() @ d.qacc[n + 3 :]
-        return np.concatenate([d.qacc[n : n + 3], angular]), d.qacc[:n].copy()
-
-    def steps(
-        self, state: State, torque: Callable[[float, State], np.ndarray] | None
-    ) -> Iterator[tuple[float, State]]:
-        """Step on and on from a state; yields time since the start [s] and state.
-
-        ``torque(time since the start, state)`` is called at every stage of a step.  The sequence
-        ends when the state is no longer finite.
-        """
-        d = self.data
-        self.place(state)
-        control = None if torque is None else self._control(torque)
-        d.qfrc_applied[:] = 0.0
-        while np.all(np.isfinite(d.qpos)) and np.all(np.isfinite(d.qvel)):
-            with _quiet(control):
-                mujoco.mj_step(self.model, d)
-            yield float(d.time), self.state()
+        return np.concatenate([d.qacc[n : n + 3], angular, d.qacc[:n]])
 
     def follow(
-        self,
-        series: TimeSeries,
-        grid: Grid,
-        start: State,
-        method: str,
-        value: float,
-        drive: Drive,
+        self, series: TimeSeries, start: State, method: str, value: float, drive: Drive
     ) -> None:
         """Step from output to output and record the motion (:meth:`.peers.Peer.follow`)."""
         kind, stages = _INTEGRATORS[method]
-        d, n, count = self.data, self.system.model.layout.joints, grid.steps(value)
+        d, n, grid = self.data, self.system.model.layout.joints, series.grid
+        count = grid.steps(value)
         self.model.opt.integrator, self.model.opt.timestep = kind, value
         self.place(start)
-        series.positions.append(start.position.copy())
+        series.record(start)
         played: tuple[TorqueTape, Sinusoid] | None = None
         control: Any = None
         if not isinstance(drive, Sinusoid):
@@ -169,12 +138,9 @@ class MujocoModel:
                     tape.load(torques.at(k * grid.interval + value * offsets))
                 series.start()
                 mujoco.mj_step(self.model, d, nstep=count)
-                series.stop()
-                series.steps += count
-                series.evaluations += count * len(stages)
-                if not (np.all(np.isfinite(d.qpos)) and np.all(np.isfinite(d.qvel))):
+                series.stop(count, count * len(stages))
+                if not series.record(self.state()):
                     return
-                series.positions.append(self.state().position)
 
     def _control(self, torque: Callable[[float, State], np.ndarray]) -> Callable[[Any, Any], None]:
         """MuJoCo's callback for torques of time and state."""
@@ -189,6 +155,13 @@ class MujocoModel:
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, self.data.qpos[-4:])
         return rotation.reshape(3, 3)
+
+
+class MujocoAsShipped(MujocoPeer):
+    """A system as a MuJoCo model with MuJoCo's own settings."""
+
+    best: ClassVar = ("Euler", 2e-3)
+    hardened: ClassVar = False
 
 
 @contextmanager

@@ -5,40 +5,39 @@ Each solver gets two tasks, at states of our own run.
 1. The accelerations at the case's hardest instant, compared with the dense minimum-norm reference
    (:mod:`multiarm.dynamics.solver.dense`).  An error is relative to the largest of them, or to 1
    m/s^2 and 1 rad/s^2 where all are smaller.
-2. The same motion for ``WINDOW`` seconds around that instant: largest gap of the loops and error of
-   the energy.  Pinocchio's algorithms, which have no integrator, are integrated by SciPy's DOP853
-   at a relative tolerance of 1e-9; MuJoCo has its own steps.
+2. The same motion for ``WINDOW`` seconds around that instant by the peer's best method: largest gap
+   of the loops and error of the energy after its steps.  Pinocchio's algorithms, which have no
+   integrator, are integrated together with the work by SciPy's DOP853 at a tolerance of 1e-10;
+   MuJoCo has its own steps, over which the power is integrated by Simpson's rule.
 
 A run ends after ``PATIENCE``.  A peer's exception or NaN is an answer.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_simpson
 
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.errors import ModelError, MultiarmError
+from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.observables import (
+    Sinusoid,
     control_torque,
-    inexpressible_effects,
     is_controlled,
     joint_damping,
     largest_gap,
     total_energy,
 )
-from multiarm.studies.peers import NOT_INSTALLED
-
-if TYPE_CHECKING:
-    from multiarm.studies.mujoco_peer import MujocoModel
+from multiarm.studies.peers import Drive, Solver, make_peers, memory_needed
+from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
 
 WINDOW = 0.5
 """Length of the short run [s], or to the end of the case; at least from sample to sample."""
@@ -46,11 +45,9 @@ PATIENCE = 1.0
 """A solver's wall time for the short run [s]."""
 OURS = "multiarm"
 PINOCCHIO = ("constraintDynamics as shipped", "constraintDynamics", "lcaba")
-MUJOCO = {"MuJoCo as shipped": True, "MuJoCo": False}
-STEPS_PER_LOOK = 10
-"""Steps of MuJoCo's (an even number) between two looks at gaps and energy."""
-BYTES_PER_CUBE, MOST_MEMORY = 64, 1e9
-"""Memory of Pinocchio's Data, as measured, grows with the cube of the number of joints."""
+SOLVERS = (*PINOCCHIO, "MuJoCo as shipped", "MuJoCo")
+MOST_MEMORY = 1e9
+"""Of Pinocchio's Data [bytes]."""
 APART = 10.0
 """A short run has broken when the loops are apart by this many metres."""
 
@@ -89,6 +86,11 @@ class Answer:
     ended: str = ""
     out_of_time: bool = False
 
+    @property
+    def broken(self) -> bool:
+        """Whether something broke: there are no accelerations, or the short run fell apart."""
+        return bool(self.accelerations or (self.ended and not self.out_of_time))
+
 
 class Trial:
     """The two questions about one case, and the yardsticks for the answers.
@@ -112,7 +114,9 @@ class Trial:
         self.begin = float(times[self.first])
         self.window = float(times[self.last]) - self.begin
         self.damping = joint_damping(system)
-        self.controlled = is_controlled(system)
+        self.drive: Drive = self._torques
+        if not is_controlled(system):
+            self.drive = Sinusoid.none(self.damping.size)
         self.reference: np.ndarray | None = None
         try:
             dense = evaluate(system.with_solver("dense"), self.time, self.worst)
@@ -148,13 +152,21 @@ class Trial:
         """Torques of the scene's control at time ``t`` of our run, shape (n,), without damping."""
         return control_torque(self.system, t, state)
 
-    def gap(self, state: State) -> float:
-        """Largest gap of a contact [m]."""
-        return largest_gap(self.system, state)
+    def _torques(self, t: float, state: State) -> np.ndarray:
+        """The same at a time of the short run."""
+        return self.control(self.begin + t, state)
 
-    def energy(self, state: State) -> float:
-        """Kinetic and potential energy [J]."""
-        return total_energy(self.system, state)
+    def energy_errors(self, series: TimeSeries) -> np.ndarray:
+        """Energy of each state of a short run that no work explains [J]."""
+        energy = np.array([total_energy(self.system, state) for state in series.states])
+        if series.works:
+            return np.abs(energy - energy[0] - series.works[: len(energy)])
+        power = np.zeros(len(energy))
+        for k, (t, state) in enumerate(zip(series.times, series.states, strict=True)):
+            v = state.velocity[6:]
+            power[k] = (self._torques(t, state) - self.damping * v) @ v
+        work = cumulative_simpson(power, x=series.times, initial=0.0)
+        return np.abs(energy - energy[0] - work)[::2]  # two steps are one of Simpson's
 
     def errors(self, accelerations: np.ndarray) -> tuple[float | None, float | None]:
         """Relative errors of the object's and the joints' accelerations (6 + n,)."""
@@ -169,60 +181,40 @@ class Trial:
         return found[0], found[1]
 
 
-class Refused(Exception):
-    """A peer is spared the question; the text says why."""
-
-
-class Stopped(Exception):
-    """A short run cannot go on; the text says why."""
-
-
-Motion = Iterator[tuple[float, State, float]]
-"""States of a short run: time since its start [s], state, work done since then [J]."""
-
-
 def all_answers(trial: Trial) -> tuple[Answer, ...]:
     """The answers of all solvers, ours first."""
+    joints = trial.system.model.layout.joints
+    memory = memory_needed(joints)
+    spared = PINOCCHIO if memory > MOST_MEMORY else ()
+    able, refusals = make_peers(trial.system, [name for name in SOLVERS if name not in spared])
+    text = f"not run: Pinocchio's Data for it takes about {memory / 1e9:.1f} GB"
+    refusals |= dict.fromkeys(spared, text)
     answers = [_our_answer(trial)]
-    for algorithm in PINOCCHIO:
-        answers.append(answer_of(trial, algorithm, pinocchio_peer(trial, algorithm)))
-    for name, as_shipped in MUJOCO.items():
-        answers.append(answer_of(trial, name, mujoco_peer(trial, as_shipped)))
+    for name in SOLVERS:
+        if name in refusals:
+            answers.append(Answer(name, refusal=refusals[name]))
+            continue
+        peer = able[name]
+        assert isinstance(peer, Solver), "SOLVERS tell their accelerations"
+        answers.append(answer_of(trial, name, peer))
     return tuple(answers)
 
 
-MakePeer = Callable[[], tuple[Callable[[State, np.ndarray], np.ndarray], Callable[[State], Motion]]]
-"""Makes a peer's model; returns its accelerations (6 + n,) and its motion as functions."""
-
-
-def answer_of(trial: Trial, solver: str, make: MakePeer) -> Answer:
+def answer_of(trial: Trial, name: str, peer: Solver) -> Answer:
     """Give both tasks to a peer; the answer reports any exception."""
-    strange = inexpressible_effects(trial.system)
-    if strange:
-        return Answer(solver, refusal=f"cannot express {', '.join(strange)}")
+    object_error = joint_error = None
+    trouble = ""
     with np.errstate(all="ignore"):
         try:
-            accelerations, motion = make()
-        except ModelError as error:
-            return Answer(solver, refusal=f"cannot express it: {error}")
-        except Refused as reason:
-            return Answer(solver, refusal=f"not run: {reason}")
-        except ImportError:
-            return Answer(solver, refusal=NOT_INSTALLED)
-        object_error = joint_error = None
-        trouble = ""
-        try:
-            state = trial.worst
-            torque = trial.control(trial.time, state) - trial.damping * state.velocity[6:]
-            found = accelerations(state, torque)
+            found = peer.accelerations(trial.worst, trial.control(trial.time, trial.worst))
             if np.all(np.isfinite(found)):
                 object_error, joint_error = trial.errors(found)
             else:
                 trouble = "NaN"
         except Exception as error:
             trouble = _error_text(error)
-        course = _short_run(trial, motion)
-    return Answer(solver, "", object_error, joint_error, trouble, *course)
+        course = _short_run(trial, peer)
+    return Answer(name, "", object_error, joint_error, trouble, *course)
 
 
 class _ShortRun(NamedTuple):
@@ -235,33 +227,35 @@ class _ShortRun(NamedTuple):
     out_of_time: bool
 
 
-def _short_run(trial: Trial, motion: Callable[[State], Motion]) -> _ShortRun:
-    """Watch a short run to its end, or to what ends it."""
-    start = trial.state(trial.first)
-    energy = trial.energy(start)
-    reached, drift, off, ended, late = 0.0, trial.gap(start), 0.0, "", False
-    deadline = time.perf_counter() + PATIENCE
+def _short_run(trial: Trial, peer: Solver) -> _ShortRun:
+    """Follow the motion of the window to its end, or to what ends it, and judge it."""
+    method, value = peer.best
+    count = 1
+    if peer.methods[method] == "step":
+        count = math.ceil(trial.window / value - 1e-9)
+        value = trial.window / count
+    series = TimeSeries(Grid(trial.window / count, count), PATIENCE, every_step=True)
+    ended, late = "", False
     try:
-        for t, state, work in motion(start):
-            gap, error = trial.gap(state), abs(trial.energy(state) - energy - work)
-            if not (np.isfinite(gap) and np.isfinite(error)):
-                raise Stopped("NaN")
-            reached, drift, off = t, max(drift, gap), max(off, error)
-            if gap > APART:
-                raise Stopped(f"the loops are more than {APART:g} m apart")
-            if t >= trial.window * (1.0 - 1e-9):
-                break
-            if time.perf_counter() > deadline:
-                raise TimeoutError
-        else:
-            raise Stopped("NaN")
-    except TimeoutError:
-        late, ended = True, f"only {reached:.3g} s in {PATIENCE:g} s of wall time"
+        peer.follow(series, trial.state(trial.first), method, value, trial.drive)
+        if series.reached < trial.window * (1.0 - 1e-9):
+            ended = "NaN"
+    except OutOfTime:
+        ended, late = f"only {series.reached:.3g} s in {PATIENCE:g} s of wall time", True
     except Exception as error:
-        ended = f"{_error_text(error)} after {reached:.3g} s"
-    if not reached:  # then nothing was found but the start itself
-        return _ShortRun(reached, None, None, ended, late)
-    return _ShortRun(reached, drift, off, ended, late)
+        ended = _error_text(error)
+    gaps = np.array([largest_gap(trial.system, state) for state in series.states])
+    apart = np.flatnonzero(~(gaps <= APART))
+    if apart.size:
+        ended, late = f"the loops are more than {APART:g} m apart", False
+        del series.states[apart[0] + 1 :], series.times[apart[0] + 1 :]
+    if ended and not late:
+        ended += f" after {series.reached:.3g} s"
+    if not series.reached:  # then nothing was found but the start itself
+        return _ShortRun(0.0, None, None, ended, late)
+    drift = float(np.max(gaps[: len(series.states)]))
+    off = trial.energy_errors(series)
+    return _ShortRun(series.reached, drift, float(np.max(off[np.isfinite(off)])), ended, late)
 
 
 def _our_answer(trial: Trial) -> Answer:
@@ -286,106 +280,6 @@ def _our_answer(trial: Trial) -> Answer:
         drift=float(np.max(run.position_drift[window])),
         energy_error=float(np.max(np.abs(balance - balance[0]))),
     )
-
-
-def pinocchio_peer(trial: Trial, algorithm: str) -> MakePeer:
-    """A function that makes one of Pinocchio's algorithms."""
-
-    def make():
-        from multiarm.studies.pinocchio_peer import PinocchioForest
-
-        memory = BYTES_PER_CUBE * (6 + trial.system.model.layout.joints) ** 3
-        if memory > MOST_MEMORY:
-            raise Refused(f"Pinocchio's Data for it takes about {memory / 1e9:.1f} GB")
-        forest = PinocchioForest(trial.system)
-
-        def accelerations(state: State, torque: np.ndarray) -> np.ndarray:
-            return np.concatenate(forest.accelerations(state, torque, algorithm))
-
-        return accelerations, lambda start: _integrated(trial, accelerations, start)
-
-    return make
-
-
-def mujoco_peer(trial: Trial, as_shipped: bool) -> MakePeer:
-    """A function that makes the MuJoCo model."""
-
-    def make():
-        from multiarm.studies.mujoco_peer import MujocoModel
-
-        model = MujocoModel(trial.system, trial.damping, as_shipped)
-
-        def accelerations(state: State, torque: np.ndarray) -> np.ndarray:
-            damping = trial.damping * state.velocity[6:]  # MuJoCo adds its own
-            return np.concatenate(model.accelerations(state, torque + damping))
-
-        return accelerations, lambda start: _stepped(trial, model, start)
-
-    return make
-
-
-def _integrated(
-    trial: Trial, accelerations: Callable[[State, np.ndarray], np.ndarray], start: State
-) -> Motion:
-    """Motion by DOP853; the unknowns are positions, velocities and the work."""
-    from scipy.integrate import DOP853
-
-    split, layout = start.position.size, start.layout
-    deadline = time.perf_counter() + PATIENCE
-
-    def unpacked(y: np.ndarray) -> State:
-        position = y[:split].copy()
-        position[3:7] /= np.linalg.norm(position[3:7])
-        return State(position, y[split:-1].copy(), layout)
-
-    def slope(t: float, y: np.ndarray) -> np.ndarray:
-        if time.perf_counter() > deadline:
-            raise TimeoutError
-        state = unpacked(y)
-        torque = trial.control(trial.begin + t, state) - trial.damping * state.velocity[6:]
-        found = accelerations(state, torque)
-        if not np.all(np.isfinite(found)):
-            raise Stopped("NaN")
-        turning = _quaternion_rate(y[3:7], state.object_twist[3:])
-        rates = [state.object_twist[:3], turning, state.velocity[6:]]
-        return np.concatenate([*rates, found, [torque @ state.velocity[6:]]])
-
-    begin = np.concatenate([start.position, start.velocity, [0.0]])
-    stepper = DOP853(slope, 0.0, begin, trial.window, rtol=1e-9, atol=1e-10)
-    while stepper.status == "running":
-        fault = stepper.step()
-        if stepper.status == "failed":
-            raise Stopped(str(fault))
-        yield float(stepper.t), unpacked(stepper.y), float(stepper.y[-1])
-
-
-def _stepped(trial: Trial, model: MujocoModel, start: State) -> Motion:
-    """Motion by MuJoCo's own steps; the work is their powers' integral by Simpson's rule."""
-
-    def torque(t: float, state: State) -> np.ndarray:
-        return trial.control(trial.begin + t, state)
-
-    def power(t: float, state: State) -> float:
-        v = state.velocity[6:]
-        return float((torque(t, state) - trial.damping * v) @ v)
-
-    work, last, between = 0.0, power(0.0, start), 0.0
-    motion = model.steps(start, torque if trial.controlled else None)
-    for number, (t, state) in enumerate(motion, start=1):
-        now = power(t, state)
-        if number % 2:
-            between = now
-            continue
-        work += model.step * (last + 4.0 * between + now) / 3.0  # two steps are one of Simpson's
-        last = now
-        if number % STEPS_PER_LOOK == 0 or t >= trial.window:
-            yield t, state, work
-
-
-def _quaternion_rate(q: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """``dq/dt`` of a quaternion xyzw, the angular velocity in world axes."""
-    vector = q[3] * omega + np.cross(omega, q[:3])
-    return 0.5 * np.concatenate([vector, [-omega @ q[:3]]])
 
 
 def _sample_at(times: np.ndarray, t: float) -> int:

@@ -9,6 +9,8 @@ from typing import Any
 
 from multiarm.errors import MultiarmError
 from multiarm.results.sinks import provenance
+from multiarm.scene import RunSpec, Scene, dump_scene
+from multiarm.scene.run import DEFAULT_ACCURACY
 
 
 def machine() -> dict[str, Any]:
@@ -18,6 +20,28 @@ def machine() -> dict[str, Any]:
         with suppress(importlib.metadata.PackageNotFoundError):
             about["dependencies"][name] = importlib.metadata.version(name)
     return {"processor": _processor(), **about}
+
+
+def about_scene(scene: Scene) -> dict[str, Any]:
+    """The scene's name, duration and output step [s], and its text."""
+    return {
+        "name": scene.name,
+        "duration_s": scene.run.duration,
+        "output_step_s": scene.run.output_step,
+        "text": dump_scene(scene),
+    }
+
+
+def accuracies(run: RunSpec, force: float) -> dict[str, float]:
+    """What a run requests or has by default: motion, position, rotation, and force as given."""
+    accuracy = run.accuracy
+    motion = DEFAULT_ACCURACY if accuracy is None else accuracy.smallest
+    return {
+        "motion": motion,
+        "position": (accuracy and accuracy.position) or motion,
+        "rotation": (accuracy and accuracy.rotation) or motion,
+        "force": (accuracy and accuracy.force) or force,
+    }
 
 
 def _processor() -> str:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from itertools import groupby
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -16,7 +14,6 @@ from matplotlib.ticker import NullLocator
 
 from multiarm.plots.style import BLUE, GREEN, INK, ORANGE, PINK, STYLE, inline_svg
 from multiarm.reports import pages
-from multiarm.results.files import save_figure
 from multiarm.studies.scaling_tables import disturbance, exponent, micro, tables
 
 Drawing = Callable[[Axes], None]
@@ -49,11 +46,11 @@ _PANEL = (5.0, 3.9)  # [in]
 _LEGEND_ROW = 0.058  # height of a row of the legend, as a part of the axes
 
 
-def plot_scaling(result: dict[str, Any], path: Path) -> None:
-    """Draw all studies of a result that have a figure into one file."""
+def figure(result: dict[str, Any]) -> Figure:
+    """All studies of a result that have a figure, in one."""
     draws = [draw for own in _panels(result).values() for draw in own]
     columns = min(2, max(1, len(draws)))
-    save_figure(_figure(draws or [_draw_nothing], columns, *_PANEL), path)
+    return _figure(draws or [_draw_nothing], columns, *_PANEL)
 
 
 def _figure(draws: Sequence[Drawing], columns: int, width: float, height: float) -> Figure:
@@ -191,12 +188,11 @@ def _finish(axes: Axes, arms: Sequence[int], title: str, unit: str, columns: int
 
 def render(result: dict[str, Any]) -> str:
     """The page as text."""
-    studies = {study: list(own) for study, own in groupby(tables(result), lambda one: one.study)}
     return pages.render(
         "scaling.html",
         result=result,
         headlines=list(_headlines(result)),
-        studies=studies,
+        studies=tables(result),
         figures={
             study: inline_svg(_figure(draws, len(draws), 9.6 / len(draws), 3.9), f"{study}-")
             for study, draws in _panels(result).items()

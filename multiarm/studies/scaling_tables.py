@@ -1,13 +1,13 @@
-"""The tables of the scaling study as text, for the terminal and for the page."""
+"""The tables of the scaling study."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
+from multiarm.studies.tables import TEXT, Cell, Column, Table
 from multiarm.studies.time_shares import TARGET
 
-NOTHING = "-"
 DISTURBED = 0.05
 """Share of the time spent waiting above which something is said."""
 _METHODS = {
@@ -21,43 +21,15 @@ _METHODS = {
 }
 
 
-class Cell(NamedTuple):
-    """One cell; ``tone`` is empty, strong, good or bad."""
-
-    text: str
-    tone: str = ""
-
-
-class Table(NamedTuple):
-    """A table of numbers, and what is to be said about it.
-
-    study : str
-        The study of the result that it belongs to.
-    title : str
-    heads : tuple of str
-        In one or two lines; the first column is text, the others are numbers.
-    rows : tuple of tuple of Cell
-    notes : tuple of str
-    """
-
-    study: str
-    title: str
-    heads: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    notes: tuple[str, ...] = ()
-
-
-def tables(result: dict[str, Any]) -> Iterator[Table]:
-    """All tables of :func:`multiarm.studies.scaling.run_scaling`'s result."""
-    if "evaluations" in result:
-        yield from _evaluations(result["evaluations"])
-    if "thesis" in result:
-        yield from _thesis(result["thesis"])
-    if "shares" in result:
-        yield from _shares(result["shares"])
-    if "contact_rows" in result:
-        rows = [(name, f"{cost:.3f}") for name, cost in result["contact_rows"].items()]
-        yield _table("contact_rows", "One row of W, in microseconds", ("row", "cost"), rows)
+def tables(result: dict[str, Any]) -> dict[str, list[Table]]:
+    """Study -> its tables, of :func:`multiarm.studies.scaling.run_scaling`'s result."""
+    makers: dict[str, Callable[[Any], Iterator[Table]]] = {
+        "evaluations": _evaluations,
+        "thesis": _thesis,
+        "shares": _shares,
+        "contact_rows": _contact_rows,
+    }
+    return {study: list(make(result[study])) for study, make in makers.items() if study in result}
 
 
 def disturbance(result: dict[str, Any]) -> str:
@@ -74,28 +46,33 @@ def disturbance(result: dict[str, Any]) -> str:
 def _evaluations(found: dict[str, Any]) -> Iterator[Table]:
     for kind, exponents in found["exponents"].items():
         rows = [row for row in found["rows"] if row["kind"] == kind]
-        heads = ["", *(f"n={row['arms']}" for row in rows), "slope", "upper\nhalf", "error"]
-        lines = []
+        lines: list[tuple[Any, ...]] = []
         for method, title in _METHODS.items():
             known = [row["relative_error"].get(method) for row in rows]
             errors = [error for error in known if error is not None]
             lines.append(
                 (
                     Cell(title, "strong" if method in ("multiarm", "compiled") else ""),
-                    *(micro(row["microseconds"][method]) for row in rows),
-                    exponent(exponents[method]),
-                    exponent(found["upper_exponents"][kind][method]),
-                    f"{max(errors):.0e}" if errors else "",
+                    *(row["microseconds"][method] for row in rows),
+                    exponents[method],
+                    found["upper_exponents"][kind][method],
+                    max(errors) if errors else "",
                 )
             )
         for method, title in (("multiarm", "best peer / ours"), ("compiled", "  compiled arms")):
             ratios = (row["ratio_to_best_peer"][method] for row in rows)
-            shown = (NOTHING if ratio is None else f"{ratio:.2f}" for ratio in ratios)
-            lines.append((Cell(title, "good"), *shown, "", "", ""))
-        yield _table(
-            "evaluations", f"One evaluation, {kind} joints, in microseconds", heads, lines,
-            _evaluation_notes(rows, found["growth"][kind]),
-        )  # fmt: skip
+            lines.append((Cell(title, "good"), *map(exponent, ratios), "", "", ""))
+        yield Table(
+            f"One evaluation, {kind} joints, in microseconds",
+            (
+                Column("", TEXT),
+                *_numbers(micro, *(f"n={row['arms']}" for row in rows)),
+                *_numbers(exponent, "slope", "upper\nhalf"),
+                *_numbers("{:.0e}".format, "error"),
+            ),
+            tuple(lines),
+            tuple(_evaluation_notes(rows, found["growth"][kind])),
+        )
 
 
 def _evaluation_notes(rows: Sequence[dict[str, Any]], growth: float | None) -> Iterator[str]:
@@ -113,35 +90,42 @@ def _thesis(found: dict[str, Any]) -> Iterator[Table]:
     pictures = ("interpreted", "compiled")
     speedups, costs, counts = [], [], []
     for row in found["rows"]:
-        then, n = found["thesis"].get(str(row["arms"])), str(row["arms"])
-        cells = [n]
-        for key in ("total", "solving", "saved"):
-            cells.append(NOTHING if then is None else plain(then[key]))
-            cells += [plain(row["columns"][picture][key]) for picture in pictures]
-        speedups.append(cells)
-        was = [NOTHING, NOTHING] if then is None else [plain(then["t1"]), plain(then["t2"])]
+        n = str(row["arms"])
+        then = found["thesis"].get(n, {})
+        sources = (then, *(row["columns"][picture] for picture in pictures))
+        speedups.append((n, *(s.get(k) for k in ("total", "solving", "saved") for s in sources)))
         scripted, ours = (row["microseconds"][picture] for picture in pictures)
         parts = [scripted["build"], scripted["node"]]
         parts += [ours[part] for part in ("build", "node", "lu", "ldl", "assembly")]
-        costs.append([n, *was, *map(micro, parts)])
+        costs.append((n, then.get("t1"), then.get("t2"), *parts))
         count = row["operations"]
-        counts.append(
-            [
-                n, f"{count['node']:,}", f"{count['direct']:,}", plain(count["ratio"]),
-                plain(count["ratio_as_written"]), f"{max(row['deviation'].values()):.0e}",
-            ]
-        )  # fmt: skip
-    heads = ["n"]
-    for name in ("total", "t2/t1", "t2-t1"):
-        heads += [f"{name}\n{when}" for when in ("1995", "NumPy", "ours")]
-    title = "Section 4.4: speed-up in total and in solving, time saved (1995 [ms], now [us])"
-    yield _table("thesis", title, heads, speedups)
-    heads = ["n", "1995\nt1", "1995\nt2", "NumPy\nt", "NumPy\nt1", "ours\nt", "ours\nt1",
-             "LU\nt2", "LDL^T\nt2", "matrix\nfilled"]  # fmt: skip
-    yield _table("thesis", "Section 4.4: times of 1995 [ms] and now [us]", heads, costs)
-    heads = ["n", "node", "direct", "ratio", "ratio\nas written", "deviation"]
-    title = "Section 4.4: floating point operations, and how far the solvers agree"
-    yield _table("thesis", title, heads, counts, _thesis_notes(found))
+        sizes = (count[key] for key in ("node", "direct", "ratio", "ratio_as_written"))
+        counts.append((n, *sizes, max(row["deviation"].values())))
+    arms = Column("n", TEXT)
+    names, times = ("total", "t2/t1", "t2-t1"), ("1995", "NumPy", "ours")
+    yield Table(
+        "Section 4.4: speed-up in total and in solving, time saved (1995 [ms], now [us])",
+        (arms, *_numbers(plain, *(f"{name}\n{when}" for name in names for when in times))),
+        tuple(speedups),
+    )
+    heads = ("NumPy\nt", "NumPy\nt1", "ours\nt", "ours\nt1", "LU\nt2", "LDL^T\nt2",
+             "matrix\nfilled")  # fmt: skip
+    yield Table(
+        "Section 4.4: times of 1995 [ms] and now [us]",
+        (arms, *_numbers(plain, "1995\nt1", "1995\nt2"), *_numbers(micro, *heads)),
+        tuple(costs),
+    )
+    yield Table(
+        "Section 4.4: floating point operations, and how far the solvers agree",
+        (
+            arms,
+            *_numbers("{:,}".format, "node", "direct"),
+            *_numbers(plain, "ratio", "ratio\nas written"),
+            *_numbers("{:.0e}".format, "deviation"),
+        ),
+        tuple(counts),
+        tuple(_thesis_notes(found)),
+    )
 
 
 def _thesis_notes(found: dict[str, Any]) -> Iterator[str]:
@@ -176,61 +160,70 @@ def _thesis_notes(found: dict[str, Any]) -> Iterator[str]:
 
 def _shares(found: dict[str, Any]) -> Iterator[Table]:
     rows, kind = found["rows"], found["kind"]
-    heads = [""]
-    for row in rows:
-        heads += [f"n={row['arms']}", "%"]
-    wholes = [row["evaluation_microseconds"] for row in rows]
-    title = f"Where an evaluation goes ({kind} joints), in microseconds"
-    yield _table("shares", title, heads, _parts([row["evaluation"] for row in rows], wholes))
-    wholes = [row["step_cost"]["microseconds"] for row in rows]
-    name = rows[0]["step_cost"]["integrator"]
-    title = f"Where a step of {name} goes ({kind} joints), in microseconds"
-    yield _table("shares", title, heads, _parts([row["step"] for row in rows], wholes))
-    lines = [
-        (
-            cost["integrator"], str(cost["steps"]), f"{cost['evaluations']:.1f}",
-            micro(cost["microseconds"]), micro(cost["evaluation_microseconds"]),
-            _overhead(cost["overhead"]),
+    heads = [f"n={row['arms']}" for row in rows]
+    steps = [row["step_cost"] for row in rows]
+    for title, parts, wholes in (
+        ("an evaluation", "evaluation", [row["evaluation_microseconds"] for row in rows]),
+        (f"a step of {steps[0]['integrator']}", "step", [step["microseconds"] for step in steps]),
+    ):
+        yield Table(
+            f"Where {title} goes ({kind} joints), in microseconds",
+            (Column("", TEXT), *(c for head in heads for c in _numbers(micro, head, "%"))),
+            tuple(_parts([row[parts] for row in rows], wholes)),
         )
-        for cost in found["overheads"]
-    ]  # fmt: skip
-    note = (
-        f"with projection, {found['duration_s']:g} s at a tolerance of {found['tolerance']:g}, or "
-        f"{found['fixed_steps']} steps of {found['fixed_step_s']:g} s; a projection counts as two "
-        "evaluations; between, rest: what the parts, each measured by itself, leave of the whole"
+    yield Table(
+        f"Cost of a step besides its evaluations, n = {found['overheads'][0]['arms']}",
+        (
+            Column("integrator", TEXT),
+            Column("steps"),
+            *_numbers("{:.1f}".format, "evaluations\na step"),
+            *_numbers(micro, "us\na step", "us an\nevaluation"),
+            *_numbers(lambda share: f"{100 * share:+.0f} %", "overhead"),
+        ),
+        tuple(
+            (
+                *(cost[key] for key in ("integrator", "steps", "evaluations", "microseconds")),
+                cost["evaluation_microseconds"],
+                Cell(cost["overhead"], "good" if cost["overhead"] < TARGET else "bad"),
+            )
+            for cost in found["overheads"]
+        ),
+        (
+            f"with projection, {found['duration_s']:g} s at a tolerance of "
+            f"{found['tolerance']:g}, or {found['fixed_steps']} steps of "
+            f"{found['fixed_step_s']:g} s; a projection counts as two evaluations; between, rest: "
+            "what the parts, each measured by itself, leave of the whole",
+        ),
     )
-    heads = ["integrator", "steps", "evaluations\na step", "us\na step", "us an\nevaluation",
-             "overhead"]  # fmt: skip
-    title = f"Cost of a step besides its evaluations, n = {found['overheads'][0]['arms']}"
-    yield _table("shares", title, heads, lines, [note])
 
 
 def _parts(
     parts: Sequence[dict[str, float]], wholes: Sequence[float]
-) -> Iterator[tuple[str | Cell, ...]]:
+) -> Iterator[tuple[str | Cell | float, ...]]:
+    """Microseconds and percent of each part at each number of arms, and those of the whole."""
+
+    def values(costs: Sequence[float]) -> Iterator[float | str]:
+        for cost, whole in zip(costs, wholes, strict=True):
+            yield from (cost, f"{100 * cost / whole:.0f}")
+
     for name in parts[0]:
-        cells: list[str] = [name]
-        for part, whole in zip(parts, wholes, strict=True):
-            cells += [micro(part[name]), f"{100 * part[name] / whole:.0f}"]
-        yield tuple(cells)
-    sums: list[str] = []
-    for whole in wholes:
-        sums += [micro(whole), "100"]
-    yield Cell("whole", "strong"), *sums
+        yield (name, *values([part[name] for part in parts]))
+    yield (Cell("whole", "strong"), *values(wholes))
 
 
-def _overhead(value: float) -> Cell:
-    return Cell(f"{100 * value:+.0f} %", "good" if value < TARGET else "bad")
+def _contact_rows(costs: dict[str, float]) -> Iterator[Table]:
+    columns = (Column("row", TEXT), Column("cost", write="{:.3f}".format))
+    yield Table("One row of W, in microseconds", columns, tuple(costs.items()))
 
 
-def _table(study: str, title: str, heads, rows, notes=()) -> Table:
-    cells = (tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in row) for row in rows)
-    return Table(study, title, tuple(heads), tuple(cells), tuple(notes))
+def _numbers(write: Callable[[Any], str], *heads: str) -> list[Column]:
+    """Columns of numbers that are written alike."""
+    return [Column(head, write=write) for head in heads]
 
 
-def micro(value: float | None) -> str:
+def micro(value: float) -> str:
     """Microseconds, three digits."""
-    return NOTHING if value is None else plain(value, whole_from=99.95)
+    return plain(value, whole_from=99.95)
 
 
 def plain(value: float, whole_from: float = 999.5) -> str:
@@ -240,8 +233,8 @@ def plain(value: float, whole_from: float = 999.5) -> str:
 
 
 def exponent(value: float | None) -> str:
-    """A fitted exponent with two decimals."""
-    return NOTHING if value is None else f"{value:.2f}"
+    """An exponent or a ratio with two decimals."""
+    return "-" if value is None else f"{value:.2f}"
 
 
 def _arms(value: float | None) -> str:

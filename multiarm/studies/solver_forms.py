@@ -7,11 +7,11 @@ Each takes the :class:`Coefficients` of
     W_{oi}^T q_o + W_i^T q_i = c_i
 
 and returns accelerations and contact forces.  They share nothing but these matrices: the node
-algorithm of thesis 4.2 as a plain loop and over all arms at once; that of K. W. Lilly and D. E.
-Orin (J. Dyn. Sys. Meas. Control 116, 1994; thesis 4.1 - 4.6), which works in the arms' operational
-space with orthonormal constraint directions; that of S. McMillan, P. Sadayappan and D. E. Orin
-(ICRA 1992; thesis 4.7, 4.8), which solves for the forces of some arms together; and direct
-elimination of the whole matrix by LAPACK, with and without use of its symmetry.
+algorithm of thesis 4.2 as a plain loop; that of K. W. Lilly and D. E. Orin (J. Dyn. Sys. Meas.
+Control 116, 1994; thesis 4.1 - 4.6), which works in the arms' operational space with orthonormal
+constraint directions; that of S. McMillan, P. Sadayappan and D. E. Orin (ICRA 1992; thesis 4.7,
+4.8), which solves for the forces of some arms together, or of none; and direct elimination of the
+whole matrix by LAPACK, with and without use of its symmetry.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import block_diag, lapack
 
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
+from multiarm.spatial import quaternion_to_matrix
 
 
 class Coefficients(NamedTuple):
@@ -71,7 +72,7 @@ def build(system: System, state: State) -> Coefficients:
     """
     x, twist = state.object_position, state.object_twist
     v, omega = twist[:3], twist[3:]
-    R = _rotation(state.object_quaternion_xyzw)
+    R = quaternion_to_matrix(state.object_quaternion_xyzw)
     rows = []
     for name, arm in system.arms.items():
         terms = arm.terms(state.joint_positions[name], state.joint_velocities[name])
@@ -115,21 +116,6 @@ def node_loop(s: Coefficients) -> Solution:
     return Solution(q_o, np.array(q), np.array(force))
 
 
-def node_at_once(s: Coefficients) -> Solution:
-    """The same over all arms at once, in NumPy's stacked operations."""
-    Y = np.linalg.solve(s.M, np.concatenate([s.W, s.h[:, :, None]], axis=2))  # (n, d, N + 1)
-    KY = s.W.transpose(0, 2, 1) @ Y  # (n, N, N + 1)
-    r = s.c[:, :, None] - KY[:, :, -1:]
-    Z = np.linalg.solve(
-        KY[:, :, :-1], np.concatenate([s.W_o.transpose(0, 2, 1), r], axis=2)
-    )  # (n, N, 7)
-    S = np.sum(s.W_o @ Z, axis=0)  # (6, 7)
-    q_o = np.linalg.solve(s.M_o + S[:, :6], s.h_o + S[:, 6])
-    force = Z[:, :, 6] - Z[:, :, :6] @ q_o
-    q = Y[:, :, -1] + (Y[:, :, :-1] @ force[:, :, None])[:, :, 0]
-    return Solution(q_o, q, force)
-
-
 def lilly_orin(s: Coefficients) -> Solution:
     """Thesis (4.1) - (4.6): operational space, orthonormal constraint directions.
 
@@ -162,31 +148,26 @@ def mcmillan(s: Coefficients, together: int | None = None) -> Solution:
     """Thesis (4.7), (4.8): the forces of the first arms, by default of half, are solved together.
 
     With ``S`` the object's inertia and the other arms' share, ``F_ij = W_oi^T S^-1 W_oj + delta_ij
-    K_i``; an arm whose ``K`` is singular is no obstacle as long as ``F`` is regular.
+    K_i``; an arm whose ``K`` is singular is no obstacle as long as ``F`` is regular.  With no arm
+    solved together it is the node algorithm over all arms at once, in NumPy's stacked operations.
     """
-    split = s.M.shape[0] // 2 if together is None else together
-    Y = np.linalg.solve(s.M, np.concatenate([s.W, s.h[:, :, None]], axis=2))
-    K = s.W.transpose(0, 2, 1) @ Y[:, :, :-1]
-    r = s.c - (s.W.transpose(0, 2, 1) @ Y[:, :, -1:])[:, :, 0]  # K f + W_o^T q_o = r
-    S, b = s.M_o.copy(), s.h_o.copy()
-    for i in range(split, s.M.shape[0]):
-        Z = np.linalg.solve(K[i], np.column_stack([s.W_o[i].T, r[i]]))
-        S += s.W_o[i] @ Z[:, :6]
-        b += s.W_o[i] @ Z[:, 6]
-    force = np.empty_like(s.c)
-    pushes = b
+    (n, _, N), split = s.W.shape, len(s.W) // 2 if together is None else together
+    Y = np.linalg.solve(s.M, np.concatenate([s.W, s.h[:, :, None]], axis=2))  # (n, d, N + 1)
+    KY = s.W.transpose(0, 2, 1) @ Y
+    K, r = KY[:, :, :-1], s.c - KY[:, :, -1]  # K f + W_o^T q_o = r
+    W_o, right = s.W_o[split:], s.W_o[split:].transpose(0, 2, 1)
+    Z = np.linalg.solve(K[split:], np.concatenate([right, r[split:, :, None]], axis=2))
+    shares = np.sum(W_o @ Z, axis=0)  # (6, 7)
+    S, b = s.M_o + shares[:, :6], s.h_o + shares[:, 6]
+    force = np.empty((n, N))
     if split:
         C = np.concatenate(s.W_o[:split], axis=1)  # (6, split N)
-        F = C.T @ np.linalg.solve(S, C)
-        N = s.c.shape[1]
-        for i in range(split):
-            F[i * N : (i + 1) * N, i * N : (i + 1) * N] += K[i]
-        together_force = np.linalg.solve(F, r[:split].ravel() - C.T @ np.linalg.solve(S, b))
-        force[:split] = together_force.reshape(split, N)
-        pushes = b + C @ together_force
-    q_o = np.linalg.solve(S, pushes)
-    for i in range(split, s.M.shape[0]):
-        force[i] = np.linalg.solve(K[i], r[i] - s.W_o[i].T @ q_o)
+        F = C.T @ np.linalg.solve(S, C) + block_diag(*K[:split])
+        forces = np.linalg.solve(F, r[:split].ravel() - C.T @ np.linalg.solve(S, b))
+        force[:split] = forces.reshape(split, N)
+        b = b + C @ forces
+    q_o = np.linalg.solve(S, b)
+    force[split:] = Z[:, :, 6] - Z[:, :, :6] @ q_o
     q = Y[:, :, -1] + (Y[:, :, :-1] @ force[:, :, None])[:, :, 0]
     return Solution(q_o, q, force)
 
@@ -229,10 +210,3 @@ def _accepted(x: np.ndarray, info: int) -> np.ndarray:
     if info != 0:
         raise SolverError("the matrix of the study is singular: an arm is in a singular posture")
     return x
-
-
-def _rotation(quaternion_xyzw: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a unit quaternion."""
-    x, y, z, w = quaternion_xyzw
-    u = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + 2.0 * w * u + 2.0 * u @ u

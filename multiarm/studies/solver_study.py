@@ -33,23 +33,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from multiarm.assembly.compilation import compile_system
-from multiarm.dynamics.arrays import OK, open_data
-from multiarm.dynamics.model import Data
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.node import ELIMINATED, make_work
 from multiarm.errors import SolverError
 from multiarm.jit.kernels import kernel
-from multiarm.jit.pointers import call_cfunc
 from multiarm.problems import ring_of_arms
 from multiarm.scene import Scene
-from multiarm.studies import solver_forms
-from multiarm.studies.evaluation_costs import moving_state
-from multiarm.studies.solver_forms import Coefficients, Solution, assemble
+from multiarm.studies.evaluation_costs import call_burst, moving_state
+from multiarm.studies.solver_forms import (
+    Coefficients,
+    Solution,
+    assemble,
+    build,
+    lilly_orin,
+    mcmillan,
+    node_loop,
+    solve_ldl,
+    solve_lu,
+    unpack,
+)
 from multiarm.studies.timing import (
     Burst,
     fitted_slope,
@@ -62,8 +69,11 @@ from multiarm.studies.timing import (
 
 ARMS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 20, 50, 100)
 BURSTS_PER_ROUND = 12
-COMPILED = ("build", "node", "assembly", "lu", "ldl")
-INTERPRETED = ("build", "node", "node at once", "assembly", "lu")
+PICTURES = {
+    "compiled": ("build", "node", "assembly", "lu", "ldl"),
+    "interpreted": ("build", "node", "node at once", "assembly", "lu"),
+}
+"""The two ways in which everything is measured, and the parts of each."""
 # number of arms: (t2 + t) / (t1 + t), t2 / t1, t2 - t1 [ms]
 _THESIS = {
     2: (0.98, 0.71, -6.5),
@@ -78,39 +88,29 @@ _THESIS = {
 }
 
 
-class Columns(NamedTuple):
-    """The columns of the thesis's table, and what they imply; times in one unit.
+def columns(t: float, t1: float, t2: float) -> dict[str, float]:
+    """The columns of the thesis's table and what they imply, in the unit of the times.
 
-    total : float
-        Total speed-up ``(t2 + t) / (t1 + t)``.
-    solving : float
-        Speed-up in solving ``t2 / t1``.
-    saved : float
-        ``t2 - t1``.
-    t1, t2 : float
+    ``total`` speed-up ``(t2 + t) / (t1 + t)``, ``solving`` speed-up ``t2 / t1``, time ``saved``
+    ``t2 - t1``, and the times of the node algorithm ``t1`` and of direct elimination ``t2``.
     """
-
-    total: float
-    solving: float
-    saved: float
-    t1: float
-    t2: float
+    return {
+        "total": (t2 + t) / (t1 + t), "solving": t2 / t1, "saved": t2 - t1, "t1": t1, "t2": t2,
+    }  # fmt: skip
 
 
-def columns(t: float, t1: float, t2: float) -> Columns:
-    """The columns of measured times."""
-    return Columns((t2 + t) / (t1 + t), t2 / t1, t2 - t1, t1, t2)
-
-
-def thesis_columns() -> dict[int, Columns]:
+def thesis_columns() -> dict[int, dict[str, float]]:
     """The table of section 4.4 by number of arms [ms]; ``t1`` and ``t2`` follow from it.
 
     ``t1 = saved / (solving - 1)``; both figures are rounded, near 5 arms to few digits.
     """
-    return {
-        arms: Columns(total, ratio, saved, saved / (ratio - 1.0), ratio * saved / (ratio - 1.0))
-        for arms, (total, ratio, saved) in _THESIS.items()
-    }
+    found = {}
+    for arms, (total, solving, saved) in _THESIS.items():
+        t1 = saved / (solving - 1.0)
+        found[arms] = {
+            "total": total, "solving": solving, "saved": saved, "t1": t1, "t2": solving * t1,
+        }  # fmt: skip
+    return found
 
 
 def study_scene(arms: int) -> Scene:
@@ -150,28 +150,25 @@ def solver_study(
             if progress is not None:
                 progress(f"section 4.4: {count} arms")
             rows.append(_measure(count, rounds))
-    thesis = thesis_columns()
-    pictures = {"compiled": COMPILED, "interpreted": INTERPRETED}
-    ratios = {
-        picture: [(row["arms"], row["columns"][picture]["solving"]) for row in rows]
-        for picture in pictures
-    }
-    stacked = [row["microseconds"]["interpreted"] for row in rows]
-    ratios["interpreted, at once"] = [
-        (row["arms"], part["lu"] / part["node at once"])
-        for row, part in zip(rows, stacked, strict=True)
-    ]
-    ratios["thesis"] = [(n, thesis[n].solving) for n in thesis]
     ranges = {
         "slopes": slice(None),
         "upper_slopes": upper_half(rows),
         "last_slopes": slice(-2, None),
     }
+    thesis = thesis_columns()
+    ratios = {"thesis": [(n, found["solving"]) for n, found in thesis.items()]}
+    for name, picture, node in (
+        ("compiled", "compiled", "node"),
+        ("interpreted", "interpreted", "node"),
+        ("interpreted, at once", "interpreted", "node at once"),
+    ):
+        costs = [(row["arms"], row["microseconds"][picture]) for row in rows]
+        ratios[name] = [(n, cost["lu"] / cost[node]) for n, cost in costs]
     return {
         "rows": rows,
-        "thesis": {str(n): found._asdict() for n, found in thesis.items()},
+        "thesis": {str(n): found for n, found in thesis.items()},
         **{
-            key: {name: _slopes(rows[part], name, parts) for name, parts in pictures.items()}
+            key: {name: _slopes(rows[part], name, parts) for name, parts in PICTURES.items()}
             for key, part in ranges.items()
         },
         "crossover": {name: crossover(found) for name, found in ratios.items()},
@@ -195,15 +192,15 @@ def crossover(ratios: Sequence[tuple[int, float]]) -> float | None:
 
 def solve_in_all_ways(s: Coefficients) -> dict[str, Solution]:
     """Every solver of the study on one set of coefficients."""
-    matrix, right = solver_forms.assemble(s)
+    matrix, right = assemble(s)
     return {
-        "LU": solver_forms.unpack(solver_forms.solve_lu(matrix, right), s),
-        "LDL^T": solver_forms.unpack(solver_forms.solve_ldl(matrix, right), s),
+        "LU": unpack(solve_lu(matrix, right), s),
+        "LDL^T": unpack(solve_ldl(matrix, right), s),
         "node, compiled": CompiledNode(s).solve(),
-        "node, loop": solver_forms.node_loop(s),
-        "node, at once": solver_forms.node_at_once(s),
-        "Lilly-Orin": solver_forms.lilly_orin(s),
-        "McMillan": solver_forms.mcmillan(s),
+        "node, loop": node_loop(s),
+        "node, at once": mcmillan(s, together=0),
+        "Lilly-Orin": lilly_orin(s),
+        "McMillan": mcmillan(s),
     }
 
 
@@ -221,36 +218,35 @@ def deviations(s: Coefficients) -> dict[str, float]:
 def _measure(count: int, rounds: int) -> dict[str, Any]:
     system = compile_system(study_scene(count))
     state = moving_state(system, seed=count)
-    s = solver_forms.build(system, state)
-    matrix, right = solver_forms.assemble(s)
+    s = build(system, state)
+    matrix, right = assemble(s)
     data = system.model.data()
     data.set_state(0.0, state)
+    parts = data.arrays.functions
     bursts: dict[str, Burst] = {
-        "compiled build": build_burst(data),
+        # the coefficients of (4.9) at the state in the data, with ``W`` and all forces
+        "compiled build": call_burst(data, parts.kinematics, parts.forces),
         "compiled node": CompiledNode(s).burst,
         "compiled assembly": assembly_burst(s),
-        "compiled ldl": python_burst(lambda: solver_forms.solve_ldl(matrix, right)),
-        "lu": python_burst(lambda: solver_forms.solve_lu(matrix, right)),
-        "interpreted build": python_burst(lambda: solver_forms.build(system, state)),
-        "interpreted node": python_burst(lambda: solver_forms.node_loop(s)),
-        "interpreted node at once": python_burst(lambda: solver_forms.node_at_once(s)),
-        "interpreted assembly": python_burst(lambda: solver_forms.assemble(s)),
+        "compiled lu": python_burst(lambda: solve_lu(matrix, right)),
+        "compiled ldl": python_burst(lambda: solve_ldl(matrix, right)),
+        "interpreted build": python_burst(lambda: build(system, state)),
+        "interpreted node": python_burst(lambda: node_loop(s)),
+        "interpreted node at once": python_burst(lambda: mcmillan(s, together=0)),
+        "interpreted assembly": python_burst(lambda: assemble(s)),
     }
     cost = median(measure(bursts, rounds * BURSTS_PER_ROUND))
-    cost["compiled lu"] = cost["interpreted lu"] = cost.pop("lu")
+    cost["interpreted lu"] = cost["compiled lu"]  # LAPACK's, in both pictures
     times = {
-        picture: {part: cost[f"{picture} {part}"] for part in parts}
-        for picture, parts in (("compiled", COMPILED), ("interpreted", INTERPRETED))
+        picture: {name: cost[f"{picture} {name}"] for name in names}
+        for picture, names in PICTURES.items()
     }
-    node, direct = (
-        node_operations(count),
-        direct_operations(count),
-    )
+    node, direct = node_operations(count), direct_operations(count)
     return {
         "arms": count,
         "microseconds": times,
         "columns": {
-            picture: columns(part["build"], part["node"], part["lu"])._asdict()
+            picture: columns(part["build"], part["node"], part["lu"])
             for picture, part in times.items()
         },
         "operations": {
@@ -341,41 +337,11 @@ class CompiledNode:
         return Solution(q_o, q.reshape(n, d), force.reshape(n, N))
 
 
-def build_burst(data: Data) -> Burst:
-    """The coefficients of (4.9) at the state in the data, with ``W`` and all forces."""
-    struct = data.struct
-
-    def burst(count: int) -> None:
-        if _build_often(struct, count) != OK:
-            data.reraise()
-            raise SolverError("the coefficients of the study cannot be built")
-
-    return burst
-
-
 def assembly_burst(s: Coefficients) -> Burst:
     """Filling the whole matrix and its right-hand side."""
-    matrix, right = (np.zeros_like(array) for array in assemble(s))
-    matrix = np.ascontiguousarray(matrix)  # it is symmetric
-
-    def burst(count: int) -> None:
-        _assemble_often(s.M_o, s.h_o, s.M, s.h, s.W_o, s.W, s.c, matrix, right, count)
-
-    return burst
-
-
-@kernel
-def _build_often(struct, count):
-    """Coefficients of the system in the struct: Pinocchio, contacts, forces."""
-    functions = open_data(struct).functions
-    status = OK
-    for _ in range(count):
-        status = call_cfunc(functions.kinematics, struct, 0.0, 0.0)
-        if status == OK:
-            status = call_cfunc(functions.forces, struct, 0.0, 0.0)
-        if status != OK:
-            return status
-    return status
+    matrix, right = map(np.ascontiguousarray, assemble(s))  # the matrix is symmetric
+    given = (s.M_o, s.h_o, s.M, s.h, s.W_o, s.W, s.c, matrix, right)
+    return lambda count: _assemble_often(*given, count)
 
 
 @kernel

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.dynamics.state import State
 from multiarm.scene import RunSpec
 
 
@@ -55,29 +56,66 @@ class TimeSeries:
 
     Attributes
     ----------
-    positions : list of ndarray, shape (7 + n,)
-        Object's position, quaternion xyzw, joint positions.
+    grid : Grid
+    limit_s : float
+        The run ends with :class:`OutOfTime` when it has taken longer, on the clock or off it.
+    every_step : bool
+        A method that chooses its steps records after each of them, not at the times of the grid.
+    times : list of float
+        [s]
+    states : list of State
+        At these times, as far as the motion goes and is finite.
+    works : list of float
+        What torques and damping have done since the start [J]; empty if the peer does not tell.
     wall_time_s : float
         Of the steps alone: models are built, and torques that are known beforehand are tabulated,
         off the clock.
     steps, evaluations : int
-    limit_s : float
-        The run ends with :class:`OutOfTime` when it has taken longer, on the clock or off it.
     """
 
+    grid: Grid
     limit_s: float = math.inf
-    positions: list[np.ndarray] = field(default_factory=list)
+    every_step: bool = False
+    times: list[float] = field(default_factory=list)
+    states: list[State] = field(default_factory=list)
+    works: list[float] = field(default_factory=list)
     wall_time_s: float = 0.0
     steps: int = 0
     evaluations: int = 0
     _begin: float = 0.0
     _first: float | None = None
 
+    @property
+    def reached(self) -> float:
+        """How far the motion goes [s]."""
+        return self.times[-1] if self.times else 0.0
+
+    def record(self, state: State, time: float | None = None) -> bool:
+        """Keep a state, by default at the next time of the grid; tells whether it is finite."""
+        finite = bool(np.all(np.isfinite(state.position)) and np.all(np.isfinite(state.velocity)))
+        if finite:
+            self.times.append(self.grid.interval * len(self.states) if time is None else time)
+            self.states.append(state)
+        return finite
+
     def start(self) -> None:
         """Start the clock."""
         self._begin = time.perf_counter()
         if self._first is None:
             self._first = self._begin
+
+    def stop(self, steps: int = 0, evaluations: int = 0) -> None:
+        """Stop the clock after so many steps and evaluations."""
+        now = time.perf_counter()
+        self.wall_time_s += now - self._begin
+        self.steps += steps
+        self.evaluations += evaluations
+        self.check()
+
+    def check(self) -> None:
+        """Raise :class:`OutOfTime` when the limit is over."""
+        if self._first is not None and time.perf_counter() - self._first > self.limit_s:
+            raise OutOfTime
 
     def off_the_clock(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """A function whose own time does not count."""
@@ -89,10 +127,3 @@ class TimeSeries:
             return result
 
         return call
-
-    def stop(self) -> None:
-        """Stop the clock."""
-        now = time.perf_counter()
-        self.wall_time_s += now - self._begin
-        if self._first is not None and now - self._first > self.limit_s:
-            raise OutOfTime

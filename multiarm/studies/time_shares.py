@@ -46,7 +46,13 @@ from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.structs import struct_of
 from multiarm.problems import ring_of_arms
 from multiarm.results.trajectory import Trajectory
-from multiarm.studies.evaluation_costs import moving_state, slope_burst, terms_burst
+from multiarm.studies.evaluation_costs import (
+    call_burst,
+    loop_burst,
+    moving_state,
+    slope_burst,
+    terms_burst,
+)
 from multiarm.studies.timing import Burst, calls_a_burst, clocked_run, fastest, measure, one_thread
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS, METHODS, RK4
 
@@ -222,39 +228,31 @@ OPEN = 1e-9
 
 def part_bursts(data: Data, integrator: str) -> dict[str, Burst]:
     """The loops over the parts, all at the state in the data."""
-    struct, work = data.struct, data.work
+    work = data.work
     state = data.get_state()
     slopes = make_step(RK4, data.model.layout.joints)
     begin_chart(data.struct, slopes.base, slopes.z)
     pushed = slopes.z.copy()
     pushed[:3] += OPEN
     parts = data.arrays.functions
-    _call_often(struct, parts.kinematics, 1)
+    call_burst(data, parts.kinematics)(1)
     L, Y = work.L.copy(), work.Y.copy()
     sample = np.zeros(sample_width(data))
     closed = projection_tolerance(data)
     evaluate(data, 0.0, state)  # all that samples are made of
 
-    def checked(function: Callable[..., int], *arguments: Any) -> Burst:
-        def burst(count: int) -> None:
-            if function(struct, *arguments, count) != OK:
-                data.reraise()
-                raise SolverError("a part of an evaluation failed in the benchmark")
-
-        return burst
-
     return {
         "evaluation": slope_burst(data),
         "terms": terms_burst(data),
-        "kinematics": checked(_call_often, parts.kinematics),
-        "forces": checked(_call_often, parts.forces),
-        "reload": checked(_reload_often, L, Y, work.L, work.Y),
-        "reload and solve": checked(_solve_often, L, Y, work.L, work.Y),
-        "state": checked(_pass_often, slopes.z, slopes.base, slopes.slope),
-        "sample": checked(_sample_often, sample),
+        "kinematics": call_burst(data, parts.kinematics),
+        "forces": call_burst(data, parts.forces),
+        "reload": loop_burst(data, _reload_often, L, Y, work.L, work.Y),
+        "reload and solve": loop_burst(data, _solve_often, L, Y, work.L, work.Y),
+        "state": loop_burst(data, _pass_often, slopes.z, slopes.base, slopes.slope),
+        "sample": loop_burst(data, _sample_often, sample),
         "arithmetic": _arithmetic_burst(data.model.layout.joints, integrator),
         # last: it moves the state in the data, which the next turn's evaluations load again
-        "projection": checked(_project_often, pushed, slopes.base, closed),
+        "projection": loop_burst(data, _project_often, pushed, slopes.base, closed),
     }
 
 
@@ -270,15 +268,6 @@ def _arithmetic_burst(joints: int, integrator: str) -> Burst:
         assert np.all(np.isfinite(step.z_new)), "the sums of finite slopes are finite"
 
     return burst
-
-
-@kernel
-def _call_often(struct, address, count):
-    """Call a part of an evaluation."""
-    status = OK
-    for _ in range(count):
-        status = call_cfunc(address, struct, 0.0, 0.0)
-    return status
 
 
 @kernel

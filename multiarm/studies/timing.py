@@ -9,6 +9,7 @@ or the *median*.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ import numpy as np
 from multiarm.dynamics.system import System
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.simulate import simulate
+from multiarm.studies.time_series import OutOfTime
 
 BURST = 1e-3
 """Length of a burst [s], about; a single call that takes longer is a burst."""
@@ -118,8 +120,10 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-def clocked_run(system: System, **options: Any) -> tuple[Trajectory, float]:
-    """Simulate, unchecked.
+def clocked_run(
+    system: System, limit_s: float = math.inf, **options: Any
+) -> tuple[Trajectory, float]:
+    """Simulate, unchecked, for so much wall time at most; compilation does not count.
 
     Returns
     -------
@@ -129,19 +133,25 @@ def clocked_run(system: System, **options: Any) -> tuple[Trajectory, float]:
 
     Raises
     ------
+    OutOfTime
     KeyboardInterrupt
-        Ctrl-C, which ``simulate`` makes an end in good order, ends the whole benchmark.
+        Ctrl-C, which ``simulate`` makes an end in good order, ends the whole study.
     MultiarmError
         What ``simulate`` raises.
     """
     clocks: list[tuple[float, float]] = []
+    late = False
 
-    def look(_: float) -> None:  # called before the first step and after the last
+    def look(_: float) -> None:  # called before the first step, now and then, and after the last
+        nonlocal late
         clocks.append((time.perf_counter(), time.thread_time()))
+        if clocks[-1][0] - clocks[0][0] >= limit_s:
+            late = True
+            raise KeyboardInterrupt  # the way to end a run
 
     run = simulate(system, progress=look, certificate=False, **options)
     if run.status == "interrupted":
-        raise KeyboardInterrupt
+        raise OutOfTime if late else KeyboardInterrupt
     if len(clocks) < 2:
         return run, run.statistics["wall_time_s"]
     (begin, begin_busy), (end, end_busy) = clocks[0], clocks[-1]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -56,14 +56,33 @@ def paired_difference(first: np.ndarray, second: np.ndarray) -> Estimate:
 
 
 PATH, TURN, JOINTS, SLIDES, FORCE = "path", "turn", "joints", "slides", "force"
+
+
+class Quantity(NamedTuple):
+    """What may change; a change is the largest one at an output time.
+
+    what, head : str
+        In a sentence, and above a column.
+    unit : str
+        Of its numbers.
+    factor, shown : float and str
+        Factor to the unit in which people read it.
+    """
+
+    what: str
+    head: str
+    unit: str
+    factor: float
+    shown: str
+
+
 QUANTITIES = {
-    PATH: ("object's path", "m"),
-    TURN: ("object's orientation", "rad"),
-    JOINTS: ("turning joints", "rad"),
-    SLIDES: ("sliding joints", "m"),
-    FORCE: ("contact forces", "N"),
+    PATH: Quantity("object's path", "path", "m", 1e3, "mm"),
+    TURN: Quantity("object's orientation", "turn", "rad", math.degrees(1.0), "deg"),
+    JOINTS: Quantity("turning joints", "joints", "rad", math.degrees(1.0), "deg"),
+    SLIDES: Quantity("sliding joints", "slides", "m", 1e3, "mm"),
+    FORCE: Quantity("contact forces", "force", "N", 1.0, "N"),
 }
-"""Quantity -> what it is, and its unit; a change is the largest one at an output time."""
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,6 @@ effect left of the line at 1 can be left out.
 
 from __future__ import annotations
 
-from typing import Any
-
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -29,33 +27,35 @@ from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, SETTING
 from multiarm.studies.effect_costs.words import (
     NO_EFFECTS,
     accuracy_text,
-    change_text,
-    milliseconds,
-    percent,
     sentence,
-    verdict,
+    table,
+    tone,
 )
 
 COLOURS = {PRESENT: "#3b7dd8", CANDIDATE: "#d9822b", SETTING: "#8a96a3"}
 MARKS = {PATH: "o", TURN: "s", JOINTS: "^", SLIDES: "v", FORCE: "D"}
-LABELS = {PATH: "path", TURN: "turn", JOINTS: "joints", SLIDES: "sliding joints", FORCE: "force"}
+TITLES = {
+    PRESENT: "Effects of the scene: what each costs and changes",
+    CANDIDATE: "Effects that it might have: what each would cost and change",
+    SETTING: "How it is run",
+}
 LEAST = 1e-6
 """Changes are drawn down to this part of the accuracy."""
 
 
-def ledger_figure(found: Ledger, with_title: bool = True) -> Figure:
+def figure(found: Ledger, with_title: bool = True) -> Figure:
     """Time and changes of every entry that has both, so not of the certificate."""
     shown = [entry for entry in found.entries if entry.share is not None and entry.changes]
     with matplotlib.rc_context(STYLE):
         height = 1.6 + 0.36 * max(len(shown), 3)
-        figure = Figure(figsize=(11.0, height), layout="constrained")
-        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1, 1.35))
+        drawn = Figure(figsize=(11.0, height), layout="constrained")
+        left, right = drawn.subplots(1, 2, sharey=True, width_ratios=(1, 1.35))
         _draw_costs(left, shown)
         _draw_changes(right, shown, found)
-        figure.legend(handles=_legend(), loc="outside lower right", frameon=False, ncols=5)
+        drawn.legend(handles=_legend(), loc="outside lower right", frameon=False, ncols=5)
         if with_title:
-            figure.suptitle(found.scene["name"], fontsize=12, color=INK, parse_math=False)
-    return figure
+            drawn.suptitle(found.scene["name"], fontsize=12, color=INK, parse_math=False)
+    return drawn
 
 
 def _draw_costs(axes: Axes, shown: list[Entry]) -> None:
@@ -100,7 +100,7 @@ def _draw_changes(axes: Axes, shown: list[Entry], found: Ledger) -> None:
 def _legend() -> list[Line2D]:
     return [
         Line2D(
-            [], [], marker=mark, color=INK, linestyle="none", label=LABELS[quantity],
+            [], [], marker=mark, color=INK, linestyle="none", label=QUANTITIES[quantity].head,
             markerfacecolor="none" if quantity == FORCE else INK,
         )
         for quantity, mark in MARKS.items()
@@ -109,26 +109,18 @@ def _legend() -> list[Line2D]:
 
 def render(found: Ledger) -> str:
     """The page as text."""
+    effects = [entry for entry in found.entries if entry.kind != SETTING]
     drawn = any(entry.share is not None and entry.changes for entry in found.entries)
     return pages.render(
         "effects.html",
         found=found,
         accuracy=accuracy_text(found),
         nothing=NO_EFFECTS,
-        lines=[_line(found, entry) for entry in found.entries],
-        quantities={name: what for name, (what, _) in QUANTITIES.items()},
-        diagram=inline_svg(ledger_figure(found, with_title=False), "ledger-") if drawn else "",
+        sentences=[(sentence(found, entry), tone(found, entry)) for entry in effects],
+        tables=[
+            table(found, entries, title)
+            for kind, title in TITLES.items()
+            if (entries := found.of_kind(kind))
+        ],
+        diagram=inline_svg(figure(found, with_title=False), "ledger-") if drawn else "",
     )
-
-
-def _line(found: Ledger, entry: Entry) -> dict[str, Any]:
-    """An entry in words: what is said of it, and the cells of its row."""
-    return {
-        "entry": entry,
-        "sentence": sentence(found, entry),
-        "verdict": verdict(found, entry),
-        "tone": "bad" if entry.trouble else "good" if found.can_go(entry) else "",
-        "milliseconds": "" if entry.milliseconds is None else milliseconds(entry),
-        "share": "" if entry.share is None else percent(entry.share),
-        "changes": {name: change_text(found, entry, name) for name in entry.changes},
-    }

@@ -22,8 +22,7 @@ from multiarm.dynamics.system import System
 from multiarm.effects.defaults import defaults
 from multiarm.errors import SolverError
 from multiarm.results.trajectory import Trajectory
-from multiarm.scene import RunSpec, Scene, dump_scene
-from multiarm.scene.run import DEFAULT_ACCURACY
+from multiarm.scene import RunSpec, Scene
 from multiarm.simulation.comparison import compare, rotation_apart, undetermined_forces
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.effect_costs.entries import (
@@ -48,7 +47,7 @@ from multiarm.studies.effect_costs.variants import (
     left_out,
     simpler_settings,
 )
-from multiarm.studies.records import error_text, machine
+from multiarm.studies.records import about_scene, accuracies, error_text, machine
 from multiarm.studies.timing import clocked_run, one_thread
 from multiarm.terminal.progress import Progress, Report, displayed
 
@@ -73,12 +72,9 @@ def changes(system: System, run: Trajectory, other: Trajectory) -> dict[str, Cha
     found: dict[str, Change] = {}
     if not len(run) or not len(other):
         return found
-    first, second = _Shared(run, other), _Shared(other, run)
     with system.borrow() as data:
-        # of the floor too, which is not compared
-        open_forces = undetermined_forces(data, run)
-    lost = {arm: first.own(arm, open_forces[arm]) for arm in run.arm_names if arm in open_forces}
-    for name, difference in compare(_seen(first), _seen(second), lost).outputs.items():
+        lost = undetermined_forces(data, run)
+    for name, difference in compare(run, other, lost).outputs.items():
         arm, _, noun = name.rpartition(": ")
         quantity = _QUANTITY_OF[noun]
         worse = quantity not in found or difference.worst > found[quantity].value
@@ -93,43 +89,6 @@ def last_changes(_system: System, run: Trajectory, other: Trajectory) -> dict[st
     off = np.linalg.norm(run.object_position[-1] - other.object_position[-1])
     turned = rotation_apart(run.object_quaternion_xyzw[-1:], other.object_quaternion_xyzw[-1:])
     return {PATH: Change(float(off), time), TURN: Change(float(turned[0]), time)}
-
-
-class _Shared:
-    """A run, of whose contact forces only those are seen that another run has too."""
-
-    def __init__(self, run: Trajectory, other: Trajectory) -> None:
-        self._run, self._columns = run, {}  # type: ignore[var-annotated]
-        self.arm_names, self.channels = run.arm_names, dict(run.channels)
-        for arm in run.arm_names:
-            name = _forces(arm)
-            labels, others = (r.channels[name].labels for r in (run, other))
-            kept = [k for k, label in enumerate(labels) if label in others]
-            self._columns[name] = np.array(kept, dtype=int)
-            self.channels[name] = replace(
-                self.channels[name], shape=(len(kept),), labels=tuple(labels[k] for k in kept)
-            )
-
-    def __len__(self) -> int:
-        return len(self._run)
-
-    def read(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Samples start..stop of a channel."""
-        values = self._run.read(name, start, stop)
-        return values[:, self._columns[name]] if name in self._columns else values
-
-    def own(self, arm: str, values: np.ndarray) -> np.ndarray:
-        """Of one value for each contact of an arm, those of the contacts that are seen."""
-        return values[self._columns[_forces(arm)]]
-
-
-def _forces(arm: str) -> str:
-    return f"arms/{arm}/contact_force"
-
-
-def _seen(run: _Shared) -> Any:
-    """As what it stands for: a trajectory, as far as :func:`compare` reads one."""
-    return run
 
 
 REPEATS = 9
@@ -181,12 +140,7 @@ def ledger(
     ]
     cost = _certificate(own.run, times[_OWN])
     return Ledger(
-        scene={
-            "name": scene.name,
-            "duration_s": scene.run.duration,
-            "output_step_s": scene.run.output_step,
-            "text": dump_scene(scene),
-        },
+        scene=about_scene(scene),
         asked=_accuracies(scene.run, own.run),
         asked_by_scene=scene.run.accuracy is not None,
         run=_about(own.run, times[_OWN]),
@@ -309,13 +263,12 @@ def _is_certified(run: Trajectory) -> bool:
 
 def _accuracies(spec: RunSpec, run: Trajectory) -> dict[str, float]:
     """The requested or default accuracy, by quantity."""
-    accuracy = spec.accuracy
-    smallest = DEFAULT_ACCURACY if accuracy is None else accuracy.smallest
-    position = (accuracy and accuracy.position) or smallest
-    rotation = (accuracy and accuracy.rotation) or smallest
     largest = max(run.summary()["contact_force_max_N"].values(), default=0.0)
-    force = (accuracy and accuracy.force) or max(FORCE_ACCURACY * largest, FORCE_ACCURACY)
-    return {PATH: position, TURN: rotation, JOINTS: rotation, SLIDES: position, FORCE: force}
+    asked = accuracies(spec, max(FORCE_ACCURACY * largest, FORCE_ACCURACY))
+    position, rotation = asked["position"], asked["rotation"]
+    return {
+        PATH: position, TURN: rotation, JOINTS: rotation, SLIDES: position, FORCE: asked["force"],
+    }  # fmt: skip
 
 
 def _about(run: Trajectory, times: np.ndarray) -> dict[str, Any]:

@@ -9,7 +9,7 @@ all runs are made.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import Any
 
 from multiarm.studies.effect_costs.entries import (
@@ -24,15 +24,8 @@ from multiarm.studies.effect_costs.entries import (
     Ledger,
 )
 from multiarm.studies.effect_costs.variants import CANDIDATE, PRESENT, RECORDING, SETTING
+from multiarm.studies.tables import REMARK, TEXT, Cell, Column, Table
 
-SHOWN = {
-    PATH: (1e3, "mm"),
-    TURN: (math.degrees(1.0), "deg"),
-    JOINTS: (math.degrees(1.0), "deg"),
-    SLIDES: (1e3, "mm"),
-    FORCE: (1.0, "N"),
-}
-"""Quantity -> factor and unit in which people read it."""
 NO_EFFECTS = "No effects: nothing is added, and nothing can be left out."
 
 
@@ -90,22 +83,18 @@ def sentence(found: Ledger, entry: Entry) -> str:
     return f"{text}: leave it out" if found.can_go(entry) else text
 
 
-def verdict(found: Ledger, entry: Entry) -> str:
-    """What to do about an entry, in a few words."""
+def tone(found: Ledger, entry: Entry) -> str:
+    """Of an entry's name: bad where it failed, good where it can go."""
+    return "bad" if entry.trouble else "good" if found.can_go(entry) else ""
+
+
+def remark(entry: Entry) -> str:
+    """What is to be said of an entry beside its numbers."""
     if entry.trouble:
         return trouble(entry)
-    if found.can_go(entry):
-        return "leave it out"
-    if entry.kind == SETTING:
-        return entry.about
-    quantity = found.moves(entry)
-    if quantity is None:
-        return ""
-    doubt = "" if entry.certified else "; not certified"
-    return f"changes the {QUANTITIES[quantity][0].removeprefix(_OBJECT)}{doubt}"
-
-
-_OBJECT = "object's "
+    doubt = "" if entry.certified else "its run does not meet the requested accuracy"
+    about = "" if entry.kind == PRESENT else entry.about
+    return ", ".join(filter(None, (about, doubt)))
 
 
 def trouble(entry: Entry) -> str:
@@ -118,15 +107,13 @@ def trouble(entry: Entry) -> str:
 
 
 def change_text(found: Ledger, entry: Entry, quantity: str, with_unit: bool = True) -> str:
-    """A change in the unit in which people read it; "noise" below the accuracy, a dash for none."""
-    value = entry.value(quantity)
-    if value is None:
-        return "-"
+    """A change in the unit in which people read it; "noise" below the accuracy."""
+    value = entry.changes[quantity].value
     if 0.0 < value <= found.asked[quantity]:
         return NOISE
-    factor, unit = SHOWN[quantity]
-    text = _short(factor * value)
-    return f"{text} {unit}" if with_unit else text
+    read = QUANTITIES[quantity]
+    text = _short(read.factor * value)
+    return f"{text} {read.shown}" if with_unit else text
 
 
 def _short(value: float) -> str:
@@ -152,10 +139,55 @@ def percent(share: Estimate) -> str:
     return text if not spread else f"{text} \N{PLUS-MINUS SIGN} {spread:.{digits}f}"
 
 
+def table(found: Ledger, entries: Sequence[Entry], title: str) -> Table:
+    """One line an entry: what it costs, and what it changes; noise is pale."""
+    shown = [
+        quantity
+        for quantity in QUANTITIES
+        if quantity not in (JOINTS, SLIDES) or any(quantity in e.changes for e in entries)
+    ]
+    columns = (
+        Column("", TEXT),
+        Column("ms/s"),
+        Column("% time"),
+        Column("evals", write="{:,}".format),
+        *(Column(f"{QUANTITIES[name].head} {QUANTITIES[name].shown}") for name in shown),
+        Column("at s", write="{:.3g}".format),
+        Column("", REMARK),
+    )
+    return Table(title, columns, tuple(_row(found, entry, shown) for entry in entries))
+
+
+def _row(found: Ledger, entry: Entry, shown: Sequence[str]) -> tuple[Any, ...]:
+    costs: tuple[Any, ...] = (None, None, None)
+    if entry.share is not None:
+        noise = "pale" if entry.share.within_noise else ""
+        cost = (Cell(milliseconds(entry), noise), Cell(percent(entry.share), noise))
+        costs = (*cost, entry.evaluations)
+    most = found.moves(entry)
+    return (
+        Cell(f"+ {entry.name}" if entry.kind == CANDIDATE else entry.name, tone(found, entry)),
+        *costs,
+        *(_changed(found, entry, quantity) for quantity in shown),
+        None if most is None else entry.changes[most].time,
+        Cell(remark(entry), "bad" if entry.trouble else ""),
+    )
+
+
+def _changed(found: Ledger, entry: Entry, quantity: str) -> Cell:
+    change = entry.changes.get(quantity)
+    if change is None:
+        return Cell(None, "pale")
+    whose = f"{change.arm}, " if change.arm else ""
+    pale = "pale" if change.value <= found.asked[quantity] else ""
+    text = change_text(found, entry, quantity, with_unit=False)
+    return Cell(text, pale, f"{whose}at {change.time:.3g} s")
+
+
 def accuracy_text(found: Ledger) -> str:
     """What changes are measured against, and how the scene itself ran."""
     accuracies = ", ".join(
-        f"{QUANTITIES[name][0]} {value:.2g} {QUANTITIES[name][1]}"
+        f"{QUANTITIES[name].what} {value:.2g} {QUANTITIES[name].unit}"
         for name, value in found.asked.items()
         if name in (PATH, TURN, FORCE)
     )
@@ -189,6 +221,6 @@ def _change(found: Ledger, entry: Entry, quantity: str) -> str:
     """``the object's path by 41 mm``."""
     arm = entry.changes[quantity].arm
     whose = f"{arm}'s " if arm else "the "
-    text = f"{whose}{QUANTITIES[quantity][0]} by {change_text(found, entry, quantity)}"
+    text = f"{whose}{QUANTITIES[quantity].what} by {change_text(found, entry, quantity)}"
     end = " at the end" if entry.name == RECORDING and entry.kind == SETTING else ""
     return text + end

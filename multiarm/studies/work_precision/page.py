@@ -25,9 +25,9 @@ from multiarm.studies.work_precision.points import Point
 from multiarm.studies.work_precision.reference import QUANTITIES
 from multiarm.studies.work_precision.settings import BY_ACCURACY
 from multiarm.studies.work_precision.store import Results
+from multiarm.studies.work_precision.tables import decade_table, method_table, point_table
 from multiarm.studies.work_precision.words import (
     comparison,
-    described,
     recommendation,
     reference_text,
     state_text,
@@ -69,7 +69,7 @@ def looks_of(series: Sequence[Series]) -> dict[str, Look]:
     return looks
 
 
-def diagram(results: Results, quantity: str = "motion") -> Figure:
+def figure(results: Results, quantity: str = "motion") -> Figure:
     """Error over wall time and over evaluations; the cheapest of each decade is circled."""
     series = all_series(results)
     looks = looks_of(series)
@@ -77,8 +77,8 @@ def diagram(results: Results, quantity: str = "motion") -> Figure:
     best = {decade.ours.setting.key for decade in decades(results, quantity) if decade.ours}
     what, unit = QUANTITIES[quantity]
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(13.0, 6.2), layout="constrained")
-        left, right = figure.subplots(1, 2, sharey=True)
+        drawn = Figure(figsize=(13.0, 6.2), layout="constrained")
+        left, right = drawn.subplots(1, 2, sharey=True)
         for axes, work, name in (
             (left, "wall_time_s", "wall time"),
             (right, "evaluations", "evaluations"),
@@ -102,9 +102,9 @@ def diagram(results: Results, quantity: str = "motion") -> Figure:
         handles, labels = left.get_legend_handles_labels()
         handles.append(Line2D([], [], linewidth=0, **_BEST))
         labels.append("cheapest of a decade")
-        figure.legend(handles, labels, loc="outside right center", frameon=False, fontsize=8)
-        figure.suptitle(results.about["scene"]["name"], fontsize=12, color=INK, parse_math=False)
-    return figure
+        drawn.legend(handles, labels, loc="outside right center", frameon=False, fontsize=8)
+        drawn.suptitle(results.about["scene"]["name"], fontsize=12, color=INK, parse_math=False)
+    return drawn
 
 
 def _draw(
@@ -136,7 +136,6 @@ def render(results: Results, quantity: str = "motion") -> str:
     return pages.render(
         "accuracy.html",
         results=results,
-        series=series,
         quantities=QUANTITIES,
         quantity=quantity,
         sentences={
@@ -145,8 +144,9 @@ def render(results: Results, quantity: str = "motion") -> str:
         },
         reference=reference_text(results),
         state=state_text(results),
-        decades={name: decades(results, name) for name in QUANTITIES},
-        described=described,
+        decades={name: decade_table(results, name) for name in QUANTITIES},
+        methods={name: method_table(results, name) for name in QUANTITIES},
+        points=point_table(results),
         data=printable_texts(plain({**_data(results, series), "quantity": quantity})),
     )
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import plain
-from multiarm.studies.observables import largest_gap
+from multiarm.studies.observables import control_torque, largest_gap, sinusoid
+from multiarm.studies.peers import Peer
+from multiarm.studies.records import error_text
 from multiarm.studies.time_series import Grid, OutOfTime, TimeSeries
 from multiarm.studies.work_precision.reference import Motion, limited, motion_error
 from multiarm.studies.work_precision.settings import Setting
@@ -130,25 +132,32 @@ def run_ours(system: System, setting: Setting, limit_s: float) -> Measured:
     return Measured(point, Motion.of(run))
 
 
-def measured_series(system: System, setting: Setting, grid: Grid, series: TimeSeries) -> Measured:
-    """A peer's run from its series."""
-    found = np.array(series.positions)
-    if len(found) <= grid.intervals:
-        reached = (len(found) - 1) * grid.interval
-        return Measured(
-            Point(setting, FAILED, f"the state is no longer finite after {reached:.3g} s")
-        )
-    still = np.zeros(6 + system.model.layout.joints)
-    gaps = [largest_gap(system, State(position, still, system.model.layout)) for position in found]
+def run_peer(system: System, peer: Peer, setting: Setting, limit_s: float) -> Measured:
+    """Run a peer's setting; whatever it raises becomes a failed point.
+
+    A feedback controller, which is ours and is called back, costs the peer nothing.
+    """
+    series = TimeSeries(Grid.of(system.scene.run), limit_s)
+    drive = sinusoid(system) or series.off_the_clock(partial(control_torque, system))
+    try:
+        with np.errstate(all="ignore"):
+            peer.follow(series, system.initial_state(), setting.method, setting.value, drive)
+    except OutOfTime:
+        return too_slow(setting, limit_s)
+    except Exception as error:
+        return Measured(Point(setting, FAILED, error_text(error).splitlines()[0]))
+    if len(series.states) <= series.grid.intervals:
+        reason = f"the state is no longer finite after {series.reached:.3g} s"
+        return Measured(Point(setting, FAILED, reason))
     point = Point(
         setting,
         COMPLETED,
         wall_time_s=series.wall_time_s,
         steps=series.steps,
         evaluations=series.evaluations,
-        gap_m=max(gaps),
+        gap_m=max(largest_gap(system, state) for state in series.states),
     )
-    return Measured(point, Motion(found))
+    return Measured(point, Motion(np.array([state.position for state in series.states])))
 
 
 def too_slow(setting: Setting, limit_s: float) -> Measured:

@@ -11,7 +11,6 @@ digits of the reference: errors below them are not significant.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,8 +22,8 @@ from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.comparison import rotation_apart
-from multiarm.simulation.simulate import simulate
 from multiarm.studies.time_series import OutOfTime
+from multiarm.studies.timing import clocked_run
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS
 
 QUANTITIES = {
@@ -133,31 +132,14 @@ def motion_error(errors: Mapping[str, float | None]) -> float | None:
 
 
 def limited(system: System, limit_s: float, **options: Any) -> Trajectory:
-    """Simulate, for so much wall time at most; compilation does not count.
+    """A run by the node algorithm, or as the options say, for so much wall time at most.
 
     Raises
     ------
-    OutOfTime
-    KeyboardInterrupt
-        Ctrl-C, which ``simulate`` makes an end in good order, ends the whole study.
-    MultiarmError
-        What ``simulate`` raises.
+    OutOfTime, KeyboardInterrupt, MultiarmError
+        As :func:`multiarm.studies.timing.clocked_run` does.
     """
-    late, deadline = False, math.inf
-
-    def look(_t: float) -> None:
-        nonlocal late, deadline
-        now = time.perf_counter()
-        deadline = min(deadline, now + limit_s)  # the first look is when everything is compiled
-        if now >= deadline:
-            late = True
-            raise KeyboardInterrupt  # the way to end a run
-
-    options = {"solver": "node", **options}
-    run = simulate(system, progress=look, certificate=False, **options)
-    if run.status == "interrupted":
-        raise OutOfTime if late else KeyboardInterrupt
-    return run
+    return clocked_run(system, limit_s, **{"solver": "node", **options})[0]
 
 
 def make_reference(

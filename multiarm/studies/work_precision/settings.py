@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from multiarm.studies.peers import Peer
 from multiarm.tableaus import (
     ADAPTIVE_INTEGRATORS,
     FIXED_STEP_INTEGRATORS,
@@ -125,13 +127,18 @@ def our_ladders(output_step: float, duration: float, average: float) -> list[Lad
     return ladders
 
 
-def peer_ladder(solver: str, method: str, knob: str, interval: float, average: float) -> Ladder:
-    """The settings of a peer's method; its steps divide the time between two outputs."""
-    if knob == "step":
-        values = halved_steps(interval, min(COARSEST * average, interval))
-    else:
-        values = _powers(DECADES_OF_TOLERANCE)
-    return _ladder(solver, method, "", knob, values)
+def peer_ladders(peers: Mapping[str, Peer], interval: float, average: float) -> list[Ladder]:
+    """The settings of all methods of peers by name; steps divide the time between two outputs.
+
+    ``average`` is the reference's average step [s].
+    """
+    steps = halved_steps(interval, min(COARSEST * average, interval))
+    values = {"step": steps, "tolerance": _powers(DECADES_OF_TOLERANCE)}
+    return [
+        _ladder(name, method, "", knob, values[knob])
+        for name, peer in peers.items()
+        for method, knob in peer.methods.items()
+    ]
 
 
 def halved_steps(output_step: float, coarsest: float) -> tuple[float, ...]:

@@ -21,8 +21,8 @@ import numpy as np
 from multiarm.errors import MultiarmError
 from multiarm.results.files import atomic_output
 from multiarm.results.trajectory import plain
-from multiarm.scene import RunSpec, Scene, dump_scene, resolve_arm
-from multiarm.scene.run import DEFAULT_ACCURACY
+from multiarm.scene import Scene, resolve_arm
+from multiarm.studies.records import about_scene, accuracies
 from multiarm.studies.work_precision.points import Measured, Point
 from multiarm.studies.work_precision.reference import Motion, Reference
 
@@ -77,19 +77,10 @@ class Results:
     @classmethod
     def of(cls, scene: Scene, machine: Mapping[str, Any], path: Path | None = None) -> Results:
         """Empty results of a scene on this machine."""
-        run = scene.run
-        about = {
-            "scene": {
-                "name": scene.name,
-                "digest": scene_digest(scene),
-                "duration_s": run.duration,
-                "output_step_s": run.output_step,
-                "accuracy": _targets(run),
-                "text": dump_scene(scene),
-            },
-            "machine": plain(machine),
-        }
-        return cls(about, path)
+        aims = accuracies(scene.run, DEFAULT_FORCE_ACCURACY)
+        aims["joints"] = aims["motion"]
+        own = {**about_scene(scene), "digest": scene_digest(scene), "accuracy": aims}
+        return cls({"scene": own, "machine": plain(machine)}, path)
 
     def stale(self, other: Results) -> str:
         """Why these results are not those of ``other``'s scene and machine; empty if they are."""
@@ -234,19 +225,6 @@ def _decoded(data: Mapping[str, Any]) -> Motion:
 
     forces = data["forces"]
     return Motion(numbers(data["positions"]), None if forces is None else numbers(forces))
-
-
-def _targets(run: RunSpec) -> dict[str, float]:
-    """The error that the scene aims at, for each quantity."""
-    accuracy = run.accuracy
-    motion = DEFAULT_ACCURACY if accuracy is None else accuracy.smallest
-    return {
-        "motion": motion,
-        "position": (accuracy and accuracy.position) or motion,
-        "rotation": (accuracy and accuracy.rotation) or motion,
-        "joints": motion,
-        "force": (accuracy and accuracy.force) or DEFAULT_FORCE_ACCURACY,
-    }
 
 
 def scene_digest(scene: Scene) -> str:

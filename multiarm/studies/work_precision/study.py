@@ -21,16 +21,25 @@ from functools import partial
 
 from multiarm.assembly.compilation import compile_system
 from multiarm.scene import Scene
+from multiarm.studies.peers import Peer, make_peers
 from multiarm.studies.records import machine
+from multiarm.studies.time_series import Grid
 from multiarm.studies.timing import one_thread
-from multiarm.studies.work_precision.peers import Peers
 from multiarm.studies.work_precision.plan import Plan
-from multiarm.studies.work_precision.points import TOO_SLOW, Measured, run_ours
+from multiarm.studies.work_precision.points import TOO_SLOW, Measured, run_ours, run_peer
 from multiarm.studies.work_precision.reference import Reference, difference, make_reference
-from multiarm.studies.work_precision.settings import BY_ACCURACY, OURS, Ladder, Setting, our_ladders
+from multiarm.studies.work_precision.settings import (
+    BY_ACCURACY,
+    OURS,
+    Ladder,
+    Setting,
+    our_ladders,
+    peer_ladders,
+)
 from multiarm.studies.work_precision.store import Results
 from multiarm.terminal.progress import Progress, Report, displayed
 
+SOLVERS = ("MuJoCo", "MuJoCo as shipped", "Pinocchio", "Drake")
 FIRST_RESULTS, LEAST_FIRST = 10.0, 2.0
 """First results are shown after so long [s], but so long after the first reference at least."""
 FIRST_REFERENCE, FIRST_PATIENCE = 4.0, 8.0
@@ -126,7 +135,7 @@ class _Study:
         self.report = report
         self.watch = watch or (lambda _results: None)
         self.system = compile_system(scene)
-        self.peers: Peers | None = None
+        self.peers: dict[str, Peer] = {}
 
     def first_results(self, until: float) -> None:
         """Find a first reference, and measure with it until a time of the clock."""
@@ -170,11 +179,10 @@ class _Study:
 
     def measure_all(self, peers: bool) -> None:
         """Measure all settings that are worth their time, and repeat them."""
-        ours, theirs = self._our_ladders(), []
-        if peers:
-            self.peers = Peers(self.system)
-            theirs = self.peers.ladders(self._reference.average_step_s)
-        self.results.refusals = {} if self.peers is None else self.peers.refusals
+        self.peers, self.results.refusals = make_peers(self.system, SOLVERS if peers else ())
+        interval = Grid.of(self.scene.run).interval
+        theirs = peer_ladders(self.peers, interval, self._reference.average_step_s)
+        ours = self._our_ladders()
         ladders, plan = [*ours, *theirs], self._plan()
         while True:
             for lot in (ours, theirs):
@@ -231,8 +239,7 @@ class _Study:
     def _run(self, setting: Setting, limit_s: float) -> Measured:
         if setting.ours:
             return run_ours(self.system, setting, limit_s)
-        assert self.peers is not None, "settings of peers come from them"
-        return self.peers.run(setting, limit_s)
+        return run_peer(self.system, self.peers[setting.solver], setting, limit_s)
 
     def _run_first(self, setting: Setting, limit_s: float) -> Measured:
         """Run a setting, a second time if it is the first of its ladder: the first loads code."""

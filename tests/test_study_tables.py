@@ -1,0 +1,50 @@
+"""Claims about the tables of the studies, which terminals and pages show from one description."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from multiarm.cli.studies import rendered
+from multiarm.reports.pages import scientific
+from multiarm.studies.tables import REMARK, TEXT, Cell, Column, Table
+
+TABLE = Table(
+    "Some methods",
+    (
+        Column("method", TEXT, about="in the order of their names"),
+        Column("error", write="{:.0e}".format, on_page=scientific),
+        Column("steps", wide=True),
+        Column("", REMARK),
+    ),
+    (
+        ("rk4", Cell(2e-9, "good", "at 0.1 s"), 12, ""),
+        ("dop853", None, 7, Cell("not converged", "bad")),
+        ("euler", Cell("the run fails", "bad")),
+    ),
+    ("measured once",),
+)
+
+
+def test_a_page_has_all_columns_and_numbers_in_powers_of_ten():
+    first, second, third = TABLE.written(on_page=True)
+    assert [cell.text for cell in first] == ["rk4", "2\N{MULTIPLICATION SIGN}10⁻⁹", "12", ""]
+    assert (first[1].tone, first[1].note) == ("good", "at 0.1 s")
+    assert [cell.text for cell in second] == ["dop853", "\N{EN DASH}", "7", "not converged"]
+    assert [cell.span for cell in third] == [1, 3]
+    assert third[1].kind == REMARK
+
+
+def test_a_terminal_has_numbers_to_be_typed_again_and_remarks_below():
+    console = Console(width=60)
+    with console.capture() as capture:
+        for part in rendered(TABLE):
+            console.print(part)
+    lines = [line.split() for line in capture.get().splitlines()]
+    assert [line for line in lines if line[:1] in (["rk4"], ["dop853"], ["euler"])] == [
+        ["rk4", "2e-09"], ["dop853", "-"], ["euler"],
+    ]  # fmt: skip
+    assert "steps" not in capture.get()
+    assert capture.get().split("dop853: ")[1].splitlines()[:4] == [
+        "not converged", "euler: the run fails", "method: in the order of their names.",
+        "measured once",
+    ]  # fmt: skip
