@@ -33,6 +33,7 @@ extensions = [
     "sphinx-mathjax-offline",
     "replays",
     "schema_pages",
+    "implementations",
 ]
 exclude_patterns = ["_build", "_templates", "_extensions", "_workplace"]
 templates_path = ["_templates"]
@@ -88,7 +89,10 @@ html_show_sourcelink = False
 html_theme_options = {
     "show_prev_next": False,
     "navigation_with_keys": False,
-    "secondary_sidebar_items": ["page-toc"],
+    # Equations need the width.
+    "secondary_sidebar_items": {"theory/*": [], "**": ["page-toc"]},
+    "navbar_persistent": [],
+    "navbar_end": ["search-button", "theme-switcher"],
     "footer_start": ["copyright"],
     "footer_end": [],
     "header_links_before_dropdown": 9,

@@ -44,7 +44,13 @@ class Replay(Directive):
             f'style="height:{height}" title="Replay of {scene.stem}"></iframe>'
         )
         if "folded" in self.options:
-            frame = f'<details class="replay"><summary>Show the replay</summary>{frame}</details>'
+            # Loaded when it is opened: a page in a hidden frame has no size to fit its camera to.
+            frame = frame.replace(" src=", " data-src=")
+            opened = "const f = this.querySelector('iframe'); f.src = this.open ? f.dataset.src : ''"
+            frame = (
+                f'<details class="replay" ontoggle="{opened}"><summary>Show the replay</summary>'
+                f"{frame}</details>"
+            )
         return [nodes.raw("", frame, format="html")]
 
 
