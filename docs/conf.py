@@ -34,6 +34,9 @@ extensions = [
     "replays",
     "schema_pages",
     "implementations",
+    "house",
+    "page_lengths",
+    "event_kinds",
 ]
 exclude_patterns = ["_build", "_templates", "_extensions", "_workplace"]
 templates_path = ["_templates"]
@@ -90,7 +93,7 @@ html_theme_options = {
     "show_prev_next": False,
     "navigation_with_keys": False,
     # Equations need the width.
-    "secondary_sidebar_items": {"theory/*": [], "**": ["page-toc"]},
+    "secondary_sidebar_items": {"theory/**": [], "[!t]**": ["page-toc"]},
     "navbar_persistent": [],
     "navbar_end": ["search-button", "theme-switcher"],
     "footer_start": ["copyright"],

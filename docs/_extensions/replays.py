@@ -46,7 +46,7 @@ class Replay(Directive):
         if "folded" in self.options:
             # Loaded when it is opened: a page in a hidden frame has no size to fit its camera to.
             frame = frame.replace(" src=", " data-src=")
-            opened = "const f = this.querySelector('iframe'); f.src = this.open ? f.dataset.src : ''"
+            opened = "const f = this.lastChild; f.src = this.open ? f.dataset.src : ''"
             frame = (
                 f'<details class="replay" ontoggle="{opened}"><summary>Show the replay</summary>'
                 f"{frame}</details>"
