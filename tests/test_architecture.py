@@ -215,6 +215,7 @@ def test_imports_point_down():
     assert faults == []
 
 
+@pytest.mark.slow
 def test_modules_import_each_other_without_cycles():
     graph: dict[str, set[str]] = {name: set() for name in modules()}
     for found in imports():

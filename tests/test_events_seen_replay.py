@@ -101,6 +101,7 @@ def exported(run, tmp_path_factory):
 # What the animation says
 
 
+@pytest.mark.slow
 def test_open_contact_has_no_arrow_whatever_force_was_recorded(animation):
     (left, right) = animation.contacts
     lengths = animation.arrow_lengths(left)[:, 0]

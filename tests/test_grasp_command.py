@@ -53,6 +53,7 @@ def designed(tmp_path_factory):
 # --- design --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_designed_scene_runs_with_every_contact_pressing(designed):
     result, path = designed
     assert "7 contacts hold the body: form closure" in result.stderr
@@ -162,6 +163,7 @@ def test_a_bad_design_is_one_error_in_words(words, message):
 # --- check ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_check_tells_verdict_regions_and_stability(designed, tmp_path):
     _, path = designed
     target = tmp_path / "grasp.json"

@@ -60,6 +60,7 @@ def held():
 # --- the block between two Pandas ----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_all_contacts_press_for_ten_seconds_of_a_moving_target(held):
     _, scene, _, run = held
     assert (run.status, run.time[-1]) == ("completed", 10.0)

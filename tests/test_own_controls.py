@@ -243,6 +243,7 @@ def test_a_stored_run_is_looked_at_and_replayed_without_the_class(tmp_path):
     require_equal(ma.simulate(ma.compile_system(again), certificate=False), run)
 
 
+@pytest.mark.slow
 def test_workers_of_a_sweep_know_those_that_were_registered_here():
     class Firm(Pull):
         example = ""

@@ -352,6 +352,7 @@ def test_times_implied_by_the_thesis_fit_its_columns():
     assert slope == pytest.approx(9.0, abs=0.3), "t1 grows by about 9 ms an arm"
 
 
+@pytest.mark.slow
 def test_columns_are_those_of_the_measured_times(result):
     for row in result["thesis"]["rows"]:
         for picture, columns in row["columns"].items():
@@ -491,6 +492,7 @@ def test_hinges_are_measured_on_request():
     assert found["growth"]["revolute"] is None
 
 
+@pytest.mark.slow
 def test_what_would_take_all_memory_is_left_out_with_a_word(monkeypatch, tmp_path):
     monkeypatch.setattr(evaluation_costs, "free_memory", lambda: 1e5)
     found = run_scaling(Plan(("evaluations",), ("ball",), arms=(2, 3), rounds=1))
@@ -554,6 +556,7 @@ def test_the_thesis_stands_beside_what_was_measured(result):
     assert [cell.text for cell in table.rows[0]][:3] == ["2", "22.4", "15.9"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ending", "magic"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")]
 )

@@ -147,6 +147,7 @@ def finite_json(text: str):
 # --- the verdict ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_case_passes_when_it_is_completed_within_all_criteria(suite):
     assert {case.name for case in suite.cases if case.passed} == GOOD
     assert (suite.passed, len(suite.cases)) == (len(GOOD), len(CASES))
@@ -393,6 +394,7 @@ def test_without_mujoco_the_remedy_is_told(healthy_trial, monkeypatch):
     assert answer.refusal == "not installed: pip install multiarm[peers]"
 
 
+@pytest.mark.slow
 def test_pinocchio_as_shipped_gives_nan_on_redundant_rows_and_tuned_does_not():
     # planar arms of two joints welded to a body: six rows for three motions, exactly dependent
     scene = planar_pair("planar_2r", [0.4, -0.8], {"kind": "weld"}).replace(

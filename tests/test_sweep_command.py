@@ -79,6 +79,7 @@ def made(tmp_path_factory):
     return folder, called.output
 
 
+@pytest.mark.slow
 def test_one_command_makes_all_runs_and_writes_all_files(made):
     folder, printed = made
     assert "6 of 6" in printed and "6 completed" in printed
@@ -152,6 +153,7 @@ def test_a_sweep_killed_among_its_runs_and_resumed_ends_with_the_same_table(tmp_
     assert len(set(found["worker"])) == 2
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(made, tmp_path, monkeypatch):
     folder, _ = made
     out = tmp_path / "m.h5"

@@ -301,6 +301,7 @@ def own_arm(scene, urdf):
     return {**table, "urdf": urdf}
 
 
+@pytest.mark.slow
 def test_a_named_file_with_another_text_makes_another_sweep(by_file, tmp_path):
     scene, urdf = by_file
     over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
@@ -451,6 +452,7 @@ def test_a_run_that_ctrl_c_ended_is_no_row_nor_one_whose_check_it_ended(scene, s
     assert same(run_job(own, job)) == same(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_ctrl_c_ends_a_sweep_in_good_order(scene, workers, tmp_path):
     timer = threading.Timer(0.2, signal.raise_signal, [signal.SIGINT])

@@ -153,6 +153,7 @@ def test_runs_that_did_not_complete_are_seen(sweep):
     assert sorted(ticks.get_xdata()) == sorted(failed)
 
 
+@pytest.mark.slow
 def test_words_are_levels_with_their_names_and_no_formulas(sweep):
     figure = sweep_overview(sweep)
     figure.savefig(io.BytesIO(), format="svg")
@@ -161,6 +162,7 @@ def test_words_are_levels_with_their_names_and_no_formulas(sweep):
     assert labels == ["$none_", "joint_pd"]
 
 
+@pytest.mark.slow
 def test_the_overview_has_every_quantity_over_every_value_and_a_map(sweep):
     figure = sweep_overview(sweep)
     panels = [panel for panel in figure.axes if panel.get_xlabel()]
@@ -169,6 +171,7 @@ def test_the_overview_has_every_quantity_over_every_value_and_a_map(sweep):
         figure.savefig(io.BytesIO(), format=kind)
 
 
+@pytest.mark.slow
 def test_a_legend_below_the_panels_explains_all_marks(sweep):
     figure = sweep_overview(sweep)
     figure.draw_without_rendering()
@@ -179,6 +182,7 @@ def test_a_legend_below_the_panels_explains_all_marks(sweep):
     assert all(top <= panel.get_tightbbox().y0 + 1.0 for panel in figure.axes)
 
 
+@pytest.mark.slow
 def test_ten_thousand_runs_make_a_figure_of_bounded_size(tmp_path):
     def scattered(run):
         rng = np.random.default_rng(run)

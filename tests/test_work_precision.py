@@ -103,6 +103,7 @@ def measure_ours(system, about: Setting, reference: Reference, limit_s: float) -
 # --- the reference --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_digits_are_what_another_method_and_the_dense_solver_differ_by(system, reference):
     check = reference.about["check"]
     assert check["solver"] == "dense"
@@ -468,6 +469,7 @@ def front(results: Results, quantity: str) -> set[str]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_no_setting_on_the_front_of_a_thorough_study_is_left_out(study_in, seed):
     whole = study_in(World(seed), thorough=True)
@@ -482,6 +484,7 @@ def test_no_setting_on_the_front_of_a_thorough_study_is_left_out(study_in, seed)
         ]
 
 
+@pytest.mark.slow
 def test_first_results_come_soon_and_claim_no_error_below_their_uncertainty(study_in):
     world, shown = World(3), []
 
@@ -538,6 +541,7 @@ def test_an_interrupted_study_goes_on_where_it_was(study_in, system, tmp_path, p
         assert found.repeats == before + runs
 
 
+@pytest.mark.slow
 def test_an_interruption_in_the_reference_keeps_first_results(study_in, system, tmp_path):
     path, world = tmp_path / "study.json", World(1)
 
@@ -556,6 +560,7 @@ def test_an_interruption_in_the_reference_keeps_first_results(study_in, system, 
     assert not read_results(path).reference["first"]
 
 
+@pytest.mark.slow
 def test_files_of_other_formats_are_refused_with_the_remedy(study_in, system, tmp_path):
     path = tmp_path / "study.json"
     study_in(World(2), Results.of(system.scene, MACHINE, path))
@@ -602,6 +607,7 @@ def test_other_files_are_refused(tmp_path, text):
 # --- what is cheapest -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_cheapest_of_each_decade_is_that_of_brute_force():
     rng = np.random.default_rng(3)
     for _ in range(50):
@@ -711,6 +717,7 @@ def trial(request):
     return own, make_reference(own), Peers(own)
 
 
+@pytest.mark.slow
 def test_pinocchio_converges_to_the_reference(trial):
     own, reference, peers = trial
     fine = course_of(peers, "Pinocchio", "SciPy DOP853", 1e-12, reference, own)
@@ -724,6 +731,7 @@ def test_pinocchio_converges_to_the_reference(trial):
     assert [item.evaluations for item in coarse] == [160, 320]
 
 
+@pytest.mark.slow
 def test_mujoco_at_its_best_converges_to_the_reference_and_as_shipped_does_not(trial):
     own, reference, peers = trial
     if not MUJOCO_IS_HERE:
@@ -846,6 +854,7 @@ def test_a_tape_plays_row_by_row_and_stays_at_its_end():
         assert target.tolist() == rows[row].tolist()
 
 
+@pytest.mark.slow
 def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     if not MUJOCO_IS_HERE:
         assert NOT_INSTALLED in Peers(system).refusals.values()
