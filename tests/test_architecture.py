@@ -228,6 +228,7 @@ def test_modules_import_each_other_without_cycles():
     assert set(order) == set(modules())
 
 
+@pytest.mark.slow
 def test_node_sees_arrays_only():
     node = "dynamics.solver."
     seen = {found.imported for found in imports() if found.ours and found.importer.startswith(node)}

@@ -228,6 +228,7 @@ def test_run_keeps_the_result_and_says_where(finished):
         assert (folder / page).read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype")
 
 
+@pytest.mark.slow
 def test_json_of_a_run_is_what_the_help_promises(finished):
     folder, _ = finished
     data = figures(folder / "run.json")

@@ -273,6 +273,7 @@ def test_a_replay_draws_what_it_draws_of_a_run_in_this_process(folder):
         assert own[:, 0] == pytest.approx(expected[:, 1], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_joint_of_which_nothing_is_left_is_looked_at_too(folder):
     surface = written(folder, "surface")
     text = surface.scene.read_text().replace(
@@ -325,6 +326,7 @@ def test_a_stored_sweep_is_looked_at_without_its_code_and_run_again_with_it(stra
     assert ma.load_sweep(out, code=True).trajectory(2).status == "completed"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("over", "what"),
     [

@@ -549,6 +549,7 @@ def test_the_page_says_everything_in_both_themes(page):
     assert re.search(r"fill: none|opacity: 0\b", background), "the page's own shows through"
 
 
+@pytest.mark.slow
 def test_the_page_is_whole_and_loads_nothing():
     text = render(synthetic())
     assert "<title>arms &amp; &lt;disc&gt; · multiarm effects</title>" in text

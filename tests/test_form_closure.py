@@ -235,6 +235,7 @@ def test_flat_and_clustered_contacts_are_decided_as_exactly(family, rng):
     assert closed > 10
 
 
+@pytest.mark.slow
 def test_many_contacts_are_decided_as_exactly(rng):
     points = rng.normal(size=(300, 3))
     around = Contacts.along(points, -points + 0.5 * rng.normal(size=points.shape))

@@ -120,6 +120,7 @@ def test_an_optimised_grasp_tells_its_gap_and_is_drawn(tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_grasp_of_a_scene_is_drawn_where_its_faces_are_known(designed, tmp_path):
     _, path = designed
     assert grasp("check", path, "--plot", tmp_path / "a.svg").exit_code == 0

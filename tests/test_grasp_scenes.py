@@ -77,6 +77,7 @@ def test_all_contacts_press_for_ten_seconds_of_a_moving_target(held):
     assert run.position_drift.max() < 1e-10
 
 
+@pytest.mark.slow
 def test_the_object_frame_follows_from_the_contact_points(held):
     """Seven points in the world, and nothing else of the simulated pose."""
     grasp, _, system, run = held

@@ -172,6 +172,7 @@ def test_a_stepper_and_a_controller_in_its_place_take_the_control_of_the_scene()
 # --- finding --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_kind_of_ours_has_a_sentence_an_example_and_a_law():
     for name, own in BUILT_IN.items():
         assert own.picture and own.sample().kind == name

@@ -64,6 +64,7 @@ def test_wheel_holds_every_module_and_nothing_of_the_tests(contents):
     assert {name for name in contents if name.endswith(".py")} == modules
 
 
+@pytest.mark.slow
 def test_wheel_holds_the_robots_with_their_sources(contents):
     files = [path for path in (ROOT / "robots").rglob("*") if path.is_file()]
     expected = {f"multiarm/{path.relative_to(ROOT)}" for path in files}

@@ -219,6 +219,7 @@ def test_the_report_loads_nothing(page):
     assert "@import" not in page
 
 
+@pytest.mark.slow
 def test_names_inside_the_page_are_unique_and_known(page):
     ids = Page(page).ids
     used = set(re.findall(r"url\(#([^)]+)\)", page)) | set(re.findall(r'href="#([^"]+)"', page))

@@ -416,6 +416,7 @@ def test_slopes_are_exponents_and_skip_what_was_not_measured():
 # --- shares ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_parts_and_what_they_leave_make_up_the_whole(result):
     for row in result["shares"]["rows"]:
         assert list(row["evaluation"]) == list(time_shares.EVALUATION_PARTS)

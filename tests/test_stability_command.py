@@ -180,6 +180,7 @@ def test_a_run_that_breaks_off_fails_whatever_its_criteria_say():
     assert case.failures == (f"failed: {case.message}",)
 
 
+@pytest.mark.slow
 def test_a_case_that_raises_is_a_failing_row_with_its_message(suite):
     case = case_of(suite, "no_scene")
     assert (case.passed, case.status, case.answers) == (False, "not run", ())

@@ -94,6 +94,7 @@ def test_one_command_makes_all_runs_and_writes_all_files(made):
     assert (folder / "m.svg").read_text().startswith("<?xml")
 
 
+@pytest.mark.slow
 def test_the_json_has_the_figures_of_the_table(made):
     folder, _ = made
 
@@ -175,6 +176,7 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(made, tmp_path, monkeyp
     assert same_table(out, folder / "m.h5")
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_is_told_and_ends_nothing(tmp_path):
     over, out = tmp_path / "far.yaml", tmp_path / "far.h5"
     over.write_text(
@@ -336,6 +338,7 @@ def test_the_end_is_estimated_from_the_pace_of_the_runs_made_here(monkeypatch):
     )
 
 
+@pytest.mark.slow
 def test_the_commands_result_is_what_python_gives(made, tmp_path):
     folder, _ = made
     sweep = ma.sweep(SCENE, folder / "masses.yaml", out=tmp_path / "p.h5", workers=1)

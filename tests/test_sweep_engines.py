@@ -70,6 +70,7 @@ def functions(tmp_path):
 # --- a run --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, plan, expected):
     for run in (1, 12):
         values = plan.values(run)
@@ -327,6 +328,7 @@ def test_a_run_is_simulated_again_without_a_word_when_only_functions_are_another
     assert found.trajectory(1).status == "completed"
 
 
+@pytest.mark.slow
 def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypatch):
     monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
 

@@ -146,6 +146,7 @@ def test_a_pair_without_runs_is_empty_and_a_map_without_a_grid_shows_the_runs(sw
     assert len(dots.get_offsets()) == sweep.status_counts["completed"]
 
 
+@pytest.mark.slow
 def test_runs_that_did_not_complete_are_seen(sweep):
     panel = panel_of(sweep_overview(sweep), "object.mass", "gap [m]")
     (ticks,) = [line for line in panel.lines if line.get_label() == "did not complete"]

@@ -444,6 +444,7 @@ def test_a_killed_run_loads_up_to_its_last_checkpoint(killed_runs):
             assert np.array_equal(run.read(channel.name), expected[channel.name])
 
 
+@pytest.mark.slow
 def test_a_killed_run_can_be_saved_and_replaced(killed_runs, tmp_path):
     path, _ = killed_runs[0]
     run = load_trajectory(path)

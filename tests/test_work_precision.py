@@ -134,6 +134,7 @@ def test_a_wrong_solver_would_show_in_the_digits(system, reference, monkeypatch)
     assert digits["force"] > 1e6 * reference.digits["force"]
 
 
+@pytest.mark.slow
 def test_digits_that_are_known_are_not_found_again(system, reference, monkeypatch):
     known = {"digits": {"motion": 0.5}, "about": dict(reference.about)}
     monkeypatch.setattr(references, "_checked", None)
@@ -748,6 +749,7 @@ def test_mujoco_at_its_best_converges_to_the_reference_and_as_shipped_does_not(t
     assert soft.gap_m > 1e-6 > coarse[1].gap_m
 
 
+@pytest.mark.slow
 def test_drake_is_of_order_one_or_is_told_to_be_missing(trial):
     own, reference, peers = trial
     if not DRAKE_IS_HERE:
