@@ -55,6 +55,7 @@ nb_execution_mode = "force"
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+nb_render_markdown_format = "myst"  # tables among the output
 programoutput_prompt_template = "$ {command}\n{output}"
 
 
