@@ -95,8 +95,8 @@ html_theme_options = {
     "navigation_with_keys": False,
     # Equations need the width.
     "secondary_sidebar_items": {"theory/**": [], "[!t]**": ["page-toc"]},
-    "navbar_persistent": [],
-    "navbar_end": ["search-button", "theme-switcher"],
+    "navbar_persistent": ["search-button"],
+    "navbar_end": ["theme-switcher"],
     "footer_start": ["copyright"],
     "footer_end": [],
     "header_links_before_dropdown": 9,

@@ -15,9 +15,9 @@ TEST, PACKAGE = ROOT / "tests" / "test_architecture.py", ROOT / "multiarm"
 
 # From room to room: what a user calls or gets.
 WAY = (
-    ("scene", "assembly", "compile_system: a Scene becomes a System with its Model"),
+    ("scene", "assembly", "compile_system: a Scene becomes a System"),
     ("assembly", "dynamics", "evaluate: the System at one state, an Evaluation"),
-    ("dynamics", "simulation", "simulate: many evaluations, integrated and certified"),
+    ("dynamics", "simulation", "simulate: many evaluations, integrated"),
     ("simulation", "results", "what remains of a run: a Trajectory"),
 )
 STOREY, BOX, SPACE = 44, (104, 30), 10  # [px]

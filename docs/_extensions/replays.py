@@ -38,7 +38,7 @@ class Replay(Directive):
                 raise self.severe(f"{scene.name}: {run.status}, {run.message}")
             ma.replay(run, folder / name, speed=self.options.get("speed", 1.0))
         up = "../" * environment.docname.count("/")
-        height = self.options.get("height", "420px")
+        height = self.options.get("height", "480px")
         frame = (
             f'<iframe class="replay" src="{up}_replays/{name}" loading="lazy" '
             f'style="height:{height}" title="Replay of {scene.stem}"></iframe>'
