@@ -33,6 +33,10 @@ extensions = [
     "sphinx-mathjax-offline",
     "replays",
     "schema_pages",
+    "implementations",
+    "house",
+    "page_lengths",
+    "event_kinds",
 ]
 exclude_patterns = ["_build", "_templates", "_extensions", "_workplace"]
 templates_path = ["_templates"]
@@ -51,6 +55,7 @@ nb_execution_mode = "force"
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+nb_render_markdown_format = "myst"  # tables among the output
 programoutput_prompt_template = "$ {command}\n{output}"
 
 
@@ -88,7 +93,10 @@ html_show_sourcelink = False
 html_theme_options = {
     "show_prev_next": False,
     "navigation_with_keys": False,
-    "secondary_sidebar_items": ["page-toc"],
+    # Equations need the width.
+    "secondary_sidebar_items": {"theory/**": [], "[!t]**": ["page-toc"]},
+    "navbar_persistent": ["search-button"],
+    "navbar_end": ["theme-switcher"],
     "footer_start": ["copyright"],
     "footer_end": [],
     "header_links_before_dropdown": 9,

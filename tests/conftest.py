@@ -1,7 +1,7 @@
 """Shared fixtures: compiled systems (compiled once; tests never change them), browsers, randomness.
 
-``--quick`` runs one case of each test that is not marked ``slow``: what takes most of a second or
-more, such as browsers, clusters and whole commands.
+``--quick`` runs one case of each test that is not marked ``slow``: what takes a third of a second
+or more, such as browsers, clusters and whole commands.  Each file keeps its quickest tests.
 """
 
 from __future__ import annotations

@@ -18,9 +18,10 @@ echo "== installing multiarm into $environment"
 . "$environment/bin/activate"
 python -m pip install --quiet --disable-pip-version-check -e ".[test,docs]"
 
-echo "== lint and types"
+echo "== lint, spelling and types"
 ruff check .
 ruff format --check .
+codespell
 mypy
 
 echo "== compiling the kernels (once)"

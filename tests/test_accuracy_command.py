@@ -180,6 +180,7 @@ def test_a_second_call_measures_nothing_and_redo_measures_anew(two_ladders, tmp_
     ]
 
 
+@pytest.mark.slow
 def test_a_study_of_another_scene_is_kept_unless_it_may_be_replaced(two_ladders, study_file):
     other = (*SHORT, "--out", study_file)
     before = study_file.read_bytes()
@@ -336,6 +337,7 @@ def marks(page, figure: str = "over-time") -> int:
     return page.locator(f"#{figure} circle.hit").count()
 
 
+@pytest.mark.slow
 def test_every_point_with_an_error_has_a_mark_in_both_diagrams(page, results):
     completed = sum(point.completed for point in results.points.values())
     assert marks(page) == marks(page, "over-evaluations") == completed
@@ -343,6 +345,7 @@ def test_every_point_with_an_error_has_a_mark_in_both_diagrams(page, results):
     assert page.locator("#over-time circle.best").count() == len(best)
 
 
+@pytest.mark.slow
 def test_marks_are_where_their_numbers_are_on_logarithmic_axes(page, results):
     found = []
     for point in next(x for x in all_series(results) if x.name == "rk4, none").points[1:]:
@@ -356,6 +359,7 @@ def test_marks_are_where_their_numbers_are_on_logarithmic_axes(page, results):
     assert slope[0] < 0.0, "small errors are at the bottom"
 
 
+@pytest.mark.slow
 def test_pointing_at_a_mark_tells_its_values(page, results):
     assert not page.locator("#tip").is_visible()
     point = next(x for x in results.points.values() if x.setting.text == "rk4, none, step 0.005 s")
@@ -370,6 +374,7 @@ def test_pointing_at_a_mark_tells_its_values(page, results):
     assert page.locator("#over-time g.dim").count() == 0
 
 
+@pytest.mark.slow
 def test_a_click_in_the_legend_hides_a_method_and_shows_it_again(page, results):
     before = marks(page)
     button = page.locator(".legend button", has_text="rk4, none")
@@ -381,12 +386,14 @@ def test_a_click_in_the_legend_hides_a_method_and_shows_it_again(page, results):
     assert marks(page) == before
 
 
+@pytest.mark.slow
 def test_ours_and_peers_can_be_looked_at_alone(page):
     for which, count in (("ours", 13), ("peers", 6), ("all", 19)):
         page.locator(f"button[data-show={which}]").click()
         assert marks(page) == count
 
 
+@pytest.mark.slow
 def test_another_quantity_redraws_diagram_tables_and_advice(page, results):
     advice = page.locator("p.said:visible").inner_text()
     page.locator("#quantity").select_option("force")
@@ -397,6 +404,7 @@ def test_another_quantity_redraws_diagram_tables_and_advice(page, results):
     assert rows == len(decades(results, "force")) + len(all_series(results))
 
 
+@pytest.mark.slow
 def test_nothing_on_the_page_overlaps_or_sticks_out(page):
     assert sticks_out(page) <= 0
     boxes = page.locator("#over-time svg text:not([transform])").all()
@@ -412,6 +420,7 @@ def test_nothing_on_the_page_overlaps_or_sticks_out(page):
             assert apart, (boxes[k].inner_text(), one, other)
 
 
+@pytest.mark.slow
 def test_tables_fit_on_the_page(page):
     tables = page.locator(".scroll:visible").all()
     assert len(tables) == 3, "cheapest, methods, refusals"
@@ -433,6 +442,7 @@ def test_every_method_and_every_peer_has_a_colour_of_its_own():
     assert len({*ours, *studies.SOLVERS}) <= len(set(PALETTE)) == len(PALETTE)
 
 
+@pytest.mark.slow
 def test_ink_stands_out_from_the_page(page):
     paper, ink = (
         brightness(page, "section", "backgroundColor"),

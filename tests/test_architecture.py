@@ -223,6 +223,7 @@ def test_imports_point_down():
     assert faults == []
 
 
+@pytest.mark.slow
 def test_modules_import_each_other_without_cycles():
     graph: dict[str, set[str]] = {name: set() for name in modules()}
     for found in imports():
@@ -235,6 +236,7 @@ def test_modules_import_each_other_without_cycles():
     assert set(order) == set(modules())
 
 
+@pytest.mark.slow
 def test_node_sees_arrays_only():
     node = "dynamics.solver."
     seen = {found.imported for found in imports() if found.ours and found.importer.startswith(node)}

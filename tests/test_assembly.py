@@ -315,6 +315,7 @@ def test_a_joint_off_the_object_is_told(joint, words):
         assert re.search(words, text), text
 
 
+@pytest.mark.slow
 def test_a_posture_that_assembly_pushes_into_a_limit_is_told(tmp_path):
     posture = [0.0, -0.4015, 0.0, -2.362, 0.0, 2.7459, 2.89]
     arm = {"robot": "panda", "tip": "panda_hand_tcp", "posture": posture}

@@ -432,6 +432,7 @@ def test_a_python_controller_is_called_again_from_the_start(ring):
     assert min(checked[len(alone) :]) == 0.0 and max(checked) == 0.2
 
 
+@pytest.mark.slow
 def test_a_rerun_that_fails_leaves_the_run_uncertified(ring):
     seen = []
 
@@ -648,6 +649,7 @@ def test_amendments_replace_each_other_and_leave_the_samples(tmp_path):
 # --- how it is told ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_line_shows_the_verdict(tmp_path):
     scene = tmp_path / "ring.yaml"
     scene.write_text(dump_scene(ring_of_arms(2, duration=0.1)))
@@ -662,6 +664,7 @@ def test_the_command_line_shows_the_verdict(tmp_path):
     assert "not checked" in " ".join(done.stdout.split())
 
 
+@pytest.mark.slow
 def test_an_accuracy_that_is_not_met_is_a_warning_and_no_failure(tmp_path):
     scene = tmp_path / "ring.yaml"
     scene.write_text(dump_scene(ring_of_arms(2, duration=0.1, accuracy=1e-15)))
@@ -670,6 +673,7 @@ def test_an_accuracy_that_is_not_met_is_a_warning_and_no_failure(tmp_path):
     assert "warning: the accuracy is not met: " in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accuracy", [{"position": 1e-6, "force": 1e-3}, 1e-15])
 def test_the_report_shows_verdict_numbers_and_attempts(ring, accuracy):
     run = ma.simulate(ring, accuracy=accuracy, **SHORT)
@@ -684,6 +688,7 @@ def test_the_report_shows_verdict_numbers_and_attempts(ring, accuracy):
 # --- honesty -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 4, 6, 8, 11])
 def test_a_random_scene_that_is_certified_is_as_accurate_as_asked(seed):
     trial = run_trial(seed)

@@ -33,6 +33,7 @@ def test_a_rerun_takes_shorter_steps_where_not_the_tolerance_limits_them():
     assert not run.certificate["met"] or run.certificate["estimated_error"]["rotation_rad"] > 1e-12
 
 
+@pytest.mark.slow
 def test_a_pulse_that_the_run_steps_over_is_seen_by_the_rerun():
     rest = ring_of_arms(2, "weld").replace(gravity=None, control={"kind": "none"})
     system = ma.compile_system(rest)
@@ -93,6 +94,7 @@ def test_reading_a_closed_trajectory_says_that_it_is_closed(ring, tmp_path, stor
         run.read("object/twist")
 
 
+@pytest.mark.slow
 def test_a_failed_trial_of_a_stiff_method_leaves_the_pending_samples_right(ring, monkeypatch):
     """With a full block of samples still to come, the method must not be exchanged yet."""
     damped = ma.compile_system(ring_of_arms(2).replace(effects={"joint_damping": 1e4}))

@@ -116,6 +116,7 @@ def finished(tmp_path_factory):
 # --- help ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_help_needs_no_heavy_library():
     code = (
         "import sys\n"
@@ -132,6 +133,7 @@ def test_help_needs_no_heavy_library():
     assert "--accuracy" in done.stdout
 
 
+@pytest.mark.slow
 def test_module_and_command_are_one_program():
     program = start("--version")
     out, _ = program.communicate(timeout=60)
@@ -207,6 +209,7 @@ def test_a_new_setting_of_a_run_is_an_option_with_no_further_line(monkeypatch):
 # --- run ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_run_keeps_the_result_and_says_where(finished):
     folder, result = finished
     assert result.exit_code == 0, result.output
@@ -225,6 +228,7 @@ def test_run_keeps_the_result_and_says_where(finished):
         assert (folder / page).read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype")
 
 
+@pytest.mark.slow
 def test_json_of_a_run_is_what_the_help_promises(finished):
     folder, _ = finished
     data = figures(folder / "run.json")
@@ -335,6 +339,7 @@ def test_progress_is_told_in_simulated_time(monkeypatch):
     assert re.search(r"2\.5 of 4 s, \S+ x real time", screen.getvalue())
 
 
+@pytest.mark.slow
 def test_a_pipe_gets_a_plain_line_every_few_seconds(monkeypatch):
     pipe = StringIO()
     monkeypatch.setattr("multiarm.terminal.console.messages", lambda: Console(file=pipe, width=80))
@@ -355,6 +360,7 @@ def test_a_pipe_gets_a_plain_line_every_few_seconds(monkeypatch):
     assert 6 <= len(lines) <= 12 and "\x1b" not in pipe.getvalue()
 
 
+@pytest.mark.slow
 def test_simulate_shows_progress_on_request(welded_ur5_system, capsys, monkeypatch):
     monkeypatch.setattr("multiarm.terminal.progress.LINES", 0.02)
     ma.simulate(welded_ur5_system, 2.0, step=1e-4, integrator="rk4", progress=True)
@@ -386,6 +392,7 @@ def test_an_arm_with_too_few_joints_runs(tmp_path, solver):
     assert result.exit_code == 0, result.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [

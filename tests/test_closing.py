@@ -189,6 +189,7 @@ def test_an_arm_at_full_stretch_lets_the_object_come_to_it():
 # --- the change is the least ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held", [True, False])
 def test_the_change_is_the_least_in_the_metric_of_the_inertia(held, rng):
     """For a small inconsistency the change satisfies ``M delta in range(W)``."""

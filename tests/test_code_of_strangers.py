@@ -273,6 +273,7 @@ def test_a_replay_draws_what_it_draws_of_a_run_in_this_process(folder):
         assert own[:, 0] == pytest.approx(expected[:, 1], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_joint_of_which_nothing_is_left_is_looked_at_too(folder):
     surface = written(folder, "surface")
     text = surface.scene.read_text().replace(
@@ -293,6 +294,7 @@ def test_a_joint_of_which_nothing_is_left_is_looked_at_too(folder):
 SWEEP = "over: {object.mass: [1.0, 2.0]}\nkeep: [final_z, 'shapes.py:number']\n"
 
 
+@pytest.mark.slow
 def test_a_stored_sweep_is_looked_at_without_its_code_and_run_again_with_it(stranger):
     over, out, page = (stranger.folder / name for name in ("s.yaml", "s.h5", "a.html"))
     over.write_text(SWEEP)
@@ -324,6 +326,7 @@ def test_a_stored_sweep_is_looked_at_without_its_code_and_run_again_with_it(stra
     assert ma.load_sweep(out, code=True).trajectory(2).status == "completed"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("over", "what"),
     [
@@ -352,6 +355,7 @@ def test_code_that_the_values_of_a_sweep_name_is_told_and_refused_too(folder, ov
 # --- running ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_says_what_it_loads_or_refuses_it(stranger):
     words = ["run", stranger.scene, "--out", stranger.result]
     result = multiarm(*words, "--no-code")

@@ -243,6 +243,7 @@ def entered(monkeypatch):
     return names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [m for m in METHODS if m != "dense"])
 def test_a_run_of_compiled_arms_enters_python_never(method, entered):
     scene = pair(control=CONTROLS["joint pd"], effects={**EFFECTS["joints"], **EFFECTS["loads"]})
@@ -264,6 +265,7 @@ def test_pinocchios_arms_are_counted(entered):
     assert len(entered) > 40
 
 
+@pytest.mark.slow
 def test_a_run_with_events_enters_python_never(entered):
     for build in EVENT_SCENES.values():
         assert run(_with_arms(build(), "compiled"), 0.3).status == "completed"

@@ -38,6 +38,7 @@ def problem(rng, kinds, most=6):
     return A, a, units
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [[Push], [Bounded], [Friction], [Sliding], ALL])
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(seed=seeds)
@@ -58,6 +59,7 @@ def test_every_solution_obeys_the_laws(kinds, seed):
         assert np.max(np.abs(other.rates - solution.rates)) > 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [[Push], [Bounded], [Friction], [Sliding], ALL])
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(seed=seeds)
@@ -99,6 +101,7 @@ def test_active_rows_are_found_for_all_but_one_in_a_hundred_random_contacts_with
     assert failed <= 3
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(seed=seeds, count=st.integers(1, 20))
 def test_pushes_move_as_nonnegative_least_squares(seed, count):
@@ -110,6 +113,7 @@ def test_pushes_move_as_nonnegative_least_squares(seed, count):
     np.testing.assert_allclose(solution.rates, expected, atol=AGREE * np.max(np.abs(A @ a) + 1.0))
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(seed=seeds, count=st.integers(1, 20))
 def test_bounded_forces_move_as_bounded_least_squares(seed, count):
@@ -145,6 +149,7 @@ def test_shared_loads_are_the_smallest_that_push(seed):
     np.testing.assert_allclose(solution.forces, result.x, atol=1e-4 * (1.0 + np.max(result.x)))
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(seed=seeds)
 def test_there_is_no_solution_exactly_when_no_forces_part_the_rows(seed):
@@ -227,6 +232,7 @@ def planar_motions(D, b, mu):
     return found
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(seed=seeds, count=st.integers(1, 3), mu=st.sampled_from([0.0, 0.2, 0.6]))
 def test_friction_in_a_plane_moves_as_one_of_all_modes(seed, count, mu):
@@ -254,6 +260,7 @@ def friction_problem(seed, count=3):
     return rng, A, a
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=seeds)
 def test_friction_does_not_know_the_axes_of_its_tangents(seed):
@@ -269,6 +276,7 @@ def test_friction_does_not_know_the_axes_of_its_tangents(seed):
     assert other.modes == one.modes
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=seeds, mass=st.floats(1e-3, 1e3), lever=st.floats(1e-2, 1e2))
 def test_units_of_mass_and_of_a_row_do_not_matter(seed, mass, lever):

@@ -125,6 +125,7 @@ def test_one_contact_with_mild_friction_is_proven_unique_and_four_corners_are_no
     assert four.verdict is Verdict.FOUND and four.message == ""
 
 
+@pytest.mark.slow
 def test_gauss_seidel_helps_where_newton_runs_in_circles():
     """Thirteen contacts on six freedoms, too many to try all modes."""
     circles = 0

@@ -90,6 +90,7 @@ def passages(name, coordinates):
     return int(np.sum(np.diff(np.floor(turns)) != 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", RUNS)
 @pytest.mark.parametrize("name", LINKAGES)
 def test_crossing_motions_are_passed_on_the_one_that_the_state_is_on(name, settings):

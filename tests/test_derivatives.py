@@ -272,6 +272,7 @@ def displacement(base, other):
     return np.concatenate([change[:3], turn.as_rotvec(), faster[:6], change[7:], faster[6:]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("kind", ["weld", "ball"])
 def test_dependent_constraints_are_differentiated_along_the_joints(kind, moving, rng):

@@ -208,6 +208,7 @@ SYSTEMS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_evaluation_solves_the_equations_of_motion(name, tmp_path, rng):
     """At states off the constraints, with inconsistent velocities of everything."""

@@ -168,6 +168,7 @@ def test_an_effect_that_does_nothing_can_go_and_is_said_to(own):
     assert sentence(result, nothing).endswith(", changes nothing beyond the noise: leave it out")
 
 
+@pytest.mark.slow
 def test_an_effect_without_which_the_scene_does_not_run_is_told(own):
     own("magnet")
 
@@ -186,6 +187,7 @@ def test_an_effect_without_which_the_scene_does_not_run_is_told(own):
     assert facts["yoke"].trouble == ""
 
 
+@pytest.mark.slow
 def test_a_variant_that_fails_on_the_way_is_compared_up_to_there(own):
     def forces(self, t, _state):
         if t > 0.1 and "joint_damping" not in self.site.scene.effects.named:
@@ -205,6 +207,7 @@ def test_a_variant_that_fails_on_the_way_is_compared_up_to_there(own):
     assert not result.can_go(entry)
 
 
+@pytest.mark.slow
 def test_candidates_are_added_with_their_usual_parameters(own, monkeypatch):
     own("breeze", default={}, forces=lambda self, t, s: ma.Loads([0.1, 0, 0, 0, 0, 0]))
     monkeypatch.setattr(study, "defaults", lambda _: {"joint_damping": 1.0, "breeze": {}, "x": 1})
@@ -516,6 +519,7 @@ def page(browser, tmp_path):
         yield page
 
 
+@pytest.mark.slow
 def test_the_page_says_everything_and_its_figure_has_no_ground_of_its_own(page):
     said = page.locator("ul.said li").all_inner_texts()
     assert len(said) == 8, "effects; settings stand in their table"
@@ -528,6 +532,7 @@ def test_the_page_says_everything_and_its_figure_has_no_ground_of_its_own(page):
     assert re.search(r"fill: none|opacity: 0\b", background), "the page's own shows through"
 
 
+@pytest.mark.slow
 def test_names_on_the_page_are_no_markup():
     text = render(synthetic())
     assert "<title>arms &amp; &lt;disc&gt; · multiarm effects</title>" in text

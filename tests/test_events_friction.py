@@ -118,6 +118,7 @@ def test_a_box_stays_under_a_side_force_below_mu_m_g(share):
     assert np.all(np.sum(drag, axis=1) >= share * 2 * GRAVITY - 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.3001, 0.4, 0.6])
 def test_a_box_slides_under_a_side_force_above_mu_m_g(share):
     trajectory = run(pushed_box(share), 0.5)

@@ -289,6 +289,7 @@ def test_events_leave_the_axes_as_they_are():
     assert plots.object_pose(eventful()).legends == []
 
 
+@pytest.mark.slow
 def test_legend_does_not_cover_the_axes():
     events = [event(0.1 * i, kind) for i, kind in enumerate((*NEW_KINDS, *OLD_KINDS))]
     for figure in plots.figures(eventful(events)).values():
@@ -403,6 +404,7 @@ def table(page):
     return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
 
 
+@pytest.mark.slow
 def test_report_tells_when_what_where_and_how():
     hit = event(
         1.25, "touches", where=[0.4, 0.0, -0.125], before={"gap_rate_m_s": -0.31},
@@ -441,6 +443,7 @@ def test_report_shows_events_of_another_program_as_they_are():
     assert len(table(page)) == 1
 
 
+@pytest.mark.slow
 def test_report_without_events_has_no_section():
     assert "<h2>Events</h2>" not in render(eventful())
 
@@ -478,6 +481,7 @@ def test_hostile_names_of_contacts_are_text(where):
     assert page.text.count("alert(1)") >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_runs_of_few_samples_with_events_are_drawn(count):
     run = eventful()

@@ -101,6 +101,7 @@ def exported(run, tmp_path_factory):
 # What the animation says
 
 
+@pytest.mark.slow
 def test_open_contact_has_no_arrow_whatever_force_was_recorded(animation):
     (left, right) = animation.contacts
     lengths = animation.arrow_lengths(left)[:, 0]
@@ -119,6 +120,7 @@ def test_film_of_a_run_without_states_is_as_before(plain):
     assert (animation.event_places, animation.events) == ([], [])
 
 
+@pytest.mark.slow
 def test_surfaces_know_when_they_are_touched(animation):
     away = (animation.time >= OPENS) & (animation.time < CLOSES)
     surfaces = {body.name: body for body in animation.bodies if body.name.startswith("surfaces/")}

@@ -147,6 +147,7 @@ def test_hinged_box_is_led_by_its_waypoints_and_squeezed(printed):
     assert max(figures("arm=#, object=#, constraint=#", text)[0]) < 1e-9
 
 
+@pytest.mark.slow
 def test_any_joint_is_the_same_hinge_three_times(printed):
     text = printed("05_any_joint.py")
     hinges = figures(r"turned by# rad, box# m from the first hinge", text)

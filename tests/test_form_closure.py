@@ -222,6 +222,7 @@ def gripper_set(rng, count, d):
     return Contacts.along(points, rng.normal(size=(count, d)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", [flat_set, gripper_set], ids=lambda family: family.__name__)
 def test_flat_and_clustered_contacts_are_decided_as_exactly(family, rng):
     closed = 0
@@ -234,6 +235,7 @@ def test_flat_and_clustered_contacts_are_decided_as_exactly(family, rng):
     assert closed > 10
 
 
+@pytest.mark.slow
 def test_many_contacts_are_decided_as_exactly(rng):
     points = rng.normal(size=(300, 3))
     around = Contacts.along(points, -points + 0.5 * rng.normal(size=points.shape))
@@ -802,6 +804,7 @@ def test_a_tetrahedron_with_a_finger_on_each_face_is_immobile_and_its_inside_out
         assert pushes == pytest.approx(np.full(4, 0.25))
 
 
+@pytest.mark.slow
 def test_concentric_fingers_are_decided_by_the_form_in_three_turns(rng):
     # pushes lam balance along unit directions e toward the centre, from depths r:
     # the form is  - sum lam r (I - e e^T)
@@ -900,6 +903,7 @@ def test_many_sets_of_the_wrong_kind_are_refused(points, normals, words):
         closed_many(points, normals)
 
 
+@pytest.mark.slow
 def test_seven_contacts_are_decided_without_scipy():
     code = (
         "import sys, numpy as np\n"

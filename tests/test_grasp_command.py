@@ -53,6 +53,7 @@ def designed(tmp_path_factory):
 # --- design --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_designed_scene_runs_with_every_contact_pressing(designed):
     result, path = designed
     assert "7 contacts hold the body: form closure" in result.stderr
@@ -119,6 +120,7 @@ def test_an_optimised_grasp_tells_its_gap_and_is_drawn(tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_grasp_of_a_scene_is_drawn_where_its_faces_are_known(designed, tmp_path):
     _, path = designed
     assert grasp("check", path, "--plot", tmp_path / "a.svg").exit_code == 0
@@ -162,6 +164,7 @@ def test_a_bad_design_is_one_error_in_words(words, message):
 # --- check ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_check_tells_verdict_regions_and_stability(designed, tmp_path):
     _, path = designed
     target = tmp_path / "grasp.json"

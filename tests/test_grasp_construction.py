@@ -144,6 +144,7 @@ def test_bound_of_the_last_contact_is_the_same_for_all_sizes():
             np.testing.assert_allclose(here, fixed, atol=TOL)  # the grippers are rigid
 
 
+@pytest.mark.slow
 @given(
     st.floats(0.01, 1.0),
     st.floats(0.05, 1.9),
@@ -188,6 +189,7 @@ def test_a_small_gripper_holds_a_block_a_thousand_times_its_size():
         assert grasp.closure
 
 
+@pytest.mark.slow
 def test_any_corner_and_order_of_faces_holds_a_block():
     for corner in ((0, 1, 2), (3, 1, 2), (0, 4, 5), (3, 4, 5)):
         for faces in permutations(corner):
@@ -436,6 +438,7 @@ def test_bodies_that_are_not_convex_are_held(outline):
     assert not grasp.body.convex and sound(grasp)
 
 
+@pytest.mark.slow
 def test_a_body_from_a_file_is_held_although_its_corners_are_rounded(tmp_path):
     WIDE["hexagon"].placed(pose_of(3, 1.0)).save(tmp_path / "body.stl")
     body = Polyhedron.mesh(tmp_path / "body.stl", scale=1e-3)
@@ -458,6 +461,7 @@ def test_a_block_from_a_file_is_a_block(tmp_path, shear):
 # --- searching and choosing ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_tetrahedron_is_held_by_seven_contacts_that_are_searched():
     for seed in range(4):
         corners = np.random.default_rng(seed).normal(size=(4, 3))
@@ -466,6 +470,7 @@ def test_a_tetrahedron_is_held_by_seven_contacts_that_are_searched():
         assert "found by search" in grasp.notes[0] and "tetrahedron" in grasp.notes[1]
 
 
+@pytest.mark.slow
 def test_a_search_is_the_same_with_the_same_generator():
     body = Polyhedron.hull(np.vstack([np.eye(3), np.zeros(3)]))
     first, again, other = (search_grasp(body, np.random.default_rng(s)) for s in (5, 5, 6))
@@ -481,6 +486,7 @@ def test_the_two_groups_of_a_search_are_the_most_compact():
     assert (first, second) == ((0, 1, 4), (2, 3))
 
 
+@pytest.mark.slow
 def test_a_search_improves_what_it_draws():
     """The regular tetrahedron is held more firmly than by the best of the draws."""
     corners = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], dtype=float)
@@ -519,6 +525,7 @@ def test_design_takes_the_construction_of_the_class():
     assert "share a face" in design_grasp(WIDE["pyramid"]).notes[0]
 
 
+@pytest.mark.slow
 def test_a_body_that_may_be_a_round_one_is_held_with_a_word_about_it():
     angles = 2.0 * np.pi * np.arange(20) / 20
     body = Polyhedron.prism(np.column_stack([np.cos(angles), np.sin(angles)]), 2.0)

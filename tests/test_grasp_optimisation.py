@@ -123,6 +123,7 @@ def test_parts_of_faces_may_be_named():
 # --- which faces ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_positive_span_is_what_a_linear_program_says(rng):
     seen = set()
     for count in (3, 4, 5, 6, 8):
@@ -349,6 +350,7 @@ def test_no_placement_drawn_from_all_choices_beats_the_bound(rng, objective):
             assert top * best <= result.bound * (1 + SOLVED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("objective", NAMES)
 def test_a_grid_over_few_parameters_finds_nothing_better(objective):
     """Six fingertips may stay on small squares, the seventh on a strip: a grid covers it."""

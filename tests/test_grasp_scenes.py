@@ -60,6 +60,7 @@ def held():
 # --- the block between two Pandas ----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_all_contacts_press_for_ten_seconds_of_a_moving_target(held):
     _, scene, _, run = held
     assert (run.status, run.time[-1]) == ("completed", 10.0)
@@ -76,6 +77,7 @@ def test_all_contacts_press_for_ten_seconds_of_a_moving_target(held):
     assert run.position_drift.max() < 1e-10
 
 
+@pytest.mark.slow
 def test_the_object_frame_follows_from_the_contact_points(held):
     """Seven points in the world, and nothing else of the simulated pose."""
     grasp, _, system, run = held

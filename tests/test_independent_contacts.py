@@ -224,6 +224,7 @@ def test_the_dependent_contacts_are_those_of_the_dependency(rng):
     assert (found.rank, found.dependent) == (5, (0, 1, 2))
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(seed=st.integers(0, 10**6), scale=st.sampled_from([1e-3, 1.0, 10.0]))
 def test_conditions_do_not_depend_on_place_axes_or_size(seed, scale):

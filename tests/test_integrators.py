@@ -312,6 +312,7 @@ except ma.MultiarmError as error:
 """
 
 
+@pytest.mark.slow
 def test_a_method_is_one_record_from_which_all_lists_follow(tmp_path):
     """The tableau's text in the list of methods, as one adds it; everything else is as it was."""
     source = Path(tableaus.__file__).read_text()

@@ -204,6 +204,7 @@ def test_contacts_that_cannot_press_are_named():
     assert "orthonormal or echelon" in str(caught.value)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 def test_refusal_of_the_nonnegative_form_is_right(seed):
     """Against nonnegative least squares: a strictly positive null vector exists or not."""

@@ -94,6 +94,7 @@ def test_corner_gripper_moves_as_in_the_worked_example():
     assert space.rows == (0, 1) and space.others == (2, 3, 4, 5) and space.rank == 4
 
 
+@pytest.mark.slow
 @given(arrays(float, (4, 3), elements=st.floats(-0.1, 0.1)))
 def test_corner_grippers_of_any_shape_move_as_the_thesis_says(points):
     """Equation (3.23) with a = z2 - z1, ...; contacts 1 and 3 at one height."""
@@ -161,6 +162,7 @@ def pushes(rng, count):
     return wrenches(rng.uniform(-0.5, 0.5, (count, 3)), normals)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 6), st.integers(0, 2**32 - 1), st.floats(-3, 3))
 def test_rows_found_by_pivoting_always_serve(count, seed, size):
     """Also for joints of a millimetre and of a kilometre; the factor is that of QR pivoting."""

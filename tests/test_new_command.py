@@ -30,6 +30,7 @@ def made(path: Path, *words: object) -> ma.System:
     return system
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", BUILT_IN)
 def test_a_scene_of_every_kind_of_joint_runs(kind, tmp_path):
     system = made(tmp_path / "scene.yaml", "--joint", kind)
@@ -50,6 +51,7 @@ def test_any_robots_hold_any_object_and_keep_it_still(robots, solid, tmp_path):
     assert np.abs(run.object_position - run.object_position[0]).max() < 1e-6  # [m], accuracy
 
 
+@pytest.mark.slow
 def test_every_line_is_explained_and_the_schema_comes_first(tmp_path):
     path = tmp_path / "scene.yaml"
     made(path)

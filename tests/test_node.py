@@ -123,6 +123,7 @@ def test_node_algorithm_equals_the_dense_solution(seed, shapes, ratio):
     np.testing.assert_allclose(node.force, dense.force, atol=tol * scale_f)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(seeds, shapes)
 def test_node_solution_satisfies_all_three_equations(seed, shapes):

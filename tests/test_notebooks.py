@@ -62,6 +62,7 @@ def test_without_pandas_the_remedy_is_named(run, monkeypatch):
         run.to_pandas()
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_replay_below_the_cell(run, monkeypatch, tmp_path):
     session = SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=None))
     monkeypatch.setitem(sys.modules, "IPython", session)

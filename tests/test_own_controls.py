@@ -172,6 +172,7 @@ def test_a_stepper_and_a_controller_in_its_place_take_the_control_of_the_scene()
 # --- finding --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_kind_of_ours_has_a_sentence_an_example_and_a_law():
     for name, own in BUILT_IN.items():
         assert own.picture and own.sample().kind == name
@@ -243,6 +244,7 @@ def test_a_stored_run_is_looked_at_and_replayed_without_the_class(tmp_path):
     require_equal(ma.simulate(ma.compile_system(again), certificate=False), run)
 
 
+@pytest.mark.slow
 def test_workers_of_a_sweep_know_those_that_were_registered_here():
     class Firm(Pull):
         example = ""

@@ -105,6 +105,7 @@ def test_torques_of_an_effect_act_as_those_of_a_controller():
     assert all(np.all(torque == 0.0) for torque in b.joint_torques.values())
 
 
+@pytest.mark.slow
 def test_the_recorded_work_is_that_of_wrench_and_torques_along_the_motion():
     arm = next(iter(RING.arms))
 
@@ -413,6 +414,7 @@ def test_an_effect_with_usual_parameters_is_a_candidate():
     assert "pull" not in found
 
 
+@pytest.mark.slow
 def test_defining_and_registering_imports_nothing_heavy():
     code = (
         "import json, sys, multiarm as ma\n"

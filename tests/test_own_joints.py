@@ -297,6 +297,7 @@ def test_a_scene_with_them_is_written_read_again_and_changed():
     assert wider.joints[0] == Hitch(arm="left", width=0.2)
 
 
+@pytest.mark.slow
 def test_an_installed_class_is_loaded_when_a_scene_file_is_compiled(tmp_path, monkeypatch):
     ma.register_joint(Hitch)
     ma.register_surface(Marble)
@@ -367,6 +368,7 @@ def test_a_stored_run_is_looked_at_and_replayed_without_the_class(own, joint, tm
     assert ma.compile_system(again).contacts["left"]
 
 
+@pytest.mark.slow
 def test_workers_of_a_sweep_know_those_that_were_registered_here():
     class Loose(Hitch):
         kind: Literal["loose"] = "loose"

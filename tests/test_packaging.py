@@ -58,11 +58,13 @@ def elsewhere(unpacked, tmp_path, monkeypatch):
     return run
 
 
+@pytest.mark.slow
 def test_wheel_holds_every_module_and_nothing_of_the_tests(contents):
     modules = {str(p.relative_to(ROOT)) for p in (ROOT / "multiarm").rglob("*.py")}
     assert {name for name in contents if name.endswith(".py")} == modules
 
 
+@pytest.mark.slow
 def test_wheel_holds_the_robots_with_their_sources(contents):
     files = [path for path in (ROOT / "robots").rglob("*") if path.is_file()]
     expected = {f"multiarm/{path.relative_to(ROOT)}" for path in files}

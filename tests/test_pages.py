@@ -62,6 +62,7 @@ def test_pages_are_whole_and_load_nothing(target):
     assert page.tags.count("h1") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_pages_are_readable_in_light_and_in_the_dark(browser, target, scheme):
     with shown(browser, target, scheme) as page:

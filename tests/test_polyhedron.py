@@ -117,6 +117,7 @@ def test_inertia_of_a_block_is_the_textbooks(lengths):
     np.testing.assert_allclose(inertia, np.diag(expected), atol=ROUNDING * expected.max())
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000), st.floats(1e-3, 1e3), st.floats(0.0, 1e3))
 @settings(deadline=None, max_examples=25)
 def test_a_body_is_the_same_of_any_size_at_any_place(seed, factor, reach):
@@ -392,6 +393,7 @@ def test_bodies_are_told_by_their_class():
     assert "+x and -x" in str(classify(BODIES["box"]))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000), st.floats(1e-3, 1e3))
 @settings(deadline=None, max_examples=20)
 def test_a_class_does_not_depend_on_size_and_place(seed, factor):

@@ -177,6 +177,7 @@ def pose_table(X: np.ndarray) -> dict:
     return {"xyz": X[:3, 3], "quaternion_xyzw": Rotation.from_matrix(X[:3, :3]).as_quat()}
 
 
+@pytest.mark.slow
 def test_a_base_is_found_where_the_arm_holds_its_place_well():
     """Better than from almost all places that a quick look from elsewhere finds."""
     joints = [{"arm": "a", "kind": "weld", "at": DOWN}, {"arm": "b", "kind": "ball", "at": DOWN}]
@@ -240,6 +241,7 @@ def test_a_base_needs_a_place_to_be_found_for():
 RING = Path(__file__).parents[1] / "examples" / "scenes" / "three_makes_ring.yaml"
 
 
+@pytest.mark.slow
 def test_postures_are_written_into_a_scene_that_keeps_its_comments(tmp_path):
     path, text = tmp_path / "ring.yaml", RING.read_text()
     path.write_text(text)
@@ -259,6 +261,7 @@ def test_postures_are_written_into_a_scene_that_keeps_its_comments(tmp_path):
     assert again.exit_code == 2 and "gives every arm a posture" in again.stderr
 
 
+@pytest.mark.slow
 def test_bases_are_written_into_a_scene_that_keeps_its_comments(tmp_path):
     path, text = tmp_path / "ring.yaml", RING.read_text()
     text = text.replace("base: {xyz: [0.95, 0, 0]}", "base: {solve: [x, y, yaw]}").replace(

@@ -121,6 +121,7 @@ def test_what_does_not_steer_stays():
     assert printable_texts({"a": ("\x1b", [1, None])}) == {"a": ["\\x1b", [1, None]]}
 
 
+@pytest.mark.slow
 def test_check_run_and_sweep_show_a_hostile_scene_as_it_is(folder):
     assert NAME in without_breaks(said("check", folder / "scene.yaml"))
     result = folder / "run.h5"
@@ -148,6 +149,7 @@ def test_pages_of_a_hostile_result_have_its_names_as_texts_only(folder, foreign)
     assert shown.words.strip().startswith(f"{printable(HOSTILE)}\n")  # the title, and no viewer
 
 
+@pytest.mark.slow
 def test_errors_and_warnings_show_hostile_paths_as_they_are(folder, tmp_path):
     absent = tmp_path / f"{STEERING}{MARKUP}.yaml"
     assert printable(str(absent)) in said("check", absent, code=2)

@@ -74,6 +74,7 @@ def test_scene_compiles_with_the_solver_it_will_use_and_its_start_is_closed(name
         assert max(system.start_report.gap_rates.values()) <= 1e-11
 
 
+@pytest.mark.slow
 def test_importing_the_problems_loads_no_solver():
     code = (
         "import json, sys, multiarm.problems\n"
@@ -167,6 +168,7 @@ def test_series_are_inertia_and_potential_and_their_slopes(name):
         np.testing.assert_allclose([A_s, V_s], slopes, atol=2e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MOTIONS)
 def test_closed_motion_keeps_its_energy(name):
     build, start, rate = MOTIONS[name]
@@ -264,6 +266,7 @@ def test_joint_rates_are_differences_of_joint_angles():
     np.testing.assert_allclose(extremes.joint_rates(angle), rates, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_creep_is_torque_over_damping():
     motion = extremes.stiff_motion()
     times = np.linspace(0.0, 1e-3, 11)
@@ -277,6 +280,7 @@ def test_creep_is_torque_over_damping():
 # --- bodies, contacts, robots ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_tumbling_keeps_momentum_and_energy_and_turns_over():
     times = np.linspace(0.0, 2.0, 2001)
     quaternions = spinning.tumbling(times)

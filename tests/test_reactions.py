@@ -201,6 +201,7 @@ def test_velocities_of_the_worked_example_are_projected_in_the_inertia_metric():
 # --- against the dense system --------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(seeds, healthy, frictions, st.sampled_from([1e-3, 1.0, 1e3]))
 def test_healthy_arms_move_as_the_dense_system_says(seed, shapes, friction, ratio):
@@ -213,6 +214,7 @@ def test_healthy_arms_move_as_the_dense_system_says(seed, shapes, friction, rati
     assert found.motion_unique and all(found.unique) and found.residual < 1e-11
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(seeds, healthy)
 def test_without_friction_it_is_the_node_algorithm(seed, shapes):
@@ -226,6 +228,7 @@ def test_without_friction_it_is_the_node_algorithm(seed, shapes):
         np.testing.assert_allclose(found.force, node.force, atol=1e-10 * np.max(np.abs(node.force)))
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(seeds, deficient, frictions)
 def test_arms_with_too_few_joints_move_as_the_dense_system_says(seed, shapes, friction):
@@ -246,6 +249,7 @@ def test_arms_with_too_few_joints_move_as_the_dense_system_says(seed, shapes, fr
     assert_solves(found, system, reactions)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(seeds, healthy, st.sampled_from([1.0, 3.0, -0.2]), st.booleans())
 def test_a_contact_that_is_there_twice_changes_no_motion(seed, shapes, lever, on_first):

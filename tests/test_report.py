@@ -180,6 +180,7 @@ def test_every_joint_has_a_look_of_its_own_and_a_piece_of_its_line_before_its_na
     assert all(min(key.get_xdata()) > 1.0 for key in keys), "beside the curves"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_runs_of_few_samples_are_drawn(count):
     block = {name: values[:count] for name, values in samples().items()}
@@ -209,6 +210,7 @@ def page(run):
     return render(run)
 
 
+@pytest.mark.slow
 def test_the_report_loads_nothing(page):
     tags = set(Page(page).tags)
     assert tags.isdisjoint({"script", "link", "img", "iframe", "object", "embed", "base"})
@@ -217,6 +219,7 @@ def test_the_report_loads_nothing(page):
     assert "@import" not in page
 
 
+@pytest.mark.slow
 def test_names_inside_the_page_are_unique_and_known(page):
     ids = Page(page).ids
     used = set(re.findall(r"url\(#([^)]+)\)", page)) | set(re.findall(r'href="#([^"]+)"', page))
@@ -231,6 +234,7 @@ def test_the_report_shows_the_scene_and_its_name_as_text(page):
     assert "gravity: [0, 0, -9.81]" in text
 
 
+@pytest.mark.slow
 def test_hostile_names_are_shown_and_not_run():
     attack = "<script>alert(1)</script>"
     channels = [
@@ -248,6 +252,7 @@ def test_hostile_names_are_shown_and_not_run():
     assert "$\\bad$" in page.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("status", ["completed", "interrupted", "failed"])
 def test_the_status_is_said_in_words_and_shown_in_colour(status):
     page = render(record(MemorySink(), status=status, message="what to do next"))
@@ -270,11 +275,13 @@ def test_ink_follows_the_theme_of_the_page(page):
     assert "var(--ink)" in page
 
 
+@pytest.mark.slow
 def test_a_scene_that_cannot_be_parsed_still_has_a_report():
     run = record(MemorySink(), metadata={"scene": "name: [unclosed"})
     assert "A run without a name" in Page(render(run)).text
 
 
+@pytest.mark.slow
 def test_the_report_is_written_and_its_place_returned(run, tmp_path, page):
     path = report(run, tmp_path / "report.html")
     assert path == tmp_path / "report.html"

@@ -56,6 +56,7 @@ def test_torques_that_oscillate_too_fast_end_the_run(tmp_path):
     assert ma.load_trajectory(tmp_path / "run.h5").message == run.message
 
 
+@pytest.mark.slow
 def test_a_larger_bound_lets_the_same_run_go_further():
     base, more = (
         ma.simulate(ma.compile_system(shaken(duration=1e-5, most_steps=most)), certificate=False)
@@ -181,6 +182,7 @@ def test_the_rerun_of_a_certified_run_has_the_same_bound(monkeypatch):
     assert certificate["reason"] == "rounding" and TOO_SLOW in certificate["text"]
 
 
+@pytest.mark.slow
 def test_many_runs_and_sweeps_carry_the_failure_on(tmp_path):
     system = ma.compile_system(shaken(SLOW, duration=0.1))
     many = ma.simulate_many(

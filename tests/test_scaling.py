@@ -328,6 +328,7 @@ def test_times_implied_by_the_thesis_fit_its_columns():
     assert slope == pytest.approx(9.0, abs=0.3), "t1 grows by about 9 ms an arm"
 
 
+@pytest.mark.slow
 def test_columns_are_those_of_the_measured_times(result):
     for row in result["thesis"]["rows"]:
         for picture, columns in row["columns"].items():
@@ -391,6 +392,7 @@ def test_slopes_are_exponents_and_skip_what_was_not_measured():
 # --- shares ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_parts_and_what_they_leave_make_up_the_whole(result):
     for row in result["shares"]["rows"]:
         assert list(row["evaluation"]) == list(time_shares.EVALUATION_PARTS)
@@ -467,6 +469,7 @@ def test_hinges_are_measured_on_request():
     assert found["growth"]["revolute"] is None
 
 
+@pytest.mark.slow
 def test_what_would_take_all_memory_is_left_out_with_a_word(monkeypatch, tmp_path):
     monkeypatch.setattr(evaluation_costs, "free_memory", lambda: 1e5)
     found = run_scaling(Plan(("evaluations",), ("ball",), arms=(2, 3), rounds=1))
@@ -529,6 +532,7 @@ def test_the_thesis_stands_beside_what_was_measured(result):
     assert [cell.text for cell in table.written(False)[0]][:3] == ["2", "22.4", "15.9"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ending", "magic"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")]
 )

@@ -71,6 +71,7 @@ def test_every_value_of_a_scene_is_at_the_path_that_messages_write(file):
         assert value_at(scene, path) is expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", SCENES, ids=lambda path: path.stem)
 def test_a_value_put_where_it_is_already_changes_nothing(file):
     scene = load_scene(file)

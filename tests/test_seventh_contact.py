@@ -522,6 +522,7 @@ def test_moments_refuse_normals_that_are_nearly_parallel(tilt):
     assert min(decided.values()) >= 10
 
 
+@pytest.mark.slow
 def test_both_routes_agree_on_normals_with_rounding_errors():
     rng = np.random.default_rng(4)
     for _ in range(20):

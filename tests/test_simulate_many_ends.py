@@ -175,6 +175,7 @@ def test_results_keep_no_file_open(welded_ur5_system, tmp_path):
         found[5].read("time")
 
 
+@pytest.mark.slow
 def test_a_pattern_and_a_folder_name_files_in_order(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run_files(None, 2) == [None, None]

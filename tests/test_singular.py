@@ -203,6 +203,7 @@ def relative(found, expected):
     return np.linalg.norm(found - expected) / np.linalg.norm(expected)
 
 
+@pytest.mark.slow
 @settings(max_examples=80, derandomize=True)
 @given(seeds, shapes, st.floats(-3.0, 3.0))
 def test_motion_and_forces_are_those_of_least_norm(seed, shapes, power):

@@ -122,6 +122,7 @@ def test_arms_of_two_joints_are_coupled_in_every_step():
 # --- directions lost and had again ---------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_lost_directions_are_told_in_words_and_again_when_they_are_back():
     system, trajectory = straight()
     longest = trajectory.statistics["largest_step_s"]
@@ -237,6 +238,7 @@ def dome_on_table():
     return ma.compile_system(single_arm("textbook_6r", "tool", POSTURE, joint))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings", [{"accuracy": 1e-6}, {"integrator": "rk4", "step": 1e-3}], ids=["adaptive", "rk4"]
 )

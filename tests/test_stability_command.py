@@ -136,6 +136,7 @@ def case_of(suite, name: str) -> CaseResult:
 # --- the verdict ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_case_passes_when_it_is_completed_within_all_criteria(suite):
     assert {case.name for case in suite.cases if case.passed} == GOOD
     assert (suite.passed, len(suite.cases)) == (len(GOOD), len(CASES))
@@ -168,6 +169,7 @@ def test_a_run_that_breaks_off_fails_whatever_its_criteria_say():
     assert case.failures == (f"failed: {case.message}",)
 
 
+@pytest.mark.slow
 def test_a_case_that_raises_is_a_failing_row_with_its_message(suite):
     case = case_of(suite, "no_scene")
     assert (case.passed, case.status, case.answers) == (False, "not run", ())
@@ -380,6 +382,7 @@ def test_without_mujoco_the_remedy_is_told(healthy_trial, monkeypatch):
     assert answer.refusal == "not installed: pip install multiarm[peers]"
 
 
+@pytest.mark.slow
 def test_pinocchio_as_shipped_gives_nan_on_redundant_rows_and_tuned_does_not():
     # planar arms of two joints welded to a body: six rows for three motions, exactly dependent
     scene = planar_pair("planar_2r", [0.4, -0.8], {"kind": "weld"}).replace(

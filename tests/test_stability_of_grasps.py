@@ -268,6 +268,7 @@ def every_corner(contacts, r):
     return closed_many(points, np.broadcast_to(contacts.normals, points.shape)).closed
 
 
+@pytest.mark.slow
 def test_radius_of_squares_is_where_the_first_of_all_corners_opens(rng):
     for contacts in (block_grasp(0.0, 0.3), random_grasp(rng), random_grasp(rng)):
         found = closure_radius(contacts, shape="square")
@@ -311,6 +312,7 @@ def test_the_lower_bound_needs_no_luck_in_finding_the_worst_displacements(rng):
         assert lower * six.length > 0.85 * truth.lower
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-3, 10.0])
 def test_radii_grow_with_the_body_and_move_with_it(rng, size):
     contacts = random_grasp(rng)
@@ -344,6 +346,7 @@ def test_axes_of_the_squares_may_be_given(rng):
         closure_radius(contacts, axes=t[:3])
 
 
+@pytest.mark.slow
 def test_open_contacts_have_no_radius_and_eight_have_that_of_seven(rng):
     assert closure_radius(block_grasp(0.5, 0.4)).lower == 0.0
     eight = random_grasp(rng, 8)
@@ -367,6 +370,7 @@ def test_six_opposed_pairs_have_no_seven_that_hold_by_themselves():
 # --- by lot --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_drawn_share_is_all_within_the_radius_and_falls_beyond(rng):
     contacts = block_grasp(0.4, 0.4)
     radius = closure_radius(contacts).lower

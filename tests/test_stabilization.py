@@ -39,6 +39,7 @@ def test_feedback_limits_are_where_the_methods_become_unstable(method):
 # --- projection of velocities --------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_velocity_projection_gives_the_worked_example(block_system):
     example = WORKED["velocity_projection"]
     raw, expected = np.array(example["inputs"]["raw_velocity"]), example["expected"]

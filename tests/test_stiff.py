@@ -237,6 +237,7 @@ def test_error_falls_with_order_5_under_stiff_damping(damping, monkeypatch):
     assert slope == pytest.approx(5.0, abs=0.2), errors
 
 
+@pytest.mark.slow
 def test_samples_between_long_steps_are_as_accurate_as_their_ends():
     system = damped_pair(1e4)
     run = {"duration": 1.0, "output_step": 1.0 / 211}

@@ -79,6 +79,7 @@ def made(tmp_path_factory):
     return folder, called.output
 
 
+@pytest.mark.slow
 def test_one_command_makes_all_runs_and_writes_all_files(made):
     folder, printed = made
     assert "6 of 6" in printed and "6 completed" in printed
@@ -93,6 +94,7 @@ def test_one_command_makes_all_runs_and_writes_all_files(made):
     assert (folder / "m.svg").read_text().startswith("<?xml")
 
 
+@pytest.mark.slow
 def test_the_json_has_the_figures_of_the_table(made):
     folder, _ = made
 
@@ -152,6 +154,7 @@ def test_a_sweep_killed_among_its_runs_and_resumed_ends_with_the_same_table(tmp_
     assert len(set(found["worker"])) == 2
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(made, tmp_path, monkeypatch):
     folder, _ = made
     out = tmp_path / "m.h5"
@@ -173,6 +176,7 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(made, tmp_path, monkeyp
     assert same_table(out, folder / "m.h5")
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_is_told_and_ends_nothing(tmp_path):
     over, out = tmp_path / "far.yaml", tmp_path / "far.h5"
     over.write_text(
@@ -334,6 +338,7 @@ def test_the_end_is_estimated_from_the_pace_of_the_runs_made_here(monkeypatch):
     )
 
 
+@pytest.mark.slow
 def test_the_commands_result_is_what_python_gives(made, tmp_path):
     folder, _ = made
     sweep = ma.sweep(SCENE, folder / "masses.yaml", out=tmp_path / "p.h5", workers=1)

@@ -70,6 +70,7 @@ def functions(tmp_path):
 # --- a run --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_row_has_the_numbers_of_the_run_of_a_scene_that_is_written_so(scene, plan, expected):
     for run in (1, 12):
         values = plan.values(run)
@@ -301,6 +302,7 @@ def own_arm(scene, urdf):
     return {**table, "urdf": urdf}
 
 
+@pytest.mark.slow
 def test_a_named_file_with_another_text_makes_another_sweep(by_file, tmp_path):
     scene, urdf = by_file
     over = {"arms.left": [own_arm(scene, "own.urdf")], MASS: [14.0, 15.0]}
@@ -326,6 +328,7 @@ def test_a_run_is_simulated_again_without_a_word_when_only_functions_are_another
     assert found.trajectory(1).status == "completed"
 
 
+@pytest.mark.slow
 def test_effects_that_were_registered_here_are_known_to_workers(scene, monkeypatch):
     monkeypatch.setattr("multiarm.scene.EFFECTS.registered", {})
 
@@ -451,6 +454,7 @@ def test_a_run_that_ctrl_c_ended_is_no_row_nor_one_whose_check_it_ended(scene, s
     assert same(run_job(own, job)) == same(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_ctrl_c_ends_a_sweep_in_good_order(scene, workers, tmp_path):
     timer = threading.Timer(0.2, signal.raise_signal, [signal.SIGINT])

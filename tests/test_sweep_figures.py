@@ -146,6 +146,7 @@ def test_a_pair_without_runs_is_empty_and_a_map_without_a_grid_shows_the_runs(sw
     assert len(dots.get_offsets()) == sweep.status_counts["completed"]
 
 
+@pytest.mark.slow
 def test_runs_that_did_not_complete_are_seen(sweep):
     panel = panel_of(sweep_overview(sweep), "object.mass", "gap [m]")
     (ticks,) = [line for line in panel.lines if line.get_label() == "did not complete"]
@@ -153,6 +154,7 @@ def test_runs_that_did_not_complete_are_seen(sweep):
     assert sorted(ticks.get_xdata()) == sorted(failed)
 
 
+@pytest.mark.slow
 def test_words_are_levels_with_their_names_and_no_formulas(sweep):
     figure = sweep_overview(sweep)
     figure.savefig(io.BytesIO(), format="svg")
@@ -161,6 +163,7 @@ def test_words_are_levels_with_their_names_and_no_formulas(sweep):
     assert labels == ["$none_", "joint_pd"]
 
 
+@pytest.mark.slow
 def test_the_overview_has_every_quantity_over_every_value_and_a_map(sweep):
     figure = sweep_overview(sweep)
     panels = [panel for panel in figure.axes if panel.get_xlabel()]
@@ -169,6 +172,7 @@ def test_the_overview_has_every_quantity_over_every_value_and_a_map(sweep):
         figure.savefig(io.BytesIO(), format=kind)
 
 
+@pytest.mark.slow
 def test_a_legend_below_the_panels_explains_all_marks(sweep):
     figure = sweep_overview(sweep)
     figure.draw_without_rendering()
@@ -179,6 +183,7 @@ def test_a_legend_below_the_panels_explains_all_marks(sweep):
     assert all(top <= panel.get_tightbbox().y0 + 1.0 for panel in figure.axes)
 
 
+@pytest.mark.slow
 def test_ten_thousand_runs_make_a_figure_of_bounded_size(tmp_path):
     def scattered(run):
         rng = np.random.default_rng(run)

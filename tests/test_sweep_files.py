@@ -68,6 +68,7 @@ def sweep(tmp_path_factory):
 # What is put in comes out
 
 
+@pytest.mark.slow
 def test_rows_come_out_as_they_were_put_in_and_in_the_order_of_the_runs(sweep):
     rows = list(sweep.rows())
     assert [row.run for row in rows] == list(range(1, sweep.count + 1))
@@ -286,6 +287,7 @@ def test_rows_are_on_the_disk_before_they_count(tmp_path, monkeypatch):
         assert seen == [pair for k in range(9) for pair in ((k, k), (k + 1, k))]
 
 
+@pytest.mark.slow
 def test_the_shards_of_a_file_that_was_removed_are_not_taken_for_those_of_the_next(tmp_path):
     path = tmp_path / "s.h5"
     killed(path, 400, 1, 60)
@@ -302,6 +304,7 @@ def test_the_shards_of_a_file_that_was_removed_are_not_taken_for_those_of_the_ne
     written_by_other.close()
 
 
+@pytest.mark.slow
 def test_a_writer_holds_no_more_than_its_youngest_shard(tmp_path):
     some = [row_of(run) for run in range(1, 101)]
     held = {}
@@ -315,6 +318,7 @@ def test_a_writer_holds_no_more_than_its_youngest_shard(tmp_path):
 # Refused
 
 
+@pytest.mark.slow
 def test_a_second_writer_is_refused_in_words_until_the_first_is_gone(tmp_path):
     path = tmp_path / "s.h5"
     process = started(path, 100_000, 1)

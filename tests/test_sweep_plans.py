@@ -124,6 +124,7 @@ def test_draws_follow_their_law(written, law, sampling):
     assert len(set(sample)) == 512
 
 
+@pytest.mark.slow
 def test_choices_and_whole_numbers_are_equally_likely():
     for written, values in [({"choice": ["a", [1], None]}, 3), ({"integers": [-1, 3]}, 5)]:
         plan = plan_of(None, parse_sweep({"over": {MASS: written}, "repeat": 3000}).text())
@@ -206,6 +207,7 @@ def peak_of(plan, runs):
     return peak
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampling", ["random", "sobol"])
 def test_memory_does_not_follow_the_number_of_runs(scene, sampling):
     over = {MASS: {"linspace": [1, 2, 100_000]}, LIFT: {"uniform": [0, 1]}}

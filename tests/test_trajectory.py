@@ -250,6 +250,7 @@ def test_a_file_explains_itself(tmp_path):
         assert list(file["arms/right/joint_torque"].attrs["columns"]) == list(JOINTS["right"])
 
 
+@pytest.mark.slow
 def test_loading_a_long_file_needs_memory_for_what_is_asked_only(tmp_path):
     count, size = 60, 1000
     blocks = (numbered_block(k * size, (k + 1) * size) for k in range(count))
@@ -380,6 +381,7 @@ def test_somebody_elses_file_is_not_touched(tmp_path, hdf5):
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.slow
 def test_a_full_disk_fails_the_run_and_keeps_its_samples(tmp_path):
     path = tmp_path / "run.h5"
     process = child(f"write_until_the_disk_is_full({str(path)!r}, 2_000_000)")
@@ -394,6 +396,7 @@ def test_a_full_disk_fails_the_run_and_keeps_its_samples(tmp_path):
     assert all(np.array_equal(run.read(c.name), expected[c.name]) for c in CHANNELS)
 
 
+@pytest.mark.slow
 def test_a_disk_full_from_the_start_is_named_before_the_run(tmp_path):
     process = child(f"write_until_the_disk_is_full({str(tmp_path / 'run.h5')!r}, 5000)")
     errors = process.communicate()[1].strip().splitlines()
@@ -429,6 +432,7 @@ def _kill_after(process, lines):
     return int([line for line in said if line.endswith("\n")][-1])
 
 
+@pytest.mark.slow
 def test_a_killed_run_loads_up_to_its_last_checkpoint(killed_runs):
     for path, safe in killed_runs:
         run = load_trajectory(path)
@@ -440,6 +444,7 @@ def test_a_killed_run_loads_up_to_its_last_checkpoint(killed_runs):
             assert np.array_equal(run.read(channel.name), expected[channel.name])
 
 
+@pytest.mark.slow
 def test_a_killed_run_can_be_saved_and_replaced(killed_runs, tmp_path):
     path, _ = killed_runs[0]
     run = load_trajectory(path)

@@ -132,6 +132,7 @@ def test_a_file_is_read_once(monkeypatch):
     assert len(reads) == 1
 
 
+@pytest.mark.slow
 def test_a_replay_shows_every_link_once_and_the_trunk_in_its_own_colours(moving):
     run = ma.simulate(moving, duration=0.02, accuracy=1e-6, certificate=False)
     animation = animate(run, fps=100, speed=1, meshes=True)

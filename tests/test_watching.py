@@ -156,6 +156,7 @@ def test_progress_may_evaluate_the_system_that_runs(sliding):
     assert ma.evaluate(system).position_residual < 1e-12  # and it is free again
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x", [0.0, 1e-18, 1e-17, 1e-16, 1e-12, 1e-6])
 @pytest.mark.parametrize("scale", [1.0, 0.1])
 def test_distance_inside_an_ellipsoid_is_smooth_across_its_planes_of_symmetry(x, scale):

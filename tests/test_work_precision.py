@@ -103,6 +103,7 @@ def measure_ours(system, about: Setting, reference: Reference, limit_s: float) -
 # --- the reference --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_digits_are_what_another_method_and_the_dense_solver_differ_by(system, reference):
     check = reference.about["check"]
     assert check["solver"] == "dense"
@@ -133,6 +134,7 @@ def test_a_wrong_solver_would_show_in_the_digits(system, reference, monkeypatch)
     assert digits["force"] > 1e6 * reference.digits["force"]
 
 
+@pytest.mark.slow
 def test_digits_that_are_known_are_not_found_again(system, reference, monkeypatch):
     known = {"digits": {"motion": 0.5}, "about": dict(reference.about)}
     monkeypatch.setattr(references, "_checked", None)
@@ -468,6 +470,7 @@ def front(results: Results, quantity: str) -> set[str]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_no_setting_on_the_front_of_a_thorough_study_is_left_out(study_in, seed):
     whole = study_in(World(seed), thorough=True)
@@ -482,6 +485,7 @@ def test_no_setting_on_the_front_of_a_thorough_study_is_left_out(study_in, seed)
         ]
 
 
+@pytest.mark.slow
 def test_first_results_come_soon_and_claim_no_error_below_their_uncertainty(study_in):
     world, shown = World(3), []
 
@@ -538,6 +542,7 @@ def test_an_interrupted_study_goes_on_where_it_was(study_in, system, tmp_path, p
         assert found.repeats == before + runs
 
 
+@pytest.mark.slow
 def test_an_interruption_in_the_reference_keeps_first_results(study_in, system, tmp_path):
     path, world = tmp_path / "study.json", World(1)
 
@@ -556,6 +561,7 @@ def test_an_interruption_in_the_reference_keeps_first_results(study_in, system, 
     assert not read_results(path).reference["first"]
 
 
+@pytest.mark.slow
 def test_files_of_other_formats_are_refused_with_the_remedy(study_in, system, tmp_path):
     path = tmp_path / "study.json"
     study_in(World(2), Results.of(system.scene, MACHINE, path))
@@ -602,6 +608,7 @@ def test_other_files_are_refused(tmp_path, text):
 # --- what is cheapest -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_cheapest_of_each_decade_is_that_of_brute_force():
     rng = np.random.default_rng(3)
     for _ in range(50):
@@ -713,6 +720,7 @@ def trial(request):
     return own, make_reference(own), make_peers(own, SOLVERS)[0]
 
 
+@pytest.mark.slow
 def test_pinocchio_converges_to_the_reference(trial):
     own, reference, peers = trial
     fine = course_of(peers, "Pinocchio", "SciPy DOP853", 1e-12, reference, own)
@@ -726,6 +734,7 @@ def test_pinocchio_converges_to_the_reference(trial):
     assert [item.evaluations for item in coarse] == [160, 320]
 
 
+@pytest.mark.slow
 def test_mujoco_at_its_best_converges_to_the_reference_and_as_shipped_does_not(trial):
     own, reference, peers = trial
     if not MUJOCO_IS_HERE:
@@ -742,6 +751,7 @@ def test_mujoco_at_its_best_converges_to_the_reference_and_as_shipped_does_not(t
     assert soft.gap_m > 1e-6 > coarse[1].gap_m
 
 
+@pytest.mark.slow
 def test_drake_is_of_order_one_or_is_told_to_be_missing(trial):
     own, reference, peers = trial
     if not DRAKE_IS_HERE:
@@ -859,6 +869,7 @@ def test_a_tape_plays_row_by_row_and_stays_at_its_end():
         assert target.tolist() == rows[row].tolist()
 
 
+@pytest.mark.slow
 def test_mujoco_asks_for_torques_at_the_times_that_are_on_the_tape(system):
     if not MUJOCO_IS_HERE:
         assert NOT_INSTALLED in make_peers(system, SOLVERS)[1].values()

@@ -38,13 +38,19 @@ class Replay(Directive):
                 raise self.severe(f"{scene.name}: {run.status}, {run.message}")
             ma.replay(run, folder / name, speed=self.options.get("speed", 1.0))
         up = "../" * environment.docname.count("/")
-        height = self.options.get("height", "420px")
+        height = self.options.get("height", "480px")
         frame = (
             f'<iframe class="replay" src="{up}_replays/{name}" loading="lazy" '
             f'style="height:{height}" title="Replay of {scene.stem}"></iframe>'
         )
         if "folded" in self.options:
-            frame = f'<details class="replay"><summary>Show the replay</summary>{frame}</details>'
+            # Loaded when it is opened: a page in a hidden frame has no size to fit its camera to.
+            frame = frame.replace(" src=", " data-src=")
+            opened = "const f = this.lastChild; f.src = this.open ? f.dataset.src : ''"
+            frame = (
+                f'<details class="replay" ontoggle="{opened}"><summary>Show the replay</summary>'
+                f"{frame}</details>"
+            )
         return [nodes.raw("", frame, format="html")]
 
 

@@ -30,8 +30,9 @@ import itertools
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, PlainSerializer, WithJsonSchema
@@ -254,11 +255,19 @@ def _home_of(function: Callable) -> str:
 _COUNT = itertools.count()
 
 
+class _Source(SourceFileLoader):
+    """Compiles a file each time: kept byte code is found stale by time and size alone."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        """The code of the file as it is now."""
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
 def _file_module(path: Path) -> ModuleType:
     """Run a file as a module each time; it is not left among the imported ones."""
     name = f"functions_of_{path.stem}_{next(_COUNT)}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None, "a name that ends in .py has a loader"
+    spec = importlib.util.spec_from_file_location(name, path, loader=_Source(name, str(path)))
+    assert spec is not None and spec.loader is not None, "the loader is given"
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # data classes look for their module while it is run
     try:

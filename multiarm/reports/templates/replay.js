@@ -159,6 +159,11 @@ function addLayer(viewer, path, label) {
 
 // The scene was framed for one shape of window; a narrower one needs more distance.
 function fitCamera(viewer, aspect) {
+  // a frame that is not shown has no size; the camera is fitted when it has one
+  if (!window.innerWidth || !window.innerHeight) {
+    window.addEventListener("resize", () => fitCamera(viewer, aspect), { once: true });
+    return;
+  }
   const width = window.innerWidth / window.innerHeight;
   viewer.camera.position.multiplyScalar(Math.max(1, aspect / width));
   viewer.set_dirty();
