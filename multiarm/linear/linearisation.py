@@ -250,48 +250,28 @@ def linearise(
     """
     system = require_system(system, "ma.linearise(system, t, state)")
     D = derivatives(system, t, state, closed_loop=closed_loop)
-    at = minimal_coordinates(D.motions)
-    n, size = D.layout.joints, 6 + D.layout.joints
-    p, m, e = len(at.positions), len(at.velocities), len(D.effect_state_rates.matrix)
-    by_position, by_velocity, by_torque, by_inner = (
-        np.hstack([D.matrix[:, D.columns[name]] for name in names])
-        for names in (
-            ("object_pose", "joint_positions"), ("object_twist", "joint_velocities"), ("torques",),
-            ("effect_states",),
-        )
-    )  # fmt: skip
-    # of everything in the matrix, by y
-    found = np.hstack(
-        [
-            by_position @ at.displacement + by_velocity @ at.turning,
-            by_velocity @ at.velocity,
-            by_inner,
-        ]
-    )
-    ev = D.evaluation
-    v0 = ev.state.velocity
-    turning = np.zeros((size, p))
-    turning[3:6] = 0.5 * np.cross(v0[3:6], at.displacement[3:6], axisb=0, axisc=0)
+    at, n = minimal_coordinates(D.motions), D.layout.joints
+    size, e = 6 + n, len(D.effect_state_rates.matrix)
+    p, m = len(at.positions), len(at.velocities)
+    by_y, by_torques = _by_coordinates(D, at)
     velocities = np.hstack([at.turning, at.velocity, np.zeros((size, e))])
-    chart = velocities + np.hstack([turning, np.zeros((size, m + e))])
-    positions, rates = list(at.positions), list(at.velocities)
-    A = np.vstack([chart[positions], found[:size][rates], found[D.rows["effect_state_rates"]]])
-    B = np.vstack([np.zeros((p, n)), by_torque[:size][rates], np.zeros((e, n))])
+    ev, positions, rates = D.evaluation, list(at.positions), list(at.velocities)
+    chart, v0 = velocities.copy(), ev.state.velocity
+    chart[3:6, :p] += 0.5 * np.cross(v0[3:6], at.displacement[3:6], axisb=0, axisc=0)
+    inner = D.rows["effect_state_rates"]
     qdd = np.concatenate([ev.object_acceleration, *ev.joint_accelerations.values()])
-    rate = np.concatenate([v0[positions], qdd[rates], np.zeros(e)])
-    moved = np.hstack([at.displacement, np.zeros((size, m + e))])
-    forces = D.rows["contact_forces"]
-    unique = np.isfinite(D.matrix[forces]).all(axis=1)
-    names, of_forces = component_names(system.model), np.flatnonzero(unique)
+    forces = np.arange(size, size + D.layout.contacts)
+    forces = forces[np.isfinite(D.matrix[forces]).all(axis=1)]
+    names = component_names(system.model)
     return LinearSystem(
         system=system,
         derivatives=D,
         coordinates=at,
-        A=A,
-        B=B,
-        C=np.vstack([moved, velocities, found[forces][of_forces]]),
-        D=np.vstack([np.zeros((2 * size, n)), by_torque[forces][of_forces]]),
-        rate=rate,
+        A=np.vstack([chart[positions], by_y[rates], by_y[inner]]),
+        B=np.vstack([np.zeros((p, n)), by_torques[rates], by_torques[inner]]),
+        C=np.vstack([np.pad(at.displacement, ((0, 0), (0, m + e))), velocities, by_y[forces]]),
+        D=np.vstack([np.zeros((2 * size, n)), by_torques[forces]]),
+        rate=np.concatenate([v0[positions], qdd[rates], np.zeros(e)]),
         state_names=(
             *(names[k] for k in positions),
             *(f"{names[k]}'" for k in rates),
@@ -301,9 +281,21 @@ def linearise(
         output_names=(
             *names,
             *(f"{name}'" for name in names),
-            *(_force_name(system, int(row)) for row in of_forces),
+            *(_force_name(system, int(row) - size) for row in forces),
         ),
     )
+
+
+def _by_coordinates(D: Derivatives, at: Coordinates) -> tuple[np.ndarray, np.ndarray]:
+    """The derivatives of everything by y, and by torques."""
+    by_position, by_velocity = (
+        np.hstack([D.matrix[:, D.columns[name]] for name in names])
+        for names in (("object_pose", "joint_positions"), ("object_twist", "joint_velocities"))
+    )
+    by_displacement = by_position @ at.displacement + by_velocity @ at.turning
+    by_inner = D.matrix[:, D.columns["effect_states"]]
+    by_y = np.hstack([by_displacement, by_velocity @ at.velocity, by_inner])
+    return by_y, D.matrix[:, D.columns["torques"]]
 
 
 def displaced(state: State, displacement: np.ndarray) -> State:
