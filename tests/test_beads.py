@@ -244,6 +244,7 @@ def test_round_bead_slides_a_radius_away_from_its_surface(sledge, name, thinner,
     compare(bead_scene(sledge, BEADS[name], thinner, ball), BEADS[name])
 
 
+@pytest.mark.slow
 def test_bead_keeps_its_energy(sledge):
     scene = bead_scene(sledge, BEADS["ellipsoid"])
     run = ma.simulate(ma.compile_system(scene), DURATION, accuracy=1e-9, certificate=False)

@@ -151,6 +151,7 @@ TOUCHING = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_parameters_of_the_object_and_places_of_contacts(rng):
     """Against scenes that are compiled with other numbers, at a moving state."""
 

@@ -133,6 +133,7 @@ def test_poles_are_those_that_the_control_asks_for():
     assert all(mode.time_constant == pytest.approx(0.1, rel=1e-3) for mode in linear.modes)
 
 
+@pytest.mark.slow
 def test_bricards_loop_swings_as_its_closed_form():
     """``omega^2 = V'' / A`` where V is least: one freedom of six hinges, with dependent rows."""
     loop = bricard_motion()
@@ -226,6 +227,7 @@ def test_contacts_that_touch_stay_closed():
 # --- motions --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_small_motion_is_that_of_the_linear_system(rng):
     """Frequencies, decay and shapes at once: a second of a damped pair of arms."""
     control = {"kind": "joint_pd", "stiffness": 200, "damping": 2}
@@ -247,6 +249,7 @@ def test_a_small_motion_is_that_of_the_linear_system(rng):
         np.testing.assert_allclose(linear.coordinates_of(now), expected, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_a_regulator_balances_the_pendulum(cart):
     """With the feedback of an LQR the upright pendulum comes back from a push."""
     system = cart(upright=True)
@@ -266,6 +269,7 @@ def test_a_regulator_balances_the_pendulum(cart):
 # --- equilibria -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_springs_under_a_load_come_to_rest_where_the_search_ends():
     """The end of a long damped run is an equilibrium that shares nothing with the search."""
     load = {"external_wrenches": [{"on": "object", "force": [0, 300, -200], "torque": [20, 0, 0]}]}
@@ -331,6 +335,7 @@ def test_the_system_goes_to_the_package_control(cart):
     np.testing.assert_allclose(np.sort_complex(control.poles(found)), eigenvalues(linear))
 
 
+@pytest.mark.slow
 def test_modes_move_on_the_joints():
     system = ma.compile_system(ur5_pair({"kind": "weld"}, BALL, control=SPRING))
     linear = ma.linearise(system)
@@ -348,6 +353,7 @@ def test_modes_move_on_the_joints():
             modes_trajectory(linear, **wrong)
 
 
+@pytest.mark.slow
 def test_the_command_shows_modes_and_writes_them(tmp_path):
     out, page = tmp_path / "modes.json", tmp_path / "modes.html"
     scene = str(SCENES / "two_ur5_box.yaml")

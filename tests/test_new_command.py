@@ -64,6 +64,7 @@ def test_every_line_is_explained_and_the_schema_comes_first(tmp_path):
     assert not [line for line in lines if line != line.rstrip()]
 
 
+@pytest.mark.slow
 def test_a_file_is_replaced_by_force_only(tmp_path):
     path = tmp_path / "scene.yaml"
     path.write_text("precious", encoding="utf-8")

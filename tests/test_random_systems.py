@@ -13,6 +13,7 @@ from system_oracle import Oracle, faults
 SYSTEMS, HANDS = 30, 20  # of each family; of scenes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_solvers_find_the_exact_solution(family):
     wrong = {seed: found for seed in range(SYSTEMS) if (found := faults(draw(family, seed)))}

@@ -48,6 +48,7 @@ def test_matrix_of_a_quaternion_turns_body_into_world_components(q):
     )
 
 
+@pytest.mark.slow
 @given(quaternions)
 @example(np.array([1.0, 0.0, 0.0, 0.0]))
 @example(np.array([0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0]))

@@ -379,6 +379,7 @@ def test_drawn_share_is_all_within_the_radius_and_falls_beyond(rng):
     assert 1.0 > shares[0] > shares[1] > shares[2] > 0.0
 
 
+@pytest.mark.slow
 def test_drawn_share_of_one_contact_is_the_part_of_its_disc_that_closes():
     """Counted on a grid, by null vectors."""
     contacts, partly = block_grasp(0.1, 0.3), 0
