@@ -48,3 +48,18 @@ def test_a_terminal_has_numbers_to_be_typed_again_and_remarks_below():
         "not converged", "euler: the run fails", "method: in the order of their names.",
         "measured once",
     ]  # fmt: skip
+
+
+def test_a_narrow_terminal_has_the_columns_in_several_tables(monkeypatch):
+    console = Console(width=60)
+    monkeypatch.setattr("multiarm.cli.studies.output", lambda: console)
+    heads = [Column("name", TEXT), *(Column(f"quantity{k}") for k in range(12))]
+    rows = tuple((name, *(f"{name}{k}" for k in range(12))) for name in ("a", "b"))
+    with console.capture() as capture:
+        for part in rendered(Table("Much", tuple(heads), rows)):
+            console.print(part)
+    words = capture.get().split()
+    for k in range(12):
+        assert {f"quantity{k}", f"a{k}", f"b{k}"} <= set(words)
+    assert words.count("name") == words.count("a") > 1
+    assert max(map(len, capture.get().splitlines())) <= 60
