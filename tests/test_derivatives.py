@@ -175,7 +175,7 @@ def test_parameters_of_the_object_and_places_of_contacts(rng):
 
     state = random_state(system(), rng, turn=0.1, speed=0.7)
     found = ma.derivatives(system(), 0.3, state, parameters=True)
-    rows = np.r_[: found.rows["contact_forces"].stop]
+    rows = slice(found.rows["contact_forces"].stop)
     base = np.array([1.2, 0.1, -0.2, 2.4, 0.15, 2.9])
     turned = system().arms["left"].tip_rotation  # of the tip against the link that carries it
 
@@ -191,19 +191,14 @@ def test_parameters_of_the_object_and_places_of_contacts(rng):
     assert_equal(columns, np.array(expected).T, 1e-8)
     # a displacement of the contacts about the tip, in its axes, is one of the link in its own
     tip = system().arms["left"].tip_translation
-    block = {"joint": found.joint_accelerations["right"], "force": found.contact_forces["left"]}
+    of_left = found.matrix[rows, found.columns["placements"]][:, :6]
     for k, axis in enumerate(np.eye(6)):
         own = np.r_[turned @ axis[:3], turned @ axis[3:]]
         own[:3] += np.cross(tip, own[3:])
         expected = along(lambda h, axis=axis: {"moved": h * axis})
-        found_one = (
-            found.matrix[rows]
-            @ np.eye(found.matrix.shape[1])[found.columns["placements"]][:6].T
-            @ own
-        )
-        assert_equal(found_one[:, None], expected[:, None], 1e-8)
+        assert_equal((of_left @ own)[:, None], expected[:, None], 1e-8)
         assert k < 3 or np.abs(expected).max() > 1e-3
-    for one in block.values():
+    for one in (found.joint_accelerations["right"], found.contact_forces["left"]):
         assert one.d_placements["left"].shape[1] == 6 and one.d_object_mass.ndim == 1
     with pytest.raises(ModelError, match="parameters=True"):
         _ = ma.derivatives(system(), 0.3, state).object_acceleration.d_object_wrench

@@ -11,9 +11,10 @@ import math
 
 import numpy as np
 import pytest
-from mechanics import SCENES, UR5_POSTURE, planar_pair, random_state, scene_of, ur5_pair
+from mechanics import SCENES, moved_state, planar_pair, random_state, scene_of, ur5_pair
 from scipy.linalg import expm, solve_continuous_are
 from scipy.optimize import brentq
+from test_derivatives import difference, over_floor
 from test_effects_smooth import sledge_urdf
 from typer.testing import CliRunner
 
@@ -24,11 +25,9 @@ from multiarm.errors import ModelError, SolverError
 from multiarm.linear.motion import modes_trajectory
 from multiarm.problems import HARD_CASES
 from multiarm.problems.loops import bricard_motion
-from multiarm.spatial import retract
 
 G = 9.81
 CART, BOB, LEVER, TURNING = 3.0, 2.0, 0.4, 0.05  # [kg, kg, m, kg m^2]
-STEP = 1e-4
 
 
 @pytest.fixture
@@ -156,36 +155,14 @@ def test_bricards_loop_swings_as_its_closed_form():
 # --- differences on the joints --------------------------------------------------------------------
 
 
-def advanced(state, h: float):
-    """The state moved on with its velocities, which are kept."""
-    other = state.copy()
-    other.position[:3] += h * state.velocity[:3]
-    other.position[3:7] = retract(state.position[3:7], h * state.velocity[3:6])
-    other.position[7:] += h * state.velocity[6:]
-    return other
-
-
 def rates(linear, state) -> np.ndarray:
     """``y'`` at a state on the joints, by the velocities there and an evaluation."""
     h, p = 1e-6, len(linear.coordinates.positions)
-    ahead, behind = (linear.coordinates_of(advanced(state, step)) for step in (h, -h))
-    ev = ma.evaluate(linear.system, 0.0, state)
-    every = np.concatenate([ev.object_acceleration, *ev.joint_accelerations.values()])
-    return np.concatenate(
-        [(ahead - behind)[:p] / (2.0 * h), every[list(linear.coordinates.velocities)]]
-    )
-
-
-def difference(values) -> np.ndarray:
-    """Derivative to order four, from values at -2, -1, 1, 2 steps."""
-    return (values[0] - 8.0 * values[1] + 8.0 * values[2] - values[3]) / (12.0 * STEP)
-
-
-def floor_scene():
-    arm = {"robot": "ur5", "tip": "tool0", "posture": UR5_POSTURE, "base": {"xyz": [-1.1, 0, 0]}}
-    body = {"shape": {"box": [0.6, 0.5, 0.4]}, "mass": 50.0, "pose": {"xyz": [0, 0, 0.5]}}
-    effects = {"floor": {"at": {"xyz": [0, 0, 0.3]}}, "joint_damping": 2.0}
-    return scene_of({"arm": arm}, [{"arm": "arm", "kind": "ball"}], object=body, effects=effects)
+    system = linear.system
+    ahead, behind = (linear.coordinates_of(moved_state(system, state, step)) for step in (h, -h))
+    accelerations = ma.evaluate(system, 0.0, state).accelerations
+    chosen = accelerations[list(linear.coordinates.velocities)]
+    return np.concatenate([(ahead - behind)[:p] / (2.0 * h), chosen])
 
 
 BALL, SPRING = {"kind": "ball"}, {"kind": "joint_pd", "stiffness": 200, "damping": 20}
@@ -211,15 +188,14 @@ def test_the_matrix_is_that_of_differences_on_the_joints(name, rng):
     assert size == len(linear.coordinates.positions) + len(linear.coordinates.velocities)
     for _ in range(6):
         y = rng.standard_normal(size)
-        beside = [linear.state_at(k * STEP * y) for k in (-2, -1, 1, 2)]
-        direction = difference([linear.coordinates_of(state) for state in beside])
+        direction = difference(lambda h, y=y: linear.coordinates_of(linear.state_at(h * y)))
         np.testing.assert_allclose(direction, y, atol=1e-6)
-        found = difference([rates(linear, state) for state in beside])
+        found = difference(lambda h, y=y: rates(linear, linear.state_at(h * y)))
         np.testing.assert_allclose(linear.A @ direction, found, rtol=3e-6, atol=3e-6)
 
 
 def test_contacts_that_touch_stay_closed():
-    linear = ma.linearise(ma.compile_system(floor_scene()))
+    linear = ma.linearise(over_floor(0.0))
     assert not {"object/z", "object/turn_x", "object/turn_y"} & set(linear.state_names)
     assert len(linear.A) == 2 * 6, "three of the box on the floor, three of the ball's arm"
 
@@ -295,6 +271,14 @@ def test_a_tilted_pendulum_finds_the_equilibrium_on_its_side(cart, upright):
     found = ma.find_equilibrium(linear.system, tilted)
     turn = abs(found.state.object_quaternion_xyzw[1])
     assert turn < 1e-9 and found.stability == ("unstable" if upright else "undecided")
+
+
+def test_drives_that_do_not_start_at_rest_are_refused(cart):
+    lag = {"actuator_lag": {"time_constant": 0.03, "start": "zero"}}
+    system = cart(kind="weld", control={"kind": "constant", "torques": {"a": 3.0}}, effects=lag)
+    assert ma.linearise(system).rate[-1] == pytest.approx(3.0 / 0.03)
+    with pytest.raises(SolverError, match=r"do not start at rest; write `start: command`"):
+        ma.find_equilibrium(system)
 
 
 def test_given_torques_hold_a_posture():

@@ -157,6 +157,8 @@ class Evaluation:
         hardly move, or not at all.
     message : str
         Empty when accelerations and forces solve the equations; else the residual and its reason.
+    effect_state_rates : ndarray, shape (e,)
+        Rates of the states of effects, such as the torques of lagging drives, at a run's start.
     contact_states : mapping arm -> tuple of str
         Of unilateral contacts: the state of each ("open", "touching", "sticking", ...).  Contacts
         with a floor have the key ``floor``, here and among forces, wrenches, points and normals.
@@ -175,6 +177,7 @@ class Evaluation:
     rank: int
     coupled_arms: tuple[str, ...]
     message: str
+    effect_state_rates: np.ndarray
     contact_states: Mapping[str, tuple[str, ...]]
     _held: Snapshot  # of the contacts of the joints, all closed
     _all: Snapshot  # of all rows that can have forces
@@ -205,6 +208,11 @@ class Evaluation:
             "message": self.message,
         }
         return facts_html(f"Evaluation at {self.time:g} s", facts)
+
+    @property
+    def accelerations(self) -> np.ndarray:
+        """Of the object and of all joints, in the order of a state's velocity, shape (6 + n,)."""
+        return np.concatenate([self.object_acceleration, *self.joint_accelerations.values()])
 
     @cached_property
     def contact_forces_unique(self) -> Mapping[str, np.ndarray]:
@@ -413,6 +421,7 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         rank=b.status.rank,
         coupled_arms=coupled,
         message="" if solved else contradiction_text(data),
+        effect_state_rates=b.inner_rate.copy(),
         contact_states={},
         _held=snapshot,
         _all=snapshot,

@@ -185,8 +185,8 @@ class Derivatives:
         after arm), and the rates of states of effects, ``effect_state_rates``.
     columns : mapping str -> slice
         ``object_pose``, ``object_twist``, ``joint_positions``, ``joint_velocities``, ``torques``,
-        ``effect_states``, and if asked for ``object_wrench``, ``object_mass``, ``object_inertia``,
-        ``placements``.
+        ``effect_states``, and with ``parameters`` ``object_wrench``, ``object_mass``,
+        ``object_inertia``, ``placements``.
     layout : Layout
     message : str
         What does not exist in this form, and why; else empty.

@@ -12,6 +12,7 @@ import numpy as np
 from multiarm.errors import ModelError, MultiarmError
 from multiarm.public import public_names
 from multiarm.scene.faults import shown
+from multiarm.spatial import retract
 
 NAMED_ARMS = 4
 """More arms are counted where an object shows itself in a line."""
@@ -120,6 +121,17 @@ class State:
     def copy(self) -> State:
         """An independent copy."""
         return State(self.position.copy(), self.velocity.copy(), self.layout)
+
+    def displaced(self, displacement: np.ndarray) -> State:
+        """A copy moved by a shift [m] and a turn [rad] of the object and by joints, (6 + n,).
+
+        World axes; the velocities stay as they are.
+        """
+        moved = self.copy()
+        moved.position[:3] += displacement[:3]
+        moved.position[3:7] = retract(self.position[3:7], displacement[3:6])
+        moved.position[7:] += displacement[6:]
+        return moved
 
 
 def require_same_joints(state: State, layout: Layout) -> None:

@@ -16,9 +16,9 @@ with :math:`E = N (S N)^{-1}` from a basis N of the null space of G or :math:`W^
 solution of :math:`W^T K_0 = -\dot G E_p`, less its own part in :math:`\zeta`:
 :math:`K = K_0 - E_v S_v K_0`.
 
-*The choice.*  Rows of N are taken one after the other, each the one that is most independent of
-those before it (QR decomposition with column pivoting), in the metric of the inertia; those of the
-object first, where they are not worse than a tenth as good as a joint.
+*The choice.*  A QR decomposition with column pivoting picks the rows of N one after the other, each
+the one that is most independent of those before it.  Rows are weighted by the square root of their
+inertia, those of the object ten times more, so that its coordinates are preferred to joints.
 """
 
 from __future__ import annotations
@@ -28,12 +28,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import qr
 
-from multiarm.dynamics.model import Model
 from multiarm.dynamics.sensitivity import Motions
 from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE, null_space
 
-AXES = ("x", "y", "z")
-# Coordinates of the object are chosen before joints that are at most this much more independent.
+# Weight of the object's coordinates against joints.
 PREFERENCE = 10.0
 
 
@@ -76,12 +74,6 @@ def minimal_coordinates(motions: Motions) -> Coordinates:
     return Coordinates(tuple(positions), tuple(velocities), E_p, E_v, K)
 
 
-def component_names(model: Model) -> list[str]:
-    """Names of the components of a displacement: ``object/x``, ..., ``left/elbow_joint``."""
-    joints = [f"{name}/{joint}" for name, arm in model.arms.items() for joint in arm.joint_names]
-    return [*(f"object/{k}" for k in AXES), *(f"object/turn_{k}" for k in AXES), *joints]
-
-
 def _free(rows: np.ndarray, L: np.ndarray) -> np.ndarray:
     """Basis of the velocities that rows leave free, orthonormal in the metric of the inertia."""
     if not rows.size:
@@ -108,10 +100,7 @@ def _solved(rows: np.ndarray, right: np.ndarray, L: np.ndarray) -> np.ndarray:
 
 
 def _most_independent(basis: np.ndarray, L: np.ndarray) -> list[int]:
-    """As many rows of a basis as it has columns, the most independent ones; none of an empty one.
-
-    The object's come first, each by its place.
-    """
+    """Places of the most independent rows of a basis, as many as it has columns, in order."""
     if not basis.shape[1]:
         return []
     weight = np.linalg.norm(L, axis=1)  # the square root of the inertia's diagonal

@@ -33,7 +33,7 @@ from multiarm.assembly.start import project_start
 from multiarm.dynamics.state import State, fill_by_arm
 from multiarm.dynamics.system import System, require_system
 from multiarm.errors import ModelError, SolverError
-from multiarm.linear.linearisation import LinearSystem, displaced, linearise
+from multiarm.linear.linearisation import LinearSystem, linearise
 from multiarm.public import facts_html, public_names
 
 __all__ = ["Equilibrium", "find_equilibrium"]
@@ -64,7 +64,7 @@ class Equilibrium:
     linear : LinearSystem
         The system near it.
     steps : int
-        Of Newton's method.
+        Of the search.
     acceleration : float
         The largest that is left [m/s^2, rad/s^2].
     """
@@ -125,7 +125,8 @@ def find_equilibrium(
     ModelError
         When an argument does not fit.
     SolverError
-        When no equilibrium is found, with what is left; when the state cannot be linearised.
+        When no equilibrium is found, with what is left; when the state cannot be linearised; when
+        effects have states that do not start at rest.
     """
     system = require_system(system, "ma.find_equilibrium(system, state, torques)")
     if torques is not None:
@@ -134,7 +135,14 @@ def find_equilibrium(
         by_arm = system.model.layout.split_joints(held)
         system = system.with_control(lambda t, state: by_arm)
     start = _at_rest(system, system.checked(state))
-    search = _Search(linearise(system, t, start), t)
+    begin = linearise(system, t, start)
+    if np.any(begin.derivatives.evaluation.effect_state_rates):
+        raise SolverError(
+            "find_equilibrium: effects have states that do not start at rest; write `start: "
+            "command` for `actuator_lag`, and let effects of your own start where their rates "
+            "are zero"
+        )
+    search = _Search(begin, t)
     size = max(float(np.linalg.norm(system.model.constants.gravity)), 1.0)
     while search.here.largest_acceleration > AT_REST * size and search.steps < MOST_STEPS:
         if not search.step():
@@ -159,11 +167,11 @@ class _Search:
 
     def __init__(self, here: LinearSystem, t: float) -> None:
         self.here, self.steps = here, 0
-        self._t, self._mu = t, MU_FIRST
+        self._t, self._mu, self._at = t, MU_FIRST, _reduced(here)
 
     def step(self) -> bool:
         """Take a step that lessens the accelerations; returns whether there is one."""
-        at = _reduced(self.here)
+        at = self._at
         u, s, vt = np.linalg.svd(at.J, full_matrices=False)
         if not s.size or not s[0] > 0.0:
             return False
@@ -175,10 +183,12 @@ class _Search:
             move = -self.here.coordinates.displacement @ (at.scale @ (vt.T @ part))
             largest = float(np.abs(move).max(initial=0.0))
             other = self._there(move) if 0.0 < largest <= LONGEST else None
-            if other is not None and np.linalg.norm(_reduced(other).r) < np.linalg.norm(at.r):
-                self.here, self.steps = other, self.steps + 1
-                self._mu = max(self._mu * MU_FALLS, MU_NEWTON)
-                return True
+            if other is not None:
+                there = _reduced(other)
+                if np.linalg.norm(there.r) < np.linalg.norm(at.r):
+                    self.here, self._at, self.steps = other, there, self.steps + 1
+                    self._mu = max(self._mu * MU_FALLS, MU_NEWTON)
+                    return True
             self._mu *= MU_GROWS
         return False
 
@@ -186,7 +196,7 @@ class _Search:
         """The system after a displacement; None where joints cannot be closed or it is singular."""
         system = self.here.system
         try:
-            return linearise(system, self._t, _at_rest(system, displaced(self.here.state, move)))
+            return linearise(system, self._t, _at_rest(system, self.here.state.displaced(move)))
         except (ModelError, SolverError):
             return None
 

@@ -17,7 +17,7 @@ where :math:`\tau` are torques that are added to the joints.  The accelerations'
         \Omega = \mathrm{blkdiag}(0, \tfrac12 [\omega\times], 0) \\
     \dot\zeta &= S_v\,\big((A_p E_p + A_v K)\,\eta + A_v E_v\, \zeta + A_z z + A_\tau \tau\big) .
 
-Control and loads are those of one time.  Control that is sampled counts as if it were not.
+Control and loads are those of one time; sampled control is taken as continuous.
 """
 
 from __future__ import annotations
@@ -29,19 +29,22 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.start import project_start
+from multiarm.assembly.start import joint_names, project_start
 from multiarm.dynamics.sensitivity import Derivatives
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.derivatives import derivatives
-from multiarm.linear.coordinates import Coordinates, component_names, minimal_coordinates
+from multiarm.linear.coordinates import Coordinates, minimal_coordinates
 from multiarm.linear.modes import Mode, modes_of, stability_of
 from multiarm.public import facts_html, public_names
 from multiarm.scene.faults import unknown
-from multiarm.spatial import difference, retract
+from multiarm.spatial import difference
 
 __all__ = ["LinearSystem", "linearise"]
+
+# Components of a displacement of the object.
+OBJECT = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
 
 
 @dataclass(frozen=True, repr=False)
@@ -102,15 +105,13 @@ class LinearSystem:
     @property
     def largest_acceleration(self) -> float:
         """Of the object [m/s^2, rad/s^2] or a joint [rad/s^2, m/s^2] at the state itself."""
-        ev = self.derivatives.evaluation
-        every = [ev.object_acceleration, *ev.joint_accelerations.values()]
-        return max(float(np.abs(own).max(initial=0.0)) for own in every)
+        return float(np.abs(self.derivatives.evaluation.accelerations).max())
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
         """The natural motions, slowest first; a pair of conjugate eigenvalues is one."""
-        names = component_names(self.system.model)
-        return modes_of(self.A, self.B, self.C[: len(names)], names)
+        size = len(self.coordinates.displacement)
+        return modes_of(self.A, self.B, self.C[:size], self.output_names[:size])
 
     @cached_property
     def controllable(self) -> bool:
@@ -157,7 +158,7 @@ class LinearSystem:
         y, at = checked_vector("y", y, len(self.A)), self.coordinates
         p, m = len(at.positions), len(at.velocities)
         moved, faster = at.displacement @ y[:p], at.turning @ y[:p] + at.velocity @ y[p : p + m]
-        state = displaced(self.state, moved)
+        state = self.state.displaced(moved)
         state.velocity[:] += faster
         with self.system.borrow() as data:
             return project_start(data, self.system.scene, state)[0]
@@ -259,10 +260,9 @@ def linearise(
     chart, v0 = velocities.copy(), ev.state.velocity
     chart[3:6, :p] += 0.5 * np.cross(v0[3:6], at.displacement[3:6], axisb=0, axisc=0)
     inner = D.rows["effect_state_rates"]
-    qdd = np.concatenate([ev.object_acceleration, *ev.joint_accelerations.values()])
-    forces = np.arange(size, size + D.layout.contacts)
+    forces = np.r_[D.rows["contact_forces"]]
     forces = forces[np.isfinite(D.matrix[forces]).all(axis=1)]
-    names = component_names(system.model)
+    names = [f"object/{one}" for one in OBJECT] + joint_names(system.model)
     return LinearSystem(
         system=system,
         derivatives=D,
@@ -271,7 +271,7 @@ def linearise(
         B=np.vstack([np.zeros((p, n)), by_torques[rates], by_torques[inner]]),
         C=np.vstack([np.pad(at.displacement, ((0, 0), (0, m + e))), velocities, by_y[forces]]),
         D=np.vstack([np.zeros((2 * size, n)), by_torques[forces]]),
-        rate=np.concatenate([v0[positions], qdd[rates], np.zeros(e)]),
+        rate=np.concatenate([v0[positions], ev.accelerations[rates], ev.effect_state_rates]),
         state_names=(
             *(names[k] for k in positions),
             *(f"{names[k]}'" for k in rates),
@@ -296,15 +296,6 @@ def _by_coordinates(D: Derivatives, at: Coordinates) -> tuple[np.ndarray, np.nda
     by_inner = D.matrix[:, D.columns["effect_states"]]
     by_y = np.hstack([by_displacement, by_velocity @ at.velocity, by_inner])
     return by_y, D.matrix[:, D.columns["torques"]]
-
-
-def displaced(state: State, displacement: np.ndarray) -> State:
-    """A copy of a state moved by a displacement (6 + n,)."""
-    moved = state.copy()
-    moved.position[:3] += displacement[:3]
-    moved.position[3:7] = retract(state.position[3:7], displacement[3:6])
-    moved.position[7:] += displacement[6:]
-    return moved
 
 
 def _force_name(system: System, row: int) -> str:

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from multiarm.dynamics.arrays import OK
-from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, SolverError
 from multiarm.integration.samples import sample_columns
-from multiarm.linear.linearisation import LinearSystem, displaced
+from multiarm.linear.linearisation import LinearSystem
 from multiarm.linear.modes import Mode
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
@@ -54,15 +53,21 @@ def modes_trajectory(
     for number in chosen:
         if not 1 <= number <= count:
             raise SolverError(f"mode {number}: the system has modes 1 to {count}")
-    rest, times, states, events = linear.state.copy(), [], [], []
+    rest, phases = linear.state.copy(), np.linspace(0.0, 2.0 * math.pi, SAMPLES + 1)
     rest.velocity[:] = 0.0
+    end = len(chosen) * (SWING + PAUSE) - PAUSE
+    system, events, sink = linear.system, [], MemorySink()
+    spec = system.scene.run.model_copy(update={"duration": end})
+    task = Task(system, system.model.data(), spec, rest, math.inf)
+    sink.open(system.channels, run_metadata(system, spec, True), sample_columns)
     for place, number in enumerate(chosen):
         mode, first = linear.modes[number - 1], place * (SWING + PAUSE)
         events.append({"time": first, "kind": "mode", "text": mode_text(number, mode)})
-        phases = np.linspace(0.0, 2.0 * math.pi, SAMPLES + 1)
-        states += _swing(linear, rest, mode.shape, phases, amplitude)
-        times += [first + SWING * phase / (2.0 * math.pi) for phase in phases]
-    return _recorded(linear.system, times, states, events)
+        rows = _swing(task, mode.shape, phases, amplitude)
+        rows[:, 0] = first + SWING * phases / (2.0 * math.pi)
+        sink.append(rows)
+    message = f"{len(events)} modes, {SWING + PAUSE:.0f} s each; nothing was simulated"
+    return sink.finish("completed", message, {"simulated_s": end}, events).of(system.scene)
 
 
 def mode_text(number: int, mode: Mode) -> str:
@@ -76,46 +81,30 @@ def mode_text(number: int, mode: Mode) -> str:
     return f"mode {number}: {what}{f'; moves {moving}' if moving else ''}"
 
 
-def _swing(
-    linear: LinearSystem, rest: State, shape: np.ndarray, phases: np.ndarray, amplitude: float
-) -> list[State]:
-    """States of a swing ``Re(-i shape e^(i phase))``, which begins where nothing is displaced.
+def _swing(task: Task, shape: np.ndarray, phases: np.ndarray, amplitude: float) -> np.ndarray:
+    """Samples of a swing ``Re(-i shape e^(i phase))``, which begins where nothing is displaced.
+
+    Each is that of the start of a run, which closes the joints.
 
     Raises
     ------
     SolverError
         When the joints cannot be closed, however small the amplitude.
     """
-    p = len(linear.coordinates.positions)
     while amplitude > 1e-6:
-        states = []
+        moves = amplitude * np.real(-1j * np.exp(1j * phases)[:, None] * shape)
         try:
-            for phase in phases:
-                y = np.zeros(len(linear.A))
-                moved = displaced(rest, amplitude * (-1j * shape * np.exp(1j * phase)).real)
-                y[:p] = linear.coordinates_of(moved)[:p]
-                states.append(linear.state_at(y))
-            return states
+            return np.array([_sample(task, move) for move in moves])
         except ModelError:
             amplitude *= 0.5
     raise SolverError("the joints cannot be closed near this state: its modes cannot be shown")
 
 
-def _recorded(
-    system: System, times: Sequence[float], states: Sequence[State], events: list[dict]
-) -> Trajectory:
-    """A trajectory of given states, each evaluated as the start of a run."""
-    spec = system.scene.run.model_copy(update={"duration": times[-1]})
-    sink, data = MemorySink(), system.model.data()
-    sink.open(system.channels, run_metadata(system, spec, True), sample_columns)
-    for t, state in zip(times, states, strict=True):
-        state.velocity[:] = 0.0
-        driver = begin(Task(system, data, spec, state, math.inf), MemorySink())
-        row = np.zeros(driver.run.block.shape[1])
-        status = driver.observe(row)
-        if status != OK:
-            raise SolverError(failure_of(driver.run, status)[1])
-        row[0] = t
-        sink.append(row[None])
-    message = f"{len(events)} modes, {SWING + PAUSE:.0f} s each; nothing was simulated"
-    return sink.finish("completed", message, {"simulated_s": times[-1]}, events).of(system.scene)
+def _sample(task: Task, move: np.ndarray) -> np.ndarray:
+    assert task.state is not None, "the state that is displaced"
+    driver = begin(replace(task, state=task.state.displaced(move)), MemorySink())
+    row = np.zeros(driver.run.block.shape[1])
+    status = driver.observe(row)
+    if status != OK:
+        raise SolverError(failure_of(driver.run, status)[1])
+    return row

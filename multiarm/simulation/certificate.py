@@ -66,7 +66,6 @@ from multiarm.simulation.comparison import (
     state_of,
     undetermined_forces,
 )
-from multiarm.spatial import retract
 
 SAFETY = 2.0
 """Of an estimate: covers reruns whose error is up to half of the run's."""
@@ -343,24 +342,13 @@ def _energy_gradient(data: Data, state: State) -> np.ndarray:
     """Derivative of the energy with respect to positions, shape (6 + n,) [N, N m]."""
     change = 1e-5  # [m, rad]
 
-    def energy(i: int, step: float) -> float:
-        momentum = _momentum(data, _shifted(state, i, step))
+    def energy(displacement: np.ndarray) -> float:
+        momentum = _momentum(data, state.displaced(displacement))
         return 0.5 * float(momentum @ state.velocity) + data.potential_energy()
 
-    found = [energy(i, change) - energy(i, -change) for i in range(state.velocity.size)]
+    steps = change * np.eye(state.velocity.size)
+    found = [energy(step) - energy(-step) for step in steps]
     return np.array(found) / (2.0 * change)
-
-
-def _shifted(state: State, i: int, step: float) -> State:
-    """The state with its ``i``-th position moved."""
-    moved = state.copy()
-    if i < 3:
-        moved.position[i] += step
-    elif i < 6:
-        moved.position[3:7] = retract(state.position[3:7], step * np.eye(3)[i - 3])
-    else:
-        moved.position[i + 1] += step
-    return moved
 
 
 def _largest(run: Trajectory, name: str) -> float:

@@ -122,9 +122,7 @@ class Trial:
             dense = evaluate(system.with_solver("dense"), self.time, self.worst)
         except (MultiarmError, np.linalg.LinAlgError):
             return  # without a reference there are no errors
-        self.reference = np.concatenate(
-            [dense.object_acceleration, *dense.joint_accelerations.values()]
-        )
+        self.reference = dense.accelerations
 
     def _worst(self, hardest: float) -> tuple[float, State]:
         """Time and state at the hardest moment: run to it when it is between two samples."""
@@ -264,7 +262,7 @@ def _our_answer(trial: Trial) -> Answer:
     trouble = ""
     try:
         own = evaluate(trial.system, trial.time, trial.worst)
-        found = np.concatenate([own.object_acceleration, *own.joint_accelerations.values()])
+        found = own.accelerations
         object_error, joint_error = trial.errors(found)
     except MultiarmError as error:
         trouble = str(error)
