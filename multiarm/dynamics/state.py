@@ -12,7 +12,6 @@ import numpy as np
 from multiarm.errors import ModelError, MultiarmError
 from multiarm.public import public_names
 from multiarm.scene.faults import shown
-from multiarm.spatial import retract
 
 NAMED_ARMS = 4
 """More arms are counted where an object shows itself in a line."""
@@ -127,6 +126,8 @@ class State:
 
         World axes; the velocities stay as they are.
         """
+        from multiarm.spatial import retract  # with Numba, which registering does without
+
         moved = self.copy()
         moved.position[:3] += displacement[:3]
         moved.position[3:7] = retract(self.position[3:7], displacement[3:6])
