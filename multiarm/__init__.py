@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from multiarm.effects.effect import Effect, Loads
     from multiarm.events.derivatives import derivatives
     from multiarm.events.evaluation import evaluate
+    from multiarm.gradients.gradient import Gradient, gradient
+    from multiarm.gradients.sensitivities import Sensitivities, sensitivities
     from multiarm.linear.equilibrium import Equilibrium, find_equilibrium
     from multiarm.linear.linearisation import LinearSystem, linearise
     from multiarm.reports.report import report
@@ -55,10 +57,12 @@ _HOMES = {
     "Effect": "effects.effect",
     "Equilibrium": "linear.equilibrium",
     "Evaluation": "dynamics.evaluation",
+    "Gradient": "gradients.gradient",
     "Joint": "scene",
     "LinearSystem": "linear.linearisation",
     "Loads": "effects.effect",
     "Scene": "scene",
+    "Sensitivities": "gradients.sensitivities",
     "State": "dynamics.state",
     "Stepper": "simulation.stepper",
     "Surface": "scene",
@@ -69,6 +73,7 @@ _HOMES = {
     "derivatives": "events.derivatives",
     "evaluate": "events.evaluation",
     "find_equilibrium": "linear.equilibrium",
+    "gradient": "gradients.gradient",
     "inverse_dynamics": "dynamics.inverse",
     "linearise": "linear.linearisation",
     "load_scene": "scene",
@@ -80,6 +85,7 @@ _HOMES = {
     "register_surface": "scene",
     "replay": "viewer",
     "report": "reports.report",
+    "sensitivities": "gradients.sensitivities",
     "simulate": "simulation.simulate",
     "simulate_many": "sweeps.many",
     "sweep": "sweeps.sweep",
@@ -91,11 +97,13 @@ __all__ = [
     "Effect",
     "Equilibrium",
     "Evaluation",
+    "Gradient",
     "Joint",
     "LinearSystem",
     "Loads",
     "MultiarmError",
     "Scene",
+    "Sensitivities",
     "State",
     "Stepper",
     "Surface",
@@ -106,6 +114,7 @@ __all__ = [
     "derivatives",
     "evaluate",
     "find_equilibrium",
+    "gradient",
     "grasp",
     "inverse_dynamics",
     "linearise",
@@ -118,6 +127,7 @@ __all__ = [
     "register_surface",
     "replay",
     "report",
+    "sensitivities",
     "simulate",
     "simulate_many",
     "sweep",

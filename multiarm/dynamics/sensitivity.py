@@ -61,7 +61,7 @@ class Sensitivity:
     Attributes
     ----------
     matrix : ndarray, shape (m, C)
-        By all columns.
+        By all columns; of a number (C,), at many times (K, m, C), and so with all blocks.
     layout : Layout
     columns : mapping str -> slice
     """
@@ -108,7 +108,7 @@ class Sensitivity:
     @property
     def d_object_mass(self) -> np.ndarray:
         """By the object's mass [kg], shape (m,); its inertia and centre of mass stay."""
-        return self._block("object_mass")[:, 0]
+        return self._block("object_mass")[..., 0]
 
     @property
     def d_object_inertia(self) -> np.ndarray:
@@ -122,15 +122,18 @@ class Sensitivity:
         In the axes, and about the origin, of the link that carries the tip.
         """
         block = self._block("placements")
-        return {name: block[:, 6 * i : 6 * i + 6] for i, name in enumerate(self.layout.names)}
+        return {name: block[..., 6 * i : 6 * i + 6] for i, name in enumerate(self.layout.names)}
+
+    def d_parameter(self, path: str) -> np.ndarray:
+        """By a number of the scene, of those given to :func:`multiarm.sensitivities`, (K, m)."""
+        return self._block(path)[..., 0]
 
     def _block(self, name: str) -> np.ndarray:
         if name not in self.columns:
-            raise ModelError(
-                f"these derivatives have none by {name}: ask for them, "
-                "ma.derivatives(system, t, state, parameters=True)"
-            )
-        return self.matrix[:, self.columns[name]]
+            more = name in PARAMETERS
+            ask = ": ask for them, ma.derivatives(system, t, state, parameters=True)" if more else ""
+            raise ModelError(f"these derivatives have none by {name}{ask}")
+        return self.matrix[..., self.columns[name]]
 
 
 class Motions(NamedTuple):
@@ -155,16 +158,23 @@ class Motions(NamedTuple):
     rates: np.ndarray
     rates_by_position: np.ndarray
 
-    def admissible(self) -> np.ndarray:
-        """Projector on displacements and velocities that keep gaps and gap rates, (12 + 2 n,) * 2.
+    @property
+    def constraint(self) -> np.ndarray:
+        """Derivatives of gaps and gap rates by displacements and velocities, (K + N, 12 + 2 n).
 
         In the order of the columns of :class:`Derivatives`.
         """
         of_gaps = np.hstack([self.gaps, np.zeros_like(self.gaps)])
         constraint = np.vstack([of_gaps, np.hstack([self.rates_by_position, self.rates])])
         n = self.inertia.shape[0] - 6
-        order = np.r_[0:6, 6 + n : 12 + n, 6 : 6 + n, 12 + n : 12 + 2 * n]
-        constraint = constraint[:, order]
+        return constraint[:, np.r_[0:6, 6 + n : 12 + n, 6 : 6 + n, 12 + n : 12 + 2 * n]]
+
+    def admissible(self) -> np.ndarray:
+        """Projector on displacements and velocities that keep gaps and gap rates, (12 + 2 n,) * 2.
+
+        In the order of the columns of :class:`Derivatives`.
+        """
+        constraint = self.constraint
         lengths = np.linalg.norm(constraint, axis=1)
         basis = null_space(constraint[lengths > 0.0] / lengths[lengths > 0.0, None]).basis
         return basis @ basis.T

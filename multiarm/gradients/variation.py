@@ -1,0 +1,190 @@
+r"""The variational equation of a run: how nearby motions differ from it.
+
+A nearby motion is displaced by :math:`\delta = (\delta x, \theta, \delta v_o, \delta q, \delta
+\dot q)`: a shift of the object and a rotation vector, world axes, a change of its twist, of the
+joints and of their rates.  With the derivatives of the accelerations
+(:mod:`multiarm.dynamics.derivatives`) and :math:`R_\theta = \exp(\theta) R`,
+
+.. math::
+    \dot{\delta x} = \delta v, \qquad \dot\theta = \omega\times\theta + \delta\omega, \qquad
+    \dot{\delta q} = \delta\dot q, \qquad
+    \dot{\delta\nu} = \frac{\partial\dot\nu}{\partial x}\,\delta
+        + \frac{\partial\dot\nu}{\partial\tau}\,\delta\tau
+        + \frac{\partial\dot\nu}{\partial p}\,\delta p .
+
+Displacements that keep the gaps and their rates closed, :math:`C\delta = 0`, go on doing so.
+
+*Parameters* p are numbers of the scene.  What they change of the accelerations at a state, of its
+gaps, and of the start, are differences of order four between systems that are compiled with other
+numbers.  Where they move the joints themselves, as lengths do, nearby motions keep
+:math:`C\delta = -\partial(\varphi, \dot\varphi)/\partial p\;\delta p`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.assembly.compilation import compile_system
+from multiarm.contacts.kernel import GAP, GAP_RATE
+from multiarm.contacts.table import KIND, TANGENT
+from multiarm.dynamics import evaluation
+from multiarm.dynamics.sensitivity import STATE, Derivatives
+from multiarm.dynamics.state import Layout, State
+from multiarm.dynamics.system import System
+from multiarm.errors import MultiarmError, SceneError, SolverError
+from multiarm.events.evaluation import evaluate
+from multiarm.scene.changes import changed, parse_path, value_at
+from multiarm.scene.faults import place, shown
+from multiarm.spatial import difference, skew
+
+# Displacement of a difference, as part of a number of the scene; of a number that is zero.
+PART, FROM_ZERO = 1e-3, 1e-3
+# Larger gaps [m] and gap rates [m/s] are those that a parameter makes.
+CLOSED = 1e-5
+OFFSETS = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
+
+
+class Variation(NamedTuple):
+    """Matrices of the variational equation at one state, D = 12 + 2 n.
+
+    Attributes
+    ----------
+    state : ndarray, shape (D, D)
+    torques : ndarray, shape (D, n)
+        By torques that are added to the joints.
+    """
+
+    state: np.ndarray
+    torques: np.ndarray
+
+
+def state_columns(layout: Layout) -> dict[str, slice]:
+    """Where the parts of a displacement are."""
+    n, found, end = layout.joints, {}, 0
+    for name, size in zip(STATE, (6, 6, n, n), strict=True):
+        found[name] = slice(end, end + size)
+        end += size
+    return found
+
+
+def variation(derivatives: Derivatives) -> Variation:
+    """The matrices from the derivatives of the accelerations."""
+    layout, rows, columns = derivatives.layout, derivatives.rows, derivatives.columns
+    at, size = state_columns(layout), 12 + 2 * layout.joints
+    A, B = np.zeros((size, size)), np.zeros((size, layout.joints))
+    A[at["object_pose"], at["object_twist"]] = np.eye(6)
+    A[3:6, 3:6] = skew(derivatives.evaluation.state.object_twist[3:])
+    A[at["joint_positions"], at["joint_velocities"]] = np.eye(layout.joints)
+    for velocity, acceleration in (
+        ("object_twist", "object_acceleration"),
+        ("joint_velocities", "joint_accelerations"),
+    ):
+        own = derivatives.matrix[rows[acceleration]]
+        B[at[velocity]] = own[:, columns["torques"]]
+        for name, part in at.items():
+            A[at[velocity], part] = own[:, columns[name]]
+    return Variation(A, B)
+
+
+def displacement(start: State, end: State) -> np.ndarray:
+    """The displacement from one state to another nearby, shape (D,)."""
+    turn = difference(start.position[3:7], end.position[3:7])
+    shift, faster = end.position - start.position, end.velocity - start.velocity
+    return np.concatenate([shift[:3], turn, faster[:6], shift[7:], faster[6:]])
+
+
+def displaced(state: State, column: int, amount: float) -> State:
+    """A state displaced along one component."""
+    n = state.layout.joints
+    if 6 <= column < 12 or column >= 12 + n:
+        moved = state.copy()
+        moved.velocity[column - 6 if column < 12 else column - 6 - n] += amount
+        return moved
+    move = np.zeros(6 + n)
+    move[column if column < 6 else column - 6] = amount
+    return state.displaced(move)
+
+
+class Parameter:
+    """A number of a scene, by which a run is differentiated.
+
+    Parameters
+    ----------
+    system : System
+    path : str
+        Such as ``object.mass``, see :mod:`multiarm.scene.changes`.
+
+    Raises
+    ------
+    SceneError
+        When there is no number at the path, or the scene cannot be compiled with others nearby.
+    """
+
+    def __init__(self, system: System, path: str) -> None:
+        parts = parse_path(path)
+        value = value_at(system.scene, path)
+        if parts[0] == "run":
+            raise SceneError(f"{place(parts)}: settings of the run are no parameters of the motion")
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise SceneError(
+                f"{place(parts)}: expected a number to differentiate by, got {shown(value)}"
+            )
+        step = PART * abs(value) or FROM_ZERO
+        self.path, self._start = path, system.initial_state()
+        self._systems = {
+            weight / step: _with_value(system, path, value + offset * step)
+            for offset, weight in OFFSETS.items()
+        }
+
+    def of_start(self) -> np.ndarray:
+        """The derivative of the scene's start, shape (D,)."""
+        own, found = self._start, np.zeros(12 + 2 * self._start.layout.joints)
+        for weight, system in self._systems.items():
+            found += weight * displacement(own, system.initial_state())
+        return found
+
+    def at(self, t: float, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """The derivatives of the state's rate at a time [s], shape (D,), and of gaps and gap rates.
+
+        Those are in the order of :attr:`multiarm.dynamics.sensitivity.Motions.constraint`.
+
+        Raises
+        ------
+        SolverError
+            When the parameter moves contacts that can open.
+        """
+        n, rate, gaps = state.layout.joints, 0.0, 0.0
+        for weight, system in self._systems.items():
+            accelerations, residuals = self._evaluated(system, t, state)
+            rate, gaps = rate + weight * accelerations, gaps + weight * residuals
+        still = np.zeros(6), np.zeros(n)
+        return np.concatenate([still[0], rate[:6], still[1], rate[6:]]), gaps
+
+    def _evaluated(self, system: System, t: float, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """Accelerations of one system, and its gaps and gap rates."""
+        if system.model.unilateral is None:
+            with system.borrow() as data:
+                found = evaluation.evaluate(data, t, state)
+                codes, contacts = data.model.constants.codes, data.arrays.contacts
+                gaps = contacts[codes[:, KIND] != TANGENT, GAP]
+                return found.accelerations, np.concatenate([gaps, contacts[:, GAP_RATE]])
+        found = evaluate(system, t, state)
+        if max(found.position_residual, found.velocity_residual) > CLOSED:
+            raise SolverError(
+                f"the parameter {self.path} moves contacts that can open; a run is differentiated "
+                "by such numbers only where all contacts hold both ways"
+            )
+        return found.accelerations, np.zeros(0)
+
+
+def _with_value(system: System, path: str, value: float) -> System:
+    control = system.model.python_control
+    try:
+        other = compile_system(changed(system.scene, {path: value}), like=system)
+    except MultiarmError as error:
+        raise SceneError(f"{path}: the scene cannot be compiled with {value:.9g}: {error}") from None
+    if control is not None and not control.in_scene:
+        other = other.with_control(control.function)
+    return other
