@@ -130,9 +130,10 @@ class Sensitivity:
 
     def _block(self, name: str) -> np.ndarray:
         if name not in self.columns:
-            more = name in PARAMETERS
-            ask = ": ask for them, ma.derivatives(system, t, state, parameters=True)" if more else ""
-            raise ModelError(f"these derivatives have none by {name}{ask}")
+            ask = "ask for them, ma.derivatives(system, t, state, parameters=True)"
+            known = f"they have those by {', '.join(self.columns)}"
+            remedy = ask if name in PARAMETERS else known
+            raise ModelError(f"these derivatives have none by {name}: {remedy}")
         return self.matrix[..., self.columns[name]]
 
 

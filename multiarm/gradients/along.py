@@ -1,58 +1,77 @@
-r"""A run at the nodes of panels, and panels that are short enough.
+r"""A run with its variational equation, as a function of time.
 
 The run itself is :func:`multiarm.simulate`'s, which gives samples at any times without changing its
-steps.  The variational equation along it (:mod:`multiarm.gradients.variation`) is solved over
-panels of its own (:mod:`multiarm.gradients.collocation`): each once as a whole, and again in two
-halves.  For a method of order p, the result of the halves is wrong by
+steps.  Time is divided into segments, without a time inside at which control or loads are not
+smooth.  The matrices of the variational equation (:mod:`multiarm.gradients.variation`) are
+evaluated at the nodes of a segment, and are series between them
+(:mod:`multiarm.gradients.interpolation`): how many evaluations that takes depends on how the
+posture changes, and not on how fast motions die out.  The equation itself is solved over panels of
+the segments (:mod:`multiarm.gradients.collocation`), each as a whole and in two halves.  For a
+method of order p, the result of the halves is wrong by
 
-.. math:: \frac{y_{\text{whole}} - y_{\text{halves}}}{2^p - 1} ,
+.. math:: \frac{y_{\text{whole}} - y_{\text{halves}}}{2^p - 1} ;
 
-which is carried along with the result as its estimated error.  Panels that contribute too much are
-divided, and the walk over all of them is repeated.  No panel contains a time at which control or
-loads are not smooth.  At the bounds of the panels displacements are put on those that the joints
-allow: errors across them would stay where damping makes all else small.
+panels for which that is too much are divided.  These errors, and those of the series, are carried
+along with the result.  Segments that contribute too much get more nodes, or are divided.
 
-*Memory.*  The states at all nodes are kept, 13 + 2 n numbers each.  The matrices there, of
-(12 + 2 n)^2 numbers, are kept for a second walk as long as they take less than ``MOST_KEPT``.
+*Stabilisation.*  With the projector P on displacements that keep the joints closed, and the least
+displacement n that follows joints which a parameter moves, the equation is
+
+.. math:: \dot\delta = A\delta + \beta\,\delta p - \kappa\,\big((1 - P)\,\delta - n\,\delta p\big) .
+
+Its solutions are the same; errors across the joints, which would stay where damping makes all else
+small, die out.
+
+*Memory.*  Kept are the states at the nodes, 13 + 2 n numbers each, and the matrices of one segment
+at a time; those of all segments as long as they have at most ``MOST_KEPT`` numbers.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property, partial
 from itertools import pairwise
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from multiarm.dynamics.sensitivity import Derivatives
+from multiarm.dynamics.sensitivity import Derivatives, Motions
 from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.events.derivatives import derivatives
 from multiarm.gradients.collocation import NODES, ORDER, Collocation
+from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.variation import Parameter, variation
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.simulate import simulate
 from multiarm.terminal.progress import Report
 
-# Panels that a walk begins with: of about so many steps of the run, and at most so long [s].
-STEPS, LONGEST = 6, 0.1
-# Numbers of the matrices that are kept.
+# Rate at which errors across the joints die out [1/s].
+RETURN = 40.0
+# Longest segments and panels that are tried [s], and the shortest, as part of the run.
+SEGMENT, PANEL, SHORTEST = 0.5, 0.1, 1e-6
+# Numbers of all matrices that are kept.
 MOST_KEPT = 3e7
 MOST_WALKS = 12
-# Walks over shorter panels go on while they lessen the error at least so; derivatives with a larger
-# relative error than the second are of no use.
+# Walks over shorter segments go on while they lessen the error at least so; derivatives with a
+# larger relative error than the second are of no use.
 LESSENED, USELESS = 0.5, 1e-2
+# Series that alone may make an error of so many times the tolerance are refined at once.
+COARSE = 10.0
 RICHARDSON = 2.0**ORDER - 1.0
 # In place of sizes that are zero.
 TINY = 1e-300
 
+Step = Callable[[int], None]
+Slope = Callable[[float, State], tuple[float, np.ndarray]]
+
 
 class Panel(NamedTuple):
-    """A piece of time [s]."""
+    """A piece of time over which the equation is solved at once [s]."""
 
     begin: float
     end: float
@@ -74,34 +93,89 @@ class Panel(NamedTuple):
         return Panel(self.begin, middle), Panel(middle, self.end)
 
 
-class Bound(NamedTuple):
-    """What displacements of nearby motions obey at one time.
+class Coefficients(NamedTuple):
+    """The variational equation at some times, or an error of it.
 
     Attributes
     ----------
-    admissible : ndarray, shape (D, D)
-        Projector on those that keep the joints closed.
-    across : ndarray, shape (D, P)
-        The rest of a displacement that a parameter makes, where it moves the joints.
+    A : ndarray, shape (k, D, D)
+        By the state.
+    B : ndarray, shape (k, D, n)
+        By torques that are added to the joints.
+    beta : ndarray, shape (k, D, P)
+        By the parameters.
+    rate, slope : ndarray, shapes (k,), (k, D)
+        An integrand and its derivatives; zero without one.
     """
 
-    admissible: np.ndarray
-    across: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    beta: np.ndarray
+    rate: np.ndarray
+    slope: np.ndarray
 
-    def forward(self, displacements: np.ndarray) -> np.ndarray:
-        """Displacements by some columns, and last by the parameters, (D, k), without errors."""
-        put = self.admissible @ displacements
-        put[:, put.shape[1] - self.across.shape[1] :] += self.across
-        return put
 
-    def backward(self, mu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The transposed map of (D, k): what acts before, and by the parameters (P, k)."""
-        before = self.admissible @ mu
-        return before, self.across.T @ (mu - before)
+class Segment:
+    """A piece of time over which the matrices are a series.
+
+    Attributes
+    ----------
+    panel : Panel
+        The whole of it.
+    error : float
+        That the series alone may make, relative to a displacement.
+    """
+
+    def __init__(self, panel: Panel, values: np.ndarray, joints: int) -> None:
+        self.panel, self._joints = panel, joints
+        self._series = Series(panel.begin, panel.end, values)
+        size = values.shape[1] - 1
+        self.error = panel.length * float(np.abs(self._series.defect[:size, :size]).max())
+
+    def at(self, times: list[float]) -> tuple[Coefficients, Coefficients]:
+        """Coefficients at some times, and their defects."""
+        values, defects = self._series.at(times)
+        return self._parts(values), self._parts(defects)
+
+    def pieces(self, bounds: np.ndarray) -> Iterator[Piece]:
+        """Pieces to begin with, which end at the given times among others, in order."""
+        inner = bounds[(bounds > self.panel.begin) & (bounds < self.panel.end)]
+        for panel in divided([self.panel.begin, *inner.tolist(), self.panel.end], PANEL):
+            yield Piece(self, panel)
+
+    def _parts(self, values: np.ndarray) -> Coefficients:
+        size, n = values.shape[1] - 1, self._joints
+        rows, last = values[:, :-1], values[:, -1]
+        beta = rows[:, :, size + n : -1]
+        return Coefficients(rows[:, :, :size], rows[:, :, size : size + n], beta, last[:, -1],
+                            rows[:, :, -1])  # fmt: skip
+
+
+class Piece:
+    """A panel of a segment, with the solution of its equation.
+
+    Attributes
+    ----------
+    panel : Panel
+    at, defect : Coefficients
+        At its nodes, and their defects.
+    collocation : Collocation
+    """
+
+    def __init__(self, segment: Segment, panel: Panel) -> None:
+        self._segment, self.panel = segment, panel
+        self.at, self.defect = segment.at(panel.nodes)
+        self.collocation = Collocation(self.at.A, panel.length)
+
+    @cached_property
+    def halves(self) -> tuple[Piece, Piece]:
+        """The piece in two."""
+        first, second = self.panel.halves
+        return Piece(self._segment, first), Piece(self._segment, second)
 
 
 class Walk(Protocol):
-    """The result of a walk over all panels."""
+    """The result of a walk over all segments."""
 
     @property
     def error(self) -> float:
@@ -110,7 +184,7 @@ class Walk(Protocol):
 
     @property
     def shares(self) -> np.ndarray:
-        """Of every panel, relative to the whole."""
+        """Of every segment's series, relative to the whole."""
         ...
 
 
@@ -131,13 +205,17 @@ class Along:
         None: the scene's.
     parameters : sequence of str
         Paths of numbers of the scene.
+    bounds : ndarray
+        Times at which the solution is wanted [s].
+    integrand : callable, optional
+        ``f(t, state)`` and its derivatives.
 
     Attributes
     ----------
-    tolerance : float
-        Relative error of the derivatives.
+    tolerance, panel_tolerance : float
+        Relative error of the derivatives; relative errors of all panels together.
     trajectory : Trajectory
-        The run, sampled at all times that were asked for.
+        The run, sampled at all nodes and bounds.
 
     Raises
     ------
@@ -157,17 +235,24 @@ class Along:
         accuracy: float | None,
         start: State | None,
         parameters: Sequence[str],
+        bounds: np.ndarray,
+        integrand: Slope | None = None,
     ) -> None:
         _refuse(system)
         self.system, self.begin, self.end = system, begin, begin + duration
+        self.bounds, self._integrand = bounds, integrand
         self._accuracy, self._start = accuracy, start
         written = system.scene.run.accuracy
         of_scene = DEFAULT_ACCURACY if written is None else written.smallest
         self.tolerance = of_scene if accuracy is None else accuracy
+        self.panel_tolerance = self.tolerance
         self.parameters = [Parameter(system, path) for path in parameters]
+        rough = system.model.breakpoints
+        inner = rough[(rough > self.begin) & (rough < self.end)]
+        times = np.unique([self.begin, self.end, *inner])
+        self._segments = [(panel, DEGREES[0]) for panel in divided(times, SEGMENT)]
         self._states: dict[float, State] = {}
-        self._nodes: dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._bounds: dict[float, Bound] = {}
+        self._values: dict[float, np.ndarray] = {}
 
     @property
     def layout(self) -> Layout:
@@ -179,27 +264,108 @@ class Along:
         """Number of components of a displacement."""
         return 12 + 2 * self.layout.joints
 
+    @property
+    def count(self) -> int:
+        """Number of segments."""
+        return len(self._segments)
+
     def state(self, t: float) -> State:
-        """The state at a time that was asked for."""
+        """The state at a bound, or at the ends of the run."""
         return self._states[t]
 
-    def panels(self, bounds: Iterable[float]) -> list[Panel]:
-        """Panels to begin with, which end at the given times [s] among others."""
-        rough = self.system.model.breakpoints
-        inner = rough[(rough > self.begin) & (rough < self.end)]
-        times = np.unique([self.begin, self.end, *inner, *bounds])
-        panels = _divided(times, LONGEST)
-        self.sample(panels, times)
-        mean = (self.end - self.begin) / max(self.trajectory.statistics["steps"], 1)
-        return panels if STEPS * mean >= LONGEST else _divided(times, STEPS * mean)
+    def segment(self, k: int) -> Segment:
+        """A segment with its matrices."""
+        panel, degree = self._segments[k]
+        values = np.stack([self._value(t) for t in nodes(*panel, degree)])
+        return Segment(panel, values, self.layout.joints)
 
-    def sample(self, panels: Iterable[Panel], times: Iterable[float] = ()) -> None:
-        """Run to all nodes of panels, of their halves, and to further times."""
-        wanted = {self.begin, self.end, *times, *self._states}
-        for panel in panels:
-            wanted.update((panel.begin, panel.end), panel.nodes)
-            wanted.update(*(half.nodes for half in panel.halves))
-        if wanted == self._states.keys():
+    def closed(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Projector (D, D) on displacements that keep the joints closed, at an end of the run, and
+        those by the parameters (D, P) that follow joints which move.
+        """
+        motions = self._derivatives(t).motions
+        across = np.zeros((self.size, len(self.parameters)))
+        for k, parameter in enumerate(self.parameters):
+            across[:, k] = _across(motions, parameter.at(t, self._states[t])[1])
+        return motions.admissible(), across
+
+    def start_by_parameters(self) -> np.ndarray:
+        """The derivatives of the start by the parameters, shape (D, P)."""
+        found = np.zeros((self.size, len(self.parameters)))
+        if self._start is None:
+            for k, parameter in enumerate(self.parameters):
+                found[:, k] = parameter.of_start()
+            return found
+        for parameter in self.parameters:
+            if np.any(parameter.at(self.begin, self._start)[1]):
+                raise SolverError(
+                    f"the parameter {parameter.path} moves the joints, and the given `state` does "
+                    f"not follow; leave it out: the scene's own start does"
+                )
+        return found
+
+    def to_accuracy(
+        self, walk: Callable[[Callable[[int], None]], AnyWalk], show: Report
+    ) -> AnyWalk:
+        """The result of a walk over segments that are short enough, or as short as helps.
+
+        Raises
+        ------
+        SolverError
+            When its error is too large even so.
+        """
+        self._resolve()
+        best: AnyWalk | None = None
+        for number in range(1, MOST_WALKS + 1):
+            words = "derivatives of the run" + (f", round {number}" if number > 1 else "")
+            found = walk(partial(_show, show, self.count, words))
+            if best is not None and found.error > LESSENED * best.error:  # roundings are left
+                break
+            best = found
+            if found.error <= self.tolerance:
+                return found
+            if found.shares.sum() > 0.5 * self.tolerance:
+                self._refine(found.shares)
+                self._sample()
+            else:
+                self.panel_tolerance *= 0.1
+        assert best is not None, "there is a first walk"
+        if best.error > USELESS:
+            raise SolverError(
+                f"the derivatives of the run have an error of {best.error:.1g} of their size, and "
+                f"shorter pieces of time do not lessen it; look for a control that jumps, or for "
+                f"motions that damping ends long before the end of the run"
+            )
+        return best
+
+    def _resolve(self) -> None:
+        """Refine segments whose series are clearly too coarse, before anything is solved."""
+        for _ in range(MOST_WALKS):
+            self._sample()
+            coarse = np.array([self.segment(k).error for k in range(self.count)])
+            if coarse.max() <= COARSE * self.tolerance:
+                return
+            self._refine(np.where(coarse > COARSE * self.tolerance, coarse, 0.0))
+
+    def _refine(self, shares: np.ndarray) -> None:
+        """Give segments that contribute much to the error more nodes, or divide them."""
+        large = min(0.5 * self.tolerance / self.count, shares.max())
+        segments = []
+        for (panel, degree), share in zip(self._segments, shares, strict=True):
+            if share < large:
+                segments.append((panel, degree))
+            elif degree < DEGREES[-1]:
+                segments.append((panel, DEGREES[DEGREES.index(degree) + 1]))
+            else:
+                segments += [(half, DEGREES[0]) for half in panel.halves]
+        self._segments = segments
+
+    def _sample(self) -> None:
+        """Run to all nodes."""
+        wanted = {self.begin, self.end, *self.bounds.tolist()}
+        for panel, degree in self._segments:
+            wanted.update(nodes(*panel, degree))
+        if wanted <= self._states.keys():
             return
         run = self.trajectory = simulate(
             self.system,
@@ -213,54 +379,33 @@ class Along:
         if run.status != "completed":
             raise SolverError(f"the run that is differentiated did not end well: {run.message}")
         _refuse_events(run)
+        joints, rates = run.joint_positions, run.joint_velocities
         names = self.layout.names
-        positions = np.hstack(
-            [
-                run.object_position,
-                run.object_quaternion_xyzw,
-                *(run.joint_positions[name] for name in names),
-            ]
-        )
-        velocities = np.hstack([run.object_twist, *(run.joint_velocities[name] for name in names)])
+        pose = run.object_position, run.object_quaternion_xyzw
+        positions = np.hstack([*pose, *(joints[name] for name in names)])
+        velocities = np.hstack([run.object_twist, *(rates[name] for name in names)])
         self._states = {
             t: State(position, velocity, self.layout)
             for t, position, velocity in zip(sorted(wanted), positions, velocities, strict=True)
         }
 
-    def solved(self, panel: Panel) -> tuple[Collocation, np.ndarray, np.ndarray]:
-        """The collocation of a panel, and at its nodes the matrices (3, D, n) by torques and
-        (3, D, P) by the parameters.
-        """
-        nodes = [self._node(t) for t in panel.nodes]
-        A, B, beta = (np.stack(own) for own in zip(*nodes, strict=True))
-        return Collocation(A, panel.length), B, beta
-
-    def bound(self, t: float) -> Bound:
-        """What displacements obey at a bound of panels."""
-        found = self._bounds.get(t)
-        if found is None:
-            motions = self._derivatives(t).motions
-            across = np.zeros((self.size, len(self.parameters)))
-            for k, parameter in enumerate(self.parameters):
-                gaps = parameter.at(t, self._states[t])[1]
-                if np.any(gaps):
-                    C = motions.constraint
-                    lengths = np.maximum(np.linalg.norm(C, axis=1), TINY)
-                    scaled = C / lengths[:, None]
-                    across[:, k] = -np.linalg.lstsq(scaled, gaps / lengths, SYSTEM_TOLERANCE)[0]
-            found = Bound(motions.admissible(), across)
-            self._keep(self._bounds, t, found)
-        return found
-
-    def _node(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The variational equation at a node: matrices by state, torques and parameters."""
-        found = self._nodes.get(t)
-        if found is None:
-            beta = np.zeros((self.size, len(self.parameters)))
-            for k, parameter in enumerate(self.parameters):
-                beta[:, k] = parameter.at(t, self._states[t])[0]
-            found = *variation(self._derivatives(t)), beta
-            self._keep(self._nodes, t, found)
+    def _value(self, t: float) -> np.ndarray:
+        """All coefficients at a node, in one matrix (D + 1, D + n + P + 1)."""
+        found = self._values.get(t)
+        if found is not None:
+            return found
+        state, n, size = self._states[t], self.layout.joints, self.size
+        D = self._derivatives(t)
+        found = np.zeros((size + 1, size + n + len(self.parameters) + 1))
+        A, found[:size, size : size + n] = variation(D)
+        found[:size, :size] = A - RETURN * (np.eye(size) - D.motions.admissible())
+        for k, parameter in enumerate(self.parameters):
+            rate, gaps = parameter.at(t, state)
+            found[:size, size + n + k] = rate + RETURN * _across(D.motions, gaps)
+        if self._integrand is not None:
+            found[size, -1], found[:size, -1] = self._integrand(t, state)
+        if len(self._values) * found.size < MOST_KEPT:
+            self._values[t] = found
         return found
 
     def _derivatives(self, t: float) -> Derivatives:
@@ -269,64 +414,26 @@ class Along:
         except SolverError as error:
             raise SolverError(f"at t = {t:.9g} s: {error}") from None
 
-    def _keep(self, where: dict[float, Any], t: float, found: Any) -> None:
-        if (len(self._nodes) + len(self._bounds)) * self.size**2 < MOST_KEPT:
-            where[t] = found
 
-    def start_by_parameters(self) -> np.ndarray:
-        """The derivatives of the start by the parameters, shape (D, P)."""
-        found = np.zeros((self.size, len(self.parameters)))
-        if self._start is None:
-            for k, parameter in enumerate(self.parameters):
-                found[:, k] = parameter.of_start()
-        return found
-
-    def to_accuracy(
-        self,
-        panels: list[Panel],
-        walk: Callable[[list[Panel], Callable[[int], None]], AnyWalk],
-        show: Report,
-    ) -> AnyWalk:
-        """The result of a walk over panels that are short enough, or as short as helps.
-
-        Raises
-        ------
-        SolverError
-            When its error is too large even so.
-        """
-        best: AnyWalk | None = None
-        for number in range(1, MOST_WALKS + 1):
-            self.sample(panels)
-            words = "derivatives of the run" + (f", walk {number}" if number > 1 else "")
-            total = len(panels)
-            found = walk(panels, lambda done, w=words, n=total: show(done, n, w))
-            if best is not None and found.error > LESSENED * best.error:  # roundings are left
-                break
-            best = found
-            if found.error <= self.tolerance:
-                return found
-            large = min(self.tolerance / len(panels), found.shares.max())
-            panels = [
-                half
-                for panel, share in zip(panels, found.shares, strict=True)
-                for half in (panel.halves if share >= 0.25 * large else (panel,))
-            ]
-        assert best is not None, "there is a first walk"
-        if best.error > USELESS:
-            raise SolverError(
-                f"the derivatives of the run have an error of {best.error:.1g} of their size, and "
-                f"shorter pieces of time do not lessen it; look for a control that jumps, or for "
-                f"motions that damping ends long before the end of the run"
-            )
-        return best
+def _show(show: Report, total: int, words: str, done: int) -> None:
+    show(done, total, words)
 
 
-def _divided(times: np.ndarray, longest: float) -> list[Panel]:
+def _across(motions: Motions, gaps: np.ndarray) -> np.ndarray:
+    """The least displacement (D,) that closes gaps and gap rates again, by their derivatives."""
+    C = motions.constraint
+    if not np.any(gaps):
+        return np.zeros(C.shape[1])
+    lengths = np.maximum(np.linalg.norm(C, axis=1), TINY)
+    return -np.linalg.lstsq(C / lengths[:, None], gaps / lengths, SYSTEM_TOLERANCE)[0]
+
+
+def divided(times: Iterable[float], longest: float) -> list[Panel]:
+    """Equal panels between each time and the next, at most so long [s]."""
     panels = []
-    for begin, end in pairwise(times.tolist()):
+    for begin, end in pairwise(float(t) for t in times):
         count = max(1, math.ceil((end - begin) / longest * (1.0 - 1e-9)))
-        bounds = np.linspace(begin, end, count + 1).tolist()
-        panels += [Panel(*pair) for pair in pairwise(bounds)]
+        panels += [Panel(*pair) for pair in pairwise(np.linspace(begin, end, count + 1).tolist())]
     return panels
 
 

@@ -1,4 +1,4 @@
-r"""Gauss collocation of linear differential equations: three stages, order 6.
+r"""Radau collocation of linear differential equations: three stages, order 5.
 
 Over a panel from t to t + h, a solution of :math:`\dot\delta = A(t)\,\delta + b(t)` is replaced by
 the polynomial of degree 3 that obeys the equation at the nodes :math:`t + c_i h`:
@@ -15,8 +15,10 @@ is
     y = N^{-T}\, [h w_i A_i^T \mu_1]_i, \qquad \mu_0 = \mu_1 + \sum_i y_i, \qquad
     \Lambda_i = \mu_1 + \tfrac{1}{w_i} \sum_j a_{ji}\, y_j ,
 
-and :math:`\mu_1^T\delta_1 = \mu_0^T\delta_0 + h \sum_i w_i \Lambda_i^T b_i` to rounding.  The method
-is A-stable, so that motions which strong damping makes fast do not ask for short panels.
+and :math:`\mu_1^T\delta_1 = \mu_0^T\delta_0 + h \sum_i w_i \Lambda_i^T b_i` to rounding.
+With an integrand of slopes :math:`g_i`, :math:`y = N^{-T}[h w_i (A_i^T \mu_1 + g_i)]_i`.  The
+method (Radau IIA) is L-stable: motions that strong damping makes fast ask for short panels only as
+long as they last.
 """
 
 from __future__ import annotations
@@ -24,19 +26,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve
+from scipy.linalg.lapack import dgetrf, dgetrs
 
-_R = math.sqrt(15.0)
-NODES = np.array([0.5 - _R / 10.0, 0.5, 0.5 + _R / 10.0])
-WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
+_R = math.sqrt(6.0)
+NODES = np.array([(4.0 - _R) / 10.0, (4.0 + _R) / 10.0, 1.0])
+WEIGHTS = np.array([16.0 - _R, 16.0 + _R, 4.0]) / 36.0
 STAGES = np.array(
     [
-        [5.0 / 36.0, 2.0 / 9.0 - _R / 15.0, 5.0 / 36.0 - _R / 30.0],
-        [5.0 / 36.0 + _R / 24.0, 2.0 / 9.0, 5.0 / 36.0 - _R / 24.0],
-        [5.0 / 36.0 + _R / 30.0, 2.0 / 9.0 + _R / 15.0, 5.0 / 36.0],
+        [(88.0 - 7.0 * _R) / 360.0, (296.0 - 169.0 * _R) / 1800.0, (-2.0 + 3.0 * _R) / 225.0],
+        [(296.0 + 169.0 * _R) / 1800.0, (88.0 + 7.0 * _R) / 360.0, (-2.0 - 3.0 * _R) / 225.0],
+        WEIGHTS,
     ]
 )
-ORDER = 6
+ORDER = 5
 
 
 class Collocation:
@@ -54,41 +56,38 @@ class Collocation:
         self._A, self._h, size = A, length, A.shape[1]
         blocks = np.eye(3)[:, :, None, None] * np.eye(size) - length * STAGES[:, :, None, None] * A
         stages = blocks.transpose(0, 2, 1, 3).reshape(3 * size, 3 * size)
-        self._factors = lu_factor(stages, overwrite_a=True, check_finite=False)
+        # of the transposed matrix, which is in LAPACK's order
+        self._factors, self._pivots, _ = dgetrf(stages.T, overwrite_a=True)
 
-    def forward(self, start: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Solutions at the end from those at the start, shapes (D, k); ``b`` (3, D, k)."""
+    def forward(self, start: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Solutions at the end, and at the nodes, from those at the start.
+
+        Shapes (D, k), (3, D, k); ``b`` (3, D, k).
+        """
         h, size = self._h, len(start)
         right = start + h * np.einsum("ij,jdk->idk", STAGES, b)
-        stages = lu_solve(self._factors, right.reshape(3 * size, -1), check_finite=False)
-        rates = self._A @ stages.reshape(3, size, -1) + b
-        return start + h * np.einsum("i,idk->dk", WEIGHTS, rates)
+        stages, _ = dgetrs(self._factors, self._pivots, right.reshape(3 * size, -1), trans=1)
+        stages = stages.reshape(3, size, -1)
+        rates = self._A @ stages + b
+        return start + h * np.einsum("i,idk->dk", WEIGHTS, rates), stages
 
-    def backward(
-        self, end: np.ndarray, slopes: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def backward(self, end: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The transposed map.
 
         Parameters
         ----------
-        end : ndarray, shape (D, k)
+        end : ndarray, shape (D,)
             ``mu_1``
-        slopes : ndarray, shape (3, D), optional
-            Those of an integrand at the nodes, for the first column.
+        slopes : ndarray, shape (3, D)
+            Those of an integrand at the nodes.
 
         Returns
         -------
-        start : ndarray, shape (D, k)
+        start : ndarray, shape (D,)
             ``mu_0``
-        stages : ndarray, shape (3, D, k)
+        stages : ndarray, shape (3, D)
             ``Lambda``
         """
-        right = np.einsum("ide,dk->iek", self._A, end)
-        if slopes is not None:
-            right[:, :, 0] += slopes
-        right *= self._h * WEIGHTS[:, None, None]
-        size, columns = end.shape
-        y = lu_solve(self._factors, right.reshape(3 * size, -1), trans=1, check_finite=False)
-        y = y.reshape(3, size, columns)
-        stages = end + np.einsum("ji,jdk->idk", STAGES, y) / WEIGHTS[:, None, None]
-        return end + y.sum(axis=0), stages
+        right = self._h * WEIGHTS[:, None] * (np.einsum("ide,d->ie", self._A, end) + slopes)
+        y = dgetrs(self._factors, self._pivots, right.ravel())[0].reshape(right.shape)
+        return end + y.sum(axis=0), end + (STAGES.T @ y) / WEIGHTS[:, None]

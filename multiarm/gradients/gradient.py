@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,16 @@ from multiarm.dynamics.sensitivity import Sensitivity
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError
-from multiarm.gradients.along import RICHARDSON, TINY, Along, Panel
+from multiarm.gradients.along import (
+    RICHARDSON,
+    SHORTEST,
+    TINY,
+    Along,
+    Coefficients,
+    Panel,
+    Piece,
+    Step,
+)
 from multiarm.gradients.collocation import WEIGHTS
 from multiarm.gradients.variation import displaced, state_columns
 from multiarm.public import facts_html, public_names
@@ -122,11 +132,12 @@ class Gradient:
 
 
 class _Walk(NamedTuple):
-    """The result of a walk backward over all panels."""
+    """The result of a walk backward over all segments."""
 
     error: float
     shares: np.ndarray
-    start: np.ndarray  # (D,)
+    adjoint: np.ndarray  # (D,), at the start
+    start: np.ndarray  # (D,), its part along displacements that keep the joints closed
     integrals: np.ndarray  # (1 + P,), of the running scalar, and by the parameters
     times: np.ndarray
     weights: np.ndarray
@@ -191,19 +202,21 @@ def gradient(
     if final is None and running is None:
         raise ModelError("gradient: give `final` or `running`, the scalar to be differentiated")
     begin, duration = require_time(start_time), positive("duration", duration)
+    integrand = None if running is None else partial(_differentiated, running)
     with displayed(progress, Progress) as show:
-        along = Along(system, begin, duration, accuracy, start, parameters)
-        panels = along.panels(())
+        along = Along(system, begin, duration, accuracy, start, parameters, np.zeros(0), integrand)
 
+        def walk(report: Step) -> _Walk:
+            nothing = 0.0, np.zeros(along.size)
+            at_end = nothing
+            if final is not None:
+                at_end = _differentiated(final, along.end, along.state(along.end))
+            return _Backward(along, *at_end).walk(report)
 
-        def walk(over: list[Panel], report: Callable[[int], None]) -> _Walk:
-            return _backward(along, over, final, running, report)
-
-        found = along.to_accuracy(panels, walk, show)
-    end = 0.0 if final is None else _differentiated(final, along.end, along.state(along.end))[0]
-    by_parameters = found.integrals[1:] + found.start @ along.start_by_parameters()
+        found = along.to_accuracy(walk, show)
+    by_parameters = found.integrals[1:] + found.adjoint @ along.start_by_parameters()
     return Gradient(
-        value=end + float(found.integrals[0]),
+        value=float(found.integrals[0]),
         start=Sensitivity(found.start, along.layout, state_columns(along.layout)),
         parameters=dict(zip(parameters, by_parameters.tolist(), strict=True)),
         trajectory=along.trajectory,
@@ -214,84 +227,105 @@ def gradient(
     )
 
 
-def _backward(
-    along: Along,
-    panels: list[Panel],
-    final: Scalar | None,
-    running: Scalar | None,
-    report: Callable[[int], None],
-) -> _Walk:
-    """Solve the adjoint equation over all panels, and for its error, which is a second column."""
-    mu, count = np.zeros((along.size, 2)), 1 + len(along.parameters)
-    if final is not None:
-        mu[:, 0] = _differentiated(final, along.end, along.state(along.end))[1]
-    integrals, magnitudes = np.zeros((count, 2)), np.zeros(count)
-    of_start, of_integrals = np.zeros(len(panels)), np.zeros((len(panels), count))
-    pieces: list[_Piece] = []
-    mu, integrals[1:] = along.bound(along.end).backward(mu)
-    for k in reversed(range(len(panels))):
-        after, halves = mu, np.zeros((count, 2))
-        for half in reversed(panels[k].halves):
-            piece = _over(along, half, running, mu)
-            mu, halves = piece.start, halves + piece.integrals
-            magnitudes += piece.magnitudes
-            pieces.append(piece)
-        whole = _over(along, panels[k], running, after[:, :1])
-        of_integrals[k] = (whole.integrals[:, 0] - halves[:, 0]) / RICHARDSON
-        halves[:, 1] += of_integrals[k]
-        mu[:, 1] += (whole.start[:, 0] - mu[:, 0]) / RICHARDSON
-        bound = along.bound(panels[k].begin)
-        of_start[k] = np.abs(bound.admissible @ (whole.start[:, 0] - mu[:, 0])).max() / RICHARDSON
-        mu, across = bound.backward(mu)
-        of_start[k] /= np.abs(mu[:, 0]).max(initial=TINY)
-        halves[1:] += across
-        integrals += halves
-        report(len(panels) - k)
-    pieces.reverse()
-    magnitudes = np.maximum(magnitudes, TINY)
-    error = np.abs(mu[:, 1]).max() / np.abs(mu[:, 0]).max(initial=TINY)
-    return _Walk(
-        error=float(max(error, (np.abs(integrals[:, 1]) / magnitudes).max())),
-        shares=np.maximum(of_start, (np.abs(of_integrals) / magnitudes).max(axis=1)),
-        start=mu[:, 0],
-        integrals=integrals[:, 0],
-        times=np.concatenate([piece.times for piece in pieces]),
-        weights=np.concatenate([piece.weights for piece in pieces]),
-        torque_density=np.concatenate([piece.torque_density for piece in pieces]),
-    )
+class _Solved(NamedTuple):
+    """The adjoint over one panel, and its error that is solved for with it."""
 
-
-class _Piece(NamedTuple):
-    """The adjoint over one panel."""
-
-    start: np.ndarray  # (D, k)
-    integrals: np.ndarray  # (1 + P, k)
+    start: np.ndarray  # (D,), the adjoint
+    integrals: np.ndarray  # (1 + P,)
     magnitudes: np.ndarray  # (1 + P,), of the integrands
-    times: list[float]
-    weights: np.ndarray  # (3,)
     torque_density: np.ndarray  # (3, n)
+    start_error: np.ndarray  # (D,)
+    integral_errors: np.ndarray  # (1 + P,)
+    series_error: np.ndarray  # (D,), the part that begins here
 
 
-def _over(along: Along, panel: Panel, running: Scalar | None, end: np.ndarray) -> _Piece:
-    """Solve the adjoint equation over one panel, from the columns at its end."""
-    collocation, by_torques, by_parameters = along.solved(panel)
-    rates, slopes = np.zeros(3), np.zeros((3, along.size))
-    if running is not None:
-        for i, t in enumerate(panel.nodes):
-            rates[i], slopes[i] = _differentiated(running, t, along.state(t))
-    start, stages = collocation.backward(end, slopes)
-    integrand = np.zeros((3, 1 + len(along.parameters), end.shape[1]))
-    integrand[:, 0, 0] = rates
-    integrand[:, 1:] = np.einsum("idp,idk->ipk", by_parameters, stages)
-    weights = panel.length * WEIGHTS
-    return _Piece(
-        start,
-        np.einsum("i,iqk->qk", weights, integrand),
-        weights @ np.abs(integrand[:, :, 0]),
-        panel.nodes,
-        weights,
-        np.einsum("idn,id->in", by_torques, stages[:, :, 0]),
+class _Backward:
+    """A walk over all segments, from the end of the run to its start."""
+
+    def __init__(self, along: Along, value: float, slope: np.ndarray) -> None:
+        self._along, count = along, 1 + len(along.parameters)
+        admissible, across = along.closed(along.end)
+        self._mu, self._error = admissible @ slope, np.zeros_like(slope)
+        self._integrals, self._integral_errors = np.zeros(count), np.zeros(count)
+        self._magnitudes = np.zeros(count)
+        self._integrals[0], self._magnitudes[0] = value, abs(value)
+        self._integrals[1:] = (slope - self._mu) @ across
+        self._pieces: list[tuple[Panel, np.ndarray]] = []
+
+    def walk(self, report: Step) -> _Walk:
+        """Solve the adjoint equation over all segments."""
+        along = self._along
+        shares = np.zeros(along.count)
+        for k in reversed(range(along.count)):
+            segment = along.segment(k)
+            for piece in reversed(list(segment.pieces(along.bounds))):
+                shares[k] += self._over(piece)
+            report(along.count - k)
+        sizes, (admissible, _) = np.maximum(self._magnitudes, TINY), along.closed(along.begin)
+        start = admissible @ self._mu
+        of_start = np.abs(admissible @ self._error).max() / np.abs(start).max(initial=TINY)
+        self._pieces.reverse()
+        weights = [panel.length * WEIGHTS for panel, _ in self._pieces]
+        return _Walk(
+            error=float(max(of_start, (np.abs(self._integral_errors) / sizes).max())),
+            shares=shares,
+            adjoint=self._mu,
+            start=start,
+            integrals=self._integrals,
+            times=np.concatenate([panel.nodes for panel, _ in self._pieces]),
+            weights=np.concatenate(weights),
+            torque_density=np.concatenate([density for _, density in self._pieces]),
+        )
+
+    def _over(self, piece: Piece) -> float:
+        """Solve over one piece, or over parts of it; returns the relative error of the series."""
+        along, panel, (first, second) = self._along, piece.panel, piece.halves
+        whole = _solved(piece, self._mu, None)
+        late = _solved(second, self._mu, self._error)
+        early = _solved(first, late.start, late.start_error)
+        missed = (whole.start - early.start) / RICHARDSON
+        share = np.abs(missed).max() / np.abs(early.start).max(initial=TINY)
+        allowed = along.panel_tolerance * panel.length / (along.end - along.begin)
+        if share > allowed and panel.length > SHORTEST * (along.end - along.begin):
+            return self._over(second) + self._over(first)
+        integrals = late.integrals + early.integrals
+        missed_integrals = (whole.integrals - integrals) / RICHARDSON
+        self._mu, self._error = early.start, early.start_error + missed
+        self._integrals += integrals
+        self._integral_errors += late.integral_errors + early.integral_errors + missed_integrals
+        self._magnitudes += late.magnitudes + early.magnitudes
+        densities = late.torque_density, early.torque_density
+        self._pieces += zip((second.panel, first.panel), densities, strict=True)
+        of_series = np.abs(late.series_error).max() + np.abs(early.series_error).max()
+        return float(of_series / np.abs(self._mu).max(initial=TINY))
+
+
+def _solved(piece: Piece, end: np.ndarray, error: np.ndarray | None) -> _Solved:
+    """Solve the adjoint equation over one piece, from its value at the end, and for an error."""
+    at, defect, collocation = piece.at, piece.defect, piece.collocation
+    weights = piece.panel.length * WEIGHTS
+    start, stages = collocation.backward(end, at.slope)
+    integrand = _integrand(at, stages)
+    integrand[:, 0] += at.rate
+    magnitudes, none = weights @ np.abs(integrand), np.zeros(0)
+    density = np.einsum("idn,id->in", at.B, stages)
+    if error is None:
+        return _Solved(start, weights @ integrand, magnitudes, density, none, none, none)
+    wrong = np.einsum("ide,id->ie", defect.A, stages) + defect.slope
+    start_error, error_stages = collocation.backward(error, wrong)
+    missed = _integrand(at, error_stages) + _integrand(defect, stages)
+    missed[:, 0] += defect.rate
+    own = weights @ wrong
+    return _Solved(
+        start, weights @ integrand, magnitudes, density, start_error, weights @ missed, own
     )
+
+
+def _integrand(at: Coefficients, stages: np.ndarray) -> np.ndarray:
+    """Of the integrals over a panel by the parameters, shape (3, 1 + P)."""
+    found = np.zeros((len(stages), 1 + at.beta.shape[2]))
+    found[:, 1:] = np.einsum("idp,id->ip", at.beta, stages)
+    return found
 
 
 def _differentiated(function: Scalar, t: float, state: State) -> tuple[float, np.ndarray]:

@@ -8,7 +8,7 @@ with that of the output times, so that they suit fits to many measurements, as g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -20,7 +20,16 @@ from multiarm.dynamics.sensitivity import Sensitivity
 from multiarm.dynamics.state import Layout, State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SceneError
-from multiarm.gradients.along import RICHARDSON, TINY, Along, Panel
+from multiarm.gradients.along import (
+    RICHARDSON,
+    SHORTEST,
+    TINY,
+    Along,
+    Coefficients,
+    Piece,
+    Step,
+)
+from multiarm.gradients.collocation import WEIGHTS
 from multiarm.gradients.variation import state_columns
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
@@ -152,13 +161,9 @@ def sensitivities(
             f"'times' must be after the start of the run at {begin:.9g} s, got {at[0]:.9g} s"
         )
     with displayed(progress, Progress) as show:
-        along = Along(system, begin, float(at[-1]) - begin, accuracy, start, parameters)
-        panels = along.panels(at)
-
-        def walk(over: list[Panel], report: Callable[[int], None]) -> _Walk:
-            return _forward(along, over, report)
-
-        found = along.to_accuracy(panels, walk, show)
+        duration = float(at[-1]) - begin
+        along = Along(system, begin, duration, accuracy, start, parameters, at)
+        found = along.to_accuracy(lambda report: _Forward(along).walk(report), show)
     rows, columns = state_columns(along.layout), state_columns(along.layout)
     for path in parameters:
         columns[path] = slice(end := max(own.stop for own in columns.values()), end + 1)
@@ -174,33 +179,72 @@ def sensitivities(
     )
 
 
-def _forward(along: Along, panels: list[Panel], report: Callable[[int], None]) -> _Walk:
-    """Solve the variational equation over all panels, and for its error."""
-    size, count = along.size, len(along.parameters)
-    S = along.bound(along.begin).forward(np.hstack([np.eye(size), along.start_by_parameters()]))
-    error, at, sizes = np.zeros_like(S), {along.begin: S}, np.abs(S).max(axis=0)
-    missing, errors = [], []
-    nothing = np.zeros((3, size, size + count))
-    for k, panel in enumerate(panels):
-        whole = _over(along, panel, S)
-        for half in panel.halves:
-            collocation, _, _ = along.solved(half)
-            S, error = _over(along, half, S), collocation.forward(error, nothing)
+class _Forward:
+    """A walk over all segments, from the start of the run to its end."""
+
+    def __init__(self, along: Along) -> None:
+        self._along = along
+        self._S = np.hstack([along.closed(along.begin)[0], along.start_by_parameters()])
+        self._error, self._worst = np.zeros_like(self._S), np.zeros(self._S.shape[1])
+        self._sizes = np.abs(self._S).max(axis=0, initial=TINY)
+        self._grown = np.zeros(self._S.shape[1])
+        self._at = {along.begin: self._S}
+
+    def walk(self, report: Step) -> _Walk:
+        """Solve the variational equation over all segments."""
+        along = self._along
+        shares = np.zeros((along.count, self._S.shape[1]))
+        for k in range(along.count):
+            segment = along.segment(k)
+            if k == 0:  # columns that begin with nothing grow to about this size
+                at, _ = segment.at([segment.panel.nodes[1]])
+                grown = (along.end - along.begin) * np.abs(at.beta).max(axis=(0, 1))
+                self._grown[along.size :] = grown
+            for piece in segment.pieces(along.bounds):
+                self._over(piece, shares[k])
+                self._at[piece.panel.end] = self._S
+            report(k + 1)
+        error = (self._worst / self._sizes).max()
+        return _Walk(float(error), (shares / self._sizes).max(axis=1), self._at)
+
+    def _over(self, piece: Piece, share: np.ndarray) -> None:
+        """Solve over one piece, or over parts of it; adds the errors of the series, (C,)."""
+        along, panel, S, error = self._along, piece.panel, self._S, self._error
+        whole, _, _ = _solved(piece, S, error)
+        of_series = np.zeros(S.shape[1])
+        for half in piece.halves:
+            S, error, own = _solved(half, S, error)
+            of_series += own
         missed = (whole - S) / RICHARDSON
-        bound = along.bound(panel.end)
-        S, error = bound.forward(S), bound.admissible @ (error + missed)
-        missing.append(np.abs(bound.admissible @ missed).max(axis=0))
-        errors.append(np.abs(error).max(axis=0))
-        sizes = np.maximum(sizes, np.abs(S).max(axis=0))
-        at[panel.end] = S
-        report(k + 1)
-    sizes = np.maximum(sizes, TINY)
-    return _Walk(float((errors / sizes).max()), (missing / sizes).max(axis=1), at)
+        sizes = np.maximum(self._sizes, np.abs(S).max(axis=0))
+        allowed = along.panel_tolerance * panel.length / (along.end - along.begin)
+        too_large = (np.abs(missed).max(axis=0) > allowed * np.maximum(sizes, self._grown)).any()
+        if too_large and panel.length > SHORTEST * (along.end - along.begin):
+            for half in piece.halves:
+                self._over(half, share)
+            return
+        self._S, self._error, self._sizes = S, error + missed, sizes
+        self._worst = np.maximum(self._worst, np.abs(self._error).max(axis=0))
+        share += of_series
 
 
-def _over(along: Along, panel: Panel, S: np.ndarray) -> np.ndarray:
-    """Solve the variational equation over one panel."""
-    collocation, _, by_parameters = along.solved(panel)
-    b = np.zeros((3, *S.shape))
-    b[:, :, along.size :] = by_parameters
-    return collocation.forward(S, b)
+def _solved(
+    piece: Piece, S: np.ndarray, error: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Solve the variational equation over one piece, and for its error.
+
+    Returns both at the end, (D, C) each, and the part of the error that begins here, (C,).
+    """
+    at, defect, collocation = piece.at, piece.defect, piece.collocation
+    end, stages = collocation.forward(S, _by_column(at, S))
+    wrong = defect.A @ stages + _by_column(defect, S)
+    error, _ = collocation.forward(error, wrong)
+    own = piece.panel.length * np.abs(np.einsum("i,idk->dk", WEIGHTS, wrong)).max(axis=0)
+    return end, error, own
+
+
+def _by_column(at: Coefficients, S: np.ndarray) -> np.ndarray:
+    """What drives the columns: nothing, and for the last ones a parameter, (3, D, C)."""
+    b = np.zeros((len(at.beta), *S.shape))
+    b[:, :, S.shape[1] - at.beta.shape[2] :] = at.beta
+    return b

@@ -155,11 +155,10 @@ class Parameter:
         SolverError
             When the parameter moves contacts that can open.
         """
-        n, rate, gaps = state.layout.joints, 0.0, 0.0
-        for weight, system in self._systems.items():
-            accelerations, residuals = self._evaluated(system, t, state)
-            rate, gaps = rate + weight * accelerations, gaps + weight * residuals
-        still = np.zeros(6), np.zeros(n)
+        found = [(w, *self._evaluated(system, t, state)) for w, system in self._systems.items()]
+        rate = np.sum([w * accelerations for w, accelerations, _ in found], axis=0)
+        gaps = np.sum([w * residuals for w, _, residuals in found], axis=0)
+        still = np.zeros(6), np.zeros(state.layout.joints)
         return np.concatenate([still[0], rate[:6], still[1], rate[6:]]), gaps
 
     def _evaluated(self, system: System, t: float, state: State) -> tuple[np.ndarray, np.ndarray]:
@@ -184,7 +183,9 @@ def _with_value(system: System, path: str, value: float) -> System:
     try:
         other = compile_system(changed(system.scene, {path: value}), like=system)
     except MultiarmError as error:
-        raise SceneError(f"{path}: the scene cannot be compiled with {value:.9g}: {error}") from None
+        raise SceneError(
+            f"{path}: the scene cannot be compiled with {value:.9g}: {error}"
+        ) from None
     if control is not None and not control.in_scene:
         other = other.with_control(control.function)
     return other
