@@ -35,6 +35,7 @@ from itertools import pairwise
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from multiarm.dynamics.sensitivity import Derivatives, Motions
 from multiarm.dynamics.solver.dense import SYSTEM_TOLERANCE
@@ -122,15 +123,18 @@ class Segment:
     ----------
     panel : Panel
         The whole of it.
-    error : float
-        That the series alone may make, relative to a displacement.
+    defect, error : float
+        Of the series, relative to its largest value; the error that it alone may make, relative to
+        a displacement.  Twice the degree about squares the first.
     """
 
     def __init__(self, panel: Panel, values: np.ndarray, joints: int) -> None:
         self.panel, self._joints = panel, joints
         self._series = Series(panel.begin, panel.end, values)
         size = values.shape[1] - 1
-        self.error = panel.length * float(np.abs(self._series.defect[:size, :size]).max())
+        wrong = self._series.defect[:size, :size].max()
+        self.defect = float(wrong / np.abs(values[:, :size, :size]).max())
+        self.error = float(panel.length * wrong)
 
     def at(self, times: list[float]) -> tuple[Coefficients, Coefficients]:
         """Coefficients at some times, and their defects."""
@@ -314,21 +318,22 @@ class Along:
         SolverError
             When its error is too large even so.
         """
-        self._resolve()
-        best: AnyWalk | None = None
-        for number in range(1, MOST_WALKS + 1):
-            words = "derivatives of the run" + (f", round {number}" if number > 1 else "")
-            found = walk(partial(_show, show, self.count, words))
-            if best is not None and found.error > LESSENED * best.error:  # roundings are left
-                break
-            best = found
-            if found.error <= self.tolerance:
-                return found
-            if found.shares.sum() > 0.5 * self.tolerance:
-                self._refine(found.shares)
-                self._sample()
-            else:
-                self.panel_tolerance *= 0.1
+        with threadpool_limits(1):  # the matrices are too small for several threads
+            self._resolve()
+            best: AnyWalk | None = None
+            for number in range(1, MOST_WALKS + 1):
+                words = "derivatives of the run" + (f", round {number}" if number > 1 else "")
+                found = walk(partial(_show, show, self.count, words))
+                if best is not None and found.error > LESSENED * best.error:  # roundings are left
+                    break
+                best = found
+                if found.error <= self.tolerance:
+                    return found
+                if found.shares.sum() > 0.5 * self.tolerance:
+                    self._refine(found.shares)
+                    self._sample()
+                else:
+                    self.panel_tolerance *= 0.1
         assert best is not None, "there is a first walk"
         if best.error > USELESS:
             raise SolverError(
@@ -340,21 +345,25 @@ class Along:
 
     def _resolve(self) -> None:
         """Refine segments whose series are clearly too coarse, before anything is solved."""
-        for _ in range(MOST_WALKS):
+        allowed, shortest = COARSE * self.tolerance, SHORTEST * (self.end - self.begin)
+        while True:
             self._sample()
-            coarse = np.array([self.segment(k).error for k in range(self.count)])
-            if coarse.max() <= COARSE * self.tolerance:
+            errors = np.array([self.segment(k).error for k in range(self.count)])
+            long = np.array([panel.length > shortest for panel, _ in self._segments])
+            coarse = (errors > allowed) & long
+            if not coarse.any():
                 return
-            self._refine(np.where(coarse > COARSE * self.tolerance, coarse, 0.0))
+            self._refine(np.where(coarse, errors, 0.0))
 
     def _refine(self, shares: np.ndarray) -> None:
         """Give segments that contribute much to the error more nodes, or divide them."""
         large = min(0.5 * self.tolerance / self.count, shares.max())
         segments = []
-        for (panel, degree), share in zip(self._segments, shares, strict=True):
+        for k, share in enumerate(shares):
+            panel, degree = self._segments[k]
             if share < large:
                 segments.append((panel, degree))
-            elif degree < DEGREES[-1]:
+            elif degree < DEGREES[-1] and share * self.segment(k).defect < large:
                 segments.append((panel, DEGREES[DEGREES.index(degree) + 1]))
             else:
                 segments += [(half, DEGREES[0]) for half in panel.halves]

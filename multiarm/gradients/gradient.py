@@ -122,9 +122,10 @@ class Gradient:
             fault = few if len(rows) < 2 else unknown("interpolation", interpolation, DEGREES)
             raise ModelError(f"by_torque_table: {fault}")
         coefficients = polynomials(rows, np.eye(len(rows)), interpolation)
-        inside = (self.times >= rows[0]) & (self.times < rows[-1])
+        # nodes are at the ends of panels, and never at their beginnings
+        inside = (self.times > rows[0]) & (self.times <= rows[-1])
         t = self.times[inside]
-        before = np.searchsorted(rows, t, side="right") - 1
+        before = np.searchsorted(rows, t) - 1
         degree, x = coefficients.shape[2] - 1, (t - rows[before])[:, None]
         shape = sum(coefficients[before][:, :, k] * x ** (degree - k) for k in range(degree + 1))
         weighted = self.weights[inside, None] * self.torque_density[inside]

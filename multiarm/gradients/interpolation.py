@@ -21,7 +21,7 @@ import numpy as np
 # Degrees that are tried for a segment before it is divided.
 DEGREES = (8, 16)
 # How far inside the ends the outer nodes lie, as part of the length.
-INSIDE = 1e-9
+INSIDE = 1e-11
 
 
 def nodes(begin: float, end: float, degree: int) -> list[float]:

@@ -39,8 +39,9 @@ from multiarm.scene.changes import changed, parse_path, value_at
 from multiarm.scene.faults import place, shown
 from multiarm.spatial import difference, skew
 
-# Displacement of a difference, as part of a number of the scene; of a number that is zero.
-PART, FROM_ZERO = 1e-3, 1e-3
+# Displacement of a difference, as part of a number of the scene; of one that is zero, or smaller
+# than roundings of others make it.
+PART, FROM_ZERO, ROUNDING = 1e-3, 1e-3, 1e-12
 # Larger gaps [m] and gap rates [m/s] are those that a parameter makes.
 CLOSED = 1e-5
 OFFSETS = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
@@ -131,7 +132,7 @@ class Parameter:
             raise SceneError(
                 f"{place(parts)}: expected a number to differentiate by, got {shown(value)}"
             )
-        step = PART * abs(value) or FROM_ZERO
+        step = PART * abs(value) if abs(value) > ROUNDING else FROM_ZERO
         self.path, self._start = path, system.initial_state()
         self._systems = {
             weight / step: _with_value(system, path, value + offset * step)
