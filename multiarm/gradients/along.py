@@ -29,7 +29,7 @@ at a time; those of all segments as long as they have at most ``MOST_KEPT`` numb
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import NamedTuple, Protocol, TypeVar
@@ -68,6 +68,7 @@ RICHARDSON = 2.0**ORDER - 1.0
 TINY = 1e-300
 
 Step = Callable[[int], None]
+Parameters = Sequence[str] | Mapping[str, float | None]
 Slope = Callable[[float, State], tuple[float, np.ndarray]]
 
 
@@ -207,8 +208,8 @@ class Along:
         Of the run; None: the scene's.
     start : State or None
         None: the scene's.
-    parameters : sequence of str
-        Paths of numbers of the scene.
+    parameters : sequence of str, or mapping str -> float or None
+        Paths of numbers of the scene, with sizes.
     bounds : ndarray
         Times at which the solution is wanted [s].
     integrand : callable, optional
@@ -238,7 +239,7 @@ class Along:
         duration: float,
         accuracy: float | None,
         start: State | None,
-        parameters: Sequence[str],
+        parameters: Parameters,
         bounds: np.ndarray,
         integrand: Slope | None = None,
     ) -> None:
@@ -250,7 +251,8 @@ class Along:
         of_scene = DEFAULT_ACCURACY if written is None else written.smallest
         self.tolerance = of_scene if accuracy is None else accuracy
         self.panel_tolerance = self.tolerance
-        self.parameters = [Parameter(system, path) for path in parameters]
+        sizes = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
+        self.parameters = [Parameter(system, path, size) for path, size in sizes.items()]
         rough = system.model.breakpoints
         inner = rough[(rough > self.begin) & (rough < self.end)]
         times = np.unique([self.begin, self.end, *inner])
@@ -267,6 +269,11 @@ class Along:
     def size(self) -> int:
         """Number of components of a displacement."""
         return 12 + 2 * self.layout.joints
+
+    @property
+    def paths(self) -> list[str]:
+        """Of the parameters."""
+        return [parameter.path for parameter in self.parameters]
 
     @property
     def count(self) -> int:

@@ -14,7 +14,7 @@ parameters, and by torques at all times, whose density is :math:`B^T\mu`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -34,6 +34,7 @@ from multiarm.gradients.along import (
     Along,
     Coefficients,
     Panel,
+    Parameters,
     Piece,
     Step,
 )
@@ -151,7 +152,7 @@ def gradient(
     *,
     final: Scalar | None = None,
     running: Scalar | None = None,
-    parameters: Sequence[str] = (),
+    parameters: Parameters = (),
     accuracy: float | None = None,
     state: State | None = None,
     start_time: float = 0.0,
@@ -176,8 +177,10 @@ def gradient(
         returns a number, or a number and its derivatives by a displacement of the state, shape
         (12 + 2 n,): shift and turn of the object, its twist, joint positions, joint velocities.
         Without them they are found by differences.
-    parameters : sequence of str
-        Paths of numbers of the scene, such as ``"object.mass"``, ``"control.stiffness.left"``.
+    parameters : sequence of str, or mapping str -> float or None
+        Paths of numbers of the scene, such as ``"object.mass"``, ``"control.stiffness.left"``; in a
+        mapping with a change that is no longer small, of which a thousandth is tried (None: the
+        number itself).
     accuracy : float, optional
         Of the run [m, rad], and relative error of its derivatives; the scene's when left out.  The
         run is not certified.
@@ -219,7 +222,7 @@ def gradient(
     return Gradient(
         value=float(found.integrals[0]),
         start=Sensitivity(found.start, along.layout, state_columns(along.layout)),
-        parameters=dict(zip(parameters, by_parameters.tolist(), strict=True)),
+        parameters=dict(zip(along.paths, by_parameters.tolist(), strict=True)),
         trajectory=along.trajectory,
         error=found.error,
         times=found.times,

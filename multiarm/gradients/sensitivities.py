@@ -8,7 +8,7 @@ with that of the output times, so that they suit fits to many measurements, as g
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -26,6 +26,7 @@ from multiarm.gradients.along import (
     TINY,
     Along,
     Coefficients,
+    Parameters,
     Piece,
     Step,
 )
@@ -127,7 +128,7 @@ def sensitivities(
     system: System,
     times: ArrayLike,
     *,
-    parameters: Sequence[str] = (),
+    parameters: Parameters = (),
     accuracy: float | None = None,
     state: State | None = None,
     start_time: float = 0.0,
@@ -165,7 +166,7 @@ def sensitivities(
         along = Along(system, begin, duration, accuracy, start, parameters, at)
         found = along.to_accuracy(lambda report: _Forward(along).walk(report), show)
     rows, columns = state_columns(along.layout), state_columns(along.layout)
-    for path in parameters:
+    for path in along.paths:
         columns[path] = slice(end := max(own.stop for own in columns.values()), end + 1)
     return Sensitivities(
         time=at,

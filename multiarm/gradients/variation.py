@@ -37,11 +37,12 @@ from multiarm.errors import MultiarmError, SceneError, SolverError
 from multiarm.events.evaluation import evaluate
 from multiarm.scene.changes import changed, parse_path, value_at
 from multiarm.scene.faults import place, shown
+from multiarm.simulation.setup import positive
 from multiarm.spatial import difference, skew
 
-# Displacement of a difference, as part of a number of the scene; of one that is zero, or smaller
-# than roundings of others make it.
-PART, FROM_ZERO, ROUNDING = 1e-3, 1e-3, 1e-12
+# Displacement of a difference, as part of the size of a number of the scene; numbers below the
+# second may be roundings of zero, and have the size 1.
+PART, ROUNDING = 1e-3, 1e-6
 # Larger gaps [m] and gap rates [m/s] are those that a parameter makes.
 CLOSED = 1e-5
 OFFSETS = {-2.0: 1.0 / 12.0, -1.0: -2.0 / 3.0, 1.0: 2.0 / 3.0, 2.0: -1.0 / 12.0}
@@ -116,6 +117,9 @@ class Parameter:
     system : System
     path : str
         Such as ``object.mass``, see :mod:`multiarm.scene.changes`.
+    size : float, optional
+        A change of the number that changes motions as a whole; a thousandth of it is tried.  The
+        number itself when left out.
 
     Raises
     ------
@@ -123,7 +127,7 @@ class Parameter:
         When there is no number at the path, or the scene cannot be compiled with others nearby.
     """
 
-    def __init__(self, system: System, path: str) -> None:
+    def __init__(self, system: System, path: str, size: float | None = None) -> None:
         parts = parse_path(path)
         value = value_at(system.scene, path)
         if parts[0] == "run":
@@ -132,7 +136,9 @@ class Parameter:
             raise SceneError(
                 f"{place(parts)}: expected a number to differentiate by, got {shown(value)}"
             )
-        step = PART * abs(value) if abs(value) > ROUNDING else FROM_ZERO
+        if size is None:
+            size = abs(value) if abs(value) > ROUNDING else 1.0
+        step = PART * positive(f"parameters[{path!r}]", size)
         self.path, self._start = path, system.initial_state()
         self._systems = {
             weight / step: _with_value(system, path, value + offset * step)
@@ -185,7 +191,8 @@ def _with_value(system: System, path: str, value: float) -> System:
         other = compile_system(changed(system.scene, {path: value}), like=system)
     except MultiarmError as error:
         raise SceneError(
-            f"{path}: the scene cannot be compiled with {value:.9g}: {error}"
+            f"{path}: derivatives by it need the scene with {value:.9g}, which cannot be compiled; "
+            f"name a smaller size, `parameters={{{path!r}: ...}}` ({error})"
         ) from None
     if control is not None and not control.in_scene:
         other = other.with_control(control.function)
