@@ -26,7 +26,7 @@ PACKAGE = ROOT / "multiarm"
 ROOMS = (
     "errors", "public", "geometry", "jit", "spatial", "tableaus", "scene", "results", "contacts",
     "arms", "dynamics", "control", "effects", "integration", "terminal", "assembly", "events",
-    "simulation", "linear", "grasp", "sweeps",
+    "simulation", "linear", "gradients", "grasp", "sweeps",
     "plots", "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
 
@@ -73,6 +73,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "assembly.loop_closure",
         "contacts.internal_forces",
         "effects.external_wrenches",
+        "gradients.collocation",
         "linear.coordinates",
         "linear.linearisation",
         "problems",
@@ -86,7 +87,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
         "viewer.animation",
     ),
     "shapely": ("grasp", "viewer.animate"),
-    "threadpoolctl": ("studies.timing", "sweeps.worker"),
+    "threadpoolctl": ("gradients.along", "studies.timing", "sweeps.worker"),
     "tornado": ("viewer",),
     "trimesh": ("grasp.boundaries", "scene.object"),
     "typer": ("cli",),
@@ -106,11 +107,15 @@ PUBLIC_ATTRIBUTES = {
     "Equilibrium": "state torques linear stability steps acceleration",
     "Evaluation": "object_acceleration joint_accelerations contact_forces contact_forces_unique "
     "contact_points contact_normals position_residual velocity_residual residuals",
+    "Gradient": "value start parameters error trajectory times weights torque_density "
+    "by_torque_table",
     "Joint": "kind arm name at at_tip records",
     "LinearSystem": "A B C D rate state state_names input_names output_names modes controllable "
     "stability coordinates_of state_at to_scipy to_control",
     "Loads": "object_wrench joint_torques",
     "Scene": "name gravity object arms joints control effects run",
+    "Sensitivities": "time matrix rows columns states trajectory error object_pose object_twist "
+    "joint_positions joint_velocities",
     "State": "position velocity object_position object_quaternion_xyzw object_twist "
     "joint_positions joint_velocities",
     "Stepper": "advance reset time state contact_forces events trajectory",
@@ -128,6 +133,7 @@ PUBLIC_PARAMETERS = {
     "derivatives": "system t state closed_loop parameters",
     "evaluate": "system t state",
     "find_equilibrium": "system state torques t",
+    "gradient": "system duration final running parameters accuracy state start_time progress",
     "inverse_dynamics": "system state object_acceleration relative_acceleration internal_forces",
     "linearise": "system t state closed_loop",
     "load_scene": "path",
@@ -137,6 +143,7 @@ PUBLIC_PARAMETERS = {
     "register_effect": "effect",
     "register_joint": "joint",
     "register_surface": "surface",
+    "sensitivities": "system times parameters accuracy state start_time progress",
     "replay": "trajectory path open_browser fps speed",
     "report": "trajectory path",
     "simulate": "system duration state control sample_time sample_delay accuracy integrator step "

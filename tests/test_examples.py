@@ -250,6 +250,15 @@ def test_a_regulator_brings_a_box_back(printed):
 
 
 @pytest.mark.slow
+def test_two_arms_swing_a_box_to_its_target(printed):
+    text = printed("15_swing_a_box.py")
+    ((away, missed),) = figures("target# mm away, missed by# mm", text)
+    assert away > 140.0 and missed < 3.0
+    assert figures("speed at the end# mm/s", text)[0][0] < 30.0
+    assert "the run is certified: True" in text
+
+
+@pytest.mark.slow
 def test_a_load_is_weighed_by_how_it_moves(printed):
     text = printed("14_weigh_a_load.py")
     ((misfit, rounding),) = figures("misfit# steps, by rounding alone#", text)
