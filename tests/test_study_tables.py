@@ -7,6 +7,7 @@ from rich.console import Console
 from multiarm.cli.studies import rendered
 from multiarm.reports.pages import scientific
 from multiarm.studies.tables import REMARK, TEXT, Cell, Column, Table
+from multiarm.terminal.console import columns
 
 TABLE = Table(
     "Some methods",
@@ -50,9 +51,8 @@ def test_a_terminal_has_numbers_to_be_typed_again_and_remarks_below():
     ]  # fmt: skip
 
 
-def test_a_narrow_terminal_has_the_columns_in_several_tables(monkeypatch):
+def test_a_narrow_terminal_has_the_columns_in_several_tables():
     console = Console(width=60)
-    monkeypatch.setattr("multiarm.cli.studies.output", lambda: console)
     heads = [Column("name", TEXT), *(Column(f"quantity{k}") for k in range(12))]
     rows = tuple((name, *(f"{name}{k}" for k in range(12))) for name in ("a", "b"))
     with console.capture() as capture:
@@ -63,3 +63,19 @@ def test_a_narrow_terminal_has_the_columns_in_several_tables(monkeypatch):
         assert {f"quantity{k}", f"a{k}", f"b{k}"} <= set(words)
     assert words.count("name") == words.count("a") > 1
     assert max(map(len, capture.get().splitlines())) <= 60
+
+
+def test_no_column_of_a_commands_table_is_lost_and_no_number_cut():
+    heads = ("arm", "kind", "free motions", "share of the load")
+    rows = [
+        (f"{side}_upper_gripper_arm", "my_package.joint_of_mine", "axes_at_once", "12.5 ± 0.5 µs")
+        for side in ("left", "right")
+    ]
+    for width in (60, 80):
+        console = Console(width=width)
+        with console.capture() as capture:
+            console.print(columns("Joints", heads, rows, numbers=(3,)))
+        shown = capture.get()
+        for text in (*heads, *rows[0], *rows[1]):
+            assert text in shown, f"{width} columns: {text}"
+        assert shown.count("Joints") == 1

@@ -6,12 +6,13 @@ escaped.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich import box
-from rich.console import Console, ConsoleOptions, RenderableType
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -125,34 +126,67 @@ def facts(title: str, rows: dict[str, RenderableType]) -> Table:
         show_header=False,
         title_justify="left",
     )
-    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(style="cyan", overflow="fold")
     table.add_column(overflow="fold")
     for name, value in rows.items():
         table.add_row(*map(_as_text, (name, value)))
     return table
 
 
-def columns(title: str, names: Sequence[str], rows: Iterable[Sequence[RenderableType]]) -> Table:
-    """A table with a heading for each column; texts are shown as they are, words stay whole."""
-    table = Table(title=Text(printable(title), "bold"), box=box.SIMPLE_HEAD, title_justify="left")
+class _Columns(Table):
+    """A table that is shown as several ones where the terminal is too narrow for its columns.
+
+    Rich would leave some of them out.  The first column, which names the rows, is in each part.
+    """
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Render the table or its two halves, which divide further."""
+        unbounded = options.update(width=1000)  # else it is no wider than the terminal
+        fits = console.measure(self, options=unbounded).minimum <= options.max_width
+        if len(self.columns) < 3 or fits:
+            yield from super().__rich_console__(console, options)
+            return
+        names, *others = self.columns
+        half = len(self.columns) // 2
+        for title, part in ((self.title, others[:half]), (None, others[half:])):
+            shown = [names, *part]
+            narrow = _Columns(
+                *(column.copy() for column in shown), title=title, box=self.box,
+                title_justify="left", padding=self.padding, pad_edge=self.pad_edge,
+            )  # fmt: skip
+            for row in zip(*(column.cells for column in shown), strict=True):
+                narrow.add_row(*row)
+            yield narrow
+
+
+def columns(
+    title: str,
+    names: Sequence[str],
+    rows: Iterable[Sequence[RenderableType]],
+    numbers: Container[int] = (),
+) -> Table:
+    """A table with a heading for each column; texts are shown as they are, words stay whole.
+
+    The columns ``numbers`` stand right and are never wrapped.
+    """
+    heading = Text(printable(title), "bold")
+    table = _Columns(title=heading, box=box.SIMPLE_HEAD, title_justify="left")
     shown = [[_as_text(cell) for cell in row] for row in rows]
     for k, name in enumerate(names):
         cells = [_as_text(name), *(row[k] for row in shown if k < len(row))]
-        width = max(map(_longest_word, cells))
+        texts = [cell.plain for cell in cells if isinstance(cell, Text)]
+        lines = [cell_len(line) for text in texts for line in text.splitlines()]
+        words = [min(cell_len(word), WHOLE) for text in texts for word in text.split()]
+        width = max(lines if k in numbers else words, default=0)
         # Rich narrows the widest columns first: not those that have nothing to wrap
-        single = all(isinstance(cell, Text) and cell.cell_len <= width for cell in cells)
+        single = len(texts) == len(cells) and max(lines, default=0) <= width
         table.add_column(
-            cells[0], header_style="cyan", overflow="fold", min_width=width, no_wrap=single
-        )
+            cells[0], header_style="cyan", overflow="fold", min_width=width, no_wrap=single,
+            justify="right" if k in numbers else "left",
+        )  # fmt: skip
     for row in shown:
         table.add_row(*row)
     return table
-
-
-def _longest_word(cell: RenderableType) -> int:
-    """Letters of the longest word of a cell; of longer ones than ``WHOLE``, that many."""
-    words = cell.plain.split() if isinstance(cell, Text) else []
-    return min(max(map(len, words), default=0), WHOLE)
 
 
 def _as_text(value: RenderableType) -> RenderableType:
