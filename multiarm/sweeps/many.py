@@ -24,6 +24,7 @@ from multiarm.dynamics.callbacks import ControlFunction
 from multiarm.dynamics.state import State, require_same_joints
 from multiarm.dynamics.system import System, require_control, require_state, require_system
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
+from multiarm.jit.ahead import processors
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, Scene, changed_scenes
@@ -142,8 +143,7 @@ def _threads(threads: int | None, system: System, control: ControlFunction | Non
     if threads is None and (control is not None or system.model.calls_python):
         return 1
     if threads is None:
-        has_affinity = hasattr(os, "sched_getaffinity")
-        return len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+        return processors()
     if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
         raise ModelError(f"threads: must be a number from 1 on, got {threads!r}")
     return threads
