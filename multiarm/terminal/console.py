@@ -6,13 +6,14 @@ escaped.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.measure import Measurement
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -38,8 +39,8 @@ __all__ = [
     "vector",
 ]
 
-WHOLE = 24
-"""Words of tables with so many letters at most are never broken."""
+WHOLE = 28
+"""Words of tables with so many letters at most are never broken: names of hard cases have 25."""
 STATUS_STYLES = {"completed": "bold green", "interrupted": "bold yellow", "failed": "bold red"}
 
 
@@ -136,16 +137,32 @@ def facts(title: str, rows: dict[str, RenderableType]) -> Table:
 class _Columns(Table):
     """A table that is shown as several ones where the terminal is too narrow for its columns.
 
-    Rich would leave some of them out.  The first column, which names the rows, is in each part.
+    Rich would cut them off or leave them out.  The first column, which names the rows, is in each.
     """
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Render the table or its two halves, which divide further."""
-        unbounded = options.update(width=1000)  # else it is no wider than the terminal
-        fits = console.measure(self, options=unbounded).minimum <= options.max_width
-        if len(self.columns) < 3 or fits:
-            yield from super().__rich_console__(console, options)
+        """Narrow the widest columns, down to their least widths, or render the table's halves."""
+        unbounded = options.update(width=100_000)  # else nothing is wider than the terminal
+        whole, widths = [], [column.min_width or 1 for column in self.columns]
+        for column in self.columns:
+            column.width = None
+            cells = (column.header, *column.cells)
+            whole.append(max(Measurement.get(console, unbounded, cell).maximum for cell in cells))
+        between = console.measure(self, options=unbounded).maximum - sum(whole)
+        room = options.max_width - between
+        if sum(widths) > room and len(whole) > 2:
+            yield from self._halves()
             return
+        if sum(widths) > room:
+            widths = [1] * len(whole)
+        while sum(widths) < min(room, sum(whole)):
+            narrow = [k for k, width in enumerate(widths) if width < whole[k]]
+            widths[min(narrow, key=widths.__getitem__)] += 1
+        for column, width in zip(self.columns, widths, strict=True):
+            column.width = width
+        yield from super().__rich_console__(console, options)
+
+    def _halves(self) -> Iterator[_Columns]:
         names, *others = self.columns
         half = len(self.columns) // 2
         for title, part in ((self.title, others[:half]), (None, others[half:])):
@@ -175,13 +192,12 @@ def columns(
     for k, name in enumerate(names):
         cells = [_as_text(name), *(row[k] for row in shown if k < len(row))]
         texts = [cell.plain for cell in cells if isinstance(cell, Text)]
-        lines = [cell_len(line) for text in texts for line in text.splitlines()]
-        words = [min(cell_len(word), WHOLE) for text in texts for word in text.split()]
-        width = max(lines if k in numbers else words, default=0)
-        # Rich narrows the widest columns first: not those that have nothing to wrap
-        single = len(texts) == len(cells) and max(lines, default=0) <= width
+        if k in numbers:
+            least = [cell_len(line) for text in texts for line in text.splitlines()]
+        else:
+            least = [min(cell_len(word), WHOLE) for text in texts for word in text.split()]
         table.add_column(
-            cells[0], header_style="cyan", overflow="fold", min_width=width, no_wrap=single,
+            cells[0], header_style="cyan", overflow="fold", min_width=max(least, default=1),
             justify="right" if k in numbers else "left",
         )  # fmt: skip
     for row in shown:
