@@ -98,6 +98,11 @@ def put(path: Path, content: str | bytes) -> Path:
     return path
 
 
+def named(text: str) -> str:
+    """A text in the name of a case; of a long one its beginning and its length."""
+    return text if len(text) <= 40 else f"{text[:20]}... ({len(text)} characters)"
+
+
 def checked(text: str | bytes) -> Callable[[Path], list[Any]]:
     """``multiarm check`` of a scene."""
     return lambda folder: [
@@ -277,8 +282,7 @@ def changed(data: Any, rng: random.Random) -> tuple[str, Any, bool]:
         return f"{where} doubled", data, False
     value = rng.choice(NEVER if sort == "never" else JUNK)
     owner[last] = value
-    shown = f"{value!r:.20}" if not isinstance(value, int) else f"{value:.3g}" if abs(value) < 1e300 else "10**400"
-    return f"{where} = {shown}", data, sort == "never"
+    return f"{where} = {named(repr(value))}", data, sort == "never"
 
 
 def broken(text: str, rng: random.Random) -> tuple[str, str]:
@@ -583,7 +587,7 @@ def outcome(edit: Callable[[Any], Any]) -> Callable[[h5py.File], None]:
 T = "object/twist"
 RUNS: dict[str, Callable[[h5py.File], Any]] = {
     **{f"without {name}": without(name) for name in ("time", T, "progress", "outcome", "scene", "arms", "arms/left/joint_position", "energy/work", "drift", "solver/rank", "amendment")},
-    **{f"attribute {name} {value!r:.25}": attribute(name, value) for name in ("format", "format_version", "provenance", "channels") for value in (None, 7, "x", [1.5], "x" * 50_000, np.nan)},
+    **{f"attribute {name} {named(repr(value))}": attribute(name, value) for name in ("format", "format_version", "provenance", "channels") for value in (None, 7, "x", [1.5], "x" * 50_000, np.nan)},
     "version 99": attribute("format_version", 99), "version -1": attribute("format_version", -1), "version text": attribute("format_version", "one"),
     "version list": attribute("format_version", [1, 2]), "format bytes": attribute("format", np.bytes_(b"\xff")),
     "channels twice": lambda f: f.attrs.__setitem__("channels", [*f.attrs["channels"], "time"]),
@@ -642,8 +646,8 @@ def _header(edit: Callable[[Any], Any]) -> Callable[[h5py.File], None]:
 
 SWEEPS: dict[str, Callable[[h5py.File], Any]] = {
     **{f"without {name}": without(name) for name in ("scene", "sweep", "header", "columns", "columns/run", "columns/status", "columns/energy_balance", "columns/object.mass", "columns/wall_time")},
-    **{f"attribute {name} {value!r:.25}": attribute(name, value) for name in ("format", "format_version") for value in (None, 7, "x", [1.5], np.nan)},
-    **{f"header {name} {value!r:.25}": _header(lambda d, n=name, v=value: {**d, n: v}) for name in ("count", "columns", "fingerprint", "folder", "files", "provenance") for value in (None, 7, "x", [1.5], {}, -1)},
+    **{f"attribute {name} {named(repr(value))}": attribute(name, value) for name in ("format", "format_version") for value in (None, 7, "x", [1.5], np.nan)},
+    **{f"header {name} {named(repr(value))}": _header(lambda d, n=name, v=value: {**d, n: v}) for name in ("count", "columns", "fingerprint", "folder", "files", "provenance") for value in (None, 7, "x", [1.5], {}, -1)},
     **{f"header without {name}": _header(lambda d, n=name: {k: v for k, v in d.items() if k != n}) for name in ("count", "columns", "fingerprint", "folder", "files", "provenance")},
     "header text": _header(lambda d: "hello"), "header list": _header(lambda d: [1]), "header deep": _header(lambda d: "[" * 50_000), "header number": replaced("header", 5),
     "column type": _header(lambda d: {**d, "columns": [{**c, "type": "nobody"} for c in d["columns"]]}), "column group": _header(lambda d: {**d, "columns": [{**c, "group": "nobody"} for c in d["columns"]]}),
@@ -828,7 +832,7 @@ def command_cases() -> Iterator[Case]:
         for words in (["check"], ["run", "--out", "OUT"], ["pose"], ["grasp", "check"], ["grasp", "design"]):
             def read(folder: Path, w: Any = words, p: Any = path) -> list[Any]:
                 return [folder / "out.h5" if word == "OUT" else word for word in w] + [p(folder)]
-            yield case(f"{' '.join(words[:2])} reads {name}", read, heavy=heavy)
+            yield case(f"{' '.join(words)} reads {name}", read, heavy=heavy)
         yield case(f"sweep over {name}", lambda f, p=path: ["sweep", scene_file(f), "--over", p(f), "--out", f / "o.h5"], heavy=heavy)
         if name not in ("not UTF-8", "control", "nothing"):
             yield case(f"run --out {name}", lambda f, p=path: ["run", scene_file(f), "--out", p(f)])
@@ -839,7 +843,7 @@ def command_cases() -> Iterator[Case]:
         for value in ("0", "-1", "x", "1e3", "", "nan", "9" * 30, "9" * 5000):
             if option == "--seed" and value in ("0", "9" * 30):
                 continue
-            yield case(f"sweep {option} {value:.20}", lambda f, o=option, v=value: [*swept(SWEEP)(f), o, v])
+            yield case(f"sweep {option} {named(value)}", lambda f, o=option, v=value: [*swept(SWEEP)(f), o, v])
     yield case("sweep of 1e9 runs", swept("over: {object.mass: {linspace: [1, 2, 1000000000]}}"))
     yield case("sweep of 1e18 runs", swept("over: {object.mass: {linspace: [1, 2, 1000000000]}, effects.joint_damping: {linspace: [1, 2, 1000000000]}}"))
     yield case("sweep repeated 1e12", swept("over: {object.mass: {uniform: [1, 2]}}\nrepeat: 1000000000000"))
@@ -852,10 +856,10 @@ def command_cases() -> Iterator[Case]:
     yield case("replay --host nobody", lambda f: ["replay", put(f / "r.h5", stored_run()), "--no-open", "--host", "no.body.invalid"])
     yield case("replay --port 1", lambda f: ["replay", put(f / "r.h5", stored_run()), "--no-open", "--host", "192.0.2.1", "--port", "1"])
     for body in ("box:1,1", "box:nan,1,1", "box:1e300,1,1", "box:0,1,1", "box:-1,1,1", "box:", "box", "prism:1e9,1,1", "prism:nan,1,1", "prism:3.5,1,1", "prism:inf,1,1", "wedge:1,1,1,9", "pyramid:3,0,1", "sphere:1", "x" * 5000, "", "box:1e-300,1,1", "box:1,1,1,1"):  # fmt: skip
-        yield case(f"grasp design {body:.20}", lambda f, b=body: ["grasp", "design", b, "--out", f / "s.yaml"])
+        yield case(f"grasp design {named(body)}", lambda f, b=body: ["grasp", "design", b, "--out", f / "s.yaml"])
     for words in (["--mass", "nan"], ["--mass", "-1"], ["--duration", "inf"], ["--tip-radius", "nan"], ["--height", "nan"], ["--offset", "nan"], ["--gripper-size", "-1"], ["--scale", "nan"], ["--seed", "-1"], ["--arms", "nobody", "panda"], ["--gap", "nan", "--optimise", "margin"]):  # fmt: skip
         yield case(f"grasp design {' '.join(words)}", lambda f, w=words: ["grasp", "design", "box:1.2,0.8,0.6", *w, "--out", f / "s.yaml"])
-    for words in (["nobody"], ["run"], ["grasp", "nobody"], ["joints", "nobody"], ["methods", "x"], ["new", "--robot", "nobody"], ["schema", "nobody"], ["scaling", "--arms", "1e9"], ["scaling", "--arms", "1000000000"], ["scaling", "--arms", "x"], ["scaling", "--rounds", "0"], ["stability", "nobody"], ["effects", "--repeats", "0"], ["accuracy", "--from", "/dev/null"], ["new", "/dev/full"], ["warmup", "--processes", "0"]):  # fmt: skip
+    for words in (["nobody"], ["run"], ["grasp", "nobody"], ["joints", "nobody"], ["methods", "x"], ["new", "--robot", "nobody"], ["schema", "nobody"], ["scaling", "--arms", "1e9"], ["scaling", "--arms", "1000000000"], ["scaling", "--arms", "x"], ["scaling", "--rounds", "0"], ["stability", "nobody"], ["effects", "--rounds", "0"], ["accuracy", "--from", "/dev/null"], ["new", "/dev/full"], ["warmup", "--workers", "0"]):  # fmt: skip
         yield case(" ".join(words), lambda f, w=words: list(w))
 
 

@@ -38,7 +38,10 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "distributed": ("sweeps.executors", "sweeps.sweep"),
     "h5py": ("control.tables", "results.hdf5", "results.trajectory_file", "sweeps.store"),
     "jinja2": ("reports.pages",),
-    "joblib": ("sweeps.executors",),
+    "joblib": (
+        "jit.ahead",
+        "sweeps.executors",
+    ),
     "llvmlite": ("jit",),
     "matplotlib": (
         "plots",

@@ -225,6 +225,11 @@ def by_kind() -> dict[str, list[Case]]:
     }
 
 
+def test_a_name_says_which_input_it_is():
+    names = Counter(str(case) for case in all_cases())
+    assert [name for name, count in names.items() if count > 1] == []
+
+
 @pytest.mark.parametrize("kind", sorted({case.kind for case in all_cases()}))
 def test_every_input_has_one_clear_answer(kind, by_kind, tmp_path):
     failed = {}
@@ -234,7 +239,7 @@ def test_every_input_has_one_clear_answer(kind, by_kind, tmp_path):
         found = shortcomings(case, folder)
         if found:
             failed[str(case)] = found
-    assert not failed
+    assert not failed, "\n".join(f"{name}: {'; '.join(found)}" for name, found in failed.items())
 
 
 @pytest.mark.slow

@@ -21,7 +21,11 @@ from typer.testing import CliRunner
 import multiarm as ma
 from multiarm.assembly.start import project_start
 from multiarm.cli import app
+from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.effect_kernels import ACTUATOR, STATE, EffectKernel
 from multiarm.errors import ModelError, SolverError
+from multiarm.jit.kernels import cfunc
+from multiarm.jit.structs import floats1, ints1, struct_at
 from multiarm.linear.motion import modes_trajectory
 from multiarm.problems import HARD_CASES
 from multiarm.problems.loops import bricard_motion
@@ -279,6 +283,46 @@ def test_drives_that_do_not_start_at_rest_are_refused(cart):
     assert ma.linearise(system).rate[-1] == pytest.approx(3.0 / 0.03)
     with pytest.raises(SolverError, match=r"do not start at rest; write `start: command`"):
         ma.find_equilibrium(system)
+
+
+@cfunc
+def leaking_pressure(address, size, at, _t):
+    """Own array: two parts of the pressure of the pump, and the time constant."""
+    struct = struct_at(address, size)
+    _, data, _ = open_system(struct)
+    state, numbers = ints1(struct, int(at))[STATE], floats1(struct, int(at) + 1)
+    data.torque[0] += data.inner[state]
+    data.inner_rate[state] = (numbers[0] + numbers[1] - data.inner[state]) / numbers[2]
+    return 0
+
+
+class LeakingCylinder(ma.Effect):
+    name = "leaking_cylinder"
+
+    class Spec(ma.Effect.Spec):
+        start: float
+
+    def build(self, context):
+        more = {"states": 1, "start": lambda arrays: np.array([self.spec.start]), "works": False}
+        numbers = np.array([0.1, 0.2, 0.05])
+        return [EffectKernel(self.name, leaking_pressure, ACTUATOR, (numbers,), **more)]
+
+
+def test_states_of_own_effects_may_start_at_rest_but_for_roundings(cart):
+    """0.1 + 0.2 is not 0.3: the rates are those of a rounding; the spring takes the 0.3 N."""
+    ma.register_effect(LeakingCylinder)
+    control = {"kind": "joint_pd", "stiffness": 500.0, "damping": 20.0}
+    for start, rests in ((0.3, True), (0.3 + 1e-6, False)):
+        effects = {"leaking_cylinder": {"start": start}}
+        system = cart(kind="weld", control=control, effects=effects)
+        assert ma.linearise(system).rate[-1] != 0.0
+        if rests:
+            found = ma.find_equilibrium(system)
+            assert found.state.joint_positions["a"][0] == pytest.approx(0.3 / 500.0, rel=1e-9)
+            assert found.stability == "stable"
+        else:
+            with pytest.raises(SolverError, match="let effects of your own start where"):
+                ma.find_equilibrium(system)
 
 
 def test_given_torques_hold_a_posture():

@@ -51,6 +51,11 @@ def test_any_robots_hold_any_object_and_keep_it_still(robots, solid, tmp_path):
     assert np.abs(run.object_position - run.object_position[0]).max() < 1e-6  # [m], accuracy
 
 
+def test_joints_that_turn_without_end_are_nothing_to_warn_of(tmp_path):
+    result = new(tmp_path / "scene.yaml", "--robot", "crossed_2r", "--robot", "crossed_2r")
+    assert result.exit_code == 0 and "warning" not in result.output, result.output
+
+
 @pytest.mark.slow
 def test_every_line_is_explained_and_the_schema_comes_first(tmp_path):
     path = tmp_path / "scene.yaml"

@@ -220,6 +220,32 @@ def test_missing_mesh_is_a_warning_and_bars_stand_in(view, tmp_path):
     assert not any(name.endswith("_bar") for name in page.evaluate(LINKS, "right"))
 
 
+@pytest.mark.parametrize(
+    ("file", "content", "fault"),
+    [("lost.stl", None, "there is no such file"), ("bad.obj", b"hello", "no mesh of a known")],
+)
+def test_a_mesh_that_cannot_be_read_takes_only_its_link_out_of_the_replay(
+    tmp_path, trajectory, file, content, fault
+):
+    urdf, text = tmp_path / "arm.urdf", robot_text("textbook_6r")
+    if content is not None:
+        (tmp_path / file).write_bytes(content)
+    link = re.search(r'<link name="link_3">.*?</link>', text, re.DOTALL).group()
+    geometry = f'<geometry><mesh filename="{file}"/></geometry>'
+    urdf.write_text(
+        text.replace(link, re.sub(r"<geometry>.*?</geometry>", geometry, link, flags=re.S))
+    )
+    scene = SCENE.replace("left: {robot: textbook_6r", f"left: {{urdf: '{urdf}'")
+    run = ma.simulate(ma.compile_system(parse_scene(scene, folder=None)), duration=0.02)
+    with pytest.warns(UserWarning, match=f"{file} of link 'link_3' .*{fault}"):
+        bodies = animate(run, fps=1000, speed=1, meshes=True).bodies
+    whole = animate(trajectory, fps=1000, speed=1, meshes=True).bodies
+    left, healthy = (
+        [body.name for body in shown if "arms/left" in body.name] for shown in (bodies, whole)
+    )
+    assert left == [*(name for name in healthy if "link_3" not in name), "arms/left/joint_3_bar"]
+
+
 @pytest.mark.slow
 def test_without_meshes_the_file_is_small(trajectory, tmp_path):
     text = SCENE.replace("robot: textbook_6r", "robot: ur5").replace("tip: tool,", "tip: tool0,")

@@ -36,7 +36,14 @@ from multiarm.studies.solver_study import (
     order,
     ratio_as_written,
 )
-from multiarm.studies.timing import fastest, fitted_slope, measure, median, upper_half
+from multiarm.studies.timing import (
+    fastest,
+    fitted_slope,
+    fitted_slopes,
+    measure,
+    median,
+    upper_half,
+)
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 command = study_commands.command("scaling", 80)
@@ -384,6 +391,8 @@ def test_slopes_are_exponents_and_skip_what_was_not_measured():
     assert fitted_slope(sizes, [7.0 * n**1.5 for n in sizes]) == pytest.approx(1.5)
     assert fitted_slope(sizes, [1.0, 2.0, 4.0, None]) == pytest.approx(1.0)
     assert fitted_slope([2], [1.0]) is None
+    costs = [{"node": 7.0 * n, "lu": n**3.0, "late": None} for n in sizes]
+    assert fitted_slopes(sizes, costs) == pytest.approx({"node": 1.0, "lu": 3.0, "late": None})
     assert [2, 4, 8, 16, 32, 64][upper_half(range(6))] == [16, 32, 64]
     assert [2, 3, 5][upper_half(range(3))] == [3, 5]
     assert [2][upper_half(range(1))] == [2]
@@ -439,6 +448,16 @@ def test_evaluations_of_a_step_are_those_that_the_run_counts(result):
 
 
 # --- evaluations ----------------------------------------------------------------------------------
+
+
+def test_exponents_are_those_of_the_largest_two_sizes(result):
+    found = result["thesis"]
+    small, large = found["rows"][-2:]
+    for picture, slopes in found["last_slopes"].items():
+        before, after = small["microseconds"][picture], large["microseconds"][picture]
+        for part, slope in slopes.items():
+            grown = math.log(after[part] / before[part])
+            assert slope == pytest.approx(grown / math.log(large["arms"] / small["arms"]))
 
 
 def test_peers_and_ours_have_the_accelerations_of_the_dense_solution(result):

@@ -138,7 +138,7 @@ def test_all_faults_of_parameters_are_told_before_any_run(system):
     [
         ({}, ModelError, "needs `states`, `parameters`"),
         ({"parameters": {"object.mass": 1.0}}, ModelError, "give a list of tables"),
-        ({"states": [3]}, ModelError, "run 1: int is no state"),
+        ({"states": [3]}, ModelError, "run 1: state: 3 is no state"),
         ({"parameters": [{}], "threads": 0}, ModelError, "must be a number from 1 on, got 0"),
         ({"parameters": [{}], "step": 1e-3}, SceneError, "'step' needs an integrator"),
         ({"parameters": [{}], "max_step": -1.0}, SolverError, "max_step: must be greater than 0"),
@@ -166,8 +166,8 @@ def test_states_are_as_many_as_parameters_finite_and_of_these_arms(
     broken.velocity[3] = np.nan
     with pytest.raises(ModelError) as caught:
         ma.simulate_many(system, states=[states[0], broken, free_block_system.initial_state()])
-    assert "run 2: the state is not finite" in str(caught.value)
-    assert "run 3: the state belongs to a system with arms" in str(caught.value)
+    assert "run 2: state: a number of its velocity is not finite" in str(caught.value)
+    assert "run 3: this state belongs to a system with arms" in str(caught.value)
 
 
 def test_a_run_that_cannot_begin_is_a_failed_one_and_the_others_go_on(system, states, tmp_path):

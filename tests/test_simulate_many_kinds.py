@@ -279,7 +279,7 @@ def test_threads_are_one_where_evaluations_call_python(welded_ur5_system, monkey
         "multiarm.sweeps.many.run_cases",
         lambda cases, system, threads, bar: asked.append(threads),
     )
-    monkeypatch.setattr("os.sched_getaffinity", lambda _: range(12), raising=False)
+    monkeypatch.setattr("multiarm.sweeps.many.processors", lambda: 12)
     ma.simulate_many(welded_ur5_system, parameters=[{}])
     ma.simulate_many(welded_ur5_system, parameters=[{}], threads=5)
     compiled = ma.compile_system(welded_ur5_system.scene, arms="compiled")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from rich.console import Console
+from rich.text import Text
 
 from multiarm.cli.studies import rendered
 from multiarm.reports.pages import scientific
 from multiarm.studies.tables import REMARK, TEXT, Cell, Column, Table
+from multiarm.terminal.console import columns
 
 TABLE = Table(
     "Some methods",
@@ -50,9 +52,8 @@ def test_a_terminal_has_numbers_to_be_typed_again_and_remarks_below():
     ]  # fmt: skip
 
 
-def test_a_narrow_terminal_has_the_columns_in_several_tables(monkeypatch):
+def test_a_narrow_terminal_has_the_columns_in_several_tables():
     console = Console(width=60)
-    monkeypatch.setattr("multiarm.cli.studies.output", lambda: console)
     heads = [Column("name", TEXT), *(Column(f"quantity{k}") for k in range(12))]
     rows = tuple((name, *(f"{name}{k}" for k in range(12))) for name in ("a", "b"))
     with console.capture() as capture:
@@ -63,3 +64,43 @@ def test_a_narrow_terminal_has_the_columns_in_several_tables(monkeypatch):
         assert {f"quantity{k}", f"a{k}", f"b{k}"} <= set(words)
     assert words.count("name") == words.count("a") > 1
     assert max(map(len, capture.get().splitlines())) <= 60
+
+
+def test_no_column_of_a_commands_table_is_lost_and_no_number_cut():
+    heads = ("arm", "kind", "free motions", "share of the load")
+    rows = [
+        (f"{side}_upper_gripper_arm", "my_package.joint_of_mine", "axes_at_once", "12.5 ± 0.5 µs")
+        for side in ("left", "right")
+    ]
+    table = columns("Joints", heads, rows, numbers=(3,))
+    for width in (60, 80, 1000, 60):
+        console = Console(width=width)
+        with console.capture() as capture:
+            console.print(table)
+        shown = capture.get()
+        for text in (*heads, *rows[0], *rows[1]):
+            assert text in shown, f"{width} columns: {text}"
+        assert shown.count("Joints") == 1
+
+
+def test_a_wide_column_is_narrowed_before_others_are_cut():
+    cells = [
+        Text("corner_grippers_near_loss\nCorner grippers that have nearly lost a constraint"),
+        Text("run ended early 0 / 0\nenergy error / largest kinetic energy 3.8e-11 / 1e-05"),
+        Text("rank 8, 21 events\n712 steps, 0.405 s"),
+        Text("pass"),
+    ]
+    for width in (70, 80, 90):
+        console = Console(width=width)
+        with console.capture() as capture:
+            console.print(columns("Cases", ("case", "criteria", "run", "verdict"), [cells]))
+        assert max(map(len, capture.get().splitlines())) <= width
+        words = {word for cell in cells for word in cell.plain.split()}
+        assert {"verdict", *words} <= set(capture.get().split())
+
+
+def test_two_columns_that_are_too_wide_are_broken_and_not_cut():
+    console = Console(width=30)
+    with console.capture() as capture:
+        console.print(columns("", ("arm", "kind"), [("left_upper_gripper_arm", "x" * 24)]))
+    assert capture.get().count("x") == 24

@@ -194,7 +194,8 @@ def test_what_one_arm_says_of_the_rest_holds_for_the_robot():
         assert arm.files.locked["head_1_joint"] == 0.3
         assert arm.files.locked["gripper_left_inner_finger_left_joint"] == 0.4  # copies the finger
     (warning,) = scene.warnings
-    assert "head_2_joint: 0" in warning and "wheel" in warning
+    # of its four wheels and of seven others: head_2_joint, and six of the right gripper
+    assert "wheel_front_right_joint: 0" in warning and "joint: 0 and 7 more};" in warning
     for name in ("head_1_joint", "arm_right_1_joint", "arm_left_1_joint", "gripper_left"):
         assert name not in warning
     turned = scene.replace(

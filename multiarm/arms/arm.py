@@ -21,9 +21,9 @@ import pinocchio as pin
 
 from multiarm.arms.terms import ArmStructure, ArmTerms, LinkTerms
 from multiarm.errors import ModelError
-from multiarm.scene.meshes import mesh_fault, resolve_mesh
+from multiarm.scene.faults import counted
+from multiarm.scene.meshes import readable_visuals
 from multiarm.scene.mjcf import mjcf_model
-from multiarm.scene.urdf import read_urdf
 
 
 @dataclass(frozen=True)
@@ -356,29 +356,37 @@ def _geometry(
     loader: Any,
     mjcf: bool = False,
 ) -> pin.GeometryModel:
+    """The visuals; without those whose meshes cannot be read, which a warning names."""
     if loader is None:
         return pin.GeometryModel()
-    build = pin.buildGeomFromUrdfString if isinstance(urdf, str) else pin.buildGeomFromUrdf
     folders = [str(p) for p in package_dirs]
-    for address in () if mjcf or isinstance(urdf, str) else read_urdf(urdf).meshes:
-        mesh = resolve_mesh(address, Path(urdf), package_dirs)
-        fault = "there is no such file" if mesh is None else mesh_fault(mesh)
-        if fault:
-            what = f"the mesh {mesh or address}: {fault}"
-            warnings.warn(f"{what}; the replay shows bars instead", stacklevel=2)
-            return pin.GeometryModel()
+
+    def visuals(text: str) -> pin.GeometryModel:
+        kind = pin.GeometryType.VISUAL
+        return pin.buildGeomFromUrdfString(model, text, kind, None, folders, loader)
+
     try:
         if mjcf:
             return pin.buildGeomFromMJCF(model, str(urdf), pin.GeometryType.VISUAL)
-        return build(model, str(urdf), pin.GeometryType.VISUAL, None, folders, loader)
+        if isinstance(urdf, str):
+            return visuals(urdf)
+        text, lost = readable_visuals(urdf, package_dirs)
+        try:
+            geometry = visuals(text)
+        except (ValueError, RuntimeError):
+            text, lost = readable_visuals(urdf, package_dirs, loader)
+            geometry = visuals(text)
     except (ValueError, RuntimeError):
         name = "a tool's URDF" if isinstance(urdf, str) else urdf
+        warnings.warn(f"the shapes of {name} cannot be read: the replay shows bars", stacklevel=2)
+        return pin.GeometryModel()
+    if lost:
+        what = counted([*dict.fromkeys(lost)], 3)
         warnings.warn(
-            f"the shapes of {name} cannot be read, a mesh or a number in them: the replay shows "
-            "bars instead",
+            f"{urdf.name}: the replay leaves out {what}; a joint with no shape left has a bar",
             stacklevel=2,
         )
-        return pin.GeometryModel()
+    return geometry
 
 
 def named_with_prefix(arm: Arm) -> pin.Model:

@@ -217,10 +217,9 @@ def clearance(*distances: np.ndarray) -> float:
 
 
 def _bounds(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-    low, high = arm.position_limits.T
+    endless = ~np.isfinite(arm.position_limits).all(axis=1)
+    low, high = np.where(endless, 0.0, arm.position_limits.T)
     middle = 0.5 * (low + high)
-    endless = ~np.isfinite(middle)
-    middle[endless] = 0.0
     half = np.where(endless, TURN, 0.5 * (high - low) - MARGIN)
     half = np.minimum(np.maximum(half, 0.0), TURN)
     return middle - half, middle + half

@@ -49,6 +49,7 @@ from multiarm.errors import ModelError, SceneError, SolverError
 from multiarm.integration.monitors import contacts_off_patch
 from multiarm.integration.projection import project_velocities
 from multiarm.scene import Scene
+from multiarm.scene.faults import counted
 from multiarm.spatial import difference
 
 # Gaps below this part of the scene's size count as touching.
@@ -420,9 +421,8 @@ def _contradictions(data: Data, name: str, whole: Linkage) -> list[str]:
             continue
         rows = whole.rows[own][np.abs(opposed) > 0.1 * worst]
         names = [f"'{data.model.owner(int(row))[1].name}'" for row in rows]
-        more = f" and {len(names) - 6} more" if len(names) > 6 else ""
         faults.append(
-            f"the contacts {', '.join(names[:6])}{more} of arm '{arm}' contradict each other "
+            f"the contacts {counted(names, 6)} of arm '{arm}' contradict each other "
             f"at {name.removeprefix('the ')}: as surfaces of two rigid bodies they cannot all "
             f"touch, gaps of {worst:.3g} m stay between them; leave one of them out, or correct "
             f"its geometry"

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from multiarm.cli.files import check_targets
@@ -18,7 +16,6 @@ from multiarm.terminal.console import columns, number, output, print_error
 from multiarm.terminal.progress import Progress
 
 if TYPE_CHECKING:
-    from multiarm.problems import HardCase
     from multiarm.studies.hard_cases import CaseResult, CriterionResult, SuiteResult
 
 __all__ = ["stability"]
@@ -65,7 +62,7 @@ def stability(
     chosen = choose_cases(names or ())
     if listing:
         rows = [(Text(case.name, "bold"), case.title, case.difficulty) for case in chosen]
-        output().print(_table("Hard cases", ("name", "case", "what is hard"), rows, chosen))
+        output().print(columns("Hard cases", ("name", "case", "what is hard"), rows))
         return
     with Progress() as progress:
         suite = run_suite(names or (), peers=peers, progress=progress)
@@ -86,7 +83,7 @@ def _parts(suite: SuiteResult) -> list[RenderableType]:
 
     heads = ("case", "criteria: measured / bound", "run", "verdict")
     rows = [_row(case) for case in suite.cases]
-    parts: list[RenderableType] = [_table("Hard cases", heads, rows, suite.cases)]
+    parts: list[RenderableType] = [columns("Hard cases", heads, rows)]
     if any(case.answers for case in suite.cases):
         parts += rendered(solver_table(suite.cases))
         parts.append(Text("All answers are in the page and in the JSON.", "dim"))
@@ -97,18 +94,6 @@ def _parts(suite: SuiteResult) -> list[RenderableType]:
     return parts
 
 
-def _table(
-    title: str,
-    heads: Sequence[str],
-    rows: Sequence[Sequence[RenderableType]],
-    cases: Sequence[CaseResult | HardCase],
-) -> Table:
-    """A table whose first column never wraps the cases' names, so that they can be typed."""
-    table = columns(title, heads, rows)
-    table.columns[0].min_width = max((len(case.name) for case in cases), default=0)
-    return table
-
-
 def _row(case: CaseResult) -> tuple[RenderableType, ...]:
     from multiarm.studies.hard_cases import path_text, rank_text
 
@@ -116,7 +101,7 @@ def _row(case: CaseResult) -> tuple[RenderableType, ...]:
     if case.status != "completed":
         lines.insert(0, Text(f"{case.status}: {case.message}", "red"))
     verdict = Text("pass", "bold green") if case.passed else Text("FAIL", "bold red")
-    title = Group(Text(case.name, "bold"), Text(case.title, "dim"))
+    title = Text.assemble((f"{case.name}\n", "bold"), (case.title, "dim"))
     steps, wall = case.statistics.get("steps"), number(case.wall_time_s, "s")
     course = [f"rank {rank_text(case)}", path_text(case), f"{number(steps)} steps, {wall}"]
     run = Text("" if steps is None else "\n".join(course), "dim")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,10 +12,10 @@ from rich.text import Text
 
 from multiarm.cli.files import write_json
 from multiarm.results.files import save_figure, save_page
-from multiarm.terminal.console import columns, output, print_written
+from multiarm.terminal.console import columns, print_written
 
 if TYPE_CHECKING:
-    from multiarm.studies.tables import Column, Table
+    from multiarm.studies.tables import Table
 
 __all__ = ["draw_files", "rendered", "write_files"]
 
@@ -38,31 +38,15 @@ def rendered(table: Table) -> Iterator[RenderableType]:
             if cell.kind == "e" and cell.text
         ]
     yield Text(table.title, "bold")
-    yield from _grids(heads, rows)
+    numbers = [k for k, column in enumerate(heads) if column.kind == "n"]
+    grid = columns("", [column.head for column in heads], rows, numbers)
+    # many columns stand close together
+    grid.padding, grid.pad_edge = (0, int(len(heads) <= CLOSE), 0, 0), False
+    yield grid
     yield from remarks
     yield from (Text(note, "dim") for note in table.notes)
     if table.notes:
         yield Text()
-
-
-def _grids(heads: Sequence[Column], rows: Sequence[Sequence[Text]]) -> Iterator[RenderableType]:
-    """The columns in one table, or in several where the terminal is too narrow for all."""
-    grid = columns("", [column.head for column in heads], rows)
-    grid.title = None  # it may be longer than the table is wide
-    # many columns stand close together
-    grid.padding = (0, int(len(heads) <= CLOSE), 0, 0)
-    grid.pad_edge = False
-    for shown, column in zip(grid.columns, heads, strict=True):
-        if column.kind == "n":
-            shown.justify, shown.no_wrap = "right", True
-    console = output()
-    unbounded = console.options.update(width=1000)  # else it is no wider than the terminal
-    if len(heads) < 3 or console.measure(grid, options=unbounded).minimum <= console.width:
-        yield grid
-        return
-    middle = 1 + len(heads) // 2
-    for part in (slice(1, middle), slice(middle, None)):
-        yield from _grids([heads[0], *heads[part]], [[row[0], *row[part]] for row in rows])
 
 
 def draw_files(page: str, found: Any, *options: Any, plot: Path | None, html: Path | None) -> None:

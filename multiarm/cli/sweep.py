@@ -227,10 +227,8 @@ def spread_table(summary: SweepSummary) -> Table:
         numbers = [own.smallest, *(own.quantiles[level] for level in SHOWN), own.largest]
         name = f"{own.name} [{own.unit}]" if own.unit else own.name
         rows.append((name, *map(number, numbers), number(own.largest_run)))
-    table = columns("Quantities", heads, rows)
+    table = columns("Quantities", heads, rows, range(1, len(heads)))
     table.padding, table.pad_edge = 0, False
-    for column in table.columns[1:]:
-        column.justify, column.no_wrap = "right", True
     return table
 
 

@@ -63,6 +63,20 @@ def require_time(t: Any) -> float:
     return float(t)
 
 
+def require_state(state: Any) -> None:
+    """Refuse what is no state, and a state with a number that is not finite.
+
+    Raises
+    ------
+    ModelError
+    """
+    if not isinstance(state, State):
+        raise ModelError(f"state: {shown(state)} is no state; make one with system.state(...)")
+    for name, numbers in (("position", state.position), ("velocity", state.velocity)):
+        if not np.isfinite(numbers).all():
+            raise ModelError(f"state: a number of its {name} is not finite: {shown(numbers)}")
+
+
 def require_control(
     control: ControlFunction | None, sample_time: float | None, sample_delay: bool
 ) -> None:
@@ -244,12 +258,8 @@ class System:
         """
         if state is None:
             return self.initial_state()
-        if not isinstance(state, State):
-            raise ModelError(f"state: {shown(state)} is no state; make one with system.state(...)")
+        require_state(state)
         require_same_joints(state, self.model.layout)
-        for name, numbers in (("position", state.position), ("velocity", state.velocity)):
-            if not np.isfinite(numbers).all():
-                raise ModelError(f"state: a number of its {name} is not finite: {shown(numbers)}")
         return state.copy()
 
     def state(

@@ -10,7 +10,6 @@ and answers each with a line when it is in the cache.
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
@@ -80,7 +79,7 @@ def compile_all(
         else:
             names.put(name_of(kernel))
             waiting += 1
-    count = min(processes or _processors(), waiting)
+    count = min(processes or processors(), waiting)
     with ThreadPoolExecutor(max(count, 1)) as threads:
         for done in [threads.submit(_work_off, names, progress) for _ in range(count)]:
             done.result()
@@ -94,7 +93,7 @@ def compile_ahead(*kernels: Kernel) -> None:
     can be started.
     """
     missing = [kernel for kernel in kernels if not kernel.is_cached()]
-    if not missing or _processors() == 1 or not sys.executable:
+    if not missing or processors() == 1 or not sys.executable:
         return
     with suppress(OSError):
         process = _start(subprocess.DEVNULL)
@@ -133,10 +132,11 @@ def _start(stdout: int) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=stdout, text=True)
 
 
-def _processors() -> int:
-    """Processors that this process may use."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+def processors() -> int:
+    """Number of processors that this process may use, by its affinity and a container's share."""
+    from joblib import cpu_count
+
+    return cpu_count()
 
 
 def _size(kernel: Kernel) -> int:

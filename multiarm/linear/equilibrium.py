@@ -136,14 +136,14 @@ def find_equilibrium(
         system = system.with_control(lambda t, state: by_arm)
     start = _at_rest(system, system.checked(state))
     begin = linearise(system, t, start)
-    if np.any(begin.derivatives.evaluation.effect_state_rates):
+    size = max(float(np.linalg.norm(system.model.constants.gravity)), 1.0)
+    if not _states_rest(begin, size):
         raise SolverError(
             "find_equilibrium: effects have states that do not start at rest; write `start: "
             "command` for `actuator_lag`, and let effects of your own start where their rates "
             "are zero"
         )
     search = _Search(begin, t)
-    size = max(float(np.linalg.norm(system.model.constants.gravity)), 1.0)
     while search.here.largest_acceleration > AT_REST * size and search.steps < MOST_STEPS:
         if not search.step():
             break
@@ -201,14 +201,34 @@ class _Search:
             return None
 
 
+def _states_rest(here: LinearSystem, size: float) -> bool:
+    """Whether the states of effects are at rest, but for roundings.
+
+    The way of each to its rest, ``A_zz^-1 dz/dt``, counts in its own unit and by the accelerations
+    that it makes.
+    """
+    moving, inner = _blocks(here)
+    rate = here.rate[inner]
+    try:
+        away = np.linalg.solve(here.A[inner, inner], rate)
+    except np.linalg.LinAlgError:  # a state that nothing brings to rest
+        return False
+    made = here.A[moving, inner] @ away / size
+    return bool(max(np.abs([*away, *made]), default=0.0) <= ROUNDINGS)
+
+
+def _blocks(here: LinearSystem) -> tuple[slice, slice]:
+    """Rows of A of the velocities, and of the states of effects."""
+    p, m = len(here.coordinates.positions), len(here.coordinates.velocities)
+    return slice(p, p + m), slice(p + m, len(here.A))
+
+
 def _reduced(here: LinearSystem) -> _Reduced:
     at, M = here.coordinates, here.derivatives.motions.inertia
-    p, m = len(at.positions), len(at.velocities)
-    moving, inner = slice(p, p + m), slice(p + m, len(here.A))
-    J = here.A[moving, :p]
-    if len(here.A) > p + m:
-        by_inner = np.linalg.solve(here.A[inner, inner], here.A[inner, :p])
-        J = J - here.A[moving, inner] @ by_inner
+    moving, inner = _blocks(here)
+    p = moving.start
+    by_inner = np.linalg.solve(here.A[inner, inner], here.A[inner, :p])
+    J = here.A[moving, :p] - here.A[moving, inner] @ by_inner
     metric = np.linalg.cholesky(at.velocity.T @ M @ at.velocity).T
     scale = np.linalg.inv(np.linalg.cholesky(at.displacement.T @ M @ at.displacement).T)
     return _Reduced(metric @ here.rate[moving], metric @ J @ scale, scale)

@@ -58,6 +58,20 @@ SOLIDS = {
     ),
 }
 
+HOW_IT_MOVES = (
+    ("", ""),
+    ("control: gravity_compensation", "the arms hold all still; others: multiarm controls"),
+    ("", ""),
+    ("effects:", "what is not ideal; others: multiarm effects --list"),
+    ("  joint_damping: 1.0", "of all joints of the arms [N m s/rad, of sliding joints N s/m]"),
+    ("", ""),
+    ("run:", "how long and how exactly"),
+    ("  duration: 2.0", "of the motion [s]"),
+    ("  accuracy: 1e-6", "largest error [m and rad]; method and steps follow from it"),
+    ("  output_step: 0.01", "time between two samples of the result [s]"),
+)
+"""Lines at the end of a scene, each with its meaning."""
+
 
 def first_scene(robots: list[str], joint: str, solid: str) -> str:
     """A scene in which arms stand around an object that they touch, as YAML with comments.
@@ -83,8 +97,35 @@ def first_scene(robots: list[str], joint: str, solid: str) -> str:
     holds = {robot: _hold(robot, kind) for robot in kinds}
     height = max(holds[robots[0]].xyz[2], 0.0) or HEIGHT
     shape = SOLIDS[solid]
+    arms, joints = [], []
+    for k, (name, robot) in enumerate(zip(names, robots, strict=True)):
+        hold, yaw = holds[robot], 2.0 * np.pi * k / len(robots)
+        side = -_side(shape, solid == "box", yaw)
+        base = [*side, height] - Pose(rpy=(0.0, 0.0, yaw)).rotation() @ hold.xyz
+        arms += _arm_lines(name, robot, hold, _written(base, (0.0, 0.0, yaw)))
+        roll, pitch, turn = hold.rpy
+        at = _written([*side, 0.0], (roll, pitch, turn + yaw))
+        joints += _joint_lines(
+            joint, kind, name, None if hold.posture and not kind.as_listed else at
+        )
     lines = [
         (f"name: {crew} hold a {solid}", "a title for reports"),
+        *_object_lines(shape, height),
+        ("arms:", "the robots; their names are yours"),
+        *arms,
+        ("", ""),
+        ("joints:", "how the arms hold the object, one for each arm"),
+        *joints,
+        *HOW_IT_MOVES,
+    ]
+    body = (f"{line}  # {words}" if line else "" for line, words in lines)
+    text = "\n".join([*body, ""])
+    load_robots(parse_scene(text))  # finds the postures
+    return f"# Every line has its meaning behind the sign '#'.\n\n{text}"
+
+
+def _object_lines(shape: Solid, height: float) -> list[tuple[str, str]]:
+    return [
         ("gravity: [0, 0, -9.81]", "m/s^2 along x, y, z of the world; without it there is none"),
         ("", ""),
         ("object:", "the body that all arms hold; its frame is at its centre of mass"),
@@ -93,50 +134,21 @@ def first_scene(robots: list[str], joint: str, solid: str) -> str:
         ("  mass: 5.0", "kg"),
         (f"  pose: {{xyz: [0, 0, {height:g}]}}", "where it is at the start [m]"),
         ("", ""),
-        ("arms:", "the robots; their names are yours"),
     ]
-    joints = []
-    for k, (name, robot) in enumerate(zip(names, robots, strict=True)):
-        hold, yaw = holds[robot], 2.0 * np.pi * k / len(robots)
-        side = -_side(shape, solid == "box", yaw)
-        base = [*side, height] - Pose(rpy=(0.0, 0.0, yaw)).rotation() @ hold.xyz
-        lines += [
-            (f"  {name}:", "an arm, by its name"),
-            (f"    robot: {robot}", "see multiarm robots; or write 'urdf:' and a file"),
-            (
-                f"    base: {_written(base, (0.0, 0.0, yaw))}",
-                "where it stands [m], turned by roll, pitch, yaw [rad]",
-            ),
-        ]
-        if hold.tip is not None:
-            lines.append((f"    tip: {hold.tip}", "the link that is joined to the object"))
-        if hold.posture is None:
-            lines.append(("    posture: solve", "its joints at the start are found; or a list"))
-        else:
-            words = "its joints at the start, from base to tip [rad, of sliding joints m]"
-            lines.append((f"    posture: {hold.posture}", words))
-        roll, pitch, turn = hold.rpy
-        at = _written([*side, 0.0], (roll, pitch, turn + yaw))
-        joints += _joint_lines(
-            joint, kind, name, None if hold.posture and not kind.as_listed else at
-        )
-    lines += [("", ""), ("joints:", "how the arms hold the object, one for each arm"), *joints]
-    lines += [
-        ("", ""),
-        ("control: gravity_compensation", "the arms hold all still; others: multiarm controls"),
-        ("", ""),
-        ("effects:", "what is not ideal; others: multiarm effects --list"),
-        ("  joint_damping: 1.0", "of all joints of the arms [N m s/rad, of sliding joints N s/m]"),
-        ("", ""),
-        ("run:", "how long and how exactly"),
-        ("  duration: 2.0", "of the motion [s]"),
-        ("  accuracy: 1e-6", "largest error [m and rad]; method and steps follow from it"),
-        ("  output_step: 0.01", "time between two samples of the result [s]"),
+
+
+def _arm_lines(name: str, robot: str, hold: _Hold, base: str) -> list[tuple[str, str]]:
+    lines = [
+        (f"  {name}:", "an arm, by its name"),
+        (f"    robot: {robot}", "see multiarm robots; or write 'urdf:' and a file"),
+        (f"    base: {base}", "where it stands [m], turned by roll, pitch, yaw [rad]"),
     ]
-    body = (f"{line}  # {words}" if line else "" for line, words in lines)
-    text = "\n".join([*body, ""])
-    load_robots(parse_scene(text))  # finds the postures
-    return f"# Every line has its meaning behind the sign '#'.\n\n{text}"
+    if hold.tip is not None:
+        lines.append((f"    tip: {hold.tip}", "the link that is joined to the object"))
+    if hold.posture is None:
+        return [*lines, ("    posture: solve", "its joints at the start are found; or a list")]
+    words = "its joints at the start, from base to tip [rad, of sliding joints m]"
+    return [*lines, (f"    posture: {hold.posture}", words)]
 
 
 def _joint_kind(kind: str) -> type[Joint]:

@@ -66,9 +66,13 @@ def listed(names: Iterable[str], similar_to: str | None = None) -> str:
         return "(none)"
     if similar_to is not None:
         names.sort(key=lambda name: -_similarity(name, similar_to))
-    text = ", ".join(map(shown, names[:_MAX_LISTED]))
-    left_out = len(names) - _MAX_LISTED
-    return text if left_out <= 0 else f"{text} and {left_out} more"
+    return counted([*map(shown, names)], _MAX_LISTED)
+
+
+def counted(texts: Sequence[str], most: int, separator: str = ", ") -> str:
+    """The first ``most`` texts, and how many more there are."""
+    text = separator.join(texts[:most])
+    return text if len(texts) <= most else f"{text} and {len(texts) - most} more"
 
 
 # What lists the names of a sort, with what they mean.

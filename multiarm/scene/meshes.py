@@ -3,9 +3,50 @@
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import Any
+
+from multiarm.scene.urdf import read_xml
 
 _MOST_MESH_BYTES = 1 << 30
+
+
+def readable_visuals(
+    urdf: Path, package_dirs: tuple[Path, ...], loader: Any = None
+) -> tuple[str, list[str]]:
+    """The text of a URDF without visuals whose meshes cannot be read, and what these are.
+
+    Its meshes have their paths.  With a ``loader`` of coal's, each is read, which takes long.
+    """
+    robot, faults, lost = read_xml(urdf), {}, []
+    for link in robot.findall("link"):
+        for visual in link.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            if mesh is None:
+                continue
+            address = mesh.get("filename", "")
+            path = resolve_mesh(address, urdf, package_dirs)
+            if address not in faults:
+                faults[address] = _fault(path, loader)
+            if faults[address]:
+                lost.append(f"{path or address} of link '{link.get('name')}' ({faults[address]})")
+                link.remove(visual)
+            mesh.set("filename", str(path))
+    return ElementTree.tostring(robot, "unicode"), lost
+
+
+def _fault(path: Path | None, loader: Any) -> str:
+    """Why a mesh of a URDF cannot be read; empty where it can."""
+    if path is None:
+        return "there is no such file"
+    fault = mesh_fault(path)
+    if not fault and loader is not None:
+        try:
+            loader.load(str(path))
+        except (ValueError, RuntimeError):
+            return "it is no mesh of a known format"
+    return fault
 
 
 def resolve_mesh(address: str, urdf: Path, package_dirs: tuple[Path, ...]) -> Path | None:

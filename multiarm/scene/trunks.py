@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.scene.arms import ArmSpec, Examination
-from multiarm.scene.faults import Parts, listed
+from multiarm.scene.faults import Parts, counted, listed
 
 Arms = Mapping[str, ArmSpec]
 Found = Mapping[str, Examination]
@@ -117,9 +117,9 @@ def _arm_warnings(name: str, robot: Robot, arms: Arms, found: Found) -> Iterator
         or (first and all(joint in found[other].resting for other in robot.arms))
     }
     if resting:
-        positions = ", ".join(f"{joint}: {q:g}" for joint, q in resting.items())
+        positions = [f"{joint}: {q:g}" for joint, q in resting.items()]
         yield (
-            f"joints that are not on the way to the tip are locked at {{{positions}}}; "
+            f"joints that are not on the way to the tip are locked at {{{counted(positions, 4)}}}; "
             "'lock' chooses other positions"
         )
     yield from own.warnings

@@ -36,7 +36,7 @@ from multiarm.studies.pinocchio_peer import ConstraintDynamics, Lcaba, Pinocchio
 from multiarm.studies.timing import (
     Burst,
     fastest,
-    fitted_slope,
+    fitted_slopes,
     measure,
     one_thread,
     python_burst,
@@ -81,10 +81,12 @@ def evaluation_costs(
     found: dict[str, Any] = {"rows": rows, "exponents": {}, "upper_exponents": {}, "growth": {}}
     for kind in kinds:
         own = [row for row in rows if row["kind"] == kind]
-        found["exponents"][kind] = _slopes(own)
-        found["upper_exponents"][kind] = _slopes(own[upper_half(own)])
-        first, last = own[0]["microseconds"][OURS], own[-1]["microseconds"][OURS]
-        found["growth"][kind] = last / first if len(own) > 1 else None
+        sizes, costs = [row["arms"] for row in own], [row["microseconds"] for row in own]
+        upper = upper_half(own)
+        found["exponents"][kind] = fitted_slopes(sizes, costs)
+        found["upper_exponents"][kind] = fitted_slopes(sizes[upper], costs[upper])
+        growth = costs[-1][OURS] / costs[0][OURS]
+        found["growth"][kind] = growth if len(own) > 1 else None
     return found
 
 
@@ -138,11 +140,9 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
     own = evaluate(system, 0.0, state)
     torque = np.concatenate(list(own.joint_torques.values()))
     dense_system = system.with_solver("dense")
-    exact = np.concatenate(list(evaluate(dense_system, 0.0, state).joint_accelerations.values()))
-    found = {
-        name: np.concatenate(list(evaluate(each, 0.0, state).joint_accelerations.values()))
-        for name, each in ((OURS, system), (COMPILED, compiled))
-    }
+    exact = evaluate(dense_system, 0.0, state).accelerations[6:]
+    copied = evaluate(compiled, 0.0, state)
+    found = {OURS: own.accelerations[6:], COMPILED: copied.accelerations[6:]}
     remark = too_large_for_pinocchio(system.model.layout.joints)
     peers: dict[str, Callable[[], np.ndarray]] = {}
     if not remark:
@@ -204,14 +204,6 @@ def free_memory() -> float:
         return math.inf
     found = next((line for line in lines if line.startswith("MemAvailable:")), "")
     return 1024.0 * float(found.split()[1]) if found else math.inf
-
-
-def _slopes(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
-    arms = [row["arms"] for row in rows]
-    return {
-        method: fitted_slope(arms, [row["microseconds"][method] for row in rows])
-        for method in METHODS
-    }
 
 
 @kernel

@@ -27,6 +27,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate
 from multiarm.results.trajectory import Trajectory
+from multiarm.simulation.comparison import state_of
 from multiarm.simulation.simulate import simulate
 from multiarm.studies.observables import (
     Sinusoid,
@@ -132,19 +133,13 @@ class Trial:
         if between:
             run = simulate(self.system, duration=hardest, output_step=hardest, certificate=False)
             if run.status == "completed":
-                return float(run.time[-1]), self.state(-1, run)
+                last = state_of(self.system.model.layout, run, len(run) - 1)
+                return float(run.time[-1]), last
         return float(times[nearest]), self.state(nearest)
 
-    def state(self, sample: int, run: Trajectory | None = None) -> State:
-        """The state of a sample of our run, or of another of this system."""
-        run = run or self.trajectory
-        return self.system.state(
-            object_position=run.object_position[sample],
-            object_quaternion_xyzw=run.object_quaternion_xyzw[sample],
-            object_twist=run.object_twist[sample],
-            joint_positions={arm: q[sample] for arm, q in run.joint_positions.items()},
-            joint_velocities={arm: v[sample] for arm, v in run.joint_velocities.items()},
-        )
+    def state(self, sample: int) -> State:
+        """The state of a sample of our run."""
+        return state_of(self.system.model.layout, self.trajectory, sample)
 
     def control(self, t: float, state: State) -> np.ndarray:
         """Torques of the scene's control at time ``t`` of our run, shape (n,), without damping."""

@@ -59,7 +59,7 @@ from multiarm.studies.solver_forms import (
 )
 from multiarm.studies.timing import (
     Burst,
-    fitted_slope,
+    fitted_slopes,
     measure,
     median,
     one_thread,
@@ -150,6 +150,8 @@ def solver_study(
             if progress is not None:
                 progress(f"section 4.4: {count} arms")
             rows.append(_measure(count, rounds))
+    sizes = [row["arms"] for row in rows]
+    costs = {picture: [row["microseconds"][picture] for row in rows] for picture in PICTURES}
     ranges = {
         "slopes": slice(None),
         "upper_slopes": upper_half(rows),
@@ -162,13 +164,13 @@ def solver_study(
         ("interpreted", "interpreted", "node"),
         ("interpreted, at once", "interpreted", "node at once"),
     ):
-        costs = [(row["arms"], row["microseconds"][picture]) for row in rows]
-        ratios[name] = [(n, cost["lu"] / cost[node]) for n, cost in costs]
+        measured = zip(sizes, costs[picture], strict=True)
+        ratios[name] = [(n, cost["lu"] / cost[node]) for n, cost in measured]
     return {
         "rows": rows,
         "thesis": {str(n): found for n, found in thesis.items()},
         **{
-            key: {name: _slopes(rows[part], name, parts) for name, parts in PICTURES.items()}
+            key: {name: fitted_slopes(sizes[part], own[part]) for name, own in costs.items()}
             for key, part in ranges.items()
         },
         "crossover": {name: crossover(found) for name, found in ratios.items()},
@@ -256,16 +258,6 @@ def _measure(count: int, rounds: int) -> dict[str, Any]:
             "ratio_as_written": ratio_as_written(count),
         },
         "deviation": deviations(s),
-    }
-
-
-def _slopes(
-    rows: Sequence[dict[str, Any]], picture: str, parts: Sequence[str]
-) -> dict[str, float | None]:
-    arms = [row["arms"] for row in rows]
-    return {
-        part: fitted_slope(arms, [row["microseconds"][picture][part] for row in rows])
-        for part in parts
     }
 
 

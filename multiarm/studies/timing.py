@@ -105,6 +105,13 @@ def fitted_slope(sizes: Sequence[float], costs: Sequence[float | None]) -> float
     return float(np.polyfit(n, cost, 1)[0])
 
 
+def fitted_slopes(
+    sizes: Sequence[float], costs: Sequence[Mapping[str, float | None]]
+) -> dict[str, float | None]:
+    """The slope of each contestant, from all their costs at each size."""
+    return {name: fitted_slope(sizes, [cost[name] for cost in costs]) for name in costs[0]}
+
+
 def upper_half(sizes: Sequence[Any]) -> slice:
     """The larger half of increasing sizes, at least two of them where there are two."""
     return slice(len(sizes) // 2 if len(sizes) >= 4 else max(0, len(sizes) - 2), None)

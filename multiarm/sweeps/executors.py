@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Batches",
     "connected",
-    "processors",
     "run_in_process",
     "run_in_processes",
     "run_on_cluster",
@@ -239,13 +238,6 @@ class _Processes:
         from joblib.externals.loky import get_reusable_executor
 
         return get_reusable_executor(self._workers, timeout=300.0)  # [s] that idle ones stay
-
-
-def processors() -> int:
-    """Number of processors that this process may use."""
-    from joblib import cpu_count
-
-    return cpu_count()
 
 
 def _run_in_worker(context: JobContext, jobs: list[Job], caller: int) -> list[Record]:

@@ -19,13 +19,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from multiarm.assembly.compilation import compile_system
 from multiarm.dynamics.callbacks import ControlFunction
-from multiarm.dynamics.state import State
-from multiarm.dynamics.system import System, require_control, require_system
+from multiarm.dynamics.state import State, require_same_joints
+from multiarm.dynamics.system import System, require_control, require_state, require_system
 from multiarm.errors import ModelError, MultiarmError, TrajectoryError
+from multiarm.jit.ahead import processors
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import STEPS_CHOSEN_BY, AccuracySpec, Scene, changed_scenes
@@ -144,8 +143,7 @@ def _threads(threads: int | None, system: System, control: ControlFunction | Non
     if threads is None and (control is not None or system.model.calls_python):
         return 1
     if threads is None:
-        has_affinity = hasattr(os, "sched_getaffinity")
-        return len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+        return processors()
     if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
         raise ModelError(f"threads: must be a number from 1 on, got {threads!r}")
     return threads
@@ -239,16 +237,14 @@ def empty_result(
 def _check_states(system: System, states: list[Any], same_arms: bool) -> None:
     faults = []
     for number, state in enumerate(states, start=1):
-        if not isinstance(state, State):
-            faults.append(f"run {number}: {type(state).__name__} is no state")
-        elif not (np.all(np.isfinite(state.position)) and np.all(np.isfinite(state.velocity))):
-            faults.append(f"run {number}: the state is not finite")
-        elif same_arms and not state.layout.same_joints(system.model.layout):
-            arms = ", ".join(state.layout.names)
-            faults.append(f"run {number}: the state belongs to a system with arms {arms}")
+        try:
+            require_state(state)
+            if same_arms:
+                require_same_joints(state, system.model.layout)
+        except ModelError as error:
+            faults.append(f"\n  run {number}: {error}")
     if faults:
-        lines = "\n".join(f"  {fault}" for fault in faults)
-        raise ModelError(f"states: make them with `system.state(...)`:\n{lines}")
+        raise ModelError(f"states:{''.join(faults)}")
 
 
 def _check_settings(scenes: list[Scene], options: Mapping[str, Any]) -> None:

@@ -127,12 +127,8 @@ def _records(
     plan: SweepPlan, file: SweepFile, workers: int | None, client: Client | None
 ) -> Iterator[list[Record]]:
     """Records of the missing runs, as they end."""
-    from multiarm.sweeps.executors import (
-        processors,
-        run_in_process,
-        run_in_processes,
-        run_on_cluster,
-    )
+    from multiarm.jit.ahead import processors
+    from multiarm.sweeps.executors import run_in_process, run_in_processes, run_on_cluster
     from multiarm.sweeps.worker import JobContext
 
     missing = plan.count - file.made

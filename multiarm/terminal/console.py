@@ -6,12 +6,14 @@ escaped.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich import box
-from rich.console import Console, ConsoleOptions, RenderableType
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.measure import Measurement
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -37,8 +39,8 @@ __all__ = [
     "vector",
 ]
 
-WHOLE = 24
-"""Words of tables with so many letters at most are never broken."""
+WHOLE = 28
+"""Words of tables with so many letters at most are never broken: names of hard cases have 25."""
 STATUS_STYLES = {"completed": "bold green", "interrupted": "bold yellow", "failed": "bold red"}
 
 
@@ -125,34 +127,82 @@ def facts(title: str, rows: dict[str, RenderableType]) -> Table:
         show_header=False,
         title_justify="left",
     )
-    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(style="cyan", overflow="fold")
     table.add_column(overflow="fold")
     for name, value in rows.items():
         table.add_row(*map(_as_text, (name, value)))
     return table
 
 
-def columns(title: str, names: Sequence[str], rows: Iterable[Sequence[RenderableType]]) -> Table:
-    """A table with a heading for each column; texts are shown as they are, words stay whole."""
-    table = Table(title=Text(printable(title), "bold"), box=box.SIMPLE_HEAD, title_justify="left")
+class _Columns(Table):
+    """A table that is shown as several ones where the terminal is too narrow for its columns.
+
+    Rich would cut them off or leave them out.  The first column, which names the rows, is in each.
+    """
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Narrow the widest columns, down to their least widths, or render the table's halves."""
+        unbounded = options.update(width=100_000)  # else nothing is wider than the terminal
+        whole, widths = [], [column.min_width or 1 for column in self.columns]
+        for column in self.columns:
+            column.width = None
+            cells = (column.header, *column.cells)
+            whole.append(max(Measurement.get(console, unbounded, cell).maximum for cell in cells))
+        between = console.measure(self, options=unbounded).maximum - sum(whole)
+        room = options.max_width - between
+        if sum(widths) > room and len(whole) > 2:
+            yield from self._halves()
+            return
+        if sum(widths) > room:
+            widths = [1] * len(whole)
+        while sum(widths) < min(room, sum(whole)):
+            narrow = [k for k, width in enumerate(widths) if width < whole[k]]
+            widths[min(narrow, key=widths.__getitem__)] += 1
+        for column, width in zip(self.columns, widths, strict=True):
+            column.width = width
+        yield from super().__rich_console__(console, options)
+
+    def _halves(self) -> Iterator[_Columns]:
+        names, *others = self.columns
+        half = len(self.columns) // 2
+        for title, part in ((self.title, others[:half]), (None, others[half:])):
+            shown = [names, *part]
+            narrow = _Columns(
+                *(column.copy() for column in shown), title=title, box=self.box,
+                title_justify="left", padding=self.padding, pad_edge=self.pad_edge,
+            )  # fmt: skip
+            for row in zip(*(column.cells for column in shown), strict=True):
+                narrow.add_row(*row)
+            yield narrow
+
+
+def columns(
+    title: str,
+    names: Sequence[str],
+    rows: Iterable[Sequence[RenderableType]],
+    numbers: Container[int] = (),
+) -> Table:
+    """A table with a heading for each column; texts are shown as they are, words stay whole.
+
+    The columns ``numbers`` stand right and are never wrapped.
+    """
+    heading = Text(printable(title), "bold")
+    table = _Columns(title=heading, box=box.SIMPLE_HEAD, title_justify="left")
     shown = [[_as_text(cell) for cell in row] for row in rows]
     for k, name in enumerate(names):
         cells = [_as_text(name), *(row[k] for row in shown if k < len(row))]
-        width = max(map(_longest_word, cells))
-        # Rich narrows the widest columns first: not those that have nothing to wrap
-        single = all(isinstance(cell, Text) and cell.cell_len <= width for cell in cells)
+        texts = [cell.plain for cell in cells if isinstance(cell, Text)]
+        if k in numbers:
+            least = [cell_len(line) for text in texts for line in text.splitlines()]
+        else:
+            least = [min(cell_len(word), WHOLE) for text in texts for word in text.split()]
         table.add_column(
-            cells[0], header_style="cyan", overflow="fold", min_width=width, no_wrap=single
-        )
+            cells[0], header_style="cyan", overflow="fold", min_width=max(least, default=1),
+            justify="right" if k in numbers else "left",
+        )  # fmt: skip
     for row in shown:
         table.add_row(*row)
     return table
-
-
-def _longest_word(cell: RenderableType) -> int:
-    """Letters of the longest word of a cell; of longer ones than ``WHOLE``, that many."""
-    words = cell.plain.split() if isinstance(cell, Text) else []
-    return min(max(map(len, words), default=0), WHOLE)
 
 
 def _as_text(value: RenderableType) -> RenderableType:

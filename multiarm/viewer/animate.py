@@ -260,9 +260,9 @@ class _Shapes:
             try:
                 mesh = self._mesh(item, subdued)
             except ValueError:
-                what = item.meshPath or f"a shape of link {item.name}"
                 warnings.warn(
-                    f"{what} of arm '{arm.name}' has no size that can be shown; it is left out",
+                    f"{item.meshPath or 'a shape'} of '{item.name}' of arm '{arm.name}' has no "
+                    "size that can be shown; it is left out",
                     stacklevel=2,
                 )
                 continue

@@ -93,15 +93,7 @@ class Results:
 
     def found_reference(self, reference: Reference) -> None:
         """Keep a reference; points whose motions are known are compared with it."""
-        self.reference = plain(
-            {
-                "digits": reference.digits,
-                "about": reference.about,
-                "wall_time_s": reference.wall_time_s,
-                "average_step_s": reference.average_step_s,
-                "first": reference.first,
-            }
-        )
+        self.reference = plain({k: v for k, v in vars(reference).items() if k != "motion"})
         self._exact = reference.motion
         for key, motion in self._motions.items():
             self.points[key] = Measured(self.points[key], motion).against(reference.motion)
