@@ -383,14 +383,15 @@ def test_without_mujoco_the_remedy_is_told(healthy_trial, monkeypatch):
 
 
 @pytest.mark.slow
-def test_pinocchio_as_shipped_gives_nan_on_redundant_rows_and_tuned_does_not():
+def test_runs_with_pinocchio_as_shipped_end_in_nan_on_redundant_rows_and_tuned_do_not():
     # planar arms of two joints welded to a body: six rows for three motions, exactly dependent
     scene = planar_pair("planar_2r", [0.4, -0.8], {"kind": "weld"}).replace(
         run={**RUN, "solver": "dense"}
     )
     trial = trial_of(replace(HEALTHY, scene=lambda: scene))
     found = {answer.solver: answer for answer in peer_trials.all_answers(trial)}
-    assert found["constraintDynamics as shipped"].accelerations == "NaN"
+    # at one state roundings decide: a pivot is zero, or is not
+    assert found["constraintDynamics as shipped"].accelerations in ("", "NaN")
     assert found["constraintDynamics as shipped"].ended == "NaN after 0 s"
     assert found["constraintDynamics as shipped"].drift is None
     assert found["constraintDynamics"].joint_error < 1e-8
